@@ -1,0 +1,41 @@
+"""clothbench: which cloth model to trust, with which parameters, and what it still gets wrong.
+
+Importing the package costs nothing: the public names below are loaded when they are first used.
+"""
+
+import importlib
+
+__version__ = "0.1.0"
+
+_HOME = {
+    "ClothbenchError": "errors",
+    "Parameter": "parameters",
+    "ParameterSpace": "parameters",
+    "Recording": "recording",
+    "read_recording": "recording",
+    "write_recording": "recording",
+    "Observation": "observation",
+    "Scene": "scene",
+    "Rollout": "rollout",
+    "Interpolator": "rollout",
+    "Score": "protocols",
+    "Evaluation": "protocols",
+    "Model": "protocols",
+    "Simulation": "protocols",
+    "Effect": "protocols",
+    "Metric": "protocols",
+    "Optimizer": "protocols",
+    "Tracker": "protocols",
+    "Registration": "hookspecs",
+    "hookimpl": "hookspecs",
+    "effect_kernel": "kernels",
+    "Sheet": "kernels",
+}
+
+__all__ = ["__version__", *_HOME]
+
+
+def __getattr__(name: str):
+    if name not in _HOME:
+        raise AttributeError(f"module 'clothbench' has no attribute {name!r}")
+    return getattr(importlib.import_module(f"clothbench.{_HOME[name]}"), name)
