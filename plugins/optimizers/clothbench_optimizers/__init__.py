@@ -1,0 +1,15 @@
+"""The built-in optimizers: registration only, each is imported when it is used."""
+
+from clothbench.hookspecs import Registration, hookimpl
+
+
+@hookimpl
+def clothbench_optimizers():
+    return [
+        Registration("ga", "clothbench_optimizers.ga:GeneticAlgorithm", "genetic algorithm on 16-bit genes (seed 000)"),
+        Registration(
+            "least_squares",
+            "clothbench_optimizers.least_squares:LeastSquares",
+            "batched finite-difference Levenberg–Marquardt from the best of a spread of starts",
+        ),
+    ]

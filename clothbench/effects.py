@@ -1,0 +1,124 @@
+"""Effects put to work: what a model needs in order to run with any set of them, wherever each one acts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from clothbench.errors import ClothbenchError
+from clothbench.parameters import ParameterSpace
+from clothbench.protocols import Effect
+from clothbench.scene import Scene
+
+PLACES = ("dynamics", "boundary", "sensor")
+FORCE, INERTIA = 0, 1
+
+
+@dataclass(frozen=True, eq=False)
+class BoundEffects:
+    """A model's parameters joined with those of its effects, and the effects sorted by where they act."""
+
+    model: ParameterSpace
+    effects: tuple[Effect, ...]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "effects", tuple(self.effects))
+        names = [e.name for e in self.effects]
+        for effect in self.effects:
+            if effect.place not in PLACES:
+                raise ClothbenchError(f"effect {effect.name!r}: place is {effect.place!r}, expected one of {', '.join(PLACES)}")
+            if names.count(effect.name) > 1:
+                raise ClothbenchError(f"effect {effect.name!r} is given twice; name every effect once")
+
+    @cached_property
+    def parameters(self) -> ParameterSpace:
+        return self.model.joined(*(e.parameters.prefixed(e.name) for e in self.effects))
+
+    def at(self, place: str) -> tuple[Effect, ...]:
+        return tuple(e for e in self.effects if e.place == place)
+
+    def of_model(self, theta: np.ndarray) -> np.ndarray:
+        """The model's own columns of theta (B, P)."""
+        return theta[:, : len(self.model)]
+
+    def of_effect(self, effect: Effect, theta: np.ndarray) -> np.ndarray:
+        """The columns of theta (B, P) that belong to `effect`."""
+        start = len(self.model)
+        for other in self.effects:
+            if other is effect:
+                break
+            start += len(other.parameters)
+        return theta[:, start : start + len(effect.parameters)]
+
+    # --- dynamics -----------------------------------------------------------------------------------------------
+
+    def kernels(self, slots: int, filler: Callable) -> tuple[tuple[Callable, ...], np.ndarray, int]:
+        """Compiled functions for a time loop with `slots` places, their stages (slots,), and how many are used."""
+        found = self._stages()
+        if len(found) > slots:
+            raise ClothbenchError(f"{len(found)} dynamics terms at once, this model has room for {slots}; name fewer effects")
+        functions = tuple(getattr(e, stage) for e, stage in found) + (filler,) * (slots - len(found))
+        stages = [FORCE if stage == "force" else INERTIA for _, stage in found] + [FORCE] * (slots - len(found))
+        return functions, np.array(stages, dtype=np.int64), len(found)
+
+    def kernel_parameters(self, theta: np.ndarray, slots: int) -> np.ndarray:
+        """Each slot's parameters (B, slots, width)."""
+        width = max([1, *(len(e.parameters) for e in self.at("dynamics"))])
+        out = np.zeros((len(theta), slots, width))
+        for k, (effect, _) in enumerate(self._stages()):
+            out[:, k, : len(effect.parameters)] = self.of_effect(effect, theta)
+        return out
+
+    def kernel_state(self, members: int, slots: int, nodes: int) -> np.ndarray:
+        """Zeroed memory (members, slots, S) for effects that carry something from step to step."""
+        sizes = [e.state_size(nodes) for e, _ in self._stages() if hasattr(e, "state_size")]
+        return np.zeros((members, slots, max([1, *sizes])))
+
+    def _stages(self) -> list[tuple[Effect, str]]:
+        """Every force and inertia term, in the order of the effects; an effect that has both appears twice."""
+        found = []
+        for effect in self.at("dynamics"):
+            stages = [s for s in ("force", "inertia") if getattr(effect, s, None) is not None]
+            if not stages:
+                raise ClothbenchError(f"effect {effect.name!r}: place 'dynamics' needs a 'force' or an 'inertia' kernel")
+            for stage in stages:
+                if not hasattr(getattr(effect, stage), "py_func"):
+                    raise ClothbenchError(f"effect {effect.name!r}: '{stage}' is not compiled; decorate it with clothbench.effect_kernel")
+                found.append((effect, stage))
+        return found
+
+    # --- boundary and sensor ------------------------------------------------------------------------------------
+
+    def grip_curves(self, scene: Scene, theta: np.ndarray) -> np.ndarray:
+        """Piecewise cubics of the grips: (1, 4, K−1, G, 3) where all members share them, else (B, …)."""
+        if not scene.grip_material.size:
+            return np.zeros((1, 4, 1, 0, 3))
+        if not self.at("boundary"):
+            return scene.grip_curve()[None]
+        return np.stack([scene.grip_curve(self._held(scene, theta[b : b + 1])) for b in range(len(theta))])
+
+    def _held(self, scene: Scene, theta: np.ndarray) -> np.ndarray:
+        position = np.array(scene.grip_position)
+        for effect in self.at("boundary"):
+            position = effect.grips(scene.grip_time, position, self.of_effect(effect, theta)[0])  # type: ignore[attr-defined]
+        return position
+
+    def times(self, scene: Scene, theta: np.ndarray) -> np.ndarray:
+        """When each member is looked at for each stamp of the scene: (B, T) s."""
+        out = np.repeat(scene.times[None], len(theta), axis=0)
+        for effect in self.at("sensor"):
+            if hasattr(effect, "times"):
+                for b, phi in enumerate(self.of_effect(effect, theta)):
+                    out[b] = effect.times(out[b], phi)
+        return out
+
+    def seen(self, scene: Scene, theta: np.ndarray, position: np.ndarray) -> np.ndarray:
+        """What the sensor makes of the true positions (B, T, N, 3) m."""
+        for effect in self.at("sensor"):
+            if hasattr(effect, "positions"):
+                phis = self.of_effect(effect, theta)
+                position = np.stack([effect.positions(scene.times, p, phi) for p, phi in zip(position, phis, strict=True)])
+        return position

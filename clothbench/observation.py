@@ -1,0 +1,38 @@
+"""The observation: what a tracker made of a recording, ready to be compared with a rollout."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clothbench.errors import ClothbenchError
+
+
+@dataclass(frozen=True, eq=False)
+class Observation:
+    """Tracked material points. Arrays are read-only.
+
+    time: (T,) s; position: (T, N, 3) m, NaN where not seen; visible: (T, N) bool; sigma: m, standard deviation
+    of one coordinate (NaN = not known); material: (N, 2) m.
+    """
+
+    time: np.ndarray
+    position: np.ndarray
+    visible: np.ndarray
+    sigma: float
+    material: np.ndarray
+
+    def __post_init__(self) -> None:
+        for name in ("time", "position", "visible", "material"):
+            array = np.array(getattr(self, name))
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        frames, nodes = self.visible.shape
+        if self.position.shape != (frames, nodes, 3) or self.time.shape != (frames,) or self.material.shape != (nodes, 2):
+            raise ClothbenchError(
+                f"observation: found position {self.position.shape}, time {self.time.shape}, material {self.material.shape}, "
+                f"visible {self.visible.shape}, expected (T, N, 3), (T,), (N, 2), (T, N)"
+            )
+        if not np.isfinite(self.position[self.visible]).all():
+            raise ClothbenchError("observation: found a visible node whose position is not finite")

@@ -1,0 +1,37 @@
+"""Threads over whole rollouts: compiled loops release the interpreter's lock, so plain threads keep all cores busy."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+_threads = 0
+
+
+def available_cores() -> int:
+    """Cores this process may run on (macOS and Windows know only how many there are)."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def thread_count() -> int:
+    """How many threads a batch may use: as set, else CLOTHBENCH_THREADS, else all cores this process may run on."""
+    return _threads or int(os.environ.get("CLOTHBENCH_THREADS", 0)) or available_cores()
+
+
+def set_thread_count(count: int) -> None:
+    """Set the number of threads for this process; 0 goes back to the default."""
+    global _threads
+    _threads = count
+
+
+def for_each(work: Callable[[Any], None], items: Sequence[Any]) -> None:
+    """Call `work(item)` for all items on up to `thread_count()` threads; the first exception is raised here."""
+    if (threads := min(thread_count(), len(items))) <= 1:
+        for item in items:
+            work(item)
+        return
+    with ThreadPoolExecutor(threads) as pool:
+        for _ in pool.map(work, items):
+            pass

@@ -1,0 +1,134 @@
+"""What a plugin has to be. Each kind is a small protocol; a plain class that has the members is enough."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+
+from clothbench.observation import Observation
+from clothbench.parameters import ParameterSpace
+from clothbench.recording import Recording
+from clothbench.rollout import Rollout
+from clothbench.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """How far a batch of B rollouts is from one observation.
+
+    value: (B,) in `unit`, NaN for a member that could not be scored; per_frame: (B, T) and per_node: (B, N), the
+    same quantity's trace and map, NaN where nothing was seen (None where the metric has none);
+    residual: (B, R), signed differences whose squares sum to what least squares should lower, or None.
+    """
+
+    value: np.ndarray
+    unit: str
+    per_frame: np.ndarray | None = None
+    per_node: np.ndarray | None = None
+    residual: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """What an optimizer is told: value (B,), lower is better, NaN = could not be computed; residual (B, R) or None."""
+
+    value: np.ndarray
+    residual: np.ndarray | None = None
+
+
+@runtime_checkable
+class Simulation(Protocol):
+    """A scene made ready: meshes built, kernels compiled.
+
+    `parameters` holds the model's parameters, then those of each effect as `effect.parameter`.
+    """
+
+    parameters: ParameterSpace
+
+    def run(self, theta: np.ndarray) -> Rollout:
+        """Simulate the parameter sets theta (B, P), each in its parameter's unit, all at once."""
+        ...
+
+
+@runtime_checkable
+class Model(Protocol):
+    """A cloth model. Made by calling the registered attribute with its options as keywords."""
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+    parameters: ParameterSpace
+    capabilities: ClassVar[frozenset[str]]  # of: dynamic, static, effects, contact
+
+    def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> Simulation: ...
+
+
+@runtime_checkable
+class Effect(Protocol):
+    """Physics a model may lack, in one of three places. At its parameters' null values it vanishes, to the bit.
+
+    place "dynamics": has `force` and/or `inertia`, compiled with `clothbench.effect_kernel`:
+        force(t, dt, x, v, f, sheet, p, state)    adds nodal forces [N] to f (3, n)
+        inertia(t, dt, x, v, f, sheet, p, state)  runs after all forces and turns f into what the bare nodal mass
+                                                  must feel to accelerate as it would with the added inertia
+      with x (3, n) m, v (3, n) m/s, `sheet` (clothbench.Sheet), p this effect's parameters in order, and
+      state (S,) kept from step to step, S = `state_size(n)` if there is such a method, else 0.
+    place "boundary": has `grips(time (K,), position (K, G, 3), phi (P,)) -> position`.
+    place "sensor": has `times(time (T,), phi) -> time` (when the simulation is looked at for each stamp) and/or
+        `positions(time (T,), position (T, N, 3), phi) -> position` (how it is seen).
+    """
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+    place: ClassVar[str]
+    summary: ClassVar[str]
+    parameters: ParameterSpace
+
+
+@runtime_checkable
+class Metric(Protocol):
+    """Compares an observation with a batch of rollouts; lower is better."""
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+    unit: str
+
+    def __call__(self, observation: Observation, rollout: Rollout) -> Score: ...
+
+    def floor(self, observation: Observation) -> float:
+        """The value that noise alone would give a perfect model, in `unit`; NaN if the noise is not known."""
+        ...
+
+
+@runtime_checkable
+class Optimizer(Protocol):
+    """A search. Made by `factory(space, seed=…, budget=…, **settings)`; it never owns the loop.
+
+    The caller alternates `ask` and `tell` until `done`; `stopped` then says why. All points asked lie within the
+    space's bounds. `needs_residual` says that `Evaluation.residual` is wanted.
+    """
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+    needs_residual: ClassVar[bool]
+    done: bool
+    stopped: str
+
+    def ask(self) -> np.ndarray:
+        """The next parameter sets (B, P), each in its parameter's unit."""
+        ...
+
+    def tell(self, theta: np.ndarray, evaluation: Evaluation) -> None: ...
+
+
+@runtime_checkable
+class Tracker(Protocol):
+    """Turns raw sensor data into an observation."""
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+
+    def track(self, source: Recording | Path, **settings: Any) -> Observation: ...

@@ -1,0 +1,330 @@
+"""`mass_spring`: the grid of springs and dampers of Provot (1995), as fitted in seed paper 000 (section 5.2).
+
+Structural springs join neighbours, shear springs the diagonals of a cell, flexion springs nodes two apart. k1 is
+shared by structural and shear springs, k2 belongs to the flexion springs, and all springs have the damping ratio ζ,
+c = 2ζ√(k m). Where the paper gives every node the same mass, nodes here carry the mass, and border springs the
+stiffness, of the area they stand for: only then do period and sag converge as the mesh is refined.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from clothbench import ClothbenchError, Effect, Interpolator, Parameter, ParameterSpace, Rollout, Scene
+from clothbench.effects import BoundEffects
+from clothbench.kernels import grid_triangles, no_effect
+from clothbench.parallel import for_each
+from clothbench.scene import initial_shape
+
+from clothbench_models import mass_spring_kernels as kernels
+
+SOURCE = "seed 000, section 5.2; Provot 1995"
+# (Δi, Δj, is flexion) of the six spring families
+FAMILIES = ((1, 0, False), (0, 1, False), (1, 1, False), (-1, 1, False), (2, 0, True), (0, 2, True))
+SAFETY = 0.8  # share of the largest stable step that is used
+SETTLE_PERIODS = 9.0  # settling time in units of 1/ω₁: what is left of the first guess is e⁻⁹
+SMALL = 256  # nodes below which several parameter sets are interleaved
+LANES = 8  # doubles in one vector register of AVX-512
+MAX_STEPS = 20_000_000
+LOST = 20.0  # cloth sizes from the start at which a sheet has blown up
+
+PARAMETERS = ParameterSpace(
+    (
+        Parameter("k1", "k₁", "N/m", (1.0, 1000.0), "log", 60.0, "stiffness of structural and shear springs", SOURCE),
+        Parameter("k2", "k₂", "N/m", (0.01, 100.0), "log", 1.0, "stiffness of flexion springs", SOURCE),
+        Parameter("zeta", "ζ", "1", (0.001, 1.0), "log", 0.05, "damping ratio of every spring, c = 2ζ√(k m)", SOURCE),
+    )
+)
+
+
+class MassSpring:
+    """Provot's mass-spring-damper sheet, explicit leapfrog; see the module for equations and sources.
+
+    resolution: nodes along (u, v) or one number for the longer side, where the scene does not say;
+    dt: time step [s], or None for the largest stable one of each parameter set times 0.8; step_scale: multiplies
+    that step (0.5 halves it, to see what the step costs in accuracy).
+    """
+
+    name = "mass_spring"
+    version = 1
+    kind = "explicit"
+    parameters = PARAMETERS
+    capabilities = frozenset({"dynamic", "static", "effects"})
+
+    def __init__(self, resolution: int | Sequence[int] = 13, dt: float | None = None, step_scale: float = 1.0):
+        self.resolution, self.dt, self.step_scale = resolution, dt, step_scale
+        if dt is not None and not dt > 0:
+            raise ClothbenchError(f"mass_spring: dt is {dt}, expected seconds above 0")
+        if not 0 < step_scale <= 1.2:
+            raise ClothbenchError(f"mass_spring: step_scale is {step_scale}, expected above 0 and at most 1.2")
+
+    def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> MassSpringSimulation:
+        return MassSpringSimulation(scene, self._shape(scene), BoundEffects(self.parameters, effects), self.dt, self.step_scale)
+
+    def _shape(self, scene: Scene) -> tuple[int, int]:
+        """Nodes along (u, v): as the scene says, else as asked, with square cells."""
+        if scene.resolution is not None:
+            return scene.resolution
+        if not isinstance(self.resolution, int):
+            nu, nv = self.resolution
+            return int(nu), int(nv)
+        spacing = max(scene.width, scene.height) / (self.resolution - 1)
+        return max(3, round(scene.width / spacing) + 1), max(3, round(scene.height / spacing) + 1)
+
+
+@dataclass(frozen=True, eq=False)
+class MassSpringSimulation:
+    """One scene on one grid `shape` (nu, nv), ready for batches of parameter sets."""
+
+    scene: Scene
+    shape: tuple[int, int]
+    effects: BoundEffects
+    dt: float | None
+    step_scale: float
+
+    @property
+    def parameters(self) -> ParameterSpace:
+        return self.effects.parameters
+
+    @property
+    def nodes(self) -> int:
+        return self.shape[0] * self.shape[1]
+
+    @cached_property
+    def lines(self) -> tuple[np.ndarray, np.ndarray]:
+        """Grid lines along u (nu,) and v (nv,) m, moved onto the held points so that every grip is a node."""
+        held = self.scene.grip_material
+        return (
+            grid_lines(self.scene.width, self.shape[0], held[:, 0]),
+            grid_lines(self.scene.height, self.shape[1], held[:, 1]),
+        )
+
+    @cached_property
+    def grid(self) -> SpringGrid:
+        return SpringGrid.of(self.lines, (self.scene.width, self.scene.height), self.scene.areal_density)
+
+    def run(self, theta: np.ndarray) -> Rollout:
+        """Simulate theta (B, P): k1 N/m, k2 N/m, ζ, then the effects' parameters."""
+        theta = self.parameters.check(theta)
+        batch = _Batch(self, theta)
+        for_each(batch.run_block, batch.blocks)
+        return batch.rollout()
+
+    def stable_step(self, theta: np.ndarray) -> np.ndarray:
+        """The largest stable step of each parameter set (B,) s: leapfrog with a lagging damping force.
+
+        ω² and the damping rate are bounded by the flat sheet's, whose springs all pull in one plane.
+        """
+        k1, k2, zeta = theta[:, :3].T
+        one, two = self.grid.largest_eigenvalues
+        omega = np.sqrt(k1 * one + k2 * two)
+        node = self.grid.node_mass
+        rate = 2 * zeta * (np.sqrt(k1 * node) * one + np.sqrt(k2 * node) * two)
+        half = rate / (2 * omega)
+        return (2 / omega) * (np.sqrt(1 + half**2) - half)
+
+
+def grid_lines(length: float, count: int, held: np.ndarray) -> np.ndarray:
+    """`count` lines over [0, length] m, even except that the nearest line to each held coordinate lies on it."""
+    even = np.linspace(0.0, length, count)
+    held = np.unique(np.round(held, 9))
+    nearest = np.abs(even[:, None] - held[None]).argmin(axis=0)
+    if len(set(nearest)) < len(nearest):
+        raise ClothbenchError(
+            f"grips {length / (count - 1):.3g} m or less apart on a grid of {count} nodes over {length:g} m; raise the resolution"
+        )
+    anchors = dict(zip(nearest.tolist(), held.tolist(), strict=True))
+    anchors = {0: 0.0, count - 1: length} | anchors
+    at = sorted(anchors)
+    return np.interp(np.arange(count), at, [anchors[i] for i in at])
+
+
+@dataclass(frozen=True, eq=False)
+class SpringGrid:
+    """The springs of one grid, per unit k1 or k2. n nodes, six families.
+
+    uv: (n, 2) m; mass: (n,) kg; area: (n,) m²; strides: (6,); rest: (6, n) m; share: (6, n), stiffness of each
+    spring in units of k1 or k2 (0 where a spring would wrap around the edge); node_mass: kg, of an inner node.
+    """
+
+    uv: np.ndarray
+    mass: np.ndarray
+    area: np.ndarray
+    strides: np.ndarray
+    rest: np.ndarray
+    share: np.ndarray
+    node_mass: float
+
+    @classmethod
+    def of(cls, lines: tuple[np.ndarray, np.ndarray], size: tuple[float, float], areal_density: float) -> SpringGrid:
+        u, v = lines
+        v_of, u_of = (a.ravel() for a in np.meshgrid(v, u, indexing="ij"))
+        wide, high = _tributary(u, size[0]), _tributary(v, size[1])
+        area = np.outer(high, wide).ravel()
+        families = [_family(u, v, wide, high, *family) for family in FAMILIES]
+        return cls(
+            uv=np.ascontiguousarray(np.stack([u_of, v_of], axis=1)),
+            mass=areal_density * area,
+            area=area,
+            strides=np.array([dj * len(u) + di for di, dj, _ in FAMILIES], dtype=np.int64),
+            rest=np.stack([f[0] for f in families]),
+            share=np.stack([f[1] for f in families]),
+            node_mass=areal_density * size[0] * size[1] / ((len(u) - 1) * (len(v) - 1)),
+        )
+
+    @cached_property
+    def largest_eigenvalues(self) -> tuple[float, float]:
+        """Bounds on the largest eigenvalue [1/kg] of M⁻¹K of the flat sheet, for k1 = 1 and for k2 = 1 N/m.
+
+        Gershgorin's circles: each spring with direction d adds share·|d_c|(|d_u| + |d_v|) to the diagonal and as
+        much again off it.
+        """
+        bounds = []
+        for flexion in (False, True):
+            rows = np.zeros((2, len(self.mass)))
+            for family, (_, _, is_flexion) in enumerate(FAMILIES):
+                if is_flexion == flexion:
+                    self._add_rows(rows, family)
+            bounds.append(float((2 * rows / self.mass).max()))
+        return bounds[0], bounds[1]
+
+    def _add_rows(self, rows: np.ndarray, family: int) -> None:
+        stride = self.strides[family]
+        first = np.flatnonzero(self.share[family])
+        d = np.abs(self.uv[first + stride] - self.uv[first])
+        d /= np.linalg.norm(d, axis=1, keepdims=True)
+        weight = (self.share[family, first][:, None] * d * d.sum(axis=1, keepdims=True)).T
+        np.add.at(rows, (slice(None), first), weight)
+        np.add.at(rows, (slice(None), first + stride), weight)
+
+
+def _tributary(lines: np.ndarray, length: float) -> np.ndarray:
+    """The length of cloth that each grid line stands for [m]."""
+    edges = np.concatenate([[0.0], (lines[1:] + lines[:-1]) / 2, [length]])
+    return np.diff(edges)
+
+
+def _family(u, v, wide, high, di: int, dj: int, flexion: bool) -> tuple[np.ndarray, np.ndarray]:
+    """Rest length (n,) m and stiffness share (n,) of one family, at each spring's first node.
+
+    On square cells the share is 1 inside and ½ along a border. Elsewhere it is what keeps the sheet's stiffness per
+    width: (width stood for) / (length per cell) for straight springs, 2ab/(a² + b²) for the diagonals of a cell a × b.
+    """
+    nu, nv = len(u), len(v)
+    j, i = (a.ravel() for a in np.meshgrid(np.arange(nv), np.arange(nu), indexing="ij"))
+    inside = (i + di >= 0) & (i + di < nu) & (j + dj < nv)
+    i2, j2 = np.where(inside, i + di, i), np.where(inside, j + dj, j)
+    a, b = np.abs(u[i2] - u[i]), np.abs(v[j2] - v[j])
+    rest = np.hypot(a, b)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        if di and dj:
+            share = 2 * a * b / (a**2 + b**2)
+        else:
+            share = (high[j] if di else wide[i]) / (rest / (2 if flexion else 1))
+    return np.where(inside, rest, 1.0), np.where(inside, share, 0.0)
+
+
+class _Batch:
+    """One call of `run`: parameter sets in blocks of lanes, results in arrays that the blocks fill side by side."""
+
+    def __init__(self, simulation: MassSpringSimulation, theta: np.ndarray):
+        self.simulation, self.theta, scene = simulation, theta, simulation.scene
+        members = len(theta)
+        self.dt = self._steps()
+        self.times = simulation.effects.times(scene, theta)
+        self.position = np.full((members, scene.times.size, len(scene.points), 3), np.nan)
+        self.status, self.steps = np.zeros(members, np.int64), np.zeros(members, np.int64)
+        self.curves = simulation.effects.grip_curves(scene, theta)
+        self.kernels, self.stages, self.terms = simulation.effects.kernels(kernels.SLOTS, no_effect)
+        u, v = simulation.lines
+        self.interpolator = Interpolator.on_lines(scene.points, u, v)
+        self.pins = _nearest(simulation.grid.uv, scene.grip_material)
+        self.held_points, self.pins_of_points = _shared_points(scene.points, scene.grip_material)
+        self.shape = initial_shape(scene, simulation.grid.uv)
+        # Frames that nobody could afford are not begun: the member is a timeout, not a hang.
+        span = self.times.max(axis=1) - scene.start_time + SETTLE_PERIODS / self._slowest()
+        self.late = span / self.dt > MAX_STEPS
+        self.blocks = self._blocks(np.flatnonzero(~self.late))
+
+    def _steps(self) -> np.ndarray:
+        simulation = self.simulation
+        if simulation.dt is not None:
+            return np.full(len(self.theta), simulation.dt)
+        return SAFETY * simulation.step_scale * simulation.stable_step(self.theta)
+
+    def _slowest(self) -> float:
+        """ω₁ of the hanging sheet, (2.4048/2)√(g/L) [rad/s]."""
+        scene = self.simulation.scene
+        return 1.2024 * math.sqrt(max(np.linalg.norm(scene.gravity), 1e-3) / scene.height)
+
+    def _blocks(self, members: np.ndarray) -> list[np.ndarray]:
+        """Members that run together, similar steps side by side; one by one on a grid that fills the vector unit itself."""
+        interleave = self.simulation.nodes < SMALL and self.terms == 0
+        if not interleave:
+            return [members[k : k + 1] for k in range(len(members))]
+        order = members[np.argsort(self.dt[members], kind="stable")]
+        return [order[k : k + LANES] for k in range(0, len(order), LANES)]
+
+    def run_block(self, members: np.ndarray) -> None:
+        simulation, scene, grid = self.simulation, self.simulation.scene, self.simulation.grid
+        lanes, nodes = len(members), simulation.nodes
+        stiffness, damping = self._springs(members)
+        out = np.full((lanes, *self.position.shape[1:]), np.nan)
+        status, steps = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64)
+        slowest = self._slowest()
+        effects = simulation.effects
+        kernels.run_block(
+            lanes, np.ascontiguousarray(np.repeat(self.shape.T, lanes, axis=1)),
+            grid.strides * lanes, np.repeat(grid.rest, lanes, axis=1), stiffness, damping, grid.mass, grid.uv,
+            np.array([scene.gravity]), grid.area, grid_triangles(simulation.shape), scene.air_density,
+            LOST * max(scene.width, scene.height) + float(np.abs(self.shape).max()),
+            *self.kernels, self.stages, self.terms, effects.kernel_parameters(self.theta[members], kernels.SLOTS),
+            effects.kernel_state(lanes, kernels.SLOTS, nodes),
+            self.pins, np.array(scene.grip_time) if len(self.pins) else np.zeros(2),
+            self.curves if len(self.curves) == 1 else self.curves[members], self.held_points, self.pins_of_points,
+            scene.start_time, SETTLE_PERIODS / slowest, 2 * slowest, self.dt[members],
+            self.interpolator.index, self.interpolator.weight, self.times[members], out, status, steps,
+        )  # fmt: skip
+        self.position[members], self.status[members], self.steps[members] = out, status, steps
+
+    def _springs(self, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Stiffness N/m and damping N·s/m of every spring, (6, n·lanes), lanes innermost."""
+        grid = self.simulation.grid
+        k1, k2, zeta = self.theta[members, :3].T
+        flexion = np.array([f[2] for f in FAMILIES])[:, None]
+        k = np.where(flexion, k2, k1)  # (6, lanes)
+        c = 2 * zeta * np.sqrt(k * grid.node_mass)
+        shape = (len(FAMILIES), -1)
+        return (grid.share[:, :, None] * k[:, None]).reshape(shape), (grid.share[:, :, None] * c[:, None]).reshape(shape)
+
+    def rollout(self) -> Rollout:
+        scene = self.simulation.scene
+        position = self.simulation.effects.seen(scene, self.theta, self.position)
+        status = np.where(self.late, "timeout", np.where(self.status == kernels.DIVERGED, "diverged", "ok"))
+        reasons = {
+            "ok": "",
+            "diverged": "the sheet left all bounds: the step is too long for these parameters",
+            "timeout": f"more than {MAX_STEPS:.0e} steps: these parameters need too short a step",
+        }
+        lost = ~(np.abs(position).max(axis=(2, 3), initial=0.0) < 1e6)
+        position[np.logical_or.accumulate(lost, axis=1)] = np.nan
+        return Rollout(scene.times, position, tuple(map(str, status)), self.steps, self.simulation.nodes, tuple(reasons[s] for s in status))
+
+
+def _nearest(uv: np.ndarray, held: np.ndarray) -> np.ndarray:
+    """The node on each held material point (G,): grid lines were laid through them."""
+    return np.array([np.argmin(((uv - point) ** 2).sum(axis=1)) for point in held], dtype=np.int64)
+
+
+def _shared_points(points: np.ndarray, held: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Which of the wanted points (N, 2) are grips: their numbers, and the grip of each."""
+    if not len(held):
+        return np.zeros(0, np.int64), np.zeros(0, np.int64)
+    apart = np.abs(points[:, None] - held[None]).max(axis=2)
+    on = np.flatnonzero(apart.min(axis=1) < 1e-9)
+    return on, apart[on].argmin(axis=1)

@@ -1,0 +1,74 @@
+"""`ga`: the genetic algorithm of seed paper 000 (section 5.1)."""
+
+from __future__ import annotations
+
+import numpy as np
+from clothbench import ParameterSpace
+
+from clothbench_optimizers.search import GeneratorSearch, Steps, worst_last
+
+BITS = 16  # per parameter, as in the paper
+
+
+class GeneticAlgorithm(GeneratorSearch):
+    """Chromosomes of 16 bits per parameter; population 20, 50 generations (seed 000, section 5.1).
+
+    Each generation keeps the best unchanged, adds one mutant of it, and fills up with the children of pairs chosen by
+    tournament: single-point crossover (one pair in ten passes unchanged), then bit mutation. The paper leaves open the
+    tournament's size (here 3) and the mutation rate (here one bit per chromosome on average). The kept best is not
+    simulated again.
+    """
+
+    name = "ga"
+    version = 1
+    needs_residual = False
+
+    def __init__(
+        self, space: ParameterSpace, *, seed: int, budget: int,
+        population: int = 20, generations: int = 50, tournament: int = 3, crossover: float = 0.9,
+    ):  # fmt: skip
+        self.population, self.generations = population, generations
+        self.tournament, self.crossover = tournament, crossover
+        super().__init__(space, seed=seed, budget=budget)
+
+    def steps(self) -> Steps:
+        length = BITS * len(self.space)
+        genes = self.random.integers(0, 2, (self.population, length), dtype=np.int8)
+        value = worst_last((yield decode(genes)).value)
+        for _ in range(self.generations - 1):
+            best = int(np.argmin(value))
+            children = self._next_generation(genes, value, genes[best])
+            scores = worst_last((yield decode(children)).value)
+            genes = np.vstack([genes[best : best + 1], children])
+            value = np.concatenate([value[best : best + 1], scores])
+        return f"{self.generations} generations"
+
+    def _next_generation(self, genes: np.ndarray, value: np.ndarray, best: np.ndarray) -> np.ndarray:
+        """A mutant of the best (with at least one bit changed) and population − 2 children."""
+        mutant = self._mutate(best[None])
+        mutant[0, self.random.integers(best.size)] ^= 1
+        parents = genes[self._winners(value, self.population - 2)]
+        return np.vstack([mutant, self._mutate(self._cross(parents))])
+
+    def _winners(self, value: np.ndarray, count: int) -> np.ndarray:
+        """Tournament selection: the best of a few drawn at random, `count` times."""
+        drawn = self.random.integers(0, len(value), (count, self.tournament))
+        return drawn[np.arange(count), np.argmin(value[drawn], axis=1)]
+
+    def _cross(self, parents: np.ndarray) -> np.ndarray:
+        """Swap the tails of neighbouring pairs behind a random point."""
+        children = parents.copy()
+        for k in range(0, len(parents) - 1, 2):
+            if self.random.random() < self.crossover:
+                point = self.random.integers(1, parents.shape[1])
+                children[k, point:], children[k + 1, point:] = parents[k + 1, point:], parents[k, point:]
+        return children
+
+    def _mutate(self, genes: np.ndarray) -> np.ndarray:
+        return genes ^ (self.random.random(genes.shape) < 1.0 / genes.shape[1]).astype(np.int8)
+
+
+def decode(genes: np.ndarray) -> np.ndarray:
+    """Bits (B, 16·P) → unit cube (B, P), most significant bit first."""
+    words = genes.reshape(len(genes), -1, BITS) @ (1 << np.arange(BITS - 1, -1, -1, dtype=np.int64))
+    return words / (2**BITS - 1)

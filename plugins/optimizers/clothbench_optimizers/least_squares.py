@@ -1,0 +1,84 @@
+"""`least_squares`: batched Levenberg–Marquardt, the modern yardstick beside the papers' searches."""
+
+from __future__ import annotations
+
+import numpy as np
+from clothbench import ClothbenchError, Evaluation, ParameterSpace
+from scipy.stats import qmc
+
+from clothbench_optimizers.search import GeneratorSearch, Steps
+
+DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])  # tried at once, in units of the current damping
+
+
+class LeastSquares(GeneratorSearch):
+    """Gauss–Newton steps with Marquardt's damping in the scaled space (Marquardt 1963), on batches.
+
+    starts: points of a scrambled Sobol sequence (the defaults are one more) of which the best is walked from;
+    difference: step of the forward differences, in units of the scaled range; tolerance: relative gain in the sum
+    of squares below which two rounds in a row end the search. Each round simulates the Jacobian's points as one
+    batch, then four dampings as another.
+    """
+
+    name = "least_squares"
+    version = 1
+    needs_residual = True
+
+    def __init__(
+        self, space: ParameterSpace, *, seed: int, budget: int,
+        starts: int = 15, difference: float = 0.01, tolerance: float = 1e-3,
+    ):  # fmt: skip
+        self.starts, self.difference, self.tolerance = starts, difference, tolerance
+        super().__init__(space, seed=seed, budget=budget)
+
+    def steps(self) -> Steps:
+        spread = qmc.Sobol(len(self.space), rng=self.random).random(2 ** int(np.ceil(np.log2(self.starts + 1))))
+        points = np.vstack([self.space.to_unit(self.space.defaults)[None], spread[: self.starts]])
+        evaluation = yield points
+        cost, best = sums_of_squares(evaluation), 0
+        best = int(np.argmin(cost))
+        if not np.isfinite(cost[best]):
+            return "no start could be simulated"
+        here, residual, cost_here = points[best], evaluation.residual[best], cost[best]
+        damping, idle = 0.01, 0
+        while idle < 2:
+            away = np.where(here + self.difference <= 1.0, self.difference, -self.difference)
+            shifted = yield here + np.diag(away)
+            jacobian = np.nan_to_num((shifted.residual - residual) / away[:, None]).T
+            trials, used = proposals(here, jacobian, residual, damping)
+            evaluation = yield trials
+            cost = sums_of_squares(evaluation)
+            best = int(np.argmin(cost))
+            gain = (cost_here - cost[best]) / max(cost_here, np.finfo(float).tiny)
+            if gain > 0:
+                here, residual, cost_here, damping = trials[best], evaluation.residual[best], cost[best], used[best]
+            else:
+                damping *= DAMPINGS[-1]
+            idle = idle + 1 if gain < self.tolerance else 0
+        return "converged"
+
+
+def sums_of_squares(evaluation: Evaluation) -> np.ndarray:
+    """Σ r² (B,) of each member, infinite where it could not be computed."""
+    if evaluation.residual is None:
+        raise ClothbenchError("least_squares: this metric has no residuals; choose another metric or optimizer")
+    with np.errstate(over="ignore"):
+        cost = np.einsum("br,br->b", evaluation.residual, evaluation.residual)
+    return np.where(np.isfinite(cost), cost, np.inf)
+
+
+def proposals(here: np.ndarray, jacobian: np.ndarray, residual: np.ndarray, damping: float) -> tuple[np.ndarray, np.ndarray]:
+    """Damped Gauss–Newton points (4, P) inside the unit cube, and the damping of each.
+
+    A parameter that stands on its bound and wants to leave is held there, so that it does not spoil the others' step.
+    """
+    gradient, hessian = jacobian.T @ residual, jacobian.T @ jacobian
+    free = ~(((here <= 0) & (gradient > 0)) | ((here >= 1) & (gradient < 0)))
+    scale = np.maximum(np.diag(hessian), 1e-12 * max(hessian.max(), np.finfo(float).tiny))
+    points = []
+    for factor in DAMPINGS * damping:
+        step = np.zeros_like(here)
+        damped = hessian[np.ix_(free, free)] + factor * np.diag(scale[free])
+        step[free] = -np.linalg.lstsq(damped, gradient[free], rcond=None)[0]
+        points.append(np.clip(here + step, 0.0, 1.0))
+    return np.array(points), DAMPINGS * damping
