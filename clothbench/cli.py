@@ -1,0 +1,237 @@
+"""The command line. Each command imports what it needs when it runs, so that `--help` answers at once."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from clothbench.errors import ClothbenchError
+
+EPILOG = """\
+examples:
+  clothbench run +suite=static_dynamic                 the default benchmark, nothing else needed
+  clothbench run -m +suite=static_dynamic seed=1,2,3   a Hydra sweep over any setting
+  clothbench run recording=swing.nc model=mass_spring optimizer=ga metric=node_error
+  clothbench import iri_wam_cloth_swing data_dir=DATA  real recordings of a robot
+  clothbench leaderboard --json > results.json
+exit codes: 0 done; 1 some cells failed or the gate is broken; 2 wrong use or bad input"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code. Errors a user can cause are one line on standard error."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in arguments
+    arguments = [a for a in arguments if a != "--debug"]
+    try:
+        if arguments[:1] == ["run"]:  # Hydra reads the rest
+            from clothbench.run_command import run
+
+            return run(arguments[1:])
+        options = parser().parse_args(arguments)
+        return options.function(options)
+    except ClothbenchError as fault:
+        if debug:
+            raise
+        print(f"clothbench: {fault}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # the reader of our output has gone, as `| head` does
+        sys.stderr.close()
+        return 0
+    except KeyboardInterrupt:
+        print("clothbench: stopped; finished cells are kept, run the same command again to go on", file=sys.stderr)
+        return 130
+
+
+def parser() -> argparse.ArgumentParser:
+    out = argparse.ArgumentParser(
+        prog="clothbench", epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Which cloth model to trust, with which parameters, and what it still gets wrong.",
+    )  # fmt: skip
+    from clothbench import __version__
+
+    out.add_argument("--version", action="version", version=f"clothbench {__version__}")
+    out.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    commands = out.add_subparsers(metavar="COMMAND", required=True)
+    commands.add_parser("run", help="run a suite, a sweep or one cell (Hydra overrides; `run --help` shows all settings)")
+    _add(commands, "plugins", plugins, "every plugin, with parameters and units; broken ones with the reason", _json)
+    _add(commands, "validate", validate, "check recordings; exit 1 if one is bad", _paths, _json)
+    _add(commands, "datasets", datasets, "known public data sets, their licence, and whether they are at hand", _json)
+    _add(commands, "import", import_data, "convert a public data set into recordings", _import)
+    _add(commands, "leaderboard", leaderboard, "all results so far", _store, _json)
+    _add(commands, "compare", compare, "exit 1 if NEW is worse than BASE beyond the noise", _compare, _json)
+    _add(commands, "bench", bench, "speed of every model beside the installed peers", _bench, _json)
+    _add(commands, "report", report, "one self-contained page with figures", _report)
+    _add(commands, "view", view, "open a fit in Rerun, recording beside rollout", _view)
+    _add(commands, "new-plugin", new_plugin, "start a plugin distribution with a passing conformance test", _new)
+    return out
+
+
+def _add(commands: Any, name: str, function: Callable, text: str, *extras: Callable) -> None:
+    sub = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+    sub.set_defaults(function=function)
+    for extra in extras:
+        extra(sub)
+
+
+def _json(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--json", action="store_true", help="one JSON document on standard output")
+
+
+def _paths(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("paths", nargs="+", metavar="PATH", help="recording (.nc) or folder")
+
+
+def _store(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--out", default="runs", help="results folder (default: runs)")
+
+
+def _import(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("name", metavar="NAME", help="a data set that `clothbench datasets` lists")
+    sub.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="data_dir=FOLDER of the originals, out=FOLDER for the recordings")
+
+
+def _compare(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("base", metavar="BASE", help="results folder or leaderboard .json to hold against")
+    sub.add_argument("new", metavar="NEW", help="results folder or leaderboard .json to judge")
+
+
+def _bench(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--quick", action="store_true", help="the two smaller sheets only")
+
+
+def _report(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="out=FOLDER with the results (default: runs)")
+
+
+def _view(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("cell", metavar="CELL", help="key of a cell, or its beginning, as the leaderboard shows it")
+    _store(sub)
+
+
+def _new(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("kind", choices=("model", "effect", "metric", "optimizer", "tracker"))
+    sub.add_argument("name", metavar="NAME", help="the plugin's name, an identifier")
+    sub.add_argument("--into", default=".", metavar="FOLDER", help="where to put it (default: here)")
+
+
+def key_values(settings: Sequence[str], allowed: Sequence[str]) -> dict[str, str]:
+    """ "key=value" words as a dictionary; anything else is refused."""
+    out = {}
+    for word in settings:
+        key, sign, value = word.partition("=")
+        if not sign or key not in allowed:
+            raise ClothbenchError(f"found {word!r}, expected {' or '.join(f'{a}=VALUE' for a in allowed)}")
+        out[key] = value
+    return out
+
+
+def print_json(document: Any) -> None:
+    print(json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False))
+
+
+# --- commands -------------------------------------------------------------------------------------------------------
+
+
+def plugins(options: argparse.Namespace) -> int:
+    from clothbench.report.listings import plugin_rows, print_plugins
+
+    rows = plugin_rows()
+    print_json(rows) if options.json else print_plugins(rows)
+    return 0
+
+
+def validate(options: argparse.Namespace) -> int:
+    from clothbench.recording import find_recordings, read_recording
+
+    rows = []
+    for path in find_recordings(options.paths):
+        try:
+            recording = read_recording(path)
+            rows.append({"file": str(path), "ok": True, "fault": None, "name": recording.name, "hash": recording.hash})
+        except ClothbenchError as fault:
+            rows.append({"file": str(path), "ok": False, "fault": str(fault), "name": None, "hash": None})
+    if options.json:
+        print_json(rows)
+    else:
+        for row in rows:
+            print(f"{row['file']}: ok" if row["ok"] else row["fault"])
+    return 0 if all(row["ok"] for row in rows) else 1
+
+
+def datasets(options: argparse.Namespace) -> int:
+    from clothbench.report.listings import dataset_rows, print_datasets
+
+    rows = dataset_rows()
+    print_json(rows) if options.json else print_datasets(rows)
+    return 0
+
+
+def import_data(options: argparse.Namespace) -> int:
+    from clothbench.datasets import converted
+    from clothbench.report.listings import print_import
+
+    settings = key_values(options.settings, ("data_dir", "out"))
+    folder = converted(options.name, data_dir=settings.get("data_dir"), out=settings.get("out"), again=True)
+    print_import(folder)
+    return 0
+
+
+def leaderboard(options: argparse.Namespace) -> int:
+    from clothbench.experiment.store import Store, leaderboard_row
+    from clothbench.report.tables import print_leaderboard
+
+    rows = Store(options.out).rows()
+    if options.json:
+        print_json([leaderboard_row(r) for r in rows])
+    elif rows:
+        print_leaderboard(rows, Store(options.out).parameters())
+    else:
+        print(f"no results in {options.out}; make some with: clothbench run +suite=static_dynamic")
+    return 0
+
+
+def compare(options: argparse.Namespace) -> int:
+    from clothbench.experiment.store import load_rows
+    from clothbench.report.gate import compare_rows, print_gate
+
+    verdict = compare_rows(load_rows(options.base), load_rows(options.new))
+    print_json(verdict) if options.json else print_gate(verdict)
+    return 0 if verdict["passed"] else 1
+
+
+def bench(options: argparse.Namespace) -> int:
+    from clothbench.bench import print_table, run_bench
+
+    rows = run_bench(sides=(9, 21)) if options.quick else run_bench()
+    print_json(rows) if options.json else print_table(rows)
+    return 0
+
+
+def report(options: argparse.Namespace) -> int:
+    from clothbench.report.page import write_page
+
+    folder = Path(key_values(options.settings, ("out",)).get("out", "runs"))
+    print(f"page: {write_page(folder)}")
+    return 0
+
+
+def view(options: argparse.Namespace) -> int:
+    from clothbench.report.rerun_file import open_viewer
+
+    return open_viewer(Path(options.out), options.cell)
+
+
+def new_plugin(options: argparse.Namespace) -> int:
+    from clothbench.scaffold import create
+
+    folder = create(options.kind, options.name, Path(options.into))
+    print(f"{folder}: ready; next: pip install -e '{folder}[test]' && pytest {folder}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

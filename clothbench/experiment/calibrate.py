@@ -1,0 +1,178 @@
+"""Calibration: alternate an optimizer's questions with simulated answers, then say how sure the result is."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from clothbench.observation import Observation
+from clothbench.parameters import ParameterSpace
+from clothbench.protocols import Evaluation, Metric, Optimizer, Score, Simulation
+from clothbench.rollout import Rollout
+
+BLOCK = 1.0  # s; a swing's errors hang together over about a period, so blocks this long count as one piece of evidence
+PROBE = 0.01  # step of the differences for the intervals, in units of the scaled range
+SINGULAR = 1e10  # condition number above which the data do not determine a parameter
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One recording made ready for calibration: what was seen, and the simulation that should reproduce it."""
+
+    name: str
+    observation: Observation
+    simulation: Simulation
+    metric: Metric
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What a calibration found. P parameters, E evaluations.
+
+    best: (P,); low, high: (P,), 95 % intervals (NaN where there are none); at_bound: (P,); theta: (E, P) and
+    value: (E,), the history; condition: of the scaled Jacobian; status: ok, diverged (nothing could be simulated)
+    or timeout (stopped by the clock, best so far); wall_s: s.
+    """
+
+    space: ParameterSpace
+    best: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    at_bound: np.ndarray
+    theta: np.ndarray
+    value: np.ndarray
+    condition: float
+    status: str
+    stopped: str
+    wall_s: float
+
+    @property
+    def evaluations(self) -> int:
+        return len(self.value)
+
+
+def evaluate(trials: Sequence[Trial], theta: np.ndarray) -> tuple[Evaluation, list[Score]]:
+    """Score theta (B, P) on all trials together: the mean of their values, residuals side by side and in σ or m.
+
+    Every recording has the same say, however many frames it has.
+    """
+    scores = [t.metric(t.observation, t.simulation.run(theta)) for t in trials]
+    value = np.mean([s.value for s in scores], axis=0)
+    residual = None
+    if all(s.residual is not None for s in scores):
+        weighted = [s.residual / np.sqrt(max(s.residual.shape[1], 1) * len(scores)) for s in scores]
+        residual = np.concatenate(weighted, axis=1)
+    return Evaluation(value, residual), scores
+
+
+def calibrate(
+    trials: Sequence[Trial],
+    optimizer: Optimizer,
+    space: ParameterSpace,
+    *,
+    timeout: float | None = None,
+    progress: Callable[[int, float], None] | None = None,
+) -> Fit:
+    """Run the search to its end (or to `timeout` seconds) on the fit recordings together.
+
+    `progress(evaluations, best value)` is called after every batch. A member that diverges is told to the optimizer
+    as NaN and spoils no other.
+    """
+    began = time.perf_counter()
+    thetas: list[np.ndarray] = []
+    values: list[np.ndarray] = []
+    stopped = ""
+    while not optimizer.done:
+        theta = np.asarray(optimizer.ask(), dtype=float)
+        evaluation, _ = evaluate(trials, theta)
+        optimizer.tell(theta, evaluation)
+        thetas.append(theta)
+        values.append(evaluation.value)
+        if progress is not None:
+            progress(sum(map(len, values)), _lowest(np.concatenate(values)))
+        if timeout is not None and time.perf_counter() - began > timeout:
+            stopped = f"stopped after {timeout:g} s, as asked"
+            break
+    theta, value = np.concatenate(thetas), np.concatenate(values)
+    best = theta[int(np.argmin(np.where(np.isfinite(value), value, np.inf)))]
+    simulated = np.isfinite(value).any()
+    low, high, condition = intervals(trials, space, best) if simulated else (best * np.nan, best * np.nan, np.nan)
+    return Fit(
+        space=space, best=best, low=low, high=high, at_bound=space.at_bound(best), theta=theta, value=value,
+        condition=condition, status="diverged" if not simulated else "timeout" if stopped else "ok",
+        stopped=stopped or optimizer.stopped, wall_s=time.perf_counter() - began,
+    )  # fmt: skip
+
+
+def _lowest(value: np.ndarray) -> float:
+    finite = value[np.isfinite(value)]
+    return float(finite.min()) if finite.size else float("nan")
+
+
+def intervals(trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """95 % intervals (P,), (P,) of the best parameters and the condition of the scaled Jacobian.
+
+    Sandwich covariance with blocks of a second as clusters (Liang and Zeger 1986): neighbouring frames err alike, and
+    a model's error is no noise, so the textbook's σ²(JᵀJ)⁻¹ would be far too sure. NaN where the metric has no
+    residuals; the parameter's bounds where the data do not determine it.
+    """
+    nowhere = np.full(len(space), np.nan)
+    unit = space.to_unit(best)
+    up, down = np.minimum(unit + PROBE, 1.0), np.maximum(unit - PROBE, 0.0)
+    points = np.vstack([unit[None], unit + np.diag(up - unit), unit - np.diag(unit - down)])
+    evaluation, scores = evaluate(trials, space.from_unit(points))
+    residual, count = evaluation.residual, len(space)
+    if residual is None or not np.isfinite(residual).all():
+        return nowhere, nowhere, float("nan")
+    jacobian = ((residual[1 : count + 1] - residual[count + 1 :]) / (up - down)[:, None]).T
+    hessian = jacobian.T @ jacobian
+    condition = float(np.linalg.cond(hessian)) if np.isfinite(hessian).all() else float("inf")
+    if not condition < SINGULAR:
+        return space.low, space.high, condition**0.5
+    pull = [jacobian[c].T @ residual[0, c] for c in clusters(trials, scores)]
+    spread = np.array(pull).T @ np.array(pull) * len(pull) / max(len(pull) - 1, 1)
+    inverse = np.linalg.inv(hessian)
+    half = student.ppf(0.975, max(len(pull) - 1, 1)) * np.sqrt(np.diag(inverse @ spread @ inverse))
+    return space.from_unit(unit - half), space.from_unit(unit + half), condition**0.5
+
+
+def clusters(trials: Sequence[Trial], scores: Sequence[Score]) -> list[np.ndarray]:
+    """Row numbers of the joined residual, in blocks of about `BLOCK` seconds of one recording."""
+    out, start = [], 0
+    for trial, score in zip(trials, scores, strict=True):
+        assert score.residual is not None  # evaluate() joined them
+        duration = trial.observation.time[-1] - trial.observation.time[0]
+        rows = np.arange(start, start + score.residual.shape[1])
+        out += np.array_split(rows, max(2, round(duration / BLOCK)))
+        start += score.residual.shape[1]
+    return out
+
+
+def error_interval(score: Score, observation: Observation, seed: int, draws: int = 1000) -> tuple[float, float]:
+    """95 % interval of one recording's error by a moving-block bootstrap over its frames (Künsch 1989)."""
+    if score.per_frame is None or not np.isfinite(score.value[0]):
+        return float("nan"), float("nan")
+    trace = score.per_frame[0][np.isfinite(score.per_frame[0])]
+    duration = observation.time[-1] - observation.time[0]
+    length = int(np.clip(round(len(trace) * BLOCK / max(duration, BLOCK)), 1, max(1, len(trace) // 2)))
+    random = np.random.default_rng(seed)
+    starts = random.integers(0, len(trace) - length + 1, (draws, -(-len(trace) // length)))
+    frames = (starts[..., None] + np.arange(length)).reshape(draws, -1)[:, : len(trace)]
+    away = np.quantile(trace[frames].mean(axis=1), [0.025, 0.975]) - trace.mean()
+    return float(max(score.value[0] + away[0], 0.0)), float(score.value[0] + away[1])
+
+
+def mean_interval(values: Sequence[float]) -> tuple[float, float]:
+    """95 % interval of a mean over recordings: the recording is the unit of evidence (Student's t)."""
+    sample = np.asarray(values, dtype=float)
+    half = student.ppf(0.975, len(sample) - 1) * sample.std(ddof=1) / np.sqrt(len(sample))
+    return float(max(sample.mean() - half, 0.0)), float(sample.mean() + half)
+
+
+def best_rollout(trial: Trial, fit: Fit) -> Rollout:
+    """The trial simulated once more with the best parameters."""
+    return trial.simulation.run(fit.best[None])

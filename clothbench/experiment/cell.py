@@ -1,0 +1,141 @@
+"""The cell: one point of a suite's product, with a key that says all that its result depends on."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from clothbench.errors import ClothbenchError
+from clothbench.experiment.calibrate import Trial
+from clothbench.parameters import ParameterSpace
+from clothbench.plugins import Catalogue
+from clothbench.protocols import Effect, Metric
+from clothbench.recording import Recording, read_recording
+from clothbench.scene import scene_of
+
+
+@dataclass(frozen=True)
+class Source:
+    """A recording file as a cell refers to it: where it is, what it is called, its hash and its split."""
+
+    path: str
+    name: str
+    hash: str
+    split: str
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One calibration to do: these recordings, this model with these effects, this optimizer, this metric.
+
+    Plain data: it travels to worker processes, and its key is the hash of everything here except where files lie.
+    """
+
+    suite: str
+    case: str
+    recordings: tuple[Source, ...]
+    model: str
+    effects: tuple[str, ...]
+    optimizer: str
+    metric: str
+    report: tuple[str, ...] = ()
+    tracker: str = "markers"
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    scene: Mapping[str, Any] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    budget: int = 400
+    seed: int = 0
+    timeout: float | None = None
+
+    @cached_property
+    def key(self) -> str:
+        """16 hexadecimal digits, the same on every machine for the same question."""
+        question = asdict(self)
+        question["recordings"] = sorted((s["hash"], s["split"]) for s in question["recordings"])
+        question["options"] = {k: v for k, v in question["options"].items() if k in self._plugins()}
+        del question["timeout"]
+        return hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:16]
+
+    def _plugins(self) -> set[str]:
+        return {self.model, self.optimizer, self.metric, self.tracker, *self.effects, *self.report}
+
+    @property
+    def label(self) -> str:
+        effects = "".join(f"+{e}" for e in self.effects)
+        return f"{self.case} · {self.model}{effects} · {self.optimizer} · {self.metric}"
+
+    def stream(self, purpose: str) -> int:
+        """A seed of its own for each purpose, hashed from the cell: no generator is shared."""
+        return int.from_bytes(hashlib.sha256(f"{self.key} {self.seed} {purpose}".encode()).digest()[:8], "big")
+
+    def option(self, name: str) -> dict[str, Any]:
+        return dict(self.options.get(name, {}))
+
+
+def plugin_versions(cell: Cell, plugins: Catalogue) -> dict[str, str]:
+    """ "kind/name" → "distribution version, plugin version" of everything a cell uses; "broken" where it cannot load."""
+    uses = [("models", cell.model), ("optimizers", cell.optimizer), ("trackers", cell.tracker), ("metrics", cell.metric)]
+    uses += [("metrics", name) for name in cell.report] + [("effects", name) for name in cell.effects]
+    out = {}
+    for kind, name in uses:
+        known = plugins.find(kind, name)
+        try:
+            version = getattr(plugins.load(kind, name), "version", 0)
+        except ClothbenchError:
+            version = "broken"
+        out[f"{kind}/{name}"] = f"{known.distribution} {known.version}, {version}"
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """A cell with its plugins made and its recordings read: all that is needed to calibrate and to score."""
+
+    cell: Cell
+    space: ParameterSpace
+    recordings: tuple[Recording, ...]
+    trials: tuple[Trial, ...]
+    others: tuple[Metric, ...]
+
+    def of_split(self, split: str) -> list[Trial]:
+        return [t for t, s in zip(self.trials, self.cell.recordings, strict=True) if s.split == split]
+
+
+class Skipped(Exception):
+    """The model says that it cannot do this scene; not a fault."""
+
+
+def set_up(cell: Cell, plugins: Catalogue) -> Bench:
+    """Make the plugins, read and track the recordings, and prepare one simulation for each."""
+    model = plugins.make("models", cell.model, **cell.option(cell.model))
+    effects: list[Effect] = [plugins.make("effects", name) for name in cell.effects]
+    metric = plugins.make("metrics", cell.metric, **cell.option(cell.metric))
+    tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
+    recordings = tuple(read_recording(s.path) for s in cell.recordings)
+    trials = []
+    for source, recording in zip(cell.recordings, recordings, strict=True):
+        if recording.hash != source.hash:
+            raise ClothbenchError(f"{source.path}: changed on disk since the suite was planned; run it again")
+        scene = scene_of(recording, **cell.scene)
+        if reason := getattr(model, "skip", lambda _: None)(scene):
+            raise Skipped(reason)
+        trials.append(Trial(source.name, tracker.track(recording), model.prepare(scene, effects), metric))
+    space = trials[0].simulation.parameters.bounded(dict(cell.bounds))
+    others = tuple(plugins.make("metrics", name, **cell.option(name)) for name in cell.report if name != cell.metric)
+    return Bench(cell, space, recordings, tuple(trials), others)
+
+
+def resplit(sources: list[Source], seed: int) -> list[Source]:
+    """A split by recording where the files state none: a third, at least one of two, is held out. Seeded."""
+    if any(s.split for s in sources) or len(sources) < 2:
+        return [Source(s.path, s.name, s.hash, s.split or "fit") for s in sources]
+    order = np.random.default_rng(seed).permutation(len(sources))
+    held = set(order[: max(1, len(sources) // 3)].tolist())
+    return [Source(s.path, s.name, s.hash, "held_out" if i in held else "fit") for i, s in enumerate(sources)]

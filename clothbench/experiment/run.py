@@ -1,0 +1,229 @@
+"""Run the missing cells of a plan: one process each, so that what goes wrong in one stays there."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clothbench.errors import ClothbenchError
+from clothbench.experiment.calibrate import Fit, Trial, best_rollout, calibrate, error_interval, mean_interval
+from clothbench.experiment.cell import Bench, Cell, Skipped, set_up
+from clothbench.experiment.store import Store, now, system_info
+from clothbench.parallel import available_cores, set_thread_count, thread_count
+from clothbench.plugins import catalogue, one_line
+from clothbench.protocols import Metric, Score
+from clothbench.rollout import Rollout
+
+Progress = Callable[[Cell, int, float], None]
+
+
+def run_cell(cell: Cell, out: Path, *, threads: int = 0, rerun: bool = True, progress: Progress | None = None) -> str:
+    """Calibrate one cell, store it, and return its status. Whatever fails becomes a row with its reason."""
+    set_thread_count(threads)
+    store = Store(out)
+    try:
+        bench = set_up(cell, catalogue())
+        optimizer = catalogue().make(
+            "optimizers", cell.optimizer, bench.space, seed=cell.stream("optimizer"), budget=cell.budget,
+            **cell.option(cell.optimizer),
+        )  # fmt: skip
+        told = (lambda n, value: progress(cell, n, value)) if progress else None
+        fit = calibrate(bench.of_split("fit"), optimizer, bench.space, timeout=cell.timeout, progress=told)
+        return _keep(store, bench, fit, rerun)
+    except Skipped as reason:
+        return keep_failure(store, cell, "skipped", str(reason))
+    except Exception as fault:
+        return keep_failure(store, cell, "error", one_line(fault), detail=traceback.format_exc())
+
+
+def keep_failure(store: Store, cell: Cell, status: str, reason: str, detail: str = "") -> str:
+    """Store a cell that has no result: one row, with the reason in place of a number."""
+    row = {**_about(cell), **_no_value(), "status": status, "reason": reason, "evaluations": 0, "wall_s": 0.0, "unit": None}
+    extra = (lambda folder: (folder / "traceback.txt").write_text(detail)) if detail else None
+    store.put(cell.key, {"rows": [row]}, extra)
+    return status
+
+
+def _about(cell: Cell) -> dict[str, Any]:
+    plugins = "; ".join(f"{k} ({v})" for k, v in sorted(cell.versions.items()))
+    return {
+        "suite": cell.suite, "case": cell.case, "model": cell.model, "effects": ",".join(cell.effects),
+        "optimizer": cell.optimizer, "metric": cell.metric, "seed": cell.seed, "key": cell.key, "plugins": plugins,
+        "threads": thread_count(), "finished": now(), **system_info(),
+    }  # fmt: skip
+
+
+def _no_value() -> dict[str, Any]:
+    return dict.fromkeys(("value", "low", "high", "floor", "reference", "recording", "split"))
+
+
+def _keep(store: Store, bench: Bench, fit: Fit, rerun: bool) -> str:
+    """Score the best parameters on every recording and store all tables."""
+    rollouts = [best_rollout(t, fit) for t in bench.trials]
+    metrics = [bench.trials[0].metric, *bench.others]
+    rows, trace = [], []
+    for metric in metrics:
+        scores = [metric(t.observation, r) for t, r in zip(bench.trials, rollouts, strict=True)]
+        rows += _rows_of(bench, fit, metric, scores, rollouts)
+        trace += _trace_of(bench, metric, scores)
+    tables = {"rows": rows, "parameters": _parameters_of(bench, fit), "history": _history_of(fit), "trace": trace}
+    extra = (lambda folder: _write_rerun(folder, bench, rollouts)) if rerun else None
+    store.put(bench.cell.key, tables, extra)
+    return fit.status
+
+
+def _write_rerun(folder: Path, bench: Bench, rollouts: Sequence[Rollout]) -> None:
+    from clothbench.report.rerun_file import write_rerun
+
+    write_rerun(folder / "fit.rrd", bench, rollouts)
+
+
+def _rows_of(bench: Bench, fit: Fit, metric: Metric, scores: Sequence[Score], rollouts: Sequence[Rollout]) -> list[dict[str, Any]]:
+    """One row per recording, then one per split over its recordings."""
+    cell = bench.cell
+    about = {**_about(cell), **_no_value(), "metric": metric.name, "unit": metric.unit}
+    about |= {"evaluations": fit.evaluations, "wall_s": fit.wall_s}
+    rows = []
+    for source, trial, score, rollout in zip(cell.recordings, bench.trials, scores, rollouts, strict=True):
+        low, high = error_interval(score, trial.observation, cell.stream(source.hash))
+        status, reason = _status(fit, score, rollout)
+        rows.append({
+            **about, "recording": source.name, "split": source.split, "value": _finite(score.value[0]), "low": _finite(low),
+            "high": _finite(high), "floor": _finite(metric.floor(trial.observation)), "status": status, "reason": reason,
+        })  # fmt: skip
+    return rows + [_total(about, [r for r in rows if r["split"] == split]) for split in ("fit", "held_out") if bench.of_split(split)]
+
+
+def _status(fit: Fit, score: Score, rollout: Rollout) -> tuple[str, str]:
+    if rollout.status[0] != "ok":
+        return rollout.status[0], rollout.reasons[0] if rollout.reasons else ""
+    if not np.isfinite(score.value[0]):
+        return "error", "the metric could not be computed on this recording"
+    return fit.status, fit.stopped if fit.status != "ok" else ""
+
+
+def _total(about: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The mean over the recordings of one split; without a number if one of them has none."""
+    total = {**about, "recording": None, "split": rows[0]["split"]}
+    bad = [r for r in rows if r["value"] is None]
+    if bad:
+        return {**total, "status": bad[0]["status"], "reason": f"{bad[0]['recording']}: {bad[0]['reason']}"}
+    values = [r["value"] for r in rows]
+    low, high = mean_interval(values) if len(values) > 1 else (rows[0]["low"], rows[0]["high"])
+    floors = [r["floor"] for r in rows]
+    floor = float(np.mean(floors)) if all(f is not None for f in floors) else None
+    return {
+        **total, "value": float(np.mean(values)), "low": low, "high": high, "floor": floor,
+        "status": rows[0]["status"], "reason": rows[0]["reason"],
+    }  # fmt: skip
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _trace_of(bench: Bench, metric: Metric, scores: Sequence[Score]) -> list[dict[str, Any]]:
+    return [
+        {"recording": s.name, "split": s.split, "metric": metric.name, "time": float(t), "value": _finite(v), "unit": metric.unit}
+        for s, trial, score in zip(bench.cell.recordings, bench.trials, scores, strict=True) if score.per_frame is not None
+        for t, v in zip(trial.observation.time, score.per_frame[0], strict=True)
+    ]  # fmt: skip
+
+
+def _parameters_of(bench: Bench, fit: Fit) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": p.name, "symbol": p.symbol, "unit": p.unit, "value": _finite(fit.best[i]), "low": _finite(fit.low[i]),
+            "high": _finite(fit.high[i]), "at_bound": bool(fit.at_bound[i]), "meaning": p.meaning, "key": bench.cell.key,
+        }
+        for i, p in enumerate(fit.space)
+    ]  # fmt: skip
+
+
+def _history_of(fit: Fit):
+    import pandas as pd
+
+    return pd.DataFrame({"evaluation": np.arange(1, fit.evaluations + 1), "value": fit.value, **dict(zip(fit.space.names, fit.theta.T, strict=True))})
+
+
+# --- many cells -----------------------------------------------------------------------------------------------------
+
+
+def run_cells(
+    cells: Sequence[Cell], out: Path, *, jobs: int = 0, rerun: bool = True, done: Callable[[Cell, str], None], progress: Progress | None = None
+) -> None:
+    """Run every cell that the store lacks, `jobs` processes at a time (0: one per core); `done(cell, status)` after each.
+
+    A single cell runs in this process with all cores; several run in joblib's process pool with the cores shared out.
+    """
+    store = Store(out)
+    missing = [c for c in cells if not store.has(c.key)]
+    for cell in cells:
+        if cell not in missing:
+            done(cell, "kept")
+    workers = min(jobs or available_cores(), len(missing))
+    if len(missing) == 1 or jobs == 1:
+        for cell in missing:
+            done(cell, run_cell(cell, out, rerun=rerun, progress=progress))
+    elif missing:
+        _run_in_processes(missing, out, workers, rerun, done)
+
+
+def _run_in_processes(cells: Sequence[Cell], out: Path, workers: int, rerun: bool, done: Callable[[Cell, str], None]) -> None:
+    """Keep `workers` processes busy. If one dies, the cells that were running are tried again, each alone:
+    the one that kills its process a second time is the culprit and becomes an error row."""
+    from loky.process_executor import BrokenProcessPool
+
+    waiting, running = list(cells)[::-1], {}
+    threads = max(1, available_cores() // workers)
+    executor = _pool(workers)
+    while waiting or running:
+        while waiting and len(running) < workers:
+            cell = waiting.pop()
+            running[executor.submit(run_cell, cell, out, threads=threads, rerun=rerun)] = cell
+        try:
+            for future in _first(running):
+                status = future.result()
+                done(running.pop(future), status)
+        except BrokenProcessPool:
+            suspects = list(running.values())
+            running.clear()
+            for cell in suspects:
+                done(cell, _run_alone(cell, out, rerun))
+            executor = _pool(workers)
+
+
+def _first(running: Iterable[Future]) -> Iterable[Future]:
+    return wait(list(running), return_when=FIRST_COMPLETED).done
+
+
+def _run_alone(cell: Cell, out: Path, rerun: bool) -> str:
+    from loky.process_executor import BrokenProcessPool
+
+    store = Store(out)
+    if store.has(cell.key):  # it had finished just before its neighbour died
+        return "ok"
+    try:
+        return _pool(1).submit(run_cell, cell, out, rerun=rerun).result()
+    except BrokenProcessPool as fault:
+        reason = str(fault).strip().splitlines()[0] if str(fault).strip() else "no word from it"
+        return keep_failure(store, cell, "error", f"the process that ran this cell died ({reason})")
+
+
+def _pool(workers: int):
+    from loky import get_reusable_executor
+
+    return get_reusable_executor(max_workers=workers, timeout=300, kill_workers=True)
+
+
+def failed(statuses: Iterable[str]) -> bool:
+    """Whether a run ends with exit code 1: a cell that was skipped for a stated reason is no failure."""
+    return any(s in ("error", "diverged", "timeout") for s in statuses)
+
+
+__all__ = ["ClothbenchError", "Trial", "failed", "keep_failure", "run_cell", "run_cells"]

@@ -1,0 +1,1 @@
+"""What people see: tables, the gate, pages and Rerun files. Reads results; computes none."""

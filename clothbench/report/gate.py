@@ -1,0 +1,86 @@
+"""`clothbench compare`: is NEW worse than BASE, beyond what their noise allows?"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from rich.markup import escape
+from rich.table import Table
+
+from clothbench.report.tables import console
+
+Rows = Sequence[dict[str, Any]]
+IDENTITY = ("suite", "case", "recording", "split", "model", "effects", "optimizer", "metric", "seed")
+SLACK = 1e-6  # relative; rounding between machines is no regression
+
+
+def compare_rows(base: Rows, new: Rows) -> dict[str, Any]:
+    """Verdict over the rows both have: {"passed", "compared", "worse", "better", "missing", "added"}.
+
+    A row is worse if it lost its number, or if its error grew by more than the joint half-width of both 95 %
+    intervals, √(h_base² + h_new²). A row of BASE that NEW lacks is missing, and fails the gate as well: leaving out
+    a test is no way to pass it.
+    """
+    theirs = {identity(r): r for r in new}
+    verdict: dict[str, Any] = {"compared": 0, "worse": [], "better": [], "missing": []}
+    for row in base:
+        other = theirs.pop(identity(row), None)
+        if other is None:
+            verdict["missing"].append(_change(row, None))
+            continue
+        verdict["compared"] += 1
+        if side := judge(row, other):
+            verdict[side].append(_change(row, other))
+    verdict["added"] = len(theirs)
+    verdict["passed"] = not verdict["worse"] and not verdict["missing"] and verdict["compared"] > 0
+    return verdict
+
+
+def identity(row: dict[str, Any]) -> tuple[Any, ...]:
+    return tuple(row.get(name) or None for name in IDENTITY)
+
+
+def judge(base: dict[str, Any], new: dict[str, Any]) -> str | None:
+    """ "worse", "better", or None where the change is within the noise."""
+    if base["value"] is None or new["value"] is None:
+        had, has = base["value"] is not None, new["value"] is not None
+        return "worse" if had and not has else "better" if has and not had else None
+    allowed = math.hypot(_half(base), _half(new)) + SLACK * abs(base["value"])
+    change = new["value"] - base["value"]
+    return "worse" if change > allowed else "better" if change < -allowed else None
+
+
+def _half(row: dict[str, Any]) -> float:
+    """Half the width of a row's interval; 0 where it has none."""
+    if row.get("low") is None or row.get("high") is None:
+        return 0.0
+    return (row["high"] - row["low"]) / 2
+
+
+def _change(base: dict[str, Any], new: dict[str, Any] | None) -> dict[str, Any]:
+    about = {name: base.get(name) for name in IDENTITY}
+    return {
+        **about, "unit": base.get("unit"), "base": base["value"], "new": new["value"] if new else None,
+        "status": new["status"] if new else "missing", "reason": (new.get("reason") or "") if new else "no such row in NEW",
+    }  # fmt: skip
+
+
+def print_gate(verdict: dict[str, Any]) -> None:
+    out = console()
+    rows = [("missing", r) for r in verdict["missing"]] + [("worse", r) for r in verdict["worse"]] + [("better", r) for r in verdict["better"]]
+    if rows:
+        table = Table()
+        for name in ("", "row", "base", "new", "reason"):
+            table.add_column(name, overflow="fold")
+        for side, r in rows:
+            label = " · ".join(str(r[n]) for n in IDENTITY if r[n] not in (None, ""))
+            base, new = (f"{r[n]:.3f} {r['unit'] or ''}" if r[n] is not None else r["status"] for n in ("base", "new"))
+            table.add_row(side, *(escape(t) for t in (label, base, new, r["reason"])))
+        out.print(table)
+    if not verdict["compared"]:
+        print("no row is in both: nothing was compared")
+    word = "passed" if verdict["passed"] else "failed"
+    print(f"gate {word}: {verdict['compared']} rows compared, {len(verdict['worse'])} worse, {len(verdict['missing'])} missing, "
+          f"{len(verdict['better'])} better, {verdict['added']} only in NEW")  # fmt: skip

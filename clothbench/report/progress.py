@@ -1,0 +1,50 @@
+"""The progress bar of a run: cells done of those planned, the time left, and what is being searched."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+
+from clothbench.experiment.cell import Cell
+
+
+class CellProgress:
+    """A bar on standard error; where that is no terminal, one line per finished cell instead."""
+
+    def __init__(self, cells: Sequence[Cell]):
+        self.total, self.count = len(cells), 0
+        console = Console(stderr=True)
+        self.live = console.is_terminal
+        self.bar = Progress(
+            TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
+            TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[note]}"),
+            console=console, disable=not self.live,
+        )  # fmt: skip
+        # With one cell the bar counts its evaluations, which is what there is to wait for.
+        self.single = cells[0] if len(cells) == 1 else None
+        steps = self.single.budget if self.single else self.total
+        self.task = self.bar.add_task("evaluations" if self.single else "cells", total=steps, note="")
+
+    def __enter__(self) -> CellProgress:
+        self.bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.bar.stop()
+
+    def tell(self, cell: Cell, evaluations: int, best: float) -> None:
+        """Word from inside a cell: so many evaluations, the best value so far."""
+        if self.single:
+            self.bar.update(self.task, completed=evaluations, note=f"best {best:.4g}")
+        else:
+            self.bar.update(self.task, note=f"{cell.label}: {evaluations} evaluations, best {best:.4g}")
+
+    def done(self, cell: Cell, status: str) -> None:
+        self.count += 1
+        note = f"{status}: {cell.label}"
+        self.bar.update(self.task, completed=self.single.budget if self.single else self.count, note=note)
+        if not self.live:
+            print(f"[{self.count}/{self.total}] {note}", file=sys.stderr)
