@@ -96,7 +96,7 @@ def where(config: Mapping[str, Any]) -> list[Path]:
 def resolve(path: str, config: Mapping[str, Any]) -> list[Path]:
     """ "builtin:NAME", "dataset:NAME" and "pkg://package/folder" become folders; everything else is a path."""
     if path.startswith("builtin:"):
-        return [suites_folder() / "recordings" / path.removeprefix("builtin:")]
+        return [suites_folder() / "embedded" / path.removeprefix("builtin:")]
     if path.startswith("pkg://"):
         package, _, folder = path.removeprefix("pkg://").partition("/")
         return [Path(str(files(package).joinpath(folder)))]

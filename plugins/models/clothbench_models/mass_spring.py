@@ -31,6 +31,7 @@ SETTLE_PERIODS = 9.0  # settling time in units of 1/ω₁: what is left of the f
 SMALL = 256  # nodes below which several parameter sets are interleaved
 LANES = 8  # doubles in one vector register of AVX-512
 MAX_STEPS = 20_000_000
+REAL = {"double": np.float64, "single": np.float32}
 LOST = 20.0  # cloth sizes from the start at which a sheet has blown up
 
 PARAMETERS = ParameterSpace(
@@ -47,7 +48,9 @@ class MassSpring:
 
     resolution: nodes along (u, v) or one number for the longer side, where the scene does not say;
     dt: time step [s], or None for the largest stable one of each parameter set times 0.8; step_scale: multiplies
-    that step (0.5 halves it, to see what the step costs in accuracy).
+    that step (0.5 halves it, to see what the step costs in accuracy); precision: "double", or "single", which is
+    twice as fast and takes no dynamics effects (a smoothly moving sheet differs by micrometres; one that folds without
+    damping is chaotic, and then any rounding grows).
     """
 
     name = "mass_spring"
@@ -56,15 +59,25 @@ class MassSpring:
     parameters = PARAMETERS
     capabilities = frozenset({"dynamic", "static", "effects"})
 
-    def __init__(self, resolution: int | Sequence[int] = 13, dt: float | None = None, step_scale: float = 1.0):
-        self.resolution, self.dt, self.step_scale = resolution, dt, step_scale
+    bench_options = ({}, {"precision": "single"})
+
+    def __init__(
+        self, resolution: int | Sequence[int] = 13, dt: float | None = None, step_scale: float = 1.0,
+        precision: str = "double",
+    ):  # fmt: skip
+        self.resolution, self.dt, self.step_scale, self.precision = resolution, dt, step_scale, precision
+        if precision not in REAL:
+            raise ClothbenchError(f"mass_spring: precision is {precision!r}, expected 'double' or 'single'")
         if dt is not None and not dt > 0:
             raise ClothbenchError(f"mass_spring: dt is {dt}, expected seconds above 0")
         if not 0 < step_scale <= 1.2:
             raise ClothbenchError(f"mass_spring: step_scale is {step_scale}, expected above 0 and at most 1.2")
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> MassSpringSimulation:
-        return MassSpringSimulation(scene, self._shape(scene), BoundEffects(self.parameters, effects), self.dt, self.step_scale)
+        bound = BoundEffects(self.parameters, effects)
+        if self.precision == "single" and bound.at("dynamics"):
+            raise ClothbenchError("mass_spring: precision=single takes no dynamics effects; leave it at double")
+        return MassSpringSimulation(scene, self._shape(scene), bound, self.dt, self.step_scale, self.precision)
 
     def _shape(self, scene: Scene) -> tuple[int, int]:
         """Nodes along (u, v): as the scene says, else as asked, with square cells."""
@@ -86,6 +99,7 @@ class MassSpringSimulation:
     effects: BoundEffects
     dt: float | None
     step_scale: float
+    precision: str
 
     @property
     def parameters(self) -> ParameterSpace:
@@ -274,13 +288,14 @@ class _Batch:
         simulation, scene, grid = self.simulation, self.simulation.scene, self.simulation.grid
         lanes, nodes = len(members), simulation.nodes
         stiffness, damping = self._springs(members)
+        real = REAL[simulation.precision]
         out = np.full((lanes, *self.position.shape[1:]), np.nan)
         status, steps = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64)
         slowest = self._slowest()
         effects = simulation.effects
-        kernels.run_block(
-            lanes, np.ascontiguousarray(np.repeat(self.shape.T, lanes, axis=1)),
-            grid.strides * lanes, np.repeat(grid.rest, lanes, axis=1), stiffness, damping, grid.mass, grid.uv,
+        kernels.run_block(simulation.precision)(
+            lanes, np.repeat(self.shape.T, lanes, axis=1).astype(real), grid.strides * lanes,
+            np.repeat(grid.rest, lanes, axis=1).astype(real), stiffness.astype(real), damping.astype(real), grid.mass, grid.uv,
             np.array([scene.gravity]), grid.area, grid_triangles(simulation.shape), scene.air_density,
             LOST * max(scene.width, scene.height) + float(np.abs(self.shape).max()),
             *self.kernels, self.stages, self.terms, effects.kernel_parameters(self.theta[members], kernels.SLOTS),

@@ -9,15 +9,18 @@ parameter sets ("lanes") are interleaved, entry (j·nu + i)·lanes + lane, and t
 
 from __future__ import annotations
 
+import functools
+
 import numpy as np
 from clothbench.effects import FORCE, INERTIA
 from clothbench.kernels import EFFECT, Sheet, compiled, node_normals
 from numba import njit, types
+from numba.extending import overload
 
 FAMILIES = 6
 SLOTS = 8  # places for dynamics effects in the loop
 OK, DIVERGED = 0, 1
-TINY = 1e-60  # keeps the length of a masked spring between two coinciding nodes above 0
+TINY = 1e-30  # m²; keeps the length of a masked spring between two coinciding nodes above 0
 CHECK_EVERY = 64  # steps between two looks for divergence
 
 _fast = njit(cache=True, error_model="numpy", nogil=True)
@@ -36,11 +39,12 @@ def spring_forces(x, v, stride, rest, stiffness, damping, g):
     au, av, aw = v[0, :n], v[1, :n], v[2, :n]
     bu, bv, bw = v[0, stride : stride + n], v[1, stride : stride + n], v[2, stride : stride + n]
     gx, gy, gz = g[0, :n], g[1, :n], g[2, :n]
+    one, tiny = x.dtype.type(1.0), x.dtype.type(TINY)  # a double constant would pull single precision up to double
     for e in range(n):
         dx, dy, dz = bx[e] - ax[e], by[e] - ay[e], bz[e] - az[e]
         closing = (bu[e] - au[e]) * dx + (bv[e] - av[e]) * dy + (bw[e] - aw[e]) * dz
-        inverse = 1.0 / np.sqrt(dx * dx + dy * dy + dz * dz + TINY)
-        q = stiffness[e] * (1.0 - rest[e] * inverse) + damping[e] * closing * inverse * inverse
+        inverse = one / np.sqrt(dx * dx + dy * dy + dz * dz + tiny)
+        q = stiffness[e] * (one - rest[e] * inverse) + damping[e] * closing * inverse * inverse
         gx[e] = q * dx
         gy[e] = q * dy
         gz[e] = q * dz
@@ -155,20 +159,31 @@ def is_lost(x, lane, lanes, limit):
     return False
 
 
-_f1, _f2, _f3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
-_i1, _i2 = types.int64[::1], types.int64[:, ::1]
-_grid = (_i1, _f2, _f2, _f2, _f1, _f2, _f2, _f1, _i2, types.float64)
-_effects = (*(EFFECT,) * SLOTS, _i1, types.int64, _f3, _f3)
-_grips = (_i1, _f1, types.float64[:, :, :, :, ::1], _i1, _i1)
-_sampling = (_i2, _f2, _f2, types.float64[:, :, :, ::1])
-_settling = (types.float64, types.float64, types.float64, _f1)
-_run = types.void(
-    types.int64, _f2, *_grid, types.float64, *_effects, *_grips, *_settling, *_sampling, _i1, _i1
-)  # fmt: skip
+def as_double(array):
+    """The array itself if it is double; effects are not offered in single precision, where this only settles types."""
 
 
-@compiled(_run)
-def run_block(
+@overload(as_double)
+def _as_double(array):
+    if array.dtype == types.float64:
+        return lambda array: array
+    return lambda array: array.astype(np.float64)
+
+
+def _signature(real):
+    """Types of `run_block`'s arguments; `real` is the precision of all that is touched for every node and step."""
+    double = types.float64
+    r1, r2, d1, d2, d3 = real[::1], real[:, ::1], double[::1], double[:, ::1], double[:, :, ::1]
+    i1, i2 = types.int64[::1], types.int64[:, ::1]
+    grid = (i1, r2, r2, r2, d1, d2, d2, d1, i2, double)
+    effects = (*(EFFECT,) * SLOTS, i1, types.int64, d3, d3)
+    grips = (i1, d1, double[:, :, :, :, ::1], i1, i1)
+    settling = (double, double, double, d1)
+    sampling = (i2, d2, d2, double[:, :, :, ::1])
+    return types.void(types.int64, r2, *grid, double, *effects, *grips, *settling, *sampling, i1, i1)
+
+
+def _run_block(
     lanes, x,
     strides, rest, stiffness, damping, mass, uv, gravity_rows, area, triangles, air_density,
     limit,
@@ -189,8 +204,10 @@ def run_block(
     effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
     n, frames = mass.shape[0], times.shape[1]
     entries = n * lanes
-    v, f, g, weights = np.zeros((3, entries)), np.empty((3, entries)), np.empty((3, entries)), np.empty((3, entries))
-    inverse_mass, step, kick, keep = np.empty(entries), np.empty(entries), np.empty(entries), np.ones(entries)
+    v, f = np.zeros((3, entries), x.dtype), np.empty((3, entries), x.dtype)
+    g, weights = np.empty((3, entries), x.dtype), np.empty((3, entries), x.dtype)
+    inverse_mass, step = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
+    kick, keep = np.empty(entries, x.dtype), np.ones(entries, x.dtype)
     for e in range(entries):
         inverse_mass[e] = 1.0 / mass[e // lanes]
         step[e] = kick[e] = dt[e % lanes]
@@ -225,10 +242,11 @@ def run_block(
             spring_forces(x, v, strides[family], rest[family], stiffness[family], damping[family], g)
             add_pairwise(f, g, strides[family])
         if n_effects > 0:
-            node_normals(x, triangles, normal)
             t = start + max(0, count - settling[0]) * dt[0]
+            xd, vd, fd = as_double(x), as_double(v), as_double(f)
+            node_normals(xd, triangles, normal)
             apply_effects(
-                effects, stages, n_effects, t, dt[0], x, v, f, sheet, effect_parameters[0], effect_state[0]
+                effects, stages, n_effects, t, dt[0], xd, vd, fd, sheet, effect_parameters[0], effect_state[0]
             )
         kick_and_drift(x, v, f, inverse_mass, weights, kick, step, keep)
         count += 1
@@ -250,3 +268,9 @@ def run_block(
             if status[lane] == DIVERGED or done[lane] == frames:
                 steps[lane] = count
                 running -= 1
+
+
+@functools.cache
+def run_block(precision):
+    """The compiled loop in "double" or "single" precision; compiling takes seconds once, then it lies on disk."""
+    return compiled(_signature(types.float64 if precision == "double" else types.float32))(_run_block)

@@ -1,0 +1,98 @@
+"""One mesh file of the IRI data → one sheet: node positions at fixed material points, and what had to be
+left out.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from clothbench.datasets import lattice
+from clothbench.datasets.iri_files import Source, read_camera, read_mesh
+from clothbench.datasets.node_order import put_in_order
+
+SIDE = 0.30  # m; the data's paper says 30 × 30 cm, middle rows and columns measure 0.298 × 0.300 m
+ENOUGH_NODES = 0.5  # of a frame's nodes
+SIZE_SLACK = (
+    0.15  # of the side; a frame that lost more of its width or height shows another outline, not this cloth
+)
+FLAT_SLACK = 0.10  # of the node spacing; a lattice that misses flatness by more is torn or folded over itself
+
+
+@dataclass(eq=False)
+class Sheet:
+    """stamp (T,) ns; position (T, n·n, 3) m in the robot's base, NaN = not seen; frames_in; dropped and
+    masked: counts.
+    """
+
+    source: Source
+    stamp: np.ndarray
+    gap: np.ndarray
+    position: np.ndarray
+    frames_in: int
+    reordered: int
+    dropped: Counter[str] = field(default_factory=Counter)
+    masked: Counter[str] = field(default_factory=Counter)
+
+    @property
+    def material(self) -> np.ndarray:
+        """Material coordinates (n·n, 2) in m."""
+        return lattice.nominal(self.source.n, SIDE)
+
+    def keep(self, good: np.ndarray, why: str) -> None:
+        """Drop the frames that are not `good` (T,) and count them under `why`."""
+        if not good.all():
+            self.dropped[why] += int((~good).sum())
+            self.stamp, self.gap, self.position = self.stamp[good], self.gap[good], self.position[good]
+
+
+def read_sheet(source: Source) -> Sheet:
+    """Read, order, turn upright and relabel one mesh file; drops what is not a picture of this cloth."""
+    stamp, frames = read_mesh(source)
+    rotation, origin = read_camera(source.camera)
+    frames = np.einsum("ij,tabj->tabi", rotation.as_matrix(), frames) + origin
+    count = len(frames)
+    later = np.concatenate([[True], stamp[1:] > np.maximum.accumulate(stamp)[:-1]])
+    seen = np.isfinite(frames).all(axis=-1).mean(axis=(1, 2))
+    gap = np.diff(stamp[later], prepend=np.nan) * 1e-9
+    gap[0] = np.median(gap[1:]) if len(gap) > 1 else 0.1
+    empty = np.empty((int(later.sum()), source.n**2, 3))
+    sheet = Sheet(source, stamp[later], gap, empty, count, 0)
+    sheet.dropped.update({"duplicate or backward stamp": int((~later).sum())} if not later.all() else {})
+    frames = frames[later]
+    whole = seen[later] >= ENOUGH_NODES
+    sheet.keep(whole, "fewer than half of the nodes seen")
+    if whole.any():
+        _relabel(sheet, frames[whole], rotation.as_matrix()[:, 0])
+    return sheet
+
+
+def _relabel(sheet: Sheet, frames: np.ndarray, right: np.ndarray) -> None:
+    """Positions at the nominal material points; drops frames that do not unroll to a square of the cloth's
+    size.
+    """
+    ordered, sheet.reordered = put_in_order(frames, right)
+    flat, stress = lattice.unroll(lattice.filled(ordered), SIDE)
+    n = sheet.source.n
+    flat_enough = stress <= FLAT_SLACK * SIDE / (n - 1)
+    width, height = _extent(flat.reshape(len(flat), n, n, 2))
+    right_size = (np.abs(width / SIDE - 1) <= SIZE_SLACK) & (np.abs(height / SIDE - 1) <= SIZE_SLACK)
+    placed = lattice.place(flat, SIDE)
+    sheet.position, unseen, outside = lattice.resample(ordered, placed, SIDE)
+    good = flat_enough & right_size
+    sheet.masked.update(
+        {"not seen near by": int(unseen[good].sum()), "outside the seen outline": int(outside[good].sum())}
+    )
+    sheet.keep(flat_enough, "torn or folded: does not unroll")
+    sheet.keep(right_size[flat_enough], "wrong size: more than 15 % of width or height lost or gained")
+    enough = np.isfinite(sheet.position).all(axis=-1).mean(axis=1) >= ENOUGH_NODES
+    sheet.keep(enough, "fewer than half of the nodes seen")
+
+
+def _extent(grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unrolled width and height (T,) m of lattices (T, n, n, 2): between opposite sides' medians."""
+    width = np.linalg.norm(np.median(grid[:, :, -1], axis=1) - np.median(grid[:, :, 0], axis=1), axis=-1)
+    height = np.linalg.norm(np.median(grid[:, -1], axis=1) - np.median(grid[:, 0], axis=1), axis=-1)
+    return width, height

@@ -1,0 +1,215 @@
+"""What every effect must keep: it vanishes exactly at its null values, acts elsewhere, and goes along with others."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from clothbench.effects import PLACES
+from clothbench.kernels import Sheet, grid_triangles, node_normals
+from clothbench.parameters import ParameterSpace
+from clothbench.plugins import catalogue
+from clothbench.protocols import Effect, Model
+from clothbench.rollout import Rollout
+from clothbench.testing import probe
+from clothbench.testing.case import ModelCase, finished, same_bits
+from clothbench.testing.rules import Outcome, choose, made, require, require_members, run_rules
+
+HOOKS = {"dynamics": ("force", "inertia"), "boundary": ("grips",), "sensor": ("times", "positions")}
+
+
+@dataclass(frozen=True, eq=False)
+class EffectCase:
+    """An effect, the models it is tried on, and the bare rollouts that it is held against."""
+
+    effect: Effect
+    models: tuple[ModelCase, ...]
+
+    @cached_property
+    def bare(self) -> dict[tuple[int, str], Rollout]:
+        """Rollouts without any effect, by number of the model and name of the scene."""
+        return {(m, name): self.run(m, name) for m, case in enumerate(self.models) for name in case.scenes}
+
+    @cached_property
+    def null(self) -> np.ndarray:
+        return probe.null_values(self.effect)
+
+    def run(self, model: int, scene: str, *pairs: tuple[Effect, np.ndarray]) -> Rollout:
+        """Two parameter sets of a model in one of its scenes, with effects at given values."""
+        case = self.models[model]
+        return case.run_with(case.scenes[scene], case.theta(0.4), *pairs)
+
+
+def check_effect(
+    make: Callable[[], Effect],
+    *,
+    models: Sequence[Callable[..., Model]] | None = None,
+    only: Iterable[str] | None = None,
+) -> tuple[Outcome, ...]:
+    """Check the effect that `make()` gives on `models`, or on the first installed one that takes effects.
+
+    (The check of a model tries every installed effect on that model.)
+    """
+    effect = made(make, "effect")
+    makes = _first_that_takes_effects() if models is None else models
+    case = EffectCase(effect, tuple(ModelCase(make, make()) for make in makes))
+    return run_rules(f"effect {getattr(effect, 'name', make)!r}", choose(RULES, only), case)
+
+
+def _first_that_takes_effects() -> list[Callable[..., Model]]:
+    found = catalogue()
+    for name in found.names("models"):
+        make = found.load("models", name)
+        if {"effects", "dynamic"} <= set(make().capabilities):
+            return [make]
+    return []
+
+
+def has_all_members(case: EffectCase) -> None:
+    effect = case.effect
+    require_members(effect, Effect, ("name", "version", "place", "summary", "parameters"))
+    require(effect.place in PLACES, f"place {effect.place!r}", f"one of {', '.join(PLACES)}")
+    hooks = HOOKS[effect.place]
+    acts = any(callable(getattr(effect, hook, None)) for hook in hooks)
+    require(acts, f"none of {', '.join(hooks)}", f"at least one of them, since its place is {effect.place!r}")
+    one_line = isinstance(effect.summary, str) and effect.summary.strip() and "\n" not in effect.summary
+    require(bool(one_line), f"summary {effect.summary!r}", "one line for a report")
+    for stage in HOOKS["dynamics"]:
+        function = getattr(effect, stage, None)
+        compiled = function is None or effect.place != "dynamics" or hasattr(function, "py_func")
+        require(compiled, f"{stage!r} that is not compiled", "one decorated with clothbench.effect_kernel")
+
+
+def has_null_values_within_its_bounds(case: EffectCase) -> None:
+    space = case.effect.parameters
+    require(isinstance(space, ParameterSpace), f"parameters {space!r}", "a ParameterSpace")
+    require(len(space) > 0, "no parameter", "at least one, with a null value")
+    nulls = [p for p in space if p.null is not None]
+    require(bool(nulls), "no parameter with a null value", "one at which the effect vanishes")
+    for p in nulls:
+        inside = p.null is not None and p.bounds[0] <= p.null <= p.bounds[1]
+        require(inside, f"null value {p.null} of {p.name!r} outside its bounds {p.bounds}", "inside")
+
+
+def vanishes_at_its_null_values(case: EffectCase) -> str | None:
+    """Also with those parameters elsewhere that have no null value of their own."""
+    if not case.models:
+        return "no model that takes effects is installed"
+    elsewhere = case.effect.parameters.from_unit(np.full(len(case.effect.parameters), 0.3))
+    free = np.array([p.null is None for p in case.effect.parameters])
+    for values in [case.null, *([np.where(free, elsewhere, case.null)] if free.any() else [])]:
+        for (model, scene), bare in case.bare.items():
+            seen = case.run(model, scene, (case.effect, values))
+            found = f"another motion at the null values {values.tolist()} in scene {scene}"
+            require(same_bits(bare, seen), found, "the bits of the bare model")
+    return None
+
+
+def acts_elsewhere(case: EffectCase) -> str | None:
+    """At one of several values at least; and wherever the model runs to its end, what is seen is finite."""
+    if not case.models:
+        return "no model that takes effects is installed"
+    for model in range(len(case.models)):
+        trials = [(v, scene) for v in probe.acting_values(case.effect) for scene in case.models[model].scenes]
+        changed = False
+        for values, scene in trials:
+            seen = case.run(model, scene, (case.effect, values))
+            finite = np.isfinite(seen.position[finished(seen)]).all()
+            require(
+                bool(finite),
+                f"positions that are not finite at {values.tolist()} in scene {scene}",
+                "finite ones",
+            )
+            changed |= bool(finished(seen).all()) and not same_bits(case.bare[model, scene], seen)
+        require(changed, "no change of any motion, whatever the values", "one that runs to its end")
+    return None
+
+
+def goes_along_with_another_effect(case: EffectCase) -> str | None:
+    """Beside a throw-away push: in either order, and with either of the two at its null value."""
+    if not case.models:
+        return "no model that takes effects is installed"
+    push = probe.SidewaysPush()
+    own, other = next(probe.acting_values(case.effect)), push.parameters.defaults
+    for model, tried in enumerate(case.models):
+        scene = "swinging" if "swinging" in tried.scenes else next(iter(tried.scenes))
+        only_push = case.run(model, scene, (push, other))
+        for pairs in ([(case.effect, case.null), (push, other)], [(push, other), (case.effect, case.null)]):
+            kept = same_bits(only_push, case.run(model, scene, *pairs))
+            require(kept, "another effect's motion changed by this one at its null values", "equal bits")
+        alone = case.run(model, scene, (case.effect, own))
+        beside = case.run(model, scene, (case.effect, own), (push, push.parameters.low))
+        require(same_bits(alone, beside), "another motion beside an effect at its null value", "equal bits")
+    return None
+
+
+def keeps_to_its_own_memory(case: EffectCase) -> str | None:
+    """A kernel changes the forces and its declared state, nothing else, and reads only the parameters it has.
+
+    It is run uncompiled, where reaching past the end of an array is an error and not a silent overwrite.
+    """
+    if case.effect.place != "dynamics":
+        return "has no kernel"
+    effect, sheet, x, v = case.effect, *_waving_sheet()
+    size = effect.state_size(x.shape[1]) if hasattr(effect, "state_size") else 0
+    for stage in HOOKS["dynamics"]:
+        if getattr(effect, stage, None) is None:
+            continue
+        given = [x, v, *sheet[:6], effect.parameters.defaults]
+        before = [array.copy() for array in given]
+        force, state = np.zeros_like(x), np.zeros(size)
+        force[2] = -9.81 * sheet.mass
+        for step in range(3):
+            getattr(effect, stage).py_func(1e-3 * step, 1e-3, x, v, force, sheet, given[-1], state)
+        kept = all(np.array_equal(a, b) for a, b in zip(given, before, strict=True))
+        require(kept, f"an input of {stage!r} that it has changed", "changes to f and state only")
+        require(bool(np.isfinite(force).all()), f"forces of {stage!r} that are not finite", "finite ones")
+    return None
+
+
+def leaves_positions_it_is_given_alone(case: EffectCase) -> str | None:
+    effect, phi = case.effect, next(probe.acting_values(case.effect))
+    if effect.place == "dynamics":
+        return "is given no positions to change"
+    time, position = np.linspace(0.0, 0.5, 6), np.random.default_rng(4).normal(size=(6, 3, 3))
+    before = time.copy(), position.copy()
+    for hook in HOOKS[effect.place]:
+        if not hasattr(effect, hook):
+            continue
+        given = (time,) if hook == "times" else (time, position)
+        result, again = (np.asarray(getattr(effect, hook)(*given, phi)) for _ in range(2))
+        require(result.shape == given[-1].shape, f"{hook!r} that gives {result.shape}", given[-1].shape)
+        require(
+            np.array_equal(result, again),
+            f"{hook!r} that gives another result when called again",
+            "equal bits",
+        )
+        kept = np.array_equal(time, before[0]) and np.array_equal(position, before[1])
+        require(kept, f"arrays given to {hook!r} that it has changed", "a new array")
+    return None
+
+
+def _waving_sheet() -> tuple[Sheet, np.ndarray, np.ndarray]:
+    """A curved sheet of 5 × 5 nodes, with positions and velocities (3, 25) in m and m/s."""
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0.0, 0.2, 5), np.linspace(0.0, 0.2, 5)))
+    x = np.stack([u, 0.02 * np.sin(20 * u + 10 * v), 1.0 - v])
+    velocity = np.random.default_rng(5).normal(0.0, 0.3, x.shape)
+    triangles, normal = grid_triangles((5, 5)), np.zeros_like(x)
+    node_normals(x, triangles, normal)
+    area = np.full(25, 0.04 / 25)
+    uv = np.ascontiguousarray(np.stack([u, v], axis=1))
+    return Sheet(uv, 0.12 * area, area, normal, triangles, np.array([0.0, 0.0, -9.81]), 1.2), x, velocity
+
+
+RULES = (
+    has_all_members,
+    has_null_values_within_its_bounds,
+    vanishes_at_its_null_values,
+    acts_elsewhere,
+    goes_along_with_another_effect,
+    keeps_to_its_own_memory,
+    leaves_positions_it_is_given_alone,
+)

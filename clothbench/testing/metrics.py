@@ -1,0 +1,227 @@
+"""What every metric must keep: nothing where nothing is wrong, more where more is wrong, and never a made-up number."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from clothbench.observation import Observation
+from clothbench.protocols import Metric, Score
+from clothbench.rollout import Rollout
+from clothbench.testing.rules import Outcome, choose, made, require, require_members, run_rules
+
+SIGMA = 1e-3  # m, noise of one coordinate
+NOTHING = 1e-9  # of what an error of 4 mm gives
+DRAWS = 60  # noisy observations of which the mean is taken
+HONEST = 0.10  # relative, between a floor as stated and as drawn
+
+
+@dataclass(frozen=True, eq=False)
+class MetricCase:
+    """truth: where the points were; observation: what was seen of them, without noise; error: a fixed field of mm size."""
+
+    metric: Metric
+    truth: np.ndarray
+    observation: Observation
+    error: np.ndarray
+
+    def score(self, *position: np.ndarray, observation: Observation | None = None) -> Score:
+        """The score of rollouts, each (T, N, 3) m, against the observation."""
+        observation = self.observation if observation is None else observation
+        return self.metric(observation, rollout_of(observation.time, np.stack(position)))
+
+    @property
+    def scale(self) -> float:
+        """The value that an error of about 4 mm gives, in the metric's unit."""
+        return float(self.score(self.truth + 4 * self.error).value[0])
+
+
+def check_metric(make: Callable[..., Metric], *, only: Iterable[str] | None = None) -> tuple[Outcome, ...]:
+    """Check the metric that `make()` gives, on a waving sheet made by formula of which a part is not seen."""
+    metric = made(make, "metric")
+    return run_rules(f"metric {getattr(metric, 'name', make)!r}", choose(RULES, only), _case(metric))
+
+
+def has_all_members(case: MetricCase) -> None:
+    require_members(case.metric, Metric, ("name", "version", "unit", "__call__", "floor"))
+    unit = case.metric.unit
+    require(isinstance(unit, str) and bool(unit.strip()), f"unit {unit!r}", "a unit ('1' if it has none)")
+    stated = case.score(case.truth).unit
+    require(stated == unit, f"a score in {stated!r}", f"the metric's own unit {unit!r}")
+
+
+def gives_whole_scores(case: MetricCase) -> None:
+    """Shapes as in clothbench.Score; what is never seen is not a number in the trace and on the map."""
+    score, members = case.score(case.truth, case.truth + case.error), 2
+    frames, nodes = case.observation.visible.shape
+    for name, shape in {
+        "value": (members,),
+        "per_frame": (members, frames),
+        "per_node": (members, nodes),
+    }.items():
+        array = getattr(score, name)
+        if array is not None:
+            require(array.shape == shape, f"{name} of shape {array.shape}", shape)
+    if score.residual is not None:
+        shape = np.shape(score.residual)
+        require(len(shape) == 2 and shape[0] == members, f"residual of shape {shape}", f"({members}, R)")
+    for name, axis in {"per_frame": 1, "per_node": 0}.items():
+        array, unseen = getattr(score, name), ~case.observation.visible.any(axis=axis)
+        if array is not None:
+            require(
+                bool(np.isnan(array[:, unseen]).all()), f"a number in {name} where nothing was seen", "NaN"
+            )
+
+
+def is_zero_for_a_perfect_rollout(case: MetricCase) -> None:
+    score = case.score(case.truth)
+    value = float(score.value[0])
+    require(abs(value) <= NOTHING * case.scale, f"{value:.3g} {case.metric.unit} for a perfect rollout", "0")
+    if score.residual is not None:
+        largest = np.abs(score.residual).max(initial=0.0)
+        require(largest <= 1e-12, f"a residual of {largest:.3g} for a perfect rollout", "0")
+
+
+def grows_with_the_error(case: MetricCase) -> None:
+    scores = case.score(*(case.truth + factor * case.error for factor in (0.5, 1.0, 2.0, 4.0)))
+    shown = ", ".join(f"{v:.3g}" for v in scores.value)
+    require(
+        bool((np.diff(scores.value) > 0).all()), f"values {shown} for an error doubled thrice", "growing ones"
+    )
+    if scores.residual is not None:
+        squares = (scores.residual**2).sum(axis=1)
+        require(
+            bool((np.diff(squares) > 0).all()),
+            "squared residuals that do not grow with the error",
+            "growing ones",
+        )
+
+
+def ignores_what_was_not_seen(case: MetricCase) -> None:
+    wrong = np.where(case.observation.visible[..., None], case.truth + case.error, 7.0)
+    right = case.score(case.truth + case.error).value[0]
+    found = case.score(wrong).value[0]
+    require(_close(found, right), f"{found:.6g} when only unseen nodes move, {right:.6g} before", "no change")
+
+
+def gives_no_number_for_a_lost_rollout(case: MetricCase) -> None:
+    lost = case.truth + case.error
+    late = lost.copy()
+    late[len(late) // 2 :] = np.nan
+    score = case.score(lost, late, np.full_like(lost, np.nan))
+    require(
+        bool(np.isnan(score.value[1:]).all()), f"values {score.value[1:]} for rollouts that were lost", "NaN"
+    )
+    alone = case.score(lost).value[0]
+    require(
+        _close(score.value[0], alone),
+        f"{score.value[0]:.6g} beside lost rollouts, {alone:.6g} alone",
+        "no change",
+    )
+
+
+def gives_no_number_where_nothing_was_seen(case: MetricCase) -> None:
+    o = case.observation
+    blind = Observation(
+        o.time, np.full_like(o.position, np.nan), np.zeros_like(o.visible), o.sigma, o.material
+    )
+    value = case.score(case.truth, observation=blind).value
+    require(bool(np.isnan(value).all()), f"{value[0]:.3g} where no node was seen in any frame", "NaN")
+
+
+def does_not_care_for_the_order_of_nodes(case: MetricCase) -> None:
+    o, order = case.observation, np.random.default_rng(3).permutation(len(case.observation.material))
+    shuffled = Observation(o.time, o.position[:, order], o.visible[:, order], o.sigma, o.material[order])
+    wrong = case.truth + case.error
+    here, there = case.score(wrong).value[0], case.score(wrong[:, order], observation=shuffled).value[0]
+    require(
+        _close(here, there), f"{there:.9g} with the nodes in another order, {here:.9g} before", "no change"
+    )
+
+
+def scores_a_batch_as_one_by_one(case: MetricCase) -> None:
+    wrong = [case.truth + factor * case.error for factor in (3.0, 0.0, 1.0, -2.0)]
+    together = case.score(*wrong)
+    for b, position in enumerate(wrong):
+        alone = case.score(position)
+        for name in ("value", "per_frame", "per_node", "residual"):
+            one, many = getattr(alone, name), getattr(together, name)
+            equal = (one is None) == (many is None) and (one is None or _close(one[0], many[b]))
+            require(equal, f"another {name} of member {b} in a batch than alone", "the same but for rounding")
+
+
+def states_an_honest_floor(case: MetricCase) -> str | None:
+    """The mean value of perfect rollouts against noisy observations is what `floor` says, within a tenth."""
+    random, values, floors = np.random.default_rng(8), [], []
+    for _ in range(DRAWS):
+        noisy = case.observation.position + random.normal(0.0, SIGMA, case.truth.shape)
+        observation = dataclasses.replace(case.observation, position=noisy)
+        values.append(case.score(case.truth, observation=observation).value[0])
+        floors.append(case.metric.floor(observation))
+    unknown = case.metric.floor(dataclasses.replace(case.observation, sigma=math.nan))
+    require(math.isnan(unknown), f"a floor of {unknown:.3g} for noise that is not known", "NaN")
+    drawn, stated = float(np.mean(values)), float(np.mean(floors))
+    if math.isnan(stated):
+        return "does not know its floor"
+    found = f"a floor of {stated:.4g} {case.metric.unit}, where noise alone gives {drawn:.4g}"
+    require(abs(stated - drawn) <= HONEST * drawn, found, "the same within 10 %")
+    return None
+
+
+def leaves_its_input_alone(case: MetricCase) -> None:
+    position = np.stack([case.truth + case.error])
+    before = position.copy()
+    first, again = (
+        case.metric(case.observation, rollout_of(case.observation.time, position)) for _ in range(2)
+    )
+    require(np.array_equal(position, before), "a rollout that scoring has changed", "the input as it was")
+    require(
+        np.array_equal(first.value, again.value),
+        "another value of the same rollout scored again",
+        "equal bits",
+    )
+
+
+def rollout_of(time: np.ndarray, position: np.ndarray) -> Rollout:
+    """A rollout made by hand: position (B, T, N, 3) m; a member with a number missing counts as diverged."""
+    status = tuple("ok" if np.isfinite(member).all() else "diverged" for member in position)
+    return Rollout(time, position, status, np.full(len(position), 100), position.shape[2])
+
+
+def _case(metric: Any) -> MetricCase:
+    """6 × 5 nodes, 24 uneven frames; one frame and one node are never seen, others now and then."""
+    random, time = np.random.default_rng(7), np.sort(np.random.default_rng(6).uniform(0.0, 1.5, 24))
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0.0, 0.3, 6), np.linspace(0.0, 0.25, 5)))
+    wave = 0.04 * np.sin(12 * u + 6 * v - 5 * time[:, None]) * (0.2 + v)
+    truth = np.stack(
+        [np.broadcast_to(u + 0.1, wave.shape), wave, np.broadcast_to(1.0 - v, wave.shape)], axis=-1
+    )
+    visible = random.random(wave.shape) < 0.85
+    visible[5], visible[:, 11] = False, False
+    seen = np.where(visible[..., None], truth, np.nan)
+    observation = Observation(time, seen, visible, SIGMA, np.stack([u, v], axis=1))
+    return MetricCase(metric, truth, observation, random.normal(0.0, 1e-3, truth.shape))
+
+
+def _close(one: np.ndarray, other: np.ndarray) -> bool:
+    return np.allclose(one, other, rtol=1e-9, atol=1e-15, equal_nan=True)
+
+
+RULES = (
+    has_all_members,
+    gives_whole_scores,
+    is_zero_for_a_perfect_rollout,
+    grows_with_the_error,
+    ignores_what_was_not_seen,
+    gives_no_number_for_a_lost_rollout,
+    gives_no_number_where_nothing_was_seen,
+    does_not_care_for_the_order_of_nodes,
+    scores_a_batch_as_one_by_one,
+    states_an_honest_floor,
+    leaves_its_input_alone,
+)

@@ -1,0 +1,233 @@
+"""What every model must keep: the contract of `clothbench.Model`. What its sheet must do is in `motion`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+
+import numpy as np
+
+from clothbench.errors import ClothbenchError
+from clothbench.parameters import ParameterSpace
+from clothbench.protocols import Effect, Model
+from clothbench.rollout import STATUSES, Rollout
+from clothbench.scene import Scene
+from clothbench.testing import motion, probe
+from clothbench.testing.case import ModelCase, finished, same_bits
+from clothbench.testing.rules import (
+    Outcome,
+    choose,
+    made,
+    require,
+    require_members,
+    require_refusal,
+    run_rules,
+    takes,
+)
+
+CAPABILITIES = frozenset({"dynamic", "static", "effects", "contact"})
+STEPS_TO_TRY = 1e-3 * 2.0 ** np.arange(9)  # s, from fine to hopeless
+
+
+def check_model(
+    make: Callable[..., Model],
+    *,
+    scenes: Mapping[str, Scene] | None = None,
+    effects: Sequence[Effect] | None = None,
+    only: Iterable[str] | None = None,
+) -> tuple[Outcome, ...]:
+    """Check the model that `make()` gives.
+
+    scenes: by name, instead of the kit's own (for a model that can do none of those); effects: instead of all
+    installed ones. A scene that the model cannot do it refuses in `prepare` with a ClothbenchError, and it is left out.
+    Options by which a model shows more: `step_scale` (multiplies its time step) or a method `refined(factor)`, and
+    `dt` (a time step in s).
+    """
+    model = made(make, "model")
+    case = ModelCase(make, model, scenes, effects)
+    return run_rules(f"model {getattr(model, 'name', make)!r}", choose(RULES, only), case)
+
+
+def has_all_members(case: ModelCase) -> None:
+    model = case.model
+    require_members(model, Model, ("name", "version", "parameters", "capabilities", "prepare"))
+    require(
+        isinstance(model.parameters, ParameterSpace), f"parameters {model.parameters!r}", "a ParameterSpace"
+    )
+    require(len(model.parameters) > 0, "no parameter", "at least one to calibrate")
+    unknown = sorted(set(model.capabilities) - CAPABILITIES)
+    require(not unknown, f"capabilities {unknown}", f"some of {sorted(CAPABILITIES)}")
+    able = {"dynamic", "static"} & set(model.capabilities)
+    require(bool(able), f"capabilities {sorted(model.capabilities)}", "'dynamic', 'static' or both")
+    simulation = model.prepare(next(iter(case.scenes.values())))
+    names = simulation.parameters.names
+    require(names == model.parameters.names, f"a simulation with parameters {names}", model.parameters.names)
+
+
+def gives_whole_rollouts(case: ModelCase) -> None:
+    ended = False
+    for name, scene in case.scenes.items():
+        theta = case.theta(0.3, 0.7)
+        rollout = case.run(scene, theta)
+        require_whole(rollout, scene, len(theta), f"scene {name}")
+        ended |= rollout.status[0] == "ok"
+    require(ended, "no scene that is simulated to its end with default parameters", "at least one")
+
+
+def require_whole(rollout: Rollout, scene: Scene, members: int, where: str) -> None:
+    """Shapes, types and statuses as the records say, finite where ok, and not a number only from a frame on."""
+    require(isinstance(rollout, Rollout), f"{type(rollout).__name__} in {where}", "a clothbench.Rollout")
+    position, shape = rollout.position, (members, scene.times.size, len(scene.points), 3)
+    require(position.shape == shape, f"positions {position.shape} in {where}", f"(B, T, N, 3) = {shape}")
+    require(position.dtype == np.float64, f"positions of type {position.dtype}", "float64")
+    require(
+        np.array_equal(rollout.time, scene.times),
+        f"other times than asked for in {where}",
+        "the scene's times",
+    )
+    known = (
+        isinstance(rollout.status, tuple)
+        and len(rollout.status) == members
+        and set(rollout.status) <= set(STATUSES)
+    )
+    require(known, f"status {rollout.status!r} in {where}", f"{members} of {STATUSES}")
+    steps = np.asarray(rollout.steps)
+    counted = steps.shape == (members,) and np.issubdtype(steps.dtype, np.integer) and (steps >= 0).all()
+    require(counted, f"steps {rollout.steps!r} in {where}", f"{members} whole numbers, 0 or above")
+    require(rollout.nodes >= 1, f"{rollout.nodes} nodes in {where}", "at least 1")
+    require(
+        len(rollout.reasons) in (0, members),
+        f"{len(rollout.reasons)} reasons in {where}",
+        f"none or {members}",
+    )
+    finite = np.isfinite(position).all(axis=(2, 3))
+    for b, status in enumerate(rollout.status):
+        where_b = f"member {b} in {where}"
+        require(
+            status != "ok" or finite[b].all(),
+            f"status 'ok' but positions not finite: {where_b}",
+            "'diverged'",
+        )
+        require(
+            status == "ok" or not finite[b].all(), f"status {status!r} but all is finite: {where_b}", "'ok'"
+        )
+        returned = (np.diff(finite[b].astype(int)) > 0).any()
+        require(
+            not returned,
+            f"finite frames after lost ones: {where_b}",
+            "not a number from the first lost frame on",
+        )
+        empty = np.isnan(position[b][~finite[b]]).all()
+        require(
+            empty, f"numbers in the frames after a member was lost: {where_b}", "not a number from there on"
+        )
+
+
+def gives_the_same_bits_twice(case: ModelCase) -> None:
+    for name, scene in case.scenes.items():
+        theta = case.theta(0.3, 0.7)
+        simulation = case.model.prepare(scene)
+        first, again, anew = simulation.run(theta), simulation.run(theta), case.run(scene, theta)
+        require(
+            same_bits(first, again),
+            f"another result of the same simulation run again in scene {name}",
+            "equal bits",
+        )
+        require(
+            same_bits(first, anew), f"another result of the same scene prepared again ({name})", "equal bits"
+        )
+
+
+def gives_a_batch_as_one_by_one(case: ModelCase) -> None:
+    for name, scene in case.scenes.items():
+        simulation = case.model.prepare(scene)
+        require_independent(simulation.run, case.batch, f"scene {name}")
+
+
+def require_independent(run: Callable[[np.ndarray], Rollout], theta: np.ndarray, where: str) -> None:
+    """Every member of theta (B, P) alone gives the bits that it gave among the others."""
+    together = run(theta)
+    for b in range(len(theta)):
+        alone = run(theta[b : b + 1])
+        equal = np.array_equal(alone.position[0], together.position[b], equal_nan=True)
+        away = np.nanmax(np.abs(alone.position[0] - together.position[b]), initial=0.0)
+        found = f"member {b} of a batch {away:.3g} m away from the same set run alone ({where})"
+        require(equal and alone.status[0] == together.status[b], found, "equal bits")
+
+
+def refuses_wrong_parameters(case: ModelCase) -> None:
+    simulation, theta = case.model.prepare(case.liveliest), case.theta()
+    require_refusal(lambda: simulation.run(theta[:, :-1]), "one parameter too few")
+    require_refusal(lambda: simulation.run(np.hstack([theta, theta[:, :1]])), "one parameter too many")
+    require_refusal(lambda: simulation.run(np.full_like(theta, np.nan)), "a parameter that is not a number")
+
+
+def leaves_its_input_alone(case: ModelCase) -> None:
+    theta = case.theta(0.3, 0.7)
+    before = theta.copy()
+    first = case.run(case.liveliest, theta)
+    require(np.array_equal(theta, before), "parameter sets that the run has changed", "the input as it was")
+    position = first.position.copy()
+    case.run(case.liveliest, theta[::-1].copy())
+    kept = np.array_equal(first.position, position, equal_nan=True)
+    require(kept, "an earlier rollout that a later run has changed", "arrays of its own for every rollout")
+
+
+def is_untouched_by_null_effects(case: ModelCase) -> str | None:
+    if not case.effects:
+        return "takes no effects"
+    theta = case.theta(0.4)
+    for name, scene in case.scenes.items():
+        bare = case.run(scene, theta)
+        for effect in case.effects:
+            with_null = case.run_with(scene, theta, (effect, probe.null_values(effect)))
+            found = f"another result with effect {effect.name!r} at its null values in scene {name}"
+            require(same_bits(bare, with_null), found, "the bits of the bare model")
+    return None
+
+
+def lets_effects_act(case: ModelCase) -> str | None:
+    if not case.effects:
+        return "takes no effects"
+    theta = case.theta()
+    bare = {name: case.run(scene, theta) for name, scene in case.scenes.items()}
+    for effect in case.effects:
+        trials = ((v, name) for v in probe.acting_values(effect) for name in bare)
+        acts = any(
+            not same_bits(bare[name], case.run_with(case.scenes[name], theta, (effect, values)))
+            for values, name in trials
+        )
+        require(acts, f"nothing changed by effect {effect.name!r}, whatever its values", "a different motion")
+    return None
+
+
+def reports_divergence(case: ModelCase) -> str | None:
+    """Steps far too long end single members, by status; nothing is raised and no other member is touched."""
+    if not takes(case.make, "dt"):
+        return "has no option 'dt' to make it diverge with"
+    theta, some_lost = case.theta(0.1, 0.3, 0.7, 0.9), False
+    for dt in STEPS_TO_TRY:
+        try:
+            simulation = case.make(dt=float(dt)).prepare(case.liveliest)
+        except ClothbenchError:  # it refuses such a step: just as good
+            break
+        rollout = simulation.run(theta)
+        require_whole(rollout, case.liveliest, len(theta), f"a run with dt = {dt:g} s")
+        ended = finished(rollout)
+        if ended.any() and not ended.all():
+            require_independent(simulation.run, theta, f"dt = {dt:g} s, where some members diverge")
+        some_lost |= not ended.all()
+    return None if some_lost else "no step up to 0.26 s makes it diverge"
+
+
+RULES = (
+    has_all_members,
+    gives_whole_rollouts,
+    gives_the_same_bits_twice,
+    gives_a_batch_as_one_by_one,
+    refuses_wrong_parameters,
+    leaves_its_input_alone,
+    is_untouched_by_null_effects,
+    lets_effects_act,
+    reports_divergence,
+    *motion.RULES,
+)

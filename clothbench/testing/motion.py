@@ -1,0 +1,184 @@
+"""What every model's sheet must do, whatever the model: hold on to the grips, not care where north is, converge, rest."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clothbench.rollout import Rollout
+from clothbench.scene import Scene
+from clothbench.testing import scenes
+from clothbench.testing.case import ModelCase, apart, finished, millimetres
+from clothbench.testing.rules import require, takes
+
+ON_THE_GRIP = 1e-9  # m
+INVARIANCE = 1e-6  # m; rounding grows this far in no short run that is not chaotic
+MATTERS = 1e-6  # m
+SAME_MOMENT = 1e-4  # m: an adaptive step may land elsewhere, a stamp that was ignored costs millimetres
+RESTS = 1e-3  # m in a third of a second: what a careful tracker would take for rest
+SHRINKS = 0.8  # of the difference that the step before made; first order would be 0.5
+CONVERGED = 1e-6  # m
+
+
+def follows_the_grips(case: ModelCase) -> str | None:
+    if not case.held:
+        return "simulates no scene with grips"
+    for name, scene in case.held.items():
+        points, grips = _shared(scene)
+        rollout = case.run(scene, case.theta(0.3, 0.7))
+        seen = rollout.position[finished(rollout)][:, :, points]
+        away = np.abs(seen - scene.grips_at(scene.times)[:, grips]).max(initial=0.0)
+        found = f"held points {millimetres(away)} from their grips in scene {name}"
+        require(away <= ON_THE_GRIP, found, "where Scene.grips_at puts them, within 1e-9 m")
+    return None
+
+
+def moves_along_with_the_room(case: ModelCase) -> None:
+    """A room shifted, and turned about the vertical, changes nothing but the coordinates."""
+    _require_same_in(case, scenes.turn_about((0.0, 0.0, 1.0), 0.7), with_gravity=False)
+
+
+def turns_along_with_gravity(case: ModelCase) -> None:
+    """A world turned as a whole, gravity included, changes nothing but the coordinates."""
+    _require_same_in(case, scenes.turn_about((1.0, 2.0, 3.0), 1.1), with_gravity=True)
+
+
+def _require_same_in(case: ModelCase, turn: np.ndarray, *, with_gravity: bool) -> None:
+    shift = np.array([0.3, -2.0, 0.7])
+    for name, scene in case.scenes.items():
+        if name == "stretched":  # pure shear may wrinkle, and on which side is for rounding errors to say
+            continue
+        here = case.run(scene, case.theta(0.4))
+        there = case.run(scenes.moved(scene, turn, shift, with_gravity=with_gravity), case.theta(0.4))
+        require(here.status == there.status, f"status {there.status} in the turned scene {name}", here.status)
+        ended = finished(here)
+        away = apart(here.position[ended] @ turn.T + shift, there.position[ended]).max(initial=0.0)
+        found = f"a motion {millimetres(away)} off after turning and shifting scene {name}"
+        require(away <= INVARIANCE, found, "the same motion, turned and shifted, within 1e-6 m")
+
+
+def is_pulled_down(case: ModelCase) -> None:
+    """Held, the sheet hangs on the side to which gravity points; let go, its middle falls by ½ g t², less the air's drag."""
+    for name, scene in case.scenes.items():
+        height = _middle(case.run(scene, case.theta()), scene.gravity)
+        if len(scene.grip_material):
+            below = height - (scene.grips_at(scene.times) @ _down(scene.gravity)).min(axis=1)
+            require(
+                (below > 0).all(),
+                f"a sheet {millimetres(-below.min())} above its highest grip in scene {name}",
+                "below",
+            )
+        else:
+            expected = np.linalg.norm(scene.gravity) / 2 * (scene.times[-1] - scene.start_time) ** 2
+            fallen = (height[-1] - height[0]) / expected
+            require(
+                0.5 < fallen < 1.02,
+                f"a fall of {fallen:.3g} × ½ g t² in scene {name}",
+                "1, or less by the air's drag",
+            )
+
+
+def lets_every_parameter_matter(case: ModelCase) -> None:
+    names = case.model.parameters.names
+    largest = np.zeros(len(names))
+    for scene in case.scenes.values():
+        low, high = (case.run(scene, _one_at_a_time(case, unit)) for unit in (0.3, 0.7))
+        ended = finished(low) & finished(high)
+        largest[ended] = np.maximum(largest[ended], apart(low.position[ended], high.position[ended]))
+    for name, change in zip(names, largest, strict=True):
+        found = f"a change of {millimetres(change)} when {name!r} goes from low to high, in {', '.join(case.scenes)}"
+        require(change > MATTERS, found, "more than 1e-3 mm in at least one scene")
+
+
+def converges_with_smaller_steps(case: ModelCase) -> str | None:
+    if not case.is_dynamic:
+        return "takes no time steps"
+    if not (takes(case.make, "step_scale") or hasattr(case.model, "refined")):
+        return "has neither an option 'step_scale' nor a method 'refined'"
+    for name, scene in case.scenes.items():
+        whole, half, quarter = (_refined(case, scene, scale) for scale in (1.0, 0.5, 0.25))
+        ended = finished(whole) & finished(half) & finished(quarter)
+        first = apart(whole.position[ended], half.position[ended])
+        second = apart(half.position[ended], quarter.position[ended])
+        still_large = second > np.maximum(SHRINKS * first, CONVERGED)
+        shown = ", ".join(f"{millimetres(a)} → {millimetres(b)}" for a, b in zip(first, second, strict=True))
+        require(
+            not still_large.any(),
+            f"differences {shown} on halving the step twice in scene {name}",
+            "shrinking ones",
+        )
+        more = (np.asarray(quarter.steps) > np.asarray(whole.steps))[ended].all()
+        require(
+            bool(more),
+            f"no more steps with a quarter of the step in scene {name}",
+            "about four times as many",
+        )
+    return None
+
+
+def respects_uneven_time_stamps(case: ModelCase) -> None:
+    for name, scene in case.scenes.items():
+        between = scene.times[0] + np.ptp(scene.times) * np.sqrt(np.linspace(0.0123, 0.9234, 9))
+        finer = np.union1d(scene.times, between)
+        few = case.run(scene, case.theta(0.4))
+        many = case.run(scenes.with_times(scene, finer), case.theta(0.4))
+        ended = finished(few) & finished(many)
+        common = many.position[ended][:, np.isin(finer, scene.times)]
+        away = apart(few.position[ended], common).max(initial=0.0)
+        found = (
+            f"positions {millimetres(away)} apart at the same moment of scene {name}, looked at more often"
+        )
+        require(away <= SAME_MOMENT, found, "the same within 0.1 mm")
+
+
+def rests_when_held_still(case: ModelCase) -> str | None:
+    """A run begins with the cloth settled in the grips' first pose; where they stay, it stays."""
+    if "static" not in case.model.capabilities:
+        return "does not claim to find the state of rest"
+    for name, scene in case.held.items():
+        rollout = case.run(scenes.still(scene), case.theta(0.3, 0.7))
+        ended = rollout.position[finished(rollout)]
+        moves = np.abs(ended - ended[:, :1]).max(initial=0.0)
+        found = f"a sheet that moves by {millimetres(moves)} in {np.ptp(scene.times):g} s, grips still as in scene {name} at first"
+        require(moves <= RESTS, found, "at most 1 mm")
+    return None
+
+
+def _shared(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the points looked at that are grips, and of the grips that they are."""
+    return np.nonzero(np.abs(scene.points[:, None] - scene.grip_material[None]).max(axis=2) < 1e-9)
+
+
+def _down(gravity: tuple[float, float, float]) -> np.ndarray:
+    return np.array(gravity) / np.linalg.norm(gravity)
+
+
+def _middle(rollout: Rollout, gravity: tuple[float, float, float]) -> np.ndarray:
+    """How far down the mean of the points is, per frame (T,) m, of the first member."""
+    return rollout.position[0].mean(axis=1) @ _down(gravity)
+
+
+def _one_at_a_time(case: ModelCase, unit: float) -> np.ndarray:
+    """Parameter sets (P, P): in row p all but parameter p at their defaults, p at a share of its scaled range."""
+    space = case.model.parameters
+    theta = np.tile(space.defaults, (len(space), 1))
+    np.fill_diagonal(theta, space.from_unit(np.full(len(space), unit)))
+    return theta
+
+
+def _refined(case: ModelCase, scene: Scene, scale: float) -> Rollout:
+    theta = case.theta(0.4)
+    if takes(case.make, "step_scale"):
+        return case.run(scene, theta, step_scale=scale)
+    return case.model.refined(1 / scale).prepare(scene).run(theta)  # type: ignore[attr-defined]
+
+
+RULES = (
+    follows_the_grips,
+    moves_along_with_the_room,
+    turns_along_with_gravity,
+    is_pulled_down,
+    lets_every_parameter_matter,
+    converges_with_smaller_steps,
+    respects_uneven_time_stamps,
+    rests_when_held_still,
+)

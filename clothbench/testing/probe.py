@@ -1,0 +1,77 @@
+"""What checks of models and effects share: a throw-away effect, and parameter values at which effects vanish or act."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from clothbench.kernels import effect_kernel
+from clothbench.parameters import Parameter, ParameterSpace
+from clothbench.plugins import catalogue
+from clothbench.protocols import Effect
+
+
+@effect_kernel
+def push_sideways(t, dt, x, v, f, sheet, p, state):
+    """f += m p: a uniform acceleration along y; `state` counts the steps, which must not disturb anyone."""
+    state[0] += 1.0
+    for i in range(x.shape[1]):
+        f[1, i] += sheet.mass[i] * p[0]
+
+
+class SidewaysPush:
+    """An effect that certainly acts, to be put beside another one."""
+
+    name = "conformance_push"
+    version = 1
+    place = "dynamics"
+    summary = "a uniform acceleration, for the conformance kit only"
+    force = staticmethod(push_sideways)
+    parameters = ParameterSpace(
+        (
+            Parameter(
+                "acceleration",
+                "a",
+                "m/s²",
+                (0.0, 5.0),
+                "linear",
+                1.0,
+                "acceleration along y",
+                "none",
+                null=0.0,
+            ),
+        )
+    )
+
+    def state_size(self, nodes: int) -> int:
+        return 1
+
+
+def null_values(effect: Effect) -> np.ndarray:
+    """Values (P,) at which the effect vanishes; a parameter without a null value of its own is at its default."""
+    return np.array([p.default if p.null is None else p.null for p in effect.parameters], dtype=float)
+
+
+def acting_values(effect: Effect) -> Iterator[np.ndarray]:
+    """Values (P,) at some of which the effect should act: the defaults, then points across the bounds.
+
+    Several, since an effect may do nothing at some: one that sets in at a certain time, or a ratio of 1 in the middle.
+    """
+    candidates = [effect.parameters.defaults]
+    candidates += [
+        effect.parameters.from_unit(np.full(len(effect.parameters), at)) for at in (0.7, 0.35, 0.02, 0.98)
+    ]
+    null = null_values(effect)
+    yield from (c for c in candidates if not np.array_equal(c, null))
+
+
+def installed_effects() -> tuple[Effect, ...]:
+    """Every effect in the catalogue that can be made; one that cannot is its own author's concern."""
+    found = []
+    for name in catalogue().names("effects"):
+        try:
+            found.append(catalogue().make("effects", name))
+        except Exception:
+            continue
+    return tuple(found)

@@ -1,0 +1,117 @@
+"""Small scenes for the kit, made by formula: a sheet of 0.30 m × 0.25 m on 7 × 6 nodes, 0.12 kg/m².
+
+Wider than high, so that swapped directions show; bent on purpose, so that no rounding error decides on which side a
+sheet buckles. The points looked at lie between the nodes of a regular mesh, and on the grips.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from clothbench.scene import Scene
+
+WIDTH, HEIGHT, AREAL_DENSITY = 0.30, 0.25, 0.12  # m, m, kg/m²
+RESOLUTION = (7, 6)
+GRAVITY = np.array([0.0, 0.0, -9.81])
+
+
+def hanging() -> Scene:
+    """Two upper corners held still, brought together to 85 % of their distance."""
+    held = np.array([[0.0, 0.0], [WIDTH, 0.0]])
+    return _held(held, _flat(held) * [0.85, 1.0, 1.0], np.linspace(0.0, 0.3, 7), depth=0.03)
+
+
+def swinging() -> Scene:
+    """Two points off every regular mesh, moved by 8 cm across the sheet and 2 cm along it; uneven time stamps."""
+    held = np.array([[0.067, 0.011], [0.241, 0.011]])
+    stamps = 0.4 * np.linspace(0.0, 1.0, 25) ** 1.2
+    moved = _smooth(stamps / 0.3)[:, None, None] * np.array([0.02, 0.08, 0.01])
+    times = np.array([0.0, 0.03, 0.05, 0.11, 0.12, 0.19, 0.26, 0.29, 0.37, 0.43])
+    return _held(held, _flat(held) * [0.95, 1.0, 1.0] + moved, times, depth=0.01, stamps=stamps)
+
+
+def stretched() -> Scene:
+    """Four corners, the lower two pulled down by 3 % and sideways by 4 % within 0.2 s."""
+    held = np.array([[0.0, 0.0], [WIDTH, 0.0], [0.0, HEIGHT], [WIDTH, HEIGHT]])
+    stamps = np.linspace(0.0, 0.3, 16)
+    pull = np.where(held[:, 1:] > 0, [[0.04 * WIDTH, 0.0, -0.03 * HEIGHT]], 0.0)
+    position = _flat(held) + _smooth(stamps / 0.2)[:, None, None] * pull
+    return _held(held, position, np.linspace(0.0, 0.3, 7), depth=0.004, stamps=stamps)
+
+
+def free_fall() -> Scene:
+    """Nothing holds the sheet; it starts upright and slightly bent, at rest."""
+    times = np.linspace(0.0, 0.2, 6)
+    return _scene(times, np.array([0.0, 0.2]), np.zeros((0, 2)), np.zeros((2, 0, 3)), depth=0.01)
+
+
+def standard() -> dict[str, Scene]:
+    """All of them by name."""
+    return {"hanging": hanging(), "swinging": swinging(), "stretched": stretched(), "free_fall": free_fall()}
+
+
+def moved(scene: Scene, turn: np.ndarray, shift: np.ndarray, *, with_gravity: bool) -> Scene:
+    """The same scene after x → turn·x + shift, turn (3, 3), shift (3,) m; gravity turns along or stays."""
+    return dataclasses.replace(
+        scene,
+        grip_position=scene.grip_position @ turn.T + shift,
+        start=None if scene.start is None else scene.start @ turn.T + shift,
+        gravity=tuple(turn @ scene.gravity) if with_gravity else scene.gravity,
+    )
+
+
+def turn_about(axis: tuple[float, float, float], angle: float) -> np.ndarray:
+    """Rotation matrix (3, 3) by `angle` rad about `axis` (Rodrigues)."""
+    x, y, z = np.asarray(axis) / np.linalg.norm(axis)
+    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def still(scene: Scene) -> Scene:
+    """The same scene with the grips left in their first pose."""
+    position = np.repeat(scene.grip_position[:1], len(scene.grip_time), axis=0)
+    return dataclasses.replace(scene, grip_position=position)
+
+
+def with_times(scene: Scene, times: np.ndarray) -> Scene:
+    return dataclasses.replace(scene, times=times)
+
+
+def _held(held: np.ndarray, position: np.ndarray, times: np.ndarray, depth: float, stamps=None) -> Scene:
+    """Grips `held` (G, 2) m at `position` (K, G, 3) m, or (G, 3) where they stay put."""
+    stamps = np.array([times[0], times[-1]]) if stamps is None else stamps
+    position = np.broadcast_to(position, (len(stamps), len(held), 3))
+    return _scene(times, stamps, held, position, depth)
+
+
+def _scene(
+    times: np.ndarray, stamps: np.ndarray, held: np.ndarray, position: np.ndarray, depth: float
+) -> Scene:
+    points = np.vstack([_looked_at(), held])
+    bulge = depth * np.sin(np.pi * points[:, 0] / WIDTH) * (0.6 + 0.4 * points[:, 1] / HEIGHT)
+    narrower = np.ptp(position[0, :, 0]) / np.ptp(held[:, 0]) if len(held) else 1.0
+    start = _flat(points) * [narrower, 1.0, 1.0] + bulge[:, None] * [0.0, 1.0, 0.0]
+    return Scene(
+        width=WIDTH, height=HEIGHT, areal_density=AREAL_DENSITY,
+        grip_time=stamps, grip_material=held, grip_position=position,
+        times=times, points=points, resolution=RESOLUTION, start=start,
+    )  # fmt: skip
+
+
+def _looked_at() -> np.ndarray:
+    """Material points (20, 2) m in the middle of the cloth, on no line of a regular mesh."""
+    u, v = np.meshgrid(np.linspace(0.03, 0.27, 5) + 0.002, np.linspace(0.04, 0.22, 4) + 0.003)
+    return np.stack([u.ravel(), v.ravel()], axis=1)
+
+
+def _flat(uv: np.ndarray) -> np.ndarray:
+    """Upright sheet (n, 3) m in the x–z plane, the middle of its upper edge 1 m above the origin."""
+    return np.stack([uv[:, 0] - WIDTH / 2, np.zeros(len(uv)), 1.0 - uv[:, 1]], axis=1)
+
+
+def _smooth(s: np.ndarray) -> np.ndarray:
+    """From 0 to 1 with no jerk at either end: 10 s³ − 15 s⁴ + 6 s⁵ (Flash and Hogan 1985)."""
+    s = np.clip(s, 0.0, 1.0)
+    return s**3 * (10 - 15 * s + 6 * s**2)

@@ -1,0 +1,131 @@
+"""What every tracker must keep: an observation of what was recorded, with nothing seen that was not there."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from clothbench.observation import Observation
+from clothbench.protocols import Tracker
+from clothbench.recording import Recording
+from clothbench.testing import scenes
+from clothbench.testing.rules import Outcome, choose, made, require, require_members, run_rules
+
+NEAR = 5e-3  # m: a tracker may smooth, it may not invent
+SIGMA = 5e-4  # m
+
+
+@dataclass(frozen=True, eq=False)
+class TrackerCase:
+    tracker: Tracker
+    source: Recording | Path
+
+    def track(self) -> Observation:
+        observation = self.tracker.track(self.source)
+        require(
+            isinstance(observation, Observation), f"{type(observation).__name__}", "a clothbench.Observation"
+        )
+        return observation
+
+
+def check_tracker(
+    make: Callable[..., Tracker], *, source: Recording | Path | None = None, only: Iterable[str] | None = None
+) -> tuple[Outcome, ...]:
+    """Check the tracker that `make()` gives on `source`: raw data, or a recording (the kit has one of its own)."""
+    tracker = made(make, "tracker")
+    case = TrackerCase(tracker, swung_sheet() if source is None else source)
+    return run_rules(f"tracker {getattr(tracker, 'name', make)!r}", choose(RULES, only), case)
+
+
+def has_all_members(case: TrackerCase) -> None:
+    require_members(case.tracker, Tracker, ("name", "version", "track"))
+
+
+def gives_a_whole_observation(case: TrackerCase) -> None:
+    o = case.track()
+    require(
+        len(o.time) > 0 and bool((np.diff(o.time) > 0).all()),
+        "time stamps that do not increase",
+        "increasing ones",
+    )
+    require(bool(np.isfinite(o.time).all()), "time stamps that are not finite", "seconds")
+    require(o.visible.dtype == bool, f"visible of type {o.visible.dtype}", "bool")
+    require(bool(o.visible.any()), "no node seen in any frame", "at least one")
+    require(bool(np.isfinite(o.material).all()), "material coordinates that are not finite", "metres")
+    require(
+        np.isnan(o.sigma) or o.sigma >= 0, f"a noise of {o.sigma} m", "0 or above, or NaN if it is not known"
+    )
+
+
+def sees_what_was_recorded(case: TrackerCase) -> str | None:
+    """Where tracker and recording share a stamp and a material point, they see it in the same place."""
+    if not isinstance(case.source, Recording):
+        return "tracks raw data, of which the kit does not know what they show"
+    o, r = case.track(), case.source
+    require(
+        bool((o.time >= r.time[0] - 1e-9).all() and (o.time <= r.time[-1] + 1e-9).all()),
+        "stamps beyond the recording",
+        "none",
+    )
+    frames = np.abs(o.time[:, None] - r.time).argmin(axis=1)
+    shared = np.abs(o.material[:, None] - r.material).max(axis=2)
+    known = (np.abs(o.time - r.time[frames]) < 1e-9)[:, None] & (shared.min(axis=1) < 1e-9)
+    require(bool(known.any()), "no stamp and material point of the recording", "some to compare")
+    recorded, nodes = known & r.visible[frames][:, shared.argmin(axis=1)], shared.argmin(axis=1)
+    invented = int((o.visible & known & ~recorded).sum())
+    require(invented == 0, f"{invented} nodes seen in frames where the recording has none", "0")
+    away = np.linalg.norm(o.position - r.position[frames][:, nodes], axis=-1)[o.visible & recorded]
+    require(away.size > 0, "none of the recorded nodes seen", "some")
+    require(
+        away.max() <= NEAR, f"a node {1e3 * away.max():.3g} mm from where it was recorded", "at most 5 mm"
+    )
+    return None
+
+
+def gives_the_same_bits_twice(case: TrackerCase) -> None:
+    first, again = case.track(), case.track()
+    for name in ("time", "position", "visible", "material"):
+        equal = np.array_equal(getattr(first, name), getattr(again, name), equal_nan=name != "visible")
+        require(equal, f"another {name} when tracking again", "equal bits")
+    require(repr(first.sigma) == repr(again.sigma), "another sigma when tracking again", "the same")
+
+
+def leaves_the_recording_alone(case: TrackerCase) -> str | None:
+    if not isinstance(case.source, Recording):
+        return "tracks raw data on disk"
+    before = case.source.hash
+    case.track()
+    require(case.source.hash == before, "a recording that tracking has changed", "the recording as it was")
+    return None
+
+
+def swung_sheet() -> Recording:
+    """A recording made by formula: 60 frames of a sheet that swings like a board, with noise, gaps and a lost node."""
+    scene, random = scenes.swinging(), np.random.default_rng(17)
+    time = np.linspace(0.0, 0.4, 60)
+    grips = scene.grips_at(time).mean(axis=1)
+    angle = 0.3 * np.sin(6 * time)[:, None]
+    below = scene.points[:, 1]
+    hung = [scene.points[:, 0] - scene.width / 2 + 0 * angle, below * np.sin(angle), -below * np.cos(angle)]
+    position = (
+        grips[:, None] + np.stack(hung, axis=-1) + random.normal(0.0, SIGMA, (len(time), len(below), 3))
+    )
+    position[random.random(position.shape[:2]) < 0.1] = np.nan
+    position[:, 4] = np.nan
+    return Recording(
+        name="swung sheet", time=time, material=scene.points, position=position,
+        grip_time=scene.grip_time, grip_material=scene.grip_material, grip_position=scene.grip_position,
+        cloth_width=scene.width, cloth_height=scene.height, areal_density=scene.areal_density, noise_sigma=SIGMA,
+    )  # fmt: skip
+
+
+RULES = (
+    has_all_members,
+    gives_a_whole_observation,
+    sees_what_was_recorded,
+    gives_the_same_bits_twice,
+    leaves_the_recording_alone,
+)
