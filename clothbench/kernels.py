@@ -55,27 +55,52 @@ def no_effect(t, dt, x, v, f, sheet, p, state):
     """Fills the slots of a time loop that has no effect there."""
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
-def node_normals(x, triangles, normal):
-    """Unit normals (3, n) at the nodes of the mesh x (3, n): area-weighted sum over the triangles (F, 3) around each.
+_fast = njit(cache=True, error_model="numpy", nogil=True)
 
-    A node whose triangles have collapsed gets the zero vector: nothing can push on it along a normal.
+
+@_fast
+def grid_normals(x, nu, normal):
+    """Unit normals (3, n) of a regular grid x (3, n) m, nu nodes a row: cross product of the central differences.
+
+    A node where the sheet has collapsed gets the zero vector: nothing can push on it along a normal.
     """
-    normal[:] = 0.0
-    for k in range(triangles.shape[0]):
-        a, b, c = triangles[k, 0], triangles[k, 1], triangles[k, 2]
-        px, py, pz = x[0, b] - x[0, a], x[1, b] - x[1, a], x[2, b] - x[2, a]
-        qx, qy, qz = x[0, c] - x[0, a], x[1, c] - x[1, a], x[2, c] - x[2, a]
-        nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
-        for i in (a, b, c):
-            normal[0, i] += nx
-            normal[1, i] += ny
-            normal[2, i] += nz
-    for i in range(x.shape[1]):
-        size = np.sqrt(normal[0, i] ** 2 + normal[1, i] ** 2 + normal[2, i] ** 2)
-        if size > 0.0:
-            for k in range(3):
-                normal[k, i] /= size
+    n = x.shape[1]
+    inner = n - 2 * nu
+    # All inner rows at once first, as if rows did not end: without branches the compiler can use the vector unit.
+    lx, ly, lz = x[0, nu - 1 : nu - 1 + inner], x[1, nu - 1 : nu - 1 + inner], x[2, nu - 1 : nu - 1 + inner]
+    rx, ry, rz = x[0, nu + 1 : nu + 1 + inner], x[1, nu + 1 : nu + 1 + inner], x[2, nu + 1 : nu + 1 + inner]
+    tx, ty, tz = x[0, :inner], x[1, :inner], x[2, :inner]
+    bx, by, bz = x[0, 2 * nu : 2 * nu + inner], x[1, 2 * nu : 2 * nu + inner], x[2, 2 * nu : 2 * nu + inner]
+    ox, oy, oz = normal[0, nu : nu + inner], normal[1, nu : nu + inner], normal[2, nu : nu + inner]
+    for e in range(inner):
+        px, py, pz = bx[e] - tx[e], by[e] - ty[e], bz[e] - tz[e]
+        qx, qy, qz = rx[e] - lx[e], ry[e] - ly[e], rz[e] - lz[e]
+        ox[e], oy[e], oz[e] = _unit_cross(px, py, pz, qx, qy, qz)
+    for i in range(nu):
+        _border_normal(x, nu, i, normal)
+        _border_normal(x, nu, n - nu + i, normal)
+    for j in range(1, n // nu - 1):
+        _border_normal(x, nu, j * nu, normal)
+        _border_normal(x, nu, j * nu + nu - 1, normal)
+
+
+@_fast
+def _unit_cross(px, py, pz, qx, qy, qz):
+    """p × q, normalised; the zero vector where they are parallel."""
+    nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+    size = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz + 1e-60)
+    return nx * size, ny * size, nz * size
+
+
+@_fast
+def _border_normal(x, nu, e, normal):
+    """The same at one node of the border, with one-sided differences."""
+    i, n = e % nu, x.shape[1]
+    left, right = e - (1 if i > 0 else 0), e + (1 if i < nu - 1 else 0)
+    top, bottom = e - (nu if e >= nu else 0), e + (nu if e < n - nu else 0)
+    px, py, pz = x[0, bottom] - x[0, top], x[1, bottom] - x[1, top], x[2, bottom] - x[2, top]
+    qx, qy, qz = x[0, right] - x[0, left], x[1, right] - x[1, left], x[2, right] - x[2, left]
+    normal[0, e], normal[1, e], normal[2, e] = _unit_cross(px, py, pz, qx, qy, qz)
 
 
 def grid_triangles(shape: tuple[int, int]) -> np.ndarray:

@@ -13,7 +13,7 @@ import functools
 
 import numpy as np
 from clothbench.effects import FORCE, INERTIA
-from clothbench.kernels import EFFECT, Sheet, compiled, node_normals
+from clothbench.kernels import EFFECT, Sheet, compiled, grid_normals
 from numba import njit, types
 from numba.extending import overload
 
@@ -244,7 +244,7 @@ def _run_block(
         if n_effects > 0:
             t = start + max(0, count - settling[0]) * dt[0]
             xd, vd, fd = as_double(x), as_double(v), as_double(f)
-            node_normals(xd, triangles, normal)
+            grid_normals(xd, strides[1] // lanes, normal)
             apply_effects(
                 effects, stages, n_effects, t, dt[0], xd, vd, fd, sheet, effect_parameters[0], effect_state[0]
             )
