@@ -171,11 +171,13 @@ def datasets(options: argparse.Namespace) -> int:
 
 
 def import_data(options: argparse.Namespace) -> int:
-    from clothbench.datasets import converted
+    from clothbench.datasets.convert import converted
     from clothbench.report.listings import print_import
+    from clothbench.report.progress import counting
 
     settings = key_values(options.settings, ("data_dir", "out"))
-    folder = converted(options.name, data_dir=settings.get("data_dir"), out=settings.get("out"), again=True)
+    with counting("files") as told:
+        folder = converted(options.name, **settings, again=True, progress=told)
     print_import(folder)
     return 0
 

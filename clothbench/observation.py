@@ -13,7 +13,8 @@ from clothbench.errors import ClothbenchError
 class Observation:
     """Tracked material points. Arrays are read-only.
 
-    time: (T,) s; position: (T, N, 3) m, NaN where not seen; visible: (T, N) bool; sigma: m, standard deviation
+    time: (T,) s; position: (T, N, 3) m, NaN where not known; visible: (T, N) bool, what was measured (a tracker may fill
+    a gap with a position, but that stays invisible and never counts); sigma: m, standard deviation
     of one coordinate (NaN = not known); material: (N, 2) m.
     """
 

@@ -26,7 +26,7 @@ from clothbench.experiment.run import failed, run_cells
 from clothbench.experiment.store import Store
 from clothbench.experiment.suite import plan, suites_folder
 from clothbench.plugins import catalogue
-from clothbench.report.progress import CellProgress
+from clothbench.report.progress import CellProgress, counting
 from clothbench.report.tables import print_leaderboard
 
 NOTES = "CLOTHBENCH_RUN_NOTES"  # folder in which the jobs of one command leave word for it, whatever launched them
@@ -69,7 +69,8 @@ def job(config: Any) -> None:
 
 
 def _run(config: Any) -> dict[str, Any]:
-    cells = plan(config, catalogue())
+    with counting("files") as told:
+        cells = plan(config, catalogue(), told)
     statuses: dict[str, str] = {}
     out = Path(config["out"])
     with CellProgress(cells) as bar:

@@ -1,5 +1,4 @@
-"""One rig for camera, robot and hanger: where the hanger sits on the tool, how the camera was turned, what
-time it was.
+"""Fit the rig of a session: where the hanger sits on the tool, how the camera was turned, what time it was.
 
 The cloth hangs from a straight rigid bar on the robot's tool. At rest and in motion its upper row stays on a
 straight line within the noise (2-3 mm at 0.4 m/s), so the whole upper edge is held, not just two corners.
@@ -21,21 +20,24 @@ from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
 from clothbench.datasets.iri_rig import SLOW, Rig, Take, lateness, resting
+from clothbench.errors import ClothbenchError
 
 POSITION_SIGMA = 0.004  # m, how well the mean of an upper row is seen while it moves
 GRAVITY_SIGMA = 0.005  # rad, how far from plumb the mean column of a resting cloth may hang
 SEARCH = np.arange(-0.5, 1.0, 0.02)  # s, offsets tried before anything is known
+LEAST_JITTER = 0.005  # s, the shutter and a 30 Hz camera allow no less
 UNDETERMINED = 0.02  # s; with a larger uncertainty the session's median serves better
 
 
 def fit_rig(takes: list[Take]) -> Rig:
-    """The rig that several takes share; alternates between places, clock offsets and latency until they
-    settle.
-    """
+    """The rig that several takes share: places, clock offsets and latency by turns, until they settle."""
     edges = np.concatenate([take.edge.reshape(-1, 3) for take in takes])
     pivot = np.nanmedian(edges, axis=0)
+    if not np.isfinite(edges).any():
+        raise ClothbenchError("the upper edge is never seen, so the hanger cannot be found")
     usual = float(np.median(np.concatenate([take.gap for take in takes])))
     centre, offsets = _first_guess(takes)
+    # The hanger was mounted along the tool's y axis; how nearly is part of the fit.
     rig = Rig(np.zeros(3), pivot, centre, np.array([0.0, 1.0, 0.0]), usual)
     for _ in range(5):
         rig = _fit_places(rig, takes, offsets)
@@ -61,9 +63,7 @@ def _first_guess(takes: list[Take]) -> tuple[np.ndarray, list[float]]:
 
 
 def _fit_places(rig: Rig, takes: list[Take], offsets: list[float]) -> Rig:
-    """Hanger and camera for given clock offsets: robust least squares on the upper rows, and gravity on the
-    columns.
-    """
+    """Hanger and camera for given clock offsets: upper rows on the hanger, resting columns plumb; robust."""
     matrices, places, edges, rest = [], [], [], []
     for take, offset in zip(takes, offsets, strict=True):
         when = take.time - rig.age(take, offset)
@@ -94,12 +94,12 @@ def _fit_places(rig: Rig, takes: list[Take], offsets: list[float]) -> Rig:
 def _with(rig: Rig, p: np.ndarray) -> Rig:
     direction = np.array([p[6], 1.0, p[7]])
     unit = direction / np.linalg.norm(direction)
-    return Rig(p[:3], rig.pivot, p[3:6], unit, rig.usual_gap, rig.offset, rig.per_gap, rig.jitter)
+    return replace(rig, turn=p[:3], centre=p[3:6], direction=unit)
 
 
 def _refine(rig: Rig, take: Take, offset: float) -> tuple[float, float]:
-    """One take's clock offset and its standard uncertainty, both in s, from `offset` on; (NaN, inf) if it
-    never moves.
+    """One take's clock offset and its standard uncertainty, both in s, from `offset` on, which is
+    returned with an infinite uncertainty if the tool never moves.
 
     A weighted mean of every frame's lateness, its variance from position noise over speed and from stamp
     jitter, with Cauchy weights against slipped frames, and the scatter actually found in the uncertainty.
@@ -109,7 +109,7 @@ def _refine(rig: Rig, take: Take, offset: float) -> tuple[float, float]:
         late, speed, _ = lateness(rig, take, offset)
         use = np.isfinite(late) & (speed > SLOW)
         if use.sum() < 5:
-            return float("nan"), np.inf
+            return offset, np.inf
         variance = (POSITION_SIGMA / speed[use]) ** 2 + rig.jitter**2
         pull = late[use] ** 2 / variance
         weight = 1.0 / variance / (1.0 + pull / 4)
@@ -131,30 +131,19 @@ def _fit_latency(rig: Rig, takes: list[Take], offsets: list[float]) -> Rig:
         left = late - slope * gap
         weight = 1.0 / (1.0 + (left / 0.03) ** 2)
         slope = float((weight * gap * late).sum() / max((weight * gap * gap).sum(), 1e-9))
-    scatter = 1.48 * float(np.median(np.abs(late - slope * gap))) if len(late) else rig.jitter
-    jitter = (
-        np.sqrt(max(scatter**2 - (POSITION_SIGMA / np.median(speed)) ** 2, 0.005**2))
-        if len(late)
-        else rig.jitter
-    )
+    if not len(late):
+        return replace(rig, offset=float(np.median(offsets)))
+    scatter = 1.48 * float(np.median(np.abs(late - slope * gap)))
+    jitter = float(np.sqrt(max(scatter**2 - (POSITION_SIGMA / np.median(speed)) ** 2, LEAST_JITTER**2)))
     # An image cannot be older per second of work than that second, nor younger for it.
     per_gap = float(np.clip(rig.per_gap + slope, 0.0, 1.0))
-    return Rig(
-        rig.turn,
-        rig.pivot,
-        rig.centre,
-        rig.direction,
-        rig.usual_gap,
-        float(np.nanmedian(offsets)),
-        per_gap,
-        float(jitter),
-    )
+    return replace(rig, offset=float(np.median(offsets)), per_gap=per_gap, jitter=jitter)
 
 
 def clock_offset(rig: Rig, take: Take) -> tuple[float, float, bool]:
     """One take's clock offset and uncertainty in s, and whether its own motion determined it."""
     offset, sigma = _refine(rig, take, rig.offset)
-    if np.isfinite(offset) and sigma <= UNDETERMINED:
+    if sigma <= UNDETERMINED:
         return offset, sigma, True
     return rig.offset, float(rig.jitter), False
 
@@ -171,5 +160,3 @@ def capture_times(rig: Rig, take: Take, offset: float) -> np.ndarray:
     own = np.where(np.isfinite(late) & (speed > SLOW), trust * late, 0.0)
     own = np.where(np.abs(own) <= 3 * rig.jitter, own, 0.0)
     return take.time - rig.age(take, offset) - own
-
-

@@ -49,57 +49,81 @@ def take_of(sheet: Sheet) -> Take:
     return Take(time, sheet.gap, grid[:, 0], column, read_tool(sheet.source, zero), np.linspace(0.0, SIDE, n))
 
 
-def build(sheet: Sheet, take: Take, rig: Rig, noise: float, origin: Origin) -> tuple[Recording, ImportReport]:
-    """The recording of one sheet and its report (without the paths, which are not known here)."""
+@dataclass(frozen=True, eq=False)
+class Matched:
+    """A take on the tool's clock: capture `time` (T,) s, the upper row's `miss` (T, n) m from the hanger,
+    `good` (T,) frames, `dropped` reasons, `own` lateness (T,) s taken off each frame, the clock offset and
+    what is known of it.
+    """
+
+    time: np.ndarray
+    miss: np.ndarray
+    good: np.ndarray
+    dropped: dict[str, int]
+    own: np.ndarray
+    offset: float
+    sigma: float
+    determined: bool
+
+
+def match(sheet: Sheet, take: Take, rig: Rig) -> Matched:
+    """Bring a take to the tool's clock and sort out the frames that do not belong there."""
     offset, sigma, determined = clock_offset(rig, take)
     time = capture_times(rig, take, offset)
-    position = rig.corrected(sheet.position)
     miss = np.linalg.norm(rig.corrected(take.edge) - take.tool.carried(time, rig.held(take.u)), axis=-1)
     dropped = dict(sheet.dropped)
     good = _agreeing(sheet, take, time, miss, dropped)
     if good.sum() < FEWEST_FRAMES:
         raise ClothbenchError(f"only {good.sum()} of {sheet.frames_in} frames usable ({_listed(dropped)})")
-    start = float(time[good][0])
-    residual = float(np.sqrt(np.nanmean(miss[good] ** 2)))
-    remarks = list(origin.remarks)
-    if not determined:
-        remarks.append("the motion does not determine the clock offset; the median of its session is used")
-    report = ImportReport(
-        source="",
-        frames_in=sheet.frames_in,
-        frames_kept=int(good.sum()),
-        dropped=dropped,
-        nodes_masked=dict(sheet.masked),
-        reordered=sheet.reordered,
-        clock_offset_s=offset,
-        clock_offset_sigma_s=sigma,
-        grip_residual_m=residual,
-        noise_sigma_m=noise,
-        notes=tuple(remarks),
-    )
-    grip_time = _grip_clock(take, start, float(time[good][-1]))
+    own = take.time - rig.age(take, offset) - time
+    return Matched(time, miss, good, dropped, own, offset, sigma, determined)
+
+
+def build(sheet: Sheet, take: Take, rig: Rig, noise: float, origin: Origin) -> tuple[Recording, ImportReport]:
+    """The recording of one sheet and its report (without the paths, which are not known here)."""
+    matched = match(sheet, take, rig)
+    report = _report(sheet, matched, noise, origin)
+    time = matched.time[matched.good]
+    grip_time = _grip_clock(float(time[0]), float(time[-1]))
     recording = Recording(
         name=sheet.source.name,
-        time=time[good] - start,
+        time=time - time[0],
         material=sheet.material,
-        position=position[good],
-        grip_time=grip_time - start,
+        position=rig.corrected(sheet.position)[matched.good],
+        grip_time=grip_time - time[0],
         grip_material=np.stack([take.u, np.zeros_like(take.u)], axis=-1),
         grip_position=take.tool.carried(grip_time, rig.held(take.u)),
         cloth_width=SIDE,
         cloth_height=SIDE,
         noise_sigma=noise,
-        fabric=f"iri-{sheet.source.session}-n{sheet.source.n} (name and mass not stated)",
+        fabric=f"iri-{sheet.source.session}-n{sheet.source.n}",
         sensor=SENSOR,
         source=origin.source,
         licence=origin.licence,
         motion=sheet.source.motion,
         split=origin.split,
-        notes=_notes(
-            rig, report, (rig.age(take, offset) - take.time + time)[good], _moving(take, time, miss, good)
-        ),
+        notes=_notes(rig, report, matched, _moving(take, matched)),
     )
     return recording, report
+
+
+def _report(sheet: Sheet, matched: Matched, noise: float, origin: Origin) -> ImportReport:
+    remarks = list(origin.remarks)
+    if not matched.determined:
+        remarks.append("the motion does not determine the clock offset; the median of its session is used")
+    return ImportReport(
+        source="",
+        frames_in=sheet.frames_in,
+        frames_kept=int(matched.good.sum()),
+        dropped=matched.dropped,
+        nodes_masked=dict(sheet.masked),
+        reordered=sheet.reordered,
+        clock_offset_s=matched.offset,
+        clock_offset_sigma_s=matched.sigma,
+        grip_residual_m=float(np.sqrt(np.nanmean(matched.miss[matched.good] ** 2))),
+        noise_sigma_m=noise,
+        notes=tuple(remarks),
+    )
 
 
 def _agreeing(
@@ -134,8 +158,8 @@ def _middle(miss: np.ndarray) -> np.ndarray:
     return np.where(seen > 0, ranked[np.arange(len(miss)), at], 0.0)
 
 
-def _grip_clock(take: Take, start: float, end: float) -> np.ndarray:
-    """Stamps (K,) s for the grips, from the first frame to just past the last one, inside the tool's clock."""
+def _grip_clock(start: float, end: float) -> np.ndarray:
+    """Stamps (K,) s for the grips, from the first kept frame to the last one exactly."""
     clock = np.arange(start, end, GRIP_STEP)
     return np.append(clock[end - clock > 1e-3], end)
 
@@ -144,29 +168,30 @@ def _listed(counts: dict[str, int]) -> str:
     return ", ".join(f"{count} {why}" for why, count in counts.items()) or "none dropped"
 
 
-def _moving(take: Take, time: np.ndarray, miss: np.ndarray, good: np.ndarray) -> float:
-    """Root mean square per coordinate in m by which held points miss the hanger while it moves; NaN if it
-    never does.
-    """
-    fast = good & (np.linalg.norm(take.tool.velocity(time), axis=1) > SLOW)
-    squares = miss[fast][np.isfinite(miss[fast])] ** 2
+def _moving(take: Take, matched: Matched) -> float:
+    """Root mean square in m per coordinate by which the upper row misses the moving hanger."""
+    fast = matched.good & (np.linalg.norm(take.tool.velocity(matched.time), axis=1) > SLOW)
+    squares = matched.miss[fast] ** 2
+    squares = squares[np.isfinite(squares)]
     return float(np.sqrt(squares.mean() / 3)) if len(squares) else float("nan")
 
 
-def _notes(rig: Rig, report: ImportReport, own: np.ndarray, moving: float) -> dict[str, str]:
+def _notes(rig: Rig, report: ImportReport, matched: Matched, moving: float) -> dict[str, str]:
     """What was changed, with numbers, as attributes of the recording."""
-    turn = " ".join(f"{angle:.3f}" for angle in np.rad2deg(rig.turn))
+    own = matched.own[matched.good]
     return {
         "clock_offset_removed_s": f"{report.clock_offset_s:.4f}",
         "clock_offset_sigma_s": f"{report.clock_offset_sigma_s:.4f}",
         "clock_offset_per_gap": f"{rig.per_gap:.3f}",
         "frame_lateness_removed_rms_s": f"{np.sqrt(np.mean(own**2)):.4f}",
-        "camera_turn_corrected_deg": turn,
+        "camera_turn_corrected_deg": " ".join(f"{angle:.3f}" for angle in np.rad2deg(rig.turn)),
         "grip_residual_m": f"{report.grip_residual_m:.4f}",
         "noise_sigma_moving_m": f"{moving:.4f}",
+        "frames_in": str(report.frames_in),
         "frames_dropped": _listed(dict(report.dropped)),
         "nodes_masked": _listed(dict(report.nodes_masked)),
-        "relabelled": "node positions are the measured surface at fixed material points, found by unrolling it flat",
+        "relabelled": "positions are the measured surface at fixed material points, found by unrolling it",
+        "fabric_note": "name and mass of the fabric are not stated by the source",
         "remarks": "; ".join(report.notes),
     }
 

@@ -1,4 +1,4 @@
-"""The rest before the motion: where it is, whether the cloth has settled in it, and how noisy its nodes are."""
+"""The rest before the motion: where it is, whether the cloth has settled, and how noisy its nodes are."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ SETTLED = 0.006  # m, for the median node; a swing of a centimetre stands out, t
 def first_rest(take: Take, when: np.ndarray) -> np.ndarray:
     """Frames (T,) of the unbroken rest of the tool that comes first."""
     rest = resting(take.tool, when)
-    start = int(np.argmax(rest))
-    return rest & (np.cumsum(~rest) == np.cumsum(~rest)[start])
+    breaks = np.cumsum(~rest)
+    return rest & (breaks == breaks[int(np.argmax(rest))])
 
 
 def noise_at_rest(rig: Rig, pairs: Sequence[tuple[Sheet, Take]]) -> float:
@@ -42,7 +42,7 @@ def noise_at_rest(rig: Rig, pairs: Sequence[tuple[Sheet, Take]]) -> float:
 
 
 def settled(position: np.ndarray, rest: np.ndarray) -> int:
-    """The first frame of a rest (T,) bool at which the cloth hangs where it hangs for most of that rest.
+    """The first frame of a rest (T,) bool at which the cloth hangs where it hangs in the rest's later half.
 
     Models start from the settled state, so a cloth that still swings under a resting tool has to be waited
     for.
@@ -50,8 +50,8 @@ def settled(position: np.ndarray, rest: np.ndarray) -> int:
     held = np.flatnonzero(rest)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # a node may be unseen throughout
-        usual = np.nanmedian(position[held], axis=0)
-        off = np.nanmedian(np.linalg.norm(position[held] - usual, axis=-1), axis=1)
+        later = np.nanmedian(position[held[len(held) // 2 :]], axis=0)
+        off = np.nanmedian(np.linalg.norm(position[held] - later, axis=-1), axis=1)
     calm = off <= SETTLED
     for i in range(len(held)):
         if calm[i : i + 3].all():

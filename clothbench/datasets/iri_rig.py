@@ -48,7 +48,7 @@ class Rig:
         return (points - self.pivot) @ Rotation.from_rotvec(self.turn).as_matrix().T + self.pivot
 
     def held(self, u: np.ndarray) -> np.ndarray:
-        """Tool-frame offsets (n, 3) m of the upper edge's points at material u (n,), centred on the hanger."""
+        """Tool-frame offsets (n, 3) m of the upper edge's points at material u (n,)."""
         return self.centre + (u - u.mean())[:, None] * self.direction
 
     def age(self, take: Take, offset: float) -> np.ndarray:
@@ -75,6 +75,6 @@ def lateness(rig: Rig, take: Take, offset: float) -> tuple[np.ndarray, np.ndarra
 
 
 def resting(tool: PosePath, when: np.ndarray, before: float = 0.4, within: float = 0.003) -> np.ndarray:
-    """Frames (T,) at which the tool has kept still to `within` m for `before` s and does so a little longer."""
+    """Frames (T,) at which the tool has been still to `within` m for `before` s, and just after."""
     back = [tool.at(when - s)[0] for s in np.linspace(-0.1, before, 6)]
     return (np.ptp(np.stack(back), axis=0) < within).all(axis=-1)

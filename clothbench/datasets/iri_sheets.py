@@ -74,17 +74,22 @@ def _relabel(sheet: Sheet, frames: np.ndarray, right: np.ndarray) -> None:
     size.
     """
     ordered, sheet.reordered = put_in_order(frames, right)
+    jumped = lattice.jumped(ordered)
+    ordered[jumped] = np.nan
     flat, stress = lattice.unroll(lattice.filled(ordered), SIDE)
     n = sheet.source.n
-    flat_enough = stress <= FLAT_SLACK * SIDE / (n - 1)
+    flat_enough = (stress <= FLAT_SLACK * SIDE / (n - 1)) & ~lattice.torn(ordered, SIDE)
     width, height = _extent(flat.reshape(len(flat), n, n, 2))
     right_size = (np.abs(width / SIDE - 1) <= SIZE_SLACK) & (np.abs(height / SIDE - 1) <= SIZE_SLACK)
     placed = lattice.place(flat, SIDE)
     sheet.position, unseen, outside = lattice.resample(ordered, placed, SIDE)
     good = flat_enough & right_size
-    sheet.masked.update(
-        {"not seen near by": int(unseen[good].sum()), "outside the seen outline": int(outside[good].sum())}
-    )
+    faults = {
+        "jumped away from its neighbours": jumped.reshape(len(good), -1),
+        "not seen near by": unseen & ~jumped.reshape(len(good), -1),
+        "outside the seen outline": outside,
+    }
+    sheet.masked.update({why: int(bad[good].sum()) for why, bad in faults.items() if bad[good].any()})
     sheet.keep(flat_enough, "torn or folded: does not unroll")
     sheet.keep(right_size[flat_enough], "wrong size: more than 15 % of width or height lost or gained")
     enough = np.isfinite(sheet.position).all(axis=-1).mean(axis=1) >= ENOUGH_NODES

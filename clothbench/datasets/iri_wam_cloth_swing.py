@@ -134,7 +134,12 @@ def _convert_group(members: Sequence[Source], job: _Job) -> None:
         return
     # Only what is for fitting may shape the shared rig, so that held-out recordings stay unseen by it.
     fitting = [pair for pair in ready if job.splits[pair[0].source.path] == "fit"] or ready
-    rig = fit_rig([take for _, take in fitting])
+    try:
+        rig = fit_rig([take for _, take in fitting])
+    except ClothbenchError as fault:
+        for sheet, _ in ready:
+            job.done(ImportReport(job.name(sheet.source.path), frames_in=sheet.frames_in, skipped=str(fault)))
+        return
     noise = noise_at_rest(rig, fitting)
     for sheet, take in ready:
         name, origin = job.name(sheet.source.path), _origin(sheet.source, job)

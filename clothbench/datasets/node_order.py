@@ -1,4 +1,4 @@
-"""Number the nodes of measured square lattices the same way in every frame: rows downwards, columns along the width."""
+"""Number a measured square lattice alike in all frames: rows downwards, columns along the width."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import fnmatch
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ KNOWN = {
     *PRODUCT, "effects", "report", "tracker", "recordings", "recording", "scene", "options", "bounds", "budget",
     "seed", "jobs", "timeout", "out", "data_dir", "suite", "rerun",
 }  # fmt: skip
+Told = Callable[[int, int, str], None]
 SUITE_KEYS = {"name", "version", "title", "recordings", "select", "case"}
 
 
@@ -30,12 +31,15 @@ def suites_folder() -> Path:
     return inside if inside.is_dir() else Path(__file__).parents[2] / "suites"
 
 
-def plan(config: Mapping[str, Any], plugins: Catalogue) -> list[Cell]:
-    """Every cell of a resolved configuration. Reads and checks all recordings first: nothing is begun on bad input."""
+def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = None) -> list[Cell]:
+    """Every cell of a resolved configuration. Reads and checks all recordings first: nothing is begun on bad input.
+
+    `progress(done, planned, file)` is told while a public data set is fetched or converted.
+    """
     check_keys(config)
     suite = config.get("suite") or {}
     name = suite.get("name") or "single"
-    cases = group(read_all(where(config)), suite.get("case") or "fabric", suite.get("select") or "*", int(config["seed"]))
+    cases = group(read_all(where(config, progress)), suite.get("case") or "fabric", suite.get("select") or "*", int(config["seed"]))
     cells = []
     for case, sources in cases.items():
         for model, optimizer, metric in itertools.product(*(as_list(config, key) for key in PRODUCT)):
@@ -84,16 +88,16 @@ def scene_settings(scene: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
-def where(config: Mapping[str, Any]) -> list[Path]:
+def where(config: Mapping[str, Any], progress: Told | None = None) -> list[Path]:
     """The recording files a configuration means: `recording`, `recordings`, or those of the suite."""
     named = config.get("recording") or config.get("recordings") or (config.get("suite") or {}).get("recordings")
     if not named:
         raise ClothbenchError("no recordings named; choose +suite=NAME, or give recording=FILE or recordings=FOLDER")
     paths = [named] if isinstance(named, str) else list(named)
-    return find_recordings(itertools.chain.from_iterable(resolve(p, config) for p in paths))
+    return find_recordings(itertools.chain.from_iterable(resolve(p, config, progress) for p in paths))
 
 
-def resolve(path: str, config: Mapping[str, Any]) -> list[Path]:
+def resolve(path: str, config: Mapping[str, Any], progress: Told | None = None) -> list[Path]:
     """ "builtin:NAME", "dataset:NAME" and "pkg://package/folder" become folders; everything else is a path."""
     if path.startswith("builtin:"):
         return [suites_folder() / "embedded" / path.removeprefix("builtin:")]
@@ -101,9 +105,9 @@ def resolve(path: str, config: Mapping[str, Any]) -> list[Path]:
         package, _, folder = path.removeprefix("pkg://").partition("/")
         return [Path(str(files(package).joinpath(folder)))]
     if path.startswith("dataset:"):
-        from clothbench.datasets import converted
+        from clothbench.datasets.convert import converted
 
-        return [converted(path.removeprefix("dataset:"), data_dir=config.get("data_dir"))]
+        return [converted(path.removeprefix("dataset:"), data_dir=config.get("data_dir"), progress=progress)]
     return [Path(path)]
 
 

@@ -8,6 +8,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
+from clothbench.datasets.convert import REPORT
 from clothbench.errors import ClothbenchError
 from clothbench.plugins import Plugin, catalogue, one_line
 from clothbench.report.tables import console
@@ -81,18 +82,18 @@ def print_import(folder: Path) -> None:
     """What came of each source file: frames in, kept, dropped and why."""
     import json
 
-    reports = json.loads((folder / "import-report.json").read_text())
-    recordings = reports["recordings"] if isinstance(reports, dict) else reports
+    recordings = json.loads((folder / REPORT).read_text())["recordings"]
     table = Table(title="import", title_justify="left", title_style="bold")
     table.add_column("source", overflow="fold")
     for name in ("frames in", "kept", "clock offset"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("dropped, masked, or why it was skipped", overflow="fold")
     for r in recordings:
-        offset = f"{r['clock_offset_s']:+.3f} s" if r.get("clock_offset_s") is not None else ""
+        offset = f"{r['clock_offset_s']:+.3f} s" if r["clock_offset_s"] is not None else ""
         dropped = ", ".join(f"{n} {why}" for why, n in {**r["dropped"], **r["nodes_masked"]}.items())
-        why = f"skipped: {r['skipped']}" if r.get("skipped") else dropped
+        why = f"skipped: {r['skipped']}" if r["skipped"] else dropped
         table.add_row(escape(str(r["source"])), str(r["frames_in"]), str(r["frames_kept"]), offset, escape(why))
     console().print(table)
-    made = sum(not r.get("skipped") for r in recordings)
-    print(f"{made} recordings in {folder}; next: clothbench run +suite=iri_swing")
+    kept, came = (sum(r[n] for r in recordings) for n in ("frames_kept", "frames_in"))
+    made = sum(not r["skipped"] for r in recordings)
+    print(f"{made} recordings with {kept} of {came} frames in {folder}; next: clothbench run +suite=iri_swing")

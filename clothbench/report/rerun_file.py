@@ -33,11 +33,13 @@ def write_rerun(path: Path, bench: Bench, rollouts: Sequence[Rollout]) -> None:
     to where they were seen, the seen nodes, the grips, and the mean distance per frame [mm].
     """
     cell = bench.cell
-    stream = rr.RecordingStream(f"clothbench {cell.label}", recording_id=cell.key, send_properties=False)
+    # The viewer remembers layouts by application: one of its own keeps the tabs of other cells out.
+    stream = rr.RecordingStream(f"clothbench-{cell.key}", recording_id=cell.key, send_properties=False)
     roots = [rr.new_entity_path([s.split, s.name]) for s in cell.recordings]
     names = [f"{s.name} ({s.split.replace('_', ' ')})" for s in cell.recordings]
     stream.save(path, default_blueprint=blueprint(roots, names))
     try:
+        stream.send_recording_name(cell.label)
         for root, trial, recording, rollout in zip(roots, bench.trials, bench.recordings, rollouts, strict=True):
             _log_run(stream, root, trial, recording, rollout.position[0])
     finally:
@@ -52,11 +54,11 @@ def blueprint(roots: Sequence[str], names: Sequence[str]) -> Any:
         tabs.append(rrb.Vertical(space, _curves(root, "error [mm]"), row_shares=[3, 1], name=name))
     if len(tabs) > 1:
         tabs.append(_curves("/", "all errors [mm]", "+ /**/error/simulated"))
-    return rrb.Blueprint(rrb.Tabs(*tabs, active_tab=0), rrb.TimePanel(state="expanded"), collapse_panels=True)
+    return rrb.Blueprint(rrb.Tabs(*tabs, active_tab=0), rrb.TimePanel(state="collapsed"), collapse_panels=True)
 
 
 def _curves(origin: str, name: str, contents: str = "$origin/error/**") -> Any:
-    return rrb.TimeSeriesView(origin=origin, contents=contents, name=name, axis_y=rrb.ScalarAxis(zoom_lock=False))
+    return rrb.TimeSeriesView(origin=origin, contents=contents, name=name)
 
 
 def _log_run(stream: Any, root: str, trial: Trial, recording: Recording, simulated: np.ndarray) -> None:
@@ -95,7 +97,7 @@ def _log_mesh(stream: Any, path: str, time: np.ndarray, position: np.ndarray, tr
     """The sheet (T, N, 3) m: triangles and colour once, positions and normals for every frame in one go."""
     if not len(time):
         return
-    stream.log(path, rr.Mesh3D.from_fields(triangle_indices=triangles, albedo_factor=(*CLOTH, 255)), static=True)
+    stream.log(path, rr.Mesh3D.from_fields(triangle_indices=triangles, albedo_factor=(*CLOTH, 150)), static=True)
     normals = vertex_normals(position, triangles)
     columns = rr.Mesh3D.columns(
         vertex_positions=np.float32(position.reshape(-1, 3)), vertex_normals=np.float32(normals.reshape(-1, 3))

@@ -1,4 +1,4 @@
-"""The conformance kit: one call tells the author of a plugin whether it keeps the rules that all plugins keep.
+"""The conformance kit: one call tells the author of a plugin whether it keeps the rules for its kind.
 
     from clothbench.testing import check_model
     check_model(MyModel)

@@ -1,46 +1,21 @@
-"""What every effect must keep: it vanishes exactly at its null values, acts elsewhere, and goes along with others."""
+"""What every effect must keep: it vanishes at its null values, acts elsewhere, and goes along with others."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from clothbench.effects import PLACES
-from clothbench.kernels import Sheet, grid_triangles, node_normals
 from clothbench.parameters import ParameterSpace
-from clothbench.plugins import catalogue
 from clothbench.protocols import Effect, Model
-from clothbench.rollout import Rollout
 from clothbench.testing import probe
-from clothbench.testing.case import ModelCase, finished, same_bits
+from clothbench.testing.effect_case import EffectCase, first_that_takes_effects, waving_sheet
+from clothbench.testing.model_case import ModelCase, finished, same_bits
 from clothbench.testing.rules import Outcome, choose, made, require, require_members, run_rules
 
 HOOKS = {"dynamics": ("force", "inertia"), "boundary": ("grips",), "sensor": ("times", "positions")}
-
-
-@dataclass(frozen=True, eq=False)
-class EffectCase:
-    """An effect, the models it is tried on, and the bare rollouts that it is held against."""
-
-    effect: Effect
-    models: tuple[ModelCase, ...]
-
-    @cached_property
-    def bare(self) -> dict[tuple[int, str], Rollout]:
-        """Rollouts without any effect, by number of the model and name of the scene."""
-        return {(m, name): self.run(m, name) for m, case in enumerate(self.models) for name in case.scenes}
-
-    @cached_property
-    def null(self) -> np.ndarray:
-        return probe.null_values(self.effect)
-
-    def run(self, model: int, scene: str, *pairs: tuple[Effect, np.ndarray]) -> Rollout:
-        """Two parameter sets of a model in one of its scenes, with effects at given values."""
-        case = self.models[model]
-        return case.run_with(case.scenes[scene], case.theta(0.4), *pairs)
 
 
 def check_effect(
@@ -54,18 +29,9 @@ def check_effect(
     (The check of a model tries every installed effect on that model.)
     """
     effect = made(make, "effect")
-    makes = _first_that_takes_effects() if models is None else models
+    makes = first_that_takes_effects() if models is None else models
     case = EffectCase(effect, tuple(ModelCase(make, make()) for make in makes))
     return run_rules(f"effect {getattr(effect, 'name', make)!r}", choose(RULES, only), case)
-
-
-def _first_that_takes_effects() -> list[Callable[..., Model]]:
-    found = catalogue()
-    for name in found.names("models"):
-        make = found.load("models", name)
-        if {"effects", "dynamic"} <= set(make().capabilities):
-            return [make]
-    return []
 
 
 def has_all_members(case: EffectCase) -> None:
@@ -76,7 +42,7 @@ def has_all_members(case: EffectCase) -> None:
     acts = any(callable(getattr(effect, hook, None)) for hook in hooks)
     require(acts, f"none of {', '.join(hooks)}", f"at least one of them, since its place is {effect.place!r}")
     one_line = isinstance(effect.summary, str) and effect.summary.strip() and "\n" not in effect.summary
-    require(bool(one_line), f"summary {effect.summary!r}", "one line for a report")
+    require(one_line, f"summary {effect.summary!r}", "one line for a report")
     for stage in HOOKS["dynamics"]:
         function = getattr(effect, stage, None)
         compiled = function is None or effect.place != "dynamics" or hasattr(function, "py_func")
@@ -88,7 +54,7 @@ def has_null_values_within_its_bounds(case: EffectCase) -> None:
     require(isinstance(space, ParameterSpace), f"parameters {space!r}", "a ParameterSpace")
     require(len(space) > 0, "no parameter", "at least one, with a null value")
     nulls = [p for p in space if p.null is not None]
-    require(bool(nulls), "no parameter with a null value", "one at which the effect vanishes")
+    require(nulls, "no parameter with a null value", "one at which the effect vanishes")
     for p in nulls:
         inside = p.null is not None and p.bounds[0] <= p.null <= p.bounds[1]
         require(inside, f"null value {p.null} of {p.name!r} outside its bounds {p.bounds}", "inside")
@@ -119,7 +85,7 @@ def acts_elsewhere(case: EffectCase) -> str | None:
             seen = case.run(model, scene, (case.effect, values))
             finite = np.isfinite(seen.position[finished(seen)]).all()
             require(
-                bool(finite),
+                finite,
                 f"positions that are not finite at {values.tolist()} in scene {scene}",
                 "finite ones",
             )
@@ -132,7 +98,7 @@ def goes_along_with_another_effect(case: EffectCase) -> str | None:
     """Beside a throw-away push: in either order, and with either of the two at its null value."""
     if not case.models:
         return "no model that takes effects is installed"
-    push = probe.SidewaysPush()
+    push: Any = probe.SidewaysPush()
     own, other = next(probe.acting_values(case.effect)), push.parameters.defaults
     for model, tried in enumerate(case.models):
         scene = "swinging" if "swinging" in tried.scenes else next(iter(tried.scenes))
@@ -153,12 +119,12 @@ def keeps_to_its_own_memory(case: EffectCase) -> str | None:
     """
     if case.effect.place != "dynamics":
         return "has no kernel"
-    effect, sheet, x, v = case.effect, *_waving_sheet()
+    effect, (sheet, x, v) = case.effect, waving_sheet()
     size = effect.state_size(x.shape[1]) if hasattr(effect, "state_size") else 0
     for stage in HOOKS["dynamics"]:
         if getattr(effect, stage, None) is None:
             continue
-        given = [x, v, *sheet[:6], effect.parameters.defaults]
+        given = [x, v, *(part for part in sheet if isinstance(part, np.ndarray)), effect.parameters.defaults]
         before = [array.copy() for array in given]
         force, state = np.zeros_like(x), np.zeros(size)
         force[2] = -9.81 * sheet.mass
@@ -166,7 +132,7 @@ def keeps_to_its_own_memory(case: EffectCase) -> str | None:
             getattr(effect, stage).py_func(1e-3 * step, 1e-3, x, v, force, sheet, given[-1], state)
         kept = all(np.array_equal(a, b) for a, b in zip(given, before, strict=True))
         require(kept, f"an input of {stage!r} that it has changed", "changes to f and state only")
-        require(bool(np.isfinite(force).all()), f"forces of {stage!r} that are not finite", "finite ones")
+        require(np.isfinite(force).all(), f"forces of {stage!r} that are not finite", "finite ones")
     return None
 
 
@@ -190,18 +156,6 @@ def leaves_positions_it_is_given_alone(case: EffectCase) -> str | None:
         kept = np.array_equal(time, before[0]) and np.array_equal(position, before[1])
         require(kept, f"arrays given to {hook!r} that it has changed", "a new array")
     return None
-
-
-def _waving_sheet() -> tuple[Sheet, np.ndarray, np.ndarray]:
-    """A curved sheet of 5 × 5 nodes, with positions and velocities (3, 25) in m and m/s."""
-    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0.0, 0.2, 5), np.linspace(0.0, 0.2, 5)))
-    x = np.stack([u, 0.02 * np.sin(20 * u + 10 * v), 1.0 - v])
-    velocity = np.random.default_rng(5).normal(0.0, 0.3, x.shape)
-    triangles, normal = grid_triangles((5, 5)), np.zeros_like(x)
-    node_normals(x, triangles, normal)
-    area = np.full(25, 0.04 / 25)
-    uv = np.ascontiguousarray(np.stack([u, v], axis=1))
-    return Sheet(uv, 0.12 * area, area, normal, triangles, np.array([0.0, 0.0, -9.81]), 1.2), x, velocity
 
 
 RULES = (

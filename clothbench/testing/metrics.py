@@ -1,50 +1,27 @@
-"""What every metric must keep: nothing where nothing is wrong, more where more is wrong, and never a made-up number."""
+"""What every metric must keep: zero where nothing is wrong, more where more is, never a made-up number."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
 from clothbench.observation import Observation
-from clothbench.protocols import Metric, Score
-from clothbench.rollout import Rollout
+from clothbench.protocols import Metric
+from clothbench.testing.metric_case import SIGMA, MetricCase, rollout_of, waving
 from clothbench.testing.rules import Outcome, choose, made, require, require_members, run_rules
 
-SIGMA = 1e-3  # m, noise of one coordinate
 NOTHING = 1e-9  # of what an error of 4 mm gives
 DRAWS = 60  # noisy observations of which the mean is taken
 HONEST = 0.10  # relative, between a floor as stated and as drawn
 
 
-@dataclass(frozen=True, eq=False)
-class MetricCase:
-    """truth: where the points were; observation: what was seen of them, without noise; error: a fixed field of mm size."""
-
-    metric: Metric
-    truth: np.ndarray
-    observation: Observation
-    error: np.ndarray
-
-    def score(self, *position: np.ndarray, observation: Observation | None = None) -> Score:
-        """The score of rollouts, each (T, N, 3) m, against the observation."""
-        observation = self.observation if observation is None else observation
-        return self.metric(observation, rollout_of(observation.time, np.stack(position)))
-
-    @property
-    def scale(self) -> float:
-        """The value that an error of about 4 mm gives, in the metric's unit."""
-        return float(self.score(self.truth + 4 * self.error).value[0])
-
-
 def check_metric(make: Callable[..., Metric], *, only: Iterable[str] | None = None) -> tuple[Outcome, ...]:
     """Check the metric that `make()` gives, on a waving sheet made by formula of which a part is not seen."""
     metric = made(make, "metric")
-    return run_rules(f"metric {getattr(metric, 'name', make)!r}", choose(RULES, only), _case(metric))
+    return run_rules(f"metric {getattr(metric, 'name', make)!r}", choose(RULES, only), waving(metric))
 
 
 def has_all_members(case: MetricCase) -> None:
@@ -73,9 +50,7 @@ def gives_whole_scores(case: MetricCase) -> None:
     for name, axis in {"per_frame": 1, "per_node": 0}.items():
         array, unseen = getattr(score, name), ~case.observation.visible.any(axis=axis)
         if array is not None:
-            require(
-                bool(np.isnan(array[:, unseen]).all()), f"a number in {name} where nothing was seen", "NaN"
-            )
+            require(np.isnan(array[:, unseen]).all(), f"a number in {name} where nothing was seen", "NaN")
 
 
 def is_zero_for_a_perfect_rollout(case: MetricCase) -> None:
@@ -90,13 +65,11 @@ def is_zero_for_a_perfect_rollout(case: MetricCase) -> None:
 def grows_with_the_error(case: MetricCase) -> None:
     scores = case.score(*(case.truth + factor * case.error for factor in (0.5, 1.0, 2.0, 4.0)))
     shown = ", ".join(f"{v:.3g}" for v in scores.value)
-    require(
-        bool((np.diff(scores.value) > 0).all()), f"values {shown} for an error doubled thrice", "growing ones"
-    )
+    require((np.diff(scores.value) > 0).all(), f"values {shown} for an error doubled thrice", "growing ones")
     if scores.residual is not None:
         squares = (scores.residual**2).sum(axis=1)
         require(
-            bool((np.diff(squares) > 0).all()),
+            (np.diff(squares) > 0).all(),
             "squared residuals that do not grow with the error",
             "growing ones",
         )
@@ -114,9 +87,7 @@ def gives_no_number_for_a_lost_rollout(case: MetricCase) -> None:
     late = lost.copy()
     late[len(late) // 2 :] = np.nan
     score = case.score(lost, late, np.full_like(lost, np.nan))
-    require(
-        bool(np.isnan(score.value[1:]).all()), f"values {score.value[1:]} for rollouts that were lost", "NaN"
-    )
+    require(np.isnan(score.value[1:]).all(), f"values {score.value[1:]} for rollouts that were lost", "NaN")
     alone = case.score(lost).value[0]
     require(
         _close(score.value[0], alone),
@@ -131,7 +102,7 @@ def gives_no_number_where_nothing_was_seen(case: MetricCase) -> None:
         o.time, np.full_like(o.position, np.nan), np.zeros_like(o.visible), o.sigma, o.material
     )
     value = case.score(case.truth, observation=blind).value
-    require(bool(np.isnan(value).all()), f"{value[0]:.3g} where no node was seen in any frame", "NaN")
+    require(np.isnan(value).all(), f"{value[0]:.3g} where no node was seen in any frame", "NaN")
 
 
 def does_not_care_for_the_order_of_nodes(case: MetricCase) -> None:
@@ -185,27 +156,6 @@ def leaves_its_input_alone(case: MetricCase) -> None:
         "another value of the same rollout scored again",
         "equal bits",
     )
-
-
-def rollout_of(time: np.ndarray, position: np.ndarray) -> Rollout:
-    """A rollout made by hand: position (B, T, N, 3) m; a member with a number missing counts as diverged."""
-    status = tuple("ok" if np.isfinite(member).all() else "diverged" for member in position)
-    return Rollout(time, position, status, np.full(len(position), 100), position.shape[2])
-
-
-def _case(metric: Any) -> MetricCase:
-    """6 × 5 nodes, 24 uneven frames; one frame and one node are never seen, others now and then."""
-    random, time = np.random.default_rng(7), np.sort(np.random.default_rng(6).uniform(0.0, 1.5, 24))
-    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0.0, 0.3, 6), np.linspace(0.0, 0.25, 5)))
-    wave = 0.04 * np.sin(12 * u + 6 * v - 5 * time[:, None]) * (0.2 + v)
-    truth = np.stack(
-        [np.broadcast_to(u + 0.1, wave.shape), wave, np.broadcast_to(1.0 - v, wave.shape)], axis=-1
-    )
-    visible = random.random(wave.shape) < 0.85
-    visible[5], visible[:, 11] = False, False
-    seen = np.where(visible[..., None], truth, np.nan)
-    observation = Observation(time, seen, visible, SIGMA, np.stack([u, v], axis=1))
-    return MetricCase(metric, truth, observation, random.normal(0.0, 1e-3, truth.shape))
 
 
 def _close(one: np.ndarray, other: np.ndarray) -> bool:

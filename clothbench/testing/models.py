@@ -9,10 +9,10 @@ import numpy as np
 from clothbench.errors import ClothbenchError
 from clothbench.parameters import ParameterSpace
 from clothbench.protocols import Effect, Model
-from clothbench.rollout import STATUSES, Rollout
 from clothbench.scene import Scene
 from clothbench.testing import motion, probe
-from clothbench.testing.case import ModelCase, finished, same_bits
+from clothbench.testing.model_case import ModelCase, finished, same_bits
+from clothbench.testing.rollouts import require_independent, require_whole
 from clothbench.testing.rules import (
     Outcome,
     choose,
@@ -37,10 +37,10 @@ def check_model(
 ) -> tuple[Outcome, ...]:
     """Check the model that `make()` gives.
 
-    scenes: by name, instead of the kit's own (for a model that can do none of those); effects: instead of all
-    installed ones. A scene that the model cannot do it refuses in `prepare` with a ClothbenchError, and it is left out.
-    Options by which a model shows more: `step_scale` (multiplies its time step) or a method `refined(factor)`, and
-    `dt` (a time step in s).
+    scenes: by name, instead of the kit's own (for a model that can do none of those); effects: instead of
+    all installed ones. A scene that the model cannot do it refuses in `prepare` with a ClothbenchError; it is
+    left out then. By these options a model shows more: `step_scale` (multiplies its time step) or a method
+    `refined(factor)`, and `dt` (a time step in s).
     """
     model = made(make, "model")
     case = ModelCase(make, model, scenes, effects)
@@ -57,7 +57,7 @@ def has_all_members(case: ModelCase) -> None:
     unknown = sorted(set(model.capabilities) - CAPABILITIES)
     require(not unknown, f"capabilities {unknown}", f"some of {sorted(CAPABILITIES)}")
     able = {"dynamic", "static"} & set(model.capabilities)
-    require(bool(able), f"capabilities {sorted(model.capabilities)}", "'dynamic', 'static' or both")
+    require(able, f"capabilities {sorted(model.capabilities)}", "'dynamic', 'static' or both")
     simulation = model.prepare(next(iter(case.scenes.values())))
     names = simulation.parameters.names
     require(names == model.parameters.names, f"a simulation with parameters {names}", model.parameters.names)
@@ -71,55 +71,6 @@ def gives_whole_rollouts(case: ModelCase) -> None:
         require_whole(rollout, scene, len(theta), f"scene {name}")
         ended |= rollout.status[0] == "ok"
     require(ended, "no scene that is simulated to its end with default parameters", "at least one")
-
-
-def require_whole(rollout: Rollout, scene: Scene, members: int, where: str) -> None:
-    """Shapes, types and statuses as the records say, finite where ok, and not a number only from a frame on."""
-    require(isinstance(rollout, Rollout), f"{type(rollout).__name__} in {where}", "a clothbench.Rollout")
-    position, shape = rollout.position, (members, scene.times.size, len(scene.points), 3)
-    require(position.shape == shape, f"positions {position.shape} in {where}", f"(B, T, N, 3) = {shape}")
-    require(position.dtype == np.float64, f"positions of type {position.dtype}", "float64")
-    require(
-        np.array_equal(rollout.time, scene.times),
-        f"other times than asked for in {where}",
-        "the scene's times",
-    )
-    known = (
-        isinstance(rollout.status, tuple)
-        and len(rollout.status) == members
-        and set(rollout.status) <= set(STATUSES)
-    )
-    require(known, f"status {rollout.status!r} in {where}", f"{members} of {STATUSES}")
-    steps = np.asarray(rollout.steps)
-    counted = steps.shape == (members,) and np.issubdtype(steps.dtype, np.integer) and (steps >= 0).all()
-    require(counted, f"steps {rollout.steps!r} in {where}", f"{members} whole numbers, 0 or above")
-    require(rollout.nodes >= 1, f"{rollout.nodes} nodes in {where}", "at least 1")
-    require(
-        len(rollout.reasons) in (0, members),
-        f"{len(rollout.reasons)} reasons in {where}",
-        f"none or {members}",
-    )
-    finite = np.isfinite(position).all(axis=(2, 3))
-    for b, status in enumerate(rollout.status):
-        where_b = f"member {b} in {where}"
-        require(
-            status != "ok" or finite[b].all(),
-            f"status 'ok' but positions not finite: {where_b}",
-            "'diverged'",
-        )
-        require(
-            status == "ok" or not finite[b].all(), f"status {status!r} but all is finite: {where_b}", "'ok'"
-        )
-        returned = (np.diff(finite[b].astype(int)) > 0).any()
-        require(
-            not returned,
-            f"finite frames after lost ones: {where_b}",
-            "not a number from the first lost frame on",
-        )
-        empty = np.isnan(position[b][~finite[b]]).all()
-        require(
-            empty, f"numbers in the frames after a member was lost: {where_b}", "not a number from there on"
-        )
 
 
 def gives_the_same_bits_twice(case: ModelCase) -> None:
@@ -141,17 +92,6 @@ def gives_a_batch_as_one_by_one(case: ModelCase) -> None:
     for name, scene in case.scenes.items():
         simulation = case.model.prepare(scene)
         require_independent(simulation.run, case.batch, f"scene {name}")
-
-
-def require_independent(run: Callable[[np.ndarray], Rollout], theta: np.ndarray, where: str) -> None:
-    """Every member of theta (B, P) alone gives the bits that it gave among the others."""
-    together = run(theta)
-    for b in range(len(theta)):
-        alone = run(theta[b : b + 1])
-        equal = np.array_equal(alone.position[0], together.position[b], equal_nan=True)
-        away = np.nanmax(np.abs(alone.position[0] - together.position[b]), initial=0.0)
-        found = f"member {b} of a batch {away:.3g} m away from the same set run alone ({where})"
-        require(equal and alone.status[0] == together.status[b], found, "equal bits")
 
 
 def refuses_wrong_parameters(case: ModelCase) -> None:

@@ -1,15 +1,16 @@
-"""What every optimizer must keep: seeded, within bounds and budget, not thrown by a lost run, and better than chance."""
+"""What every optimizer must keep: seeded, in bounds and budget, unmoved by lost runs, better than chance."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from clothbench.parameters import Parameter, ParameterSpace
-from clothbench.protocols import Evaluation, Optimizer
+from clothbench.parameters import ParameterSpace
+from clothbench.protocols import Optimizer
 from clothbench.testing.rules import Outcome, choose, require, require_members, run_rules
+from clothbench.testing.toys import Problem, bowl, cornered, partly_lost, valley, wholly_lost
 
 BUDGET = 150
 SEEDS = range(6)
@@ -17,22 +18,6 @@ RANDOM_SEARCHES = 200
 BETTER_THAN_CHANCE = (
     0.65  # share of comparisons with random search that are won; random search itself wins half
 )
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A toy fit: `residuals` maps the unit cube (B, P) to (B, R); its squares vanish at one point inside."""
-
-    name: str
-    space: ParameterSpace
-    residuals: Callable[[np.ndarray], np.ndarray]
-    lost: Callable[[np.ndarray], np.ndarray] = field(default=lambda unit: np.zeros(len(unit), dtype=bool))
-
-    def evaluate(self, theta: np.ndarray) -> Evaluation:
-        """Value √Σr² (B,) and residual (B, R) of theta (B, P); not a number where the run is lost."""
-        unit = self.space.to_unit(theta)
-        residual = np.where(self.lost(unit)[:, None], np.nan, self.residuals(unit))
-        return Evaluation(np.sqrt((residual**2).sum(axis=1)), residual)
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +39,7 @@ class OptimizerCase:
     make: Callable[..., Optimizer]
 
     def search(self, problem: Problem, seed: int = 0, budget: int = BUDGET) -> Search:
-        """Play the caller's part: ask, evaluate, tell, until it is done. Bounds, shapes and budget are watched."""
+        """Play the caller's part: ask, evaluate, tell, until it is done; bounds and budget are watched."""
         optimizer, asked, told = self.make(problem.space, seed=seed, budget=budget), [], []
         while not optimizer.done:
             theta = optimizer.ask()
@@ -76,7 +61,7 @@ class OptimizerCase:
 def check_optimizer(
     make: Callable[..., Optimizer], *, only: Iterable[str] | None = None
 ) -> tuple[Outcome, ...]:
-    """Check the optimizer that `make(space, seed=…, budget=…)` gives, on toy fits with three and six parameters."""
+    """Check the optimizer that `make(space, seed=…, budget=…)` gives, on toy fits of 3 and 6 parameters."""
     name = getattr(make, "name", getattr(make, "__name__", make))
     return run_rules(f"optimizer {name!r}", choose(RULES, only), OptimizerCase(make))
 
@@ -86,7 +71,7 @@ def require_in_bounds(theta: np.ndarray, space: ParameterSpace) -> None:
         isinstance(theta, np.ndarray) and theta.ndim == 2 and theta.shape[1] == len(space) and len(theta) > 0
     )
     require(whole, f"a batch of shape {np.shape(theta)}", f"(B, {len(space)}) with B at least 1")
-    require(bool(np.isfinite(theta).all()), "parameter sets that are not finite", "finite ones")
+    require(np.isfinite(theta).all(), "parameter sets that are not finite", "finite ones")
     outside = (theta < space.low) | (theta > space.high)
     if outside.any():
         b, p = np.argwhere(outside)[0]
@@ -151,77 +136,24 @@ def copes_with_lost_runs(case: OptimizerCase) -> None:
 def beats_random_search(case: OptimizerCase) -> None:
     """Equal budgets, two toy fits, several seeds: the best value found against those of many random searches.
 
-    With six parameters, since over two or three a random search is hard to beat and the comparison would say little.
+    With six parameters: over two or three, random search is hard to beat and the comparison would say little.
     """
     shares = []
     for problem in (bowl(6), valley(6)):
         chance = random_best(problem, BUDGET)
         shares += [np.mean(chance > case.search(problem, seed=seed).best) for seed in SEEDS]
     share = float(np.mean(shares))
-    found = (
-        f"a better value than random search in {100 * share:.0f} % of comparisons with {BUDGET} evaluations"
-    )
+    found = f"better than random search in {100 * share:.0f} % of comparisons with {BUDGET} evaluations"
     require(share >= BETTER_THAN_CHANCE, found, f"at least {100 * BETTER_THAN_CHANCE:.0f} %")
 
 
 def random_best(problem: Problem, budget: int) -> np.ndarray:
-    """The best values (RANDOM_SEARCHES,) of uniform random searches in the scaled space; NaN if all was lost."""
+    """The best values (RANDOM_SEARCHES,) of random searches in the scaled space; NaN if all was lost."""
     shape = (RANDOM_SEARCHES, budget, len(problem.space))
     unit = np.random.default_rng(99).random(shape).reshape(-1, shape[-1])
     value = problem.evaluate(problem.space.from_unit(unit)).value.reshape(shape[:2])
     best = np.where(np.isnan(value), np.inf, value).min(axis=1)
     return np.where(np.isinf(best), np.nan, best)
-
-
-# --- toy fits --------------------------------------------------------------------------------------------------------
-
-BOTTOM = np.array([0.62, 0.31, 0.73, 0.44, 0.17, 0.81])  # of the bowl, in the unit cube; nowhere special
-
-
-def bowl(count: int = 3) -> Problem:
-    """A tilted bowl over parameters of different scale: r = A (u − u*), condition number about 10."""
-    return Problem("a bowl", _space(count), _linear(BOTTOM[:count]))
-
-
-def cornered() -> Problem:
-    return Problem("a bowl with its bottom in a corner", _space(3), _linear(np.array([1.0, 0.0, 1.0])))
-
-
-def valley(count: int = 3) -> Problem:
-    """The curved valley of Rosenbrock (1960), chained: r = (3 (x_{i+1} − x_i²), 1 − x_i), its bottom at x = 1."""
-
-    def residuals(unit: np.ndarray) -> np.ndarray:
-        x = 2 * unit - 0.5
-        return np.hstack([3 * (x[:, 1:] - x[:, :-1] ** 2), 1 - x[:, :-1]])
-
-    return Problem("a curved valley", _space(count), residuals)
-
-
-def partly_lost() -> Problem:
-    return Problem(
-        "a bowl a third of which is lost", bowl().space, bowl().residuals, lambda unit: unit[:, 0] < 1 / 3
-    )
-
-
-def wholly_lost() -> Problem:
-    return Problem(
-        "a bowl that is lost", bowl().space, bowl().residuals, lambda unit: np.ones(len(unit), dtype=bool)
-    )
-
-
-def _linear(bottom: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:
-    """u → A (u − bottom), every direction weighted differently and coupled to the next one."""
-    identity = np.eye(len(bottom))
-    shape = np.diag(np.geomspace(3.0, 1.0, len(bottom))) + 0.7 * np.roll(identity, 1, axis=1)
-    return lambda unit: (unit - bottom) @ shape.T
-
-
-def _space(count: int) -> ParameterSpace:
-    """Linear and logarithmic parameters by turns, over ranges such as stiffness and damping have."""
-    kinds = (((1.0, 1e4), "log", 20.0), ((-0.5, 2.0), "linear", 0.1), ((1e-7, 1e-3), "log", 1e-6))
-    return ParameterSpace(
-        tuple(Parameter(f"p{i}", f"p{i}", "1", *kinds[i % 3], "of a toy fit", "none") for i in range(count))
-    )
 
 
 RULES = (

@@ -1,4 +1,4 @@
-"""What checks of models and effects share: a throw-away effect, and parameter values at which effects vanish or act."""
+"""What checks of models and effects share: a throw-away effect, and values at which effects vanish or act."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ class SidewaysPush:
 
 
 def null_values(effect: Effect) -> np.ndarray:
-    """Values (P,) at which the effect vanishes; a parameter without a null value of its own is at its default."""
+    """Values (P,) at which the effect vanishes; a parameter without a null value is at its default."""
     return np.array([p.default if p.null is None else p.null for p in effect.parameters], dtype=float)
 
 
 def acting_values(effect: Effect) -> Iterator[np.ndarray]:
     """Values (P,) at some of which the effect should act: the defaults, then points across the bounds.
 
-    Several, since an effect may do nothing at some: one that sets in at a certain time, or a ratio of 1 in the middle.
+    Several, since an effect may do nothing at some: one that sets in at a certain time, or a ratio of 1.
     """
     candidates = [effect.parameters.defaults]
     candidates += [

@@ -9,12 +9,16 @@ from typing import Any
 
 from clothbench.errors import ClothbenchError
 
-# A rule looks at one plugin. It raises ConformanceError, or returns why it does not apply, or None if all is well.
+# A rule looks at one plugin. It raises ConformanceError, or returns why it does not apply, or None if kept.
 Rule = Callable[[Any], str | None]
 
 
 class ConformanceError(AssertionError):
     """A plugin breaks a rule. One line: whose, which rule, what was found, what was expected."""
+
+
+class NotApplicable(Exception):
+    """Raised by a rule, or by what it calls, that cannot say anything about this plugin."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +29,8 @@ class Outcome:
     skipped: str = ""
 
 
-def require(kept: bool, found: object, expected: object) -> None:
-    """Raise unless `kept`; found and expected are said in words, with units."""
+def require(kept: object, found: object, expected: object) -> None:
+    """Raise unless `kept` is true; found and expected are said in words, with units."""
     if not kept:
         raise ConformanceError(f"found {found}, expected {expected}")
 
@@ -75,6 +79,8 @@ def _judge(subject: str, rule: Rule, case: Any) -> str:
     where = f"{subject}: {rule_name(rule)}"
     try:
         return rule(case) or ""
+    except NotApplicable as reason:
+        return str(reason)
     except ConformanceError as fault:
         raise ConformanceError(f"{where}: {fault}") from None
     except Exception as fault:

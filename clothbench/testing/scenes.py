@@ -1,7 +1,7 @@
 """Small scenes for the kit, made by formula: a sheet of 0.30 m × 0.25 m on 7 × 6 nodes, 0.12 kg/m².
 
-Wider than high, so that swapped directions show; bent on purpose, so that no rounding error decides on which side a
-sheet buckles. The points looked at lie between the nodes of a regular mesh, and on the grips.
+Wider than high, so that swapped directions show; bent on purpose, so that no rounding error decides on which
+side a sheet buckles. The points looked at lie between the nodes of a regular mesh, and on the grips.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ def hanging() -> Scene:
 
 
 def swinging() -> Scene:
-    """Two points off every regular mesh, moved by 8 cm across the sheet and 2 cm along it; uneven time stamps."""
+    """Two points off every regular mesh, moved 8 cm across the sheet and 2 cm along it; uneven stamps."""
     held = np.array([[0.067, 0.011], [0.241, 0.011]])
     stamps = 0.4 * np.linspace(0.0, 1.0, 25) ** 1.2
     moved = _smooth(stamps / 0.3)[:, None, None] * np.array([0.02, 0.08, 0.01])
@@ -41,6 +41,25 @@ def stretched() -> Scene:
     return _held(held, position, np.linspace(0.0, 0.3, 7), depth=0.004, stamps=stamps)
 
 
+def overhanging() -> Scene:
+    """Clamped level along its left side, two columns of points wide; the rest of the sheet bends down."""
+    held = np.array([[u, v] for u in (0.0, 0.05) for v in np.linspace(0.0, HEIGHT, 6)])
+    times = np.linspace(0.0, 0.3, 7)
+    points = np.vstack([_looked_at(), held])
+    slope = (
+        np.clip((points[:, 0] - 0.05) / 0.1, 0.0, 1.0) * 1.2
+    )  # rad, at the most; a quarter circle would be 1.57
+    start = np.stack(
+        [points[:, 0] * np.cos(slope / 2), points[:, 1], 1.0 - points[:, 0] * np.sin(slope / 2)], axis=1
+    )
+    level = np.broadcast_to(start[-len(held) :], (2, len(held), 3))
+    return Scene(
+        width=WIDTH, height=HEIGHT, areal_density=AREAL_DENSITY,
+        grip_time=times[[0, -1]], grip_material=held, grip_position=level,
+        times=times, points=points, resolution=RESOLUTION, start=start,
+    )  # fmt: skip
+
+
 def free_fall() -> Scene:
     """Nothing holds the sheet; it starts upright and slightly bent, at rest."""
     times = np.linspace(0.0, 0.2, 6)
@@ -49,7 +68,8 @@ def free_fall() -> Scene:
 
 def standard() -> dict[str, Scene]:
     """All of them by name."""
-    return {"hanging": hanging(), "swinging": swinging(), "stretched": stretched(), "free_fall": free_fall()}
+    made = (hanging, swinging, stretched, overhanging, free_fall)
+    return {make.__name__: make() for make in made}
 
 
 def moved(scene: Scene, turn: np.ndarray, shift: np.ndarray, *, with_gravity: bool) -> Scene:

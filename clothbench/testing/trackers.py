@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from clothbench.errors import ClothbenchError
 from clothbench.observation import Observation
 from clothbench.protocols import Tracker
 from clothbench.recording import Recording
 from clothbench.testing import scenes
-from clothbench.testing.rules import Outcome, choose, made, require, require_members, run_rules
+from clothbench.testing.rules import NotApplicable, Outcome, choose, made, require, require_members, run_rules
 
 NEAR = 5e-3  # m: a tracker may smooth, it may not invent
 SIGMA = 5e-4  # m
@@ -22,9 +24,16 @@ SIGMA = 5e-4  # m
 class TrackerCase:
     tracker: Tracker
     source: Recording | Path
+    settings: Mapping[str, Any]
+    is_own: bool  # the source is the kit's recording, not what the author gave
 
     def track(self) -> Observation:
-        observation = self.tracker.track(self.source)
+        try:
+            observation = self.tracker.track(self.source, **self.settings)
+        except ClothbenchError as refusal:
+            if not self.is_own:
+                raise
+            raise NotApplicable(f"it refuses a recording, give it a source: {refusal}") from None
         require(
             isinstance(observation, Observation), f"{type(observation).__name__}", "a clothbench.Observation"
         )
@@ -32,11 +41,18 @@ class TrackerCase:
 
 
 def check_tracker(
-    make: Callable[..., Tracker], *, source: Recording | Path | None = None, only: Iterable[str] | None = None
+    make: Callable[..., Tracker],
+    *,
+    source: Recording | Path | None = None,
+    settings: Mapping[str, Any] | None = None,
+    only: Iterable[str] | None = None,
 ) -> tuple[Outcome, ...]:
-    """Check the tracker that `make()` gives on `source`: raw data, or a recording (the kit has one of its own)."""
+    """Check the tracker that `make()` gives on `source`: raw data, or a recording (the kit has its own).
+
+    settings: for its `track`. A tracker of raw data only, which refuses the kit's recording, needs a source.
+    """
     tracker = made(make, "tracker")
-    case = TrackerCase(tracker, swung_sheet() if source is None else source)
+    case = TrackerCase(tracker, source or swung_sheet(), settings or {}, is_own=source is None)
     return run_rules(f"tracker {getattr(tracker, 'name', make)!r}", choose(RULES, only), case)
 
 
@@ -51,10 +67,10 @@ def gives_a_whole_observation(case: TrackerCase) -> None:
         "time stamps that do not increase",
         "increasing ones",
     )
-    require(bool(np.isfinite(o.time).all()), "time stamps that are not finite", "seconds")
+    require(np.isfinite(o.time).all(), "time stamps that are not finite", "seconds")
     require(o.visible.dtype == bool, f"visible of type {o.visible.dtype}", "bool")
-    require(bool(o.visible.any()), "no node seen in any frame", "at least one")
-    require(bool(np.isfinite(o.material).all()), "material coordinates that are not finite", "metres")
+    require(o.visible.any(), "no node seen in any frame", "at least one")
+    require(np.isfinite(o.material).all(), "material coordinates that are not finite", "metres")
     require(
         np.isnan(o.sigma) or o.sigma >= 0, f"a noise of {o.sigma} m", "0 or above, or NaN if it is not known"
     )
@@ -66,14 +82,14 @@ def sees_what_was_recorded(case: TrackerCase) -> str | None:
         return "tracks raw data, of which the kit does not know what they show"
     o, r = case.track(), case.source
     require(
-        bool((o.time >= r.time[0] - 1e-9).all() and (o.time <= r.time[-1] + 1e-9).all()),
+        (o.time >= r.time[0] - 1e-9).all() and (o.time <= r.time[-1] + 1e-9).all(),
         "stamps beyond the recording",
         "none",
     )
     frames = np.abs(o.time[:, None] - r.time).argmin(axis=1)
     shared = np.abs(o.material[:, None] - r.material).max(axis=2)
     known = (np.abs(o.time - r.time[frames]) < 1e-9)[:, None] & (shared.min(axis=1) < 1e-9)
-    require(bool(known.any()), "no stamp and material point of the recording", "some to compare")
+    require(known.any(), "no stamp and material point of the recording", "some to compare")
     recorded, nodes = known & r.visible[frames][:, shared.argmin(axis=1)], shared.argmin(axis=1)
     invented = int((o.visible & known & ~recorded).sum())
     require(invented == 0, f"{invented} nodes seen in frames where the recording has none", "0")
@@ -103,13 +119,14 @@ def leaves_the_recording_alone(case: TrackerCase) -> str | None:
 
 
 def swung_sheet() -> Recording:
-    """A recording made by formula: 60 frames of a sheet that swings like a board, with noise, gaps and a lost node."""
+    """A recording by formula: 60 frames of a sheet swinging like a board, noise, gaps and a lost node."""
     scene, random = scenes.swinging(), np.random.default_rng(17)
     time = np.linspace(0.0, 0.4, 60)
     grips = scene.grips_at(time).mean(axis=1)
     angle = 0.3 * np.sin(6 * time)[:, None]
     below = scene.points[:, 1]
-    hung = [scene.points[:, 0] - scene.width / 2 + 0 * angle, below * np.sin(angle), -below * np.cos(angle)]
+    along = np.broadcast_to(scene.points[:, 0] - scene.width / 2, (len(time), len(below)))
+    hung = [along, below * np.sin(angle), -below * np.cos(angle)]
     position = (
         grips[:, None] + np.stack(hung, axis=-1) + random.normal(0.0, SIGMA, (len(time), len(below), 3))
     )
@@ -118,7 +135,8 @@ def swung_sheet() -> Recording:
     return Recording(
         name="swung sheet", time=time, material=scene.points, position=position,
         grip_time=scene.grip_time, grip_material=scene.grip_material, grip_position=scene.grip_position,
-        cloth_width=scene.width, cloth_height=scene.height, areal_density=scene.areal_density, noise_sigma=SIGMA,
+        cloth_width=scene.width, cloth_height=scene.height, areal_density=scene.areal_density,
+        noise_sigma=SIGMA,
     )  # fmt: skip
 
 

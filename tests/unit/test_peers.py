@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from clothbench_models import peers
 
-PEERS = {"mujoco_flex": "mujoco", "newton_cloth": "newton"}
+PEERS = {"mujoco_flex": "mujoco", "newton_cloth": "newton", "newton_springs": "newton"}
 SIZE = 0.30
 
 
@@ -64,19 +64,43 @@ def test_stiffness_is_the_sheets_until_the_step_forbids_it():
     assert peers.stable_stiffness(mass, 1e-3) == pytest.approx(0.15 * mass / 1e-6)
 
 
-def test_newton_has_six_springs_a_node():
-    from clothbench_models.peers import newton_cloth
+def test_newtons_net_has_six_springs_a_node():
+    from clothbench_models.peers import newton_springs
 
-    springs = list(newton_cloth._springs(5))
+    springs = list(newton_springs.springs(5))
     assert len(springs) == len(set(springs)) == 2 * 5 * 4 + 2 * 4 * 4 + 2 * 5 * 3
     assert all(0 <= first < 25 and 0 <= second < 25 for first, second in springs)
+
+
+def test_newtons_cloth_has_triangles_and_bending():
+    pytest.importorskip("newton")
+    from clothbench_models.peers import newton_cloth
+
+    model = newton_cloth.Sheet(newton_cloth._add_cloth, 5, 2e-4, SIZE, 0.2).solver.model
+    inner_edges = 2 * 3 * 4 + 16  # along the three inner lines each way, and the diagonals
+    assert (model.tri_count, model.spring_count) == (2 * 16, 0)
+    assert (model.edge_indices.numpy() >= 0).all(axis=1).sum() == inner_edges
+    assert (model.edge_bending_properties.numpy()[:, 0] > 0).all()
+
+
+def test_newton_weighs_what_it_should_and_holds_the_upper_corners():
+    pytest.importorskip("newton")
+    from clothbench_models.peers import newton_cloth, newton_springs
+
+    for add in (newton_cloth._add_cloth, newton_springs._add_net):
+        sheet = newton_cloth.Sheet(add, 5, 2e-4, SIZE, 0.2)
+        mass = sheet.solver.model.particle_mass.numpy()
+        assert np.flatnonzero(mass == 0).tolist() == [0, 4]
+        np.testing.assert_allclose(mass[mass > 0], 0.2 * SIZE**2 / 25, rtol=1e-6)
+        position, _ = sheet.motion()
+        np.testing.assert_allclose(position[[0, 4, 20]], [[0, 0, 0], [SIZE, 0, 0], [0, 0, -SIZE]], atol=1e-6)
 
 
 def test_naming_the_peers_imports_none_of_them():
     code = """
 import sys
-from clothbench_models.peers import mujoco_flex, newton_cloth
-mujoco_flex.skip_reason(), newton_cloth.skip_reason()
+from clothbench_models.peers import mujoco_flex, newton_cloth, newton_springs
+mujoco_flex.skip_reason(), newton_cloth.skip_reason(), newton_springs.skip_reason()
 print({"mujoco", "newton", "warp", "numpy"} & set(sys.modules))
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
@@ -87,7 +111,7 @@ def test_replaying_newtons_graph_is_stepping():
     pytest.importorskip("newton")
     from clothbench_models.peers import newton_cloth
 
-    replayed, stepped = (newton_cloth._Sheet(newton_cloth._build(5, 2e-4, SIZE, 0.2), 2e-4) for _ in range(2))
+    replayed, stepped = (newton_cloth.Sheet(newton_cloth._add_cloth, 5, 2e-4, SIZE, 0.2) for _ in range(2))
     replayed.advance(2)
     replayed.captured(117)()
     stepped.advance(2 + newton_cloth.GRAPH_STEPS + 117)

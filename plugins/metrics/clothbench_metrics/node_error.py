@@ -31,7 +31,7 @@ class NodeError:
         watched = seen.any(axis=0)
         residual = away[:, seen]
         return Score(
-            value=per_node[:, watched].mean(axis=1),
+            value=per_node[:, watched].mean(axis=1) if watched.any() else np.full(len(away), np.nan),
             unit=self.unit,
             per_frame=mean_over(distance, seen, axis=2),
             per_node=per_node,

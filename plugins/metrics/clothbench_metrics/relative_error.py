@@ -28,12 +28,15 @@ class RelativeError:
         with np.errstate(divide="ignore", invalid="ignore"):
             per_frame = np.where(frames, 100 * np.sqrt(square) / sizes(observation), np.nan)
         residual = away[:, seen]
-        return Score(per_frame[:, frames].mean(axis=1), self.unit, per_frame, None, residual.reshape(len(residual), -1))
+        value = per_frame[:, frames].mean(axis=1) if frames.any() else np.full(len(away), np.nan)
+        return Score(value, self.unit, per_frame, None, residual.reshape(len(residual), -1))
 
     def floor(self, observation: Observation) -> float:
         """√(3 n σ²)/‖ϕ‖ of a frame with n nodes seen, averaged over the frames."""
         count = observation.visible.sum(axis=1)
         frames = sizes(observation) > 0
+        if not frames.any():
+            return math.nan
         return float(np.mean(100 * math.sqrt(3) * observation.sigma * np.sqrt(count[frames]) / sizes(observation)[frames]))
 
 

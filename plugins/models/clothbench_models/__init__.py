@@ -17,6 +17,15 @@ def clothbench_models():
 @hookimpl
 def clothbench_peers():
     return [
-        Registration("mujoco", "clothbench_models.peers.mujoco_flex", "MuJoCo flex sheet, explicit Euler"),
-        Registration("newton", "clothbench_models.peers.newton_cloth", "Newton sheet, semi-implicit, on the CPU"),
+        Registration("mujoco", "clothbench_models.peers.mujoco_flex", "MuJoCo membrane, explicit Euler"),
+        Registration(
+            "newton",
+            "clothbench_models.peers.newton_cloth",
+            "Newton cloth: membrane and bending, semi-implicit Euler, single precision, on the CPU",
+        ),
+        Registration(
+            "newton_springs",
+            "clothbench_models.peers.newton_springs",
+            "Newton net of six springs a node, semi-implicit Euler, single precision, on the CPU",
+        ),
     ]

@@ -21,7 +21,8 @@ FAMILIES = 6
 SLOTS = 8  # places for dynamics effects in the loop
 OK, DIVERGED = 0, 1
 TINY = 1e-30  # m²; keeps the length of a masked spring between two coinciding nodes above 0
-CHECK_EVERY = 64  # steps between two looks for divergence
+CHECK_EVERY = 64  # steps between two looks for rest and for divergence
+AT_REST = 1e-4  # m/s; slower than this a settling sheet is taken to hang still
 
 _fast = njit(cache=True, error_model="numpy", nogil=True)
 
@@ -150,6 +151,16 @@ def apply_effects(effects, stages, n_effects, t, dt, x, v, f, sheet, parameters,
 
 
 @_fast
+def fastest(v, lane, lanes):
+    """Largest speed component of one lane [m/s]."""
+    top = 0.0
+    for c in range(3):
+        for e in range(lane, v.shape[1], lanes):
+            top = max(top, abs(v[c, e]))
+    return top
+
+
+@_fast
 def is_lost(x, lane, lanes, limit):
     """Whether a coordinate of this lane has left ±limit or is not a number."""
     for c in range(3):
@@ -178,7 +189,7 @@ def _signature(real):
     grid = (i1, r2, r2, r2, d1, d2, d2, d1, i2, double)
     effects = (*(EFFECT,) * SLOTS, i1, types.int64, d3, d3)
     grips = (i1, d1, double[:, :, :, :, ::1], i1, i1)
-    settling = (double, double, double, d1)
+    settling = (double, d1, double, d1)
     sampling = (i2, d2, d2, double[:, :, :, ::1])
     return types.void(types.int64, r2, *grid, double, *effects, *grips, *settling, *sampling, i1, i1)
 
@@ -217,32 +228,35 @@ def _run_block(
     normal = np.zeros((3, n))
     sheet = Sheet(uv, mass, area, normal, triangles, gravity_rows[0], air_density)
 
-    settling = np.zeros(lanes, np.int64)  # steps of the settling phase; without grips there is nothing to settle in
+    began = np.zeros(lanes, np.int64)  # step at which the run proper began, −1 while a lane settles in its grips
     for lane in range(lanes):
         for k in range(pins.shape[0]):
             inverse_mass[pins[k] * lanes + lane] = 0.0
         if pins.shape[0]:
-            settling[lane] = int(np.ceil(settle_time / dt[lane]))
+            began[lane] = -1
             for e in range(lane, entries, lanes):
                 keep[e] = max(0.0, 1.0 - settle_rate * dt[lane])
     segment, done, running, count = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64), lanes, 0
     while running > 0:
         for lane in range(lanes):
-            if count == settling[lane]:
+            if began[lane] < 0 and count % CHECK_EVERY == 0 and count * dt[lane] > settle_time[0]:
+                if count * dt[lane] > settle_time[1] or fastest(v, lane, lanes) < AT_REST:
+                    began[lane] = count
+            if began[lane] == count:
                 come_to_rest(v, keep, kick, lane, lanes, dt[lane])
                 curve = curves[lane % curves.shape[0]]
                 done[lane] = write_due(
                     x, v, lane, lanes, start, 0, index, weight, held_points, pins_of_points, knots, curve,
                     times[lane], out[lane],
                 )  # fmt: skip
-            elif count == settling[lane] + 1:
+            elif began[lane] == count - 1:
                 for e in range(lane, entries, lanes):
                     kick[e] = dt[lane]
         for family in range(FAMILIES):
             spring_forces(x, v, strides[family], rest[family], stiffness[family], damping[family], g)
             add_pairwise(f, g, strides[family])
         if n_effects > 0:
-            t = start + max(0, count - settling[0]) * dt[0]
+            t = start + max(0, count - began[0]) * dt[0] if began[0] >= 0 else start
             xd, vd, fd = as_double(x), as_double(v), as_double(f)
             grid_normals(xd, strides[1] // lanes, normal)
             apply_effects(
@@ -252,15 +266,15 @@ def _run_block(
         count += 1
         for lane in range(lanes):
             curve = curves[lane % curves.shape[0]]
-            now = start + max(0, count - settling[lane]) * dt[lane]
+            now = start + (count - began[lane]) * dt[lane] if began[lane] >= 0 else start
             if pins.shape[0]:
                 segment[lane] = advance_segment(knots, now, segment[lane])
                 hold(x, v, pins, lane, lanes, knots, curve, now, segment[lane], dt[lane])
-            if count <= settling[lane] or steps[lane] > 0:
+            if steps[lane] > 0:
                 continue
             if count % CHECK_EVERY == 0 and is_lost(x, lane, lanes, limit):
                 status[lane] = DIVERGED
-            else:
+            elif began[lane] >= 0:
                 done[lane] = write_due(
                     x, v, lane, lanes, now, done[lane], index, weight, held_points, pins_of_points, knots, curve,
                     times[lane], out[lane],

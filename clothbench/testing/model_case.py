@@ -19,7 +19,7 @@ from clothbench.testing.rules import require
 
 @dataclass(frozen=True, eq=False)
 class ModelCase:
-    """make: what is registered; wanted: scenes to try, None for the kit's own; given: effects, None for all installed."""
+    """make: what is registered; wanted: scenes, None: the kit's own; given: effects, None: all installed."""
 
     make: Callable[..., Model]
     model: Model
@@ -37,7 +37,7 @@ class ModelCase:
         if not self.is_dynamic:
             wanted = {name: scenes.still(scene) for name, scene in wanted.items() if len(scene.grip_material)}
         found = {name: scene for name, scene in wanted.items() if self._can(scene)}
-        require(bool(found), f"none of the scenes {', '.join(wanted)} can be prepared", "at least one")
+        require(found, f"none of the scenes {', '.join(wanted)} can be prepared", "at least one")
         return found
 
     @cached_property
@@ -58,18 +58,18 @@ class ModelCase:
         return probe.installed_effects() if self.given is None else tuple(self.given)
 
     def theta(self, *units: float) -> np.ndarray:
-        """Parameter sets (1 + U, P): the defaults, then all parameters at each share of their scaled range."""
+        """Parameter sets (1 + U, P): the defaults, then all at each share of their scaled ranges."""
         space = self.model.parameters
         return np.vstack([space.defaults, *(space.from_unit(np.full(len(space), unit)) for unit in units)])
 
     @cached_property
     def batch(self) -> np.ndarray:
-        """Ten parameter sets (10, P) across the middle of the bounds: more than a vector register has lanes."""
+        """Ten parameter sets (10, P) amid the bounds: more than a vector register has lanes."""
         unit = np.random.default_rng(20).uniform(0.3, 0.7, (9, len(self.model.parameters)))
         return np.vstack([self.model.parameters.defaults, self.model.parameters.from_unit(unit)])
 
     def run(self, scene: Scene, theta: np.ndarray, effects: Sequence[Effect] = (), **options: Any) -> Rollout:
-        """Simulate theta (B, P) anew, with the model's options and effects; theirs stand behind the model's columns."""
+        """Simulate theta (B, P), prepared anew; the effects' columns stand behind the model's."""
         model = self.make(**options) if options else self.model
         return model.prepare(scene, tuple(effects)).run(theta)
 

@@ -1,0 +1,7 @@
+"""`python -m clothbench`."""
+
+import sys
+
+from clothbench.cli import main
+
+sys.exit(main())

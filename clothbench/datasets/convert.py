@@ -1,0 +1,50 @@
+"""A public data set as a folder of recordings: found or fetched, converted once, put in place whole."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+from clothbench.datasets.registry import dataset, fetch, local_copy
+from clothbench.errors import ClothbenchError
+from clothbench.plugins import import_target
+
+REPORT = "import-report.json"
+Progress = Callable[[int, int, str], None]
+
+
+def converted(
+    name: str,
+    *,
+    data_dir: str | os.PathLike[str] | None = None,
+    out: str | os.PathLike[str] | None = None,
+    again: bool = False,
+    progress: Progress | None = None,
+) -> Path:
+    """The folder with the recordings of a data set; by default `recordings/NAME` below the working directory.
+
+    What is there already is used, unless `again`. Originals come from `data_dir`, else from the folder in
+    CLOTHBENCH_DATA, else they are fetched. `progress(done, planned, file)` is called while files are fetched and read.
+    """
+    known = dataset(name)
+    folder = Path(out) if out is not None else Path("recordings") / name
+    if not again and (folder / REPORT).is_file() and any(folder.rglob("*.nc")):
+        return folder
+    if folder.exists() and any(folder.iterdir()) and not (folder / REPORT).is_file():
+        raise ClothbenchError(
+            f"{folder}: found files that no import made, expected an empty folder; give out=FOLDER"
+        )
+    source = local_copy(name, data_dir) or fetch(name, progress)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    part = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
+    try:
+        import_target(known.importer)(source, part, progress)
+        shutil.rmtree(folder, ignore_errors=True)
+        os.replace(part, folder)
+    except BaseException:
+        shutil.rmtree(part, ignore_errors=True)
+        raise
+    return folder

@@ -1,0 +1,220 @@
+"""How fast a model or a peer steps, timed through its public interface: best of a few long runs.
+
+All step the same sheet: 0.30 m square, 0.2 kg/m², held at its two upper corners.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from clothbench.errors import ClothbenchError
+from clothbench.parallel import set_thread_count
+from clothbench.plugins import import_target
+from clothbench.protocols import Simulation
+from clothbench.scene import Scene
+
+SIZE, AREAL_DENSITY = 0.30, 0.2  # m, kg/m²
+STEP = 2e-4  # s; the peers', and a model's where it has an option `dt`
+FIRST_SPAN, LONGEST_SPAN = 0.1, 300.0  # s of simulated time; lengthened until a run takes long enough
+MIN_SECONDS = 0.3  # wall time of a run beside which its set-up is negligible
+REPEATS = 3
+PATIENCE = 15.0  # s of wall time after which a measurement is not repeated: so long a run is a mean in itself
+ROUNDS = 3  # of threads and separate processes in turn
+
+
+class FailedRun(ClothbenchError):
+    """A rollout that cannot be timed, since it did not get to its end."""
+
+
+@dataclass(frozen=True)
+class Speed:
+    """One timed run: nodes of one sheet; node-steps and simulated time [s] of all sheets; wall time [s]."""
+
+    nodes: int
+    node_steps: float
+    simulated: float
+    seconds: float
+
+    @property
+    def node_steps_per_s(self) -> float:
+        return self.node_steps / self.seconds
+
+    @property
+    def realtime_factor(self) -> float:
+        """Simulated seconds of all sheets per second of wall time."""
+        return self.simulated / self.seconds
+
+
+def time_model(model: Any, side: int, batch: int = 1, threads: int = 1) -> Speed:
+    """A model with `batch` sheets of side × side nodes at its default parameters, on so many threads.
+
+    The simulated time is the scene's; steps that settle the sheet first count as work, not as time.
+    """
+    ready = _Prepared(model, side, batch)
+    with on_threads(threads):
+        ready.warm_up()
+        return best_of(ready.run)
+
+
+def time_peer(peer: Any, side: int) -> tuple[Speed, str]:
+    """A peer's module (see the hook `clothbench_peers`): one sheet on one thread; and the peer's version."""
+    version = ""
+
+    def run(span: float) -> Speed:
+        nonlocal version
+        steps = round(span / STEP)
+        done = peer.step_sheet(side, STEP, steps)
+        if not done.finite:
+            raise FailedRun(f"its sheet of {side} × {side} nodes blew up")
+        version, work = done.version, done.nodes * steps
+        return Speed(done.nodes, work, steps * STEP, work / done.node_steps_per_s)
+
+    return best_of(run), version
+
+
+def best_of(run: Callable[[float], Speed]) -> Speed:
+    """The fastest of `REPEATS` runs of the same simulated span [s], made long enough first."""
+    span, best, spent, repeats = FIRST_SPAN, None, 0.0, 0
+    while best is None or (repeats < REPEATS and spent < PATIENCE):
+        speed = run(span)
+        if speed.seconds < MIN_SECONDS and span < LONGEST_SPAN:
+            span = min(LONGEST_SPAN, span * max(1.5, 1.2 * MIN_SECONDS / speed.seconds))
+            best, repeats = None, 0
+            continue
+        repeats, spent = repeats + 1, spent + speed.seconds
+        if best is None or speed.node_steps_per_s > best.node_steps_per_s:
+            best = speed
+    return best
+
+
+def hanging_sheet(side: int, span: float) -> Scene:
+    """The sheet of side × side nodes; its corners sway 2 cm to and fro, once in two seconds, for `span` s."""
+    held = np.array([[0.0, 0.0], [SIZE, 0.0]])
+    stamps = np.linspace(0.0, span, max(3, round(span / 0.02) + 1))
+    sway = 0.01 * (1 - np.cos(np.pi * stamps))[:, None] * np.array([[0.0, 1.0, 0.0]])
+    inner = np.linspace(0.1, 0.9, 5) * SIZE
+    points = np.stack(np.meshgrid(inner, inner), axis=-1).reshape(-1, 2)
+    return Scene(
+        width=SIZE, height=SIZE, areal_density=AREAL_DENSITY, resolution=(side, side),
+        grip_time=stamps, grip_material=held, grip_position=np.insert(held, 1, 0.0, axis=1) + sway[:, None],
+        times=np.linspace(0.0, span, max(2, round(span * 30) + 1)), points=points,
+    )  # fmt: skip
+
+
+class _Prepared:
+    """A model and a batch of its default parameters, prepared anew only when the span changes."""
+
+    def __init__(self, model: Any, side: int, batch: int) -> None:
+        self.model, self.side, self.batch = model, side, batch
+        self._simulation: Simulation | None = None
+        self._span = 0.0
+
+    def warm_up(self) -> None:
+        """One sheet for a short time: compiles what is compiled, and shows whether it can be run at all."""
+        self._run_for(FIRST_SPAN, 1)
+
+    def run(self, span: float) -> Speed:
+        return self._run_for(span, self.batch)
+
+    def _run_for(self, span: float, batch: int) -> Speed:
+        simulation = self._prepared(span)
+        theta = np.tile(simulation.parameters.defaults, (batch, 1))
+        start = time.perf_counter()
+        rollout = simulation.run(theta)
+        seconds = time.perf_counter() - start
+        for member, status in enumerate(rollout.status):
+            if status != "ok":
+                why = rollout.reasons[member] if rollout.reasons else status
+                raise FailedRun(f"its sheet of {self.side} × {self.side} nodes could not be timed: {why}")
+        work = float(np.sum(rollout.steps)) * rollout.nodes
+        if not work > 0:
+            raise FailedRun("its rollout counts no steps")
+        return Speed(rollout.nodes, work, span * batch, seconds)
+
+    def _prepared(self, span: float) -> Simulation:
+        if self._simulation is None or span != self._span:
+            self._span, self._simulation = span, self.model.prepare(hanging_sheet(self.side, span))
+        return self._simulation
+
+
+@contextmanager
+def on_threads(count: int) -> Iterator[None]:
+    set_thread_count(count)
+    try:
+        yield
+    finally:
+        set_thread_count(0)
+
+
+# --- threads against separate processes ---------------------------------------------------------------------
+
+
+def threads_and_processes(
+    target: str, options: dict[str, Any], side: int, batch: int, cores: int
+) -> tuple[Speed, float]:
+    """A batch on `cores` threads; and the node-steps/s of as many one-thread processes running side by side.
+
+    Each process takes its share of the batch. Threads and processes take turns, so that a busy machine slows
+    both; the best of each is given.
+    """
+    ready = _Prepared(import_target(target)(**options), side, batch)
+    with on_threads(cores), ExitStack() as stack:
+        share = max(1, batch // cores)
+        workers = [stack.enter_context(_worker(target, options, side, share)) for _ in range(cores)]
+        ready.warm_up()
+        for worker in workers:
+            _answer(worker)
+        threads, processes = [], []
+        for _ in range(ROUNDS):
+            threads.append(ready.run(FIRST_SPAN))
+            for worker in workers:
+                _start(worker)
+            processes.append(sum(_answer(worker) for worker in workers))
+    return max(threads, key=lambda s: s.node_steps_per_s), max(processes)
+
+
+@contextmanager
+def _worker(target: str, options: dict[str, Any], side: int, batch: int) -> Iterator[subprocess.Popen]:
+    code = "from clothbench.timing import work; work()"
+    command = [sys.executable, "-c", code, target, json.dumps(options), str(side), str(batch)]
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def _start(worker: subprocess.Popen) -> None:
+    assert worker.stdin is not None
+    worker.stdin.write("run\n")
+    worker.stdin.flush()
+
+
+def _answer(worker: subprocess.Popen) -> float:
+    """The next number that a worker writes; an error if it ended instead."""
+    assert worker.stdout is not None
+    line = worker.stdout.readline()
+    if not line:
+        raise FailedRun("a separate process ended before it had run")
+    return float(line)
+
+
+def work() -> None:
+    """Main function of a separate process: a 0 when ready, then one run's node-steps/s for each line read."""
+    target, options, side, batch = sys.argv[1:]
+    answers, sys.stdout = sys.stdout, sys.stderr  # what a plugin prints is no answer
+    ready = _Prepared(import_target(target)(**json.loads(options)), int(side), int(batch))
+    with on_threads(1):
+        ready.warm_up()
+        print(0, file=answers, flush=True)
+        for _ in sys.stdin:
+            print(ready.run(FIRST_SPAN).node_steps_per_s, file=answers, flush=True)

@@ -1,0 +1,239 @@
+"""The reference simulation against physics: it is the truth of the stand-in recordings."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+TOOLS = Path(__file__).resolve().parents[2] / "tools"
+sys.path.insert(0, str(TOOLS))
+try:
+    import make_static_dynamic as maker
+    import reference_kernels as kernels
+    from reference_mesh import Mesh, build, tracking_weights
+    from reference_simulation import (
+        AIR_DENSITY,
+        State,
+        bowed,
+        discretise,
+        settle,
+        simulate,
+        stable_step,
+        total_energy,
+        undamped,
+    )
+finally:
+    sys.path.remove(str(TOOLS))
+
+GRAVITY = 9.81
+SATIN = maker.FABRICS[0]
+NOTHING_HELD = np.zeros(0, dtype=np.int64)
+
+
+def free(t: np.ndarray) -> np.ndarray:
+    return np.zeros((len(t), 0, 3))
+
+
+def keep(places: np.ndarray):
+    return lambda t: np.broadcast_to(places, (len(t), *places.shape)).copy()
+
+
+def hanging(mesh: Mesh) -> np.ndarray:
+    u, v = mesh.material.T
+    return np.column_stack([u, 0.0 * u, -v])
+
+
+def flat(mesh: Mesh) -> np.ndarray:
+    u, v = mesh.material.T
+    return np.column_stack([u, v, 0.0 * u])
+
+
+def cylinder(mesh: Mesh, radius: float, direction: float) -> np.ndarray:
+    """The sheet rolled, without strain, along the material direction given by its angle to the warp."""
+    c, s = np.cos(direction), np.sin(direction)
+    along, across = mesh.material @ [c, s], mesh.material @ [-s, c]
+    return np.column_stack([radius * np.sin(along / radius), radius * np.cos(along / radius), across])
+
+
+def still(shape: np.ndarray) -> State:
+    return State(shape.copy(), np.zeros_like(shape))
+
+
+@pytest.mark.parametrize(
+    ("energy", "force"),
+    [
+        (kernels.membrane_energy, kernels.membrane_force),
+        (kernels.bending_energy, kernels.bending_force),
+    ],
+)
+def test_forces_are_minus_the_gradient_of_their_energy(energy, force):
+    mesh = build(0.3, 0.3, 6, 7)
+    sheet, random = discretise(SATIN, mesh), np.random.default_rng(1)
+    x = hanging(mesh) + random.normal(0.0, 0.01, (len(mesh.material), 3))
+    found, rest, expected = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
+    force(sheet, x, rest, found)
+    for at in np.ndindex(x.shape):
+        moved = np.zeros_like(x)
+        moved[at] = 1e-6
+        expected[at] = -(energy(sheet, x + moved) - energy(sheet, x - moved)) / 2e-6
+    np.testing.assert_allclose(found, expected, atol=1e-6 * abs(found).max())
+
+
+@pytest.mark.parametrize("force", [kernels.membrane_force, kernels.bending_force, kernels.drag_force])
+def test_damping_and_drag_only_take_energy(force):
+    mesh = build(0.3, 0.3, 6, 7)
+    sheet, random = discretise(SATIN, mesh), np.random.default_rng(2)
+    x = hanging(mesh) + random.normal(0.0, 0.005, (len(mesh.material), 3))
+    v = random.normal(0.0, 1.0, x.shape)
+    moving, resting = np.zeros_like(x), np.zeros_like(x)
+    force(sheet, x, v, moving)
+    force(sheet, x, np.zeros_like(x), resting)
+    assert ((moving - resting) * v).sum() < 0.0
+    if force is not kernels.drag_force:
+        np.testing.assert_allclose((moving - resting).sum(axis=0), 0.0, atol=1e-12 * abs(moving).max())
+
+
+def test_rigid_motion_costs_nothing():
+    mesh = build(0.3, 0.3, 6, 7)
+    sheet = discretise(SATIN, mesh)
+    turn, _ = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))
+    shape = hanging(mesh) @ turn.T + [1.0, 2.0, 3.0]
+    assert kernels.membrane_energy(sheet, shape) < 1e-20
+    assert kernels.bending_energy(sheet, shape) < 1e-20
+
+
+@pytest.mark.parametrize("direction", [0.0, 0.4, np.pi / 4, 1.1, np.pi / 2])
+def test_a_cylinder_stores_half_d_curvature_squared(direction):
+    """In any direction; the last row at a hem has no hinge, so a finite sheet falls a little short."""
+    mesh, radius = build(0.3, 0.3, 56, 64), 0.2
+    stored = kernels.bending_energy(discretise(SATIN, mesh), cylinder(mesh, radius, direction))
+    assert stored == pytest.approx(0.5 * SATIN.bending_rigidity / radius**2 * 0.09, rel=0.03)
+
+
+@pytest.mark.parametrize("stretch", [(1.02, 1.0, 0.0), (1.0, 1.03, 0.0), (1.01, 0.99, 0.02)])
+def test_uniform_strain_stores_the_written_energy(stretch):
+    mesh = build(0.3, 0.2, 5, 4)
+    a, b, g = stretch
+    u, v = mesh.material.T
+    e1, e2, shear = 0.5 * (a**2 - 1.0), 0.5 * (g**2 + b**2 - 1.0), a * g
+    expected = 0.5 * (SATIN.warp_stiffness * e1**2 + SATIN.weft_stiffness * e2**2)
+    expected += SATIN.coupling * e1 * e2 + 0.5 * SATIN.shear_stiffness * shear**2
+    shape = np.column_stack([a * u + g * v, b * v, 0.0 * u])
+    stored = kernels.membrane_energy(discretise(SATIN, mesh), shape)
+    assert stored == pytest.approx(0.06 * expected, rel=1e-12)
+
+
+def test_free_fall_is_exact():
+    mesh, fabric = build(0.3, 0.3, 6, 7), undamped(SATIN)
+    times = np.array([0.0, 0.1, 0.3])
+    frames, _ = simulate(discretise(fabric, mesh), still(flat(mesh)), NOTHING_HELD, free, times, 1e-4)
+    fallen = flat(mesh) - 0.5 * GRAVITY * times[:, None, None] ** 2 * [0.0, 0.0, 1.0]
+    np.testing.assert_allclose(frames, fallen, atol=1e-10)
+
+
+def test_falling_sheet_reaches_the_terminal_speed():
+    mesh, fabric = build(0.3, 0.3, 6, 7), replace(undamped(SATIN), normal_drag=1.1)
+    sheet = discretise(fabric, mesh)
+    _, end = simulate(sheet, still(flat(mesh)), NOTHING_HELD, free, np.array([0.0, 2.0]), 1e-4)
+    terminal = np.sqrt(2.0 * fabric.areal_density * GRAVITY / (AIR_DENSITY * 1.1))
+    np.testing.assert_allclose(end.velocity[:, 2], -terminal, rtol=1e-3)
+
+
+def swing(columns: int, rows: int, duration: float) -> tuple[np.ndarray, np.ndarray, float]:
+    """Undamped small swing of a hanging sheet: times [s], way [m], energy drift over the energy put in."""
+    mesh = build(0.297, 0.297, columns, rows)
+    fabric = undamped(replace(SATIN, bending_rigidity=1e-7))
+    sheet, step = discretise(fabric, mesh), stable_step(fabric, mesh)
+    held = np.arange(columns + 1)
+    rest = settle(sheet, hanging(mesh), held, keep(hanging(mesh)[held]), step, at_rest=1e-5)
+    state = still(rest)
+    v = mesh.material[:, 1]
+    state.position[:, 1] += 0.004 * (v / v.max()) * (0.6 + 0.4 * v / v.max())
+    start, times = total_energy(sheet, state), np.arange(0.0, duration, 0.01)
+    lift = start - total_energy(sheet, still(rest))
+    frames, end = simulate(sheet, state, held, keep(rest[held]), times, step)
+    weight = v * sheet.mass
+    return times, frames[:, :, 1] @ weight / weight.sum(), (total_energy(sheet, end) - start) / lift
+
+
+def frequency(times: np.ndarray, way: np.ndarray) -> float:
+    """Mean frequency between the first and the last upward zero crossing [Hz]."""
+    up = np.flatnonzero((way[:-1] < 0.0) & (way[1:] >= 0.0))
+    crossing = times[up] - way[up] * (times[up + 1] - times[up]) / (way[up + 1] - way[up])
+    return (len(crossing) - 1) / (crossing[-1] - crossing[0])
+
+
+def test_hanging_sheet_swings_at_its_frequency_and_keeps_its_energy():
+    """ω₁ = (2.4048/2) √(g/L) of a hanging chain, and of a sheet held along its whole top edge."""
+    times, way, drift = swing(12, 14, 5.0)
+    expected = 0.5 * 2.404826 * np.sqrt(GRAVITY / 0.297) / (2.0 * np.pi)
+    assert frequency(times, way) == pytest.approx(expected, rel=0.01)
+    assert abs(drift) < 0.01
+
+
+@pytest.mark.slow
+def test_cantilever_sags_as_a_heavy_beam():
+    """A small load: sag = L Γ/8 with Γ = ρgL³/D. The strip is free to curl across, and then a plate of
+    Poisson ratio ν bends with D(1 − ν²): ν = −1/3 here, so the sag is between 1 and 9/8 of the beam's."""
+    length, columns = 0.10, 24
+    mesh = build(length, 0.025, columns, 7)
+    fabric = replace(undamped(SATIN), bending_rigidity=4e-3)
+    sheet, step = discretise(fabric, mesh), stable_step(fabric, mesh)
+    shape = flat(mesh)
+    held = np.flatnonzero(mesh.material[:, 0] < length / columns + 1e-9)
+    rest = settle(sheet, shape, held, keep(shape[held]), step, at_rest=1e-5)
+    free_length = length - 0.5 * length / columns  # the first joint turns for the half edge before it
+    sag = -rest[mesh.material[:, 0] > length - 1e-9, 2].mean()
+    beam = free_length**4 * fabric.areal_density * GRAVITY / (8.0 * fabric.bending_rigidity)
+    assert 0.97 < sag / beam < 9.0 / 8.0 + 0.03
+
+
+def test_the_bow_has_no_strain_and_the_right_ends():
+    mesh = build(0.3, 0.3, 28, 32)
+    shape = bowed(mesh, 0.3, 0.21)
+    corners = shape[[0, 28]]
+    np.testing.assert_allclose(corners, [[-0.105, 0.0, 0.0], [0.105, 0.0, 0.0]], atol=1e-9)
+    edges = np.linalg.norm(np.diff(shape[:29], axis=0), axis=1)
+    np.testing.assert_allclose(edges, 0.3 / 28, rtol=1e-3)
+
+
+def test_tracked_points_are_read_to_a_fraction_of_the_noise():
+    mesh, radius = build(0.3, 0.3, 28, 32), 0.03
+    read = tracking_weights(mesh, maker.markers()) @ cylinder(mesh, radius, 0.0)
+    u, v = maker.markers().T
+    exact = np.column_stack([radius * np.sin(u / radius), radius * np.cos(u / radius), v])
+    assert abs(read - exact).max() < 0.05e-3
+
+
+def test_what_the_tracker_sees_is_settled_by_the_name_alone():
+    truth, grips = np.zeros((50, 81, 3)), np.zeros((100, 2, 3))
+    first, again = (maker.measure("satin/waving-1", truth, grips) for _ in range(2))
+    np.testing.assert_array_equal(first[0], again[0])
+    assert np.nanstd(first[0]) == pytest.approx(maker.MARKER_NOISE, rel=0.05)
+    assert np.isnan(first[0]).any(axis=2).mean() == pytest.approx(maker.DROPOUT, rel=0.3)
+    assert (maker.measure("linen/waving-1", truth, grips)[1] != first[1]).any()
+
+
+def test_every_motion_starts_smoothly_and_never_pulls_the_cloth_taut():
+    t = np.linspace(0.0, 3.0, 3001)
+    for trial in maker.TRIALS:
+        offset = trial.offset(t)
+        assert abs(offset[:10]).max() < 1e-6
+        places = maker.hold(trial.separation) + offset
+        assert np.linalg.norm(places[:, 1] - places[:, 0], axis=1).max() < 0.96 * maker.SIDE
+
+
+@pytest.mark.slow
+def test_the_recordings_are_what_the_script_makes():
+    """One static trial made anew; bit for bit on one machine, to the tracker's resolution on any."""
+    from clothbench.recording import read_recording
+
+    stored = read_recording(maker.FOLDER / "linen-static-1.nc")
+    made = maker.record(maker.FABRICS[1], maker.TRIALS[0], maker.Bench(maker.FABRICS[1]))
+    np.testing.assert_allclose(made.position, stored.position, atol=2e-5)
+    np.testing.assert_allclose(made.grip_position, stored.grip_position, atol=2e-5)
+    assert made.notes == stored.notes

@@ -1,0 +1,149 @@
+"""Every built-in plugin keeps every rule of the kit; plugins made wrong on purpose break each of them."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+import wrong_models
+import wrong_plugins
+
+from clothbench import ClothbenchError
+from clothbench.plugins import KINDS, OWN, catalogue
+from clothbench.testing import (
+    ConformanceError,
+    check_effect,
+    check_metric,
+    check_model,
+    check_optimizer,
+    check_plugin,
+    check_tracker,
+    rule_names,
+    scenes,
+)
+
+BUILT_IN = [
+    (plugin.kind, plugin.name, rule)
+    for plugin in catalogue().plugins
+    if plugin.kind in KINDS and plugin.distribution == OWN
+    for rule in rule_names(plugin.kind)
+]
+
+
+@pytest.mark.parametrize(("kind", "name", "rule"), BUILT_IN, ids=["-".join(case) for case in BUILT_IN])
+def test_built_in_plugins_keep_every_rule(kind, name, rule):
+    (outcome,) = check_plugin(kind, name, only=[rule])
+    assert outcome.rule == rule
+
+
+def broken(check, make, rule):
+    """The one line with which `check` refuses a plugin for breaking `rule`."""
+    with pytest.raises(ConformanceError) as caught:
+        check(make, only=[rule])
+    line = str(caught.value)
+    assert "\n" not in line
+    assert f": {rule}: found " in line
+    assert ", expected " in line
+    return line
+
+
+@pytest.mark.parametrize(("make", "rule", "found"), wrong_models.CASES, ids=wrong_models.IDS)
+def test_a_wrong_model_is_found_out(make, rule, found):
+    assert found in broken(check_model, make, rule)
+
+
+@pytest.mark.parametrize(("make", "rule", "found"), wrong_plugins.EFFECTS, ids=lambda case: str(case)[:40])
+def test_a_wrong_effect_is_found_out(make, rule, found):
+    assert found in broken(check_effect, make, rule)
+
+
+@pytest.mark.parametrize(("make", "rule", "found"), wrong_plugins.METRICS, ids=lambda case: str(case)[:40])
+def test_a_wrong_metric_is_found_out(make, rule, found):
+    assert found in broken(check_metric, make, rule)
+
+
+@pytest.mark.parametrize(("make", "rule", "found"), wrong_plugins.OPTIMIZERS, ids=lambda case: str(case)[:40])
+def test_a_wrong_optimizer_is_found_out(make, rule, found):
+    assert found in broken(check_optimizer, make, rule)
+
+
+@pytest.mark.parametrize(("make", "rule", "found"), wrong_plugins.TRACKERS, ids=lambda case: str(case)[:40])
+def test_a_wrong_tracker_is_found_out(make, rule, found):
+    assert found in broken(check_tracker, make, rule)
+
+
+def test_every_rule_can_be_broken():
+    cases = {
+        "models": wrong_models.CASES,
+        "effects": wrong_plugins.EFFECTS,
+        "metrics": wrong_plugins.METRICS,
+        "optimizers": wrong_plugins.OPTIMIZERS,
+        "trackers": wrong_plugins.TRACKERS,
+    }
+    for kind, wrong in cases.items():
+        assert {rule for _, rule, _ in wrong} == set(rule_names(kind)), kind
+
+
+@pytest.mark.parametrize(
+    ("check", "make"),
+    [
+        (check_metric, wrong_plugins.HonestMetric),
+        (check_optimizer, wrong_plugins.HonestOptimizer),
+        (check_tracker, wrong_plugins.HonestTracker),
+        (check_effect, wrong_plugins.HonestEffect),
+    ],
+)
+def test_the_honest_plugin_behind_the_wrong_ones_passes(check, make):
+    check(make)
+
+
+def test_a_static_model_is_only_asked_what_it_can_answer():
+    outcomes = check_model(wrong_models.Static, scenes={"hanging": scenes.hanging()})
+    skipped = {outcome.rule for outcome in outcomes if outcome.skipped}
+    assert {"lets effects act", "converges with smaller steps"} <= skipped
+    assert "follows the grips" not in skipped
+
+
+def test_a_model_may_refine_its_steps_by_a_method():
+    (outcome,) = check_model(wrong_models.Refinable, only=["converges with smaller steps"])
+    assert not outcome.skipped
+
+
+def test_a_rule_that_does_not_apply_says_why():
+    (outcome,) = check_effect(wrong_plugins.HonestEffect, only=["keeps to its own memory"])
+    assert outcome.skipped == "has no kernel"
+
+
+def test_a_plugin_that_cannot_be_made_is_told_in_one_line():
+    def make():
+        raise ValueError("no such file")
+
+    with pytest.raises(ConformanceError, match="model make: making it: found ValueError: no such file"):
+        check_model(make)
+
+
+def test_unknown_kinds_and_rules_are_refused():
+    with pytest.raises(ClothbenchError, match="no kind of plugin 'mops'; there are: models"):
+        check_plugin("mops", "wet")
+    with pytest.raises(ClothbenchError, match="no conformance rule 'shines'; there are: has all members"):
+        check_metric(wrong_plugins.HonestMetric, only=["shines"])
+
+
+def test_raw_data_given_by_the_author_is_not_passed_over(tmp_path):
+    with pytest.raises(ConformanceError, match="found ClothbenchError: tracks recordings only"):
+        check_tracker(wrong_plugins.HonestTracker, source=tmp_path)
+
+
+def test_importing_the_kit_costs_nothing():
+    code = "import sys, clothbench.testing; sys.exit('numpy' in sys.modules or 'numba' in sys.modules)"
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+def test_the_toy_fits_have_their_bottom_where_they_say():
+    from clothbench.testing.toys import bowl, valley
+
+    for problem, bottom in ((bowl(3), [0.62, 0.31, 0.73]), (valley(3), [0.75, 0.75, 0.75])):
+        theta = problem.space.from_unit(np.array([bottom]))
+        assert problem.evaluate(theta).value[0] == pytest.approx(0.0, abs=1e-9)

@@ -1,0 +1,260 @@
+"""Models that are wrong in one way each: a built-in one, with a fault put before or behind it."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from clothbench import ClothbenchError, ParameterSpace
+from clothbench.plugins import catalogue
+from clothbench.testing import scenes
+
+
+def reference():
+    """The first installed model that can do everything the faults are put into."""
+    for name in catalogue().names("models"):
+        make = catalogue().load("models", name)
+        if {"dynamic", "static", "effects"} <= set(make().capabilities):
+            return make
+    raise LookupError("no installed model is dynamic, static and takes effects")
+
+
+class Faulty:
+    """A sound model with places for a fault; as it stands it has none."""
+
+    name = "faulty"
+    version = 1
+
+    def __init__(self, step_scale=1.0, dt=None):
+        self.step_scale, self.dt = step_scale, dt
+        self.inner = reference()(step_scale=step_scale, dt=dt)
+        self.parameters, self.capabilities = self.inner.parameters, self.inner.capabilities
+
+    def prepare(self, scene, effects=()):
+        return FaultySimulation(self, scene, tuple(effects))
+
+    def scene(self, scene):
+        return scene
+
+    def effects(self, effects):
+        return effects
+
+    def before(self, theta):
+        return theta
+
+    def behind(self, scene, theta, effects, rollout):
+        return rollout
+
+
+class FaultySimulation:
+    def __init__(self, model, scene, effects):
+        self.model, self.asked, self.effects = model, scene, effects
+        self.inner = model.inner.prepare(model.scene(scene), model.effects(effects))
+        self.parameters = self.inner.parameters if effects else model.parameters
+
+    def run(self, theta):
+        rollout = self.inner.run(self.model.before(theta))
+        return self.model.behind(self.asked, np.atleast_2d(theta), self.effects, rollout)
+
+
+def shifted(rollout, shift):
+    """The rollout with something added to its positions, which broadcasts to (B, T, N, 3) m."""
+    return dataclasses.replace(rollout, position=rollout.position + shift)
+
+
+class Static(Faulty):
+    """Only finds states of rest, in scenes where nothing moves; sound."""
+
+    def __init__(self):
+        super().__init__()
+        self.parameters = ParameterSpace(self.parameters.parameters[:2])
+        self.capabilities = frozenset({"static"})
+
+    def before(self, theta):
+        rest = np.tile(self.inner.parameters.defaults, (len(theta), 1))
+        rest[:, :2] = self.parameters.check(theta)
+        return rest
+
+
+class Refinable(Faulty):
+    """Takes smaller steps when told so by a method instead of an option; sound."""
+
+    def __init__(self, scale=1.0):
+        super().__init__(step_scale=scale)
+
+    def refined(self, factor):
+        return type(self)(1 / factor)
+
+
+class Nameless(Faulty):
+    name = "not a name"
+
+
+class HalfPrecise(Faulty):
+    def behind(self, scene, theta, effects, rollout):
+        return dataclasses.replace(rollout, position=rollout.position.astype(np.float32))
+
+
+class Concealing(Faulty):
+    def behind(self, scene, theta, effects, rollout):
+        lost = np.where(np.arange(len(rollout.time)) >= 4, np.nan, 0.0)
+        return shifted(rollout, lost[:, None, None])
+
+
+class Restless(Faulty):
+    """Not deterministic: every run differs from the one before by a hair."""
+
+    count = 0
+
+    def behind(self, scene, theta, effects, rollout):
+        type(self).count += 1
+        return shifted(rollout, 1e-13 * self.count)
+
+
+class Sociable(Faulty):
+    """What a member does depends on how many others there are."""
+
+    def behind(self, scene, theta, effects, rollout):
+        return shifted(rollout, 1e-10 * len(theta))
+
+
+class Lenient(Faulty):
+    def before(self, theta):
+        wanted = len(self.parameters)
+        theta = np.nan_to_num(np.atleast_2d(theta))
+        return np.hstack([theta, np.ones((len(theta), wanted))])[:, :wanted]
+
+
+class Meddling(Faulty):
+    def before(self, theta):
+        theta *= 1.01
+        return np.minimum(theta, self.parameters.high)
+
+
+class TouchyAboutEffects(Faulty):
+    def behind(self, scene, theta, effects, rollout):
+        return shifted(rollout, 1e-12 if effects else 0.0)
+
+
+class DeafToEffects(Faulty):
+    def effects(self, effects):
+        return ()
+
+    def before(self, theta):
+        return np.atleast_2d(theta)[:, : len(self.parameters)]
+
+
+class Explosive(Faulty):
+    def behind(self, scene, theta, effects, rollout):
+        if "diverged" in rollout.status:
+            raise FloatingPointError("the sheet blew up")
+        return rollout
+
+
+class Infectious(Faulty):
+    """Where one member diverges, all do."""
+
+    def behind(self, scene, theta, effects, rollout):
+        if "diverged" not in rollout.status:
+            return rollout
+        status = ("diverged", "ok", *rollout.status[2:])
+        position = np.where(np.isfinite(rollout.position), rollout.position, np.nan)
+        position[0], position[1] = np.nan, 0.0
+        return dataclasses.replace(rollout, status=status, position=position)
+
+
+class LettingGo(Faulty):
+    """Does not follow the grips: holds on to where they were first."""
+
+    def scene(self, scene):
+        return scenes.still(scene)
+
+
+class Homesick(Faulty):
+    """Drifts eastwards, wherever the scene is turned to."""
+
+    def behind(self, scene, theta, effects, rollout):
+        return shifted(rollout, 1e-3 * scene.times[:, None, None] * [1.0, 0.0, 0.0])
+
+
+class Stubborn(Faulty):
+    """Knows only one direction in which things fall."""
+
+    def scene(self, scene):
+        return dataclasses.replace(scene, gravity=(0.0, 0.0, -9.81))
+
+
+class UpsideDown(Faulty):
+    def scene(self, scene):
+        return dataclasses.replace(scene, gravity=tuple(-g for g in scene.gravity))
+
+
+class Forgetful(Faulty):
+    """Has a parameter that it does not use."""
+
+    def before(self, theta):
+        theta = np.array(theta)
+        theta[:, 1] = self.parameters.defaults[1]
+        return theta
+
+
+class Unsteady(Faulty):
+    """Smaller steps lead it elsewhere, but not closer."""
+
+    def behind(self, scene, theta, effects, rollout):
+        return shifted(rollout, 1e-3 * np.log2(self.step_scale))
+
+
+class Metronome(Faulty):
+    """Takes the frames to be evenly spaced."""
+
+    def scene(self, scene):
+        return scenes.with_times(scene, np.linspace(scene.times[0], scene.times[-1], len(scene.times)))
+
+    def behind(self, scene, theta, effects, rollout):
+        return dataclasses.replace(rollout, time=scene.times)
+
+
+class Sleepwalking(Faulty):
+    """Goes on sinking where it should rest."""
+
+    def behind(self, scene, theta, effects, rollout):
+        return shifted(rollout, -0.05 * scene.times[:, None, None] * [0.0, 0.0, 1.0])
+
+
+class Nothing(Faulty):
+    """Has no parameters, and no scene that it can do."""
+
+    def __init__(self):
+        super().__init__()
+        self.parameters = ParameterSpace()
+
+    def prepare(self, scene, effects=()):
+        raise ClothbenchError("not this scene")
+
+
+CASES = [
+    (Nameless, "has all members", "name 'not a name'"),
+    (Nothing, "has all members", "no parameter"),
+    (Nothing, "gives whole rollouts", "none of the scenes hanging"),
+    (HalfPrecise, "gives whole rollouts", "positions of type float32"),
+    (Concealing, "gives whole rollouts", "status 'ok' but positions not finite"),
+    (Restless, "gives the same bits twice", "another result of the same simulation"),
+    (Sociable, "gives a batch as one by one", "member 0 of a batch"),
+    (Lenient, "refuses wrong parameters", "no complaint about one parameter too few"),
+    (Meddling, "leaves its input alone", "parameter sets that the run has changed"),
+    (TouchyAboutEffects, "is untouched by null effects", "at its null values"),
+    (DeafToEffects, "lets effects act", "nothing changed by effect"),
+    (Explosive, "reports divergence", "FloatingPointError: the sheet blew up"),
+    (Infectious, "reports divergence", "dt ="),
+    (LettingGo, "follows the grips", "from their grips in scene swinging"),
+    (Homesick, "moves along with the room", "off after turning and shifting scene"),
+    (Stubborn, "turns along with gravity", "off after turning and shifting scene"),
+    (UpsideDown, "is pulled down", "above its highest grip"),
+    (Forgetful, "lets every parameter matter", "goes from low to high"),
+    (Unsteady, "converges with smaller steps", "on halving the step twice"),
+    (Metronome, "respects uneven time stamps", "at the same moment of scene"),
+    (Sleepwalking, "rests when held still", "a sheet that moves by"),
+]
+IDS = [f"{make.__name__}-{rule}" for make, rule, _ in CASES]

@@ -1,0 +1,370 @@
+"""Effects, metrics, optimizers, trackers that are wrong in one way each, and the honest ones they spoil."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import math
+
+import numpy as np
+
+from clothbench import (
+    ClothbenchError,
+    Observation,
+    Parameter,
+    ParameterSpace,
+    Recording,
+    Score,
+    effect_kernel,
+)
+
+
+def space(null=0.0, bounds=(0.0, 0.1)):
+    return ParameterSpace(
+        (Parameter("late", "τ", "s", bounds, "linear", 0.05, "lateness", "none", null=null),)
+    )
+
+
+# --- effects ---
+
+
+class HonestEffect:
+    name = "honest"
+    version = 1
+    place = "sensor"
+    summary = "frames are stamped late"
+    parameters = space()
+
+    def times(self, time, phi):
+        return time - phi[0]
+
+
+class Placeless(HonestEffect):
+    place = "kitchen"
+
+
+class NullOutside(HonestEffect):
+    parameters = space(null=-1.0)
+
+
+class NullNowhere(HonestEffect):
+    parameters = space(null=None)
+
+
+class NeverNull(HonestEffect):
+    def times(self, time, phi):
+        return time - phi[0] - 1e-6
+
+
+class Idle(HonestEffect):
+    def times(self, time, phi):
+        return time + 0.0
+
+
+class Overwriting(HonestEffect):
+    def times(self, time, phi):
+        time -= phi[0]
+        return time
+
+
+@effect_kernel
+def greedy_force(t, dt, x, v, f, sheet, p, state):
+    """Counts in a memory that was never declared."""
+    state[0] += 1.0
+    f[0, 0] += p[0] * 1e-3
+
+
+@effect_kernel
+def braking_force(t, dt, x, v, f, sheet, p, state):
+    """Changes the velocity itself instead of pushing."""
+    for i in range(x.shape[1]):
+        v[0, i] *= 1.0 - p[0]
+
+
+class Greedy(HonestEffect):
+    place = "dynamics"
+    force = staticmethod(greedy_force)
+
+
+class Braking(Greedy):
+    force = staticmethod(braking_force)
+
+
+class Uncompiled(Greedy):
+    force = staticmethod(greedy_force.py_func)
+
+
+class Jealous(HonestEffect):
+    """Remembers over all runs how often it was asked, and from the third time on is late on its own."""
+
+    asked = itertools.count()
+
+    def times(self, time, phi):
+        return time - phi[0] - 1e-3 * (next(self.asked) > 2)
+
+
+EFFECTS = [
+    (Placeless, "has all members", "place 'kitchen'"),
+    (Uncompiled, "has all members", "'force' that is not compiled"),
+    (NullOutside, "has null values within its bounds", "outside its bounds"),
+    (NullNowhere, "has null values within its bounds", "no parameter with a null value"),
+    (NeverNull, "vanishes at its null values", "another motion at the null values"),
+    (Idle, "acts elsewhere", "no change of any motion"),
+    (Jealous, "goes along with another effect", "at its null values"),
+    (Greedy, "keeps to its own memory", "IndexError"),
+    (Braking, "keeps to its own memory", "an input of 'force'"),
+    (Overwriting, "leaves positions it is given alone", "arrays given to 'times'"),
+]
+
+
+# --- metrics ---
+
+
+class HonestMetric:
+    """Root mean square distance of what was seen [m]."""
+
+    name = "honest"
+    version = 1
+    unit = "m"
+
+    def __call__(self, observation, rollout):
+        seen = observation.visible
+        residual = (rollout.position - np.nan_to_num(observation.position))[:, seen].reshape(len(rollout), -1)
+        count = int(seen.sum())
+        square = (residual**2).sum(axis=1)
+        value = np.sqrt(square / count) if count else np.full(len(rollout), np.nan)
+        return self.spoil(observation, Score(value, self.unit, residual=residual))
+
+    def spoil(self, observation, score):
+        return score
+
+    def floor(self, observation):
+        return math.sqrt(3.0) * observation.sigma
+
+
+class Unitless(HonestMetric):
+    unit = ""
+
+
+class Flat(HonestMetric):
+    def spoil(self, observation, score):
+        return dataclasses.replace(score, per_frame=score.value)
+
+
+class Offset(HonestMetric):
+    def spoil(self, observation, score):
+        return dataclasses.replace(score, value=score.value + 1e-3)
+
+
+class Saturated(HonestMetric):
+    def spoil(self, observation, score):
+        return dataclasses.replace(score, value=np.minimum(score.value, 3e-3))
+
+
+class SeeingTheUnseen(HonestMetric):
+    def __call__(self, observation, rollout):
+        seen = np.nan_to_num(observation.position)
+        return Score(np.sqrt(((rollout.position - seen) ** 2).mean(axis=(1, 2, 3))), self.unit)
+
+
+class Inventive(HonestMetric):
+    def spoil(self, observation, score):
+        return dataclasses.replace(score, value=np.nan_to_num(score.value, nan=99.0))
+
+
+class InventiveWithoutView(HonestMetric):
+    def spoil(self, observation, score):
+        return (
+            score
+            if observation.visible.any()
+            else dataclasses.replace(score, value=np.zeros(len(score.value)))
+        )
+
+
+class Ordered(HonestMetric):
+    def spoil(self, observation, score):
+        weight = np.linspace(1.0, 2.0, score.residual.shape[1])
+        value = np.sqrt((score.residual**2 * weight).mean(axis=1))
+        return dataclasses.replace(score, value=value)
+
+
+class Competitive(HonestMetric):
+    """Grades the members of a batch against each other."""
+
+    def spoil(self, observation, score):
+        return dataclasses.replace(score, value=score.value * len(score.value))
+
+
+class Boastful(HonestMetric):
+    def floor(self, observation):
+        return observation.sigma
+
+
+class Destructive(HonestMetric):
+    def __call__(self, observation, rollout):
+        rollout.position[:] = np.round(rollout.position, 4)
+        return super().__call__(observation, rollout)
+
+
+METRICS = [
+    (Unitless, "has all members", "unit ''"),
+    (Flat, "gives whole scores", "per_frame of shape (2,)"),
+    (Offset, "is zero for a perfect rollout", "for a perfect rollout"),
+    (Saturated, "grows with the error", "for an error doubled thrice"),
+    (SeeingTheUnseen, "ignores what was not seen", "when only unseen nodes move"),
+    (Inventive, "gives no number for a lost rollout", "for rollouts that were lost"),
+    (InventiveWithoutView, "gives no number where nothing was seen", "where no node was seen"),
+    (Ordered, "does not care for the order of nodes", "in another order"),
+    (Competitive, "scores a batch as one by one", "another value of member 0"),
+    (Boastful, "states an honest floor", "where noise alone gives"),
+    (Destructive, "leaves its input alone", "a rollout that scoring has changed"),
+]
+
+
+# --- optimizers ---
+
+
+class RandomSearch:
+    """Uniform random points in batches of ten: keeps every rule but the one that it defines."""
+
+    name = "random_search"
+    version = 1
+    needs_residual = False
+
+    def __init__(self, space, *, seed, budget):
+        self.space, self.left, self.random = space, budget, np.random.default_rng(seed)
+        self.done, self.stopped = False, ""
+        self.best, self.value = None, np.inf
+
+    def draw(self, count):
+        return self.random.random((count, len(self.space)))
+
+    def ask(self):
+        return self.space.from_unit(self.draw(min(10, self.left)))
+
+    def tell(self, theta, evaluation):
+        lowest = np.where(np.isnan(evaluation.value), np.inf, evaluation.value)
+        if lowest.min() < self.value:
+            self.best, self.value = self.space.to_unit(theta[lowest.argmin()]), lowest.min()
+        self.left -= len(theta)
+        if self.left <= 0:
+            self.done, self.stopped = True, "budget spent"
+
+
+class HonestOptimizer(RandomSearch):
+    """Walks from the best point so far, in steps that shrink as the budget does."""
+
+    def __init__(self, space, *, seed, budget):
+        super().__init__(space, seed=seed, budget=budget)
+        self.budget = budget
+
+    def draw(self, count):
+        if self.best is None:
+            return super().draw(count)
+        step = 0.3 * (self.left / self.budget) ** 2
+        return np.clip(self.best + step * self.random.normal(size=(count, len(self.space))), 0.0, 1.0)
+
+
+class Changeable(RandomSearch):
+    needs_residual = "sometimes"
+
+
+class Unseeded(RandomSearch):
+    def draw(self, count):
+        return np.random.random((count, len(self.space)))  # noqa: NPY002
+
+
+class Trespassing(HonestOptimizer):
+    def ask(self):
+        return super().ask() * 1.01
+
+
+class Spendthrift(RandomSearch):
+    def ask(self):
+        return self.space.from_unit(self.draw(10))
+
+
+class Silent(RandomSearch):
+    def tell(self, theta, evaluation):
+        super().tell(theta, evaluation)
+        self.stopped = ""
+
+
+class Fragile(RandomSearch):
+    def tell(self, theta, evaluation):
+        if np.isnan(evaluation.value).any():
+            raise ValueError("not a number")
+        super().tell(theta, evaluation)
+
+
+OPTIMIZERS = [
+    (Changeable, "has all members", "needs_residual 'sometimes'"),
+    (Unseeded, "gives the same search for the same seed", "other points asked with the same seed"),
+    (Trespassing, "stays within bounds and budget", "asked, expected within its bounds"),
+    (Spendthrift, "stays within bounds and budget", "40 evaluations asked"),
+    (Spendthrift, "manages with a budget of one", "10 evaluations asked"),
+    (Silent, "says why it stopped", "stopped = ''"),
+    (Fragile, "copes with lost runs", "ValueError: not a number"),
+    (RandomSearch, "beats random search", "better than random search in"),
+]
+
+
+# --- trackers ---
+
+
+class HonestTracker:
+    name = "honest"
+    version = 1
+
+    def track(self, source):
+        if not isinstance(source, Recording):
+            raise ClothbenchError("tracks recordings only")
+        return Observation(source.time, source.position, source.visible, source.noise_sigma, source.material)
+
+
+class Versionless(HonestTracker):
+    version = "latest"
+
+
+class Sleeping(HonestTracker):
+    def track(self, source):
+        seen = super().track(source)
+        return dataclasses.replace(seen, visible=np.zeros_like(seen.visible))
+
+
+class Imagining(HonestTracker):
+    def track(self, source):
+        seen = super().track(source)
+        filled = np.where(seen.visible[..., None], seen.position, 0.0)
+        return dataclasses.replace(seen, position=filled, visible=np.ones_like(seen.visible))
+
+
+class Squinting(HonestTracker):
+    def track(self, source):
+        seen = super().track(source)
+        return dataclasses.replace(seen, position=seen.position + 0.01)
+
+
+class Trembling(HonestTracker):
+    count = itertools.count()
+
+    def track(self, source):
+        seen = super().track(source)
+        return dataclasses.replace(seen, position=seen.position + 1e-9 * next(self.count))
+
+
+class Defacing(HonestTracker):
+    def track(self, source):
+        source.position.flags.writeable = True
+        source.position[0, 0] += 1e-3
+        return super().track(source)
+
+
+TRACKERS = [
+    (Versionless, "has all members", "version 'latest'"),
+    (Sleeping, "gives a whole observation", "no node seen in any frame"),
+    (Imagining, "sees what was recorded", "nodes seen in frames where the recording has none"),
+    (Squinting, "sees what was recorded", "mm from where it was recorded"),
+    (Trembling, "gives the same bits twice", "another position when tracking again"),
+    (Defacing, "leaves the recording alone", "a recording that tracking has changed"),
+]

@@ -1,0 +1,112 @@
+"""The recording format: round trip, hash, and one line for every fault."""
+
+from pathlib import Path
+
+import h5netcdf.legacyapi
+import numpy as np
+import pytest
+from clothbench import ClothbenchError, read_recording, write_recording
+from conftest import swinging_recording
+
+
+def test_round_trip_keeps_everything(recording, tmp_path):
+    again = read_recording(write_recording(recording, tmp_path / "a.nc"))
+    assert again.hash == recording.hash
+    assert again.fabric == "paper"
+    np.testing.assert_array_equal(again.position, recording.position)
+
+
+def test_hash_depends_on_content_not_on_place(recording, tmp_path):
+    first = read_recording(write_recording(recording, tmp_path / "a.nc"))
+    second = read_recording(write_recording(recording, tmp_path / "deep" / "b.nc"))
+    assert first.hash == second.hash
+    assert swinging_recording(split="held_out").hash != recording.hash
+
+
+def test_arrays_are_read_only_and_not_the_callers(recording):
+    time = np.array(recording.time)
+    copy = swinging_recording(time=time)
+    time[0] = -5.0
+    assert copy.time[0] == 0.0
+    with pytest.raises(ValueError, match="read-only"):
+        copy.time[0] = 1.0
+
+
+def test_what_the_format_does_not_know_is_kept_as_notes(tmp_path):
+    path = write_recording(swinging_recording(notes={"clock_offset_removed_s": "0.25"}), tmp_path / "a.nc")
+    assert read_recording(path).notes == {"clock_offset_removed_s": "0.25"}
+
+
+def test_a_failed_write_leaves_the_old_file(recording, tmp_path, monkeypatch):
+    path = write_recording(recording, tmp_path / "a.nc")
+    before = path.read_bytes()
+    monkeypatch.setattr("xarray.Dataset.to_netcdf", lambda *a, **k: (_ for _ in ()).throw(OSError("disk full")))
+    with pytest.raises(OSError, match="disk full"):
+        write_recording(swinging_recording("other"), path)
+    assert path.read_bytes() == before
+    assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
+
+
+def _with(tmp_path: Path, change) -> Path:
+    """A good file, spoilt by `change(open file)`."""
+    path = write_recording(swinging_recording(), tmp_path / "bad.nc")
+    with h5netcdf.legacyapi.Dataset(path, "a") as stream:
+        change(stream)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (lambda f: setattr(f["position"], "units", "mm"), "variable 'position': found units 'mm', expected 'm'"),
+        (lambda f: setattr(f, "format", "other"), "attribute 'format': found 'other'"),
+        (lambda f: setattr(f, "format_version", 2), "attribute 'format_version': found 2, expected 1"),
+        (lambda f: setattr(f, "kind", "video"), "attribute 'kind': found 'video'"),
+        (lambda f: setattr(f, "gravity", "down"), "attribute 'gravity': found 'down'"),
+        (lambda f: setattr(f, "cloth_width", "wide"), "attribute 'cloth_width': found 'wide', expected a number"),
+        (lambda f: setattr(f, "cloth_width", -1.0), "expected metres above 0"),
+        (lambda f: setattr(f, "areal_density", 0.0), "attribute 'areal_density': found 0.0"),
+        (lambda f: setattr(f, "split", "train"), "attribute 'split': found 'train'"),
+        (lambda f: f["time"].__setitem__(3, 0.0), "expected strictly increasing"),
+        (lambda f: f["grip_time"].__setitem__(slice(None), np.arange(26) + 100.0), "covers 0% of the frames"),
+        (lambda f: f["position"].__setitem__((2, 3, 1), np.inf), "1 infinite values, the first at frame 2, node 3"),
+        (lambda f: f["position"].__setitem__(slice(None), np.nan), "found only NaN"),
+        (lambda f: f["grip_position"].__setitem__((0, 0, 0), np.nan), "variable 'grip_position': found a value"),
+        (lambda f: f["material"].__setitem__(4, [0.05, 0.0]), r"found row 1 2 times \(the same material point\)"),
+        (lambda f: f["material"].__setitem__(4, [5.0, 0.0]), "expected inside the 0.2 m × 0.2 m cloth"),
+    ],
+)
+def test_every_fault_is_one_line_with_file_and_field(tmp_path, change, found):
+    path = _with(tmp_path, change)
+    with pytest.raises(ClothbenchError, match=found) as caught:
+        read_recording(path)
+    assert str(caught.value).startswith(str(path))
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_cut_off_and_a_text_file_are_refused(recording, tmp_path):
+    path = write_recording(recording, tmp_path / "a.nc")
+    path.write_bytes(path.read_bytes()[:5000])
+    with pytest.raises(ClothbenchError, match="truncated file of 5000 bytes"):
+        read_recording(path)
+    path.write_text("time,node")
+    with pytest.raises(ClothbenchError, match="expected NetCDF-4"):
+        read_recording(path)
+    with pytest.raises(ClothbenchError, match="no such file"):
+        read_recording(tmp_path / "none.nc")
+
+
+@pytest.mark.data
+def test_every_broken_recording_is_refused_in_one_line(data_dir):
+    paths = sorted((data_dir / "bad-recordings").glob("*.nc"))
+    assert len(paths) >= 12
+    for path in paths:
+        with pytest.raises(ClothbenchError) as caught:
+            read_recording(path)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.data
+def test_every_practice_recording_is_read(data_dir):
+    paths = sorted((data_dir / "practice-cases").rglob("*.nc"))
+    assert len({read_recording(p).hash for p in paths}) == len(paths) > 0

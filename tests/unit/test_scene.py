@@ -1,0 +1,57 @@
+"""Scenes: what a recording becomes, how grips are interpolated, and where a model starts from."""
+
+import numpy as np
+import pytest
+from clothbench import ClothbenchError, Scene
+from clothbench.scene import initial_shape, scene_of
+from conftest import swinging_recording
+
+
+def test_unknown_density_must_be_stated():
+    unknown = swinging_recording(areal_density=float("nan"))
+    with pytest.raises(ClothbenchError, match=r"scene.areal_density=VALUE \[kg/m²\]"):
+        scene_of(unknown)
+    assert scene_of(unknown, areal_density=0.3).areal_density == 0.3
+    assert scene_of(swinging_recording(), areal_density=0.3).areal_density == 0.2
+
+
+def test_grips_pass_through_their_stamps_and_rest_outside(recording):
+    scene = scene_of(recording)
+    np.testing.assert_allclose(scene.grips_at(recording.grip_time), recording.grip_position, atol=1e-12)
+    outside = scene.grips_at(np.array([-1.0, 9.0]))
+    np.testing.assert_allclose(outside, recording.grip_position[[0, -1]], atol=1e-12)
+
+
+def test_grips_follow_a_smooth_motion_between_slow_irregular_stamps():
+    stamps = np.sort(np.random.default_rng(3).uniform(0, 2, 40))
+    path = np.stack([np.sin(3 * stamps), np.cos(2 * stamps), stamps * 0], axis=1)[:, None]
+    scene = Scene(0.2, 0.2, 0.2, stamps, np.zeros((1, 2)), path, np.linspace(0, 2, 9), np.zeros((1, 2)))
+    between = (stamps[1:] + stamps[:-1]) / 2
+    expected = np.stack([np.sin(3 * between), np.cos(2 * between), between * 0], axis=1)[:, None]
+    assert np.abs(scene.grips_at(between) - expected).max() < 0.01
+
+
+def test_the_first_guess_hangs_from_the_grips_and_bends_to_what_was_seen():
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, 0.2, 5), np.linspace(0, 0.2, 5)))
+    uv = np.stack([u, v], axis=1)
+    held = np.array([[0.0, 0.0], [0.2, 0.0]])
+    at = np.array([[0.0, 0.0, 1.0], [0.0, 0.2, 1.0]])  # the warp points along y
+    seen = np.stack([0.05 * np.sin(np.pi * v / 0.4), u, 1 - v], axis=1)
+    scene = Scene(0.2, 0.2, 0.2, np.array([0.0, 1.0]), held, np.stack([at, at]), np.array([0.0]), uv)
+    flat = initial_shape(scene, uv)
+    np.testing.assert_allclose(flat, np.stack([0 * u, u, 1 - v], axis=1), atol=1e-12)
+    bent = Scene(0.2, 0.2, 0.2, np.array([0.0, 1.0]), held, np.stack([at, at]), np.array([0.0]), uv, start=seen)
+    assert np.abs(initial_shape(bent, uv) - seen).max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    "change", [{"width": 0.0}, {"areal_density": float("nan")}, {"times": np.array([0.0, 0.0])}, {"resolution": (2, 5)}]
+)
+def test_impossible_scenes_are_refused(change):
+    good = {
+        "width": 0.2, "height": 0.2, "areal_density": 0.2, "grip_time": np.array([0.0, 1.0]),
+        "grip_material": np.zeros((1, 2)), "grip_position": np.zeros((2, 1, 3)), "times": np.array([0.0, 1.0]),
+        "points": np.zeros((1, 2)),
+    }  # fmt: skip
+    with pytest.raises(ClothbenchError, match="scene:"):
+        Scene(**{**good, **change})

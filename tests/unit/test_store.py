@@ -1,0 +1,66 @@
+"""The store: whole cells or none, one schema, errors tried again."""
+
+import pandas as pd
+import pytest
+from clothbench import ClothbenchError
+from clothbench.experiment.store import ROW, Store, leaderboard_row, load_rows
+
+
+def one_row(status="ok", **changes):
+    return {**dict.fromkeys(ROW), "suite": "s", "case": "c", "model": "m", "status": status, "key": "abc", **changes}
+
+
+def test_put_and_read_back(tmp_path):
+    store = Store(tmp_path)
+    store.put("abc", {"rows": [one_row(value=2.0)], "history": pd.DataFrame({"evaluation": [1], "value": [3.0]})})
+    assert store.has("abc")
+    assert store.rows()[0]["value"] == 2.0
+    assert {p.name for p in store.cell("abc").iterdir()} == {"rows.parquet", "history.parquet"}
+
+
+def test_an_error_is_not_finished(tmp_path):
+    store = Store(tmp_path)
+    store.put("abc", {"rows": [one_row("error")]})
+    assert not store.has("abc")
+    store.put("abc", {"rows": [one_row("diverged")]})
+    assert store.has("abc")
+    assert len(store.rows()) == 1
+
+
+def test_a_write_that_fails_leaves_the_old_cell_and_no_debris(tmp_path):
+    store = Store(tmp_path)
+    store.put("abc", {"rows": [one_row(value=1.0)]})
+
+    def fails(folder):
+        raise OSError("disk full")
+
+    with pytest.raises(OSError, match="disk full"):
+        store.put("abc", {"rows": [one_row(value=2.0)]}, fails)
+    assert store.rows()[0]["value"] == 1.0
+    assert [p.name for p in (tmp_path / "cells").iterdir()] == ["abc"]
+
+
+def test_a_damaged_table_is_one_line(tmp_path):
+    store = Store(tmp_path)
+    store.put("abc", {"rows": [one_row()]})
+    (store.cell("abc") / "rows.parquet").write_bytes(b"PAR1 nonsense")
+    with pytest.raises(ClothbenchError, match="damaged table"):
+        store.rows()
+
+
+def test_json_rows_have_exactly_the_contract_keys():
+    keys = [
+        "suite", "case", "recording", "split", "model", "effects", "optimizer", "metric", "value", "unit", "low",
+        "high", "floor", "reference", "status", "reason", "evaluations", "wall_s", "seed", "key",
+    ]  # fmt: skip
+    out = leaderboard_row(one_row(value=float("nan"), cpu="fast"))
+    assert list(out) == keys
+    assert out["value"] is None
+
+
+@pytest.mark.parametrize("text", ["not json", "{}", '[{"a": 1}]'])
+def test_a_file_that_is_no_leaderboard_is_refused(tmp_path, text):
+    path = tmp_path / "x.json"
+    path.write_text(text)
+    with pytest.raises(ClothbenchError, match="x.json"):
+        load_rows(path)
