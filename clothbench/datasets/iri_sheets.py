@@ -11,6 +11,8 @@ import numpy as np
 
 from clothbench.datasets import lattice
 from clothbench.datasets.iri_files import Source, read_camera, read_mesh
+from clothbench.datasets.lattice_faults import jumped as jumped_nodes
+from clothbench.datasets.lattice_faults import torn
 from clothbench.datasets.node_order import put_in_order
 
 SIDE = 0.30  # m; the data's paper says 30 × 30 cm, middle rows and columns measure 0.298 × 0.300 m
@@ -74,11 +76,11 @@ def _relabel(sheet: Sheet, frames: np.ndarray, right: np.ndarray) -> None:
     size.
     """
     ordered, sheet.reordered = put_in_order(frames, right)
-    jumped = lattice.jumped(ordered)
+    jumped = jumped_nodes(ordered)
     ordered[jumped] = np.nan
     flat, stress = lattice.unroll(lattice.filled(ordered), SIDE)
     n = sheet.source.n
-    flat_enough = (stress <= FLAT_SLACK * SIDE / (n - 1)) & ~lattice.torn(ordered, SIDE)
+    flat_enough = (stress <= FLAT_SLACK * SIDE / (n - 1)) & ~torn(ordered, SIDE)
     width, height = _extent(flat.reshape(len(flat), n, n, 2))
     right_size = (np.abs(width / SIDE - 1) <= SIZE_SLACK) & (np.abs(height / SIDE - 1) <= SIZE_SLACK)
     placed = lattice.place(flat, SIDE)

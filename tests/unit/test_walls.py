@@ -14,7 +14,7 @@ LAYERS = [
     {"errors", "parameters", "recording", "scene", "observation", "rollout", "parallel", "hookspecs"},
     {"kernels", "protocols", "effects", "plugins"},
     {"datasets", "experiment", "testing", "loop"},
-    {"report", "bench"},
+    {"report", "bench", "timing"},
     {"run_command", "cli", "scaffold", "__main__"},
 ]
 

@@ -122,7 +122,7 @@ class Sheet:
 
 
 def _add_cloth(builder: newton.ModelBuilder, side: int, cell: float, mass: float, dt: float) -> None:
-    """Newton's cloth grid; equal membrane constants add up to Young's modulus, with a Poisson's ratio of 0."""
+    """Newton's cloth grid; equal membrane constants add up to Young's modulus (Poisson's ratio 0)."""
     import warp as wp
 
     stiffness = stable_stiffness(mass, dt)

@@ -1,0 +1,253 @@
+"""The bench: what its rows say, and what a broken or absent plugin does to it. The models are toys that count."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+
+import pytest
+
+from clothbench import bench, timing
+from clothbench.plugins import Catalogue, Plugin
+
+SCHEMA = [
+    "model", "kind", "nodes", "threads", "batch", "node_steps_per_s", "realtime_factor", "peer", "ratio",
+]  # fmt: skip
+
+TOYS = """
+    import time
+    from types import SimpleNamespace
+
+    import numpy as np
+    from clothbench import Parameter, ParameterSpace, Rollout
+
+    class Toy:
+        name, version, kind, capabilities = "toy", 3, "explicit", frozenset({"dynamic"})
+        parameters = ParameterSpace((Parameter("k", "k", "N/m", (1.0, 9.0), "log", 5.0, "none", "none"),))
+        bench_options = ({}, {"precision": "single"})
+        pace = 1e-4  # s a sheet
+
+        def __init__(self, precision="double", dt=None):
+            self.precision, self.dt = precision, dt
+
+        def prepare(self, scene, effects=()):
+            return SimpleNamespace(parameters=self.parameters, run=lambda theta: self.run(scene, theta))
+
+        def run(self, scene, theta):
+            assert (theta == 5.0).all()
+            time.sleep(self.pace)
+            status = ("diverged" if self.diverges(scene) else "ok",) * len(theta)
+            nodes = scene.resolution[0] * scene.resolution[1]
+            steps = np.full(len(theta), 1000)
+            return Rollout(scene.times, np.zeros((len(theta), 1, 1, 3)), status, steps, nodes)
+
+        def diverges(self, scene):
+            return False
+
+    class Still(Toy):
+        capabilities = frozenset({"static"})
+
+    class Stiff(Toy):
+        bench_options = ({},)
+
+        def diverges(self, scene):
+            return self.dt is not None
+
+    class Lost(Stiff):
+        def diverges(self, scene):
+            return True
+
+    class Faulty:
+        capabilities = frozenset({"dynamic"})
+
+        def prepare(self, scene, effects=()):
+            raise ZeroDivisionError("no cloth today")
+
+    def skip_reason():
+        return None
+
+    def step_sheet(side, dt, steps):
+        return SimpleNamespace(nodes=side**2, node_steps_per_s=2e6, finite=side < 50, version="1.2")
+"""
+
+
+@pytest.fixture
+def install(tmp_path, monkeypatch):
+    """Call it with names of toys: they, and they alone, are the plugins."""
+    (tmp_path / "toys.py").write_text(textwrap.dedent(TOYS))
+    (tmp_path / "absent.py").write_text("def skip_reason(): return 'pip install clothbench[absent]'\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    monkeypatch.setenv("PYTHONPATH", str(tmp_path))  # for the separate processes
+    for name, value in (("MIN_SECONDS", 0.0), ("REPEATS", 1), ("ROUNDS", 1)):
+        monkeypatch.setattr(timing, name, value)
+
+    def use(*models: str, peers: tuple[str, ...] = ()):
+        plugins = [Plugin("models", m.lower(), f"toys:{m}", "", "test", "1") for m in models]
+        plugins += [Plugin("peers", p, p, "a peer", "test", "1") for p in peers]
+        monkeypatch.setattr(bench, "catalogue", lambda: Catalogue(tuple(plugins)))
+        return plugins
+
+    return use
+
+
+@pytest.fixture
+def one_core(monkeypatch):
+    """No comparison with separate processes, which take seconds to start."""
+    monkeypatch.setenv("CLOTHBENCH_THREADS", "1")
+
+
+def test_rows_have_the_keys_of_the_schema(install, one_core):
+    install("Toy", peers=("toys",))
+    rows = bench.run_bench(sides=(5,))
+    assert rows
+    assert all(tuple(row) == bench.KEYS and list(row)[: len(SCHEMA)] == SCHEMA for row in rows)
+    json.dumps(rows, allow_nan=False)
+
+
+def test_every_case_of_a_model_stands_beside_every_peer(install, monkeypatch):
+    monkeypatch.setenv("CLOTHBENCH_THREADS", "3")
+    monkeypatch.setattr(bench, "two_cores", lambda name, side: [])
+    install("Toy", peers=("toys",))
+    rows = [r for r in bench.run_bench(sides=(5, 7)) if r["model"] == "toy"]
+    cases = [(r["nodes"], r["precision"], r["threads"], r["batch"]) for r in rows]
+    expected = [
+        (n, p, t, b) for n in (25, 49) for p in ("double", "single") for t, b in ((1, 1), (1, 64), (3, 64))
+    ]
+    assert cases == expected
+    about = {(r["kind"], r["version"], r["peer"], r["note"]) for r in rows}
+    assert about == {("explicit", 3, "toys", "step 0.2 ms")}
+
+
+def test_ratios_are_per_thread_and_to_the_peer_of_the_same_size(install, monkeypatch):
+    monkeypatch.setenv("CLOTHBENCH_THREADS", "2")
+    monkeypatch.setattr(bench, "two_cores", lambda name, side: [])
+    install("Toy", peers=("toys",))
+    rows = bench.run_bench(sides=(5, 7))
+    speed = {r["nodes"]: r["node_steps_per_s"] for r in rows if r["model"] == "toys"}
+    assert speed == {25: pytest.approx(2e6), 49: pytest.approx(2e6)}
+    for row in (r for r in rows if r["model"] == "toy"):
+        assert row["ratio"] == pytest.approx(row["node_steps_per_s"] / row["threads"] / speed[row["nodes"]])
+
+
+def test_the_speed_counts_all_sheets_of_the_batch(install, one_core):
+    install("Toy")
+    one, many = bench.run_bench(sides=(5,))[:2]
+    # 25 nodes × 1000 steps a sheet, 0.1 s of simulated time; a toy takes as long for 64 sheets as for one.
+    assert one["node_steps_per_s"] / one["realtime_factor"] == pytest.approx(25 * 1000 / timing.FIRST_SPAN)
+    assert many["node_steps_per_s"] / many["realtime_factor"] == pytest.approx(25 * 1000 / timing.FIRST_SPAN)
+    assert one["node_steps_per_s"] <= 25 * 1000 / 1e-4
+
+
+def test_a_run_is_made_long_enough():
+    spans = []
+
+    def run(span):
+        spans.append(span)
+        return timing.Speed(nodes=4, node_steps=4e3 * span, simulated=span, seconds=span / 10)
+
+    assert timing.best_of(run).seconds >= timing.MIN_SECONDS
+    assert spans == sorted(spans)
+    assert spans[-timing.REPEATS :] == [spans[-1]] * timing.REPEATS
+
+
+def test_without_peers_a_model_has_one_row_a_case(install, one_core):
+    install("Toy")
+    rows = bench.run_bench(sides=(5,))
+    assert len(rows) == 4
+    assert {(r["peer"], r["ratio"]) for r in rows} == {(None, None)}
+
+
+def test_an_absent_peer_is_named_on_standard_error(install, one_core, capsys):
+    install("Toy", peers=("absent", "toys"))
+    rows = bench.run_bench(sides=(5,))
+    assert {r["peer"] for r in rows} == {None, "toys"}
+    printed = capsys.readouterr()
+    assert printed.err.splitlines() == ["absent: skipped: pip install clothbench[absent]"]
+    assert printed.out == ""
+
+
+def test_a_peer_that_blows_up_has_no_row(install, one_core, capsys):
+    install(peers=("toys",))
+    assert [r["nodes"] for r in bench.run_bench(sides=(51, 5))] == [25]
+    assert "toys: skipped: its sheet of 51 × 51 nodes blew up" in capsys.readouterr().err
+
+
+def test_a_static_model_is_not_measured(install, one_core, capsys):
+    install("Still")
+    assert bench.run_bench(sides=(5,)) == []
+    assert capsys.readouterr().err == ""
+
+
+def test_a_broken_model_does_not_stop_the_bench(install, one_core, capsys):
+    install("Faulty", "Missing", "Toy")
+    assert {r["model"] for r in bench.run_bench(sides=(5,))} == {"toy"}
+    lines = capsys.readouterr().err.splitlines()
+    assert "faulty: skipped: ZeroDivisionError: no cloth today" in lines
+    assert any(line.startswith("missing: skipped: model 'missing' (test) is broken") for line in lines)
+
+
+def test_a_plugin_known_to_be_broken_is_named(install, one_core, monkeypatch, capsys):
+    plugins = [Plugin("module", "odd", "odd", "", "test", "1", "ImportError: no module"), *install("Toy")]
+    monkeypatch.setattr(bench, "catalogue", lambda: Catalogue(tuple(plugins)))
+    assert bench.run_bench(sides=(5,))
+    assert capsys.readouterr().err.splitlines() == ["odd: skipped: ImportError: no module"]
+
+
+def test_a_model_unstable_at_the_peers_step_is_timed_at_its_own(install, one_core):
+    install("Stiff")
+    assert {r["note"] for r in bench.run_bench(sides=(5,))} == {"own step"}
+
+
+def test_a_model_that_always_diverges_has_no_row(install, one_core, capsys):
+    install("Lost")
+    assert bench.run_bench(sides=(5,)) == []
+    assert "lost: skipped: its sheet of 5 × 5 nodes could not be timed: diverged" in capsys.readouterr().err
+
+
+def test_threads_are_compared_with_separate_processes(install, monkeypatch):
+    monkeypatch.setenv("CLOTHBENCH_THREADS", "2")
+    install("Toy")
+    (row,) = bench.two_cores("toy", 5)
+    assert tuple(row) == bench.KEYS
+    assert (row["peer"], row["threads"], row["note"]) == (bench.PROCESSES, 2, "share of two separate processes")
+    assert row["ratio"] > 0
+
+
+def test_a_process_that_fails_is_an_error_and_not_a_hang(install, monkeypatch):
+    monkeypatch.setenv("CLOTHBENCH_THREADS", "2")
+    install("Toy")
+    monkeypatch.delenv("PYTHONPATH")  # now the processes do not find the toy
+    with pytest.raises(timing.FailedRun, match="ended before it had run"):
+        bench.two_cores("toy", 5)
+
+
+def test_one_core_has_nothing_to_compare(install, one_core):
+    install("Toy")
+    assert bench.two_cores("toy") == []
+
+
+def test_the_number_of_threads_is_given_back(install, monkeypatch):
+    monkeypatch.setenv("CLOTHBENCH_THREADS", "5")
+    with timing.on_threads(1):
+        assert bench.thread_count() == 1
+    assert bench.thread_count() == 5
+
+
+def test_progress_is_told_what_comes_next(install, one_core):
+    install("Toy", peers=("toys",))
+    told = []
+    bench.run_bench(sides=(5,), progress=told.append)
+    assert told[0] == "toys: 5 × 5 nodes"
+    assert "toy precision=single: 5 × 5 nodes, 64 at once, 1 thread(s)" in told
+
+
+def test_the_table_has_a_line_for_each_measurement(install, one_core, capsys):
+    install("Toy", peers=("toys",))
+    rows = bench.run_bench(sides=(5,))
+    rows.append(rows[-1] | {"peer": bench.PROCESSES, "ratio": 0.97, "note": "share of two processes"})
+    bench.print_table(rows)
+    out = capsys.readouterr().out
+    assert "node-steps/s" in out
+    assert "× toys" in out
+    assert sum("toy " in line and "│" in line for line in out.splitlines()) == 4
+    assert "0.97, share of two processes" in out

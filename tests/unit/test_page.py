@@ -1,0 +1,161 @@
+"""The page: self-contained, from the store alone, with failures in plain sight and text escaped."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_rerun_file import small_cell
+
+from clothbench.experiment.run import run_cell
+from clothbench.report.figure_data import best_so_far, thinned
+from clothbench.report.page import write_page
+from clothbench.report.page_tables import parameters
+
+VOID = {"meta", "br", "input"}
+
+
+class Checker(HTMLParser):
+    """Collects text, addresses and scripts, and sees to it that tags are closed in order."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.ids: list[str] = []
+        self.addresses: list[str] = []
+        self.scripts = 0
+
+    def handle_starttag(self, tag, attrs):
+        known = dict(attrs)
+        self.addresses += [known[name] for name in ("src", "href") if name in known]
+        self.ids += [known["id"]] if "id" in known else []
+        self.scripts += tag == "script"
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+
+def checked(page: Path) -> tuple[str, Checker]:
+    text = page.read_text(encoding="utf-8")
+    checker = Checker()
+    checker.feed(text)
+    assert checker.open == []
+    assert checker.addresses == []
+    assert len(set(checker.ids)) == len(checker.ids)
+    return text, checker
+
+
+def panels(text: str) -> list[dict]:
+    return json.loads(re.search(r'id="panels">(.*?)</script>', text, re.DOTALL)[1])
+
+
+@pytest.fixture(scope="module")
+def results(tmp_path_factory) -> Path:
+    """Two cells that went well, one with options of its own, and one that could not be set up."""
+    folder = tmp_path_factory.mktemp("runs")
+    cell = small_cell(tmp_path_factory.mktemp("recordings"))
+    assert run_cell(cell, folder) == "ok"
+    assert (
+        run_cell(dataclasses.replace(cell, optimizer="least_squares", report=()), folder, rerun=False) == "ok"
+    )
+    broken = dataclasses.replace(cell, options={"mass_spring": {"dt": -1.0}})
+    assert run_cell(broken, folder) == "error"
+    return folder
+
+
+def test_page_shows_what_was_run(results):
+    page = write_page(results)
+    text, checker = checked(page)
+    assert page == results / "report.html"
+    assert checker.scripts == 3
+    assert text.count("plotly.js v") == 1
+    for word in ("small", "mass_spring", "least_squares", "node_error", "N/m", "95 % interval", "k₁", "mm"):
+        assert word in text
+    assert page.stat().st_size < 6_000_000
+    assert not list(results.glob(".report*"))
+
+
+def test_failed_cells_are_visible_with_their_reason(results):
+    text, _ = checked(write_page(results))
+    assert "1 cell has no complete result" in text
+    assert text.count("dt is -1.0, expected seconds above 0") >= 2
+
+
+def test_text_is_escaped_everywhere(results):
+    text, _ = checked(write_page(results))
+    assert "cotton &lt;b&gt;" in text
+    assert "cotton <b>" not in text
+    assert [p["title"] for p in panels(text)] == [
+        "small · cotton <b> · node_error",
+        "small · cotton <b> · relative_error",
+    ]
+
+
+def test_figures_hold_every_cell_and_recording(results):
+    own, other = panels(checked(write_page(results))[0])
+    assert [entry[0] for entry in own["legend"]] == ["mass_spring · ga", "mass_spring · least_squares"]
+    assert own["errors"]["layout"]["xaxis"]["title"]["text"].startswith("error [mm]")
+    assert own["errors"]["layout"]["yaxis"]["ticktext"] == ["swing-22", "swing-1"]
+    assert {d.get("meta") for d in own["errors"]["data"]} == {
+        None,
+        "mass_spring · ga",
+        "mass_spring · least_squares",
+    }
+    best = own["convergence"]["data"][0]["y"]
+    assert best == sorted(best, reverse=True)
+    assert set(own["traces"]) == {"swing-1 (fit)", "swing-22 (held out)"}
+    assert len(own["traces"]["swing-1 (fit)"]["data"][0]["x"]) == 11
+    assert other["convergence"] is None
+
+
+def test_a_bound_that_was_hit_is_marked():
+    row = {"key": "ab", "case": "linen", "model": "m", "effects": "", "optimizer": "ga", "seed": 0}
+    k = {"key": "ab", "name": "k", "symbol": "k", "unit": "N/m", "meaning": "stiffness", "value": 2.0}
+    inside = {**k, "low": 1.5, "high": 2.5, "at_bound": False}
+    assert "at its bound" not in parameters([row], [inside])
+    shown = parameters([row], [{**inside, "at_bound": True}])
+    for word in ("at its bound", "1.5 … 2.5", "k [N/m]", "stiffness"):
+        assert word in shown
+
+
+def test_empty_store_says_what_to_run(tmp_path):
+    text, checker = checked(write_page(tmp_path / "nothing"))
+    assert "clothbench run +suite=static_dynamic" in text
+    assert checker.scripts == 0
+
+
+def test_only_failed_cells_make_a_page_without_figures(tmp_path):
+    broken = dataclasses.replace(small_cell(tmp_path), options={"mass_spring": {"dt": -1.0}})
+    run_cell(broken, tmp_path / "runs")
+    text, checker = checked(write_page(tmp_path / "runs"))
+    assert "dt is -1.0" in text
+    assert checker.scripts == 0
+    assert "Nothing was fitted" in text
+
+
+def test_failed_page_leaves_the_old_one(results, monkeypatch):
+    before = write_page(results).read_bytes()
+    monkeypatch.setattr("clothbench.report.page.document", lambda _: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        write_page(results)
+    assert (results / "report.html").read_bytes() == before
+    assert not list(results.glob(".report*"))
+
+
+def test_best_so_far_skips_what_could_not_be_computed():
+    assert best_so_far(np.array([np.nan, 5.0, 7.0, 3.0, np.nan])) == ([2, 4, 5], [5.0, 3.0, 3.0])
+    assert best_so_far(np.array([np.nan])) == ([], [])
+    assert best_so_far(np.array([])) == ([], [])
+
+
+def test_thinned_keeps_means_and_gaps():
+    time, value = thinned(np.arange(6.0), np.array([1.0, 3.0, np.nan, np.nan, np.nan, 4.0]), 3)
+    assert time == [0.5, 2.5, 4.5]
+    assert value == [2.0, None, 4.0]

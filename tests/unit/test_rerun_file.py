@@ -1,0 +1,173 @@
+"""The Rerun file of a fit holds what was seen and simulated, at the right times, and small."""
+
+from __future__ import annotations
+
+import dataclasses
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from clothbench.errors import ClothbenchError
+from clothbench.experiment.calibrate import best_rollout, calibrate
+from clothbench.experiment.cell import Bench, Cell, Source, set_up
+from clothbench.plugins import catalogue
+from clothbench.recording import Recording, write_recording
+from clothbench.report import rerun_file
+from clothbench.rollout import Rollout
+from clothbench.scene import scene_of
+
+TRUTH = np.array([[60.0, 1.0, 0.1]])
+
+
+def swing(folder: Path, name: str, split: str) -> Recording:
+    """A small sheet swung by two corners, seen at 5 × 5 nodes with noise and a gap; made by `mass_spring`."""
+    lines = np.linspace(0, 0.2, 5)
+    material = np.stack([a.ravel() for a in np.meshgrid(lines, lines)], axis=1)
+    time, clock = np.linspace(0, 0.5, 11), np.linspace(0, 0.5, 51)
+    grip = np.zeros((51, 2, 3))
+    grip[:, 1, 0], grip[..., 1] = 0.15, 0.03 * np.sin(8 * clock)[:, None]
+    blank = Recording(
+        name=name, time=time, material=material, position=np.zeros((11, 25, 3)), grip_time=clock,
+        grip_material=np.array([[0.0, 0.0], [0.2, 0.0]]), grip_position=grip, cloth_width=0.2, cloth_height=0.2,
+        areal_density=0.2, noise_sigma=1e-3, split=split,
+    )  # fmt: skip
+    scene = dataclasses.replace(scene_of(blank), start=None)
+    position = (
+        catalogue().make("models", "mass_spring", resolution=5).prepare(scene).run(TRUTH).position[0].copy()
+    )
+    position += np.random.default_rng(len(name)).normal(0, 1e-3, position.shape)
+    position[3, 7:9] = np.nan
+    recording = dataclasses.replace(blank, position=position)
+    return dataclasses.replace(recording, path=str(write_recording(recording, folder / f"{name}.nc")))
+
+
+def small_cell(folder: Path) -> Cell:
+    recordings = [swing(folder, "swing-1", "fit"), swing(folder, "swing-22", "held_out")]
+    sources = tuple(Source(r.path, r.name, r.hash, r.split) for r in recordings)
+    return Cell(
+        suite="small", case="cotton <b>", recordings=sources, model="mass_spring", effects=(), optimizer="ga",
+        metric="node_error", report=("relative_error",), options={"mass_spring": {"resolution": 5}}, budget=10,
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory: pytest.TempPathFactory) -> tuple[Bench, list[Rollout]]:
+    cell = small_cell(tmp_path_factory.mktemp("recordings"))
+    bench = set_up(cell, catalogue())
+    optimizer = catalogue().make(
+        "optimizers", "ga", bench.space, seed=cell.stream("optimizer"), budget=cell.budget
+    )
+    fit = calibrate(bench.of_split("fit"), optimizer, bench.space)
+    return bench, [best_rollout(trial, fit) for trial in bench.trials]
+
+
+def printed(path: Path) -> str:
+    """The file's chunks as the `rerun` tool lists them."""
+    command = [sys.executable, "-m", "rerun", "rrd", "print", str(path)]
+    return subprocess.run(command, check=True, capture_output=True, text=True).stdout
+
+
+def test_file_holds_every_recording(fitted, tmp_path):
+    bench, rollouts = fitted
+    path = tmp_path / "fit.rrd"
+    rerun_file.write_rerun(path, bench, rollouts)
+    listed = printed(path)
+    for root in ("/fit/swing\\-1", "/held_out/swing\\-22"):
+        root = root if root in listed else root.replace("\\", "")
+        for entity in ("seen", "simulated", "away", "grips", "error/simulated", "error/noise_floor"):
+            assert f"{root}/{entity} " in listed
+    for component in (
+        "Mesh3D:vertex_positions",
+        "Mesh3D:vertex_normals",
+        "Mesh3D:triangle_indices",
+        "Arrows3D:vectors",
+    ):
+        assert component in listed
+    assert path.stat().st_size < 1_000_000
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_stopped_rollout_and_unseen_frames_leave_gaps(fitted, tmp_path):
+    bench, rollouts = fitted
+    position = rollouts[0].position.copy()
+    position[:, 5:] = np.nan
+    stopped = dataclasses.replace(rollouts[0], position=position, status=("diverged",))
+    nothing = dataclasses.replace(rollouts[1], position=np.full_like(rollouts[1].position, np.nan))
+    path = tmp_path / "fit.rrd"
+    rerun_file.write_rerun(path, bench, [stopped, nothing])
+    meshes = [line for line in printed(path).splitlines() if "Mesh3D:vertex_positions" in line]
+    assert len(meshes) == 1
+    assert "with 5 rows" in meshes[0]
+
+
+def test_triangles_cover_an_irregular_sheet_without_slivers():
+    lines = np.linspace(0, 0.3, 7)
+    material = np.stack([a.ravel() for a in np.meshgrid(lines, lines)], axis=1)
+    material += np.random.default_rng(0).normal(0, 2e-4, material.shape)
+    triangles = rerun_file.triangulate(material)
+    corner = material[triangles]
+    p, q = corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]
+    area = np.abs(p[:, 0] * q[:, 1] - p[:, 1] * q[:, 0]).sum() / 2
+    assert area == pytest.approx(0.09, rel=0.01)
+    assert len(triangles) == 72
+
+
+def test_points_on_a_line_have_no_triangles():
+    assert rerun_file.triangulate(np.array([[0.0, 0.0], [0.1, 0.0], [0.2, 0.0]])).shape == (0, 3)
+    assert rerun_file.triangulate(np.array([[0.0, 0.0], [0.1, 0.0]])).shape == (0, 3)
+
+
+def test_normals_of_a_turning_sheet():
+    flat = np.array([[0.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [1.0, 1.0, 0.0]])
+    upright = flat[:, [0, 2, 1]]
+    triangles = np.array([[0, 1, 3], [0, 3, 2]])
+    normals = rerun_file.vertex_normals(np.stack([flat, upright, flat * 0]), triangles)
+    np.testing.assert_allclose(normals[0], [[0, 0, 1]] * 4, atol=1e-12)
+    np.testing.assert_allclose(normals[1], [[0, -1, 0]] * 4, atol=1e-12)
+    assert not normals[2].any()
+
+
+def test_grips_are_shown_at_the_frames_times(fitted):
+    bench, _ = fitted
+    recording = bench.recordings[0]
+    shown = rerun_file.grips_at(recording, recording.time)
+    np.testing.assert_allclose(shown, recording.grip_position[::5], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("cell", "expected"),
+    [
+        ("ab", "several cells .* ab12, ab34"),
+        ("ff", "no cell .* ab12, ab34, cd56"),
+        ("cd", "cell cd56 has no fit.rrd"),
+    ],
+)
+def test_view_names_what_there_is(tmp_path, cell, expected):
+    for key in ("ab12", "ab34", "cd56"):
+        (tmp_path / "cells" / key).mkdir(parents=True)
+    with pytest.raises(ClothbenchError, match=expected) as fault:
+        rerun_file.open_viewer(tmp_path, cell)
+    assert "\n" not in str(fault.value)
+
+
+def test_view_of_an_empty_folder_says_what_to_run(tmp_path):
+    with pytest.raises(ClothbenchError, match="clothbench run"):
+        rerun_file.open_viewer(tmp_path, "ab")
+
+
+def test_view_opens_the_viewer_and_returns_its_exit_code(tmp_path, monkeypatch):
+    (tmp_path / "cells" / "ab12").mkdir(parents=True)
+    file = tmp_path / "cells" / "ab12" / "fit.rrd"
+    file.touch()
+    called = []
+
+    def run(command, **_):
+        called.append(command)
+        return subprocess.CompletedProcess(command, 3)
+
+    monkeypatch.setattr(rerun_file.subprocess, "run", run)
+    assert rerun_file.open_viewer(tmp_path, "ab") == 3
+    assert called == [[sys.executable, "-m", "rerun", str(file)]]
