@@ -15,7 +15,7 @@ from typing import Any
 from clothbench.errors import ClothbenchError
 from clothbench.parallel import thread_count
 from clothbench.plugins import Plugin, catalogue, one_line
-from clothbench.timing import STEP, FailedRun, Speed, threads_and_processes, time_model, time_peer
+from clothbench.timing import STEP, FailedRun, Speed, share_of_processes, time_model, time_peer
 
 KEYS = (
     "model", "kind", "nodes", "threads", "batch", "node_steps_per_s", "realtime_factor", "peer", "ratio",
@@ -31,7 +31,7 @@ Say = Callable[[str], None]
 
 
 def run_bench(sides: Sequence[int] = SIDES, progress: Say | None = None) -> list[Row]:
-    """Measure all dynamic models beside all installed peers: rows with the keys `KEYS`, null if not applicable.
+    """Measure all dynamic models beside all installed peers; rows have the keys `KEYS`, null if unknown.
 
     A model's row stands once for each peer measured at its number of nodes, with `ratio` = its speed per
     thread over the peer's, or once with no peer. A peer has rows of its own; one row a model compares threads
@@ -61,10 +61,10 @@ def two_cores(name: str, side: int = 21) -> list[Row]:
     if cores < 2:
         return []
     variant = _variants_of(catalogue().find("models", name))[0]
-    speed, processes = threads_and_processes(variant.plugin.target, variant.options, side, BATCH, cores)
+    speed, share = share_of_processes(variant.plugin.target, variant.options, side, BATCH, cores)
     count = {2: "two", 3: "three", 4: "four"}.get(cores, cores)
     row = variant.row(variant.make(), speed, cores, BATCH, f"share of {count} {PROCESSES}")
-    return [row | {"peer": PROCESSES, "ratio": speed.node_steps_per_s / processes}]
+    return [row | {"peer": PROCESSES, "ratio": share}]
 
 
 @dataclass(frozen=True)
@@ -200,10 +200,10 @@ def print_table(rows: Sequence[Row]) -> None:
     from clothbench.report.tables import console
 
     peers = list(dict.fromkeys(r["peer"] for r in rows if r["peer"] not in (None, PROCESSES)))
-    table = Table(title="speed", title_justify="left", title_style="bold")
+    table = Table(title="speed; × a peer: per core", title_justify="left", title_style="bold")
     for name in ("model", "kind", "precision", "step"):
-        table.add_column(name, overflow="fold")
-    beside = [f"× {p}, per core" for p in peers]
+        table.add_column(name, no_wrap=True)
+    beside = [f"× {p}" for p in peers]
     for name in ("nodes", "threads", "batch", "million node-steps/s", "× real time", *beside):
         table.add_column(name, justify="right")
     for cells in _lines([r for r in rows if r["peer"] != PROCESSES], peers):

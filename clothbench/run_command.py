@@ -21,13 +21,14 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from clothbench.errors import ClothbenchError
-from clothbench.experiment.cell import Cell
+from clothbench.experiment.cell import Bench, Cell
 from clothbench.experiment.run import failed, run_cells
 from clothbench.experiment.store import Store
 from clothbench.experiment.suite import plan, suites_folder
 from clothbench.plugins import catalogue
 from clothbench.report.progress import CellProgress, counting
 from clothbench.report.tables import print_leaderboard
+from clothbench.rollout import Rollout
 
 NOTES = "CLOTHBENCH_RUN_NOTES"  # folder in which the jobs of one command leave word for it, whatever launched them
 
@@ -79,8 +80,16 @@ def _run(config: Any) -> dict[str, Any]:
             statuses[cell.key] = status
             bar.done(cell, status)
 
-        run_cells(cells, out, jobs=int(config["jobs"]), rerun=bool(config["rerun"]), done=done, progress=bar.tell)
+        attach = attach_rerun if config["rerun"] else None
+        run_cells(cells, out, jobs=int(config["jobs"]), attach=attach, done=done, progress=bar.tell)
     return {"out": str(out.absolute()), "cells": [c.key for c in cells], "statuses": statuses}
+
+
+def attach_rerun(folder: Path, bench: Bench, rollouts: Sequence[Rollout]) -> None:
+    """Put a Rerun file beside a finished cell's tables."""
+    from clothbench.report.rerun_file import write_rerun
+
+    write_rerun(folder / "fit.rrd", bench, rollouts)
 
 
 def _conclude(notes: Path) -> int:

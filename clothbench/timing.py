@@ -6,6 +6,7 @@ All step the same sheet: 0.30 m square, 0.2 kg/m², held at its two upper corner
 from __future__ import annotations
 
 import json
+import statistics
 import subprocess
 import sys
 import time
@@ -158,13 +159,13 @@ def on_threads(count: int) -> Iterator[None]:
 # --- threads against separate processes ---------------------------------------------------------------------
 
 
-def threads_and_processes(
+def share_of_processes(
     target: str, options: dict[str, Any], side: int, batch: int, cores: int
 ) -> tuple[Speed, float]:
-    """A batch on `cores` threads; and the node-steps/s of as many one-thread processes running side by side.
+    """A batch on `cores` threads, and its node-steps/s over those of as many one-thread processes together.
 
     Each process takes its share of the batch. Threads and processes take turns, so that a busy machine slows
-    both; the best of each is given.
+    both: given are the best run on threads and the median of the ratios of neighbouring turns.
     """
     ready = _Prepared(import_target(target)(**options), side, batch)
     with on_threads(cores), ExitStack() as stack:
@@ -173,13 +174,13 @@ def threads_and_processes(
         ready.warm_up()
         for worker in workers:
             _answer(worker)
-        threads, processes = [], []
+        turns, shares = [], []
         for _ in range(ROUNDS):
-            threads.append(ready.run(FIRST_SPAN))
+            turns.append(ready.run(FIRST_SPAN))
             for worker in workers:
                 _start(worker)
-            processes.append(sum(_answer(worker) for worker in workers))
-    return max(threads, key=lambda s: s.node_steps_per_s), max(processes)
+            shares.append(turns[-1].node_steps_per_s / sum(_answer(worker) for worker in workers))
+    return max(turns, key=lambda s: s.node_steps_per_s), statistics.median(shares)
 
 
 @contextmanager

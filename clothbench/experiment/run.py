@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.errors import ClothbenchError
-from clothbench.experiment.calibrate import Fit, Trial, best_rollout, calibrate, error_interval, mean_interval
+from clothbench.experiment.calibrate import Fit, best_rollout, calibrate, error_interval, mean_interval
 from clothbench.experiment.cell import Bench, Cell, Skipped, set_up
 from clothbench.experiment.store import Store, now, system_info
 from clothbench.parallel import available_cores, set_thread_count, thread_count
@@ -20,10 +19,16 @@ from clothbench.protocols import Metric, Score
 from clothbench.rollout import Rollout
 
 Progress = Callable[[Cell, int, float], None]
+Attach = Callable[[Path, Bench, Sequence[Rollout]], None]  # adds files to a finished cell's folder
 
 
-def run_cell(cell: Cell, out: Path, *, threads: int = 0, rerun: bool = True, progress: Progress | None = None) -> str:
-    """Calibrate one cell, store it, and return its status. Whatever fails becomes a row with its reason."""
+def run_cell(
+    cell: Cell, out: Path, *, threads: int = 0, attach: Attach | None = None, progress: Progress | None = None
+) -> str:
+    """Calibrate one cell, store it, and return its status. Whatever fails becomes a row with its reason.
+
+    `attach(folder, bench, rollouts)` may add files to the cell, with one best rollout per recording.
+    """
     set_thread_count(threads)
     store = Store(out)
     try:
@@ -34,7 +39,7 @@ def run_cell(cell: Cell, out: Path, *, threads: int = 0, rerun: bool = True, pro
         )  # fmt: skip
         told = (lambda n, value: progress(cell, n, value)) if progress else None
         fit = calibrate(bench.of_split("fit"), optimizer, bench.space, timeout=cell.timeout, progress=told)
-        return _keep(store, bench, fit, rerun)
+        return _keep(store, bench, fit, attach)
     except Skipped as reason:
         return keep_failure(store, cell, "skipped", str(reason))
     except Exception as fault:
@@ -62,7 +67,7 @@ def _no_value() -> dict[str, Any]:
     return dict.fromkeys(("value", "low", "high", "floor", "reference", "recording", "split"))
 
 
-def _keep(store: Store, bench: Bench, fit: Fit, rerun: bool) -> str:
+def _keep(store: Store, bench: Bench, fit: Fit, attach: Attach | None) -> str:
     """Score the best parameters on every recording and store all tables."""
     rollouts = [best_rollout(t, fit) for t in bench.trials]
     metrics = [bench.trials[0].metric, *bench.others]
@@ -72,15 +77,9 @@ def _keep(store: Store, bench: Bench, fit: Fit, rerun: bool) -> str:
         rows += _rows_of(bench, fit, metric, scores, rollouts)
         trace += _trace_of(bench, metric, scores)
     tables = {"rows": rows, "parameters": _parameters_of(bench, fit), "history": _history_of(fit), "trace": trace}
-    extra = (lambda folder: _write_rerun(folder, bench, rollouts)) if rerun else None
+    extra = (lambda folder: attach(folder, bench, rollouts)) if attach else None
     store.put(bench.cell.key, tables, extra)
     return fit.status
-
-
-def _write_rerun(folder: Path, bench: Bench, rollouts: Sequence[Rollout]) -> None:
-    from clothbench.report.rerun_file import write_rerun
-
-    write_rerun(folder / "fit.rrd", bench, rollouts)
 
 
 def _rows_of(bench: Bench, fit: Fit, metric: Metric, scores: Sequence[Score], rollouts: Sequence[Rollout]) -> list[dict[str, Any]]:
@@ -155,7 +154,7 @@ def _history_of(fit: Fit):
 
 
 def run_cells(
-    cells: Sequence[Cell], out: Path, *, jobs: int = 0, rerun: bool = True, done: Callable[[Cell, str], None], progress: Progress | None = None
+    cells: Sequence[Cell], out: Path, *, jobs: int = 0, attach: Attach | None = None, done: Callable[[Cell, str], None], progress: Progress | None = None
 ) -> None:
     """Run every cell that the store lacks, `jobs` processes at a time (0: one per core); `done(cell, status)` after each.
 
@@ -169,12 +168,12 @@ def run_cells(
     workers = min(jobs or available_cores(), len(missing))
     if len(missing) == 1 or jobs == 1:
         for cell in missing:
-            done(cell, run_cell(cell, out, rerun=rerun, progress=progress))
+            done(cell, run_cell(cell, out, attach=attach, progress=progress))
     elif missing:
-        _run_in_processes(missing, out, workers, rerun, done)
+        _run_in_processes(missing, out, workers, attach, done)
 
 
-def _run_in_processes(cells: Sequence[Cell], out: Path, workers: int, rerun: bool, done: Callable[[Cell, str], None]) -> None:
+def _run_in_processes(cells: Sequence[Cell], out: Path, workers: int, attach: Attach | None, done: Callable[[Cell, str], None]) -> None:
     """Keep `workers` processes busy. If one dies, the cells that were running are tried again, each alone:
     the one that kills its process a second time is the culprit and becomes an error row."""
     from loky.process_executor import BrokenProcessPool
@@ -185,7 +184,7 @@ def _run_in_processes(cells: Sequence[Cell], out: Path, workers: int, rerun: boo
     while waiting or running:
         while waiting and len(running) < workers:
             cell = waiting.pop()
-            running[executor.submit(run_cell, cell, out, threads=threads, rerun=rerun)] = cell
+            running[executor.submit(run_cell, cell, out, threads=threads, attach=attach)] = cell
         try:
             for future in _first(running):
                 status = future.result()
@@ -194,7 +193,7 @@ def _run_in_processes(cells: Sequence[Cell], out: Path, workers: int, rerun: boo
             suspects = list(running.values())
             running.clear()
             for cell in suspects:
-                done(cell, _run_alone(cell, out, rerun))
+                done(cell, _run_alone(cell, out, attach))
             executor = _pool(workers)
 
 
@@ -202,14 +201,14 @@ def _first(running: Iterable[Future]) -> Iterable[Future]:
     return wait(list(running), return_when=FIRST_COMPLETED).done
 
 
-def _run_alone(cell: Cell, out: Path, rerun: bool) -> str:
+def _run_alone(cell: Cell, out: Path, attach: Attach | None) -> str:
     from loky.process_executor import BrokenProcessPool
 
     store = Store(out)
     if store.has(cell.key):  # it had finished just before its neighbour died
         return "ok"
     try:
-        return _pool(1).submit(run_cell, cell, out, rerun=rerun).result()
+        return _pool(1).submit(run_cell, cell, out, attach=attach).result()
     except BrokenProcessPool as fault:
         reason = str(fault).strip().splitlines()[0] if str(fault).strip() else "no word from it"
         return keep_failure(store, cell, "error", f"the process that ran this cell died ({reason})")
@@ -225,5 +224,3 @@ def failed(statuses: Iterable[str]) -> bool:
     """Whether a run ends with exit code 1: a cell that was skipped for a stated reason is no failure."""
     return any(s in ("error", "diverged", "timeout") for s in statuses)
 
-
-__all__ = ["ClothbenchError", "Trial", "failed", "keep_failure", "run_cell", "run_cells"]

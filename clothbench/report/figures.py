@@ -8,12 +8,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from html import escape
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from clothbench.experiment.store import Store, read_table
+from clothbench.experiment.store import Store
+from clothbench.report.figure_data import cell_tables, rounded, series_names
 
 Rows = Sequence[dict[str, Any]]
 # Mid tones: at least 3:1 against a white and a near-black ground, and apart for the colour-blind.
@@ -25,17 +25,18 @@ SPLITS = {"fit": ("fit", "circle"), "held_out": ("held out", "diamond-open")}
 
 
 def panels(store: Store, rows: Rows) -> list[dict[str, Any]]:
-    """What the page's menu offers: per panel {"title", "legend", "errors", "convergence", "traces": {recording: …}}.
+    """What the page's menu offers: {"title", "legend", "errors", "convergence", "traces"} per panel.
 
-    legend: [name, colour, dash] of each cell; the lines and dots of a cell carry its name as `meta`.
+    traces: figures by recording; legend: [name, colour, dash] per cell, whose lines carry its name as `meta`.
     """
-    per_trace = int(np.clip(POINTS / max(sum(bool(r["recording"]) for r in rows), 1), 40, 400))
+    rows = [r for r in rows if r["recording"]]
+    per_trace = int(np.clip(POINTS / max(len(rows), 1), 40, 400))
     tables = {key: cell_tables(store.cell(key), per_trace) for key in {r["key"] for r in rows}}
     names = series_names(rows, {key: table["metric"] for key, table in tables.items()})
     out = []
-    for suite, case, metric in sorted({(r["suite"], r["case"], r["metric"]) for r in rows if r["recording"]}):
+    for suite, case, metric in sorted({(r["suite"], r["case"], r["metric"]) for r in rows}):
         mine = [r for r in rows if (r["suite"], r["case"], r["metric"]) == (suite, case, metric)]
-        keys = sorted({r["key"] for r in mine if r["recording"]}, key=lambda k: names[k])
+        keys = sorted({r["key"] for r in mine}, key=lambda k: names[k])
         styles = {key: style(number, names[key]) for number, key in enumerate(keys)}
         out.append({
             "title": f"{suite} · {case} · {metric}",
@@ -47,104 +48,64 @@ def panels(store: Store, rows: Rows) -> list[dict[str, Any]]:
     return out
 
 
-def series_names(rows: Rows, metrics: dict[str, str]) -> dict[str, str]:
-    """What each cell is called in a figure: model and optimizer, and what else it takes to tell it from its rivals.
-
-    metrics: which metric each cell was fitted by.
-    """
-    about = {r["key"]: r for r in rows}
-    names = {k: f"{model_name(r)} · {r['optimizer']}" for k, r in about.items()}
-    for further in (lambda r: f"fitted by {metrics[r['key']]}", lambda r: f"seed {r['seed']}", lambda r: r["key"][:6]):
-        rivals: dict[tuple[str, str, str], set[str]] = {}
-        for k, r in about.items():
-            rivals.setdefault((r["suite"], r["case"], names[k]), set()).add(further(r))
-        names = {
-            k: f"{names[k]} · {further(r)}" if len(rivals[r["suite"], r["case"], names[k]]) > 1 else names[k]
-            for k, r in about.items()
-        }
-    return names
-
-
-def model_name(row: dict[str, Any]) -> str:
-    return row["model"] + "".join(f"+{e}" for e in (row["effects"] or "").split(",") if e)
-
-
 def style(number: int, name: str) -> dict[str, str]:
     dash = DASHES[number // len(COLOURS) % len(DASHES)]
     return {"meta": name, "name": escape(name), "colour": COLOURS[number % len(COLOURS)], "dash": dash}
 
 
-def cell_tables(folder: Path, points: int) -> dict[str, Any]:
-    """History and traces of one cell: {"metric", "unit", "best": (x, y), "traces": {(metric, recording): (t, y)}}."""
-    rows = read_table(folder / "rows.parquet").slice(0, 1).to_pylist()[0]  # the metric it was fitted by comes first
-    out: dict[str, Any] = {"metric": rows["metric"], "unit": rows["unit"], "best": None, "traces": {}}
-    if (path := folder / "history.parquet").is_file():
-        out["best"] = best_so_far(read_table(path)["value"].to_numpy().astype(float))
-    if (path := folder / "trace.parquet").is_file():
-        for (metric, recording), part in read_table(path).to_pandas().groupby(["metric", "recording"], sort=False):
-            out["traces"][metric, recording] = thinned(part["time"].to_numpy(), part["value"].to_numpy(float), points)
-    return out
-
-
-def best_so_far(value: np.ndarray) -> tuple[list[int], list[float]]:
-    """Evaluations (1, 2, …) at which the best value fell, and that value; the last evaluation closes the curve."""
-    lowest = np.fmin.accumulate(value) if len(value) else value
-    known = np.flatnonzero(np.isfinite(lowest))
-    if not known.size:
-        return [], []
-    falls = [i for n, i in enumerate(known) if n == 0 or lowest[i] < lowest[known[n - 1]] or i == known[-1]]
-    return [int(i) + 1 for i in falls], rounded(lowest[falls])
-
-
-def thinned(time: np.ndarray, value: np.ndarray, points: int) -> tuple[list[float], list[float | None]]:
-    """A trace of at most `points` points, each the mean of a stretch of frames; where nothing was seen, None."""
-    stretch = -(-len(time) // points)
-    starts = np.arange(0, len(time), stretch)
-    seen = np.add.reduceat(np.isfinite(value), starts, dtype=float)
-    total = np.add.reduceat(np.nan_to_num(value), starts)
-    middle = np.add.reduceat(time, starts) / np.diff([*starts, len(time)])
-    return rounded(middle, 5), rounded(np.divide(total, seen, out=np.full(len(starts), np.nan), where=seen > 0))
-
-
-def rounded(values: Any, digits: int = 4) -> list[Any]:
-    return [float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in np.asarray(values, dtype=float)]
-
-
 def error_figure(rows: Rows, styles: dict[str, dict[str, str]]) -> dict[str, Any]:
-    """Error of each recording with its interval: a row per recording, a colour per cell, a shape per split."""
-    single = [r for r in rows if r["recording"]]
-    names = list(dict.fromkeys(r["recording"] for r in sorted(single, key=lambda r: (r["split"], r["recording"]))))[::-1]
-    offset = {k: (0.5 - (n + 0.5) / len(styles)) * 0.7 for n, k in enumerate(styles)}
-    data = []
-    for key, look in styles.items():
-        for split, (word, symbol) in SPLITS.items():
-            mine = [r for r in single if r["key"] == key and r["split"] == split and r["value"] is not None]
-            if mine:
-                data.append(_dots(mine, look, word, symbol, [names.index(r["recording"]) + offset[key] for r in mine]))
-    data += _floors(single, names) + _failures(single, names, offset, styles)
+    """Error of each recording with its interval: a line per recording, a colour per cell."""
+    single = sorted(rows, key=lambda r: (r["split"], r["recording"]))
+    names = list(dict.fromkeys(r["recording"] for r in single))[::-1]
     values = [r["value"] for r in single if r["value"]]
     log = bool(values) and max(values) > 30 * min(values)
-    unit = single[0]["unit"]
+    data = _floors(single, names)
+    for number, (key, look) in enumerate(styles.items()):
+        up = (0.5 - (number + 0.5) / len(styles)) * 0.7
+        for kind, mine in _kinds([r for r in single if r["key"] == key]).items():
+            y = [names.index(r["recording"]) + up for r in mine]
+            if kind in SPLITS:
+                data.append(_dots(mine, look, kind, y))
+            else:
+                data.append(_failures(mine, look, y, min(values) if log else 0.0))
+    line = max(24, 11 * len(styles) + 8)  # px per recording
     layout = {
-        "height": int(min(max(260, 110 + len(names) * max(22, 11 * len(styles) + 8)), 2600)),
-        "xaxis": _axis(f"error [{unit}]", values if log else None),
-        "yaxis": {"tickvals": list(range(len(names))), "ticktext": [escape(n) for n in names], "zeroline": False,
-                  "range": [-0.6, len(names) - 0.4], "automargin": True, "showgrid": False},
+        "height": int(np.clip(110 + len(names) * line, 240, 2600)),
+        "xaxis": _axis(f"error [{single[0]['unit']}]", values if log else None),
+        "yaxis": {
+            "tickvals": list(range(len(names))), "ticktext": [escape(n) for n in names], "zeroline": False,
+            "range": [-0.6, len(names) - 0.4], "automargin": True, "showgrid": False,
+        },
     }  # fmt: skip
     return _figure(data, layout)
 
 
-def _dots(rows: Rows, look: dict[str, str], split: str, symbol: str, y: list[float]) -> dict[str, Any]:
-    value = np.array([r["value"] for r in rows])
-    low, high = (np.array([r[n] if r[n] is not None else r["value"] for r in rows], dtype=float) for n in ("low", "high"))
+def _kinds(rows: Rows) -> dict[str, list[dict[str, Any]]]:
+    """Rows by split; those without a number apart from them, as "failed"."""
+    out: dict[str, list[dict[str, Any]]] = {}
+    for row in rows:
+        out.setdefault("failed" if row["value"] is None else row["split"], []).append(row)
+    return out
+
+
+def _dots(rows: Rows, look: dict[str, str], split: str, y: list[float]) -> dict[str, Any]:
+    word, symbol = SPLITS[split]
+    value = np.array([r["value"] for r in rows], dtype=float)
+    low, high = (
+        np.array([r["value"] if r[n] is None else r[n] for r in rows], dtype=float) for n in ("low", "high")
+    )
+    names = [escape(r["recording"]) for r in rows]
+    line = {"width": 2, "color": look["colour"]}
+    hover = "%{customdata[2]}<br>%{x} " + rows[0]["unit"] + " (%{customdata[0]:.3g} … %{customdata[1]:.3g})"
     return {
         "type": "scatter", "mode": "markers", "x": rounded(value), "y": y, "meta": look["meta"],
-        "marker": {"color": look["colour"], "symbol": symbol, "size": 9, "line": {"width": 2, "color": look["colour"]}},
-        "error_x": {"type": "data", "symmetric": False, "array": rounded(high - value), "arrayminus": rounded(value - low),
-                    "color": look["colour"], "thickness": 1.6, "width": 3},
-        "customdata": [[r["low"], r["high"], escape(r["recording"])] for r in rows],
-        "hovertemplate": f"%{{customdata[2]}}<br>{look['name']} · {split}<br>"
-                         f"%{{x}} {rows[0]['unit']} (%{{customdata[0]:.3g}} … %{{customdata[1]:.3g}})<extra></extra>",
+        "marker": {"color": look["colour"], "symbol": symbol, "size": 9, "line": line},
+        "error_x": {
+            "type": "data", "symmetric": False, "array": rounded(high - value),
+            "arrayminus": rounded(value - low), "color": look["colour"], "thickness": 1.6, "width": 3,
+        },
+        "customdata": [[*pair, name] for *pair, name in zip(rounded(low), rounded(high), names, strict=True)],
+        "hovertemplate": f"{look['name']} · {word}<br>{hover}<extra></extra>",
     }  # fmt: skip
 
 
@@ -157,34 +118,33 @@ def _floors(rows: Rows, names: list[str]) -> list[dict[str, Any]]:
     for name, value in floor.items():
         x += [*rounded([value, value]), None]
         y += [names.index(name) - 0.42, names.index(name) + 0.42, None]
-    return [{"type": "scatter", "mode": "lines", "x": x, "y": y, "line": {"color": GREY, "width": 3},
-             "hovertemplate": f"noise floor %{{x}} {rows[0]['unit']}<extra></extra>"}]  # fmt: skip
+    hover = f"noise floor %{{x}} {rows[0]['unit']}<extra></extra>"
+    line = {"color": GREY, "width": 3}
+    return [{"type": "scatter", "mode": "lines", "x": x, "y": y, "line": line, "hovertemplate": hover}]
 
 
-def _failures(rows: Rows, names: list[str], offset: dict[str, float], styles: dict[str, dict[str, str]]) -> list[dict[str, Any]]:
-    """What has no number stands at the left with its status, so that it is missed by no one."""
-    bad = [r for r in rows if r["value"] is None]
-    if not bad:
-        return []
-    known = [r["value"] for r in rows if r["value"]]
-    left = min(known) if known and max(known) > 30 * min(known) else 0
-    return [{
-        "type": "scatter", "mode": "markers+text", "x": [left] * len(bad),
-        "y": [names.index(r["recording"]) + offset[r["key"]] for r in bad], "text": [f" {r['status']}" for r in bad],
-        "textposition": "middle right", "marker": {"symbol": "x", "size": 9, "color": [styles[r["key"]]["colour"] for r in bad]},
-        "hovertext": [f"{styles[r['key']]['name']}: {escape(r['reason'] or r['status'])}" for r in bad], "hoverinfo": "text",
-    }]  # fmt: skip
+def _failures(rows: Rows, look: dict[str, str], y: list[float], left: float) -> dict[str, Any]:
+    """What has no number stands at the left with its status, so that nobody misses it."""
+    return {
+        "type": "scatter", "mode": "markers+text", "x": [left] * len(rows), "y": y, "meta": look["meta"],
+        "text": [f"  {r['status']}" for r in rows], "textposition": "middle right", "cliponaxis": False,
+        "marker": {"symbol": "x", "size": 9, "color": look["colour"]}, "hoverinfo": "text",
+        "hovertext": [f"{look['name']}: {escape(r['reason'] or r['status'])}" for r in rows],
+    }  # fmt: skip
 
 
-def convergence_figure(metric: str, styles: dict[str, dict[str, str]], tables: dict[str, Any]) -> dict[str, Any] | None:
+def convergence_figure(
+    metric: str, styles: dict[str, dict[str, str]], tables: dict[str, Any]
+) -> dict[str, Any] | None:
     """Best value of the fit recordings over evaluations; None for a metric that no cell was fitted by."""
     data, unit = [], ""
     for key, look in styles.items():
         table = tables[key]
         if table["metric"] == metric and table["best"] and table["best"][0]:
             x, y = table["best"]
-            data.append(_line(x, y, look, table["unit"], "evaluation %{x}") | {"mode": "lines+markers", "marker": {"size": 4}})
-            data[-1]["line"]["shape"], unit = "hv", table["unit"]
+            line, unit = _line(x, y, look, table["unit"], "evaluation %{x}"), table["unit"]
+            line["line"]["shape"] = "hv"
+            data.append({**line, "mode": "lines+markers", "marker": {"size": 4}})
     if not data:
         return None
     ends = [v for line in data for v in line["y"]]
@@ -193,22 +153,24 @@ def convergence_figure(metric: str, styles: dict[str, dict[str, str]], tables: d
     return _figure(data, {"height": 380, "xaxis": _axis("evaluations"), "yaxis": y})
 
 
-def trace_figures(metric: str, rows: Rows, styles: dict[str, dict[str, str]], tables: dict[str, Any]) -> dict[str, Any]:
+def trace_figures(
+    metric: str, rows: Rows, styles: dict[str, dict[str, str]], tables: dict[str, Any]
+) -> dict[str, Any]:
     """Error over time, one figure per recording."""
     out = {}
-    for name, row in {r["recording"]: r for r in rows if r["recording"]}.items():
-        data = []
-        for key, look in styles.items():
-            if trace := tables[key]["traces"].get((metric, name)):
-                data.append(_line(*trace, look, row["unit"], "%{x} s"))
-        if data:
-            if row["floor"]:
-                ends = [data[0]["x"][0], data[0]["x"][-1]]
-                floor = {"meta": "", "name": "noise floor", "colour": GREY, "dash": "solid"}
-                data.append(_line(ends, rounded([row["floor"]] * 2), floor, row["unit"], "%{x} s"))
-            split = SPLITS.get(row["split"] or "", (row["split"], ""))[0]
-            layout = {"height": 380, "xaxis": _axis("time [s]"), "yaxis": _axis(f"error [{row['unit']}]") | {"rangemode": "tozero"}}
-            out[f"{name} ({split})"] = _figure(data, layout)
+    for name, row in {r["recording"]: r for r in rows}.items():
+        traces = {key: tables[key]["traces"].get((metric, name)) for key in styles}
+        data = [
+            _line(*traces[key], look, row["unit"], "%{x} s") for key, look in styles.items() if traces[key]
+        ]
+        if not data:
+            continue
+        if row["floor"]:
+            ends, floor = [data[0]["x"][0], data[0]["x"][-1]], rounded([row["floor"]] * 2)
+            look = {"meta": "", "name": "noise floor", "colour": GREY, "dash": "solid"}
+            data.append(_line(ends, floor, look, row["unit"], "%{x} s"))
+        layout = {"height": 380, "xaxis": _axis("time [s]"), "yaxis": _axis(f"error [{row['unit']}]")}
+        out[f"{name} ({row['split'].replace('_', ' ')})"] = _figure(data, layout)
     return out
 
 
@@ -227,7 +189,8 @@ def _axis(title: str, logarithmic: Sequence[float] | None = None) -> dict[str, A
     decades = range(math.floor(math.log10(min(logarithmic))), math.ceil(math.log10(max(logarithmic))) + 1)
     ticks = [digit * 10.0**decade for decade in decades for digit in (1, 2, 5)]
     text = [f"{tick:g}" for tick in ticks]
-    return {"title": {"text": f"{title}, log scale"}, "type": "log", "tickvals": ticks, "ticktext": text, "zeroline": False}
+    scale = {"type": "log", "tickvals": ticks, "ticktext": text, "zeroline": False}
+    return {"title": {"text": f"{title}, log scale"}, **scale}
 
 
 def _figure(data: list[dict[str, Any]], layout: dict[str, Any]) -> dict[str, Any]:

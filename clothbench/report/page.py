@@ -1,4 +1,4 @@
-"""The page: one self-contained HTML file over a results folder, with tables and figures, that works offline."""
+"""The page: one self-contained HTML file over a results folder, with tables and figures; works offline."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.experiment.store import Store
-from clothbench.report.figures import model_name, panels
+from clothbench.report.figure_data import model_name
+from clothbench.report.figures import panels
 from clothbench.report.page_style import CSS, FIGURES, SCRIPT
 from clothbench.report.page_tables import leaderboard, parameters, pill, table, text
 from clothbench.report.tables import failures
@@ -18,9 +19,10 @@ from clothbench.report.tables import failures
 Rows = Sequence[dict[str, Any]]
 MACHINE = ("cpu", "cores", "threads", "platform", "python", "numpy", "numba", "clothbench")
 HINT = """<p>There are no results here yet. Run the default benchmark, which needs nothing else:</p>
-<p><code>clothbench run +suite=static_dynamic</code></p><p>and then <code>clothbench report</code> again.</p>"""
-ORDER = """<p class="soft">Mean error over the recordings of a split, with its 95 % interval. Within a case and a metric
-the lowest held-out error comes first; where intervals overlap, that order may be chance.</p>"""
+<p><code>clothbench run +suite=static_dynamic</code></p>
+<p>and then <code>clothbench report</code> again.</p>"""
+ORDER = """<p class="soft">Mean error over the recordings of a split, with its 95 % interval. Within a case
+and a metric the lowest held-out error comes first; where intervals overlap, that order may be chance.</p>"""
 MORE = """<footer>See a fit beside its recording: <code>clothbench view CELL</code>. The same numbers as data:
 <code>clothbench leaderboard --json</code>, or the Parquet files in <code>cells</code>.</footer>"""
 
@@ -48,7 +50,13 @@ def document(store: Store) -> str:
     sections = [heading(rows), HINT]
     if rows:
         fitted = store.parameters()
-        sections = [heading(rows), overview(rows), failure_list(rows), leaderboards(rows), figures(store, rows)]
+        sections = [
+            heading(rows),
+            overview(rows),
+            failure_list(rows),
+            leaderboards(rows),
+            figures(store, rows),
+        ]
         sections += [fits(rows, fitted), machines(rows), MORE]
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
@@ -73,7 +81,8 @@ def heading(rows: Rows) -> str:
     where = sorted({f"{r['cpu']}, {r['cores']} cores" for r in rows})
     versions = ", ".join(sorted({f"clothbench {r['clothbench']}" for r in rows}))
     on = where[0] if len(where) == 1 else f"{len(where)} machines"
-    return f"{top}<p class='soft'>{versions} · finished {span(min(finished), max(finished))} UTC · {text(on)}</p>"
+    when = f"finished {span(min(finished), max(finished))} UTC"
+    return f"{top}<p class='soft'>{versions} · {when} · {text(on)}</p>"
 
 
 def overview(rows: Rows) -> str:
@@ -85,10 +94,15 @@ def overview(rows: Rows) -> str:
     tiles += [(len(bad), "failed", "bad")] if bad else []
     tiles += [(len(skipped), "skipped", "")] if skipped else []
     tiles.append((len({(r["suite"], r["case"]) for r in rows}), "cases", ""))
-    tiles.append((len({(r["suite"], r["case"], r["recording"]) for r in rows if r["recording"]}), "recordings", ""))
+    tiles.append(
+        (len({(r["suite"], r["case"], r["recording"]) for r in rows if r["recording"]}), "recordings", "")
+    )
     tiles.append((len({model_name(r) for r in rows}), "models", ""))
     tiles.append((len({r["optimizer"] for r in rows}), "optimizers", ""))
-    shown = (f'<div class="tile {kind}"><b>{n}</b>{word if n != 1 else word.removesuffix("s")}</div>' for n, word, kind in tiles)
+    shown = (
+        f'<div class="tile {kind}"><b>{n}</b>{word if n != 1 else word.removesuffix("s")}</div>'
+        for n, word, kind in tiles
+    )
     return f'<div class="tiles">{"".join(shown)}</div>'
 
 
@@ -102,19 +116,25 @@ def failure_list(rows: Rows) -> str:
         reason = text(r["reason"] or "no reason given")
         items.append(f"<li>{pill(r)} {text(' · '.join(p for p in place if p))}: {reason}</li>")
     word = "1 cell has" if len(bad) == 1 else f"{len(bad)} cells have"
-    return f'<div class="failures" role="note"><b>{word} no complete result</b><ul>{"".join(items)}</ul></div>'
+    return (
+        f'<div class="failures" role="note"><b>{word} no complete result</b><ul>{"".join(items)}</ul></div>'
+    )
 
 
 def leaderboards(rows: Rows) -> str:
     suites = sorted({r["suite"] for r in rows})
-    return "".join(f"<h2>{text(s)}: leaderboard</h2>{ORDER}" + leaderboard([r for r in rows if r["suite"] == s]) for s in suites)
+    return "".join(
+        f"<h2>{text(s)}: leaderboard</h2>{ORDER}" + leaderboard([r for r in rows if r["suite"] == s])
+        for s in suites
+    )
 
 
 def fits(rows: Rows, fitted: Rows) -> str:
     suites = sorted({r["suite"] for r in rows})
     note = '<p class="soft">Best values, below them the 95 % interval.</p>'
     return "".join(
-        f"<h2>{text(s)}: parameters</h2>{note}" + parameters([r for r in rows if r["suite"] == s], fitted) for s in suites
+        f"<h2>{text(s)}: parameters</h2>{note}" + parameters([r for r in rows if r["suite"] == s], fitted)
+        for s in suites
     )
 
 
@@ -124,7 +144,9 @@ def figures(store: Store, rows: Rows) -> str:
         return ""
     from plotly.offline import get_plotlyjs
 
-    data = json.dumps(shown, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    data = json.dumps(shown, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace(
+        "<", "\\u003c"
+    )
     return (
         f'{FIGURES}<script type="application/json" id="panels">{data}</script>\n'
         f"<script>{get_plotlyjs()}</script>\n<script>{SCRIPT}</script>"
@@ -132,7 +154,7 @@ def figures(store: Store, rows: Rows) -> str:
 
 
 def machines(rows: Rows) -> str:
-    """Each machine and set of versions that results come from, with how many cells; then the plugins' versions."""
+    """Each machine and set of versions that results come from, with how many cells; then the plugins."""
     cells = list({r["key"]: r for r in rows}.values())
     body = []
     for kind in sorted({tuple(r[n] for n in MACHINE) for r in cells}, key=str):
@@ -141,7 +163,9 @@ def machines(rows: Rows) -> str:
     plugins = sorted({p for r in cells for p in (r["plugins"] or "").split("; ") if p})
     listed = "".join(f"<li>{text(p)}</li>" for p in plugins)
     shown = table([*MACHINE, "finished (UTC)", "cells"], body, numeric={1, 2, 9})
-    folded = f"<details><summary>{len(plugins)} plugins and their versions</summary><ul>{listed}</ul></details>"
+    folded = (
+        f"<details><summary>{len(plugins)} plugins and their versions</summary><ul>{listed}</ul></details>"
+    )
     return f"<h2>Machines and versions</h2>{shown}{folded}"
 
 

@@ -6,15 +6,25 @@ from collections.abc import Callable, Iterable, Sequence
 from html import escape
 from typing import Any
 
-from clothbench.report.figures import model_name
+from clothbench.report.figure_data import model_name
 
 Rows = Sequence[dict[str, Any]]
 SPLITS = ("fit", "held_out")
 
 
 def leaderboard(rows: Rows) -> str:
-    """Per case and metric, the cells from the lowest held-out error up; single recordings folded away below."""
-    head = ["model", "optimizer", "seed", "fit error", "held-out error", "noise floor", "effort", "status", "cell"]
+    """Per case and metric, the cells from the lowest held-out error up; then single recordings, folded."""
+    head = [
+        "model",
+        "optimizer",
+        "seed",
+        "fit error",
+        "held-out error",
+        "noise floor",
+        "effort",
+        "status",
+        "cell",
+    ]
     body: list[list[str]] = []
     for (case, metric), mine in sorted(group(rows, lambda r: (r["case"], r["metric"] or "")).items()):
         body.append([f"{text(case)} · {text(metric)}"])
@@ -32,7 +42,14 @@ def _cell_row(cell: Rows, best: bool) -> list[str]:
     errors = [error(totals.get(split), best) for split in SPLITS]
     effort = f"{row['evaluations']} evaluations" + _below(f"{row['wall_s'] or 0.0:.1f} s")
     status = pill(worst) + _below(text(worst["reason"]))
-    return [*names, *errors, floor(floors[-1]) if floors else "", effort, status, f"<code>{text(row['key'][:8])}</code>"]
+    return [
+        *names,
+        *errors,
+        floor(floors[-1]) if floors else "",
+        effort,
+        status,
+        f"<code>{text(row['key'][:8])}</code>",
+    ]
 
 
 def _rank(cell: Rows) -> tuple[bool, float, str]:
@@ -48,7 +65,14 @@ def single_recordings(rows: Rows) -> str:
         return ""
     body = []
     for r in rows:
-        names = [r["case"], r["metric"], model_name(r), r["optimizer"], r["recording"], (r["split"] or "").replace("_", " ")]
+        names = [
+            r["case"],
+            r["metric"],
+            model_name(r),
+            r["optimizer"],
+            r["recording"],
+            (r["split"] or "").replace("_", " "),
+        ]
         body.append([*map(text, names), error(r), floor(r), pill(r)])
     head = ["case", "metric", "model", "optimizer", "recording", "split", "error", "noise floor", "status"]
     shown = table(head, body, numeric={6, 7})
@@ -57,7 +81,8 @@ def single_recordings(rows: Rows) -> str:
 
 def parameters(rows: Rows, fitted: Rows) -> str:
     """One table per model: a line per cell, a column per parameter; then what the symbols mean."""
-    cells = group([p for p in fitted if p["key"] in {r["key"] for r in rows}], lambda p: p["key"])
+    keys = {r["key"] for r in rows}
+    cells = group([p for p in fitted if p["key"] in keys], lambda p: p["key"])
     about = {r["key"]: r for r in rows if r["key"] in cells}
     if not cells:
         return '<p class="soft">Nothing was fitted.</p>'
@@ -70,7 +95,10 @@ def parameters(rows: Rows, fitted: Rows) -> str:
         head = ["case", "optimizer", "seed", *head, "cell"]
         out.append(f"<h3>{text(model)}</h3>" + table(head, body, numeric=set(range(2, len(head) - 1))))
         meanings.update({p["symbol"]: p for p in first})
-    terms = (f"<dt>{text(s)}</dt><dd>{text(p['name'])} [{text(unit(p))}]: {text(p['meaning'])}</dd>" for s, p in meanings.items())
+    terms = (
+        f"<dt>{text(s)}</dt><dd>{text(p['name'])} [{text(unit(p))}]: {text(p['meaning'])}</dd>"
+        for s, p in meanings.items()
+    )
     return "".join(out) + f"<dl>{''.join(terms)}</dl>"
 
 
@@ -80,9 +108,13 @@ def _parameter_row(row: dict[str, Any], values: Rows) -> list[str]:
 
 
 def _parameter(p: dict[str, Any]) -> str:
-    """Value above its interval; marked where it lies on its bound, since then the bound chose it and not the data."""
+    """Value above its interval; marked on its bound, where the bound chose it and not the data."""
     value = f"{p['value']:.4g}" if p["value"] is not None else "none"
-    mark = '<span class="pill note" title="the bound chose this value">▲ at its bound</span> ' if p["at_bound"] else ""
+    mark = (
+        '<span class="pill note" title="the bound chose this value">▲ at its bound</span> '
+        if p["at_bound"]
+        else ""
+    )
     return mark + value + _below(interval(p, ".3g"))
 
 
@@ -98,7 +130,9 @@ def table(head: Iterable[str], body: Sequence[Sequence[str]], numeric: set[int])
         if len(line) == 1:
             lines.append(f'<tr class="group"><td colspan="{len(head)}">{line[0]}</td></tr>')
         else:
-            lines.append("<tr>" + "".join(f"<td{kinds.get(i, '')}>{c}</td>" for i, c in enumerate(line)) + "</tr>")
+            lines.append(
+                "<tr>" + "".join(f"<td{kinds.get(i, '')}>{c}</td>" for i, c in enumerate(line)) + "</tr>"
+            )
     inside = f"<thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody>"
     return f'<div class="scroll"><table>{inside}</table></div>'
 

@@ -1,4 +1,4 @@
-"""One Rerun file per fit: what was seen and what the best parameters make of it, in the same space and time."""
+"""One Rerun file per fit: what was seen beside what the best parameters make of it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,13 @@ from clothbench.experiment.cell import Bench
 from clothbench.recording import Recording
 from clothbench.rollout import Rollout
 
-SEEN, CLOTH, AWAY, HELD, NOISE = (240, 160, 40), (110, 160, 215), (220, 60, 60), (60, 170, 110), (150, 150, 150)
+SEEN, CLOTH, AWAY, HELD, NOISE = (
+    (240, 160, 40),
+    (110, 160, 215),
+    (220, 60, 60),
+    (60, 170, 110),
+    (150, 150, 150),
+)
 SLIVER = 0.05  # altitude over longest side below which a triangle only joins points along the hem
 MAXWELL = np.sqrt(8 / np.pi)  # mean length of isotropic noise with σ = 1 per coordinate
 MM = 1e3
@@ -29,8 +35,8 @@ MM = 1e3
 def write_rerun(path: Path, bench: Bench, rollouts: Sequence[Rollout]) -> None:
     """Write all recordings of a cell, each below SPLIT/NAME, on the timeline `time` [s] of its own clock.
 
-    rollouts: one per recording, of which the first member (T, N, 3) m is shown: as a mesh, with arrows from its nodes
-    to where they were seen, the seen nodes, the grips, and the mean distance per frame [mm].
+    rollouts: one per recording, of which the first member (T, N, 3) m is shown: as a mesh, with arrows from
+    its nodes to where they were seen, the seen nodes, the grips, and the mean distance per frame [mm].
     """
     cell = bench.cell
     # The viewer remembers layouts by application: one of its own keeps the tabs of other cells out.
@@ -40,7 +46,9 @@ def write_rerun(path: Path, bench: Bench, rollouts: Sequence[Rollout]) -> None:
     stream.save(path, default_blueprint=blueprint(roots, names))
     try:
         stream.send_recording_name(cell.label)
-        for root, trial, recording, rollout in zip(roots, bench.trials, bench.recordings, rollouts, strict=True):
+        for root, trial, recording, rollout in zip(
+            roots, bench.trials, bench.recordings, rollouts, strict=True
+        ):
             _log_run(stream, root, trial, recording, rollout.position[0])
     finally:
         stream.disconnect()
@@ -53,11 +61,13 @@ def blueprint(roots: Sequence[str], names: Sequence[str]) -> Any:
         space = rrb.Spatial3DView(origin=root, contents=["$origin/**", "- $origin/error/**"], name=name)
         tabs.append(rrb.Vertical(space, _curves(root, "error [mm]"), row_shares=[3, 1], name=name))
     if len(tabs) > 1:
-        tabs.append(_curves("/", "all errors [mm]", "+ /**/error/simulated"))
-    return rrb.Blueprint(rrb.Tabs(*tabs, active_tab=0), rrb.TimePanel(state="collapsed"), collapse_panels=True)
+        tabs.append(_curves("/", "all errors [mm]", [f"+ {root}/error/simulated" for root in roots]))
+    return rrb.Blueprint(
+        rrb.Tabs(*tabs, active_tab=0), rrb.TimePanel(state="collapsed"), collapse_panels=True
+    )
 
 
-def _curves(origin: str, name: str, contents: str = "$origin/error/**") -> Any:
+def _curves(origin: str, name: str, contents: str | list[str] = "$origin/error/**") -> Any:
     return rrb.TimeSeriesView(origin=origin, contents=contents, name=name)
 
 
@@ -79,13 +89,17 @@ def _log_run(stream: Any, root: str, trial: Trial, recording: Recording, simulat
     _log_error(stream, f"{root}/error", trial, simulated, there)
 
 
-def _log_seen(stream: Any, path: str, time: np.ndarray, position: np.ndarray, visible: np.ndarray, radius: float) -> None:
+def _log_seen(
+    stream: Any, path: str, time: np.ndarray, position: np.ndarray, visible: np.ndarray, radius: float
+) -> None:
     stream.log(path, rr.Points3D.from_fields(colors=[SEEN], radii=[radius]), static=True)
     columns = rr.Points3D.columns(positions=np.float32(position[visible]))
     stream.send_columns(path, _at(time), columns.partition(visible.sum(axis=1)))
 
 
-def _log_points(stream: Any, path: str, time: np.ndarray, position: np.ndarray, colour: tuple[int, ...], radius: float) -> None:
+def _log_points(
+    stream: Any, path: str, time: np.ndarray, position: np.ndarray, colour: tuple[int, ...], radius: float
+) -> None:
     """Points (T, n, 3) m that are there in every frame."""
     if len(time):
         stream.log(path, rr.Points3D.from_fields(colors=[colour], radii=[radius]), static=True)
@@ -97,15 +111,20 @@ def _log_mesh(stream: Any, path: str, time: np.ndarray, position: np.ndarray, tr
     """The sheet (T, N, 3) m: triangles and colour once, positions and normals for every frame in one go."""
     if not len(time):
         return
-    stream.log(path, rr.Mesh3D.from_fields(triangle_indices=triangles, albedo_factor=(*CLOTH, 150)), static=True)
+    stream.log(
+        path, rr.Mesh3D.from_fields(triangle_indices=triangles, albedo_factor=(*CLOTH, 190)), static=True
+    )
     normals = vertex_normals(position, triangles)
     columns = rr.Mesh3D.columns(
-        vertex_positions=np.float32(position.reshape(-1, 3)), vertex_normals=np.float32(normals.reshape(-1, 3))
+        vertex_positions=np.float32(position.reshape(-1, 3)),
+        vertex_normals=np.float32(normals.reshape(-1, 3)),
     )
     stream.send_columns(path, _at(time), columns.partition(np.full(len(time), position.shape[1])))
 
 
-def _log_away(stream: Any, path: str, trial: Trial, simulated: np.ndarray, there: np.ndarray, radius: float) -> None:
+def _log_away(
+    stream: Any, path: str, trial: Trial, simulated: np.ndarray, there: np.ndarray, radius: float
+) -> None:
     """Arrows from simulated to seen nodes, where both are known."""
     both = trial.observation.visible & there[:, None]
     stream.log(path, rr.Arrows3D.from_fields(colors=[AWAY], radii=[radius]), static=True)
@@ -121,13 +140,15 @@ def _log_error(stream: Any, path: str, trial: Trial, simulated: np.ndarray, ther
     count = seen.visible[frames].sum(axis=1)
     distance = np.linalg.norm(np.nan_to_num(seen.position[frames]) - simulated[frames], axis=-1)
     error = (distance * seen.visible[frames]).sum(axis=1) / count * MM
-    _log_curve(stream, f"{path}/simulated", seen.time[frames], error, "error [mm]", AWAY)
+    _log_curve(stream, f"{path}/simulated", seen.time[frames], error, f"{trial.name} [mm]", AWAY)
     if np.isfinite(seen.sigma):
         floor = np.full(2, MAXWELL * seen.sigma * MM)
         _log_curve(stream, f"{path}/noise_floor", seen.time[[0, -1]], floor, "noise floor [mm]", NOISE)
 
 
-def _log_curve(stream: Any, path: str, time: np.ndarray, value: np.ndarray, name: str, colour: tuple[int, ...]) -> None:
+def _log_curve(
+    stream: Any, path: str, time: np.ndarray, value: np.ndarray, name: str, colour: tuple[int, ...]
+) -> None:
     if len(time):
         stream.log(path, rr.SeriesLines(names=name, colors=[colour], widths=[2.0]), static=True)
         stream.send_columns(path, _at(time), rr.Scalars.columns(scalars=value))
@@ -164,7 +185,9 @@ def vertex_normals(position: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     normal = np.cross(corner[:, :, 1] - corner[:, :, 0], corner[:, :, 2] - corner[:, :, 0])
     rows, columns = triangles.ravel(), np.repeat(np.arange(len(triangles)), 3)
     around = csr_array((np.ones(len(rows)), (rows, columns)), shape=(nodes, len(triangles)))
-    total = (around @ normal.swapaxes(0, 1).reshape(len(triangles), -1)).reshape(nodes, frames, 3).swapaxes(0, 1)
+    total = (
+        (around @ normal.swapaxes(0, 1).reshape(len(triangles), -1)).reshape(nodes, frames, 3).swapaxes(0, 1)
+    )
     length = np.linalg.norm(total, axis=-1, keepdims=True)
     return total / np.where(length > 0, length, 1.0)
 
@@ -177,10 +200,12 @@ def grips_at(recording: Recording, time: np.ndarray) -> np.ndarray:
 
 
 def open_viewer(out: Path, cell: str) -> int:
-    """Open the Rerun viewer on the cell of `out` whose key begins with `cell`; returns the viewer's exit code."""
+    """Open the viewer on the cell of `out` whose key begins with `cell`; returns the viewer's exit code."""
     file = find_cell(out, cell) / "fit.rrd"
     if not file.is_file():
-        raise ClothbenchError(f"cell {file.parent.name} has no fit.rrd: it failed, or ran with rerun=false; see its row in the leaderboard")
+        raise ClothbenchError(
+            f"cell {file.parent.name} has no fit.rrd: it failed or ran with rerun=false; see the leaderboard"
+        )
     return subprocess.run([sys.executable, "-m", "rerun", str(file)], check=False).returncode
 
 

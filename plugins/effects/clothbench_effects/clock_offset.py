@@ -1,6 +1,7 @@
 """`clock_offset`: camera and grips do not share a clock."""
 
 import numpy as np
+
 from clothbench import Parameter, ParameterSpace
 
 

@@ -1,6 +1,7 @@
 """`quadratic_drag`: pressure drag of a sheet in air, quadratic in the normal velocity, with a tangential part."""
 
 import numpy as np
+
 from clothbench import Parameter, ParameterSpace, effect_kernel
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 import numpy as np
+
 from clothbench import ClothbenchError, Observation, Rollout, Score
 
 UNITS = {"mm": 1e3, "cm": 1e2, "m": 1.0}

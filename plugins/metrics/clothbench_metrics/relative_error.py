@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from clothbench import Observation, Rollout, Score
 
+from clothbench import Observation, Rollout, Score
 from clothbench_metrics.node_error import differences
 
 

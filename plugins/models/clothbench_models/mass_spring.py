@@ -20,7 +20,6 @@ from clothbench.effects import BoundEffects
 from clothbench.kernels import grid_triangles, no_effect
 from clothbench.parallel import for_each
 from clothbench.scene import initial_shape
-
 from clothbench_models import mass_spring_kernels as kernels
 
 SOURCE = "seed 000, section 5.2; Provot 1995"
@@ -86,8 +85,21 @@ class MassSpring:
         if not isinstance(self.resolution, int):
             nu, nv = self.resolution
             return int(nu), int(nv)
-        spacing = max(scene.width, scene.height) / (self.resolution - 1)
-        return max(3, round(scene.width / spacing) + 1), max(3, round(scene.height / spacing) + 1)
+        wide = scene.width >= scene.height
+        length, other = (scene.width, scene.height) if wide else (scene.height, scene.width)
+        count = even_count(self.resolution, length, scene.grip_material[:, 0 if wide else 1])
+        across = max(3, round(other * (count - 1) / length) + 1)
+        return (count, across) if wide else (across, count)
+
+
+def even_count(asked: int, length: float, held: np.ndarray) -> int:
+    """How many evenly spaced lines over [0, length] m to use: the number nearest to `asked` (within 5) for which
+    every held coordinate lies on a line, so that no line has to be moved; `asked` if there is none."""
+    for count in sorted(range(max(3, asked - 5), asked + 6), key=lambda n: (abs(n - asked), n)):
+        at = held / length * (count - 1)
+        if np.abs(at - np.round(at)).max(initial=0.0) < 1e-6:
+            return count
+    return asked
 
 
 @dataclass(frozen=True, eq=False)

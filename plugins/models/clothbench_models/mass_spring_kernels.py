@@ -12,10 +12,11 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from clothbench.effects import FORCE, INERTIA
-from clothbench.kernels import EFFECT, Sheet, compiled, grid_normals
 from numba import njit, types
 from numba.extending import overload
+
+from clothbench.effects import FORCE, INERTIA
+from clothbench.kernels import EFFECT, Sheet, compiled, grid_normals
 
 FAMILIES = 6
 SLOTS = 8  # places for dynamics effects in the loop

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from clothbench import ParameterSpace
 
+from clothbench import ParameterSpace
 from clothbench_optimizers.search import GeneratorSearch, Steps, worst_last
 
 BITS = 16  # per parameter, as in the paper

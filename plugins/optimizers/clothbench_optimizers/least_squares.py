@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from clothbench import ClothbenchError, Evaluation, ParameterSpace
 from scipy.stats import qmc
 
+from clothbench import ClothbenchError, Evaluation, ParameterSpace
 from clothbench_optimizers.search import GeneratorSearch, Steps
 
 DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])  # tried at once, in units of the current damping

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator
 
 import numpy as np
+
 from clothbench import ClothbenchError, Evaluation, ParameterSpace
 
 Steps = Generator[np.ndarray, Evaluation, str]
