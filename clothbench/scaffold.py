@@ -78,6 +78,7 @@ def substitutes(kind: str, name: str) -> dict[str, str]:
         "distribution": f"clothbench-{name.replace('_', '-').lower()}",
         "summary": SUMMARIES[kind],
         "version": __version__,
+        "requires": ', "numba>=0.60", "scipy>=1.15"' if kind == "model" else "",
     }
 
 

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+
 from clothbench import Recording, write_recording
 
 ROOT = Path(__file__).parents[1]

@@ -91,9 +91,7 @@ def _kinds(rows: Rows) -> dict[str, list[dict[str, Any]]]:
 def _dots(rows: Rows, look: dict[str, str], split: str, y: list[float]) -> dict[str, Any]:
     word, symbol = SPLITS[split]
     value = np.array([r["value"] for r in rows], dtype=float)
-    low, high = (
-        np.array([r["value"] if r[n] is None else r[n] for r in rows], dtype=float) for n in ("low", "high")
-    )
+    low, high = (np.array([r["value"] if r[n] is None else r[n] for r in rows], dtype=float) for n in ("low", "high"))
     names = [escape(r["recording"]) for r in rows]
     line = {"width": 2, "color": look["colour"]}
     hover = "%{customdata[2]}<br>%{x} " + rows[0]["unit"] + " (%{customdata[0]:.3g} … %{customdata[1]:.3g})"
@@ -133,9 +131,7 @@ def _failures(rows: Rows, look: dict[str, str], y: list[float], left: float) -> 
     }  # fmt: skip
 
 
-def convergence_figure(
-    metric: str, styles: dict[str, dict[str, str]], tables: dict[str, Any]
-) -> dict[str, Any] | None:
+def convergence_figure(metric: str, styles: dict[str, dict[str, str]], tables: dict[str, Any]) -> dict[str, Any] | None:
     """Best value of the fit recordings over evaluations; None for a metric that no cell was fitted by."""
     data, unit = [], ""
     for key, look in styles.items():
@@ -153,16 +149,15 @@ def convergence_figure(
     return _figure(data, {"height": 380, "xaxis": _axis("evaluations"), "yaxis": y})
 
 
-def trace_figures(
-    metric: str, rows: Rows, styles: dict[str, dict[str, str]], tables: dict[str, Any]
-) -> dict[str, Any]:
+def trace_figures(metric: str, rows: Rows, styles: dict[str, dict[str, str]], tables: dict[str, Any]) -> dict[str, Any]:
     """Error over time, one figure per recording."""
     out = {}
     for name, row in {r["recording"]: r for r in rows}.items():
-        traces = {key: tables[key]["traces"].get((metric, name)) for key in styles}
-        data = [
-            _line(*traces[key], look, row["unit"], "%{x} s") for key, look in styles.items() if traces[key]
-        ]
+        data = []
+        for key, look in styles.items():
+            if trace := tables[key]["traces"].get((metric, name)):
+                time, value = trace
+                data.append(_line(time, value, look, row["unit"], "%{x} s"))
         if not data:
             continue
         if row["floor"]:

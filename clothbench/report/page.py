@@ -94,9 +94,7 @@ def overview(rows: Rows) -> str:
     tiles += [(len(bad), "failed", "bad")] if bad else []
     tiles += [(len(skipped), "skipped", "")] if skipped else []
     tiles.append((len({(r["suite"], r["case"]) for r in rows}), "cases", ""))
-    tiles.append(
-        (len({(r["suite"], r["case"], r["recording"]) for r in rows if r["recording"]}), "recordings", "")
-    )
+    tiles.append((len({(r["suite"], r["case"], r["recording"]) for r in rows if r["recording"]}), "recordings", ""))
     tiles.append((len({model_name(r) for r in rows}), "models", ""))
     tiles.append((len({r["optimizer"] for r in rows}), "optimizers", ""))
     shown = (
@@ -116,16 +114,13 @@ def failure_list(rows: Rows) -> str:
         reason = text(r["reason"] or "no reason given")
         items.append(f"<li>{pill(r)} {text(' · '.join(p for p in place if p))}: {reason}</li>")
     word = "1 cell has" if len(bad) == 1 else f"{len(bad)} cells have"
-    return (
-        f'<div class="failures" role="note"><b>{word} no complete result</b><ul>{"".join(items)}</ul></div>'
-    )
+    return f'<div class="failures" role="note"><b>{word} no complete result</b><ul>{"".join(items)}</ul></div>'
 
 
 def leaderboards(rows: Rows) -> str:
     suites = sorted({r["suite"] for r in rows})
     return "".join(
-        f"<h2>{text(s)}: leaderboard</h2>{ORDER}" + leaderboard([r for r in rows if r["suite"] == s])
-        for s in suites
+        f"<h2>{text(s)}: leaderboard</h2>{ORDER}" + leaderboard([r for r in rows if r["suite"] == s]) for s in suites
     )
 
 
@@ -144,9 +139,7 @@ def figures(store: Store, rows: Rows) -> str:
         return ""
     from plotly.offline import get_plotlyjs
 
-    data = json.dumps(shown, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace(
-        "<", "\\u003c"
-    )
+    data = json.dumps(shown, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return (
         f'{FIGURES}<script type="application/json" id="panels">{data}</script>\n'
         f"<script>{get_plotlyjs()}</script>\n<script>{SCRIPT}</script>"
@@ -163,9 +156,7 @@ def machines(rows: Rows) -> str:
     plugins = sorted({p for r in cells for p in (r["plugins"] or "").split("; ") if p})
     listed = "".join(f"<li>{text(p)}</li>" for p in plugins)
     shown = table([*MACHINE, "finished (UTC)", "cells"], body, numeric={1, 2, 9})
-    folded = (
-        f"<details><summary>{len(plugins)} plugins and their versions</summary><ul>{listed}</ul></details>"
-    )
+    folded = f"<details><summary>{len(plugins)} plugins and their versions</summary><ul>{listed}</ul></details>"
     return f"<h2>Machines and versions</h2>{shown}{folded}"
 
 

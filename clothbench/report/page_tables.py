@@ -110,11 +110,7 @@ def _parameter_row(row: dict[str, Any], values: Rows) -> list[str]:
 def _parameter(p: dict[str, Any]) -> str:
     """Value above its interval; marked on its bound, where the bound chose it and not the data."""
     value = f"{p['value']:.4g}" if p["value"] is not None else "none"
-    mark = (
-        '<span class="pill note" title="the bound chose this value">▲ at its bound</span> '
-        if p["at_bound"]
-        else ""
-    )
+    mark = '<span class="pill note" title="the bound chose this value">▲ at its bound</span> ' if p["at_bound"] else ""
     return mark + value + _below(interval(p, ".3g"))
 
 
@@ -130,9 +126,7 @@ def table(head: Iterable[str], body: Sequence[Sequence[str]], numeric: set[int])
         if len(line) == 1:
             lines.append(f'<tr class="group"><td colspan="{len(head)}">{line[0]}</td></tr>')
         else:
-            lines.append(
-                "<tr>" + "".join(f"<td{kinds.get(i, '')}>{c}</td>" for i, c in enumerate(line)) + "</tr>"
-            )
+            lines.append("<tr>" + "".join(f"<td{kinds.get(i, '')}>{c}</td>" for i, c in enumerate(line)) + "</tr>")
     inside = f"<thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody>"
     return f'<div class="scroll"><table>{inside}</table></div>'
 

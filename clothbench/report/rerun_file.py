@@ -46,9 +46,7 @@ def write_rerun(path: Path, bench: Bench, rollouts: Sequence[Rollout]) -> None:
     stream.save(path, default_blueprint=blueprint(roots, names))
     try:
         stream.send_recording_name(cell.label)
-        for root, trial, recording, rollout in zip(
-            roots, bench.trials, bench.recordings, rollouts, strict=True
-        ):
+        for root, trial, recording, rollout in zip(roots, bench.trials, bench.recordings, rollouts, strict=True):
             _log_run(stream, root, trial, recording, rollout.position[0])
     finally:
         stream.disconnect()
@@ -62,9 +60,7 @@ def blueprint(roots: Sequence[str], names: Sequence[str]) -> Any:
         tabs.append(rrb.Vertical(space, _curves(root, "error [mm]"), row_shares=[3, 1], name=name))
     if len(tabs) > 1:
         tabs.append(_curves("/", "all errors [mm]", [f"+ {root}/error/simulated" for root in roots]))
-    return rrb.Blueprint(
-        rrb.Tabs(*tabs, active_tab=0), rrb.TimePanel(state="collapsed"), collapse_panels=True
-    )
+    return rrb.Blueprint(rrb.Tabs(*tabs, active_tab=0), rrb.TimePanel(state="collapsed"), collapse_panels=True)
 
 
 def _curves(origin: str, name: str, contents: str | list[str] = "$origin/error/**") -> Any:
@@ -111,9 +107,7 @@ def _log_mesh(stream: Any, path: str, time: np.ndarray, position: np.ndarray, tr
     """The sheet (T, N, 3) m: triangles and colour once, positions and normals for every frame in one go."""
     if not len(time):
         return
-    stream.log(
-        path, rr.Mesh3D.from_fields(triangle_indices=triangles, albedo_factor=(*CLOTH, 190)), static=True
-    )
+    stream.log(path, rr.Mesh3D.from_fields(triangle_indices=triangles, albedo_factor=(*CLOTH, 190)), static=True)
     normals = vertex_normals(position, triangles)
     columns = rr.Mesh3D.columns(
         vertex_positions=np.float32(position.reshape(-1, 3)),
@@ -122,9 +116,7 @@ def _log_mesh(stream: Any, path: str, time: np.ndarray, position: np.ndarray, tr
     stream.send_columns(path, _at(time), columns.partition(np.full(len(time), position.shape[1])))
 
 
-def _log_away(
-    stream: Any, path: str, trial: Trial, simulated: np.ndarray, there: np.ndarray, radius: float
-) -> None:
+def _log_away(stream: Any, path: str, trial: Trial, simulated: np.ndarray, there: np.ndarray, radius: float) -> None:
     """Arrows from simulated to seen nodes, where both are known."""
     both = trial.observation.visible & there[:, None]
     stream.log(path, rr.Arrows3D.from_fields(colors=[AWAY], radii=[radius]), static=True)
@@ -140,17 +132,19 @@ def _log_error(stream: Any, path: str, trial: Trial, simulated: np.ndarray, ther
     count = seen.visible[frames].sum(axis=1)
     distance = np.linalg.norm(np.nan_to_num(seen.position[frames]) - simulated[frames], axis=-1)
     error = (distance * seen.visible[frames]).sum(axis=1) / count * MM
-    _log_curve(stream, f"{path}/simulated", seen.time[frames], error, f"{trial.name} [mm]", AWAY)
+    _log_curve(stream, f"{path}/simulated", seen.time[frames], error, f"{trial.name} [mm]")
     if np.isfinite(seen.sigma):
         floor = np.full(2, MAXWELL * seen.sigma * MM)
         _log_curve(stream, f"{path}/noise_floor", seen.time[[0, -1]], floor, "noise floor [mm]", NOISE)
 
 
 def _log_curve(
-    stream: Any, path: str, time: np.ndarray, value: np.ndarray, name: str, colour: tuple[int, ...]
+    stream: Any, path: str, time: np.ndarray, value: np.ndarray, name: str, colour: tuple[int, ...] | None = None
 ) -> None:
+    """A curve over time; without a colour the viewer gives each its own."""
     if len(time):
-        stream.log(path, rr.SeriesLines(names=name, colors=[colour], widths=[2.0]), static=True)
+        colours = [colour] if colour else None
+        stream.log(path, rr.SeriesLines(names=name, colors=colours, widths=[2.0]), static=True)
         stream.send_columns(path, _at(time), rr.Scalars.columns(scalars=value))
 
 
@@ -185,9 +179,7 @@ def vertex_normals(position: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     normal = np.cross(corner[:, :, 1] - corner[:, :, 0], corner[:, :, 2] - corner[:, :, 0])
     rows, columns = triangles.ravel(), np.repeat(np.arange(len(triangles)), 3)
     around = csr_array((np.ones(len(rows)), (rows, columns)), shape=(nodes, len(triangles)))
-    total = (
-        (around @ normal.swapaxes(0, 1).reshape(len(triangles), -1)).reshape(nodes, frames, 3).swapaxes(0, 1)
-    )
+    total = (around @ normal.swapaxes(0, 1).reshape(len(triangles), -1)).reshape(nodes, frames, 3).swapaxes(0, 1)
     length = np.linalg.norm(total, axis=-1, keepdims=True)
     return total / np.where(length > 0, length, 1.0)
 

@@ -1,4 +1,4 @@
-"""The bench: what its rows say, and what a broken or absent plugin does to it. The models are toys that count."""
+"""The bench: what its rows say, and what a broken or absent plugin does to it. Its models are toys."""
 
 from __future__ import annotations
 
@@ -209,7 +209,8 @@ def test_threads_are_compared_with_separate_processes(install, monkeypatch):
     install("Toy")
     (row,) = bench.two_cores("toy", 5)
     assert tuple(row) == bench.KEYS
-    assert (row["peer"], row["threads"], row["note"]) == (bench.PROCESSES, 2, "share of two separate processes")
+    assert (row["peer"], row["threads"]) == (bench.PROCESSES, 2)
+    assert row["note"] == "share of two separate processes"
     assert row["ratio"] > 0
 
 

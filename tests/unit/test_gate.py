@@ -1,6 +1,7 @@
 """The regression gate: what counts as worse, and what is only noise."""
 
 import pytest
+
 from clothbench.report.gate import IDENTITY, compare_rows
 
 

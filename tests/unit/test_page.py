@@ -62,9 +62,7 @@ def results(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     cell = small_cell(tmp_path_factory.mktemp("recordings"))
     assert run_cell(cell, folder) == "ok"
-    assert (
-        run_cell(dataclasses.replace(cell, optimizer="least_squares", report=()), folder, rerun=False) == "ok"
-    )
+    assert run_cell(dataclasses.replace(cell, optimizer="least_squares", report=()), folder) == "ok"
     broken = dataclasses.replace(cell, options={"mass_spring": {"dt": -1.0}})
     assert run_cell(broken, folder) == "error"
     return folder

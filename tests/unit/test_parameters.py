@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+
 from clothbench import ClothbenchError, Parameter, ParameterSpace
 
 STIFFNESS = Parameter("k", "k", "N/m", (1.0, 100.0), "log", 10.0, "a stiffness", "nobody")

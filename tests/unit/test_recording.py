@@ -5,8 +5,9 @@ from pathlib import Path
 import h5netcdf.legacyapi
 import numpy as np
 import pytest
-from clothbench import ClothbenchError, read_recording, write_recording
 from conftest import swinging_recording
+
+from clothbench import ClothbenchError, read_recording, write_recording
 
 
 def test_round_trip_keeps_everything(recording, tmp_path):

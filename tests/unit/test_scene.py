@@ -2,9 +2,10 @@
 
 import numpy as np
 import pytest
+from conftest import swinging_recording
+
 from clothbench import ClothbenchError, Scene
 from clothbench.scene import initial_shape, scene_of
-from conftest import swinging_recording
 
 
 def test_unknown_density_must_be_stated():

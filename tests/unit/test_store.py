@@ -2,6 +2,7 @@
 
 import pandas as pd
 import pytest
+
 from clothbench import ClothbenchError
 from clothbench.experiment.store import ROW, Store, leaderboard_row, load_rows
 

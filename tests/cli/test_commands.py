@@ -1,0 +1,205 @@
+"""The command line as a user meets it: exit codes, messages, what is written and what is not."""
+
+import json
+import subprocess
+import sys
+import time
+
+import pytest
+from clothbench import write_recording
+from conftest import swinging_recording
+
+CELL = ("model=mass_spring", "optimizer=ga", "metric=node_error", "+options.mass_spring.resolution=5", "budget=25")
+
+
+def only_line(text: str) -> str:
+    """The one line of an error; more than one would be a fault of its own."""
+    lines = text.strip().splitlines()
+    assert len(lines) == 1, text
+    return lines[0]
+
+
+def test_help_answers_at_once_and_names_every_command(clothbench):
+    began = time.perf_counter()
+    out = clothbench("--help")
+    bare = subprocess.run([sys.executable, "-c", "pass"], check=True)
+    assert bare.returncode == out.returncode == 0
+    assert time.perf_counter() - began < 30  # the measured figure is in the benchmarks; this only catches a hang
+    for command in ("run", "plugins", "validate", "datasets", "import", "leaderboard", "compare", "bench", "report",
+                    "view", "new-plugin"):  # fmt: skip
+        assert command in out.stdout
+
+
+@pytest.mark.parametrize(
+    ("arguments", "found"),
+    [
+        (("run", "+suite=nonsense"), "suite/nonsense"),
+        (("run", "modle=x"), "modle"),
+        (("run", *CELL), "no recordings named"),
+        (("run", *CELL, "recording=none.nc"), "none.nc: no such file"),
+        (("run", "recording=good.nc", "model=mass_sping", "optimizer=ga", "metric=node_error"), "did you mean 'mass_spring'"),
+        (("run", "recording=good.nc", "optimizer=ga", "metric=node_error"), "setting 'model' is empty"),
+        (("run", "recording=good.nc", *CELL, "effects=[quadratic_drag,quadratic_drag]"), "given twice"),
+        (("import", "unknown_set"), "no data set 'unknown_set'"),
+        (("import", "iri_wam_cloth_swing", "data_dir=/nowhere"), "/nowhere is not a folder"),
+        (("import", "iri_wam_cloth_swing", "dir=x"), "expected data_dir=VALUE"),
+        (("compare", "a.json", "b.json"), "a.json: no such folder or file"),
+        (("view", "abc"), "abc"),
+        (("validate", "nowhere"), "nowhere: no such file or folder"),
+    ],
+)
+def test_wrong_use_is_one_line_and_exit_2(clothbench, tmp_path, arguments, found):
+    write_recording(swinging_recording(), tmp_path / "good.nc")
+    out = clothbench(*arguments)
+    assert out.returncode == 2, out.stderr
+    assert found in only_line(out.stderr)
+    assert [p.name for p in tmp_path.iterdir()] == ["good.nc"]
+
+
+def test_an_unknown_command_or_flag_is_exit_2(clothbench):
+    assert clothbench("frobnicate").returncode == 2
+    assert clothbench("plugins", "--jsn").returncode == 2
+    assert clothbench().returncode == 2
+
+
+def test_one_cell_end_to_end(clothbench, recordings_folder, tmp_path):
+    out = clothbench("run", f"recordings={recordings_folder}", *CELL, "out=results", "report=[relative_error]")
+    assert out.returncode == 0, out.stderr
+    assert "held_out" in out.stdout
+    assert "N/m" in out.stdout
+    assert "page:" in out.stdout
+    rows = json.loads(clothbench("leaderboard", "--json", "--out", "results").stdout)
+    assert {r["metric"] for r in rows} == {"node_error", "relative_error"}
+    assert {(r["split"], bool(r["recording"])) for r in rows} == {(s, b) for s in ("fit", "held_out") for b in (True, False)}
+    for row in rows:
+        assert row["status"] == "ok"
+        assert row["low"] <= row["value"] <= row["high"]
+        assert row["evaluations"] == 25
+    floor = next(r["floor"] for r in rows if r["metric"] == "node_error")
+    assert floor == pytest.approx(1.596, abs=1e-3)  # σ √(8/π) at σ = 1 mm
+    folder = tmp_path / "results" / "cells" / rows[0]["key"]
+    assert {p.name for p in folder.iterdir()} == {
+        "rows.parquet", "parameters.parquet", "history.parquet", "trace.parquet", "fit.rrd",
+    }  # fmt: skip
+    assert (tmp_path / "results" / "report.html").is_file()
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["recordings", "results"]  # no Hydra litter
+
+
+def test_a_finished_cell_is_not_run_again_and_the_same_cell_gives_the_same_bits(clothbench, recordings_folder, tmp_path):
+    command = ("run", f"recordings={recordings_folder}", *CELL, "rerun=false")
+    assert "ok:" in clothbench(*command, "out=a").stderr
+    before = {p: p.stat().st_mtime_ns for p in (tmp_path / "a" / "cells").rglob("*.parquet")}
+    assert "kept:" in clothbench(*command, "out=a").stderr
+    assert before == {p: p.stat().st_mtime_ns for p in (tmp_path / "a" / "cells").rglob("*.parquet")}
+    clothbench(*command, "out=b")
+    first, second = (json.loads(clothbench("leaderboard", "--json", "--out", o).stdout) for o in "ab")
+    for row in (*first, *second):
+        row["wall_s"] = None
+    assert first == second
+
+
+def test_a_sweep_is_a_product_and_prints_one_table(clothbench, recordings_folder):
+    out = clothbench("run", "-m", f"recordings={recordings_folder}", *CELL, "seed=1,2", "optimizer=ga,least_squares", "rerun=false")
+    assert out.returncode == 0, out.stderr
+    rows = json.loads(clothbench("leaderboard", "--json").stdout)
+    assert len({r["key"] for r in rows}) == 4
+    assert out.stdout.count("error, 95 % interval") == 1
+
+
+@pytest.mark.slow
+def test_the_launcher_can_be_exchanged(clothbench, recordings_folder):
+    pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
+    out = clothbench(
+        "run", "-m", "hydra/launcher=joblib", "hydra.launcher.n_jobs=2", f"recordings={recordings_folder}", *CELL,
+        "seed=1,2", "jobs=1", "rerun=false",
+    )  # fmt: skip
+    assert out.returncode == 0, out.stderr
+    assert len({r["key"] for r in json.loads(clothbench("leaderboard", "--json").stdout)}) == 2
+
+
+def test_a_failing_cell_is_a_row_and_the_others_finish(clothbench, recordings_folder):
+    out = clothbench(
+        "run", f"recordings={recordings_folder}", *CELL, "optimizer=[ga,least_squares]", "+options.ga.nonsense=1", "rerun=false"
+    )
+    assert out.returncode == 1
+    assert "Traceback" not in out.stderr + out.stdout
+    rows = json.loads(clothbench("leaderboard", "--json").stdout)
+    bad = [r for r in rows if r["status"] == "error"]
+    assert len(bad) == 1
+    assert "nonsense" in bad[0]["reason"]
+    assert bad[0]["value"] is None
+    assert all(r["optimizer"] == "least_squares" for r in rows if r["status"] == "ok")
+
+
+def test_a_step_too_long_diverges_with_its_reason(clothbench, recordings_folder):
+    out = clothbench("run", f"recordings={recordings_folder}", *CELL, "+options.mass_spring.dt=0.05", "rerun=false")
+    assert out.returncode == 1
+    row = json.loads(clothbench("leaderboard", "--json").stdout)[0]
+    assert (row["status"], row["value"]) == ("diverged", None)
+    assert "step is too long" in row["reason"]
+
+
+def test_a_time_limit_keeps_the_best_so_far(clothbench, recordings_folder):
+    out = clothbench("run", f"recordings={recordings_folder}", *CELL, "budget=1000000", "+options.ga.generations=100000", "timeout=2", "rerun=false")
+    assert out.returncode == 1
+    row = json.loads(clothbench("leaderboard", "--json").stdout)[0]
+    assert row["status"] == "timeout"
+    assert row["value"] > 0
+
+
+def test_validate(clothbench, recordings_folder, tmp_path):
+    good = clothbench("validate", recordings_folder)
+    assert good.returncode == 0
+    assert good.stdout.count(": ok") == 2
+    (recordings_folder / "bad.nc").write_text("time,node")
+    bad = clothbench("validate", recordings_folder, "--json")
+    assert bad.returncode == 1
+    faults = [r["fault"] for r in json.loads(bad.stdout) if not r["ok"]]
+    assert len(faults) == 1
+    assert "bad.nc" in faults[0]
+
+
+def test_bad_input_to_run_writes_nothing(clothbench, recordings_folder, tmp_path):
+    (recordings_folder / "bad.nc").write_text("time,node")
+    for sweep in ((), ("-m", "seed=1,2")):
+        out = clothbench("run", *sweep, f"recordings={recordings_folder}", *CELL)
+        assert out.returncode == 2
+        assert "bad.nc" in only_line(out.stderr)
+        assert [p.name for p in tmp_path.iterdir()] == ["recordings"]
+
+
+@pytest.mark.data
+def test_every_broken_recording_is_refused_by_run(clothbench, data_dir, tmp_path):
+    for path in sorted((data_dir / "bad-recordings").glob("*.nc"))[::4]:
+        out = clothbench("run", f"recording={path}", *CELL)
+        assert out.returncode == 2
+        assert path.name in only_line(out.stderr)
+        assert not list(tmp_path.iterdir())
+
+
+def test_plugins_as_json_and_as_table(clothbench):
+    rows = json.loads(clothbench("plugins", "--json").stdout)
+    assert {r["kind"] for r in rows} >= {"model", "effect", "metric", "optimizer", "tracker"}
+    assert not [r for r in rows if r["broken"]]
+    model = next(r for r in rows if r["name"] == "mass_spring")
+    assert [(p["name"], p["unit"]) for p in model["parameters"]] == [("k1", "N/m"), ("k2", "N/m"), ("zeta", "1")]
+    assert "mass_spring" in clothbench("plugins").stdout
+
+
+def test_compare_is_a_gate(clothbench, tmp_path):
+    row = {"suite": "s", "case": "c", "value": 10.0, "low": 9.0, "high": 11.0, "unit": "mm", "status": "ok"}
+    (tmp_path / "base.json").write_text(json.dumps([row]))
+    (tmp_path / "same.json").write_text(json.dumps([{**row, "value": 10.4}]))
+    (tmp_path / "worse.json").write_text(json.dumps([{**row, "value": 20.0, "low": 19.0, "high": 21.0}]))
+    assert clothbench("compare", "base.json", "same.json").returncode == 0
+    worse = clothbench("compare", "base.json", "worse.json")
+    assert worse.returncode == 1
+    assert "gate failed" in worse.stdout
+    assert not json.loads(clothbench("compare", "base.json", "worse.json", "--json").stdout)["passed"]
+
+
+def test_an_empty_leaderboard_says_what_to_do(clothbench):
+    out = clothbench("leaderboard")
+    assert out.returncode == 0
+    assert "clothbench run +suite=static_dynamic" in out.stdout
+    assert json.loads(clothbench("leaderboard", "--json").stdout) == []

@@ -1,0 +1,73 @@
+"""What a killed process costs: its own cell, and nothing that was finished."""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+import pytest
+
+CELL = ("model=mass_spring", "optimizer=ga", "metric=node_error", "+options.mass_spring.resolution=5", "rerun=false")
+
+
+def finished(folder) -> set[str]:
+    return {p.parent.name for p in folder.glob("runs/cells/[0-9a-f]*/rows.parquet")}
+
+
+@pytest.mark.slow
+def test_kill_9_in_mid_sweep_loses_only_the_running_cells(clothbench, recordings_folder, tmp_path):
+    command = ["run", "-m", f"recordings={recordings_folder}", *CELL, "budget=120", "seed=range(0,8)"]
+    running = subprocess.Popen(
+        [sys.executable, "-m", "clothbench", *command], cwd=tmp_path, start_new_session=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    deadline = time.monotonic() + 240
+    while len(finished(tmp_path)) < 2 and time.monotonic() < deadline:
+        time.sleep(0.05)
+    os.killpg(running.pid, signal.SIGKILL)
+    running.wait()
+    kept = finished(tmp_path)
+    assert 2 <= len(kept) < 8
+    stamps = {key: (tmp_path / "runs" / "cells" / key / "rows.parquet").stat().st_mtime_ns for key in kept}
+    out = clothbench(*command)
+    assert out.returncode == 0, out.stderr
+    assert out.stderr.count("kept:") == len(kept)
+    assert stamps == {key: (tmp_path / "runs" / "cells" / key / "rows.parquet").stat().st_mtime_ns for key in kept}
+    rows = json.loads(clothbench("leaderboard", "--json").stdout)
+    assert len({r["key"] for r in rows}) == 8
+
+
+@pytest.mark.slow
+def test_a_worker_that_dies_spoils_its_own_cell_only(clothbench, recordings_folder, tmp_path):
+    """A plugin that kills its process outright, as a crash in compiled code does."""
+    package = tmp_path / "site" / "deadly"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text(
+        "from clothbench import Registration, hookimpl\n"
+        "@hookimpl\n"
+        "def clothbench_optimizers():\n"
+        "    return [Registration('deadly', 'deadly.search:Deadly', 'kills its process')]\n"
+    )
+    (package / "search.py").write_text(
+        "import os, signal\n"
+        "class Deadly:\n"
+        "    name, version, needs_residual = 'deadly', 1, False\n"
+        "    def __init__(self, space, *, seed, budget):\n"
+        "        os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    info = tmp_path / "site" / "deadly-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: deadly\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[clothbench]\ndeadly = deadly\n")
+    out = clothbench(
+        "run", f"recordings={recordings_folder}", *CELL, "budget=40", "optimizer=[ga,deadly,least_squares]",
+        PYTHONPATH=str(tmp_path / "site"),
+    )  # fmt: skip
+    assert out.returncode == 1, out.stderr
+    rows = json.loads(clothbench("leaderboard", "--json").stdout)
+    status = {r["optimizer"]: (r["status"], r["reason"]) for r in rows}
+    assert status["ga"][0] == status["least_squares"][0] == "ok"
+    assert status["deadly"][0] == "error"
+    assert "process that ran this cell died" in status["deadly"][1]

@@ -1,0 +1,88 @@
+"""Suites become cells: splits, keys, and settings that are refused."""
+
+import dataclasses
+
+import pytest
+from clothbench import ClothbenchError, write_recording
+from clothbench.experiment.suite import plan, suites_folder
+from clothbench.plugins import catalogue
+from conftest import swinging_recording
+
+BASE = {
+    "model": "mass_spring", "optimizer": "ga", "metric": "node_error", "effects": [], "report": [],
+    "tracker": "markers", "scene": {}, "options": {}, "bounds": {}, "budget": 10, "seed": 0, "jobs": 1,
+    "timeout": None, "out": "runs", "rerun": False,
+}  # fmt: skip
+
+
+def cells(recordings, **changes):
+    return plan({**BASE, "recordings": str(recordings), **changes}, catalogue())
+
+
+def test_the_product_of_models_optimizers_and_metrics(recordings_folder):
+    found = cells(recordings_folder, optimizer=["ga", "least_squares"], metric=["node_error", "relative_error"])
+    assert len(found) == 4
+    assert len({c.key for c in found}) == 4
+    assert [s.split for s in found[0].recordings] == ["fit", "held_out"]
+
+
+def test_the_key_depends_on_the_question_and_not_on_where_files_lie(recordings_folder, tmp_path):
+    first = cells(recordings_folder)[0]
+    moved = tmp_path / "elsewhere"
+    recordings_folder.rename(moved)
+    assert cells(moved)[0].key == first.key
+    for change in ({"seed": 1}, {"budget": 11}, {"effects": ["added_mass"]}, {"options": {"ga": {"population": 9}}},
+                   {"bounds": {"k1": [1, 50]}}, {"scene": {"air_density": 1.0}}):  # fmt: skip
+        assert cells(moved, **change)[0].key != first.key
+    assert cells(moved, options={"unused": {"x": 1}})[0].key == first.key
+    assert cells(moved, timeout=5.0)[0].key == first.key
+    newer = {**first.versions, "models/mass_spring": "clothbench 0.1.0, 99"}
+    assert dataclasses.replace(first, versions=newer).key != first.key
+
+
+def test_recordings_without_a_split_are_split_seeded(tmp_path):
+    for k in range(6):
+        write_recording(swinging_recording(f"r{k}", split=""), tmp_path / f"r{k}.nc")
+    splits = [[s.split for s in cells(tmp_path, seed=seed)[0].recordings] for seed in (0, 0, 1, 2)]
+    assert splits[0] == splits[1]
+    assert all(s.count("held_out") == 2 for s in splits)
+    assert len({tuple(s) for s in splits}) > 1
+
+
+def test_cases_and_selection(tmp_path):
+    for fabric in ("silk", "wool"):
+        for k in (1, 2):
+            write_recording(swinging_recording(f"{fabric}-{k}", fabric=fabric), tmp_path / f"{fabric}-{k}.nc")
+    assert [c.case for c in cells(tmp_path)] == ["silk", "wool"]
+    assert [c.case for c in cells(tmp_path, suite={"name": "s", "case": "all"})] == ["all"]
+    assert [c.case for c in cells(tmp_path, suite={"name": "s", "select": "silk*"})] == ["silk"]
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        ({"modle": "x"}, "setting 'modle' is not known"),
+        ({"scene": {"wind": 1}}, "setting 'scene.wind' is not known"),
+        ({"suite": {"name": "s", "cases": "x"}}, "setting 'suite.cases' is not known"),
+        ({"suite": {"name": "s", "case": "colour"}}, "'suite.case' is 'colour'"),
+        ({"suite": {"name": "s", "select": "zzz"}}, "matches none of 2 recordings"),
+        ({"model": "mass_sping"}, "did you mean 'mass_spring'"),
+        ({"model": []}, "setting 'model' is empty"),
+        ({"budget": 0}, "expected at least 1 evaluation"),
+        ({"recordings": "nowhere"}, "no such file or folder"),
+        ({"recordings": None}, "no recordings named"),
+    ],
+)
+def test_wrong_settings_are_one_line(recordings_folder, change, found):
+    with pytest.raises(ClothbenchError, match=found):
+        plan({**BASE, "recordings": str(recordings_folder), **change}, catalogue())
+
+
+def test_only_held_out_recordings_cannot_be_fitted(tmp_path):
+    write_recording(swinging_recording(split="held_out"), tmp_path / "a.nc")
+    with pytest.raises(ClothbenchError, match="found only held-out recordings"):
+        cells(tmp_path)
+
+
+def test_the_built_in_suites_are_where_the_code_looks():
+    assert {p.stem for p in (suites_folder() / "suite").glob("*.yaml")} >= {"static_dynamic", "iri_swing"}
