@@ -208,7 +208,11 @@ def compare(options: argparse.Namespace) -> int:
 def bench(options: argparse.Namespace) -> int:
     from clothbench.bench import print_table, run_bench
 
-    rows = run_bench(sides=(9, 21)) if options.quick else run_bench()
+    def told(line: str) -> None:
+        if sys.stderr.isatty():
+            print(line, file=sys.stderr)
+
+    rows = run_bench(sides=(9, 21) if options.quick else (9, 21, 41, 65), progress=told)
     print_json(rows) if options.json else print_table(rows)
     return 0
 

@@ -98,11 +98,12 @@ def calibrate(
             stopped = f"stopped after {timeout:g} s, as asked"
             break
     theta, value = np.concatenate(thetas), np.concatenate(values)
-    best = theta[int(np.argmin(np.where(np.isfinite(value), value, np.inf)))]
-    simulated = np.isfinite(value).any()
-    low, high, condition = intervals(trials, space, best) if simulated else (best * np.nan, best * np.nan, np.nan)
+    simulated = bool(np.isfinite(value).any())
+    nothing = np.full(len(space), np.nan)  # no member ran to its end: there is no best
+    best = theta[int(np.argmin(np.where(np.isfinite(value), value, np.inf)))] if simulated else nothing
+    low, high, condition = intervals(trials, space, best) if simulated else (nothing, nothing, np.nan)
     return Fit(
-        space=space, best=best, low=low, high=high, at_bound=space.at_bound(best), theta=theta, value=value,
+        space=space, best=best, low=low, high=high, at_bound=space.at_bound(best) if simulated else np.zeros(len(space), bool), theta=theta, value=value,
         condition=condition, status="diverged" if not simulated else "timeout" if stopped else "ok",
         stopped=stopped or optimizer.stopped, wall_s=time.perf_counter() - began,
     )  # fmt: skip
@@ -166,10 +167,17 @@ def error_interval(score: Score, observation: Observation, seed: int, draws: int
     return float(max(score.value[0] + away[0], 0.0)), float(score.value[0] + away[1])
 
 
-def mean_interval(values: Sequence[float]) -> tuple[float, float]:
-    """95 % interval of a mean over recordings: the recording is the unit of evidence (Student's t)."""
+def mean_interval(values: Sequence[float], halves: Sequence[float]) -> tuple[float, float]:
+    """95 % interval of a mean over recordings: the recording is the unit of evidence (Student's t).
+
+    Of one or two recordings the spread says next to nothing (t = 12.7); there the recordings' own half-widths are
+    joined instead, which says how sure the mean of *these* is, not of others.
+    """
     sample = np.asarray(values, dtype=float)
-    half = student.ppf(0.975, len(sample) - 1) * sample.std(ddof=1) / np.sqrt(len(sample))
+    if len(sample) < 3:
+        half = float(np.sqrt(np.sum(np.square(halves)))) / len(sample)
+    else:
+        half = student.ppf(0.975, len(sample) - 1) * sample.std(ddof=1) / np.sqrt(len(sample))
     return float(max(sample.mean() - half, 0.0)), float(sample.mean() + half)
 
 

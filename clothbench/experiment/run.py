@@ -46,9 +46,12 @@ def run_cell(
         return keep_failure(store, cell, "error", one_line(fault), detail=traceback.format_exc())
 
 
-def keep_failure(store: Store, cell: Cell, status: str, reason: str, detail: str = "") -> str:
+def keep_failure(
+    store: Store, cell: Cell, status: str, reason: str, detail: str = "", evaluations: int = 0, wall_s: float = 0.0
+) -> str:
     """Store a cell that has no result: one row, with the reason in place of a number."""
-    row = {**_about(cell), **_no_value(), "status": status, "reason": reason, "evaluations": 0, "wall_s": 0.0, "unit": None}
+    row = {**_about(cell), **_no_value(), "status": status, "reason": reason, "unit": None}
+    row |= {"evaluations": evaluations, "wall_s": wall_s}
     extra = (lambda folder: (folder / "traceback.txt").write_text(detail)) if detail else None
     store.put(cell.key, {"rows": [row]}, extra)
     return status
@@ -58,7 +61,7 @@ def _about(cell: Cell) -> dict[str, Any]:
     plugins = "; ".join(f"{k} ({v})" for k, v in sorted(cell.versions.items()))
     return {
         "suite": cell.suite, "case": cell.case, "model": cell.model, "effects": ",".join(cell.effects),
-        "optimizer": cell.optimizer, "metric": cell.metric, "seed": cell.seed, "key": cell.key, "plugins": plugins,
+        "optimizer": cell.optimizer, "metric": cell.metric, "seed": cell.seed, "key": cell.key, "plugins": plugins, "objective": cell.metric,
         "threads": thread_count(), "finished": now(), **system_info(),
     }  # fmt: skip
 
@@ -69,6 +72,8 @@ def _no_value() -> dict[str, Any]:
 
 def _keep(store: Store, bench: Bench, fit: Fit, attach: Attach | None) -> str:
     """Score the best parameters on every recording and store all tables."""
+    if fit.status == "diverged":
+        return keep_failure(store, bench.cell, "diverged", _why_lost(bench), evaluations=fit.evaluations, wall_s=fit.wall_s)
     rollouts = [best_rollout(t, fit) for t in bench.trials]
     metrics = [bench.trials[0].metric, *bench.others]
     rows, trace = [], []
@@ -80,6 +85,15 @@ def _keep(store: Store, bench: Bench, fit: Fit, attach: Attach | None) -> str:
     extra = (lambda folder: attach(folder, bench, rollouts)) if attach else None
     store.put(bench.cell.key, tables, extra)
     return fit.status
+
+
+def _why_lost(bench: Bench) -> str:
+    """What the model says of its own default parameters, where no parameters that were tried could be simulated."""
+    for trial in bench.of_split("fit"):
+        rollout = trial.simulation.run(bench.space.defaults[None])
+        if rollout.status[0] != "ok":
+            return rollout.reasons[0] if rollout.reasons else rollout.status[0]
+    return "no parameter set that was tried could be simulated"
 
 
 def _rows_of(bench: Bench, fit: Fit, metric: Metric, scores: Sequence[Score], rollouts: Sequence[Rollout]) -> list[dict[str, Any]]:
@@ -113,7 +127,8 @@ def _total(about: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
     if bad:
         return {**total, "status": bad[0]["status"], "reason": f"{bad[0]['recording']}: {bad[0]['reason']}"}
     values = [r["value"] for r in rows]
-    low, high = mean_interval(values) if len(values) > 1 else (rows[0]["low"], rows[0]["high"])
+    known = all(r["low"] is not None for r in rows)
+    low, high = mean_interval(values, [(r["high"] - r["low"]) / 2 for r in rows]) if known else (None, None)
     floors = [r["floor"] for r in rows]
     floor = float(np.mean(floors)) if all(f is not None for f in floors) else None
     return {

@@ -36,8 +36,9 @@ ROW = {
     "floor": _number, "reference": _number, "status": _text, "reason": _text, "evaluations": _whole,
     "wall_s": _number, "seed": _whole, "key": _text,
 }  # fmt: skip
+# What else a row carries: the metric that was minimised, and the system it was computed on.
 SYSTEM = {
-    "clothbench": _text, "plugins": _text, "python": _text, "numpy": _text, "numba": _text, "platform": _text,
+    "objective": _text, "clothbench": _text, "plugins": _text, "python": _text, "numpy": _text, "numba": _text, "platform": _text,
     "cpu": _text, "cores": _whole, "threads": _whole, "finished": _text,
 }  # fmt: skip
 PARAMETER = {

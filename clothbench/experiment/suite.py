@@ -66,6 +66,9 @@ def check_keys(config: Mapping[str, Any]) -> None:
         raise ClothbenchError(f"setting 'suite.{unknown[0]}' is not known; there are: {', '.join(sorted(SUITE_KEYS))}")
     if suite.get("case", "fabric") not in CASES:
         raise ClothbenchError(f"setting 'suite.case' is {suite['case']!r}, expected one of {', '.join(CASES)}")
+    effects = as_list(config, "effects")
+    if twice := sorted({e for e in effects if effects.count(e) > 1}):
+        raise ClothbenchError(f"setting 'effects': {twice[0]!r} is given twice; name every effect once")
     if int(config["budget"]) < 1:
         raise ClothbenchError(f"setting 'budget' is {config['budget']}, expected at least 1 evaluation")
 

@@ -72,13 +72,11 @@ def parameter_table(rows: Rows, parameters: Rows) -> Table:
         table.add_column(name, overflow="fold")
     for name in ("value", "interval", "unit", ""):
         table.add_column(name, justify="left" if name == "unit" else "right", no_wrap=True)
-    about = {r["key"]: r for r in rows if r["metric"]}
-    for row in rows:
-        about[row["key"]] = about.get(row["key"], row)
+    about = {r["key"]: r for r in rows}
     last = None
     for p in parameters:
         row = about[p["key"]]
-        names = (row["case"], row["model"], row["optimizer"], row["metric"]) if p["key"] != last else ("",) * 4
+        names = (row["case"], row["model"], row["optimizer"], row["objective"]) if p["key"] != last else ("",) * 4
         if last is not None and p["key"] != last:
             table.add_section()
         value = f"{p['value']:.4g}" if p["value"] is not None else ""

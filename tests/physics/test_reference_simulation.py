@@ -234,7 +234,6 @@ def test_the_recordings_are_what_the_script_makes():
 
     stored = read_recording(maker.FOLDER / "linen-static-1.nc")
     made = maker.record(maker.FABRICS[1], maker.TRIALS[0], maker.Bench(maker.FABRICS[1]))
-    print("HASH", made.hash == stored.hash)
     np.testing.assert_allclose(made.position, stored.position, atol=2e-5)
     np.testing.assert_allclose(made.grip_position, stored.grip_position, atol=2e-5)
     assert made.notes == stored.notes

@@ -23,7 +23,6 @@ SLOTS = 8  # places for dynamics effects in the loop
 OK, DIVERGED = 0, 1
 TINY = 1e-30  # m²; keeps the length of a masked spring between two coinciding nodes above 0
 CHECK_EVERY = 64  # steps between two looks for rest and for divergence
-AT_REST = 1e-6  # m/s; slower than this a settling sheet hangs still. So small that it does not matter when exactly it stops
 
 _fast = njit(cache=True, error_model="numpy", nogil=True)
 
@@ -184,12 +183,12 @@ def _as_double(array):
 def _signature(real):
     """Types of `run_block`'s arguments; `real` is the precision of all that is touched for every node and step."""
     double = types.float64
-    r1, r2, d1, d2, d3 = real[::1], real[:, ::1], double[::1], double[:, ::1], double[:, :, ::1]
+    r2, d1, d2, d3 = real[:, ::1], double[::1], double[:, ::1], double[:, :, ::1]
     i1, i2 = types.int64[::1], types.int64[:, ::1]
     grid = (i1, r2, r2, r2, d1, d2, d2, d1, i2, double)
     effects = (*(EFFECT,) * SLOTS, i1, types.int64, d3, d3)
     grips = (i1, d1, double[:, :, :, :, ::1], i1, i1)
-    settling = (double, d1, double, d1)
+    settling = (double, d1, double, double, d1)
     sampling = (i2, d2, d2, double[:, :, :, ::1])
     return types.void(types.int64, r2, *grid, double, *effects, *grips, *settling, *sampling, i1, i1)
 
@@ -201,13 +200,13 @@ def _run_block(
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7, stages, n_effects,
     effect_parameters, effect_state,
     pins, knots, curves, held_points, pins_of_points,
-    start, settle_time, settle_rate, dt,
+    start, settle_time, settle_rate, at_rest, dt,
     index, weight, times, out,
     status, steps,
 ):  # fmt: skip
     """Settle and run `lanes` interleaved parameter sets from the shape x (3, n·lanes), which is changed in place.
 
-    strides (6,), rest m, stiffness N/m, damping N·s/m (6, n·lanes); mass (n,) kg; gravity_rows (1, 3) m/s²; dt (lanes,) s;
+    settle_time (2,) s, the least and the most; at_rest m/s, the speed that ends it; strides (6,); rest m, stiffness N/m, damping N·s/m (6, n·lanes); mass (n,) kg; gravity_rows (1, 3) m/s²; dt (lanes,) s;
     effect_parameters, effect_state: (lanes, SLOTS, …); curves (1 or lanes, 4, K−1, G, 3); times (lanes, T) s;
     out (lanes, T, N, 3) m, to be filled; status, steps (lanes,).
     """
@@ -239,9 +238,10 @@ def _run_block(
     segment, done, running, count = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64), lanes, 0
     while running > 0:
         for lane in range(lanes):
-            if began[lane] < 0 and count % CHECK_EVERY == 0 and count * dt[lane] > settle_time[0]:
-                if count * dt[lane] > settle_time[1] or fastest(v, lane, lanes) < AT_REST:
-                    began[lane] = count
+            settled_for = count * dt[lane]
+            if began[lane] < 0 and count % CHECK_EVERY == 0 and settled_for > settle_time[0]:
+                # The cheap question first: looking for the fastest node reads the whole sheet.
+                began[lane] = count if settled_for > settle_time[1] or fastest(v, lane, lanes) < at_rest else -1
             if began[lane] == count:
                 come_to_rest(v, keep, kick, lane, lanes, dt[lane])
                 curve = curves[lane % curves.shape[0]]

@@ -1,0 +1,124 @@
+"""A broken plugin is listed as broken with the reason, stands in nobody's way, and costs one error row at most."""
+
+from __future__ import annotations
+
+import json
+import textwrap
+
+import pytest
+
+HOOK = """
+    from clothbench import Registration, hookimpl
+
+    @hookimpl
+    def clothbench_{kind}():
+        return [Registration({name!r}, {target!r}, "a plugin for a test")]
+    """
+# distribution: its module, what it is found under, and the reason that is given
+BROKEN = {
+    "crashing": ("import no_such_library", "module", "ModuleNotFoundError: No module named 'no_such_library'"),
+    "raising": ("raise RuntimeError('out of wool')", "module", "RuntimeError: out of wool"),
+    "misspelt": (
+        "import clothbench\n@clothbench.hookimpl\ndef clothbench_modles():\n    return []", "module",
+        "unknown hook 'clothbench_modles', did you mean 'clothbench_models'?",
+    ),
+    "hookless": ("nothing = 1", "module", "it implements no clothbench hook"),
+    "mistyped": (
+        "import clothbench\n@clothbench.hookimpl\ndef clothbench_models():\n    return ['mistyped']", "module",
+        "clothbench_models gave str, expected clothbench.Registration",
+    ),
+    "formless": (
+        "import clothbench\n@clothbench.hookimpl\ndef clothbench_models():\n    return 3", "module",
+        "TypeError: 'int' object is not iterable",
+    ),
+    "missing": (
+        HOOK.format(kind="models", name="missing", target="missing:Missing"), "model", "has no attribute 'Missing'",
+    ),
+    "nowhere": (HOOK.format(kind="metrics", name="nowhere", target="gone:Gone"), "metric", "No module named 'gone'"),
+    "copycat": (
+        HOOK.format(kind="models", name="mass_spring", target="copycat:Copy"), "model",
+        "the name is taken by clothbench (clothbench_models.mass_spring:MassSpring); rename one of the two",
+    ),
+    "unnameable": (HOOK.format(kind="models", name="my model", target="unnameable:A"), "model", "is not an identifier"),
+}  # fmt: skip
+FINE = HOOK.format(kind="metrics", name="fine", target="clothbench_metrics.node_error:NodeError")
+
+
+@pytest.fixture
+def installed(tmp_path):
+    """`installed(name=text, …)`: fake distributions in a folder for PYTHONPATH, one module each."""
+
+    def install(**modules: str) -> str:
+        folder = tmp_path / "site"
+        for name, text in modules.items():
+            about = folder / f"{name}-1.0.dist-info"
+            about.mkdir(parents=True)
+            (folder / f"{name}.py").write_text(textwrap.dedent(text))
+            (about / "METADATA").write_text(f"Metadata-Version: 2.1\nName: {name}\nVersion: 1.0\n")
+            (about / "entry_points.txt").write_text(f"[clothbench]\n{name} = {name}\n")
+        return str(folder)
+
+    return install
+
+
+def listed(clothbench, path):
+    done = clothbench("plugins", "--json", PYTHONPATH=path)
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def test_each_is_listed_with_its_reason_and_no_other_is_touched(clothbench, installed):
+    usual = listed(clothbench, "")
+    rows = listed(clothbench, installed(fine=FINE, **{name: text for name, (text, _, _) in BROKEN.items()}))
+    theirs = {r["distribution"].split()[0]: r for r in rows if r not in usual}
+    assert set(theirs) == {*BROKEN, "fine"}
+    assert theirs["fine"]["broken"] is None
+    for name, (_, kind, reason) in BROKEN.items():
+        assert theirs[name]["kind"] == kind
+        assert reason in theirs[name]["broken"]
+        assert "\n" not in theirs[name]["broken"]
+    assert [r for r in rows if r in usual] == usual
+
+
+def test_the_table_names_them_too(clothbench, installed):
+    done = clothbench("plugins", PYTHONPATH=installed(crashing=BROKEN["crashing"][0]), COLUMNS="200")
+    assert done.returncode == 0
+    assert "broken: module crashing (crashing 1.0): ModuleNotFoundError" in done.stdout
+
+
+def test_two_strangers_of_one_name_are_settled_by_their_distributions_names(clothbench, installed):
+    """What a name means must not depend on which was installed first."""
+    path = installed(
+        zeta=HOOK.format(kind="metrics", name="shared", target="clothbench_metrics.node_error:NodeError"),
+        alpha=HOOK.format(kind="metrics", name="shared", target="clothbench_metrics.relative_error:RelativeError"),
+    )
+    shared = {r["distribution"]: r["broken"] for r in listed(clothbench, path) if r["name"] == "shared"}
+    assert shared["alpha 1.0"] is None
+    assert "the name is taken by alpha" in shared["zeta 1.0"]
+
+
+def test_a_broken_one_in_a_product_costs_its_own_cells_only(clothbench, installed, recordings_folder):
+    settings = [
+        f"recordings={recordings_folder}", "model=[mass_spring,missing]", "optimizer=least_squares",
+        "metric=node_error", "budget=3", "jobs=1", "rerun=false",
+    ]  # fmt: skip
+    path = installed(missing=BROKEN["missing"][0], crashing=BROKEN["crashing"][0])
+    done = clothbench("run", *settings, PYTHONPATH=path)
+    assert done.returncode == 1, done.stderr
+    rows = json.loads(clothbench("leaderboard", "--json").stdout)
+    assert {r["status"] for r in rows if r["model"] == "mass_spring"} == {"ok"}
+    (row,) = (r for r in rows if r["model"] == "missing")
+    assert (row["status"], row["value"]) == ("error", None)
+    assert "missing" in row["reason"]
+    assert "has no attribute 'Missing'" in row["reason"]
+
+
+def test_a_plugin_whose_module_is_broken_cannot_be_chosen(clothbench, installed, recordings_folder):
+    """Its names are not known, so nothing is begun."""
+    path = installed(crashing=BROKEN["crashing"][0])
+    done = clothbench(
+        "run", f"recordings={recordings_folder}", "model=crashing", "optimizer=ga", "metric=node_error", PYTHONPATH=path
+    )
+    assert done.returncode == 2
+    assert "no model named 'crashing'; there are: mass_spring" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
