@@ -124,11 +124,19 @@ def write_recording(recording: Recording, path: str | os.PathLike[str]) -> Path:
     os.close(handle)
     try:
         dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
+        os.chmod(temporary, 0o666 & ~_umask())  # mkstemp keeps files to their owner; a recording is no secret
         os.replace(temporary, path)
     except BaseException:
         Path(temporary).unlink(missing_ok=True)
         raise
     return path
+
+
+def _umask() -> int:
+    """What the user takes away from the rights of new files; it can only be read by setting it."""
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask
 
 
 def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:

@@ -42,7 +42,8 @@ def error_table(suite: str, rows: Rows) -> Table:
         table.add_column(name, justify="right", no_wrap=True)
     crowded = max((sum(r["key"] == k and bool(r["recording"]) for r in rows) for k in {r["key"] for r in rows}), default=0) > MANY
     for row in rows:
-        if not (crowded and row["recording"]):
+        # Single recordings by the metric that was minimised; by the others the totals say enough.
+        if not (row["recording"] and (crowded or row["metric"] != row["objective"])):
             table.add_row(*_cells(row), style="bold" if not row["recording"] else "", end_section=not row["recording"])
     if crowded:
         table.caption = "single recordings: clothbench leaderboard --json"
@@ -50,13 +51,14 @@ def error_table(suite: str, rows: Rows) -> Table:
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
-    model = row["model"] + "".join(f"+{e}" for e in (row["effects"] or "").split(",") if e)
+    model = row["model"] + "".join(f"\n+ {e}" for e in (row["effects"] or "").split(",") if e)
     if row["value"] is None:
         error, interval = row["status"], ""
     else:
         error, interval = f"{row['value']:.2f} {row['unit']}", _interval(row["low"], row["high"])
     floor = f"{row['floor']:.2f} {row['unit']}" if row["floor"] is not None else ""
     last = (str(row["evaluations"]), f"{row['wall_s']:.1f} s") if not row["recording"] else ("", "")
+    model = model if not row["recording"] else row["model"]
     names = (row["case"], model, row["optimizer"], row["metric"], row["split"] or "", row["recording"] or "all")
     return [escape(str(text)) for text in (*names, error, interval, floor, *last)]
 

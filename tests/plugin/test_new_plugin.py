@@ -57,6 +57,13 @@ def test_new_plugins_are_listed_whole(installed):
 
 
 @pytest.mark.slow
+def test_the_templates_ship_with_the_package(installed):
+    said = installed.run("clothbench", "new-plugin", "effect", "breeze")
+    assert said.startswith("clothbench-breeze: ready")
+    assert (installed.away / "clothbench-breeze/src/clothbench_breeze/breeze.py").is_file()
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", NAMES)
 def test_a_new_plugin_passes_its_own_tests(made, installed, kind):
     assert " passed" in installed.pytest(made[kind] / "tests")

@@ -299,6 +299,14 @@ class _Batch:
         order = members[np.argsort(self.dt[members], kind="stable")]
         return [order[k : k + LANES] for k in range(0, len(order), LANES)]
 
+    def _bounds(self) -> float:
+        """How far from the origin a sheet may get before it counts as blown up [m]: sizes, grips and free fall allowed."""
+        scene = self.simulation.scene
+        span = float(self.times.max() - scene.start_time)
+        fall = 0.5 * float(np.linalg.norm(scene.gravity)) * span**2 if not len(self.pins) else 0.0
+        reach = max(np.abs(self.shape).max(), np.abs(scene.grip_position).max(initial=0.0))
+        return LOST * max(scene.width, scene.height) + float(reach) + fall
+
     def run_block(self, members: np.ndarray) -> None:
         simulation, scene, grid = self.simulation, self.simulation.scene, self.simulation.grid
         lanes, nodes = len(members), simulation.nodes
@@ -312,7 +320,7 @@ class _Batch:
             lanes, np.repeat(self.shape.T, lanes, axis=1).astype(real), grid.strides * lanes,
             np.repeat(grid.rest, lanes, axis=1).astype(real), stiffness.astype(real), damping.astype(real), grid.mass, grid.uv,
             np.array([scene.gravity]), grid.area, grid_triangles(simulation.shape), scene.air_density,
-            LOST * max(scene.width, scene.height) + float(np.abs(self.shape).max()),
+            self._bounds(),
             *self.kernels, self.stages, self.terms, effects.kernel_parameters(self.theta[members], kernels.SLOTS),
             effects.kernel_state(lanes, kernels.SLOTS, nodes),
             self.pins, np.array(scene.grip_time) if len(self.pins) else np.zeros(2),

@@ -1,0 +1,208 @@
+"""`mass_spring` against mechanics: its forces are the gradient of an energy, and it meets analytic references."""
+
+import numpy as np
+import pytest
+from clothbench import Scene
+from clothbench_effects.added_mass import AddedMass
+from clothbench_effects.clock_offset import ClockOffset
+from clothbench_effects.quadratic_drag import QuadraticDrag
+from clothbench_models.mass_spring import FAMILIES, MassSpring, SpringGrid
+from clothbench_models.mass_spring_kernels import add_pairwise, spring_forces
+from scipy.optimize import curve_fit
+
+G = 9.81
+
+
+def sheet(width, height, times, *, grips=(), moved=None, points=((0.0, 0.0),), density=0.2, shape=None, gravity=(0, 0, -G)):
+    """A scene with the given material points held; `moved(t) -> (K, 3)` shifts all of them together."""
+    held = np.array(grips, dtype=float).reshape(-1, 2)
+    clock = np.linspace(0.0, times[-1], 400)
+    at = np.stack([held[:, 0], 0 * held[:, 0], -held[:, 1]], axis=1)
+    path = at[None] + (moved(clock)[:, None] if moved else np.zeros((400, 1, 3)))
+    return Scene(width, height, density, clock, held, path, times, np.array(points), gravity=gravity, resolution=shape)
+
+
+def top_edge(width, count):
+    return [(u, 0.0) for u in np.linspace(0.0, width, count)]
+
+
+# --- forces ---------------------------------------------------------------------------------------------------------
+
+
+def energy(grid: SpringGrid, k: np.ndarray, x: np.ndarray) -> float:
+    """Σ k/2 (l − L)² over all springs [J]."""
+    total = 0.0
+    for f in range(len(FAMILIES)):
+        e = np.flatnonzero(grid.share[f])
+        length = np.linalg.norm(x[:, e + grid.strides[f]] - x[:, e], axis=0)
+        total += 0.5 * np.sum(k[f] * grid.share[f, e] * (length - grid.rest[f, e]) ** 2)
+    return total
+
+
+def forces(grid: SpringGrid, k: np.ndarray, c: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
+    out, g = np.zeros_like(x), np.empty_like(x)
+    for f in range(len(FAMILIES)):
+        spring_forces(x, v, grid.strides[f], grid.rest[f], k[f] * grid.share[f], c * grid.share[f], g)
+        add_pairwise(out, g, grid.strides[f])
+    return out
+
+
+@pytest.fixture(scope="module")
+def crumpled():
+    lines = (np.array([0.0, 0.04, 0.1, 0.14, 0.2]), np.linspace(0, 0.3, 6))
+    grid = SpringGrid.of(lines, (0.2, 0.3), 0.2)
+    random = np.random.default_rng(5)
+    flat = np.stack([grid.uv[:, 0], 0 * grid.uv[:, 0], -grid.uv[:, 1]])
+    return grid, flat + random.normal(0, 0.01, flat.shape), random.normal(0, 0.3, flat.shape)
+
+
+def test_forces_are_minus_the_gradient_of_the_energy(crumpled):
+    grid, x, v = crumpled
+    k = np.array([60.0, 60.0, 60.0, 60.0, 2.0, 2.0])
+    found = forces(grid, k, 0.0, x, 0 * v)
+    step = 1e-6
+    for c, e in np.ndindex(x.shape):
+        up, down = x.copy(), x.copy()
+        up[c, e] += step
+        down[c, e] -= step
+        expected = -(energy(grid, k, up) - energy(grid, k, down)) / (2 * step)
+        assert found[c, e] == pytest.approx(expected, rel=1e-5, abs=1e-7)
+
+
+def test_dampers_take_energy_and_keep_both_momenta(crumpled):
+    grid, x, v = crumpled
+    found = forces(grid, np.zeros(6), 0.01, x, v)
+    assert (found * v).sum() < 0
+    np.testing.assert_allclose(found.sum(axis=1), 0, atol=1e-12)
+    np.testing.assert_allclose(np.cross(x.T, found.T).sum(axis=0), 0, atol=1e-12)
+    spin = np.cross([0.1, 0.2, 0.3], x.T).T  # a rigid rotation stretches nothing
+    np.testing.assert_allclose(forces(grid, np.zeros(6), 0.01, x, spin), 0, atol=1e-12)
+
+
+def test_mass_and_stiffness_do_not_depend_on_the_mesh():
+    for n in (5, 9, 17):
+        lines = (np.linspace(0, 0.3, n), np.linspace(0, 0.3, n))
+        grid = SpringGrid.of(lines, (0.3, 0.3), 0.2)
+        assert grid.mass.sum() == pytest.approx(0.2 * 0.09)
+        # Per width, in pure warp strain: k1 from the straight springs and as much again from the diagonals.
+        stretched = np.stack([grid.uv[:, 0] * 1.001, 0 * grid.uv[:, 0], -grid.uv[:, 1]])
+        stiffness = energy(grid, np.array([1.0, 1, 1, 1, 0, 0]), stretched) * 2 / (0.3e-3**2)
+        assert stiffness == pytest.approx(2.0, rel=0.01)
+
+
+# --- motion ---------------------------------------------------------------------------------------------------------
+
+
+def test_free_fall_is_exact():
+    times = np.linspace(0.0, 0.5, 6)
+    scene = sheet(0.2, 0.2, times, points=((0.1, 0.1), (0.0, 0.2)), shape=(5, 5))
+    z = MassSpring().prepare(scene).run([[60.0, 1.0, 0.1]]).position[0, :, :, 2]
+    # leapfrog samples a parabola with an error of g·dt²/8 between two steps
+    np.testing.assert_allclose(z - z[0], np.broadcast_to(-0.5 * G * times[:, None] ** 2, z.shape), atol=1e-6)
+
+
+def swing_frequency(effects=(), phi=(), length=0.297, nodes=17) -> float:
+    """Frequency [Hz] of the small free swing, in vacuum, of a sheet held along its top edge and pulled once."""
+    times = np.arange(0.5, 4.0, 0.01)
+
+    def pull(t):
+        pulse = 1e-3 * np.exp(-(((t - 0.2) / 0.06) ** 2))
+        return np.stack([0 * t, pulse, 0 * t], axis=1)
+
+    width = length / 4
+    across = (nodes - 1) // 4 + 1
+    scene = sheet(width, length, times, grips=top_edge(width, across), moved=pull, points=((width / 2, length),), shape=(across, nodes))
+    theta = [[1000.0, 0.01, 0.001, *phi]]
+    y = MassSpring().prepare(scene, effects).run(theta).position[0, :, 0, 1]
+    # The pulse excites the first modes; fit the lowest two, whose ratio is that of the Bessel zeros.
+    second = 5.5201 / 2.4048
+
+    def modes(t, f, a, b, c, d, slow, quick):
+        w = 2 * np.pi * f * t
+        first = (a * np.sin(w) + b * np.cos(w)) * np.exp(-slow * t)
+        return first + (c * np.sin(second * w) + d * np.cos(second * w)) * np.exp(-quick * t)
+
+    amplitude = np.abs(y).max()
+    best, _ = curve_fit(modes, times, y / amplitude, p0=[1.1, 0.5, 0.5, 0.1, 0.1, 0.01, 0.1], maxfev=20000)
+    return float(best[0])
+
+
+def test_a_hanging_sheet_swings_as_the_bessel_function_says():
+    """ω₁ = (2.4048/2) √(g/L): a heavy hanging chain (D. Bernoulli 1733)."""
+    expected = 2.4048 / 2 * np.sqrt(G / 0.297) / (2 * np.pi)
+    assert swing_frequency() == pytest.approx(expected, rel=0.01)
+
+
+def test_added_mass_slows_the_swing():
+    """ω = ω₁ / √(1 + m_a/ρ) for a motion along the normal."""
+    ratio = swing_frequency((AddedMass(),), (0.1,)) / swing_frequency()
+    assert ratio == pytest.approx(1 / np.sqrt(1 + 0.1 / 0.2), rel=0.005)
+
+
+@pytest.mark.parametrize("coefficient", [0.5, 1.2])
+def test_a_falling_sheet_reaches_its_terminal_speed(coefficient):
+    """v = √(2ρg/(ρ_air C_N)) for a sheet that falls flat."""
+    times = np.array([0.0, 3.0, 3.5])
+    flat = np.stack(np.meshgrid(np.linspace(0, 0.2, 5), np.linspace(0, 0.2, 5)), axis=-1).reshape(-1, 2)
+    start = np.column_stack([flat, np.zeros(25)])  # lying level, while gravity points down
+    scene = Scene(0.2, 0.2, 0.1, np.array([0.0, 1.0]), np.zeros((0, 2)), np.zeros((2, 0, 3)), times, flat,
+                  resolution=(5, 5), start=start)  # fmt: skip
+    position = MassSpring().prepare(scene, [QuadraticDrag()]).run([[60.0, 1.0, 0.1, coefficient, 0.0]]).position
+    speed = -(position[0, 2, :, 2] - position[0, 1, :, 2]) / 0.5
+    np.testing.assert_allclose(speed, np.sqrt(2 * 0.1 * G / (1.2 * coefficient)), rtol=1e-3)
+
+
+def test_a_hanging_strip_stretches_by_its_own_weight():
+    """Elastic line under its own weight: the lower end sinks by ρ g L²/(2 E), E the strip's stiffness per width."""
+    scene = sheet(0.05, 0.4, np.array([0.0, 0.5]), grips=top_edge(0.05, 4), points=((0.025, 0.4),), shape=(4, 25))
+    k1 = 300.0
+    z = MassSpring().prepare(scene).run([[k1, 0.01, 0.5]]).position[0, -1, 0, 2]
+    # C11 = 2 k1 and C12 = k1 of the lattice, free to narrow: E = C11 − C12²/C11 = 1.5 k1.
+    assert -0.4 - z == pytest.approx(0.2 * G * 0.16 / (2 * 1.5 * k1), rel=0.03)
+
+
+def test_an_undamped_swing_keeps_its_energy():
+    times = np.arange(0.0, 10.0, 0.001)  # fine enough to see the speed of the stiff modes as well
+    u, v = np.meshgrid(np.linspace(0, 0.1, 5), np.linspace(0, 0.3, 13))
+    points = np.column_stack([u.ravel(), v.ravel()])
+    edge = top_edge(0.1, 5)
+
+    def step_aside(t):
+        s = np.clip(t / 0.3, 0, 1)
+        return np.stack([0 * t, 0.02 * s**3 * (10 - 15 * s + 6 * s**2), 0 * t], axis=1)
+
+    scene = sheet(0.1, 0.3, times, grips=edge, moved=step_aside, points=points, shape=(5, 13))
+    simulation = MassSpring().prepare(scene)
+    x = simulation.run([[100.0, 1.0, 0.0]]).position[0]
+    speed = np.gradient(x, times, axis=0)
+    grid = simulation.grid
+    kinetic = 0.5 * (grid.mass * (speed**2).sum(axis=-1)).sum(axis=1)
+    potential = G * (grid.mass * x[..., 2]).sum(axis=1)
+    k = np.array([100.0, 100, 100, 100, 1, 1])
+    total = kinetic + potential + np.array([energy(grid, k, frame.T) for frame in x])
+    swing = np.ptp(kinetic[500:])
+    early, late = total[500:1500].mean(), total[-1000:].mean()
+    assert abs(late - early) < 0.001 * swing
+
+
+def test_a_clock_offset_is_a_shift_in_time():
+    def sway(t):
+        return np.stack([0 * t, 0.02 * np.sin(4 * t) ** 2, 0 * t], axis=1)
+
+    times = np.linspace(0.2, 1.0, 41)
+    edge = top_edge(0.2, 2)
+    late = sheet(0.2, 0.2, times, grips=edge, moved=sway, points=((0.1, 0.2),), shape=(5, 5))
+    early = sheet(0.2, 0.2, times - 0.06, grips=edge, moved=sway, points=((0.1, 0.2),), shape=(5, 5))
+    theta = [60.0, 1.0, 0.1]
+    shifted = MassSpring().prepare(late, [ClockOffset()]).run([[*theta, 0.06]]).position
+    plain = MassSpring().prepare(early).run([theta]).position
+    assert np.abs(shifted - plain).max() < 2e-4  # the grips' 400 stamps differ a little between the two scenes
+
+
+def test_single_precision_agrees_while_the_motion_is_smooth():
+    def sway(t):
+        return np.stack([0 * t, 0.03 * np.sin(5 * t) ** 2, 0 * t], axis=1)
+
+    scene = sheet(0.2, 0.2, np.linspace(0, 1, 11), grips=top_edge(0.2, 5), moved=sway, points=((0.1, 0.2), (0.0, 0.1)), shape=(5, 5))
+    double, single = (MassSpring(precision=p).prepare(scene).run([[60.0, 5.0, 0.3]]).position for p in ("double", "single"))
+    assert np.abs(double - single).max() < 5e-5
