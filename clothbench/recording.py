@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass, field, fields
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from clothbench.errors import ClothbenchError
+from clothbench.files import whole_file
 
 FORMAT, VERSION = "clothbench-recording", 1
 SPLITS = ("fit", "held_out", "")
@@ -114,29 +114,14 @@ def write_recording(recording: Recording, path: str | os.PathLike[str]) -> Path:
     import xarray as xr
 
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     variables = {}
     for name, (dims, unit) in LAYOUT.items():
         variables[name] = xr.Variable(dims, getattr(recording, name), attrs={"units": unit})
     dataset = xr.Dataset(variables, attrs=_attributes(recording))
     encoding = {name: {"zlib": True, "_FillValue": None} for name in ("position", "grip_position")}
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    os.close(handle)
-    try:
-        dataset.to_netcdf(temporary, engine="h5netcdf", encoding=encoding)
-        os.chmod(temporary, 0o666 & ~_umask())  # mkstemp keeps files to their owner; a recording is no secret
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with whole_file(path) as part:
+        dataset.to_netcdf(part, engine="h5netcdf", encoding=encoding)
     return path
-
-
-def _umask() -> int:
-    """What the user takes away from the rights of new files; it can only be read by setting it."""
-    mask = os.umask(0)
-    os.umask(mask)
-    return mask
 
 
 def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 from collections.abc import Callable
 from pathlib import Path
 
 from clothbench.datasets.registry import dataset, fetch, local_copy
 from clothbench.errors import ClothbenchError
+from clothbench.files import whole_folder
 from clothbench.plugins import import_target
 
 REPORT = "import-report.json"
@@ -38,13 +37,6 @@ def converted(
             f"{folder}: found files that no import made, expected an empty folder; give out=FOLDER"
         )
     source = local_copy(name, data_dir) or fetch(name, progress)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    try:
+    with whole_folder(folder) as part:
         import_target(known.importer)(source, part, progress)
-        shutil.rmtree(folder, ignore_errors=True)
-        os.replace(part, folder)
-    except BaseException:
-        shutil.rmtree(part, ignore_errors=True)
-        raise
     return folder

@@ -5,12 +5,12 @@ from __future__ import annotations
 import dataclasses
 import json
 import math
-import os
-import tempfile
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
+
+from clothbench.files import whole_file
 
 
 @dataclass(frozen=True)
@@ -48,13 +48,6 @@ def as_json(report: ImportReport) -> dict[str, Any]:
 def write_report(reports: Iterable[ImportReport], path: Path, **header: Any) -> Path:
     """Write all reports as one JSON document, atomically."""
     text = json.dumps({**header, "recordings": [as_json(r) for r in reports]}, indent=1) + "\n"
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(text)
-        os.replace(temporary, path)
-    except BaseException:
-        Path(temporary).unlink(missing_ok=True)
-        raise
+    with whole_file(path) as part:
+        part.write_text(text, encoding="utf-8")
     return path

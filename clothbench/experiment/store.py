@@ -13,8 +13,6 @@ import functools
 import json
 import os
 import platform
-import shutil
-import tempfile
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
 from pathlib import Path
@@ -25,6 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from clothbench.errors import ClothbenchError
+from clothbench.files import whole_folder
 
 SCHEMA_VERSION = 1
 _text, _number, _whole = pa.string(), pa.float64(), pa.int64()
@@ -96,18 +95,11 @@ class Store:
 
     def put(self, key: str, tables: dict[str, list[dict[str, Any]] | pd.DataFrame], extra: Callable[[Path], None] | None = None) -> Path:
         """Write a cell: tables, then whatever `extra(folder)` adds; it replaces an older result of the same key."""
-        parent = self.cell(key).parent
-        parent.mkdir(parents=True, exist_ok=True)
-        part = Path(tempfile.mkdtemp(dir=parent, prefix=f".{key}."))
-        try:
+        with whole_folder(self.cell(key)) as part:
             for name, content in tables.items():
                 write_table(part / f"{name}.parquet", name, content)
             if extra is not None:
                 extra(part)
-            _replace(part, self.cell(key))
-        except BaseException:
-            shutil.rmtree(part, ignore_errors=True)
-            raise
         return self.cell(key)
 
     def rows(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
@@ -172,12 +164,3 @@ def load_rows(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
     if not isinstance(rows, list) or not all(isinstance(r, dict) and {"suite", "status", "value"} <= set(r) for r in rows):
         raise ClothbenchError(f"{path}: expected a list of leaderboard rows, as `clothbench leaderboard --json` prints them")
     return rows
-
-
-def _replace(part: Path, final: Path) -> None:
-    """Put a finished folder in place of an older one; if two processes finish the same cell, either is right."""
-    if final.exists():
-        old = Path(tempfile.mkdtemp(dir=final.parent, prefix=".old."))
-        os.replace(final, old / "cell")
-        shutil.rmtree(old, ignore_errors=True)
-    os.replace(part, final)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from clothbench.experiment.store import Store
+from clothbench.files import whole_file
 from clothbench.report.figure_data import model_name
 from clothbench.report.figures import panels
 from clothbench.report.page_style import CSS, FIGURES, SCRIPT
@@ -29,18 +28,9 @@ MORE = """<footer>See a fit beside its recording: <code>clothbench view CELL</co
 
 def write_page(folder: Path) -> Path:
     """Write FOLDER/report.html from the store in that folder, whole or not at all; returns its path."""
-    folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    page = folder / "report.html"
-    handle, part = tempfile.mkstemp(dir=folder, prefix=".report.", suffix=".part")
-    try:
-        with os.fdopen(handle, "w", encoding="utf-8") as stream:
-            stream.write(document(Store(folder)))
-        Path(part).chmod(0o644)
-        os.replace(part, page)
-    except BaseException:
-        Path(part).unlink(missing_ok=True)
-        raise
+    page = Path(folder) / "report.html"
+    with whole_file(page) as part:
+        part.write_text(document(Store(folder)), encoding="utf-8")
     return page
 
 

@@ -2,13 +2,14 @@
 
 import numpy as np
 import pytest
-from clothbench import Scene
 from clothbench_effects.added_mass import AddedMass
 from clothbench_effects.clock_offset import ClockOffset
 from clothbench_effects.quadratic_drag import QuadraticDrag
 from clothbench_models.mass_spring import FAMILIES, MassSpring, SpringGrid
 from clothbench_models.mass_spring_kernels import add_pairwise, spring_forces
 from scipy.optimize import curve_fit
+
+from clothbench import Scene
 
 G = 9.81
 

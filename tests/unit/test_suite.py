@@ -3,10 +3,11 @@
 import dataclasses
 
 import pytest
+from conftest import swinging_recording
+
 from clothbench import ClothbenchError, write_recording
 from clothbench.experiment.suite import plan, suites_folder
 from clothbench.plugins import catalogue
-from conftest import swinging_recording
 
 BASE = {
     "model": "mass_spring", "optimizer": "ga", "metric": "node_error", "effects": [], "report": [],
