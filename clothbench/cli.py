@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import os
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -26,6 +27,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [a for a in arguments if a != "--debug"]
+    for library in (
+        "OPENBLAS",
+        "MKL",
+        "OMP",
+    ):  # the cores are filled with whole rollouts; more threads only get in the way
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
     try:
         if arguments[:1] == ["run"]:  # Hydra reads the rest
             from clothbench.run_command import run
@@ -56,7 +63,9 @@ def parser() -> argparse.ArgumentParser:
     out.add_argument("--version", action="version", version=f"clothbench {__version__}")
     out.add_argument("--debug", action="store_true", help="show the traceback of an error")
     commands = out.add_subparsers(metavar="COMMAND", required=True)
-    commands.add_parser("run", help="run a suite, a sweep or one cell (Hydra overrides; `run --help` shows all settings)")
+    commands.add_parser(
+        "run", help="run a suite, a sweep or one cell (Hydra overrides; `run --help` shows all settings)"
+    )
     _add(commands, "plugins", plugins, "every plugin, with parameters and units; broken ones with the reason", _json)
     _add(commands, "validate", validate, "check recordings; exit 1 if one is bad", _paths, _json)
     _add(commands, "datasets", datasets, "known public data sets, their licence, and whether they are at hand", _json)
@@ -91,7 +100,12 @@ def _store(sub: argparse.ArgumentParser) -> None:
 
 def _import(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("name", metavar="NAME", help="a data set that `clothbench datasets` lists")
-    sub.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="data_dir=FOLDER of the originals, out=FOLDER for the recordings")
+    sub.add_argument(
+        "settings",
+        nargs="*",
+        metavar="KEY=VALUE",
+        help="data_dir=FOLDER of the originals, out=FOLDER for the recordings",
+    )
 
 
 def _compare(sub: argparse.ArgumentParser) -> None:

@@ -29,7 +29,9 @@ class BoundEffects:
         names = [e.name for e in self.effects]
         for effect in self.effects:
             if effect.place not in PLACES:
-                raise ClothbenchError(f"effect {effect.name!r}: place is {effect.place!r}, expected one of {', '.join(PLACES)}")
+                raise ClothbenchError(
+                    f"effect {effect.name!r}: place is {effect.place!r}, expected one of {', '.join(PLACES)}"
+                )
             if names.count(effect.name) > 1:
                 raise ClothbenchError(f"effect {effect.name!r} is given twice; name every effect once")
 
@@ -59,7 +61,9 @@ class BoundEffects:
         """Compiled functions for a time loop with `slots` places, their stages (slots,), and how many are used."""
         found = self._stages()
         if len(found) > slots:
-            raise ClothbenchError(f"{len(found)} dynamics terms at once, this model has room for {slots}; name fewer effects")
+            raise ClothbenchError(
+                f"{len(found)} dynamics terms at once, this model has room for {slots}; name fewer effects"
+            )
         functions = tuple(getattr(e, stage) for e, stage in found) + (filler,) * (slots - len(found))
         stages = [FORCE if stage == "force" else INERTIA for _, stage in found] + [FORCE] * (slots - len(found))
         return functions, np.array(stages, dtype=np.int64), len(found)
@@ -83,10 +87,14 @@ class BoundEffects:
         for effect in self.at("dynamics"):
             stages = [s for s in ("force", "inertia") if getattr(effect, s, None) is not None]
             if not stages:
-                raise ClothbenchError(f"effect {effect.name!r}: place 'dynamics' needs a 'force' or an 'inertia' kernel")
+                raise ClothbenchError(
+                    f"effect {effect.name!r}: place 'dynamics' needs a 'force' or an 'inertia' kernel"
+                )
             for stage in stages:
                 if not hasattr(getattr(effect, stage), "py_func"):
-                    raise ClothbenchError(f"effect {effect.name!r}: '{stage}' is not compiled; decorate it with clothbench.effect_kernel")
+                    raise ClothbenchError(
+                        f"effect {effect.name!r}: '{stage}' is not compiled; decorate it with clothbench.effect_kernel"
+                    )
                 found.append((effect, stage))
         return found
 
@@ -120,5 +128,7 @@ class BoundEffects:
         for effect in self.at("sensor"):
             if hasattr(effect, "positions"):
                 phis = self.of_effect(effect, theta)
-                position = np.stack([effect.positions(scene.times, p, phi) for p, phi in zip(position, phis, strict=True)])
+                position = np.stack(
+                    [effect.positions(scene.times, p, phi) for p, phi in zip(position, phis, strict=True)]
+                )
         return position

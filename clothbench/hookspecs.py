@@ -73,5 +73,9 @@ def clothbench_peers() -> Iterable[Registration]:
 
 @hookspec
 def clothbench_configs() -> Iterable[str]:
-    """Hydra search-path entries ("pkg://my_package.conf") whose groups (`suite/…`) join the built-in ones."""
+    """Hydra search-path entries ("pkg://my_package.conf") whose groups (`suite/…`) join the built-in ones.
+
+    A folder in it must not be called like a setting of `clothbench run` (model, recordings, …): Hydra would take the
+    setting for that group, for everybody. Such an entry is left out, with a line that says so.
+    """
     return ()

@@ -13,8 +13,8 @@ from clothbench.errors import ClothbenchError
 class Observation:
     """Tracked material points. Arrays are read-only.
 
-    time: (T,) s; position: (T, N, 3) m, NaN where not known; visible: (T, N) bool, what was measured (a tracker may fill
-    a gap with a position, but that stays invisible and never counts); sigma: m, standard deviation
+    time: (T,) s; position: (T, N, 3) m, NaN where not known; visible: (T, N) bool, what was measured (a tracker may
+    fill a gap with a position, but that stays invisible and never counts); sigma: m, standard deviation
     of one coordinate (NaN = not known); material: (N, 2) m.
     """
 
@@ -30,9 +30,14 @@ class Observation:
             array.flags.writeable = False
             object.__setattr__(self, name, array)
         frames, nodes = self.visible.shape
-        if self.position.shape != (frames, nodes, 3) or self.time.shape != (frames,) or self.material.shape != (nodes, 2):
+        if (
+            self.position.shape != (frames, nodes, 3)
+            or self.time.shape != (frames,)
+            or self.material.shape != (nodes, 2)
+        ):
             raise ClothbenchError(
-                f"observation: found position {self.position.shape}, time {self.time.shape}, material {self.material.shape}, "
+                f"observation: found position {self.position.shape}, time {self.time.shape}, "
+                f"material {self.material.shape}, "
                 f"visible {self.visible.shape}, expected (T, N, 3), (T,), (N, 2), (T, N)"
             )
         if not np.isfinite(self.position[self.visible]).all():

@@ -66,7 +66,9 @@ class Catalogue:
             try:
                 self._loaded[kind, name] = import_target(plugin.target)
             except Exception as fault:
-                raise ClothbenchError(f"{kind[:-1]} {name!r} ({plugin.distribution}) is broken: {one_line(fault)}") from fault
+                raise ClothbenchError(
+                    f"{kind[:-1]} {name!r} ({plugin.distribution}) is broken: {one_line(fault)}"
+                ) from fault
         return self._loaded[kind, name]
 
     def make(self, kind: str, name: str, *args: Any, **options: Any) -> Any:
@@ -77,7 +79,9 @@ class Catalogue:
         except TypeError as fault:
             if "argument" not in str(fault):
                 raise
-            raise ClothbenchError(f"{kind[:-1]} {name!r}: {one_line(fault)}; see options.{name} and `clothbench plugins`") from fault
+            raise ClothbenchError(
+                f"{kind[:-1]} {name!r}: {one_line(fault)}; see options.{name} and `clothbench plugins`"
+            ) from fault
 
 
 @functools.cache
@@ -153,7 +157,9 @@ def _explain(fault: Exception) -> str:
     for word in text.replace("'", " ").replace('"', " ").split():
         if word.startswith("clothbench_") and word not in hooks:
             close = difflib.get_close_matches(word, hooks, n=1)
-            return f"unknown hook {word!r}" + (f", did you mean {close[0]!r}?" if close else f"; there are {', '.join(hooks)}")
+            return f"unknown hook {word!r}" + (
+                f", did you mean {close[0]!r}?" if close else f"; there are {', '.join(hooks)}"
+            )
     return text
 
 

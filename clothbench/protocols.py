@@ -73,7 +73,8 @@ class Effect(Protocol):
     place "dynamics": has `force` and/or `inertia`, compiled with `clothbench.effect_kernel`:
         force(t, dt, x, v, f, sheet, p, state)    adds nodal forces [N] to f (3, n)
         inertia(t, dt, x, v, f, sheet, p, state)  runs after all forces and turns f into what the bare nodal mass
-                                                  must feel to accelerate as it would with the added inertia
+                                                  must feel to accelerate as it would with the added inertia; f is
+                                                  the total there, the model's own forces included
       with x (3, n) m, v (3, n) m/s, `sheet` (clothbench.Sheet), p this effect's parameters in order, and
       state (S,) kept from step to step, S = `state_size(n)` if there is such a method, else 0.
     place "boundary": has `grips(time (K,), position (K, G, 3), phi (P,)) -> position`.

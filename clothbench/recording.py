@@ -29,6 +29,7 @@ LAYOUT: dict[str, tuple[tuple[str, ...], str]] = {
     "grip_position": (("grip_time", "grip", "space"), "m"),
 }
 SIZES = {"uv": 2, "space": 3}
+NUMBERS = ("cloth_width", "cloth_height", "areal_density", "noise_sigma")
 TEXTS = ("name", "fabric", "sensor", "source", "licence", "declared_effects", "motion")
 
 
@@ -99,14 +100,10 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
         dataset.close()
     gravity = _gravity(stated.get("gravity"), path)
     known = {f.name for f in fields(Recording)} | {"format", "format_version", "kind"}
-    return Recording(
-        **arrays,
-        **{name: str(stated.get(name, "")) for name in (*TEXTS, "split")},
-        **{name: _number(stated, name, path) for name in ("cloth_width", "cloth_height", "areal_density", "noise_sigma")},
-        gravity=gravity,
-        notes={str(k): str(v) for k, v in sorted(stated.items()) if k not in known},
-        path=str(path),
-    )
+    content: dict[str, Any] = {name: str(stated.get(name, "")) for name in (*TEXTS, "split")}
+    content |= {name: _number(stated, name, path) for name in NUMBERS}
+    notes = {str(k): str(v) for k, v in sorted(stated.items()) if k not in known}
+    return Recording(**arrays, **content, gravity=gravity, notes=notes, path=str(path))
 
 
 def write_recording(recording: Recording, path: str | os.PathLike[str]) -> Path:
@@ -142,7 +139,7 @@ def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
 
 def _attributes(recording: Recording) -> dict[str, Any]:
     stated = {name: getattr(recording, name) for name in (*TEXTS, "split")}
-    numbers = {n: float(getattr(recording, n)) for n in ("cloth_width", "cloth_height", "areal_density", "noise_sigma")}
+    numbers = {n: float(getattr(recording, n)) for n in NUMBERS}
     gravity = " ".join(f"{g:g}" for g in recording.gravity)
     header = {"format": FORMAT, "format_version": VERSION, "kind": "nodes", "gravity": gravity}
     return {**recording.notes, **header, **stated, **numbers}
@@ -156,22 +153,27 @@ def _open(path: Path):
     with open(path, "rb") as stream:
         start = stream.read(8)
     if start != HDF5_MAGIC:
-        raise ClothbenchError(f"{path}: found a file that starts with {start!r}, expected NetCDF-4 (HDF5); convert it first")
+        raise ClothbenchError(
+            f"{path}: found a file that starts with {start!r}, expected NetCDF-4 (HDF5); convert it first"
+        )
     try:
         return xr.open_dataset(path, engine="h5netcdf", decode_times=False, mask_and_scale=True)
     except (OSError, ValueError, KeyError, RuntimeError) as fault:
         size = path.stat().st_size
         what = "a truncated file" if "truncated" in str(fault) else f"an unreadable file ({str(fault).splitlines()[0]})"
-        raise ClothbenchError(f"{path}: found {what} of {size} bytes, expected whole NetCDF-4; copy it again") from fault
+        raise ClothbenchError(
+            f"{path}: found {what} of {size} bytes, expected whole NetCDF-4; copy it again"
+        ) from fault
 
 
 def _check_header(stated: dict[str, Any], path: Path) -> None:
     if stated.get("format") != FORMAT:
         raise ClothbenchError(f"{path}: attribute 'format': found {stated.get('format')!r}, expected {FORMAT!r}")
     version = stated.get("format_version")
-    if version is None or not np.isscalar(version) or int(version) != VERSION:
+    if str(version) != str(VERSION):
         raise ClothbenchError(
-            f"{path}: attribute 'format_version': found {version}, expected {VERSION}; upgrade clothbench or convert the file"
+            f"{path}: attribute 'format_version': found {version}, expected {VERSION}; "
+            "upgrade clothbench or convert the file"
         )
     if stated.get("kind") != "nodes":
         raise ClothbenchError(f"{path}: attribute 'kind': found {stated.get('kind')!r}, expected 'nodes'")
@@ -191,7 +193,8 @@ def _variable(dataset, name: str, path: Path) -> np.ndarray:
     found_unit = variable.attrs.get("units")
     if found_unit != unit:
         raise ClothbenchError(
-            f"{path}: variable '{name}': found units {found_unit!r}, expected {unit!r}; convert the values and the attribute"
+            f"{path}: variable '{name}': found units {found_unit!r}, expected {unit!r}; "
+            "convert the values and the attribute"
         )
     return np.asarray(variable.values, dtype=float)
 
@@ -200,7 +203,9 @@ def _gravity(text: Any, path: Path) -> tuple[float, float, float]:
     try:
         x, y, z = (float(part) for part in str(text).split())
     except ValueError:
-        raise ClothbenchError(f"{path}: attribute 'gravity': found {text!r}, expected three numbers like '0 0 -9.81' [m/s²]") from None
+        raise ClothbenchError(
+            f"{path}: attribute 'gravity': found {text!r}, expected three numbers like '0 0 -9.81' [m/s²]"
+        ) from None
     return x, y, z
 
 
@@ -231,7 +236,9 @@ def _check_shapes(r: Recording, where: str) -> None:
             if dim in SIZES and size != SIZES[dim]:
                 raise ClothbenchError(f"{where}: variable '{name}': found {size} along '{dim}', expected {SIZES[dim]}")
             if size == 0:
-                raise ClothbenchError(f"{where}: variable '{name}': found no entries along '{dim}', expected at least one")
+                raise ClothbenchError(
+                    f"{where}: variable '{name}': found no entries along '{dim}', expected at least one"
+                )
             first, known = sizes.setdefault(dim, (name, size))
             if known != size:
                 raise ClothbenchError(
@@ -265,7 +272,9 @@ def _check_values(r: Recording, where: str) -> None:
         bad = np.argwhere(~np.isfinite(getattr(r, name)))
         if bad.size:
             at = tuple(int(i) for i in bad[0])
-            raise ClothbenchError(f"{where}: variable '{name}': found a value that is not finite at {at}, expected metres")
+            raise ClothbenchError(
+                f"{where}: variable '{name}': found a value that is not finite at {at}, expected metres"
+            )
     if not np.isfinite(r.position).any():
         raise ClothbenchError(f"{where}: variable 'position': found only NaN, expected at least one node seen")
 
@@ -276,7 +285,9 @@ def _check_cloth(r: Recording, where: str) -> None:
         if not (math.isfinite(value) and value > 0):
             raise ClothbenchError(f"{where}: attribute '{name}': found {value}, expected metres above 0")
     if r.areal_density <= 0 or math.isinf(r.areal_density):
-        raise ClothbenchError(f"{where}: attribute 'areal_density': found {r.areal_density}, expected kg/m² above 0, or NaN")
+        raise ClothbenchError(
+            f"{where}: attribute 'areal_density': found {r.areal_density}, expected kg/m² above 0, or NaN"
+        )
     if r.noise_sigma < 0 or math.isinf(r.noise_sigma):
         raise ClothbenchError(f"{where}: attribute 'noise_sigma': found {r.noise_sigma}, expected metres, 0 or above")
     if r.split not in SPLITS:
@@ -305,6 +316,8 @@ def _check_overlap(r: Recording, where: str) -> None:
     covered = np.mean((r.time >= r.grip_time[0] - 1e-9) & (r.time <= r.grip_time[-1] + 1e-9))
     if covered < 0.9:
         raise ClothbenchError(
-            f"{where}: variable 'grip_time': found {r.grip_time[0]:g}..{r.grip_time[-1]:g} s, which covers {covered:.0%} of the "
-            f"frames, expected to cover 'time' {r.time[0]:g}..{r.time[-1]:g} s; put both on one clock or cut the recording"
+            f"{where}: variable 'grip_time': found {r.grip_time[0]:g}..{r.grip_time[-1]:g} s, "
+            f"which covers {covered:.0%} of the "
+            f"frames, expected to cover 'time' {r.time[0]:g}..{r.time[-1]:g} s; "
+            "put both on one clock or cut the recording"
         )

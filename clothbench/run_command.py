@@ -9,6 +9,7 @@ import sys
 import tempfile
 import uuid
 from collections.abc import Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +25,7 @@ from clothbench.errors import ClothbenchError
 from clothbench.experiment.cell import Bench, Cell
 from clothbench.experiment.run import failed, run_cells
 from clothbench.experiment.store import Store
-from clothbench.experiment.suite import plan, suites_folder
+from clothbench.experiment.suite import KNOWN, plan, suites_folder
 from clothbench.plugins import catalogue
 from clothbench.report.progress import CellProgress, counting
 from clothbench.report.tables import print_leaderboard
@@ -39,7 +40,20 @@ class PluginSearchPath(SearchPathPlugin):
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
         search_path.append("clothbench-suites", f"file://{suites_folder()}")
         for place in catalogue().configs:
-            search_path.append("clothbench-plugin", place)
+            if taken := groups_of(place) & (KNOWN - {"suite"}):
+                print(
+                    f"clothbench: {place}: left out: its folder {min(taken)!r} hides a setting; rename it",
+                    file=sys.stderr,
+                )
+            else:
+                search_path.append("clothbench-plugin", place)
+
+
+def groups_of(place: str) -> set[str]:
+    """Folders at the top of a plugin's config package: Hydra's groups."""
+    if not place.startswith("pkg://"):
+        return {p.name for p in Path(place.removeprefix("file://")).iterdir() if p.is_dir()}
+    return {entry.name for entry in files(place.removeprefix("pkg://")).iterdir() if entry.is_dir()}
 
 
 def run(arguments: Sequence[str]) -> int:

@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import importlib.util
 import keyword
-import os
 import re
-import shutil
-import tempfile
 from importlib.resources import files
 from pathlib import Path
 from string import Template
 
 from clothbench import __version__
 from clothbench.errors import ClothbenchError
+from clothbench.files import whole_folder
 from clothbench.plugins import KINDS, catalogue
 
 # where it goes in the new distribution: the template that it is made from
@@ -98,17 +96,11 @@ def filled(template: str, words: dict[str, str]) -> str:
 
 
 def _write_whole(folder: Path, content: dict[str, str]) -> None:
-    """Write all files into a temporary folder beside `folder`, then rename it."""
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(dir=folder.parent, prefix=f".{folder.name}."))
-    try:
+    """Write all files, or none."""
+    with whole_folder(folder) as part:
         for path, text in content.items():
-            target = part / "whole" / path
-            target.parent.mkdir(parents=True, exist_ok=True)
-            target.write_text(text, encoding="utf-8")
-        os.rename(part / "whole", folder)
-    finally:
-        shutil.rmtree(part, ignore_errors=True)
+            (part / path).parent.mkdir(parents=True, exist_ok=True)
+            (part / path).write_text(text, encoding="utf-8")
 
 
 assert {f"{kind}s" for kind in SUMMARIES} == set(KINDS)

@@ -159,9 +159,7 @@ def on_threads(count: int) -> Iterator[None]:
 # --- threads against separate processes ---------------------------------------------------------------------
 
 
-def share_of_processes(
-    target: str, options: dict[str, Any], side: int, batch: int, cores: int
-) -> tuple[Speed, float]:
+def share_of_processes(target: str, options: dict[str, Any], side: int, batch: int, cores: int) -> tuple[Speed, float]:
     """A batch on `cores` threads, and its node-steps/s over those of as many one-thread processes together.
 
     Each process takes its share of the batch. Threads and processes take turns, so that a busy machine slows

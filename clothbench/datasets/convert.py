@@ -33,9 +33,7 @@ def converted(
     if not again and (folder / REPORT).is_file() and any(folder.rglob("*.nc")):
         return folder
     if folder.exists() and any(folder.iterdir()) and not (folder / REPORT).is_file():
-        raise ClothbenchError(
-            f"{folder}: found files that no import made, expected an empty folder; give out=FOLDER"
-        )
+        raise ClothbenchError(f"{folder}: found files that no import made, expected an empty folder; give out=FOLDER")
     source = local_copy(name, data_dir) or fetch(name, progress)
     with whole_folder(folder) as part:
         import_target(known.importer)(source, part, progress)

@@ -85,9 +85,7 @@ def _fit_places(rig: Rig, takes: list[Take], offsets: list[float]) -> Rig:
         return np.concatenate([miss.ravel(), lean])
 
     start = np.concatenate([rig.turn, rig.centre, rig.direction[[0, 2]] / rig.direction[1]])
-    found = least_squares(
-        misses, start, loss="soft_l1", x_scale=[0.02, 0.02, 0.02, 0.01, 0.01, 0.01, 0.02, 0.02]
-    )
+    found = least_squares(misses, start, loss="soft_l1", x_scale=[0.02, 0.02, 0.02, 0.01, 0.01, 0.01, 0.02, 0.02])
     return _with(rig, found.x)
 
 

@@ -64,9 +64,7 @@ def _source(path: Path) -> Source:
     motion = RANGE.fullmatch(what) or TRAJECTORY.fullmatch(what)
     size = int(named["n"]) if named and named["n"] else UNNAMED_SIZE
     session = path.parent.name.removeprefix("Session_")
-    return Source(
-        path, session, size, motion["motion"] if motion else "", int(motion["repeat"]) if motion else 0
-    )
+    return Source(path, session, size, motion["motion"] if motion else "", int(motion["repeat"]) if motion else 0)
 
 
 def _table(path: Path, columns: list[int] | None = None) -> np.ndarray:

@@ -16,9 +16,7 @@ from clothbench.datasets.report import ImportReport
 from clothbench.errors import ClothbenchError
 from clothbench.recording import Recording
 
-HANGER_SLACK = (
-    0.025  # m; the hanger is rigid, so an upper edge seen further from it belongs to another time or shape
-)
+HANGER_SLACK = 0.025  # m; the hanger is rigid, so an upper edge seen further from it belongs to another time or shape
 GRIP_STEP = 0.01  # s; fine enough that linear interpolation between grip samples adds no kicks
 FEWEST_FRAMES = 20
 SENSOR = "RGB-D camera, cloth outline meshed to n × n nodes, ~10 Hz; tool pose by joint encoders, ~20 Hz"
@@ -126,9 +124,7 @@ def _report(sheet: Sheet, matched: Matched, noise: float, origin: Origin) -> Imp
     )
 
 
-def _agreeing(
-    sheet: Sheet, take: Take, time: np.ndarray, miss: np.ndarray, dropped: dict[str, int]
-) -> np.ndarray:
+def _agreeing(sheet: Sheet, take: Take, time: np.ndarray, miss: np.ndarray, dropped: dict[str, int]) -> np.ndarray:
     """Frames (T,) that agree with the tool's clock and place, from the first rest on; counts the others by
     reason.
     """

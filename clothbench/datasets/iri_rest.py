@@ -56,6 +56,4 @@ def settled(position: np.ndarray, rest: np.ndarray) -> int:
     for i in range(len(held)):
         if calm[i : i + 3].all():
             return int(held[i])
-    raise ClothbenchError(
-        "the cloth still swings when the tool first rests, so its state at the start is not known"
-    )
+    raise ClothbenchError("the cloth still swings when the tool first rests, so its state at the start is not known")

@@ -66,9 +66,7 @@ def lateness(rig: Rig, take: Take, offset: float) -> tuple[np.ndarray, np.ndarra
     miss = rig.corrected(take.edge) - take.tool.carried(when, rig.held(take.u))
     counted = np.isfinite(miss).all(axis=-1, keepdims=True)
     enough = counted.sum(axis=1) * 2 >= take.edge.shape[1]
-    miss = np.where(
-        enough, np.where(counted, miss, 0.0).sum(axis=1) / np.maximum(counted.sum(axis=1), 1), np.nan
-    )
+    miss = np.where(enough, np.where(counted, miss, 0.0).sum(axis=1) / np.maximum(counted.sum(axis=1), 1), np.nan)
     velocity = take.tool.velocity(when)
     speed = np.linalg.norm(velocity, axis=1)
     return -(miss * velocity).sum(axis=1) / np.maximum(speed, SLOW) ** 2, speed, miss

@@ -17,9 +17,7 @@ from clothbench.datasets.node_order import put_in_order
 
 SIDE = 0.30  # m; the data's paper says 30 × 30 cm, middle rows and columns measure 0.298 × 0.300 m
 ENOUGH_NODES = 0.5  # of a frame's nodes
-SIZE_SLACK = (
-    0.15  # of the side; a frame that lost more of its width or height shows another outline, not this cloth
-)
+SIZE_SLACK = 0.15  # of the side; a frame that lost more of its width or height shows another outline, not this cloth
 FLAT_SLACK = 0.10  # of the node spacing; a lattice that misses flatness by more is torn or folded over itself
 
 

@@ -108,10 +108,7 @@ def place(flat: np.ndarray, side: float, hem: float = 0.006) -> np.ndarray:
     turn, shift = np.zeros(count), np.zeros((count, 2))
     for _ in range(20):
         moved = _turned(outline, turn) + shift[:, None]
-        miss = (
-            np.take_along_axis(moved, np.broadcast_to(axis[:, None], (count, 4 * n, 1)), axis=-1)[..., 0]
-            - line
-        )
+        miss = np.take_along_axis(moved, np.broadcast_to(axis[:, None], (count, 4 * n, 1)), axis=-1)[..., 0] - line
         weight = 1.0 / (1.0 + (miss / hem) ** 2)
         slope = np.where(axis == 0, -moved[..., 1], moved[..., 0])
         jacobian = np.stack(
@@ -127,9 +124,7 @@ def place(flat: np.ndarray, side: float, hem: float = 0.006) -> np.ndarray:
 def _turned(points: np.ndarray, angle: np.ndarray) -> np.ndarray:
     """Plane points (T, K, 2) turned by angles (T,) in rad."""
     c, s = np.cos(angle)[:, None], np.sin(angle)[:, None]
-    return np.stack(
-        [c * points[..., 0] - s * points[..., 1], s * points[..., 0] + c * points[..., 1]], axis=-1
-    )
+    return np.stack([c * points[..., 0] - s * points[..., 1], s * points[..., 0] + c * points[..., 1]], axis=-1)
 
 
 def resample(frames: np.ndarray, flat: np.ndarray, side: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

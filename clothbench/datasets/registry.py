@@ -103,14 +103,8 @@ def local_copy(name: str, data_dir: str | os.PathLike[str] | None = None) -> Pat
 def verify(name: str, folder: Path) -> Check:
     """Compare every file of a local copy that belongs to the data set with the registry's SHA-256."""
     known = dataset(name)
-    present = {
-        path.relative_to(folder).as_posix(): path for path in folder.glob(known.pattern) if path.is_file()
-    }
-    wrong = {
-        local
-        for local, path in present.items()
-        if local in known.files and sha256(path) != known.files[local][1]
-    }
+    present = {path.relative_to(folder).as_posix(): path for path in folder.glob(known.pattern) if path.is_file()}
+    wrong = {local for local, path in present.items() if local in known.files and sha256(path) != known.files[local][1]}
     return Check(frozenset(set(present) - set(known.files)), frozenset(wrong))
 
 
@@ -128,11 +122,7 @@ def fetch(name: str, progress: Callable[[int, int, str], None] | None = None) ->
     import pooch
 
     known = dataset(name)
-    cache = (
-        Path(os.environ.get("CLOTHBENCH_CACHE") or pooch.os_cache("clothbench"))
-        / known.name
-        / known.commit[:12]
-    )
+    cache = Path(os.environ.get("CLOTHBENCH_CACHE") or pooch.os_cache("clothbench")) / known.name / known.commit[:12]
     keeper = pooch.create(
         path=cache,
         base_url="",

@@ -62,11 +62,11 @@ def evaluate(trials: Sequence[Trial], theta: np.ndarray) -> tuple[Evaluation, li
     """
     scores = [t.metric(t.observation, t.simulation.run(theta)) for t in trials]
     value = np.mean([s.value for s in scores], axis=0)
-    residual = None
-    if all(s.residual is not None for s in scores):
-        weighted = [s.residual / np.sqrt(max(s.residual.shape[1], 1) * len(scores)) for s in scores]
-        residual = np.concatenate(weighted, axis=1)
-    return Evaluation(value, residual), scores
+    residuals = [s.residual for s in scores if s.residual is not None]
+    if len(residuals) < len(scores):
+        return Evaluation(value), scores
+    weighted = [r / np.sqrt(max(r.shape[1], 1) * len(scores)) for r in residuals]
+    return Evaluation(value, np.concatenate(weighted, axis=1)), scores
 
 
 def calibrate(
@@ -103,10 +103,18 @@ def calibrate(
     best = theta[int(np.argmin(np.where(np.isfinite(value), value, np.inf)))] if simulated else nothing
     low, high, condition = intervals(trials, space, best) if simulated else (nothing, nothing, np.nan)
     return Fit(
-        space=space, best=best, low=low, high=high, at_bound=space.at_bound(best) if simulated else np.zeros(len(space), bool), theta=theta, value=value,
-        condition=condition, status="diverged" if not simulated else "timeout" if stopped else "ok",
-        stopped=stopped or optimizer.stopped, wall_s=time.perf_counter() - began,
-    )  # fmt: skip
+        space=space,
+        best=best,
+        low=low,
+        high=high,
+        at_bound=space.at_bound(best) if simulated else np.zeros(len(space), bool),
+        theta=theta,
+        value=value,
+        condition=condition,
+        status="diverged" if not simulated else "timeout" if stopped else "ok",
+        stopped=stopped or optimizer.stopped,
+        wall_s=time.perf_counter() - began,
+    )
 
 
 def _lowest(value: np.ndarray) -> float:

@@ -80,8 +80,13 @@ class Cell:
 
 
 def plugin_versions(cell: Cell, plugins: Catalogue) -> dict[str, str]:
-    """ "kind/name" → "distribution version, plugin version" of everything a cell uses; "broken" where it cannot load."""
-    uses = [("models", cell.model), ("optimizers", cell.optimizer), ("trackers", cell.tracker), ("metrics", cell.metric)]
+    """ "kind/name" → "distribution version, plugin version" of all that a cell uses; "broken" where it cannot load."""
+    uses = [
+        ("models", cell.model),
+        ("optimizers", cell.optimizer),
+        ("trackers", cell.tracker),
+        ("metrics", cell.metric),
+    ]
     uses += [("metrics", name) for name in cell.report] + [("effects", name) for name in cell.effects]
     out = {}
     for kind, name in uses:

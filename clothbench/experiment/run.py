@@ -34,9 +34,13 @@ def run_cell(
     try:
         bench = set_up(cell, catalogue())
         optimizer = catalogue().make(
-            "optimizers", cell.optimizer, bench.space, seed=cell.stream("optimizer"), budget=cell.budget,
+            "optimizers",
+            cell.optimizer,
+            bench.space,
+            seed=cell.stream("optimizer"),
+            budget=cell.budget,
             **cell.option(cell.optimizer),
-        )  # fmt: skip
+        )
         told = (lambda n, value: progress(cell, n, value)) if progress else None
         fit = calibrate(bench.of_split("fit"), optimizer, bench.space, timeout=cell.timeout, progress=told)
         return _keep(store, bench, fit, attach)
@@ -60,10 +64,20 @@ def keep_failure(
 def _about(cell: Cell) -> dict[str, Any]:
     plugins = "; ".join(f"{k} ({v})" for k, v in sorted(cell.versions.items()))
     return {
-        "suite": cell.suite, "case": cell.case, "model": cell.model, "effects": ",".join(cell.effects),
-        "optimizer": cell.optimizer, "metric": cell.metric, "seed": cell.seed, "key": cell.key, "plugins": plugins, "objective": cell.metric,
-        "threads": thread_count(), "finished": now(), **system_info(),
-    }  # fmt: skip
+        "suite": cell.suite,
+        "case": cell.case,
+        "model": cell.model,
+        "effects": ",".join(cell.effects),
+        "optimizer": cell.optimizer,
+        "metric": cell.metric,
+        "seed": cell.seed,
+        "key": cell.key,
+        "plugins": plugins,
+        "objective": cell.metric,
+        "threads": thread_count(),
+        "finished": now(),
+        **system_info(),
+    }
 
 
 def _no_value() -> dict[str, Any]:
@@ -73,7 +87,9 @@ def _no_value() -> dict[str, Any]:
 def _keep(store: Store, bench: Bench, fit: Fit, attach: Attach | None) -> str:
     """Score the best parameters on every recording and store all tables."""
     if fit.status == "diverged":
-        return keep_failure(store, bench.cell, "diverged", _why_lost(bench), evaluations=fit.evaluations, wall_s=fit.wall_s)
+        return keep_failure(
+            store, bench.cell, "diverged", _why_lost(bench), evaluations=fit.evaluations, wall_s=fit.wall_s
+        )
     rollouts = [best_rollout(t, fit) for t in bench.trials]
     metrics = [bench.trials[0].metric, *bench.others]
     rows, trace = [], []
@@ -96,7 +112,9 @@ def _why_lost(bench: Bench) -> str:
     return "no parameter set that was tried could be simulated"
 
 
-def _rows_of(bench: Bench, fit: Fit, metric: Metric, scores: Sequence[Score], rollouts: Sequence[Rollout]) -> list[dict[str, Any]]:
+def _rows_of(
+    bench: Bench, fit: Fit, metric: Metric, scores: Sequence[Score], rollouts: Sequence[Rollout]
+) -> list[dict[str, Any]]:
     """One row per recording, then one per split over its recordings."""
     cell = bench.cell
     about = {**_about(cell), **_no_value(), "metric": metric.name, "unit": metric.unit}
@@ -105,11 +123,24 @@ def _rows_of(bench: Bench, fit: Fit, metric: Metric, scores: Sequence[Score], ro
     for source, trial, score, rollout in zip(cell.recordings, bench.trials, scores, rollouts, strict=True):
         low, high = error_interval(score, trial.observation, cell.stream(source.hash))
         status, reason = _status(fit, score, rollout)
-        rows.append({
-            **about, "recording": source.name, "split": source.split, "value": _finite(score.value[0]), "low": _finite(low),
-            "high": _finite(high), "floor": _finite(metric.floor(trial.observation)), "status": status, "reason": reason,
-        })  # fmt: skip
-    return rows + [_total(about, [r for r in rows if r["split"] == split]) for split in ("fit", "held_out") if bench.of_split(split)]
+        rows.append(
+            {
+                **about,
+                "recording": source.name,
+                "split": source.split,
+                "value": _finite(score.value[0]),
+                "low": _finite(low),
+                "high": _finite(high),
+                "floor": _finite(metric.floor(trial.observation)),
+                "status": status,
+                "reason": reason,
+            }
+        )
+    return rows + [
+        _total(about, [r for r in rows if r["split"] == split])
+        for split in ("fit", "held_out")
+        if bench.of_split(split)
+    ]
 
 
 def _status(fit: Fit, score: Score, rollout: Rollout) -> tuple[str, str]:
@@ -132,9 +163,14 @@ def _total(about: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
     floors = [r["floor"] for r in rows]
     floor = float(np.mean(floors)) if all(f is not None for f in floors) else None
     return {
-        **total, "value": float(np.mean(values)), "low": low, "high": high, "floor": floor,
-        "status": rows[0]["status"], "reason": rows[0]["reason"],
-    }  # fmt: skip
+        **total,
+        "value": float(np.mean(values)),
+        "low": low,
+        "high": high,
+        "floor": floor,
+        "status": rows[0]["status"],
+        "reason": rows[0]["reason"],
+    }
 
 
 def _finite(value: float) -> float | None:
@@ -143,35 +179,62 @@ def _finite(value: float) -> float | None:
 
 def _trace_of(bench: Bench, metric: Metric, scores: Sequence[Score]) -> list[dict[str, Any]]:
     return [
-        {"recording": s.name, "split": s.split, "metric": metric.name, "time": float(t), "value": _finite(v), "unit": metric.unit}
-        for s, trial, score in zip(bench.cell.recordings, bench.trials, scores, strict=True) if score.per_frame is not None
+        {
+            "recording": s.name,
+            "split": s.split,
+            "metric": metric.name,
+            "time": float(t),
+            "value": _finite(v),
+            "unit": metric.unit,
+        }
+        for s, trial, score in zip(bench.cell.recordings, bench.trials, scores, strict=True)
+        if score.per_frame is not None
         for t, v in zip(trial.observation.time, score.per_frame[0], strict=True)
-    ]  # fmt: skip
+    ]
 
 
 def _parameters_of(bench: Bench, fit: Fit) -> list[dict[str, Any]]:
     return [
         {
-            "name": p.name, "symbol": p.symbol, "unit": p.unit, "value": _finite(fit.best[i]), "low": _finite(fit.low[i]),
-            "high": _finite(fit.high[i]), "at_bound": bool(fit.at_bound[i]), "meaning": p.meaning, "key": bench.cell.key,
+            "name": p.name,
+            "symbol": p.symbol,
+            "unit": p.unit,
+            "value": _finite(fit.best[i]),
+            "low": _finite(fit.low[i]),
+            "high": _finite(fit.high[i]),
+            "at_bound": bool(fit.at_bound[i]),
+            "meaning": p.meaning,
+            "key": bench.cell.key,
         }
         for i, p in enumerate(fit.space)
-    ]  # fmt: skip
+    ]
 
 
 def _history_of(fit: Fit):
     import pandas as pd
 
-    return pd.DataFrame({"evaluation": np.arange(1, fit.evaluations + 1), "value": fit.value, **dict(zip(fit.space.names, fit.theta.T, strict=True))})
+    return pd.DataFrame(
+        {
+            "evaluation": np.arange(1, fit.evaluations + 1),
+            "value": fit.value,
+            **dict(zip(fit.space.names, fit.theta.T, strict=True)),
+        }
+    )
 
 
 # --- many cells -----------------------------------------------------------------------------------------------------
 
 
 def run_cells(
-    cells: Sequence[Cell], out: Path, *, jobs: int = 0, attach: Attach | None = None, done: Callable[[Cell, str], None], progress: Progress | None = None
+    cells: Sequence[Cell],
+    out: Path,
+    *,
+    jobs: int = 0,
+    attach: Attach | None = None,
+    done: Callable[[Cell, str], None],
+    progress: Progress | None = None,
 ) -> None:
-    """Run every cell that the store lacks, `jobs` processes at a time (0: one per core); `done(cell, status)` after each.
+    """Run every cell that the store lacks, `jobs` processes at a time (0: one per core); `done(cell, status)` after.
 
     A single cell runs in this process with all cores; several run in joblib's process pool with the cores shared out.
     """
@@ -188,12 +251,18 @@ def run_cells(
         _run_in_processes(missing, out, workers, attach, done)
 
 
-def _run_in_processes(cells: Sequence[Cell], out: Path, workers: int, attach: Attach | None, done: Callable[[Cell, str], None]) -> None:
-    """Keep `workers` processes busy. If one dies, the cells that were running are tried again, each alone:
-    the one that kills its process a second time is the culprit and becomes an error row."""
+def _run_in_processes(
+    cells: Sequence[Cell], out: Path, workers: int, attach: Attach | None, done: Callable[[Cell, str], None]
+) -> None:
+    """Keep `workers` processes busy.
+
+    If one dies, the cells that were running are tried again, each alone: the one that kills its process a second
+    time is the culprit and becomes an error row.
+    """
     from loky.process_executor import BrokenProcessPool
 
-    waiting, running = list(cells)[::-1], {}
+    waiting = list(cells)[::-1]
+    running: dict[Future, Cell] = {}
     threads = max(1, available_cores() // workers)
     executor = _pool(workers)
     while waiting or running:
@@ -238,4 +307,3 @@ def _pool(workers: int):
 def failed(statuses: Iterable[str]) -> bool:
     """Whether a run ends with exit code 1: a cell that was skipped for a stated reason is no failure."""
     return any(s in ("error", "diverged", "timeout") for s in statuses)
-

@@ -1,10 +1,10 @@
 """The store: one folder per finished cell, Parquet inside, put in place whole or not at all.
 
-    RUNS/cells/KEY/rows.parquet         what the leaderboard shows, with the system each row was computed on
-    RUNS/cells/KEY/parameters.parquet   best values with intervals and units
-    RUNS/cells/KEY/history.parquet      every evaluation
-    RUNS/cells/KEY/trace.parquet        error of every recording, frame by frame
-    RUNS/cells/KEY/fit.rrd              recording beside rollout, for Rerun
+RUNS/cells/KEY/rows.parquet         what the leaderboard shows, with the system each row was computed on
+RUNS/cells/KEY/parameters.parquet   best values with intervals and units
+RUNS/cells/KEY/history.parquet      every evaluation
+RUNS/cells/KEY/trace.parquet        error of every recording, frame by frame
+RUNS/cells/KEY/fit.rrd              recording beside rollout, for Rerun
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ ROW = {
 }  # fmt: skip
 # What else a row carries: the metric that was minimised, and the system it was computed on.
 SYSTEM = {
-    "objective": _text, "clothbench": _text, "plugins": _text, "python": _text, "numpy": _text, "numba": _text, "platform": _text,
+    "objective": _text, "clothbench": _text, "plugins": _text,
+    "python": _text, "numpy": _text, "numba": _text, "platform": _text,
     "cpu": _text, "cores": _whole, "threads": _whole, "finished": _text,
 }  # fmt: skip
 PARAMETER = {
@@ -93,7 +94,12 @@ class Store:
             return False
         return all(status in FINISHED for status in pq.read_table(rows, columns=["status"])["status"].to_pylist())
 
-    def put(self, key: str, tables: dict[str, list[dict[str, Any]] | pd.DataFrame], extra: Callable[[Path], None] | None = None) -> Path:
+    def put(
+        self,
+        key: str,
+        tables: dict[str, list[dict[str, Any]] | pd.DataFrame],
+        extra: Callable[[Path], None] | None = None,
+    ) -> Path:
         """Write a cell: tables, then whatever `extra(folder)` adds; it replaces an older result of the same key."""
         with whole_folder(self.cell(key)) as part:
             for name, content in tables.items():
@@ -132,22 +138,29 @@ def read_table(path: Path) -> pa.Table:
     try:
         table = pq.read_table(path)
     except (pa.ArrowInvalid, OSError) as fault:
-        raise ClothbenchError(f"{path}: found a damaged table ({str(fault).splitlines()[0]}); delete its folder and run again") from fault
+        raise ClothbenchError(
+            f"{path}: found a damaged table ({str(fault).splitlines()[0]}); delete its folder and run again"
+        ) from fault
     found = (table.schema.metadata or {}).get(b"clothbench_schema", b"none").decode()
     if found != str(SCHEMA_VERSION):
-        raise ClothbenchError(f"{path}: found schema {found}, expected {SCHEMA_VERSION}; results of another version are set aside: move them")
+        raise ClothbenchError(
+            f"{path}: found schema {found}, expected {SCHEMA_VERSION}; "
+            "results of another version are set aside: move them"
+        )
     return table
 
 
 def row_order(row: dict[str, Any]) -> tuple[str, ...]:
-    """Sort key: suite, case, model …; within a cell the fit before the held-out split, the total after its recordings."""
+    """Sort key: suite, case, model …; within a cell the fit before the held-out split, totals after recordings."""
     names = ("suite", "case", "model", "effects", "optimizer", "metric", "split")
     return (*(row[n] or "" for n in names), "0" if row["recording"] else "1", row["recording"] or "")
 
 
 def leaderboard_row(row: dict[str, Any]) -> dict[str, Any]:
     """A row as `leaderboard --json` prints it: its keys only, NaN as null."""
-    return {name: None if isinstance(row.get(name), float) and row[name] != row[name] else row.get(name) for name in ROW}
+    return {
+        name: None if isinstance(row.get(name), float) and row[name] != row[name] else row.get(name) for name in ROW
+    }
 
 
 def load_rows(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
@@ -160,7 +173,13 @@ def load_rows(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
     except FileNotFoundError:
         raise ClothbenchError(f"{path}: no such folder or file; give a results folder or a leaderboard .json") from None
     except (UnicodeDecodeError, json.JSONDecodeError) as fault:
-        raise ClothbenchError(f"{path}: found no JSON ({fault}), expected the output of `clothbench leaderboard --json`") from None
-    if not isinstance(rows, list) or not all(isinstance(r, dict) and {"suite", "status", "value"} <= set(r) for r in rows):
-        raise ClothbenchError(f"{path}: expected a list of leaderboard rows, as `clothbench leaderboard --json` prints them")
+        raise ClothbenchError(
+            f"{path}: found no JSON ({fault}), expected the output of `clothbench leaderboard --json`"
+        ) from None
+    if not isinstance(rows, list) or not all(
+        isinstance(r, dict) and {"suite", "status", "value"} <= set(r) for r in rows
+    ):
+        raise ClothbenchError(
+            f"{path}: expected a list of leaderboard rows, as `clothbench leaderboard --json` prints them"
+        )
     return rows

@@ -39,7 +39,12 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = 
     check_keys(config)
     suite = config.get("suite") or {}
     name = suite.get("name") or "single"
-    cases = group(read_all(where(config, progress)), suite.get("case") or "fabric", suite.get("select") or "*", int(config["seed"]))
+    cases = group(
+        read_all(where(config, progress)),
+        suite.get("case") or "fabric",
+        suite.get("select") or "*",
+        int(config["seed"]),
+    )
     cells = []
     for case, sources in cases.items():
         for model, optimizer, metric in itertools.product(*(as_list(config, key) for key in PRODUCT)):
@@ -131,8 +136,12 @@ def group(recordings: Sequence[Recording], by: str, select: str | Sequence[str],
     out = {case: resplit(sources, seed) for case, sources in sorted(cases.items())}
     for case, sources in out.items():
         if not any(s.split == "fit" for s in sources):
-            raise ClothbenchError(f"case {case!r}: found only held-out recordings, expected at least one to fit; see suite.select")
+            raise ClothbenchError(
+                f"case {case!r}: found only held-out recordings, expected at least one to fit; see suite.select"
+            )
         names = [s.name for s in sources]
         if twice := sorted({n for n in names if names.count(n) > 1}):
-            raise ClothbenchError(f"case {case!r}: two recordings are named {twice[0]!r}; names must differ within a case")
+            raise ClothbenchError(
+                f"case {case!r}: two recordings are named {twice[0]!r}; names must differ within a case"
+            )
     return out

@@ -62,14 +62,22 @@ def _half(row: dict[str, Any]) -> float:
 def _change(base: dict[str, Any], new: dict[str, Any] | None) -> dict[str, Any]:
     about = {name: base.get(name) for name in IDENTITY}
     return {
-        **about, "unit": base.get("unit"), "base": base["value"], "new": new["value"] if new else None,
-        "status": new["status"] if new else "missing", "reason": (new.get("reason") or "") if new else "no such row in NEW",
-    }  # fmt: skip
+        **about,
+        "unit": base.get("unit"),
+        "base": base["value"],
+        "new": new["value"] if new else None,
+        "status": new["status"] if new else "missing",
+        "reason": (new.get("reason") or "") if new else "no such row in NEW",
+    }
 
 
 def print_gate(verdict: dict[str, Any]) -> None:
     out = console()
-    rows = [("missing", r) for r in verdict["missing"]] + [("worse", r) for r in verdict["worse"]] + [("better", r) for r in verdict["better"]]
+    rows = (
+        [("missing", r) for r in verdict["missing"]]
+        + [("worse", r) for r in verdict["worse"]]
+        + [("better", r) for r in verdict["better"]]
+    )
     if rows:
         table = Table()
         for name in ("", "row", "base", "new", "reason"):
@@ -82,5 +90,7 @@ def print_gate(verdict: dict[str, Any]) -> None:
     if not verdict["compared"]:
         print("no row is in both: nothing was compared")
     word = "passed" if verdict["passed"] else "failed"
-    print(f"gate {word}: {verdict['compared']} rows compared, {len(verdict['worse'])} worse, {len(verdict['missing'])} missing, "
-          f"{len(verdict['better'])} better, {verdict['added']} only in NEW")  # fmt: skip
+    print(
+        f"gate {word}: {verdict['compared']} rows compared, {len(verdict['worse'])} worse, "
+        f"{len(verdict['missing'])} missing, {len(verdict['better'])} better, {verdict['added']} only in NEW"
+    )

@@ -20,11 +20,16 @@ def plugin_rows() -> list[dict[str, Any]]:
 
 
 def _plugin_row(plugin: Plugin) -> dict[str, Any]:
-    row = {
-        "kind": plugin.kind if plugin.kind == "module" else plugin.kind.removesuffix("s"), "name": plugin.name,
-        "version": None, "distribution": f"{plugin.distribution} {plugin.version}", "target": plugin.target,
-        "summary": plugin.summary, "broken": plugin.reason, "parameters": [],
-    }  # fmt: skip
+    row: dict[str, Any] = {
+        "kind": plugin.kind if plugin.kind == "module" else plugin.kind.removesuffix("s"),
+        "name": plugin.name,
+        "version": None,
+        "distribution": f"{plugin.distribution} {plugin.version}",
+        "target": plugin.target,
+        "summary": plugin.summary,
+        "broken": plugin.reason,
+        "parameters": [],
+    }
     if plugin.reason is None and plugin.kind != "peers":
         try:
             loaded = catalogue().load(plugin.kind, plugin.name)
@@ -48,11 +53,14 @@ def print_plugins(rows: list[dict[str, Any]]) -> None:
         table.add_column(name, overflow="fold")
     for row in (r for r in rows if r["broken"] is None):
         parameters = ", ".join(f"{p['name']} [{p['unit']}] {p['low']:g}…{p['high']:g}" for p in row["parameters"])
-        table.add_row(*(escape(str(t)) for t in (row["kind"], row["name"], row["summary"], row["distribution"], parameters)))
+        table.add_row(
+            *(escape(str(t)) for t in (row["kind"], row["name"], row["summary"], row["distribution"], parameters))
+        )
     out = console()
     out.print(table)
     for row in (r for r in rows if r["broken"] is not None):
-        out.print(f"[red]broken[/]: {escape(row['kind'])} {escape(row['name'])} ({escape(row['distribution'])}): {escape(row['broken'])}")
+        what, reason = f"{row['kind']} {row['name']} ({row['distribution']})", row["broken"]
+        out.print(f"[red]broken[/]: {escape(what)}: {escape(reason)}")
 
 
 def dataset_rows() -> list[dict[str, Any]]:
@@ -61,10 +69,17 @@ def dataset_rows() -> list[dict[str, Any]]:
     rows = []
     for name, d in DATASETS.items():
         local = local_copy(name, None)
-        rows.append({
-            "name": name, "title": d.title, "licence": d.licence, "citation": d.citation, "files": len(d.files),
-            "address": f"{d.repository}@{d.commit}", "local_copy": str(local) if local else None,
-        })  # fmt: skip
+        rows.append(
+            {
+                "name": name,
+                "title": d.title,
+                "licence": d.licence,
+                "citation": d.citation,
+                "files": len(d.files),
+                "address": f"{d.repository}@{d.commit}",
+                "local_copy": str(local) if local else None,
+            }
+        )
     return rows
 
 
@@ -74,7 +89,9 @@ def print_datasets(rows: list[dict[str, Any]]) -> None:
         table.add_column(name, overflow="fold")
     for r in rows:
         at_hand = r["local_copy"] or "no: give data_dir=, set CLOTHBENCH_DATA, or let it be fetched"
-        table.add_row(*(escape(str(t)) for t in (r["name"], r["title"], r["licence"], r["files"], r["address"], at_hand)))
+        table.add_row(
+            *(escape(str(t)) for t in (r["name"], r["title"], r["licence"], r["files"], r["address"], at_hand))
+        )
     console().print(table)
 
 

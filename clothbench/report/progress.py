@@ -55,7 +55,13 @@ class CellProgress:
 def counting(what: str) -> Iterator[Callable[[int, int, str], None]]:
     """A bar on standard error for work that counts itself: gives `told(done, planned, name)`."""
     console = Console(stderr=True)
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn(), TextColumn("{task.fields[name]}"))
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TimeRemainingColumn(),
+        TextColumn("{task.fields[name]}"),
+    )
     with Progress(*columns, console=console, disable=not console.is_terminal) as bar:
         task = bar.add_task(what, total=None, name="")
         yield lambda done, planned, name: bar.update(task, completed=done, total=planned, name=name)

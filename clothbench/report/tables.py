@@ -40,7 +40,10 @@ def error_table(suite: str, rows: Rows) -> Table:
         table.add_column(name, overflow="fold")
     for name in ("error", "interval", "noise floor", "evaluations", "wall time"):
         table.add_column(name, justify="right", no_wrap=True)
-    crowded = max((sum(r["key"] == k and bool(r["recording"]) for r in rows) for k in {r["key"] for r in rows}), default=0) > MANY
+    crowded = (
+        max((sum(r["key"] == k and bool(r["recording"]) for r in rows) for k in {r["key"] for r in rows}), default=0)
+        > MANY
+    )
     for row in rows:
         # Single recordings by the metric that was minimised; by the others the totals say enough.
         if not (row["recording"] and (crowded or row["metric"] != row["objective"])):
@@ -84,7 +87,9 @@ def parameter_table(rows: Rows, parameters: Rows) -> Table:
         value = f"{p['value']:.4g}" if p["value"] is not None else ""
         interval = _interval(p["low"], p["high"], ".3g")
         mark = "at its bound" if p["at_bound"] else ""
-        table.add_row(*(escape(str(t)) for t in (*names, f"{p['name']} ({p['symbol']})", value, interval, p["unit"], mark)))
+        table.add_row(
+            *(escape(str(t)) for t in (*names, f"{p['name']} ({p['symbol']})", value, interval, p["unit"], mark))
+        )
         last = p["key"]
     return table
 

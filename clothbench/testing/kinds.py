@@ -11,9 +11,7 @@ from clothbench.plugins import KINDS, catalogue
 from clothbench.testing.rules import Outcome, rule_name
 
 
-def check_plugin(
-    kind: str, name: str, *, only: Iterable[str] | None = None, **options: Any
-) -> tuple[Outcome, ...]:
+def check_plugin(kind: str, name: str, *, only: Iterable[str] | None = None, **options: Any) -> tuple[Outcome, ...]:
     """Check the installed plugin `name` of a kind ("models", "effects", …), as its own check does.
 
     options: what that check takes besides `only`.

@@ -44,9 +44,7 @@ def waving(metric: Metric) -> MetricCase:
     random, time = np.random.default_rng(7), np.sort(np.random.default_rng(6).uniform(0.0, 1.5, 24))
     u, v = (a.ravel() for a in np.meshgrid(np.linspace(0.0, 0.3, 6), np.linspace(0.0, 0.25, 5)))
     wave = 0.04 * np.sin(12 * u + 6 * v - 5 * time[:, None]) * (0.2 + v)
-    truth = np.stack(
-        [np.broadcast_to(u + 0.1, wave.shape), wave, np.broadcast_to(1.0 - v, wave.shape)], axis=-1
-    )
+    truth = np.stack([np.broadcast_to(u + 0.1, wave.shape), wave, np.broadcast_to(1.0 - v, wave.shape)], axis=-1)
     visible = random.random(wave.shape) < 0.85
     visible[5], visible[:, 11] = False, False
     seen = np.where(visible[..., None], truth, np.nan)

@@ -98,9 +98,7 @@ def gives_no_number_for_a_lost_rollout(case: MetricCase) -> None:
 
 def gives_no_number_where_nothing_was_seen(case: MetricCase) -> None:
     o = case.observation
-    blind = Observation(
-        o.time, np.full_like(o.position, np.nan), np.zeros_like(o.visible), o.sigma, o.material
-    )
+    blind = Observation(o.time, np.full_like(o.position, np.nan), np.zeros_like(o.visible), o.sigma, o.material)
     value = case.score(case.truth, observation=blind).value
     require(np.isnan(value).all(), f"{value[0]:.3g} where no node was seen in any frame", "NaN")
 
@@ -110,9 +108,7 @@ def does_not_care_for_the_order_of_nodes(case: MetricCase) -> None:
     shuffled = Observation(o.time, o.position[:, order], o.visible[:, order], o.sigma, o.material[order])
     wrong = case.truth + case.error
     here, there = case.score(wrong).value[0], case.score(wrong[:, order], observation=shuffled).value[0]
-    require(
-        _close(here, there), f"{there:.9g} with the nodes in another order, {here:.9g} before", "no change"
-    )
+    require(_close(here, there), f"{there:.9g} with the nodes in another order, {here:.9g} before", "no change")
 
 
 def scores_a_batch_as_one_by_one(case: MetricCase) -> None:
@@ -147,9 +143,7 @@ def states_an_honest_floor(case: MetricCase) -> str | None:
 def leaves_its_input_alone(case: MetricCase) -> None:
     position = np.stack([case.truth + case.error])
     before = position.copy()
-    first, again = (
-        case.metric(case.observation, rollout_of(case.observation.time, position)) for _ in range(2)
-    )
+    first, again = (case.metric(case.observation, rollout_of(case.observation.time, position)) for _ in range(2))
     require(np.array_equal(position, before), "a rollout that scoring has changed", "the input as it was")
     require(
         np.array_equal(first.value, again.value),

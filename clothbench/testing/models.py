@@ -50,9 +50,7 @@ def check_model(
 def has_all_members(case: ModelCase) -> None:
     model = case.model
     require_members(model, Model, ("name", "version", "parameters", "capabilities", "prepare"))
-    require(
-        isinstance(model.parameters, ParameterSpace), f"parameters {model.parameters!r}", "a ParameterSpace"
-    )
+    require(isinstance(model.parameters, ParameterSpace), f"parameters {model.parameters!r}", "a ParameterSpace")
     require(len(model.parameters) > 0, "no parameter", "at least one to calibrate")
     unknown = sorted(set(model.capabilities) - CAPABILITIES)
     require(not unknown, f"capabilities {unknown}", f"some of {sorted(CAPABILITIES)}")
@@ -83,9 +81,7 @@ def gives_the_same_bits_twice(case: ModelCase) -> None:
             f"another result of the same simulation run again in scene {name}",
             "equal bits",
         )
-        require(
-            same_bits(first, anew), f"another result of the same scene prepared again ({name})", "equal bits"
-        )
+        require(same_bits(first, anew), f"another result of the same scene prepared again ({name})", "equal bits")
 
 
 def gives_a_batch_as_one_by_one(case: ModelCase) -> None:

@@ -127,9 +127,7 @@ def respects_uneven_time_stamps(case: ModelCase) -> None:
         ended = finished(few) & finished(many)
         common = many.position[ended][:, np.isin(finer, scene.times)]
         away = apart(few.position[ended], common).max(initial=0.0)
-        found = (
-            f"positions {millimetres(away)} apart at the same moment of scene {name}, looked at more often"
-        )
+        found = f"positions {millimetres(away)} apart at the same moment of scene {name}, looked at more often"
         require(away <= SAME_MOMENT, found, "the same within 0.1 mm")
 
 

@@ -15,9 +15,7 @@ from clothbench.testing.toys import Problem, bowl, cornered, partly_lost, valley
 BUDGET = 150
 SEEDS = range(6)
 RANDOM_SEARCHES = 200
-BETTER_THAN_CHANCE = (
-    0.65  # share of comparisons with random search that are won; random search itself wins half
-)
+BETTER_THAN_CHANCE = 0.65  # share of comparisons with random search that are won; random search itself wins half
 
 
 @dataclass(frozen=True, eq=False)
@@ -58,18 +56,14 @@ class OptimizerCase:
         return Search(np.vstack(asked), np.concatenate(told), optimizer.stopped)
 
 
-def check_optimizer(
-    make: Callable[..., Optimizer], *, only: Iterable[str] | None = None
-) -> tuple[Outcome, ...]:
+def check_optimizer(make: Callable[..., Optimizer], *, only: Iterable[str] | None = None) -> tuple[Outcome, ...]:
     """Check the optimizer that `make(space, seed=…, budget=…)` gives, on toy fits of 3 and 6 parameters."""
     name = getattr(make, "name", getattr(make, "__name__", make))
     return run_rules(f"optimizer {name!r}", choose(RULES, only), OptimizerCase(make))
 
 
 def require_in_bounds(theta: np.ndarray, space: ParameterSpace) -> None:
-    whole = (
-        isinstance(theta, np.ndarray) and theta.ndim == 2 and theta.shape[1] == len(space) and len(theta) > 0
-    )
+    whole = isinstance(theta, np.ndarray) and theta.ndim == 2 and theta.shape[1] == len(space) and len(theta) > 0
     require(whole, f"a batch of shape {np.shape(theta)}", f"(B, {len(space)}) with B at least 1")
     require(np.isfinite(theta).all(), "parameter sets that are not finite", "finite ones")
     outside = (theta < space.low) | (theta > space.high)
@@ -113,9 +107,7 @@ def manages_with_a_budget_of_one(case: OptimizerCase) -> None:
 
 def says_why_it_stopped(case: OptimizerCase) -> None:
     stopped = case.search(bowl()).stopped
-    require(
-        isinstance(stopped, str) and bool(stopped.strip()), f"stopped = {stopped!r} when done", "a reason"
-    )
+    require(isinstance(stopped, str) and bool(stopped.strip()), f"stopped = {stopped!r} when done", "a reason")
 
 
 def copes_with_lost_runs(case: OptimizerCase) -> None:

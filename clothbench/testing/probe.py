@@ -59,9 +59,7 @@ def acting_values(effect: Effect) -> Iterator[np.ndarray]:
     Several, since an effect may do nothing at some: one that sets in at a certain time, or a ratio of 1.
     """
     candidates = [effect.parameters.defaults]
-    candidates += [
-        effect.parameters.from_unit(np.full(len(effect.parameters), at)) for at in (0.7, 0.35, 0.02, 0.98)
-    ]
+    candidates += [effect.parameters.from_unit(np.full(len(effect.parameters), at)) for at in (0.7, 0.35, 0.02, 0.98)]
     null = null_values(effect)
     yield from (c for c in candidates if not np.array_equal(c, null))
 

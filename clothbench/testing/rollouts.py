@@ -23,9 +23,7 @@ def require_whole(rollout: Rollout, scene: Scene, members: int, where: str) -> N
         "the scene's times",
     )
     known = (
-        isinstance(rollout.status, tuple)
-        and len(rollout.status) == members
-        and set(rollout.status) <= set(STATUSES)
+        isinstance(rollout.status, tuple) and len(rollout.status) == members and set(rollout.status) <= set(STATUSES)
     )
     require(known, f"status {rollout.status!r} in {where}", f"{members} of {STATUSES}")
     steps = np.asarray(rollout.steps)

@@ -86,9 +86,7 @@ def _judge(subject: str, rule: Rule, case: Any) -> str:
     except Exception as fault:
         # The author needs the traceback of an exception, so it stays attached as the cause.
         first = (str(fault).strip().splitlines() or [""])[0]
-        raise ConformanceError(
-            f"{where}: found {type(fault).__name__}: {first}, expected no exception"
-        ) from fault
+        raise ConformanceError(f"{where}: found {type(fault).__name__}: {first}, expected no exception") from fault
 
 
 def made(make: Callable[..., Any], kind: str, *args: Any, **options: Any) -> Any:

@@ -46,12 +46,8 @@ def overhanging() -> Scene:
     held = np.array([[u, v] for u in (0.0, 0.05) for v in np.linspace(0.0, HEIGHT, 6)])
     times = np.linspace(0.0, 0.3, 7)
     points = np.vstack([_looked_at(), held])
-    slope = (
-        np.clip((points[:, 0] - 0.05) / 0.1, 0.0, 1.0) * 1.2
-    )  # rad, at the most; a quarter circle would be 1.57
-    start = np.stack(
-        [points[:, 0] * np.cos(slope / 2), points[:, 1], 1.0 - points[:, 0] * np.sin(slope / 2)], axis=1
-    )
+    slope = np.clip((points[:, 0] - 0.05) / 0.1, 0.0, 1.0) * 1.2  # rad, at the most; a quarter circle would be 1.57
+    start = np.stack([points[:, 0] * np.cos(slope / 2), points[:, 1], 1.0 - points[:, 0] * np.sin(slope / 2)], axis=1)
     level = np.broadcast_to(start[-len(held) :], (2, len(held), 3))
     return Scene(
         width=WIDTH, height=HEIGHT, areal_density=AREAL_DENSITY,
@@ -106,9 +102,7 @@ def _held(held: np.ndarray, position: np.ndarray, times: np.ndarray, depth: floa
     return _scene(times, stamps, held, position, depth)
 
 
-def _scene(
-    times: np.ndarray, stamps: np.ndarray, held: np.ndarray, position: np.ndarray, depth: float
-) -> Scene:
+def _scene(times: np.ndarray, stamps: np.ndarray, held: np.ndarray, position: np.ndarray, depth: float) -> Scene:
     points = np.vstack([_looked_at(), held])
     bulge = depth * np.sin(np.pi * points[:, 0] / WIDTH) * (0.6 + 0.4 * points[:, 1] / HEIGHT)
     narrower = np.ptp(position[0, :, 0]) / np.ptp(held[:, 0]) if len(held) else 1.0

@@ -49,15 +49,11 @@ def valley(count: int = 3) -> Problem:
 
 
 def partly_lost() -> Problem:
-    return Problem(
-        "a bowl a third of which is lost", bowl().space, bowl().residuals, lambda unit: unit[:, 0] < 1 / 3
-    )
+    return Problem("a bowl a third of which is lost", bowl().space, bowl().residuals, lambda unit: unit[:, 0] < 1 / 3)
 
 
 def wholly_lost() -> Problem:
-    return Problem(
-        "a bowl that is lost", bowl().space, bowl().residuals, lambda unit: np.ones(len(unit), dtype=bool)
-    )
+    return Problem("a bowl that is lost", bowl().space, bowl().residuals, lambda unit: np.ones(len(unit), dtype=bool))
 
 
 def _linear(bottom: np.ndarray) -> Callable[[np.ndarray], np.ndarray]:

@@ -34,9 +34,7 @@ class TrackerCase:
             if not self.is_own:
                 raise
             raise NotApplicable(f"it refuses a recording, give it a source: {refusal}") from None
-        require(
-            isinstance(observation, Observation), f"{type(observation).__name__}", "a clothbench.Observation"
-        )
+        require(isinstance(observation, Observation), f"{type(observation).__name__}", "a clothbench.Observation")
         return observation
 
 
@@ -71,9 +69,7 @@ def gives_a_whole_observation(case: TrackerCase) -> None:
     require(o.visible.dtype == bool, f"visible of type {o.visible.dtype}", "bool")
     require(o.visible.any(), "no node seen in any frame", "at least one")
     require(np.isfinite(o.material).all(), "material coordinates that are not finite", "metres")
-    require(
-        np.isnan(o.sigma) or o.sigma >= 0, f"a noise of {o.sigma} m", "0 or above, or NaN if it is not known"
-    )
+    require(np.isnan(o.sigma) or o.sigma >= 0, f"a noise of {o.sigma} m", "0 or above, or NaN if it is not known")
 
 
 def sees_what_was_recorded(case: TrackerCase) -> str | None:
@@ -95,9 +91,7 @@ def sees_what_was_recorded(case: TrackerCase) -> str | None:
     require(invented == 0, f"{invented} nodes seen in frames where the recording has none", "0")
     away = np.linalg.norm(o.position - r.position[frames][:, nodes], axis=-1)[o.visible & recorded]
     require(away.size > 0, "none of the recorded nodes seen", "some")
-    require(
-        away.max() <= NEAR, f"a node {1e3 * away.max():.3g} mm from where it was recorded", "at most 5 mm"
-    )
+    require(away.max() <= NEAR, f"a node {1e3 * away.max():.3g} mm from where it was recorded", "at most 5 mm")
     return None
 
 
@@ -127,9 +121,7 @@ def swung_sheet() -> Recording:
     below = scene.points[:, 1]
     along = np.broadcast_to(scene.points[:, 0] - scene.width / 2, (len(time), len(below)))
     hung = [along, below * np.sin(angle), -below * np.cos(angle)]
-    position = (
-        grips[:, None] + np.stack(hung, axis=-1) + random.normal(0.0, SIGMA, (len(time), len(below), 3))
-    )
+    position = grips[:, None] + np.stack(hung, axis=-1) + random.normal(0.0, SIGMA, (len(time), len(below), 3))
     position[random.random(position.shape[:2]) < 0.1] = np.nan
     position[:, 4] = np.nan
     return Recording(

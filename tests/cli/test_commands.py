@@ -38,7 +38,10 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
         (("run", "modle=x"), "modle"),
         (("run", *CELL), "no recordings named"),
         (("run", *CELL, "recording=none.nc"), "none.nc: no such file"),
-        (("run", "recording=good.nc", "model=mass_sping", "optimizer=ga", "metric=node_error"), "did you mean 'mass_spring'"),
+        (
+            ("run", "recording=good.nc", "model=mass_sping", "optimizer=ga", "metric=node_error"),
+            "did you mean 'mass_spring'",
+        ),
         (("run", "recording=good.nc", "optimizer=ga", "metric=node_error"), "setting 'model' is empty"),
         (("run", "recording=good.nc", *CELL, "effects=[quadratic_drag,quadratic_drag]"), "given twice"),
         (("import", "unknown_set"), "no data set 'unknown_set'"),
@@ -71,7 +74,9 @@ def test_one_cell_end_to_end(clothbench, recordings_folder, tmp_path):
     assert "page:" in out.stdout
     rows = json.loads(clothbench("leaderboard", "--json", "--out", "results").stdout)
     assert {r["metric"] for r in rows} == {"node_error", "relative_error"}
-    assert {(r["split"], bool(r["recording"])) for r in rows} == {(s, b) for s in ("fit", "held_out") for b in (True, False)}
+    assert {(r["split"], bool(r["recording"])) for r in rows} == {
+        (s, b) for s in ("fit", "held_out") for b in (True, False)
+    }
     for row in rows:
         assert row["status"] == "ok"
         assert row["low"] <= row["value"] <= row["high"]
@@ -86,7 +91,9 @@ def test_one_cell_end_to_end(clothbench, recordings_folder, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["recordings", "results"]  # no Hydra litter
 
 
-def test_a_finished_cell_is_not_run_again_and_the_same_cell_gives_the_same_bits(clothbench, recordings_folder, tmp_path):
+def test_a_finished_cell_is_not_run_again_and_the_same_cell_gives_the_same_bits(
+    clothbench, recordings_folder, tmp_path
+):
     command = ("run", f"recordings={recordings_folder}", *CELL, "rerun=false")
     assert "ok:" in clothbench(*command, "out=a").stderr
     before = {p: p.stat().st_mtime_ns for p in (tmp_path / "a" / "cells").rglob("*.parquet")}
@@ -100,7 +107,9 @@ def test_a_finished_cell_is_not_run_again_and_the_same_cell_gives_the_same_bits(
 
 
 def test_a_sweep_is_a_product_and_prints_one_table(clothbench, recordings_folder):
-    out = clothbench("run", "-m", f"recordings={recordings_folder}", *CELL, "seed=1,2", "optimizer=ga,least_squares", "rerun=false")
+    out = clothbench(
+        "run", "-m", f"recordings={recordings_folder}", *CELL, "seed=1,2", "optimizer=ga,least_squares", "rerun=false"
+    )
     assert out.returncode == 0, out.stderr
     rows = json.loads(clothbench("leaderboard", "--json").stdout)
     assert len({r["key"] for r in rows}) == 4
@@ -120,7 +129,12 @@ def test_the_launcher_can_be_exchanged(clothbench, recordings_folder):
 
 def test_a_failing_cell_is_a_row_and_the_others_finish(clothbench, recordings_folder):
     out = clothbench(
-        "run", f"recordings={recordings_folder}", *CELL, "optimizer=[ga,least_squares]", "+options.ga.nonsense=1", "rerun=false"
+        "run",
+        f"recordings={recordings_folder}",
+        *CELL,
+        "optimizer=[ga,least_squares]",
+        "+options.ga.nonsense=1",
+        "rerun=false",
     )
     assert out.returncode == 1
     assert "Traceback" not in out.stderr + out.stdout
@@ -141,7 +155,15 @@ def test_a_step_too_long_diverges_with_its_reason(clothbench, recordings_folder)
 
 
 def test_a_time_limit_keeps_the_best_so_far(clothbench, recordings_folder):
-    out = clothbench("run", f"recordings={recordings_folder}", *CELL, "budget=1000000", "+options.ga.generations=100000", "timeout=2", "rerun=false")
+    out = clothbench(
+        "run",
+        f"recordings={recordings_folder}",
+        *CELL,
+        "budget=1000000",
+        "+options.ga.generations=100000",
+        "timeout=2",
+        "rerun=false",
+    )
     assert out.returncode == 1
     row = json.loads(clothbench("leaderboard", "--json").stdout)[0]
     assert row["status"] == "timeout"

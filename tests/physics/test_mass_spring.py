@@ -14,7 +14,9 @@ from clothbench import Scene
 G = 9.81
 
 
-def sheet(width, height, times, *, grips=(), moved=None, points=((0.0, 0.0),), density=0.2, shape=None, gravity=(0, 0, -G)):
+def sheet(
+    width, height, times, *, grips=(), moved=None, points=((0.0, 0.0),), density=0.2, shape=None, gravity=(0, 0, -G)
+):
     """A scene with the given material points held; `moved(t) -> (K, 3)` shifts all of them together."""
     held = np.array(grips, dtype=float).reshape(-1, 2)
     clock = np.linspace(0.0, times[-1], 400)
@@ -112,7 +114,15 @@ def swing_frequency(effects=(), phi=(), length=0.297, nodes=17) -> float:
 
     width = length / 4
     across = (nodes - 1) // 4 + 1
-    scene = sheet(width, length, times, grips=top_edge(width, across), moved=pull, points=((width / 2, length),), shape=(across, nodes))
+    scene = sheet(
+        width,
+        length,
+        times,
+        grips=top_edge(width, across),
+        moved=pull,
+        points=((width / 2, length),),
+        shape=(across, nodes),
+    )
     theta = [[1000.0, 0.01, 0.001, *phi]]
     y = MassSpring().prepare(scene, effects).run(theta).position[0, :, 0, 1]
     # The pulse excites the first modes; fit the lowest two, whose ratio is that of the Bessel zeros.
@@ -204,6 +214,16 @@ def test_single_precision_agrees_while_the_motion_is_smooth():
     def sway(t):
         return np.stack([0 * t, 0.03 * np.sin(5 * t) ** 2, 0 * t], axis=1)
 
-    scene = sheet(0.2, 0.2, np.linspace(0, 1, 11), grips=top_edge(0.2, 5), moved=sway, points=((0.1, 0.2), (0.0, 0.1)), shape=(5, 5))
-    double, single = (MassSpring(precision=p).prepare(scene).run([[60.0, 5.0, 0.3]]).position for p in ("double", "single"))
+    scene = sheet(
+        0.2,
+        0.2,
+        np.linspace(0, 1, 11),
+        grips=top_edge(0.2, 5),
+        moved=sway,
+        points=((0.1, 0.2), (0.0, 0.1)),
+        shape=(5, 5),
+    )
+    double, single = (
+        MassSpring(precision=p).prepare(scene).run([[60.0, 5.0, 0.3]]).position for p in ("double", "single")
+    )
     assert np.abs(double - single).max() < 5e-5

@@ -20,9 +20,7 @@ from clothbench import (
 
 
 def space(null=0.0, bounds=(0.0, 0.1)):
-    return ParameterSpace(
-        (Parameter("late", "τ", "s", bounds, "linear", 0.05, "lateness", "none", null=null),)
-    )
+    return ParameterSpace((Parameter("late", "τ", "s", bounds, "linear", 0.05, "lateness", "none", null=null),))
 
 
 # --- effects ---
@@ -174,11 +172,7 @@ class Inventive(HonestMetric):
 
 class InventiveWithoutView(HonestMetric):
     def spoil(self, observation, score):
-        return (
-            score
-            if observation.visible.any()
-            else dataclasses.replace(score, value=np.zeros(len(score.value)))
-        )
+        return score if observation.visible.any() else dataclasses.replace(score, value=np.zeros(len(score.value)))
 
 
 class Ordered(HonestMetric):

@@ -110,9 +110,7 @@ def test_every_case_of_a_model_stands_beside_every_peer(install, monkeypatch):
     install("Toy", peers=("toys",))
     rows = [r for r in bench.run_bench(sides=(5, 7)) if r["model"] == "toy"]
     cases = [(r["nodes"], r["precision"], r["threads"], r["batch"]) for r in rows]
-    expected = [
-        (n, p, t, b) for n in (25, 49) for p in ("double", "single") for t, b in ((1, 1), (1, 64), (3, 64))
-    ]
+    expected = [(n, p, t, b) for n in (25, 49) for p in ("double", "single") for t, b in ((1, 1), (1, 64), (3, 64))]
     assert cases == expected
     about = {(r["kind"], r["version"], r["peer"], r["note"]) for r in rows}
     assert about == {("explicit", 3, "toys", "step 0.2 ms")}

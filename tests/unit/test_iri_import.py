@@ -57,9 +57,7 @@ class Lab:
 
     def capture(self) -> tuple[np.ndarray, np.ndarray]:
         """Stamps and capture times (T,) in s: the longer the gap before a stamp, the older its image."""
-        gaps = 0.1 + 0.03 * np.random.default_rng(self.seed).standard_normal(int(self.seconds / 0.1)).clip(
-            -1, 2
-        )
+        gaps = 0.1 + 0.03 * np.random.default_rng(self.seed).standard_normal(int(self.seconds / 0.1)).clip(-1, 2)
         stamp = 0.5 + np.cumsum(gaps)
         return stamp, stamp - OFFSET - (gaps - np.median(gaps))
 
@@ -69,9 +67,7 @@ class Lab:
         noise = np.random.default_rng(self.seed + 1).standard_normal((len(captured), self.n, self.n, 3))
         return self.cloth(captured) + 0.001 * noise
 
-    def write(
-        self, folder: Path, stem: str, frames: np.ndarray | None = None, stamp: np.ndarray | None = None
-    ) -> Path:
+    def write(self, folder: Path, stem: str, frames: np.ndarray | None = None, stamp: np.ndarray | None = None) -> Path:
         """One recording's files in the form of the data set; the calibration beside it."""
         folder.mkdir(parents=True, exist_ok=True)
         frames = self.frames() if frames is None else frames
@@ -233,9 +229,7 @@ def slipped(frame: np.ndarray, by: float) -> np.ndarray:
     left = np.stack([np.clip(by - along, 0.0, None), np.clip(along - by, 0.0, None)], axis=-1)
     a, b = s[None, :, None], s[:, None, None]
     patch = (1 - a) * left[:, None] + a * right[:, None] + (1 - b) * top[None] + b * bottom[None]
-    corners = (
-        (1 - a) * (1 - b) * top[0] + a * (1 - b) * top[-1] + (1 - a) * b * bottom[0] + a * b * bottom[-1]
-    )
+    corners = (1 - a) * (1 - b) * top[0] + a * (1 - b) * top[-1] + (1 - a) * b * bottom[0] + a * b * bottom[-1]
     u, v = np.moveaxis(patch - corners, -1, 0)
     across, down = (frame[0, -1] - frame[0, 0]) / SIDE, (frame[-1, 0] - frame[0, 0]) / SIDE
     return frame[0, 0] + u[..., None] * across + v[..., None] * down
@@ -315,10 +309,7 @@ def test_bent_cloth_unrolls_to_its_own_size():
 def test_rolled_cloth_keeps_its_numbering():
     frame = Lab().cloth(np.zeros(1))[0]
     middle = frame.mean(axis=(0, 1))
-    rolled = [
-        Rotation.from_euler("y", a, degrees=True).apply((frame - middle).reshape(-1, 3))
-        for a in range(0, 70, 7)
-    ]
+    rolled = [Rotation.from_euler("y", a, degrees=True).apply((frame - middle).reshape(-1, 3)) for a in range(0, 70, 7)]
     frames = np.stack(rolled).reshape(-1, 8, 8, 3) + middle
     mixed = np.stack([symmetries(f)[(3 * i) % 8] for i, f in enumerate(frames)])
     ordered, _ = put_in_order(mixed, np.array([1.0, 0.0, 0.0]))
@@ -505,9 +496,7 @@ def test_fetch_verifies_and_keeps(tmp_path, small, monkeypatch):
     assert len(asked) == 2
 
 
-@pytest.mark.parametrize(
-    ("served", "expected"), [(b"forged", "hash"), (None, "give a local copy with data_dir=")]
-)
+@pytest.mark.parametrize(("served", "expected"), [(b"forged", "hash"), (None, "give a local copy with data_dir=")])
 def test_fetch_fails_in_one_line(tmp_path, small, monkeypatch, served, expected):
     entry, contents = small
     monkeypatch.setenv("CLOTHBENCH_CACHE", str(tmp_path))

@@ -37,9 +37,7 @@ def cell(value: float) -> str:
 def csv_lines(time, position, labels=LABELS, unit="mm") -> list[str]:
     scale = 1 / marker_files.UNITS[unit]
     names = [f"{label}_{axis}" for label in labels for axis in "xyz"]
-    rows = [
-        ",".join([f"{t:.4f}", *map(cell, p.ravel() * scale)]) for t, p in zip(time, position, strict=True)
-    ]
+    rows = [",".join([f"{t:.4f}", *map(cell, p.ravel() * scale)]) for t, p in zip(time, position, strict=True)]
     return [f"# unit: {unit}", ",".join(["time", *names]), *rows]
 
 
@@ -141,9 +139,7 @@ def test_a_recording_is_in_the_world_already():
 def test_csv_in_any_unit_is_read_in_metres(tmp_path, unit):
     time, position = run()
     position[2, 0] = np.nan
-    seen = Markers().track(
-        write(tmp_path / "run.csv", csv_lines(time, position, unit=unit)), material=MATERIAL
-    )
+    seen = Markers().track(write(tmp_path / "run.csv", csv_lines(time, position, unit=unit)), material=MATERIAL)
     np.testing.assert_allclose(seen.position, position[:, :3], atol=1e-8)
     np.testing.assert_allclose(seen.time, time)
     assert np.argwhere(~seen.visible).tolist() == [[2, 0]]
@@ -309,9 +305,7 @@ def test_markers_nobody_saw_are_refused(tmp_path):
 
 
 def test_material_may_lie_in_a_small_file(tmp_path, good):
-    table = write(
-        tmp_path / "material.csv", ["label,u,v", *(f"{k},{u},{v}" for k, (u, v) in MATERIAL.items())]
-    )
+    table = write(tmp_path / "material.csv", ["label,u,v", *(f"{k},{u},{v}" for k, (u, v) in MATERIAL.items())])
     np.testing.assert_array_equal(Markers().track(good, material=table).material, list(MATERIAL.values()))
     refused("material.csv: header", good, material=write(table, ["marker,x,y", "grip,0,0"]))
     refused("material.csv: label 'grip'", good, material=write(table, ["label,u,v", "grip,0"]))

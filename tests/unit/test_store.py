@@ -63,5 +63,5 @@ def test_json_rows_have_exactly_the_contract_keys():
 def test_a_file_that_is_no_leaderboard_is_refused(tmp_path, text):
     path = tmp_path / "x.json"
     path.write_text(text)
-    with pytest.raises(ClothbenchError, match="x.json"):
+    with pytest.raises(ClothbenchError, match=r"x\.json"):
         load_rows(path)

@@ -31,7 +31,19 @@ class QuadraticDrag:
     force = staticmethod(push_back)
     parameters = ParameterSpace(
         (
-            Parameter("normal", "C_N", "1", (0.0, 4.0), "linear", 1.0, "drag coefficient across the sheet", SOURCE, null=0.0),
-            Parameter("tangential", "C_T", "1", (0.0, 0.5), "linear", 0.02, "friction coefficient along the sheet", SOURCE, null=0.0),
+            Parameter(
+                "normal", "C_N", "1", (0.0, 4.0), "linear", 1.0, "drag coefficient across the sheet", SOURCE, null=0.0
+            ),
+            Parameter(
+                "tangential",
+                "C_T",
+                "1",
+                (0.0, 0.5),
+                "linear",
+                0.02,
+                "friction coefficient along the sheet",
+                SOURCE,
+                null=0.0,
+            ),
         )
-    )  # fmt: skip
+    )

@@ -14,7 +14,8 @@ UNITS = {"mm": 1e3, "cm": 1e2, "m": 1.0}
 class NodeError:
     """Mean over frames and nodes of ‖r − w‖, over what was seen only (mpe of seed 000, section 5.2).
 
-    The paper averages each node over time first, then over the nodes; so does this. unit: "mm", "cm" (the paper's) or "m".
+    The paper averages each node over time first, then over the nodes; so does this.
+    unit: "mm", "cm" (the paper's) or "m".
     """
 
     name = "node_error"
@@ -48,7 +49,8 @@ def differences(observation: Observation, rollout: Rollout) -> tuple[np.ndarray,
     """Simulated minus seen (B, T, N, 3) m, and where that can be said (T, N); not a number where a rollout stopped."""
     if rollout.position.shape[1:] != observation.position.shape:
         raise ClothbenchError(
-            f"metric: found a rollout of {rollout.position.shape[1:]}, expected {observation.position.shape} as observed"
+            f"metric: found a rollout of {rollout.position.shape[1:]}, "
+            f"expected {observation.position.shape} as observed"
         )
     return rollout.position - np.nan_to_num(observation.position), observation.visible
 

@@ -37,7 +37,9 @@ class RelativeError:
         frames = sizes(observation) > 0
         if not frames.any():
             return math.nan
-        return float(np.mean(100 * math.sqrt(3) * observation.sigma * np.sqrt(count[frames]) / sizes(observation)[frames]))
+        return float(
+            np.mean(100 * math.sqrt(3) * observation.sigma * np.sqrt(count[frames]) / sizes(observation)[frames])
+        )
 
 
 def sizes(observation: Observation) -> np.ndarray:

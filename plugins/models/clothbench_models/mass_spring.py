@@ -165,7 +165,8 @@ def grid_lines(length: float, count: int, held: np.ndarray) -> np.ndarray:
     nearest = np.abs(even[:, None] - held[None]).argmin(axis=0)
     if len(set(nearest)) < len(nearest):
         raise ClothbenchError(
-            f"grips {length / (count - 1):.3g} m or less apart on a grid of {count} nodes over {length:g} m; raise the resolution"
+            f"grips {length / (count - 1):.3g} m or less apart on a grid of {count} nodes over {length:g} m; "
+            "raise the resolution"
         )
     anchors = dict(zip(nearest.tolist(), held.tolist(), strict=True))
     anchors = {0: 0.0, count - 1: length} | anchors
@@ -292,7 +293,7 @@ class _Batch:
         return 1.2024 * math.sqrt(max(np.linalg.norm(scene.gravity), 1e-3) / scene.height)
 
     def _blocks(self, members: np.ndarray) -> list[np.ndarray]:
-        """Members that run together, similar steps side by side; one by one on a grid that fills the vector unit itself."""
+        """Members that run together, similar steps side by side; one by one on a large grid."""
         interleave = self.simulation.nodes < SMALL and self.terms == 0
         if not interleave:
             return [members[k : k + 1] for k in range(len(members))]
@@ -300,7 +301,7 @@ class _Batch:
         return [order[k : k + LANES] for k in range(0, len(order), LANES)]
 
     def _bounds(self) -> float:
-        """How far from the origin a sheet may get before it counts as blown up [m]: sizes, grips and free fall allowed."""
+        """How far from the origin a sheet may get before it counts as blown up [m]; grips and free fall allowed."""
         scene = self.simulation.scene
         span = float(self.times.max() - scene.start_time)
         fall = 0.5 * float(np.linalg.norm(scene.gravity)) * span**2 if not len(self.pins) else 0.0
@@ -318,7 +319,8 @@ class _Batch:
         effects = simulation.effects
         kernels.run_block(simulation.precision)(
             lanes, np.repeat(self.shape.T, lanes, axis=1).astype(real), grid.strides * lanes,
-            np.repeat(grid.rest, lanes, axis=1).astype(real), stiffness.astype(real), damping.astype(real), grid.mass, grid.uv,
+            np.repeat(grid.rest, lanes, axis=1).astype(real), stiffness.astype(real), damping.astype(real),
+            grid.mass, grid.uv,
             np.array([scene.gravity]), grid.area, grid_triangles(simulation.shape), scene.air_density,
             self._bounds(),
             *self.kernels, self.stages, self.terms, effects.kernel_parameters(self.theta[members], kernels.SLOTS),
@@ -338,7 +340,9 @@ class _Batch:
         k = np.where(flexion, k2, k1)  # (6, lanes)
         c = 2 * zeta * np.sqrt(k * grid.node_mass)
         shape = (len(FAMILIES), -1)
-        return (grid.share[:, :, None] * k[:, None]).reshape(shape), (grid.share[:, :, None] * c[:, None]).reshape(shape)
+        return (grid.share[:, :, None] * k[:, None]).reshape(shape), (grid.share[:, :, None] * c[:, None]).reshape(
+            shape
+        )
 
     def rollout(self) -> Rollout:
         scene = self.simulation.scene
@@ -352,7 +356,14 @@ class _Batch:
             "timeout": f"more than {MAX_STEPS:.0e} steps: these parameters need too short a step",
         }
         position[np.logical_or.accumulate(lost, axis=1)] = np.nan
-        return Rollout(scene.times, position, tuple(map(str, status)), self.steps, self.simulation.nodes, tuple(reasons[s] for s in status))
+        return Rollout(
+            scene.times,
+            position,
+            tuple(map(str, status)),
+            self.steps,
+            self.simulation.nodes,
+            tuple(reasons[s] for s in status),
+        )
 
 
 def _nearest(uv: np.ndarray, held: np.ndarray) -> np.ndarray:

@@ -206,7 +206,8 @@ def _run_block(
 ):  # fmt: skip
     """Settle and run `lanes` interleaved parameter sets from the shape x (3, n·lanes), which is changed in place.
 
-    settle_time (2,) s, the least and the most; at_rest m/s, the speed that ends it; strides (6,); rest m, stiffness N/m, damping N·s/m (6, n·lanes); mass (n,) kg; gravity_rows (1, 3) m/s²; dt (lanes,) s;
+    strides (6,); rest m, stiffness N/m, damping N·s/m (6, n·lanes); mass (n,) kg; gravity_rows (1, 3) m/s²;
+    settle_time (2,) s, the least and the most; at_rest m/s, the speed that ends it; dt (lanes,) s;
     effect_parameters, effect_state: (lanes, SLOTS, …); curves (1 or lanes, 4, K−1, G, 3); times (lanes, T) s;
     out (lanes, T, N, 3) m, to be filled; status, steps (lanes,).
     """

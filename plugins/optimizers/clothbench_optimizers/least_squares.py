@@ -67,7 +67,9 @@ def sums_of_squares(evaluation: Evaluation) -> np.ndarray:
     return np.where(np.isfinite(cost), cost, np.inf)
 
 
-def proposals(here: np.ndarray, jacobian: np.ndarray, residual: np.ndarray, damping: float) -> tuple[np.ndarray, np.ndarray]:
+def proposals(
+    here: np.ndarray, jacobian: np.ndarray, residual: np.ndarray, damping: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Damped Gauss–Newton points (4, P) inside the unit cube, and the damping of each.
 
     A parameter that stands on its bound and wants to leave is held there, so that it does not spoil the others' step.

@@ -53,9 +53,7 @@ class MarkerFile:
             if label not in self.labels:
                 close = difflib.get_close_matches(label, self.labels, n=1)
                 hint = f"did you mean {close[0]!r}?" if close else f"it has {shortened(self.labels)}"
-                raise refusal(
-                    self.path, f"setting '{setting}'", f"label {label!r}", "a label of this file", hint
-                )
+                raise refusal(self.path, f"setting '{setting}'", f"label {label!r}", "a label of this file", hint)
         return self.position[:, [self.labels.index(label) for label in labels]]
 
 
@@ -99,9 +97,7 @@ def read_material(material: Any, path: Path) -> dict[str, tuple[float, float]]:
     for label, uv in pairs:
         point = _point(label, uv, where)
         if str(label) in points or point in points.values():
-            raise refusal(
-                where, f"label {label!r}", f"it, or its point {point} m, twice", "each once", "drop one"
-            )
+            raise refusal(where, f"label {label!r}", f"it, or its point {point} m, twice", "each once", "drop one")
         points[str(label)] = point
     if not points:
         raise refusal(where, "labels", "none", "at least one with its u, v [m]")
@@ -145,9 +141,7 @@ def _csv_labels(names: Sequence[str], path: Path) -> list[str]:
         found = [re.fullmatch(r"(.+)[ _.:]([xyz])", name, re.IGNORECASE) for name in names[i : i + 3]]
         if [m and m[2].lower() for m in found] != ["x", "y", "z"] or len({m and m[1] for m in found}) != 1:
             columns = shortened(names[i : i + 3]) or "no columns"
-            raise refusal(
-                path, "header", columns, "LABEL_x, LABEL_y, LABEL_z after frame and time", "rename them"
-            )
+            raise refusal(path, "header", columns, "LABEL_x, LABEL_y, LABEL_z after frame and time", "rename them")
         labels.append(str(found[0] and found[0][1]))
     return labels
 
@@ -156,17 +150,13 @@ def _read_trc(path: Path) -> _Raw:
     lines = [text.split("\t") for text in _text(path)]
     if len(lines) < 5 or lines[0][0].strip() != "PathFileType":
         expected = "TRC: five header lines from 'PathFileType' on, parted by tabs"
-        raise refusal(
-            path, "header", f"{len(lines)} lines from {lines[0][0][:20]!r} on" if lines else "none", expected
-        )
+        raise refusal(path, "header", f"{len(lines)} lines from {lines[0][0][:20]!r} on" if lines else "none", expected)
     stated = {key.strip(): value.strip() for key, value in zip(lines[1], lines[2], strict=False)}
     labels = _trc_labels(lines[3], lines[4], stated.get("NumMarkers", ""), path)
     rows = [(i, cells) for i, cells in enumerate(lines[5:], 6) if "".join(cells).strip()]
     table = _table(rows, 2 + 3 * len(labels), path)
     if str(len(table)) != stated.get("NumFrames"):
-        raise refusal(
-            path, "NumFrames", f"{len(table)} frames", f"{stated.get('NumFrames')}", "export it again"
-        )
+        raise refusal(path, "NumFrames", f"{len(table)} frames", f"{stated.get('NumFrames')}", "export it again")
     position = _without_zeros(_triples(table[:, 2:]))
     rate = _number(stated["DataRate"], "DataRate", path) if stated.get("DataRate") else None
     return _Raw(labels, position, stated.get("Units", ""), rate, table[:, 0], table[:, 1])
@@ -176,9 +166,7 @@ def _trc_labels(names: Sequence[str], axes: Sequence[str], count: str, path: Pat
     """The labels of header line 4, each over its three columns, of which line 5 names the axes."""
     labels = [cell.strip() for cell in names[2::3] if cell.strip()]
     if names[0].strip() != "Frame#" or [cell.strip() for cell in axes[2:3]] != ["X1"]:
-        raise refusal(
-            path, "header lines 4 and 5", f"{names[0]!r}, {axes[2:3]}", "Frame#, Time, labels over X1 Y1 Z1"
-        )
+        raise refusal(path, "header lines 4 and 5", f"{names[0]!r}, {axes[2:3]}", "Frame#, Time, labels over X1 Y1 Z1")
     if str(len(labels)) != count:
         raise refusal(path, "NumMarkers", f"{len(labels)} labels", count or "a number", "export it again")
     return labels
@@ -188,13 +176,9 @@ def _read_c3d(path: Path) -> _Raw:
     try:
         import c3d
     except ImportError:
-        raise ClothbenchError(
-            f"{path}: C3D is read with the package c3d; pip install clothbench[c3d]"
-        ) from None
+        raise ClothbenchError(f"{path}: C3D is read with the package c3d; pip install clothbench[c3d]") from None
     with path.open("rb") as stream, warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore"
-        )  # it warns of what a marker file need not have; a cut end is caught below
+        warnings.simplefilter("ignore")  # it warns of what a marker file need not have; a cut end is caught below
         if (start := stream.read(2))[1:] != C3D_MARK:
             raise refusal(path, "header", repr(start), "C3D, second byte 0x50", "export it again")
         try:
@@ -203,9 +187,7 @@ def _read_c3d(path: Path) -> _Raw:
             raise
         except Exception as fault:  # whatever the library trips over in a broken file
             what = (str(fault).splitlines() or [type(fault).__name__])[0]
-            raise refusal(
-                path, "data", f"an unreadable file ({what})", "whole C3D", "copy it again"
-            ) from fault
+            raise refusal(path, "data", f"an unreadable file ({what})", "whole C3D", "copy it again") from fault
 
 
 def _c3d_content(reader: Any, path: Path) -> _Raw:
@@ -242,9 +224,7 @@ def _table(lines: Iterable[tuple[int, list[str]]], width: int, path: Path) -> np
     for number, cells in lines:
         cells = cells[:width] + [cell for cell in cells[width:] if cell.strip()]
         if len(cells) != width:
-            raise refusal(
-                path, f"line {number}", f"{len(cells)} columns", f"{width}", "export the file again"
-            )
+            raise refusal(path, f"line {number}", f"{len(cells)} columns", f"{width}", "export the file again")
         rows.append([_number(cell, f"line {number}, column {i}", path) for i, cell in enumerate(cells, 1)])
     if not rows:
         raise refusal(path, "data", "no frames below the header", "at least one", "export the file again")
@@ -291,9 +271,7 @@ def _agreed(stated: Any, setting: Any, what: str, path: Path) -> Any:
     if setting is None or not stated:
         return stated or setting
     if stated != setting:
-        raise refusal(
-            path, what, f"{stated} in the file", f"{setting} by the setting '{what}'", "drop one of them"
-        )
+        raise refusal(path, what, f"{stated} in the file", f"{setting} by the setting '{what}'", "drop one of them")
     return stated
 
 
@@ -310,9 +288,7 @@ def _clock(raw: _Raw, setting: float | None, path: Path) -> np.ndarray:
     """The frames' stamps (T,) s: the file's own, which must agree with its rate, or frame over rate."""
     rate = _agreed(raw.rate, setting, "rate", path)
     if rate is None and raw.time is None:
-        raise refusal(
-            path, "rate", "neither a time column nor a frame rate", "one of them", "set 'rate' [1/s]"
-        )
+        raise refusal(path, "rate", "neither a time column nor a frame rate", "one of them", "set 'rate' [1/s]")
     if rate is not None and not (math.isfinite(rate) and rate > 0):
         raise refusal(path, "rate", rate, "frames per second above 0")
     frame = np.arange(len(raw.position)) if raw.frame is None else raw.frame
@@ -320,9 +296,7 @@ def _clock(raw: _Raw, setting: float | None, path: Path) -> np.ndarray:
     wrong = np.flatnonzero(~np.isfinite(time) | ~(np.diff(time, prepend=-np.inf) > 0))
     if wrong.size:
         i = wrong[0]
-        raise refusal(
-            path, "time", f"{time[i]:g} s in frame {i + 1} of the file", "strictly increasing seconds"
-        )
+        raise refusal(path, "time", f"{time[i]:g} s in frame {i + 1} of the file", "strictly increasing seconds")
     if rate is not None:
         _check_rate(time, frame, rate, path)
     return time

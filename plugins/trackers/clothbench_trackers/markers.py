@@ -217,9 +217,7 @@ def _stated(frame: Any, path: Path) -> np.ndarray:
         raise refusal(path, what, f"the last row {matrix[3].tolist()}", "0 0 0 1", "is it transposed?")
     rotation = matrix[:3, :3]
     if not np.allclose(rotation.T @ rotation, np.eye(3), atol=RIGID) or np.linalg.det(rotation) < 0:
-        raise refusal(
-            path, what, "a matrix that scales, shears or mirrors", "a rotation", "give its unit axes"
-        )
+        raise refusal(path, what, "a matrix that scales, shears or mirrors", "a rotation", "give its unit axes")
     return matrix[:3]
 
 
@@ -230,16 +228,12 @@ def _fitted(markers: MarkerFile, references: Mapping[str, Any], tolerance: float
     seen = np.isfinite(samples).all(axis=-1)
     if not seen.any(axis=0).all():
         unseen = list(references)[int(np.argmin(seen.any(axis=0)))]
-        raise refusal(
-            markers.path, what, f"{unseen!r}, which is never seen", "references that are", "choose others"
-        )
+        raise refusal(markers.path, what, f"{unseen!r}, which is never seen", "references that are", "choose others")
     measured = np.nanmean(samples, axis=0)
     for points in (measured, wanted):
         spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
         if spread[1] <= FLAT * spread[0]:
-            raise refusal(
-                markers.path, what, "references on one line", "three that span a triangle", "add one"
-            )
+            raise refusal(markers.path, what, "references on one line", "three that span a triangle", "add one")
     transform = fit_rigid(measured, wanted)
     away = np.linalg.norm(samples @ transform[:, :3].T + transform[:, 3] - wanted, axis=-1)
     off = np.sqrt(np.nanmean(away**2, axis=0))
@@ -286,9 +280,7 @@ def _check_grip_gaps(time: np.ndarray, seen: np.ndarray, up_to: float, path: Pat
     if gaps[worst] > up_to + ROUNDING:
         found = f"none for {gaps[worst]:g} s after {time[seen[worst]]:g} s"
         expected = f"all seen, or gaps of at most {up_to:g} s"
-        raise refusal(
-            path, "setting 'grips'", found, expected, "set 'fill_gaps_up_to' [s] if that is harmless"
-        )
+        raise refusal(path, "setting 'grips'", found, expected, "set 'fill_gaps_up_to' [s] if that is harmless")
 
 
 def _about(about: Mapping[str, Any], path: Path) -> Mapping[str, Any]:
@@ -297,7 +289,5 @@ def _about(about: Mapping[str, Any], path: Path) -> Mapping[str, Any]:
     known = {f.name for f in fields(Recording) if f.name not in own and not f.name.startswith("grip_")}
     for name in about:
         if name not in known:
-            raise refusal(
-                path, "setting 'about'", repr(name), f"some of {', '.join(sorted(known))}", "drop it"
-            )
+            raise refusal(path, "setting 'about'", repr(name), f"some of {', '.join(sorted(known))}", "drop it")
     return about

@@ -42,9 +42,7 @@ def step_sheet(side: int, dt: float, steps: int, size: float = 0.30, areal_densi
     return time_sheet("newton-cloth", _add_cloth, side, dt, steps, size, areal_density)
 
 
-def time_sheet(
-    peer: str, add: Build, side: int, dt: float, steps: int, size: float, areal_density: float
-) -> SheetRun:
+def time_sheet(peer: str, add: Build, side: int, dt: float, steps: int, size: float, areal_density: float) -> SheetRun:
     """Time `steps` steps of the sheet that `add` builds from side, cell [m], node mass [kg] and dt [s]."""
     import warp as wp
 
