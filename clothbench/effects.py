@@ -25,7 +25,6 @@ class BoundEffects:
     effects: tuple[Effect, ...]
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "effects", tuple(self.effects))
         names = [e.name for e in self.effects]
         for effect in self.effects:
             if effect.place not in PLACES:

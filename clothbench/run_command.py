@@ -23,7 +23,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.cell import Bench, Cell
-from clothbench.experiment.run import failed, run_cells
+from clothbench.experiment.pool import failed, run_cells
 from clothbench.experiment.store import Store
 from clothbench.experiment.suite import KNOWN, plan, suites_folder
 from clothbench.plugins import catalogue

@@ -5,8 +5,9 @@ import pytest
 from clothbench_effects.added_mass import AddedMass
 from clothbench_effects.clock_offset import ClockOffset
 from clothbench_effects.quadratic_drag import QuadraticDrag
-from clothbench_models.mass_spring import FAMILIES, MassSpring, SpringGrid
+from clothbench_models.mass_spring import MassSpring
 from clothbench_models.mass_spring_kernels import add_pairwise, spring_forces
+from clothbench_models.spring_grid import FAMILIES, SpringGrid
 from scipy.optimize import curve_fit
 
 from clothbench import Scene

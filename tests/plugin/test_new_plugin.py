@@ -73,7 +73,7 @@ def test_a_new_plugin_passes_its_own_tests(made, installed, kind):
 def test_the_new_plugins_work_together(installed):
     chosen = [f"{kind}={NAMES[kind]}" for kind in ("model", "metric", "optimizer", "tracker")]
     installed.run(
-        "clothbench", "run", "+suite=static_dynamic", "+suite.select=satin/static-*", "report=[]", "effects=[]",
+        "clothbench", "run", "+suite=static_dynamic", "suite.select=satin/static-*", "report=[]", "effects=[]",
         "rerun=false", "budget=20", *chosen,
     )  # fmt: skip
     rows = installed.json("clothbench", "leaderboard", "--json")
@@ -113,7 +113,7 @@ def test_nothing_is_left_half_written(tmp_path, monkeypatch):
     def full(*_):
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(os, "rename", full)
+    monkeypatch.setattr(os, "replace", full)
     refused(tmp_path, "model", "veil", "cannot be written .No space left on device")
 
 

@@ -11,7 +11,18 @@ FRAME = ROOT / "clothbench"
 PLUGINS = ROOT / "plugins"
 # What stands lower may not import what stands higher.
 LAYERS = [
-    {"errors", "parameters", "files", "recording", "scene", "observation", "rollout", "parallel", "hookspecs"},
+    {
+        "errors",
+        "parameters",
+        "files",
+        "recording",
+        "recording_rules",
+        "scene",
+        "observation",
+        "rollout",
+        "parallel",
+        "hookspecs",
+    },
     {"kernels", "protocols", "effects", "plugins"},
     {"datasets", "experiment", "testing", "loop"},
     {"report", "bench", "timing"},

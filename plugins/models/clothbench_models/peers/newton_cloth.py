@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from clothbench_models.peers import SheetRun, missing, node_mass, stable_stiffness
 
@@ -124,9 +124,10 @@ def _add_cloth(builder: newton.ModelBuilder, side: int, cell: float, mass: float
     import warp as wp
 
     stiffness = stable_stiffness(mass, dt)
+    rows_go_down: Any = wp.quat_from_axis_angle(wp.vec3(1.0, 0.0, 0.0), -math.pi / 2)
     builder.add_cloth_grid(
         pos=wp.vec3(),
-        rot=wp.quat_from_axis_angle(wp.vec3(1.0, 0.0, 0.0), -math.pi / 2),  # rows go down
+        rot=rows_go_down,
         vel=wp.vec3(),
         dim_x=side - 1,
         dim_y=side - 1,

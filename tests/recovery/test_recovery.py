@@ -1,0 +1,103 @@
+"""Plant parameters, find them: truth from a finer mesh or from the reference simulation, with noise."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from clothbench import Scene
+from clothbench.experiment.calibrate import Trial, calibrate, evaluate
+from clothbench.experiment.cell import set_up
+from clothbench.experiment.suite import plan, suites_folder
+from clothbench.observation import Observation
+from clothbench.plugins import catalogue
+
+TRUTH = {"k1": 80.0, "k2": 2.0, "zeta": 0.1, "quadratic_drag.normal": 1.3, "quadratic_drag.tangential": 0.05}
+NOISE = 1e-3  # m
+
+
+def swing(amplitude: float, frequency: float) -> Scene:
+    """Two corners of a 0.3 m sheet moved to and fro along its normal for 1.5 s."""
+    clock = np.linspace(0, 1.5, 151)
+    ramp = np.clip(clock / 0.4, 0, 1) ** 2
+    y = amplitude * ramp * np.sin(2 * np.pi * frequency * clock)
+    held = np.array([[0.0, 0.0], [0.3, 0.0]])
+    path = np.stack([held[:, 0] + 0 * clock[:, None], np.repeat(y[:, None], 2, 1), np.zeros((151, 2))], axis=-1)
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, 0.3, 7), np.linspace(0, 0.3, 7)))
+    return Scene(0.3, 0.3, 0.2, clock, held, path, np.arange(0, 1.5, 1 / 30), np.stack([u, v], axis=1))
+
+
+def observe(scene: Scene, random: np.random.Generator) -> Observation:
+    """The scene simulated on a mesh of twice the fineness and half the step, with noise and 2 % of the nodes unseen."""
+    plugins = catalogue()
+    truth = plugins.make("models", "mass_spring", resolution=17, step_scale=0.5)
+    simulation = truth.prepare(scene, [plugins.make("effects", "quadratic_drag")])
+    position = simulation.run([[TRUTH[n] for n in simulation.parameters.names]]).position[0]
+    visible = random.random(position.shape[:2]) > 0.02
+    noisy = np.where(visible[..., None], position + random.normal(0, NOISE, position.shape), np.nan)
+    return Observation(scene.times, noisy, visible, NOISE, scene.points)
+
+
+def trials(random: np.random.Generator) -> list[Trial]:
+    plugins = catalogue()
+    model, metric = plugins.make("models", "mass_spring", resolution=9), plugins.make("metrics", "node_error")
+    drag = [plugins.make("effects", "quadratic_drag")]
+    scenes = {"slow": swing(0.06, 0.8), "quick": swing(0.03, 1.6)}
+    return [Trial(n, observe(s, random), model.prepare(s, drag), metric) for n, s in scenes.items()]
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    random = np.random.default_rng(11)
+    both = trials(random)
+    space = both[0].simulation.parameters
+    optimizer = catalogue().make("optimizers", "least_squares", space, seed=3, budget=150)
+    return both, calibrate(both, optimizer, space)
+
+
+def test_what_the_motion_shows_is_recovered(fitted):
+    _, fit = fitted
+    found = dict(zip(fit.space.names, fit.best, strict=True))
+    assert found["quadratic_drag.normal"] == pytest.approx(TRUTH["quadratic_drag.normal"], rel=0.1)
+    assert found["k1"] == pytest.approx(TRUTH["k1"], rel=0.35)  # the coarser mesh folds a little more stiffly
+    assert not fit.at_bound[fit.space.names.index("quadratic_drag.normal")]
+
+
+def test_the_error_comes_down_to_the_noise(fitted):
+    both, fit = fitted
+    start, _ = evaluate(both, fit.space.defaults[None])
+    best, _ = evaluate(both, fit.best[None])
+    floor = both[0].metric.floor(both[0].observation)
+    assert best.value[0] < 1.6 * floor < start.value[0]
+
+
+def test_the_drag_s_interval_holds_a_value_near_the_truth_and_is_no_mere_point(fitted):
+    _, fit = fitted
+    i = fit.space.names.index("quadratic_drag.normal")
+    assert fit.low[i] < fit.best[i] < fit.high[i]
+    assert 0.001 < fit.high[i] - fit.low[i] < 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("fabric", "drag"), [("satin", 1.0), ("linen", 1.1)])
+def test_drag_is_found_in_recordings_of_the_reference_simulation(fabric, drag):
+    """Truth from finite elements on another mesh: what carries over between the two models is the air's drag."""
+    config = {
+        "model": "mass_spring",
+        "optimizer": "least_squares",
+        "metric": "node_error",
+        "effects": ["quadratic_drag"],
+        "tracker": "markers",
+        "budget": 120,
+        "seed": 0,
+        "recordings": str(suites_folder() / "embedded" / "static_dynamic"),
+        "suite": {"name": "recovery", "select": f"{fabric}/*"},
+    }
+    cell = dataclasses.replace(plan(config, catalogue())[0])
+    bench = set_up(cell, catalogue())
+    optimizer = catalogue().make("optimizers", "least_squares", bench.space, seed=1, budget=120)
+    fit = calibrate(bench.of_split("fit"), optimizer, bench.space)
+    found = fit.best[bench.space.names.index("quadratic_drag.normal")]
+    assert found == pytest.approx(drag, abs=0.5)
+    held, _ = evaluate(bench.of_split("held_out"), np.stack([bench.space.defaults, fit.best]))
+    assert held.value[1] < held.value[0]
