@@ -2,22 +2,26 @@
 
 from __future__ import annotations
 
+from collections.abc import Generator
+
 import numpy as np
 from scipy.stats import qmc
 
 from clothbench import ClothbenchError, Evaluation, ParameterSpace
 from clothbench_optimizers.search import GeneratorSearch, Steps
 
+Walk = Generator[np.ndarray, Evaluation, None]
 DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])  # tried at once, in units of the current damping
 
 
 class LeastSquares(GeneratorSearch):
     """Gauss–Newton steps with Marquardt's damping in the scaled space (Marquardt 1963), on batches.
 
-    starts: points of a scrambled Sobol sequence (the defaults are one more) of which the best is walked from;
-    difference: step of the forward differences, in units of the scaled range; tolerance: relative gain in the sum
-    of squares below which two rounds in a row end the search. Each round simulates the Jacobian's points as one
-    batch, then four dampings as another.
+    starts: points of a scrambled Sobol sequence (the defaults are one more); walks: from how many of the best of them
+    to walk, one after the other; difference: step of the forward differences, in units of the scaled range, long enough
+    to look over the ripples that folding cloth leaves in the error; tolerance: relative gain in the sum of squares
+    below which two rounds in a row end a walk. Each round simulates the Jacobian's points as one batch, then four
+    dampings as another.
     """
 
     name = "least_squares"
@@ -26,20 +30,27 @@ class LeastSquares(GeneratorSearch):
 
     def __init__(
         self, space: ParameterSpace, *, seed: int, budget: int,
-        starts: int = 15, difference: float = 0.01, tolerance: float = 1e-3,
+        starts: int = 31, walks: int = 2, difference: float = 0.03, tolerance: float = 1e-3,
     ):  # fmt: skip
-        self.starts, self.difference, self.tolerance = starts, difference, tolerance
+        self.starts, self.walks, self.difference, self.tolerance = starts, walks, difference, tolerance
         super().__init__(space, seed=seed, budget=budget)
 
     def steps(self) -> Steps:
-        spread = qmc.Sobol(len(self.space), rng=self.random).random(2 ** int(np.ceil(np.log2(self.starts + 1))))
-        points = np.vstack([self.space.to_unit(self.space.defaults)[None], spread[: self.starts]])
+        # No more than a third of the budget goes into looking around.
+        starts = min(self.starts, max(1, self.budget // 3 - 1))
+        spread = qmc.Sobol(len(self.space), rng=self.random).random(2 ** int(np.ceil(np.log2(starts + 1))))
+        points = np.vstack([self.space.to_unit(self.space.defaults)[None], spread[:starts]])
         evaluation = yield points
-        cost, best = sums_of_squares(evaluation), 0
-        best = int(np.argmin(cost))
-        if not np.isfinite(cost[best]):
+        cost = sums_of_squares(evaluation)
+        if not np.isfinite(cost).any():
             return "no start could be simulated"
-        here, residual, cost_here = points[best], evaluation.residual[best], cost[best]
+        for best in np.argsort(cost)[: self.walks]:
+            if np.isfinite(cost[best]):
+                yield from self._walk(points[best], evaluation.residual[best], cost[best])
+        return "converged"
+
+    def _walk(self, here: np.ndarray, residual: np.ndarray, cost_here: float) -> Walk:
+        """Descend from one point until two rounds in a row gain next to nothing."""
         damping, idle = 0.01, 0
         while idle < 2:
             away = np.where(here + self.difference <= 1.0, self.difference, -self.difference)
@@ -55,7 +66,6 @@ class LeastSquares(GeneratorSearch):
             else:
                 damping *= DAMPINGS[-1]
             idle = idle + 1 if gain < self.tolerance else 0
-        return "converged"
 
 
 def sums_of_squares(evaluation: Evaluation) -> np.ndarray:
