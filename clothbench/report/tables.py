@@ -17,7 +17,7 @@ MANY = 24  # recordings in one cell beyond which only the totals are printed
 def console() -> Console:
     """Standard output; wide enough for a table where it is no terminal."""
     out = Console(highlight=False)
-    return out if out.is_terminal else Console(highlight=False, width=160, color_system=None)
+    return out if out.is_terminal else Console(highlight=False, width=200, color_system=None)
 
 
 def print_leaderboard(rows: Rows, parameters: Rows) -> None:
@@ -26,6 +26,8 @@ def print_leaderboard(rows: Rows, parameters: Rows) -> None:
     for suite in sorted({r["suite"] for r in rows}):
         mine = [r for r in rows if r["suite"] == suite]
         out.print(error_table(suite, mine))
+        for line in overall(mine):
+            out.print(line)
         keys = {r["key"] for r in mine}
         fitted = [p for p in parameters if p["key"] in keys]
         if fitted:
@@ -46,11 +48,31 @@ def error_table(suite: str, rows: Rows) -> Table:
     )
     for row in rows:
         # Single recordings by the metric that was minimised; by the others the totals say enough.
-        if not (row["recording"] and (crowded or row["metric"] != row["objective"])):
+        if not row["recording"] or (row["metric"] == row["objective"] and not (crowded and row["split"] == "fit")):
             table.add_row(*_cells(row), style="bold" if not row["recording"] else "", end_section=not row["recording"])
     if crowded:
-        table.caption = "single recordings: clothbench leaderboard --json"
+        table.caption = "single fit recordings: clothbench leaderboard --json"
     return table
+
+
+def overall(rows: Rows) -> list[str]:
+    """Where a suite has several cases: the mean held-out error over all their recordings, for each way to fit them."""
+    groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for row in rows:
+        if row["recording"] and row["split"] == "held_out" and row["metric"] == row["objective"]:
+            key = (row["model"], row["effects"] or "", row["optimizer"], row["metric"], str(row["seed"]))
+            groups.setdefault(key, []).append(row)
+    out = []
+    for (model, effects, optimizer, metric, seed), mine in groups.items():
+        cases = {r["case"] for r in mine}
+        if len(cases) > 1 and all(r["value"] is not None for r in mine):
+            mean = sum(r["value"] for r in mine) / len(mine)
+            name = " + ".join([model, *(e for e in effects.split(",") if e)])
+            what = f"{escape(name)} · {escape(optimizer)} · {escape(metric)}, seed {seed}"
+            out.append(
+                f"held out, all {len(cases)} cases: {mean:.2f} {mine[0]['unit']} over {len(mine)} recordings ({what})"
+            )
+    return out
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
