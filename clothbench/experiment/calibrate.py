@@ -15,7 +15,8 @@ from clothbench.protocols import Evaluation, Metric, Optimizer, Score, Simulatio
 from clothbench.rollout import Rollout
 
 BLOCK = 1.0  # s; a swing's errors hang together over about a period, so blocks this long count as one piece of evidence
-PROBE = 0.01  # step of the differences for the intervals, in units of the scaled range
+# Step of the differences for the intervals, in units of the scaled range: it looks over ripples as the search does.
+PROBE = 0.03
 SINGULAR = 1e10  # condition number above which the data do not determine a parameter
 
 
@@ -125,9 +126,10 @@ def _lowest(value: np.ndarray) -> float:
 def intervals(trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """95 % intervals (P,), (P,) of the best parameters and the condition of the scaled Jacobian.
 
-    Sandwich covariance with blocks of a second as clusters (Liang and Zeger 1986): neighbouring frames err alike, and
-    a model's error is no noise, so the textbook's σ²(JᵀJ)⁻¹ would be far too sure. NaN where the metric has no
-    residuals; the parameter's bounds where the data do not determine it.
+    How far the parameters would move, to first order, if one second of one recording were left out (the jackknife over
+    clusters, which is the sandwich covariance CR3 of Bell and McCaffrey 2002): neighbouring frames err alike, and a
+    model's error is no noise, so the textbook's σ²(JᵀJ)⁻¹ would be far too sure. NaN where the metric has no residuals;
+    the parameter's bounds where the data do not determine it.
     """
     nowhere = np.full(len(space), np.nan)
     unit = space.to_unit(best)
@@ -142,10 +144,12 @@ def intervals(trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray) 
     condition = float(np.linalg.cond(hessian)) if np.isfinite(hessian).all() else float("inf")
     if not condition < SINGULAR:
         return space.low, space.high, condition**0.5
-    pull = [jacobian[c].T @ residual[0, c] for c in clusters(trials, scores)]
-    spread = np.array(pull).T @ np.array(pull) * len(pull) / max(len(pull) - 1, 1)
-    inverse = np.linalg.inv(hessian)
-    half = student.ppf(0.975, max(len(pull) - 1, 1)) * np.sqrt(np.diag(inverse @ spread @ inverse))
+    moved = []
+    for rows in clusters(trials, scores):
+        rest = hessian - jacobian[rows].T @ jacobian[rows]
+        moved.append(np.linalg.lstsq(rest, jacobian[rows].T @ residual[0, rows], rcond=None)[0])
+    count = len(moved)
+    half = student.ppf(0.975, count - 1) * np.sqrt((count - 1) / count * np.square(moved).sum(axis=0))
     return space.from_unit(unit - half), space.from_unit(unit + half), condition**0.5
 
 
