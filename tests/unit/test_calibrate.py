@@ -56,7 +56,7 @@ def test_the_truth_is_found_although_part_of_the_space_diverges(name):
 
 
 def test_intervals_hold_the_truth_about_as_often_as_they_say():
-    """With errors that hang together for half a second, textbook intervals hold the truth far less often than blocks do.
+    """With errors that hang together for half a second, textbook intervals hold the truth far less often than blocks.
 
     Blocks of a second still fall a little short of 95 % then.
     """
@@ -64,11 +64,12 @@ def test_intervals_hold_the_truth_about_as_often_as_they_say():
     for seed in range(80):
         trials = [trial(np.random.default_rng(seed))]
         design = np.stack([np.sin(TIME), TIME], axis=1)
-        best = np.linalg.lstsq(design, trials[0].observation.position[:, 0, 0], rcond=None)[0]
+        seen = trials[0].observation.position[:, 0, 0]
+        best = np.linalg.lstsq(design, seen, rcond=None)[0]
         low, high, condition = intervals(trials, SPACE, best)
         assert condition < 100
         inside.append((low < TRUTH) & (high > TRUTH))
-        left = trials[0].observation.position[:, 0, 0] - design @ best
+        left = seen - design @ best
         half = 1.96 * np.sqrt(np.diag(np.linalg.inv(design.T @ design)) * left.var(ddof=2))
         textbook.append(np.abs(best - TRUTH) < half)
     share, naive = np.mean(inside, axis=0), np.mean(textbook, axis=0)
