@@ -12,6 +12,8 @@ from typing import Any
 
 from clothbench.errors import ClothbenchError
 
+DEFAULT_OUT = "runs"
+
 EPILOG = """\
 examples:
   clothbench run +suite=static_dynamic                 the default benchmark, nothing else needed
@@ -48,6 +50,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # the reader of our output has gone, as `| head` does
         sys.stderr.close()
         return 0
+    except OSError as fault:
+        if debug:
+            raise
+        print(f"clothbench: {fault.filename or 'a file'}: {fault.strerror or fault}", file=sys.stderr)
+        return 2
     except KeyboardInterrupt:
         print("clothbench: stopped; finished cells are kept, run the same command again to go on", file=sys.stderr)
         return 130
@@ -95,7 +102,7 @@ def _paths(sub: argparse.ArgumentParser) -> None:
 
 
 def _store(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("--out", default="runs", help="results folder (default: runs)")
+    sub.add_argument("--out", default=DEFAULT_OUT, help="results folder (default: runs)")
 
 
 def _import(sub: argparse.ArgumentParser) -> None:
@@ -141,6 +148,17 @@ def key_values(settings: Sequence[str], allowed: Sequence[str]) -> dict[str, str
             raise ClothbenchError(f"found {word!r}, expected {' or '.join(f'{a}=VALUE' for a in allowed)}")
         out[key] = value
     return out
+
+
+def results_in(folder: str | Path) -> Any:
+    """The store in a folder; a folder that was named and holds no results is the user's error."""
+    from clothbench.experiment.store import Store
+
+    if str(folder) != DEFAULT_OUT and not (Path(folder) / "cells").is_dir():
+        raise ClothbenchError(
+            f"{folder}: found no results (no folder 'cells'); make some with clothbench run … out={folder}"
+        )
+    return Store(folder)
 
 
 def print_json(document: Any) -> None:
@@ -200,7 +218,7 @@ def leaderboard(options: argparse.Namespace) -> int:
     from clothbench.experiment.store import Store, leaderboard_row
     from clothbench.report.tables import print_leaderboard
 
-    rows = Store(options.out).rows()
+    rows = results_in(options.out).rows()
     if options.json:
         print_json([leaderboard_row(r) for r in rows])
     elif rows:
@@ -234,7 +252,8 @@ def bench(options: argparse.Namespace) -> int:
 def report(options: argparse.Namespace) -> int:
     from clothbench.report.page import write_page
 
-    folder = Path(key_values(options.settings, ("out",)).get("out", "runs"))
+    folder = Path(key_values(options.settings, ("out",)).get("out", DEFAULT_OUT))
+    results_in(folder)
     print(f"page: {write_page(folder)}")
     return 0
 

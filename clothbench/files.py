@@ -42,8 +42,10 @@ def whole_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
         if path.exists():
             old = Path(tempfile.mkdtemp(dir=path.parent, prefix=".old."))
             os.replace(path, old / "old")
+            os.replace(part, path)
             shutil.rmtree(old, ignore_errors=True)
-        os.replace(part, path)
+        else:
+            os.replace(part, path)
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         raise

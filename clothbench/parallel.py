@@ -7,6 +7,8 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
+from clothbench.errors import ClothbenchError
+
 _threads = 0
 
 
@@ -17,7 +19,10 @@ def available_cores() -> int:
 
 def thread_count() -> int:
     """How many threads a batch may use: as set, else CLOTHBENCH_THREADS, else all cores this process may run on."""
-    return _threads or int(os.environ.get("CLOTHBENCH_THREADS", 0)) or available_cores()
+    stated = os.environ.get("CLOTHBENCH_THREADS", "0")
+    if not stated.isdecimal():
+        raise ClothbenchError(f"CLOTHBENCH_THREADS is {stated!r}, expected a whole number")
+    return _threads or int(stated) or available_cores()
 
 
 def set_thread_count(count: int) -> None:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 import difflib
 import functools
 import importlib
+import sys
 from collections.abc import Iterable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, entry_points
+from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 import pluggy
@@ -18,6 +23,10 @@ from clothbench.hookspecs import Registration
 
 KINDS = ("models", "effects", "metrics", "optimizers", "trackers")
 OWN = "clothbench"
+
+
+class PluginBroken(ClothbenchError):
+    """A plugin that is installed but cannot be used; not the fault of who names it."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +63,7 @@ class Catalogue:
         if usable:
             return usable[0]
         if found:
-            raise ClothbenchError(f"{kind[:-1]} {name!r} is broken: {found[0].reason}")
+            raise PluginBroken(f"{kind[:-1]} {name!r} is broken: {found[0].reason}")
         close = difflib.get_close_matches(name, self.names(kind), n=1)
         hint = f"did you mean {close[0]!r}? " if close else ""
         raise ClothbenchError(f"no {kind[:-1]} named {name!r}; {hint}there are: {', '.join(self.names(kind))}")
@@ -64,9 +73,10 @@ class Catalogue:
         if (kind, name) not in self._loaded:
             plugin = self.find(kind, name)
             try:
-                self._loaded[kind, name] = import_target(plugin.target)
-            except Exception as fault:
-                raise ClothbenchError(
+                with quiet_output():
+                    self._loaded[kind, name] = import_target(plugin.target)
+            except (Exception, SystemExit) as fault:
+                raise PluginBroken(
                     f"{kind[:-1]} {name!r} ({plugin.distribution}) is broken: {one_line(fault)}"
                 ) from fault
         return self._loaded[kind, name]
@@ -110,6 +120,18 @@ def import_target(target: str) -> Any:
     return value
 
 
+def config_groups(place: str) -> set[str]:
+    """Folders at the top of a plugin's config package: Hydra's groups. Raises if there is no such package."""
+    if place.startswith("pkg://"):
+        return {entry.name for entry in files(place.removeprefix("pkg://")).iterdir() if entry.is_dir()}
+    return {p.name for p in Path(place.removeprefix("file://")).iterdir() if p.is_dir()}
+
+
+def quiet_output() -> AbstractContextManager[Any]:
+    """What a plugin prints while it is imported goes to standard error: standard output may be a JSON document."""
+    return contextlib.redirect_stdout(sys.stderr)
+
+
 def one_line(fault: BaseException) -> str:
     """An exception as one line for a report: type, and the first line of its message."""
     text = str(fault).strip().splitlines()
@@ -139,18 +161,21 @@ def _load(point: EntryPoint) -> tuple[list[Plugin], list[str]]:
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
     try:
-        manager.register(point.load(), name=point.name)
+        with quiet_output():
+            manager.register(point.load(), name=point.name)
         manager.check_pending()
         plugins = [p for kind in (*KINDS, "peers") for p in _registered(manager, kind, distribution, version)]
         configs = [str(path) for paths in manager.hook.clothbench_configs() for path in paths]
-    except Exception as fault:
+        for place in configs:
+            config_groups(place)
+    except (Exception, SystemExit) as fault:
         return broken(_explain(fault))
     if not plugins and not configs:
         return broken("it implements no clothbench hook; mark one with @clothbench.hookimpl")
     return plugins, configs
 
 
-def _explain(fault: Exception) -> str:
+def _explain(fault: BaseException) -> str:
     """The reason for a broken module; a misspelt hook is answered with the right spelling."""
     text = one_line(fault)
     hooks = [name for name in vars(hookspecs) if name.startswith("clothbench_")]

@@ -116,7 +116,10 @@ def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
     found: list[Path] = []
     for path in map(Path, paths):
         if path.is_dir():
-            inside = sorted(path.rglob("*.nc"))
+            # Hidden folders are what a killed import left behind.
+            inside = sorted(
+                p for p in path.rglob("*.nc") if not any(x.startswith(".") for x in p.relative_to(path).parts)
+            )
             if not inside:
                 raise ClothbenchError(f"{path}: found no recordings, expected files ending in .nc in this folder")
             found += inside
@@ -130,7 +133,7 @@ def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
 def _attributes(recording: Recording) -> dict[str, Any]:
     stated = {name: getattr(recording, name) for name in (*TEXTS, "split")}
     numbers = {n: float(getattr(recording, n)) for n in NUMBERS}
-    gravity = " ".join(f"{g:g}" for g in recording.gravity)
+    gravity = " ".join(repr(float(g)) for g in recording.gravity)
     header = {"format": FORMAT, "format_version": VERSION, "kind": "nodes", "gravity": gravity}
     return {**recording.notes, **header, **stated, **numbers}
 
@@ -147,7 +150,7 @@ def _open(path: Path):
             f"{path}: found a file that starts with {start!r}, expected NetCDF-4 (HDF5); convert it first"
         )
     try:
-        return xr.open_dataset(path, engine="h5netcdf", decode_times=False, mask_and_scale=True)
+        return xr.open_dataset(path, engine="h5netcdf", decode_times=False, mask_and_scale=True, phony_dims="access")
     except (OSError, ValueError, KeyError, RuntimeError) as fault:
         size = path.stat().st_size
         what = "a truncated file" if "truncated" in str(fault) else f"an unreadable file ({str(fault).splitlines()[0]})"
@@ -160,7 +163,7 @@ def _check_header(stated: dict[str, Any], path: Path) -> None:
     if stated.get("format") != FORMAT:
         raise ClothbenchError(f"{path}: attribute 'format': found {stated.get('format')!r}, expected {FORMAT!r}")
     version = stated.get("format_version")
-    if str(version) != str(VERSION):
+    if version != VERSION:
         raise ClothbenchError(
             f"{path}: attribute 'format_version': found {version}, expected {VERSION}; "
             "upgrade clothbench or convert the file"
@@ -177,7 +180,7 @@ def _variable(dataset, name: str, path: Path) -> np.ndarray:
     if name not in dataset.variables:
         raise ClothbenchError(f"{path}: variable '{name}' is missing, expected {name}({', '.join(dims)}) in {unit}")
     variable = dataset.variables[name]
-    if variable.ndim != len(dims) or not np.issubdtype(variable.dtype, np.number):
+    if tuple(variable.dims) != dims or not np.issubdtype(variable.dtype, np.number):
         found = f"{variable.dtype} with dimensions ({', '.join(map(str, variable.dims))})"
         raise ClothbenchError(f"{path}: variable '{name}': found {found}, expected numbers ({', '.join(dims)})")
     found_unit = variable.attrs.get("units")

@@ -87,9 +87,15 @@ def _check_values(r: Recording, where: str) -> None:
             )
     if not np.isfinite(r.position).any():
         raise ClothbenchError(f"{where}: variable 'position': found only NaN, expected at least one node seen")
+    if not r.visible.any():
+        raise ClothbenchError(f"{where}: variable 'position': found no node with all of x, y and z")
 
 
 def _check_cloth(r: Recording, where: str) -> None:
+    if not r.name:
+        raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
+    if not all(map(math.isfinite, r.gravity)):
+        raise ClothbenchError(f"{where}: attribute 'gravity': found {r.gravity}, expected three finite numbers [m/s²]")
     for name in ("cloth_width", "cloth_height"):
         value = getattr(r, name)
         if not (math.isfinite(value) and value > 0):

@@ -9,7 +9,6 @@ import sys
 import tempfile
 import uuid
 from collections.abc import Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -24,9 +23,10 @@ from omegaconf.errors import OmegaConfBaseException
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.cell import Bench, Cell
 from clothbench.experiment.pool import failed, run_cells
+from clothbench.experiment.settings import KNOWN
 from clothbench.experiment.store import Store
-from clothbench.experiment.suite import KNOWN, plan, suites_folder
-from clothbench.plugins import catalogue
+from clothbench.experiment.suite import plan, suites_folder
+from clothbench.plugins import catalogue, config_groups
 from clothbench.report.progress import CellProgress, counting
 from clothbench.report.tables import print_leaderboard
 from clothbench.rollout import Rollout
@@ -40,20 +40,13 @@ class PluginSearchPath(SearchPathPlugin):
     def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
         search_path.append("clothbench-suites", f"file://{suites_folder()}")
         for place in catalogue().configs:
-            if taken := groups_of(place) & (KNOWN - {"suite"}):
+            if taken := config_groups(place) & (KNOWN - {"suite"}):
                 print(
                     f"clothbench: {place}: left out: its folder {min(taken)!r} hides a setting; rename it",
                     file=sys.stderr,
                 )
             else:
                 search_path.append("clothbench-plugin", place)
-
-
-def groups_of(place: str) -> set[str]:
-    """Folders at the top of a plugin's config package: Hydra's groups."""
-    if not place.startswith("pkg://"):
-        return {p.name for p in Path(place.removeprefix("file://")).iterdir() if p.is_dir()}
-    return {entry.name for entry in files(place.removeprefix("pkg://")).iterdir() if entry.is_dir()}
 
 
 def run(arguments: Sequence[str]) -> int:
@@ -88,6 +81,10 @@ def _run(config: Any) -> dict[str, Any]:
         cells = plan(config, catalogue(), told)
     statuses: dict[str, str] = {}
     out = Path(config["out"])
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as fault:
+        raise ClothbenchError(f"setting 'out': {out} cannot be written to ({fault.strerror})") from fault
     with CellProgress(cells) as bar:
 
         def done(cell: Cell, status: str) -> None:
@@ -111,6 +108,8 @@ def _conclude(notes: Path) -> int:
     found = [json.loads(p.read_text()) for p in sorted(notes.glob("*.json"))]
     if errors := [n["error"] for n in found if "error" in n]:
         raise ClothbenchError(errors[0] + (f" (and {len(errors) - 1} more jobs)" if len(errors) > 1 else ""))
+    if not found:
+        raise ClothbenchError("no job left word of what it did; give the jobs a folder they share, with TMPDIR")
     code = 0
     for out in sorted({n["out"] for n in found}):
         mine = [n for n in found if n["out"] == out]
@@ -135,5 +134,6 @@ def _say_where(store: Store, keys: Sequence[str]) -> None:
 
 def _one_line(fault: Exception) -> str:
     """Hydra's message without its line breaks; what the choices are, where it lists them."""
-    lines = [line.strip() for line in str(fault).splitlines() if line.strip()]
+    text = str(fault).split("Config search path")[0]
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
     return " ".join(lines[:12]) or type(fault).__name__

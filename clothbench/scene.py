@@ -47,7 +47,7 @@ class Scene:
         for name in ("width", "height", "areal_density"):
             value = getattr(self, name)
             if not (math.isfinite(value) and value > 0):
-                raise ClothbenchError(f"scene: {name} is {value}, expected a number above 0; set scene.{name}=VALUE")
+                raise ClothbenchError(f"scene: {name} is {value}, expected a number above 0")
         if self.times.ndim != 1 or self.times.size == 0 or (np.diff(self.times) <= 0).any():
             raise ClothbenchError("scene: times must be a strictly increasing list of seconds")
         if self.resolution is not None and min(self.resolution) < 3:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -61,7 +62,7 @@ def evaluate(trials: Sequence[Trial], theta: np.ndarray) -> tuple[Evaluation, li
 
     Every recording has the same say, however many frames it has.
     """
-    scores = [t.metric(t.observation, t.simulation.run(theta)) for t in trials]
+    scores = [score_of(t, t.metric, t.simulation.run(theta)) for t in trials]
     value = np.mean([s.value for s in scores], axis=0)
     residuals = [s.residual for s in scores if s.residual is not None]
     if len(residuals) < len(scores):
@@ -95,7 +96,7 @@ def calibrate(
         values.append(evaluation.value)
         if progress is not None:
             progress(sum(map(len, values)), _lowest(np.concatenate(values)))
-        if timeout is not None and time.perf_counter() - began > timeout:
+        if timeout is not None and not optimizer.done and time.perf_counter() - began > timeout:
             stopped = f"stopped after {timeout:g} s, as asked"
             break
     theta, value = np.concatenate(thetas), np.concatenate(values)
@@ -116,6 +117,13 @@ def calibrate(
         stopped=stopped or optimizer.stopped,
         wall_s=time.perf_counter() - began,
     )
+
+
+def score_of(trial: Trial, metric: Metric, rollout: Rollout) -> Score:
+    """The metric on this trial; a member that did not run to its end has no value, whatever positions it left."""
+    score = metric(trial.observation, rollout)
+    ok = np.array([status == "ok" for status in rollout.status])
+    return score if ok.all() else dataclasses.replace(score, value=np.where(ok, score.value, np.nan))
 
 
 def _lowest(value: np.ndarray) -> float:
@@ -142,15 +150,24 @@ def intervals(trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray) 
     jacobian = ((residual[1 : count + 1] - residual[count + 1 :]) / (up - down)[:, None]).T
     hessian = jacobian.T @ jacobian
     condition = float(np.linalg.cond(hessian)) if np.isfinite(hessian).all() else float("inf")
-    if not condition < SINGULAR:
-        return space.low, space.high, condition**0.5
+    blind = undetermined(hessian)
     moved = []
     for rows in clusters(trials, scores):
         rest = hessian - jacobian[rows].T @ jacobian[rows]
-        moved.append(np.linalg.lstsq(rest, jacobian[rows].T @ residual[0, rows], rcond=None)[0])
+        moved.append(np.linalg.lstsq(rest, jacobian[rows].T @ residual[0, rows], rcond=1 / SINGULAR)[0])
     count = len(moved)
     half = student.ppf(0.975, count - 1) * np.sqrt((count - 1) / count * np.square(moved).sum(axis=0))
+    half[blind] = np.inf
     return space.from_unit(unit - half), space.from_unit(unit + half), condition**0.5
+
+
+def undetermined(hessian: np.ndarray) -> np.ndarray:
+    """Which parameters (P,) the data say nothing about: they take part in a direction that changes no residual."""
+    if not np.isfinite(hessian).all():
+        return np.ones(len(hessian), bool)
+    strength, direction = np.linalg.eigh(hessian)
+    nothing = direction[:, strength <= strength.max() / SINGULAR]
+    return (nothing**2).sum(axis=1) > 0.01
 
 
 def clusters(trials: Sequence[Trial], scores: Sequence[Score]) -> list[np.ndarray]:

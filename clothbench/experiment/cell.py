@@ -14,7 +14,7 @@ import numpy as np
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.calibrate import Trial
 from clothbench.parameters import ParameterSpace
-from clothbench.plugins import Catalogue
+from clothbench.plugins import Catalogue, PluginBroken
 from clothbench.protocols import Effect, Metric
 from clothbench.recording import Recording, read_recording
 from clothbench.scene import scene_of
@@ -60,7 +60,6 @@ class Cell:
         question = asdict(self)
         question["recordings"] = sorted((s["hash"], s["split"]) for s in question["recordings"])
         question["options"] = {k: v for k, v in question["options"].items() if k in self._plugins()}
-        del question["timeout"]
         return hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:16]
 
     def _plugins(self) -> set[str]:
@@ -72,8 +71,15 @@ class Cell:
         return f"{self.case} · {self.model}{effects} · {self.optimizer} · {self.metric}"
 
     def stream(self, purpose: str) -> int:
-        """A seed of its own for each purpose, hashed from the cell: no generator is shared."""
-        return int.from_bytes(hashlib.sha256(f"{self.key} {self.seed} {purpose}".encode()).digest()[:8], "big")
+        """A seed of its own for each purpose, hashed from the problem: no generator is shared.
+
+        Versions and further metrics do not count, so that a new release searches the same way as the one before.
+        """
+        names = ("case", "model", "effects", "optimizer", "metric", "seed", "bounds", "budget")
+        problem = {name: getattr(self, name) for name in names}
+        problem["recordings"] = sorted((s.hash, s.split) for s in self.recordings)
+        text = json.dumps([problem, purpose], sort_keys=True)
+        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
 
     def option(self, name: str) -> dict[str, Any]:
         return dict(self.options.get(name, {}))
@@ -111,6 +117,31 @@ class Bench:
 
     def of_split(self, split: str) -> list[Trial]:
         return [t for t, s in zip(self.trials, self.cell.recordings, strict=True) if s.split == split]
+
+
+def rehearse(cell: Cell, plugins: Catalogue) -> None:
+    """Make everything once without simulating: what the user got wrong in the settings comes to light before a run.
+
+    A plugin that is broken, or fails in a way that is not the user's, is left to its own cell's error row.
+    """
+    try:
+        recording = read_recording(cell.recordings[0].path)
+        scenes = [scene_of(read_recording(s.path), **cell.scene) for s in cell.recordings]
+        plugins.make("trackers", cell.tracker, **cell.option(cell.tracker)).track(recording)
+        for name in (cell.metric, *cell.report):
+            plugins.make("metrics", name, **cell.option(name))
+        effects = [plugins.make("effects", name) for name in cell.effects]
+        model = plugins.make("models", cell.model, **cell.option(cell.model))
+        if getattr(model, "skip", lambda _: None)(scenes[0]):
+            return
+        space = model.prepare(scenes[0], effects).parameters.bounded(dict(cell.bounds))
+        plugins.make("optimizers", cell.optimizer, space, seed=0, budget=cell.budget, **cell.option(cell.optimizer))
+    except PluginBroken:
+        return
+    except ClothbenchError:
+        raise
+    except Exception:
+        return
 
 
 class Skipped(Exception):

@@ -53,10 +53,10 @@ def _run_in_processes(
     threads = max(1, available_cores() // workers)
     executor = _pool(workers)
     while waiting or running:
-        while waiting and len(running) < workers:
-            cell = waiting.pop()
-            running[executor.submit(run_cell, cell, out, threads=threads, attach=attach)] = cell
         try:
+            while waiting and len(running) < workers:
+                running[executor.submit(run_cell, waiting[-1], out, threads=threads, attach=attach)] = waiting[-1]
+                waiting.pop()
             for future in _first(running):
                 status = future.result()
                 done(running.pop(future), status)

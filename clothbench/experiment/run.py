@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.experiment.calibrate import Fit, best_rollout, calibrate, error_interval, mean_interval
+from clothbench.experiment.calibrate import Fit, best_rollout, calibrate, error_interval, mean_interval, score_of
 from clothbench.experiment.cell import Bench, Cell, Skipped, set_up
 from clothbench.experiment.store import Store, now, system_info
 from clothbench.parallel import set_thread_count, thread_count
@@ -93,7 +93,7 @@ def _keep(store: Store, bench: Bench, fit: Fit, attach: Attach | None) -> str:
     metrics = [bench.trials[0].metric, *bench.others]
     rows, trace = [], []
     for metric in metrics:
-        scores = [metric(t.observation, r) for t, r in zip(bench.trials, rollouts, strict=True)]
+        scores = [score_of(t, metric, r) for t, r in zip(bench.trials, rollouts, strict=True)]
         rows += _rows_of(bench, fit, metric, scores, rollouts)
         trace += _trace_of(bench, metric, scores)
     tables = {"rows": rows, "parameters": _parameters_of(bench, fit), "history": _history_of(fit), "trace": trace}

@@ -92,7 +92,7 @@ class Store:
         rows = self.cell(key) / "rows.parquet"
         if not rows.is_file():
             return False
-        return all(status in FINISHED for status in pq.read_table(rows, columns=["status"])["status"].to_pylist())
+        return all(status in FINISHED for status in read_table(rows)["status"].to_pylist())
 
     def put(
         self,

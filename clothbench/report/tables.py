@@ -10,14 +10,13 @@ from rich.markup import escape
 from rich.table import Table
 
 Rows = Sequence[dict[str, Any]]
-CELL = ("suite", "case", "model", "effects", "optimizer", "seed")
 MANY = 24  # recordings in one cell beyond which only the totals are printed
 
 
 def console() -> Console:
     """Standard output; wide enough for a table where it is no terminal."""
     out = Console(highlight=False)
-    return out if out.is_terminal else Console(highlight=False, width=200, color_system=None)
+    return out if out.is_terminal else Console(highlight=False, width=120, color_system=None)
 
 
 def print_leaderboard(rows: Rows, parameters: Rows) -> None:
@@ -33,26 +32,38 @@ def print_leaderboard(rows: Rows, parameters: Rows) -> None:
         if fitted:
             out.print(parameter_table(mine, fitted))
     for row in failures(rows):
-        out.print(f"[red]{row['status']}[/]: {escape(_label(row))}: {escape(row['reason'] or '')}")
+        what, reason = escape(_label(row)), escape(row["reason"] or "")
+        out.print(f"[red]{row['status']}[/]: {what}: {reason}", soft_wrap=True)
 
 
 def error_table(suite: str, rows: Rows) -> Table:
+    """Errors beside their floor. What a row is about stands in one column, so that the table fits 80 characters."""
     table = Table(title=f"{suite}: error, 95 % interval", title_justify="left", title_style="bold")
-    for name in ("case", "model", "optimizer", "metric", "split", "recording"):
-        table.add_column(name, overflow="fold")
-    for name in ("error", "interval", "noise floor", "evaluations", "wall time"):
+    table.add_column("recording", overflow="fold")
+    for name in ("error", "interval", "floor"):
         table.add_column(name, justify="right", no_wrap=True)
-    crowded = (
-        max((sum(r["key"] == k and bool(r["recording"]) for r in rows) for k in {r["key"] for r in rows}), default=0)
-        > MANY
-    )
-    for row in rows:
-        # Single recordings by the metric that was minimised; by the others the totals say enough.
-        if not row["recording"] or (row["metric"] == row["objective"] and not (crowded and row["split"] == "fit")):
-            table.add_row(*_cells(row), style="bold" if not row["recording"] else "", end_section=not row["recording"])
+    keys = {r["key"] for r in rows}
+    crowded = max((sum(r["key"] == k and bool(r["recording"]) for r in rows) for k in keys), default=0) > MANY
+    for key in dict.fromkeys(r["key"] for r in rows):
+        mine = [r for r in rows if r["key"] == key]
+        effort = f"{mine[0]['evaluations']} evaluations, {mine[0]['wall_s']:.1f} s"
+        table.add_row(f"[bold]{escape(cell_name(mine[0]))}[/] [dim]({effort})[/]")
+        for row in mine:
+            # Single recordings by the metric that was minimised; by the others the totals say enough.
+            single = row["metric"] == row["objective"] and not (crowded and row["split"] == "fit")
+            if not row["recording"] or single:
+                table.add_row(*_cells(row), style="" if row["recording"] else "bold")
+        table.add_section()
     if crowded:
         table.caption = "single fit recordings: clothbench leaderboard --json"
     return table
+
+
+def cell_name(row: dict[str, Any]) -> str:
+    """A cell in words: case, model with its effects, optimizer, objective; the seed where it is not 0."""
+    model = " + ".join([row["model"], *(e for e in (row["effects"] or "").split(",") if e)])
+    seed = [f"seed {row['seed']}"] if row["seed"] else []
+    return " · ".join([row["case"], model, row["optimizer"], row["objective"], *seed])
 
 
 def overall(rows: Rows) -> list[str]:
@@ -76,16 +87,14 @@ def overall(rows: Rows) -> list[str]:
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
-    model = row["model"] + "".join(f"\n+ {e}" for e in (row["effects"] or "").split(",") if e)
+    split = {"held_out": "held out"}.get(row["split"] or "", row["split"] or "")
+    name = row["recording"].removeprefix(row["case"]).lstrip("-/") if row["recording"] else f"all, {row['metric']}"
     if row["value"] is None:
         error, interval = row["status"], ""
     else:
         error, interval = f"{row['value']:.2f} {row['unit']}", _interval(row["low"], row["high"])
     floor = f"{row['floor']:.2f} {row['unit']}" if row["floor"] is not None else ""
-    last = (str(row["evaluations"]), f"{row['wall_s']:.1f} s") if not row["recording"] else ("", "")
-    model = model if not row["recording"] else row["model"]
-    names = (row["case"], model, row["optimizer"], row["metric"], row["split"] or "", row["recording"] or "all")
-    return [escape(str(text)) for text in (*names, error, interval, floor, *last)]
+    return [escape(text) for text in (f"  {split}: {name}" if split else "  no result", error, interval, floor)]
 
 
 def _interval(low: float | None, high: float | None, digits: str = ".2f") -> str:
@@ -95,24 +104,19 @@ def _interval(low: float | None, high: float | None, digits: str = ".2f") -> str
 def parameter_table(rows: Rows, parameters: Rows) -> Table:
     """Best values with intervals; a value on its bound is marked, since the bound chose it and not the data."""
     table = Table(title="parameters, 95 % interval", title_justify="left", title_style="bold")
-    for name in ("case", "model", "optimizer", "metric", "parameter"):
-        table.add_column(name, overflow="fold")
-    for name in ("value", "interval", "unit", ""):
-        table.add_column(name, justify="left" if name == "unit" else "right", no_wrap=True)
+    table.add_column("parameter", overflow="fold")
+    for name in ("value", "interval"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
     about = {r["key"]: r for r in rows}
-    last = None
-    for p in parameters:
-        row = about[p["key"]]
-        names = (row["case"], row["model"], row["optimizer"], row["objective"]) if p["key"] != last else ("",) * 4
-        if last is not None and p["key"] != last:
-            table.add_section()
-        value = f"{p['value']:.4g}" if p["value"] is not None else ""
-        interval = _interval(p["low"], p["high"], ".3g")
-        mark = "at its bound" if p["at_bound"] else ""
-        table.add_row(
-            *(escape(str(t)) for t in (*names, f"{p['name']} ({p['symbol']})", value, interval, p["unit"], mark))
-        )
-        last = p["key"]
+    for key in dict.fromkeys(p["key"] for p in parameters):
+        table.add_row(f"[bold]{escape(cell_name(about[key]))}[/]")
+        for p in (p for p in parameters if p["key"] == key):
+            value = f"{p['value']:.4g}" if p["value"] is not None else ""
+            mark = " at its bound" if p["at_bound"] else ""
+            texts = (f"  {p['name']} ({p['symbol']})", value, _interval(p["low"], p["high"], ".3g"), p["unit"] + mark)
+            table.add_row(*(escape(t) for t in texts))
+        table.add_section()
     return table
 
 

@@ -15,13 +15,14 @@ def row(value, half=1.0, status="ok", **changes):
     ("base", "new", "side"),
     [
         (row(10.0), row(10.5), None),
-        (row(10.0), row(11.3), None),  # within √2 half-widths
-        (row(10.0), row(11.5), "worse"),
-        (row(10.0), row(8.5), "better"),
+        (row(10.0), row(11.8), None),  # within √2 half-widths and 5 %
+        (row(10.0), row(12.0), "worse"),
+        (row(10.0), row(8.0), "better"),
         (row(10.0), row(None, status="diverged"), "worse"),
         (row(None, status="error"), row(5.0), "better"),
         (row(10.0, half=0.0, low=None, high=None), row(10.0 + 1e-9, half=0.0), None),
-        (row(10.0, half=0.0), row(10.1, half=0.0), "worse"),
+        (row(10.0, half=0.0), row(10.6, half=0.0), "worse"),
+        (row(10.0), row(float("nan")), "worse"),
     ],
 )
 def test_judgement(base, new, side):
@@ -39,3 +40,11 @@ def test_a_missing_row_fails_and_a_new_one_does_not():
 
 def test_nothing_to_compare_is_no_pass():
     assert not compare_rows([], [row(1.0)])["passed"]
+
+
+def test_of_several_results_the_one_with_the_same_key_counts():
+    base = [row(10.0, key="a"), row(5.0, key="b")]
+    verdict = compare_rows(base, base)
+    assert verdict["passed"]
+    assert verdict["missing"] == []
+    assert compare_rows([row(5.0, key="b")], base)["passed"]

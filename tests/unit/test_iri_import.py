@@ -518,7 +518,7 @@ def real(tmp_path_factory):
     beside = Path(__file__).parents[3] / "shared" / "data"
     stated = os.environ.get(registry.ENVIRONMENT) or (beside if beside.is_dir() else None)
     if stated is None:
-        pytest.skip("measured data absent: neither CLOTHBENCH_DATA nor ../shared/data")
+        pytest.skip("the measured data are not here; set CLOTHBENCH_DATA to their folder")
     source = registry.local_copy(NAME, stated)
     assert source is not None
     return convert(source, tmp_path_factory.mktemp("real"))

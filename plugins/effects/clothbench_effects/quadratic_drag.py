@@ -20,7 +20,7 @@ def push_back(t, dt, x, v, f, sheet, p, state):
         f[2, i] -= normal * nz + tangential * tz
 
 
-SOURCE = "Hoerner, Fluid-Dynamic Drag, ch. 3; seed 002, section 3 for the split into normal and tangential"
+SOURCE = "Hoerner, Fluid-Dynamic Drag, ch. 3; Bhat et al. 2003, section 3, for the split"
 
 
 class QuadraticDrag:

@@ -6,12 +6,10 @@ from clothbench.hookspecs import Registration, hookimpl
 @hookimpl
 def clothbench_metrics():
     return [
-        Registration(
-            "node_error", "clothbench_metrics.node_error:NodeError", "mean distance of the nodes (seed 000's mpe)"
-        ),
+        Registration("node_error", "clothbench_metrics.node_error:NodeError", "mean distance of the nodes, in mm"),
         Registration(
             "relative_error",
             "clothbench_metrics.relative_error:RelativeError",
-            "distance over the size of the shape (seed 003)",
+            "distance over the size of the shape, in percent",
         ),
     ]

@@ -1,4 +1,4 @@
-"""`relative_error`: how far the sheet is from where it was seen, in percent of how large it is (seed 003)."""
+"""`relative_error`: how far the sheet is from where it was seen, in percent of how large it is (Coltraro)."""
 
 from __future__ import annotations
 
@@ -11,7 +11,8 @@ from clothbench_metrics.node_error import differences
 
 
 class RelativeError:
-    """e_i = 100 ‖φ_i − ϕ_i‖ / ‖ϕ_i‖ per frame i, averaged over the frames; fitted through L = Σ ‖φ − ϕ‖² (seed 003).
+    """e_i = 100 ‖φ_i − ϕ_i‖ / ‖ϕ_i‖ per frame i, averaged over the frames; fitted through L = Σ ‖φ − ϕ‖²
+    (Coltraro, Experimental Validation of an Inextensible Cloth Model).
 
     The paper's norm of the positions depends on where the origin lies. Here positions are taken from the centre of
     what was seen in each frame, so that moving the camera does not change the error.

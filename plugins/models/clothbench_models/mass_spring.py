@@ -1,4 +1,5 @@
-"""`mass_spring`: the grid of springs and dampers of Provot (1995), as fitted in seed paper 000 (section 5.2).
+"""`mass_spring`: the grid of springs and dampers of Provot (1995), as fitted in
+"Cloth mechanical parameter estimation and simulation for optimized robotic manipulation", section 5.2.
 
 Structural springs join neighbours, shear springs the diagonals of a cell, flexion springs nodes two apart. k1 is
 shared by structural and shear springs, k2 belongs to the flexion springs, and all springs have the damping ratio ζ,
@@ -22,7 +23,7 @@ from clothbench.scene import initial_shape
 from clothbench_models import mass_spring_kernels as kernels
 from clothbench_models.spring_grid import FAMILIES, SpringGrid, even_count, grid_lines
 
-SOURCE = "seed 000, section 5.2; Provot 1995"
+SOURCE = "Provot 1995; Cloth mechanical parameter estimation … for optimized robotic manipulation, section 5.2"
 SAFETY = 0.8  # share of the largest stable step that is used
 SETTLE = np.array([9.0, 36.0])  # least and most settling time in units of 1/ω₁; soft, nearly buckled modes take longest
 SMALL = 256  # nodes below which several parameter sets are interleaved
@@ -68,6 +69,12 @@ class MassSpring:
         self.resolution, self.dt, self.step_scale, self.precision = resolution, dt, step_scale, precision
         if precision not in REAL:
             raise ClothbenchError(f"mass_spring: precision is {precision!r}, expected 'double' or 'single'")
+        counts = [resolution] if isinstance(resolution, int) else resolution
+        whole = isinstance(counts, Sequence) and all(isinstance(n, int) and n >= 3 for n in counts)
+        if not whole or len(counts) not in (1, 2):
+            raise ClothbenchError(f"mass_spring: resolution is {resolution!r}, expected one or two whole numbers ≥ 3")
+        if not all(isinstance(x, int | float | None) for x in (dt, step_scale)):
+            raise ClothbenchError(f"mass_spring: dt is {dt!r}, step_scale {step_scale!r}, expected numbers")
         if dt is not None and not dt > 0:
             raise ClothbenchError(f"mass_spring: dt is {dt}, expected seconds above 0")
         if not 0 < step_scale <= 1.2:
@@ -175,9 +182,9 @@ class _Batch:
         return SAFETY * simulation.step_scale * simulation.stable_step(self.theta)
 
     def _slowest(self) -> float:
-        """ω₁ of the hanging sheet, (2.4048/2)√(g/L) [rad/s]."""
+        """ω₁ of the hanging sheet, (2.4048/2)√(g/L) [rad/s]; where nothing pulls it down, that of a gentle pull."""
         scene = self.simulation.scene
-        return 1.2024 * math.sqrt(max(np.linalg.norm(scene.gravity), 1e-3) / scene.height)
+        return 1.2024 * math.sqrt(max(np.linalg.norm(scene.gravity), 1.0) / scene.height)
 
     def _blocks(self, members: np.ndarray) -> list[np.ndarray]:
         """Members that run together, similar steps side by side; one by one on a large grid."""

@@ -1,7 +1,7 @@
 """The grid of `mass_spring`: where its lines lie, and what each spring and node of it stands for.
 
-Where seed paper 000 gives every node the same mass, nodes here carry the mass, and border springs the stiffness, of the
-area they stand for: only then do period and sag converge as the mesh is refined.
+Where the paper behind `mass_spring` gives every node the same mass, nodes here carry the mass, and border springs
+the stiffness, of the area they stand for: only then do period and sag converge as the mesh is refined.
 """
 
 from __future__ import annotations

@@ -6,7 +6,7 @@ from clothbench.hookspecs import Registration, hookimpl
 @hookimpl
 def clothbench_optimizers():
     return [
-        Registration("ga", "clothbench_optimizers.ga:GeneticAlgorithm", "genetic algorithm on 16-bit genes (seed 000)"),
+        Registration("ga", "clothbench_optimizers.ga:GeneticAlgorithm", "genetic algorithm on 16-bit genes"),
         Registration(
             "least_squares",
             "clothbench_optimizers.least_squares:LeastSquares",

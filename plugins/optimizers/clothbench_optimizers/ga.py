@@ -1,17 +1,19 @@
-"""`ga`: the genetic algorithm of seed paper 000 (section 5.1)."""
+"""`ga`: the genetic algorithm of
+"Cloth mechanical parameter estimation and simulation for optimized robotic manipulation", section 5.1.
+"""
 
 from __future__ import annotations
 
 import numpy as np
 
-from clothbench import ParameterSpace
+from clothbench import ClothbenchError, ParameterSpace
 from clothbench_optimizers.search import GeneratorSearch, Steps, worst_last
 
 BITS = 16  # per parameter, as in the paper
 
 
 class GeneticAlgorithm(GeneratorSearch):
-    """Chromosomes of 16 bits per parameter; population 20, 50 generations (seed 000, section 5.1).
+    """Chromosomes of 16 bits per parameter; population 20, 50 generations.
 
     Each generation keeps the best unchanged, adds one mutant of it, and fills up with the children of pairs chosen by
     tournament: single-point crossover (one pair in ten passes unchanged), then bit mutation. The paper leaves open the
@@ -27,6 +29,13 @@ class GeneticAlgorithm(GeneratorSearch):
         self, space: ParameterSpace, *, seed: int, budget: int,
         population: int = 20, generations: int = 50, tournament: int = 3, crossover: float = 0.9,
     ):  # fmt: skip
+        for name, value, least in (
+            ("population", population, 3),
+            ("generations", generations, 1),
+            ("tournament", tournament, 1),
+        ):
+            if not isinstance(value, int) or value < least:
+                raise ClothbenchError(f"ga: {name} is {value!r}, expected a whole number, at least {least}")
         self.population, self.generations = population, generations
         self.tournament, self.crossover = tournament, crossover
         super().__init__(space, seed=seed, budget=budget)
@@ -46,7 +55,8 @@ class GeneticAlgorithm(GeneratorSearch):
     def _next_generation(self, genes: np.ndarray, value: np.ndarray, best: np.ndarray) -> np.ndarray:
         """A mutant of the best (with at least one bit changed) and population − 2 children."""
         mutant = self._mutate(best[None])
-        mutant[0, self.random.integers(best.size)] ^= 1
+        at = self.random.integers(best.size)
+        mutant[0, at] = 1 - best[at]
         parents = genes[self._winners(value, self.population - 2)]
         return np.vstack([mutant, self._mutate(self._cross(parents))])
 

@@ -1,0 +1,128 @@
+"""The settings of a run, checked before anything is read or written: a wrong one is one line, never a guess."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from clothbench.errors import ClothbenchError
+from clothbench.plugins import Catalogue
+
+PRODUCT = ("model", "optimizer", "metric")
+CASES = ("fabric", "motion", "recording", "all")
+KNOWN = {
+    *PRODUCT, "effects", "report", "tracker", "recordings", "recording", "scene", "options", "bounds", "budget",
+    "seed", "jobs", "timeout", "out", "data_dir", "suite", "rerun",
+}  # fmt: skip
+SUITE_KEYS = {"name", "version", "title", "recordings", "select", "case"}
+
+
+def checked(config: Mapping[str, Any], plugins: Catalogue) -> dict[str, Any]:
+    """The settings with their types made sure; refuses what means nothing here."""
+    out = dict(config)
+    known_words("setting", out, KNOWN)
+    for name, least in (("budget", 1), ("seed", 0), ("jobs", 0)):
+        out[name] = whole(name, out.get(name), least)
+    out["timeout"] = None if out.get("timeout") is None else number("timeout", out["timeout"], above=0.0)
+    if not isinstance(out.get("rerun"), bool):
+        raise ClothbenchError(f"setting 'rerun' is {out.get('rerun')!r}, expected true or false")
+    out["out"] = str(writable(out.get("out")))
+    out["suite"] = suite_settings(out.get("suite"))
+    out["scene"] = scene_settings(mapping("scene", out.get("scene")))
+    out["bounds"] = {name: pair(f"bounds.{name}", b) for name, b in mapping("bounds", out.get("bounds")).items()}
+    out["options"] = option_settings(mapping("options", out.get("options")), plugins)
+    for key in (*PRODUCT, "effects", "report", "recording", "recordings"):
+        out[key] = words(key, out.get(key))
+    for key in PRODUCT:
+        if not out[key]:
+            raise ClothbenchError(f"setting '{key}' is empty; name a plugin (see `clothbench plugins`)")
+    if twice := sorted({e for e in out["effects"] if out["effects"].count(e) > 1}):
+        raise ClothbenchError(f"setting 'effects': {twice[0]!r} is given twice; name every effect once")
+    return out
+
+
+def known_words(what: str, given: Mapping[str, Any], known: set[str]) -> None:
+    if unknown := sorted(set(map(str, given)) - known):
+        raise ClothbenchError(f"{what} {unknown[0]!r} is not known; there are: {', '.join(sorted(known))}")
+
+
+def whole(name: str, value: Any, least: int) -> int:
+    if not isinstance(value, int) or isinstance(value, bool) or value < least:
+        raise ClothbenchError(f"setting '{name}' is {value!r}, expected a whole number, at least {least}")
+    return value
+
+
+def number(name: str, value: Any, above: float = -math.inf) -> float:
+    good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+    if not good or not value > above:
+        limit = "" if above == -math.inf else f" above {above:g}"
+        raise ClothbenchError(f"setting '{name}' is {value!r}, expected a number{limit}")
+    return float(value)
+
+
+def pair(name: str, value: Any) -> tuple[float, float]:
+    if not isinstance(value, list | tuple) or len(value) != 2:
+        raise ClothbenchError(f"setting '{name}' is {value!r}, expected [low,high]")
+    low, high = (number(name, v) for v in value)
+    if not low < high:
+        raise ClothbenchError(f"setting '{name}' is [{low:g},{high:g}], expected low below high")
+    return low, high
+
+
+def mapping(name: str, value: Any) -> dict[str, Any]:
+    if value is None:
+        return {}
+    if not isinstance(value, Mapping):
+        raise ClothbenchError(f"setting '{name}' is {value!r}, expected {name}.KEY=VALUE")
+    return {str(k): v for k, v in value.items()}
+
+
+def words(name: str, value: Any) -> list[str]:
+    values = [value] if isinstance(value, str) else [] if value is None else value
+    if not isinstance(values, list | tuple) or not all(isinstance(v, str) and v for v in values):
+        raise ClothbenchError(f"setting '{name}' is {value!r}, expected a name or a list of names")
+    return list(values)
+
+
+def writable(value: Any) -> Path:
+    """The results folder: it exists or can be made, and can be written to."""
+    if not isinstance(value, str) or not value:
+        raise ClothbenchError(f"setting 'out' is {value!r}, expected a folder")
+    folder = Path(value)
+    above = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
+        raise ClothbenchError(f"setting 'out': {folder} cannot be written to; give a folder of yours")
+    return folder
+
+
+def suite_settings(suite: Any) -> dict[str, Any]:
+    if isinstance(suite, str):
+        raise ClothbenchError(f"setting 'suite' is {suite!r}; choose a suite with +suite=NAME")
+    out = mapping("suite", suite)
+    known_words("setting of 'suite'", out, SUITE_KEYS)
+    if out.get("case", "fabric") not in CASES:
+        raise ClothbenchError(f"setting 'suite.case' is {out['case']!r}, expected one of {', '.join(CASES)}")
+    out["select"] = words("suite.select", out.get("select")) or ["*"]
+    return out
+
+
+def scene_settings(scene: dict[str, Any]) -> dict[str, Any]:
+    known_words("setting of 'scene'", scene, {"areal_density", "air_density", "resolution"})
+    out: dict[str, Any] = {}
+    for name in ("areal_density", "air_density"):
+        if scene.get(name) is not None:
+            out[name] = number(f"scene.{name}", scene[name], above=0.0)
+    if (resolution := scene.get("resolution")) is not None:
+        if not isinstance(resolution, list | tuple) or len(resolution) != 2:
+            raise ClothbenchError(f"setting 'scene.resolution' is {resolution!r}, expected [nodes along u, along v]")
+        out["resolution"] = tuple(whole("scene.resolution", n, 3) for n in resolution)
+    return out
+
+
+def option_settings(options: dict[str, Any], plugins: Catalogue) -> dict[str, dict[str, Any]]:
+    """Options by plugin; a name that no installed plugin has is refused, broken ones included."""
+    known_words("plugin in 'options'", options, {p.name for p in plugins.plugins})
+    return {name: mapping(f"options.{name}", value) for name, value in options.items()}
