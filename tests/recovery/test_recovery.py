@@ -90,6 +90,9 @@ def test_drag_is_found_in_recordings_of_the_reference_simulation(fabric, drag):
         "tracker": "markers",
         "budget": 120,
         "seed": 0,
+        "jobs": 1,
+        "rerun": False,
+        "out": "runs",
         "recordings": str(suites_folder() / "embedded" / "static_dynamic"),
         "suite": {"name": "recovery", "select": f"{fabric}/*"},
     }
