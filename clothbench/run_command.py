@@ -58,7 +58,7 @@ def run(arguments: Sequence[str]) -> int:
     sys.argv = ["clothbench run", *arguments]
     try:
         hydra.main(version_base="1.3", config_path="pkg://clothbench.conf", config_name="run")(job)()
-        return _conclude(notes)
+        return _conclude(notes, sweep=bool({"-m", "--multirun"} & set(arguments)))
     except (HydraException, OmegaConfBaseException) as fault:
         raise ClothbenchError(_one_line(fault)) from fault
     finally:
@@ -103,12 +103,15 @@ def attach_rerun(folder: Path, bench: Bench, rollouts: Sequence[Rollout]) -> Non
     write_rerun(folder / "fit.rrd", bench, rollouts)
 
 
-def _conclude(notes: Path) -> int:
-    """Print the table over all jobs' cells and where things lie; the exit code of the whole command."""
+def _conclude(notes: Path, sweep: bool) -> int:
+    """Print the table over all jobs' cells and where things lie; the exit code of the whole command.
+
+    Without a job there is nothing to conclude (`--help`, `--cfg job`), except after a sweep, which always has jobs.
+    """
     found = [json.loads(p.read_text()) for p in sorted(notes.glob("*.json"))]
     if errors := [n["error"] for n in found if "error" in n]:
         raise ClothbenchError(errors[0] + (f" (and {len(errors) - 1} more jobs)" if len(errors) > 1 else ""))
-    if not found:
+    if sweep and not found:
         raise ClothbenchError("no job left word of what it did; give the jobs a folder they share, with TMPDIR")
     code = 0
     for out in sorted({n["out"] for n in found}):

@@ -62,6 +62,14 @@ def test_wrong_use_is_one_line_and_exit_2(clothbench, tmp_path, arguments, found
     assert [p.name for p in tmp_path.iterdir()] == ["good.nc"]
 
 
+def test_hydra_s_own_questions_are_answered(clothbench, tmp_path):
+    out = clothbench("run", "--cfg", "job", "+suite=static_dynamic")
+    assert out.returncode == 0, out.stderr
+    assert "budget: 200" in out.stdout
+    assert clothbench("run", "--help").returncode == 0
+    assert not list(tmp_path.iterdir())
+
+
 def test_an_unknown_command_or_flag_is_exit_2(clothbench):
     assert clothbench("frobnicate").returncode == 2
     assert clothbench("plugins", "--jsn").returncode == 2
