@@ -119,15 +119,16 @@ class Bench:
         return [t for t, s in zip(self.trials, self.cell.recordings, strict=True) if s.split == split]
 
 
-def rehearse(cell: Cell, plugins: Catalogue) -> None:
+def rehearse(cell: Cell, plugins: Catalogue, recordings: Mapping[str, Recording]) -> None:
     """Make everything once without simulating: what the user got wrong in the settings comes to light before a run.
 
-    A plugin that is broken, or fails in a way that is not the user's, is left to its own cell's error row.
+    `recordings` by path. A plugin that is broken, or fails in a way that is not the user's, is left to its own cell's
+    error row.
     """
     try:
-        recording = read_recording(cell.recordings[0].path)
-        scenes = [scene_of(read_recording(s.path), **cell.scene) for s in cell.recordings]
-        plugins.make("trackers", cell.tracker, **cell.option(cell.tracker)).track(recording)
+        mine = [recordings[s.path] for s in cell.recordings]
+        scenes = [scene_of(recording, **cell.scene) for recording in mine]
+        plugins.make("trackers", cell.tracker, **cell.option(cell.tracker)).track(mine[0])
         for name in (cell.metric, *cell.report):
             plugins.make("metrics", name, **cell.option(name))
         effects = [plugins.make("effects", name) for name in cell.effects]

@@ -50,7 +50,7 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = 
                 **{key: config[key] for key in ("options", "bounds", "scene", "budget", "seed", "timeout")},
             )
             cell = dataclasses.replace(cell, versions=plugin_versions(cell, plugins))
-            rehearse(cell, plugins)
+            rehearse(cell, plugins, {r.path: r for r in recordings})
             cells[cell.key] = cell
     return list(cells.values())
 
