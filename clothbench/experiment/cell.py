@@ -133,9 +133,11 @@ def rehearse(cell: Cell, plugins: Catalogue, recordings: Mapping[str, Recording]
             plugins.make("metrics", name, **cell.option(name))
         effects = [plugins.make("effects", name) for name in cell.effects]
         model = plugins.make("models", cell.model, **cell.option(cell.model))
-        if getattr(model, "skip", lambda _: None)(scenes[0]):
+        try:
+            space = model.prepare(scenes[0], effects).parameters
+        except Exception:  # a model may refuse a scene; in a product of several that is its own cell's affair
             return
-        space = model.prepare(scenes[0], effects).parameters.bounded(dict(cell.bounds))
+        space = space.bounded(dict(cell.bounds))
         plugins.make("optimizers", cell.optimizer, space, seed=0, budget=cell.budget, **cell.option(cell.optimizer))
     except PluginBroken:
         return
