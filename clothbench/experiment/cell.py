@@ -14,7 +14,7 @@ import numpy as np
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.calibrate import Trial
 from clothbench.parameters import ParameterSpace
-from clothbench.plugins import Catalogue, PluginBroken
+from clothbench.plugins import OWN, Catalogue, PluginBroken
 from clothbench.protocols import Effect, Metric
 from clothbench.recording import Recording, read_recording
 from clothbench.scene import scene_of
@@ -85,17 +85,17 @@ class Cell:
         return dict(self.options.get(name, {}))
 
 
+def uses(cell: Cell) -> list[tuple[str, str]]:
+    """Every plugin a cell uses, as (kind, name)."""
+    single = [("models", cell.model), ("optimizers", cell.optimizer), ("trackers", cell.tracker)]
+    metrics = [("metrics", name) for name in (cell.metric, *cell.report)]
+    return single + metrics + [("effects", name) for name in cell.effects]
+
+
 def plugin_versions(cell: Cell, plugins: Catalogue) -> dict[str, str]:
     """ "kind/name" → "distribution version, plugin version" of all that a cell uses; "broken" where it cannot load."""
-    uses = [
-        ("models", cell.model),
-        ("optimizers", cell.optimizer),
-        ("trackers", cell.tracker),
-        ("metrics", cell.metric),
-    ]
-    uses += [("metrics", name) for name in cell.report] + [("effects", name) for name in cell.effects]
     out = {}
-    for kind, name in uses:
+    for kind, name in uses(cell):
         known = plugins.find(kind, name)
         try:
             version = getattr(plugins.load(kind, name), "version", 0)
@@ -123,8 +123,10 @@ def rehearse(cell: Cell, plugins: Catalogue, recordings: Mapping[str, Recording]
     """Make everything once without simulating: what the user got wrong in the settings comes to light before a run.
 
     `recordings` by path. A plugin that is broken, or fails in a way that is not the user's, is left to its own cell's
-    error row.
+    error row; so is every stranger's plugin, whose code may take this process down with it, and then all other cells.
     """
+    if any(plugins.find(kind, name).distribution != OWN for kind, name in uses(cell)):
+        return
     try:
         mine = [recordings[s.path] for s in cell.recordings]
         scenes = [scene_of(recording, **cell.scene) for recording in mine]
