@@ -125,11 +125,11 @@ def rehearse(cell: Cell, plugins: Catalogue, recordings: Mapping[str, Recording]
     `recordings` by path. A plugin that is broken, or fails in a way that is not the user's, is left to its own cell's
     error row; so is every stranger's plugin, whose code may take this process down with it, and then all other cells.
     """
-    if any(plugins.find(kind, name).distribution != OWN for kind, name in uses(cell)):
-        return
     try:
         mine = [recordings[s.path] for s in cell.recordings]
         scenes = [scene_of(recording, **cell.scene) for recording in mine]
+        if any(plugins.find(kind, name).distribution != OWN for kind, name in uses(cell)):
+            return
         plugins.make("trackers", cell.tracker, **cell.option(cell.tracker)).track(mine[0])
         for name in (cell.metric, *cell.report):
             plugins.make("metrics", name, **cell.option(name))
