@@ -41,10 +41,6 @@ class BoundEffects:
     def at(self, place: str) -> tuple[Effect, ...]:
         return tuple(e for e in self.effects if e.place == place)
 
-    def of_model(self, theta: np.ndarray) -> np.ndarray:
-        """The model's own columns of theta (B, P)."""
-        return theta[:, : len(self.model)]
-
     def of_effect(self, effect: Effect, theta: np.ndarray) -> np.ndarray:
         """The columns of theta (B, P) that belong to `effect`."""
         start = len(self.model)

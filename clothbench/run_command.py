@@ -21,7 +21,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from clothbench.errors import ClothbenchError
-from clothbench.experiment.cell import Bench, Cell
+from clothbench.experiment.cell import Bench
 from clothbench.experiment.pool import failed, run_cells
 from clothbench.experiment.settings import KNOWN
 from clothbench.experiment.store import Store
@@ -79,21 +79,15 @@ def job(config: Any) -> None:
 def _run(config: Any) -> dict[str, Any]:
     with counting("files") as told:
         cells = plan(config, catalogue(), told)
-    statuses: dict[str, str] = {}
     out = Path(config["out"])
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as fault:
         raise ClothbenchError(f"setting 'out': {out} cannot be written to ({fault.strerror})") from fault
     with CellProgress(cells) as bar:
-
-        def done(cell: Cell, status: str) -> None:
-            statuses[cell.key] = status
-            bar.done(cell, status)
-
         attach = attach_rerun if config["rerun"] else None
-        run_cells(cells, out, jobs=int(config["jobs"]), attach=attach, done=done, progress=bar.tell)
-    return {"out": str(out.absolute()), "cells": [c.key for c in cells], "statuses": statuses}
+        run_cells(cells, out, jobs=int(config["jobs"]), attach=attach, done=bar.done, progress=bar.tell)
+    return {"out": str(out.absolute()), "cells": [c.key for c in cells]}
 
 
 def attach_rerun(folder: Path, bench: Bench, rollouts: Sequence[Rollout]) -> None:
