@@ -16,6 +16,8 @@ _HOME = {
     "write_recording": "recording",
     "Observation": "observation",
     "Scene": "scene",
+    "Obstacle": "scene",
+    "Material": "protocols",
     "Rollout": "rollout",
     "Interpolator": "rollout",
     "Score": "protocols",
@@ -30,6 +32,7 @@ _HOME = {
     "hookimpl": "hookspecs",
     "effect_kernel": "kernels",
     "Sheet": "kernels",
+    "sheet_of": "kernels",
 }
 
 __all__ = ["__version__", *_HOME]

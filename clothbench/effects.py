@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from clothbench.errors import ClothbenchError
 from clothbench.parameters import ParameterSpace
 from clothbench.protocols import Effect
 from clothbench.scene import Scene
+
+if TYPE_CHECKING:
+    from clothbench.kernels import Sheet
 
 PLACES = ("dynamics", "boundary", "sensor")
 FORCE, INERTIA = 0, 1
@@ -71,10 +75,18 @@ class BoundEffects:
             out[:, k, : len(effect.parameters)] = self.of_effect(effect, theta)
         return out
 
-    def kernel_state(self, members: int, slots: int, nodes: int) -> np.ndarray:
+    def kernel_state(self, members: int, slots: int, sheet: Sheet) -> np.ndarray:
         """Zeroed memory (members, slots, S) for effects that carry something from step to step."""
-        sizes = [e.state_size(nodes) for e, _ in self._stages() if hasattr(e, "state_size")]
+        sizes = [e.state_size(sheet) for e, _ in self._stages() if hasattr(e, "state_size")]
         return np.zeros((members, slots, max([1, *sizes])))
+
+    def stiffness(self, theta: np.ndarray) -> np.ndarray:
+        """What all effects together add at most to in-plane stiffness N/m and bending rigidity N·m, (B, 2)."""
+        out = np.zeros((len(theta), 2))
+        for effect in self.at("dynamics"):
+            if hasattr(effect, "stiffness"):
+                out += [effect.stiffness(phi) for phi in self.of_effect(effect, theta)]
+        return out
 
     def _stages(self) -> list[tuple[Effect, str]]:
         """Every force and inertia term, in the order of the effects; an effect that has both appears twice."""

@@ -10,17 +10,23 @@ import numpy as np
 from numba import njit, types
 from numba.core.errors import NumbaExperimentalFeatureWarning
 
-Sheet = namedtuple("Sheet", "uv mass area normal triangles gravity air_density")
-Sheet.__doc__ = """The cloth as an effect sees it.
+Sheet = namedtuple("Sheet", "uv mass area normal triangles gradient face_area patch curvature gravity air_density held grip")
+Sheet.__doc__ = """The cloth as an effect sees it; `sheet_of` makes one from any mesh of triangles.
 
 uv: (n, 2) m, rest coordinates; mass: (n,) kg and area: (n,) m² of each node; normal: (3, n), unit, at this step;
-triangles: (F, 3), node numbers; gravity: (3,) m/s²; air_density: kg/m³.
+triangles: (F, 3), node numbers; face_area: (F,) m², at rest;
+gradient: (F, 2, 3) 1/m, ∂/∂u and ∂/∂v over a triangle as weights of its corners;
+patch: (F, 6), the corners, then the node beyond the edge opposite to each corner (a corner again at the border);
+curvature: (F, 3, 6) 1/m², ∂²/∂u², ∂²/∂v² and ∂²/∂u∂v as weights of the patch (see `curvature_weights`);
+gravity: (3,) m/s²; air_density: kg/m³; held: (G,), the node on each grip; grip: (3, G) m, where the grips are.
 """
 
 _vector = types.float64[::1]
 _rows = types.float64[:, ::1]
+_blocks = types.float64[:, :, ::1]
+_nodes = types.int64[:, ::1]
 SHEET = types.NamedTuple(
-    (_rows, _vector, _vector, _rows, types.int64[:, ::1], _vector, types.float64),
+    (_rows, _vector, _vector, _rows, _nodes, _blocks, _vector, _nodes, _blocks, _vector, types.float64, types.int64[::1], _rows),
     Sheet,
 )
 SIGNATURE = types.void(types.float64, types.float64, _rows, _rows, _rows, SHEET, _vector, _vector)
@@ -30,7 +36,8 @@ EFFECT = types.FunctionType(SIGNATURE)
 def effect_kernel(function: Callable) -> Callable:
     """Compile an effect's `force` or `inertia` for the time loops of all models (see `clothbench.Effect`).
 
-    `function(t, dt, x, v, f, sheet, p, state)` changes f (3, n) in place. Compiled on definition and cached on disk.
+    `function(t, dt, x, v, f, sheet, p, state)` adds to f in place: forces (3, n), or for `inertia` masses (6, n).
+    Compiled on definition and cached on disk.
     """
     return compiled(SIGNATURE)(function)
 
@@ -103,13 +110,131 @@ def _border_normal(x, nu, e, normal):
     normal[0, e], normal[1, e], normal[2, e] = _unit_cross(px, py, pz, qx, qy, qz)
 
 
+@_fast
+def bear_inertia(f, mass, extra):
+    """Turn the total force f (3, n) N into what the bare masses (n,) kg must feel: f ← m (m I + ΔM)⁻¹ f.
+
+    extra (6, n) kg: ΔM of each node as xx, yy, zz, yz, xz, xy. A node without any is not touched, to the bit.
+    """
+    for i in range(f.shape[1]):
+        if (
+            extra[0, i] == 0.0 and extra[1, i] == 0.0 and extra[2, i] == 0.0
+            and extra[3, i] == 0.0 and extra[4, i] == 0.0 and extra[5, i] == 0.0
+        ):  # fmt: skip
+            continue
+        m = mass[i]
+        xx, yy, zz = 1.0 + extra[0, i] / m, 1.0 + extra[1, i] / m, 1.0 + extra[2, i] / m
+        yz, xz, xy = extra[3, i] / m, extra[4, i] / m, extra[5, i] / m
+        # Cofactors of the symmetric 3 × 3 matrix.
+        axx, axy, axz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+        ayy, ayz, azz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+        scale = 1.0 / (xx * axx + xy * axy + xz * axz)
+        fx, fy, fz = f[0, i] * scale, f[1, i] * scale, f[2, i] * scale
+        f[0, i] = axx * fx + axy * fy + axz * fz
+        f[1, i] = axy * fx + ayy * fy + ayz * fz
+        f[2, i] = axz * fx + ayz * fy + azz * fz
+
+
+# --- meshes -----------------------------------------------------------------------------------------------------------
+
+
 def grid_triangles(shape: tuple[int, int]) -> np.ndarray:
-    """Triangles (F, 3) of a regular grid (nu, nv), node number j·nu + i, diagonals alternating."""
+    """Triangles (F, 3) of a regular grid (nu, nv), node number j·nu + i; two a cell, all diagonals i, j → i+1, j+1.
+
+    With one direction of diagonals every node sees the same neighbours, and the mean of two triangles that share an
+    edge is exact for quadratic shapes; with alternating ones it is not, and bending comes out wrong on every mesh.
+    """
     nu, nv = shape
     i, j = (a.ravel() for a in np.meshgrid(np.arange(nu - 1), np.arange(nv - 1)))
     a = j * nu + i
     b, c, d = a + 1, a + nu, a + nu + 1
-    even = ((i + j) % 2 == 0)[:, None, None]
-    falling = np.stack([np.stack([a, c, d], 1), np.stack([a, d, b], 1)], 1)
-    rising = np.stack([np.stack([a, c, b], 1), np.stack([b, c, d], 1)], 1)
-    return np.ascontiguousarray(np.where(even, falling, rising).reshape(-1, 3).astype(np.int64))
+    cells = np.stack([np.stack([a, b, d], 1), np.stack([a, d, c], 1)], 1)
+    return np.ascontiguousarray(cells.reshape(-1, 3).astype(np.int64))
+
+
+def sheet_of(
+    uv: np.ndarray, mass: np.ndarray, area: np.ndarray, triangles: np.ndarray, gravity, air_density: float, held=()
+) -> Sheet:
+    """The `Sheet` of a mesh of triangles, for compiled loops; normals are zero until a loop fills them.
+
+    uv: (n, 2) m; mass: (n,) kg; area: (n,) m²; triangles: (F, 3); held: (G,) nodes. A loop on another
+    thread needs a copy with arrays of its own where it writes: `own_sheet(sheet)`.
+    """
+    gradient, face_area = gradient_weights(uv, triangles)
+    patch, curvature = curvature_weights(uv, triangles, gradient, face_area)
+    return Sheet(
+        np.ascontiguousarray(uv, dtype=float), np.array(mass, dtype=float), np.array(area, dtype=float),
+        np.zeros((3, len(uv))), np.ascontiguousarray(triangles, dtype=np.int64), gradient, face_area, patch, curvature,
+        np.array(gravity, dtype=float), float(air_density), np.array(held, dtype=np.int64), np.zeros((3, len(held))),
+    )  # fmt: skip
+
+
+def own_sheet(sheet: Sheet) -> Sheet:
+    """A copy for one thread: normals and grips, which a loop fills at every step, of its own."""
+    return sheet._replace(normal=np.zeros_like(sheet.normal), grip=np.zeros_like(sheet.grip))
+
+
+def gradient_weights(uv: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """∂/∂u and ∂/∂v of a field that is linear over each triangle, (F, 2, 3) 1/m; and the areas (F,) m²."""
+    corner = uv[triangles]
+    side = np.roll(corner, -2, axis=1) - np.roll(corner, -1, axis=1)  # opposite to each corner
+    double = side[:, 0, 0] * side[:, 1, 1] - side[:, 0, 1] * side[:, 1, 0]
+    weights = np.stack([-side[:, :, 1], side[:, :, 0]], axis=1) / double[:, None, None]
+    return np.ascontiguousarray(weights), np.abs(double) / 2
+
+
+def curvature_weights(
+    uv: np.ndarray, triangles: np.ndarray, gradient: np.ndarray, face_area: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Patches (F, 6) and the second derivatives (F, 3, 6) 1/m² over each triangle, from its three neighbours.
+
+    κ = Σ_k l_k/(2A) [n_k·(∇x_k − ∇x)] n_k ⊗ n_k over the edges k of a triangle, with length l_k, normal n_k and the
+    neighbour's gradient ∇x_k: the mean over the triangle of the slope's derivative, slopes on an edge being the mean
+    of both sides (the rotation-free triangle of Oñate and Zárate 2000, there called BST). Exact for quadratic shapes
+    on a regular mesh. At a free edge nothing holds the slope: the bending across it is what costs least, which
+    without cross contraction is none, n·κ·n = 0.
+    """
+    beyond, far = _neighbours(triangles)
+    rows = np.arange(len(triangles))
+    patch = np.hstack([triangles, np.where(far < 0, triangles, far)])
+    # In the orthonormal components uu, vv, √2 uv.
+    weights, normals = np.zeros((len(triangles), 3, 6)), np.zeros((len(triangles), 3, 3))
+    for k in range(3):
+        one, two = (k + 1) % 3, (k + 2) % 3
+        a, b, c = (uv[triangles[:, m]] for m in (one, two, k))
+        edge = b - a
+        length = np.linalg.norm(edge, axis=1, keepdims=True)
+        n = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / length
+        n *= -np.sign(((c - a) * n).sum(axis=1, keepdims=True))  # outwards
+        normals[:, k] = np.stack([n[:, 0] ** 2, n[:, 1] ** 2, np.sqrt(2.0) * n[:, 0] * n[:, 1]], axis=1)
+        jump = np.zeros((len(triangles), 6))
+        jump[:, :3] = -np.einsum("fi,fim->fm", n, gradient)
+        other = triangles[beyond[:, k]]  # nonsense at the border, where it is left out below
+        slope = np.einsum("fi,fim->fm", n, gradient[beyond[:, k]])
+        for m in range(3):
+            place = np.select([other[:, m] == triangles[:, one], other[:, m] == triangles[:, two]], [one, two], 3 + k)
+            jump[rows, place] += slope[:, m]
+        share = np.where(beyond[:, k : k + 1] < 0, 0.0, length / (2 * face_area[:, None]))
+        weights += normals[:, k, :, None] * (share * jump)[:, None]
+    for f in np.flatnonzero((beyond < 0).any(axis=1)):
+        span = normals[f, beyond[f] < 0].T
+        weights[f] -= span @ np.linalg.lstsq(span, weights[f], rcond=None)[0]
+    weights[:, 2] /= np.sqrt(2.0)
+    return np.ascontiguousarray(patch), np.ascontiguousarray(weights)
+
+
+def _neighbours(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The triangle, and its far corner, beyond the edge opposite to each corner: (F, 3), (F, 3); −1 at the border."""
+    seen: dict[tuple[int, int], tuple[int, int]] = {}
+    beyond, far = np.full(triangles.shape, -1), np.full(triangles.shape, -1)
+    for f, own in enumerate(triangles.tolist()):
+        for k in range(3):
+            one, two = own[(k + 1) % 3], own[(k + 2) % 3]
+            edge = (one, two) if one < two else (two, one)
+            if edge in seen:
+                g, m = seen[edge]
+                beyond[f, k], beyond[g, m] = g, f
+                far[f, k], far[g, m] = triangles[g, m], own[k]
+            else:
+                seen[edge] = (f, k)
+    return beyond, far

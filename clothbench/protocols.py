@@ -54,14 +54,34 @@ class Simulation(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class Material:
+    """An elastic cloth as textbooks state it, for tests that have an analytic answer.
+
+    bending: rigidity D [N·m]; stretch: tensile stiffness [N/m]; shear: shear stiffness [N/m]. No internal friction,
+    no cross contraction.
+    """
+
+    bending: float
+    stretch: float
+    shear: float
+
+
 @runtime_checkable
 class Model(Protocol):
-    """A cloth model. Made by calling the registered attribute with its options as keywords."""
+    """A cloth model. Made by calling the registered attribute with its options as keywords.
+
+    Optional: `skip(scene) -> reason | None`, why it cannot simulate a scene;
+    `of_material(material, scene) -> theta (P,)`, its parameters for a textbook material (damping as low as they go),
+    or a ClothbenchError that says what it has no parameter for: then `physical_validation` can test it.
+    capabilities: "dynamic" (moves), "static" (finds rest), "effects" (takes them), "contact" (keeps out of the
+    scene's obstacles), "self_contact" (keeps the scene's `thickness` between its own layers).
+    """
 
     name: ClassVar[str]
     version: ClassVar[int]
     parameters: ParameterSpace
-    capabilities: ClassVar[frozenset[str]]  # of: dynamic, static, effects, contact
+    capabilities: ClassVar[frozenset[str]]  # of the five above
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> Simulation: ...
 
@@ -71,12 +91,13 @@ class Effect(Protocol):
     """Physics a model may lack, in one of three places. At its parameters' null values it vanishes, to the bit.
 
     place "dynamics": has `force` and/or `inertia`, compiled with `clothbench.effect_kernel`:
-        force(t, dt, x, v, f, sheet, p, state)    adds nodal forces [N] to f (3, n)
-        inertia(t, dt, x, v, f, sheet, p, state)  runs after all forces and turns f into what the bare nodal mass
-                                                  must feel to accelerate as it would with the added inertia; f is
-                                                  the total there, the model's own forces included
+        force(t, dt, x, v, f, sheet, p, state)       adds nodal forces [N] to f (3, n)
+        inertia(t, dt, x, v, mass, sheet, p, state)  adds to each node's mass tensor [kg], mass (6, n) as
+                                                     xx, yy, zz, yz, xz, xy; what it weighs is for `force` to add
       with x (3, n) m, v (3, n) m/s, `sheet` (clothbench.Sheet), p this effect's parameters in order, and
-      state (S,) kept from step to step, S = `state_size(n)` if there is such a method, else 0.
+      state (S,) kept from step to step, S = `state_size(sheet)` if there is such a method, else 0. A force that makes
+      the cloth stiffer says so with a method `stiffness(phi) -> (in-plane N/m, bending N·m)`, at most: models whose
+      step depends on it then take a shorter one.
     place "boundary": has `grips(time (K,), position (K, G, 3), phi (P,)) -> position`.
     place "sensor": has `times(time (T,), phi) -> time` (when the simulation is looked at for each stamp) and/or
         `positions(time (T,), position (T, N, 3), phi) -> position` (how it is seen).

@@ -13,6 +13,37 @@ from clothbench.recording import Recording
 AIR_DENSITY = 1.2  # kg/m³, dry air at 20 °C
 
 
+SHAPES = ("plane", "disc", "sphere")
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """Something solid that does not move and that the cloth cannot enter.
+
+    shape: "plane" (half-space below `centre`, against `normal`), "disc" (flat, `radius` about `centre`, infinitely
+    thick against `normal`: a pedestal) or "sphere"; centre: (3,) m; normal: (3,), unit, outwards, of plane and disc;
+    radius: m, of disc and sphere; friction: Coulomb's coefficient.
+    """
+
+    shape: str
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    radius: float = math.inf
+    friction: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.shape not in SHAPES:
+            raise ClothbenchError(f"obstacle: shape is {self.shape!r}, expected one of {', '.join(SHAPES)}")
+        if self.shape != "plane" and not (math.isfinite(self.radius) and self.radius > 0):
+            raise ClothbenchError(f"obstacle: radius of a {self.shape} is {self.radius}, expected metres above 0")
+        if not (math.isfinite(self.friction) and self.friction >= 0):
+            raise ClothbenchError(f"obstacle: friction is {self.friction}, expected 0 or above")
+        length = math.hypot(*self.normal)
+        if not (math.isfinite(length) and length > 0):
+            raise ClothbenchError(f"obstacle: normal is {self.normal}, expected a direction")
+        object.__setattr__(self, "normal", tuple(c / length for c in self.normal))
+
+
 @dataclass(frozen=True, eq=False)
 class Scene:
     """One run to simulate. SI, world frame, z up; arrays are read-only.
@@ -21,8 +52,9 @@ class Scene:
     (G = 0: nothing is held); times: (T,) s and points: (N, 2) m, where and when the rollout is wanted;
     gravity: (3,) m/s²; air_density: kg/m³; resolution: nodes along (u, v), or None for the model's own choice;
     start: (N, 3) m, where the points were first seen (NaN = unknown): it tells a model which of several resting
-    shapes the cloth hung in. The cloth rests, settled, in the grips' first pose when the run begins; with no grips
-    it starts from `start`, or flat, at rest.
+    shapes the cloth hung in; obstacles: what it cannot enter; thickness: m, how far apart its own layers stay
+    (0: they pass through each other). The cloth rests, settled, in the grips' first pose when the run begins; with
+    no grips it starts from `start`, or flat, at rest.
     """
 
     width: float
@@ -37,6 +69,8 @@ class Scene:
     air_density: float = AIR_DENSITY
     resolution: tuple[int, int] | None = None
     start: np.ndarray | None = None
+    obstacles: tuple[Obstacle, ...] = ()
+    thickness: float = 0.0
 
     def __post_init__(self) -> None:
         for name in ("grip_time", "grip_material", "grip_position", "times", "points", "start"):
@@ -50,6 +84,8 @@ class Scene:
                 raise ClothbenchError(f"scene: {name} is {value}, expected a number above 0")
         if self.times.ndim != 1 or self.times.size == 0 or (np.diff(self.times) <= 0).any():
             raise ClothbenchError("scene: times must be a strictly increasing list of seconds")
+        if not (math.isfinite(self.thickness) and self.thickness >= 0):
+            raise ClothbenchError(f"scene: thickness is {self.thickness}, expected metres, 0 or above")
         if self.resolution is not None and min(self.resolution) < 3:
             raise ClothbenchError(f"scene: resolution is {self.resolution}, expected at least 3 nodes each way")
 

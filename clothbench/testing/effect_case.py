@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from clothbench.kernels import Sheet, grid_triangles
+from clothbench.kernels import Sheet, grid_triangles, sheet_of
 from clothbench.plugins import catalogue
 from clothbench.protocols import Effect, Model
 from clothbench.rollout import Rollout
@@ -55,9 +55,8 @@ def waving_sheet() -> tuple[Sheet, np.ndarray, np.ndarray]:
     slope = 0.02 * np.cos(20 * u + 10 * v)
     normal = np.stack([-20 * slope, np.ones(25), 10 * slope])
     area = np.full(25, 0.04 / 25)
-    sheet = Sheet(
-        uv=np.stack([u, v], axis=1), mass=0.12 * area, area=area,
-        normal=normal / np.linalg.norm(normal, axis=0),
-        triangles=grid_triangles((5, 5)), gravity=np.array([0.0, 0.0, -9.81]), air_density=1.2,
-    )  # fmt: skip
+    sheet = sheet_of(
+        np.stack([u, v], axis=1), 0.12 * area, area, grid_triangles((5, 5)), (0.0, 0.0, -9.81), air_density=1.2
+    )
+    sheet.normal[:] = normal / np.linalg.norm(normal, axis=0)
     return sheet, position, velocity

@@ -120,19 +120,19 @@ def keeps_to_its_own_memory(case: EffectCase) -> str | None:
     if case.effect.place != "dynamics":
         return "has no kernel"
     effect, (sheet, x, v) = case.effect, waving_sheet()
-    size = effect.state_size(x.shape[1]) if hasattr(effect, "state_size") else 0
+    size = effect.state_size(sheet) if hasattr(effect, "state_size") else 0
     for stage in HOOKS["dynamics"]:
         if getattr(effect, stage, None) is None:
             continue
         given = [x, v, *(part for part in sheet if isinstance(part, np.ndarray)), effect.parameters.defaults]
         before = [array.copy() for array in given]
-        force, state = np.zeros_like(x), np.zeros(size)
-        force[2] = -9.81 * sheet.mass
+        filled = np.zeros((3 if stage == "force" else 6, x.shape[1]))
+        state = np.zeros(size)
         for step in range(3):
-            getattr(effect, stage).py_func(1e-3 * step, 1e-3, x, v, force, sheet, given[-1], state)
+            getattr(effect, stage).py_func(1e-3 * step, 1e-3, x, v, filled, sheet, given[-1], state)
         kept = all(np.array_equal(a, b) for a, b in zip(given, before, strict=True))
         require(kept, f"an input of {stage!r} that it has changed", "changes to f and state only")
-        require(np.isfinite(force).all(), f"forces of {stage!r} that are not finite", "finite ones")
+        require(np.isfinite(filled).all(), f"what {stage!r} adds, which is not finite", "finite numbers")
     return None
 
 

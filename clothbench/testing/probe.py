@@ -44,7 +44,7 @@ class SidewaysPush:
         )
     )
 
-    def state_size(self, nodes: int) -> int:
+    def state_size(self, sheet: object) -> int:
         return 1
 
 

@@ -4,16 +4,20 @@ from clothbench import Parameter, ParameterSpace, effect_kernel
 
 
 @effect_kernel
-def carry_air(t, dt, x, v, f, sheet, p, state):
-    """f ← f − r/(1 + r) (f·n) n with r = m_a/ρ: inverts (ρ I + m_a n nᵀ) a = f for the bare mass ρ.
+def carry_air(t, dt, x, v, mass, sheet, p, state):
+    """ΔM = m_a A n nᵀ: a thin plate's added mass resists acceleration along its normal n only.
 
-    Added-mass tensor of a thin plate, which resists normal acceleration only (Lamb, Hydrodynamics, art. 71).
+    Lamb, Hydrodynamics, art. 71.
     """
     for i in range(x.shape[1]):
-        ratio = p[0] * sheet.area[i] / sheet.mass[i]
-        along = f[0, i] * sheet.normal[0, i] + f[1, i] * sheet.normal[1, i] + f[2, i] * sheet.normal[2, i]
-        for c in range(3):
-            f[c, i] -= ratio / (1.0 + ratio) * along * sheet.normal[c, i]
+        nx, ny, nz = sheet.normal[0, i], sheet.normal[1, i], sheet.normal[2, i]
+        air = p[0] * sheet.area[i]
+        mass[0, i] += air * nx * nx
+        mass[1, i] += air * ny * ny
+        mass[2, i] += air * nz * nz
+        mass[3, i] += air * ny * nz
+        mass[4, i] += air * nx * nz
+        mass[5, i] += air * nx * ny
 
 
 class AddedMass:

@@ -13,14 +13,23 @@ import functools
 
 import numpy as np
 from numba import njit, types
-from numba.extending import overload
 
-from clothbench.effects import FORCE, INERTIA
-from clothbench.kernels import EFFECT, Sheet, compiled, grid_normals
+from clothbench.kernels import EFFECT, SHEET, bear_inertia, compiled, grid_normals
+from clothbench_models.loop import (
+    DIVERGED,
+    OK,
+    SLOTS,
+    advance_segment,
+    apply_effects,
+    as_double,
+    fastest,
+    grip_point,
+    is_lost,
+)
+
+__all__ = ["DIVERGED", "OK", "SLOTS", "run_block"]
 
 FAMILIES = 6
-SLOTS = 8  # places for dynamics effects in the loop
-OK, DIVERGED = 0, 1
 TINY = 1e-30  # m²; keeps the length of a masked spring between two coinciding nodes above 0
 CHECK_EVERY = 64  # steps between two looks for rest and for divergence
 
@@ -79,23 +88,6 @@ def kick_and_drift(x, v, f, inverse_mass, weight, kick, dt, keep):
 
 
 @_fast
-def grip_point(knots, curve, t, segment, g, c):
-    """Coordinate c of grip g at time t on a piecewise cubic (4, K−1, G, 3), constant beyond its ends."""
-    s = min(max(t, knots[0]), knots[-1]) - knots[segment]
-    return ((curve[0, segment, g, c] * s + curve[1, segment, g, c]) * s + curve[2, segment, g, c]) * s + curve[
-        3, segment, g, c
-    ]
-
-
-@_fast
-def advance_segment(knots, t, segment):
-    """The piece of the curve in which t lies, searched forwards from `segment`."""
-    while segment < knots.shape[0] - 2 and t >= knots[segment + 1]:
-        segment += 1
-    return segment
-
-
-@_fast
 def hold(x, v, pins, lane, lanes, knots, curve, t, segment, dt):
     """Put the held nodes of one lane where the grips are at time t; their velocity is what brought them there."""
     for g in range(pins.shape[0]):
@@ -141,51 +133,12 @@ def come_to_rest(v, keep, kick, lane, lanes, dt):
             v[c, e] = 0.0
 
 
-@_fast
-def apply_effects(effects, stages, n_effects, t, dt, x, v, f, sheet, parameters, state):
-    """Forces of all effects first, then what their added inertia makes of the total."""
-    for stage in (FORCE, INERTIA):
-        for k in range(n_effects):
-            if stages[k] == stage:
-                effects[k](t, dt, x, v, f, sheet, parameters[k], state[k])
-
-
-@_fast
-def fastest(v, lane, lanes):
-    """Largest speed of a node of one lane [m/s]."""
-    top = 0.0
-    for e in range(lane, v.shape[1], lanes):
-        top = max(top, v[0, e] ** 2 + v[1, e] ** 2 + v[2, e] ** 2)
-    return np.sqrt(top)
-
-
-@_fast
-def is_lost(x, lane, lanes, limit):
-    """Whether a coordinate of this lane has left ±limit or is not a number."""
-    for c in range(3):
-        for e in range(lane, x.shape[1], lanes):
-            if not abs(x[c, e]) < limit:
-                return True
-    return False
-
-
-def as_double(array):
-    """The array itself if it is double; effects are not offered in single precision, where this only settles types."""
-
-
-@overload(as_double)
-def _as_double(array):
-    if array.dtype == types.float64:
-        return lambda array: array
-    return lambda array: array.astype(np.float64)
-
-
 def _signature(real):
     """Types of `run_block`'s arguments; `real` is the precision of all that is touched for every node and step."""
     double = types.float64
     r2, d1, d2, d3 = real[:, ::1], double[::1], double[:, ::1], double[:, :, ::1]
     i1, i2 = types.int64[::1], types.int64[:, ::1]
-    grid = (i1, r2, r2, r2, d1, d2, d2, d1, i2, double)
+    grid = (i1, r2, r2, r2, SHEET)
     effects = (*(EFFECT,) * SLOTS, i1, types.int64, d3, d3)
     grips = (i1, d1, double[:, :, :, :, ::1], i1, i1)
     settling = (double, d1, double, double, d1)
@@ -195,7 +148,7 @@ def _signature(real):
 
 def _run_block(
     lanes, x,
-    strides, rest, stiffness, damping, mass, uv, gravity_rows, area, triangles, air_density,
+    strides, rest, stiffness, damping, sheet,
     limit,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7, stages, n_effects,
     effect_parameters, effect_state,
@@ -206,13 +159,14 @@ def _run_block(
 ):  # fmt: skip
     """Settle and run `lanes` interleaved parameter sets from the shape x (3, n·lanes), which is changed in place.
 
-    strides (6,); rest m, stiffness N/m, damping N·s/m (6, n·lanes); mass (n,) kg; gravity_rows (1, 3) m/s²;
+    strides (6,); rest m, stiffness N/m, damping N·s/m (6, n·lanes); `sheet` for the effects;
     settle_time (2,) s, the least and the most; at_rest m/s, the speed that ends it; dt (lanes,) s;
     effect_parameters, effect_state: (lanes, SLOTS, …); curves (1 or lanes, 4, K−1, G, 3); times (lanes, T) s;
     out (lanes, T, N, 3) m, to be filled; status, steps (lanes,).
     """
     # Taken one by one and bundled here: a tuple of functions as an argument is typed anew, slowly, at every call.
     effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
+    mass, normal = sheet.mass, sheet.normal
     n, frames = mass.shape[0], times.shape[1]
     entries = n * lanes
     v, f = np.zeros((3, entries), x.dtype), np.empty((3, entries), x.dtype)
@@ -223,10 +177,9 @@ def _run_block(
         inverse_mass[e] = 1.0 / mass[e // lanes]
         step[e] = kick[e] = dt[e % lanes]
         for c in range(3):
-            weights[c, e] = mass[e // lanes] * gravity_rows[0, c]
+            weights[c, e] = mass[e // lanes] * sheet.gravity[c]
     f[:] = weights
-    normal = np.zeros((3, n))
-    sheet = Sheet(uv, mass, area, normal, triangles, gravity_rows[0], air_density)
+    extra = np.zeros((6, n if n_effects > 0 else 0))
 
     began = np.zeros(lanes, np.int64)  # step at which the run proper began, −1 while a lane settles in its grips
     for lane in range(lanes):
@@ -259,10 +212,15 @@ def _run_block(
         if n_effects > 0:
             t = start + max(0, count - began[0]) * dt[0] if began[0] >= 0 else start
             xd, vd, fd = as_double(x), as_double(v), as_double(f)
+            for g in range(pins.shape[0]):
+                for c in range(3):
+                    sheet.grip[c, g] = grip_point(knots, curves[0], t, segment[0], g, c)
             grid_normals(xd, strides[1] // lanes, normal)
-            apply_effects(
-                effects, stages, n_effects, t, dt[0], xd, vd, fd, sheet, effect_parameters[0], effect_state[0]
+            heavier = apply_effects(
+                effects, stages, n_effects, t, dt[0], xd, vd, fd, extra, sheet, effect_parameters[0], effect_state[0]
             )
+            if heavier:
+                bear_inertia(fd, mass, extra)
         kick_and_drift(x, v, f, inverse_mass, weights, kick, step, keep)
         count += 1
         for lane in range(lanes):

@@ -63,7 +63,7 @@ class SpringGrid:
     def of(cls, lines: tuple[np.ndarray, np.ndarray], size: tuple[float, float], areal_density: float) -> SpringGrid:
         u, v = lines
         v_of, u_of = (a.ravel() for a in np.meshgrid(v, u, indexing="ij"))
-        wide, high = _tributary(u, size[0]), _tributary(v, size[1])
+        wide, high = tributary(u, size[0]), tributary(v, size[1])
         area = np.outer(high, wide).ravel()
         families = [_family(u, v, wide, high, *family) for family in FAMILIES]
         return cls(
@@ -103,7 +103,7 @@ class SpringGrid:
             np.add.at(row, first + stride, more)
 
 
-def _tributary(lines: np.ndarray, length: float) -> np.ndarray:
+def tributary(lines: np.ndarray, length: float) -> np.ndarray:
     """The length of cloth that each grid line stands for [m]."""
     edges = np.concatenate([[0.0], (lines[1:] + lines[:-1]) / 2, [length]])
     return np.diff(edges)

@@ -30,13 +30,13 @@ def weigh(t, dt, x, v, f, sheet, p, state):
 
 
 @effect_kernel
-def resist(t, dt, x, v, f, sheet, p, state):
-    """f ← f m/(m + Δm): what the bare mass m must feel to accelerate like m + Δm under f."""
+def resist(t, dt, x, v, mass, sheet, p, state):
+    """ΔM = Δm I on the border's nodes."""
     extra = p[0] * length_per_node(sheet.uv)
     for i in range(x.shape[1]):
         if on_border(sheet.uv, i):
             for c in range(3):
-                f[c, i] *= sheet.mass[i] / (sheet.mass[i] + extra)
+                mass[c, i] += extra
 
 
 class Hem:

@@ -6,7 +6,7 @@ import functools
 
 import numpy as np
 from clothbench.effects import FORCE, INERTIA
-from clothbench.kernels import EFFECT, Sheet, compiled, grid_normals
+from clothbench.kernels import EFFECT, SHEET, bear_inertia, compiled, grid_normals
 from numba import njit, types
 
 SLOTS = 4  # places for dynamics effects
@@ -78,7 +78,7 @@ def look(x, before, part, index, weight, seen, shared, knots, curve, t, frame):
 
 @_fast
 def push_all(stage, effects, stages, used, t, dt, x, v, f, sheet, parameters, state):
-    """Let every effect that has something to do at this stage change the forces f (3, n) N."""
+    """Let every effect that has something to do at this stage add to forces f (3, n) N, or to masses f (6, n) kg."""
     for k in range(used):
         if stages[k] == stage:
             effects[k](t, dt, x, v, f, sheet, parameters[k], state[k])
@@ -91,14 +91,14 @@ def fastest(v):
 
 
 def _march(
-    x, mass, uv, area, triangles, nu, gravity, air_density, pairs, rest, compliance, tau,
+    x, sheet, nu, pairs, rest, compliance, tau,
     effect_0, effect_1, effect_2, effect_3, stages, used, parameters, state,
     held, share, knots, curve, seen, shared, index, weight, times, start, settle, dt, out,
 ):  # fmt: skip
     """Settle shape x (3, n) m in the grips' first pose, then run; fills out (T, N, 3) m, returns the steps taken."""
     effects = (effect_0, effect_1, effect_2, effect_3)
-    inverse_mass, normal = 1.0 / mass, np.zeros(x.shape)
-    sheet = Sheet(uv, mass, area, normal, triangles, gravity, air_density)
+    mass, normal, gravity = sheet.mass, sheet.normal, sheet.gravity
+    inverse_mass, extra = 1.0 / mass, np.empty((6, mass.shape[0]))
     v, f, before, total = np.zeros(x.shape), np.empty(x.shape), np.empty(x.shape), np.empty(x.shape)
     settling = held.shape[0] > 0
     done, count, began = 0, 0, 0
@@ -117,7 +117,9 @@ def _march(
         if used > 0:  # what has moved the nodes says what the springs' force was; inertia needs the whole
             total[:] = mass * (x - before - dt * v) / dt**2
             f[:] = total
-            push_all(INERTIA, effects, stages, used, t, dt, before, v, f, sheet, parameters, state)
+            extra[:] = 0.0
+            push_all(INERTIA, effects, stages, used, t, dt, before, v, extra, sheet, parameters, state)
+            bear_inertia(f, mass, extra)
             x += dt**2 * (f - total) * inverse_mass
         after = start if settling else t + dt
         hold(x, inverse_mass, held, share, knots, curve, after)
@@ -141,7 +143,7 @@ def _march(
 
 _d, _i = types.float64, types.int64
 _SIGNATURE = _i(
-    _d[:, ::1], _d[::1], _d[:, ::1], _d[::1], _i[:, ::1], _i, _d[::1], _d, _i[:, ::1], _d[::1], _d[::1], _d,
+    _d[:, ::1], SHEET, _i, _i[:, ::1], _d[::1], _d[::1], _d,
     *(EFFECT,) * SLOTS, _i[::1], _i, _d[:, ::1], _d[:, ::1],
     _i[:, ::1], _d[:, ::1], _d[::1], _d[:, :, :, ::1], _i[::1], _i[::1],
     _i[:, ::1], _d[:, ::1], _d[::1], _d, _d[::1], _d, _d[:, :, ::1],

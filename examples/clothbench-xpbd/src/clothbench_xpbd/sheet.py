@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from clothbench import ClothbenchError, Effect, Interpolator, Parameter, ParameterSpace, Rollout, Scene
 from clothbench.effects import BoundEffects
-from clothbench.kernels import grid_triangles, no_effect
+from clothbench.kernels import grid_triangles, no_effect, own_sheet, sheet_of
 from clothbench.parallel import for_each
 from clothbench.scene import initial_shape
 
@@ -72,10 +72,11 @@ class XpbdSimulation:
         """Simulate theta (B, P): k1 N/m, k2 N/m, τ s, then the effects' parameters; several members at a time."""
         theta, scene, effects = self.parameters.check(theta), self.scene, self.effects
         grid = Grid.of(scene, self.shape)
+        sheet = sheet_of(grid.uv, grid.mass, grid.area, grid.triangles, scene.gravity, scene.air_density)
         curves, times = effects.grip_curves(scene, theta), effects.times(scene, theta)
         functions, stages, used = effects.kernels(kernels.SLOTS, no_effect)
         values = effects.kernel_parameters(theta, kernels.SLOTS)
-        memory = effects.kernel_state(len(theta), kernels.SLOTS, len(grid.uv))
+        memory = effects.kernel_state(len(theta), kernels.SLOTS, sheet)
         held = Interpolator.on_lines(scene.grip_material, *grid.lines)
         points = Interpolator.on_lines(scene.points, *grid.lines)
         knots = np.array(scene.grip_time) if len(scene.grip_material) else np.zeros(2)
@@ -88,8 +89,8 @@ class XpbdSimulation:
         def simulate(b: int) -> None:
             k1, k2, tau = theta[b, :3]
             steps[b] = march(
-                start.copy(), grid.mass, grid.uv, grid.area, grid.triangles, self.shape[0], np.array(scene.gravity),
-                scene.air_density, grid.pairs, grid.rest, 1 / (grid.share * np.where(grid.flexion, k2, k1)), tau,
+                start.copy(), own_sheet(sheet), self.shape[0], grid.pairs, grid.rest,
+                1 / (grid.share * np.where(grid.flexion, k2, k1)), tau,
                 *functions, stages, used, values[b], memory[b],
                 held.index, held.weight, knots, curves[b % len(curves)], seen, shared,
                 points.index, points.weight, times[b], scene.start_time, SETTLE, self.dt, position[b],
