@@ -10,7 +10,9 @@ import numpy as np
 from numba import njit, types
 from numba.core.errors import NumbaExperimentalFeatureWarning
 
-Sheet = namedtuple("Sheet", "uv mass area normal triangles gradient face_area patch curvature gravity air_density held grip")
+Sheet = namedtuple(
+    "Sheet", "uv mass area normal triangles gradient face_area patch curvature gravity air_density held grip"
+)
 Sheet.__doc__ = """The cloth as an effect sees it; `sheet_of` makes one from any mesh of triangles.
 
 uv: (n, 2) m, rest coordinates; mass: (n,) kg and area: (n,) m² of each node; normal: (3, n), unit, at this step;
@@ -26,7 +28,21 @@ _rows = types.float64[:, ::1]
 _blocks = types.float64[:, :, ::1]
 _nodes = types.int64[:, ::1]
 SHEET = types.NamedTuple(
-    (_rows, _vector, _vector, _rows, _nodes, _blocks, _vector, _nodes, _blocks, _vector, types.float64, types.int64[::1], _rows),
+    (
+        _rows,
+        _vector,
+        _vector,
+        _rows,
+        _nodes,
+        _blocks,
+        _vector,
+        _nodes,
+        _blocks,
+        _vector,
+        types.float64,
+        types.int64[::1],
+        _rows,
+    ),
     Sheet,
 )
 SIGNATURE = types.void(types.float64, types.float64, _rows, _rows, _rows, SHEET, _vector, _vector)

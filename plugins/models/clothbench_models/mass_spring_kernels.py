@@ -212,9 +212,9 @@ def _run_block(
         if n_effects > 0:
             t = start + max(0, count - began[0]) * dt[0] if began[0] >= 0 else start
             xd, vd, fd = as_double(x), as_double(v), as_double(f)
-            for g in range(pins.shape[0]):
+            for grip in range(pins.shape[0]):
                 for c in range(3):
-                    sheet.grip[c, g] = grip_point(knots, curves[0], t, segment[0], g, c)
+                    sheet.grip[c, grip] = grip_point(knots, curves[0], t, segment[0], grip, c)
             grid_normals(xd, strides[1] // lanes, normal)
             heavier = apply_effects(
                 effects, stages, n_effects, t, dt[0], xd, vd, fd, extra, sheet, effect_parameters[0], effect_state[0]
