@@ -24,6 +24,15 @@ def grip_point(knots, curve, t, segment, g, c):
 
 
 @_fast
+def grip_speed(knots, curve, t, segment, g, c):
+    """The derivative of `grip_point`, 0 beyond the ends of the curve."""
+    if t < knots[0] or t > knots[-1]:
+        return 0.0
+    s = t - knots[segment]
+    return (3.0 * curve[0, segment, g, c] * s + 2.0 * curve[1, segment, g, c]) * s + curve[2, segment, g, c]
+
+
+@_fast
 def advance_segment(knots, t, segment):
     """The piece of the curve in which t lies, searched forwards from `segment`."""
     while segment < knots.shape[0] - 2 and t >= knots[segment + 1]:
@@ -77,3 +86,30 @@ def _as_double(array):
     if array.dtype == types.float64:
         return lambda array: array
     return lambda array: array.astype(np.float64)
+
+
+@_fast
+def write_frames(x0, v0, x1, v1, t0, t1, done, index, weight, held_points, pins_of_points, knots, curve, times, out):
+    """Write the frames due up to t1, on the cubic through positions and velocities at t0 and t1 (Hermite).
+
+    Points that lie on a grip are put where the grip is, exactly. Returns how many frames are written.
+    """
+    while done < times.shape[0] and times[done] <= t1:
+        h = t1 - t0
+        s = min(max((times[done] - t0) / h, 0.0), 1.0) if h > 0.0 else 1.0
+        a, b = (1.0 + 2.0 * s) * (1.0 - s) ** 2, s * s * (3.0 - 2.0 * s)
+        p, q = s * (1.0 - s) ** 2 * h, s * s * (s - 1.0) * h
+        for n in range(index.shape[0]):
+            for c in range(3):
+                total = 0.0
+                for k in range(index.shape[1]):
+                    e = index[n, k]
+                    total += weight[n, k] * (a * x0[c, e] + b * x1[c, e] + p * v0[c, e] + q * v1[c, e])
+                out[done, n, c] = total
+        if held_points.shape[0]:
+            segment = advance_segment(knots, times[done], 0)
+            for n in range(held_points.shape[0]):
+                for c in range(3):
+                    out[done, held_points[n], c] = grip_point(knots, curve, times[done], segment, pins_of_points[n], c)
+        done += 1
+    return done

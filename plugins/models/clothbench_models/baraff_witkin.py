@@ -1,0 +1,167 @@
+"""`baraff_witkin`: triangles with stretch, shear and bend conditions (Baraff and Witkin 1998, Large steps in cloth
+simulation), as fitted to video by Bhat et al. 2003 (Estimating cloth simulation parameters from video).
+
+Every condition C has the energy E = k/2 CᵀC and the damping −k_d ∂C/∂x Ċ. Energies are linear in a triangle's area a,
+so that parameters do not depend on the mesh (Bhat et al., section 3): C_stretch = √a (|w_u| − 1, |w_v| − 1),
+C_shear = √a w_u·w_v, and C_bend = √a (x_uu, x_vv, √2 x_uv), the curvatures over the patch of a triangle and its three
+neighbours (`bending`), in place of the single hinge's angle, whose stiffness depends on mesh and direction.
+The air takes f = −a (k_N |v_N|²/(1 + k_f |v_N|²) v̂_N + k_T v_T) (Bhat et al., eq. 4).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
+from clothbench.effects import BoundEffects
+from clothbench.kernels import own_sheet
+from clothbench.parallel import for_each
+from clothbench_models import baraff_witkin_kernels as kernels
+from clothbench_models import loop
+from clothbench_models.bending import Diagonals, bending_matrix
+from clothbench_models.contact import obstacle_table
+from clothbench_models.grid_sheet import GridBatch, GridSimulation, check_number, check_resolution, grid_shape
+from clothbench_models.spring_grid import tributary
+
+SCHEMES = {"implicit_euler": kernels.EULER, "bdf2": kernels.BDF2, "rk45": kernels.RK45}
+STEP = {"implicit_euler": 1e-3, "bdf2": 2e-3, "rk45": 5e-3}
+TOLERANCE = {"implicit_euler": 1e-4, "bdf2": 1e-4, "rk45": 1e-6}
+BHAT, BARAFF = "Bhat et al. 2003, section 3", "Baraff and Witkin 1998, section 4"
+
+
+def _parameter(name, symbol, unit, low, high, default, meaning, source):
+    return Parameter(name, symbol, unit, (low, high), "log" if low > 0 else "linear", default, meaning, source)
+
+
+PARAMETERS = ParameterSpace(
+    (
+        _parameter("bend", "k_bend", "N·m", 1e-7, 1e-2, 1e-5, "bending rigidity", f"{BARAFF}.3; {BHAT}"),
+        _parameter("stretch", "k_stretch", "N/m", 5.0, 5000.0, 200.0, "tensile stiffness of warp and weft", BARAFF),
+        _parameter("shear", "k_shear", "N/m", 1.0, 5000.0, 50.0, "shear stiffness", BARAFF),
+        _parameter("bend_damping", "k_d,bend", "N·m·s", 1e-9, 1e-4, 2e-7, "damping of bending", f"{BARAFF}.5"),
+        _parameter("stretch_damping", "k_d,stretch", "N·s/m", 1e-4, 20.0, 0.02, "damping of stretch", f"{BARAFF}.5"),
+        _parameter("shear_damping", "k_d,shear", "N·s/m", 1e-4, 20.0, 0.02, "damping of shear", f"{BARAFF}.5"),
+        _parameter("quadratic_drag", "k_N", "kg/m³", 0.0, 10.0, 0.6, "drag across the sheet", f"{BHAT}", "linear"),
+        _parameter("linear_drag", "k_T", "kg/(m²·s)", 0.0, 10.0, 0.02, "drag along it", f"{BHAT}"),
+        _parameter("drag_decline", "k_f", "s²/m²", 0.0, 10.0, 0.05, "how drag levels off", f"{BHAT}"),
+    )
+)
+
+
+class BaraffWitkin:
+    """Sheet of triangles with implicit or adaptive explicit steps; see the module for equations and sources.
+
+    resolution: nodes along (u, v) or one number for the longer side, where the scene does not say;
+    integrator: "bdf2" (default; second order), "implicit_euler" (the first paper's; damps the motion itself) or "rk45"
+    (Dormand and Prince 1980, adaptive: Bhat et al. used one such); dt: time step [s], for rk45 the longest;
+    step_scale: multiplies it; tolerance: what the linear solver leaves of a step's residual, or for rk45 the largest
+    error that a step may make [m].
+    """
+
+    name = "baraff_witkin"
+    version = 1
+    kind = "implicit"
+    parameters = PARAMETERS
+    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact"})
+    bench_options: tuple[dict[str, str], ...] = ({}, {"integrator": "implicit_euler"})
+
+    def __init__(
+        self, resolution: int | Sequence[int] = 13, integrator: str = "bdf2", dt: float | None = None,
+        step_scale: float = 1.0, tolerance: float | None = None,
+    ):  # fmt: skip
+        if integrator not in SCHEMES:
+            raise ClothbenchError(f"baraff_witkin: integrator is {integrator!r}, expected one of {', '.join(SCHEMES)}")
+        check_resolution(self.name, resolution)
+        check_number(self.name, "dt", dt, 0.0)
+        check_number(self.name, "step_scale", step_scale, 0.0, 100.0)
+        check_number(self.name, "tolerance", tolerance, 0.0, 0.1)
+        self.resolution, self.integrator = resolution, integrator
+        self.tolerance = TOLERANCE[integrator] if tolerance is None else tolerance
+        self.dt = (STEP[integrator] if dt is None else dt) * step_scale
+
+    def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> BaraffWitkinSimulation:
+        bound = BoundEffects(self.parameters, tuple(effects))
+        shape = grid_shape(scene, self.resolution)
+        return BaraffWitkinSimulation(scene, shape, bound, SCHEMES[self.integrator], self.dt, self.tolerance)
+
+    def of_material(self, material: Material, scene: Scene) -> np.ndarray:
+        """The nine parameters (9,) of a textbook material: no inner damping, no air."""
+        return np.array([material.bending, material.stretch, material.shear, 0, 0, 0, 0, 0, 0], dtype=float)
+
+
+@dataclass(frozen=True, eq=False)
+class BaraffWitkinSimulation(GridSimulation):
+    """One scene on one grid, ready for batches of parameter sets."""
+
+    scheme: int
+    dt: float
+    tolerance: float
+
+    @cached_property
+    def bending(self) -> Diagonals:
+        return bending_matrix(self.sheet)
+
+    @cached_property
+    def edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rest lengths (2, P) m of u- and v-edges, 1/h (2, P) of the cells, and stiffness (3, P) of u-edges, v-edges
+        and shear for moduli of 1 N/m; P = the nodes and nu + 1 places before and after them.
+        """
+        (u, v), (nu, nv) = self.lines, self.shape
+        hu, hv = np.append(np.diff(u), 0.0), np.append(np.diff(v), 0.0)
+        over_u, over_v = (np.divide(1, h, out=np.zeros_like(h), where=h > 0) for h in (hu, hv))
+        wide, high = tributary(u, u[-1]), tributary(v, v[-1])
+        ones = np.ones((nv, nu))
+        inside = ones * (hu > 0) * (hv > 0)[:, None]
+        lengths = np.stack([ones * hu, ones * hv[:, None]])
+        stiffness = np.stack([np.outer(high, over_u), np.outer(over_v, wide), np.outer(hv, hu) / 2])
+        over = np.stack([inside * over_u, inside * over_v[:, None]])
+
+        def padded(rows: np.ndarray) -> np.ndarray:
+            return np.pad(rows.reshape(len(rows), -1), ((0, 0), (nu + 1, nu + 1)))
+
+        return padded(lengths), padded(over), padded(stiffness)
+
+    def run(self, theta: np.ndarray) -> Rollout:
+        """Simulate theta (B, P): the nine parameters, then the effects'."""
+        theta = self.parameters.check(theta)
+        # Effects push explicitly: the step must stay below what their own stiffness can bear.
+        fastest = np.sqrt(self.stiffest_effect(theta))
+        dt = np.minimum(self.dt, np.divide(1.0, fastest, out=np.full(len(theta), np.inf), where=fastest > 0))
+        batch = GridBatch(self, theta, dt, 0.0)
+
+        def simulate(b: int) -> None:
+            batch.status[b], batch.steps[b] = self._march(batch, b)
+
+        for_each(simulate, np.flatnonzero(~batch.late).tolist())
+        return batch.rollout()
+
+    def _march(self, batch: GridBatch, b: int) -> tuple[int, int]:
+        """Simulate member b into the batch's arrays → status, steps."""
+        scene, theta = self.scene, batch.theta[b : b + 1]
+        bend, stretch, shear, bend_damping, stretch_damping, shear_damping = theta[0, :6]
+        lengths, over, shares = self.edges
+        shape, result = np.ascontiguousarray(batch.shape.T), np.zeros(3, np.int64)
+
+        def march(scheme: int, tolerance: float, times: np.ndarray) -> None:
+            kernels.march(scheme)(
+                scheme, shape, self.shape[0], own_sheet(self.sheet),
+                lengths, over, shares * np.array([[stretch], [stretch], [shear]]),
+                shares * np.array([[stretch_damping], [stretch_damping], [shear_damping]]),
+                self.bending.offsets, self.bending.values, bend, bend_damping, theta[0, 6:9].copy(),
+                *batch.kernels, batch.stages, batch.terms, self.effects.kernel_parameters(theta, loop.SLOTS)[0],
+                self.effects.kernel_state(1, loop.SLOTS, self.sheet)[0],
+                batch.knots, batch.curve(np.array([b]))[0], batch.held_points, batch.pins_of_points,
+                obstacle_table(scene), scene.thickness,
+                scene.start_time, batch.dt[b], tolerance, max(scene.width, scene.height), batch.bounds(),
+                batch.interpolator.index, batch.interpolator.weight, times, batch.position[b], result,
+            )  # fmt: skip
+
+        if self.scheme == kernels.RK45 and len(scene.grip_material):  # the implicit loop settles for all
+            march(kernels.BDF2, TOLERANCE["bdf2"], np.zeros(0))
+        if result[0] == loop.OK:
+            march(self.scheme, self.tolerance, batch.times[b])
+        return int(result[0]), int(result[1])

@@ -1,0 +1,400 @@
+"""Compiled time loops of `baraff_witkin`: linearly implicit steps (Euler, BDF2) and adaptive Runge–Kutta."""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numba import njit, types
+
+from clothbench.kernels import EFFECT, SHEET, bear_inertia, compiled, grid_normals
+from clothbench_models.contact import keep_out
+from clothbench_models.implicit_grid import hold_back, mass_times, multiply, solve
+from clothbench_models.loop import (
+    DIVERGED,
+    SLOTS,
+    advance_segment,
+    apply_effects,
+    grip_point,
+    grip_speed,
+    is_lost,
+    write_frames,
+)
+from clothbench_models.resting_contact import FREE, STICKS, judge, stop_reversed, touching
+from clothbench_models.sheet_forces import add_diagonals, add_fluxes, edge_differences, shear_fluxes, stretch_fluxes
+
+EULER, BDF2, RK45 = 0, 1, 2
+SETTLE_ROUNDS = 600
+AT_REST = 2e-9  # m that a node still moves in a settling step as long as a second
+
+
+@njit(cache=True)
+def keep_apart(x, v, nu, sheet, free, thickness):
+    pass
+
+
+_fast = njit(cache=True, error_model="numpy", nogil=True)
+
+
+@_fast
+def elastic(
+    x, v, f, nu, lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, k_scale, c_scale,
+    edges, shear, work,
+):  # fmt: skip
+    """Add all inner forces to f (3, n) N and keep the matrix k_scale·K + c_scale·C for `multiply`.
+
+    lengths: (2, P) rest lengths of u- and v-edges m; over: (2, P) 1/h of the cells; stiffness, dampings: (3, P) of
+    u-edges N/m, v-edges N/m and shear N·m (·s); bend N·m, bend_damping N·m·s.
+    """
+    du, dv, fu, fv, ru, rv = work[0:3], work[3:6], work[6:9], work[9:12], work[14:17], work[17:20]
+    edge_differences(x, nu, du, dv)
+    edge_differences(v, nu, ru, rv)
+    stretch_fluxes(du, ru, lengths[0], stiffness[0], dampings[0], fu, edges[0:3], edges[3], edges[4], k_scale, c_scale)
+    stretch_fluxes(dv, rv, lengths[1], stiffness[1], dampings[1], fv, edges[5:8], edges[8], edges[9], k_scale, c_scale)
+    shear_fluxes(
+        nu, du, dv, ru, rv, over[0], over[1], stiffness[2], dampings[2], fu, fv,
+        shear[0:3], shear[3:6], shear[6:9], shear[9:12],
+    )  # fmt: skip
+    for e in range(shear.shape[1]):
+        shear[12, e] = k_scale * stiffness[2, e] + c_scale * dampings[2, e]
+    add_fluxes(fu, fv, nu, f, 1.0)
+    add_diagonals(offsets, bending, x, -bend, f)
+    if bend_damping != 0.0:
+        add_diagonals(offsets, bending, v, -bend_damping, f)
+
+
+@_fast
+def add_air(v, f, normal, area, quadratic, tangential, falloff):
+    """f −= a (k_N |v_N|²/(1 + k_f |v_N|²) v_N/|v_N| + k_T v_T) (Bhat et al. 2003, section 3, eq. 4)."""
+    for i in range(v.shape[1]):
+        nx, ny, nz = normal[0, i], normal[1, i], normal[2, i]
+        along = v[0, i] * nx + v[1, i] * ny + v[2, i] * nz
+        push = area[i] * quadratic * abs(along) * along / (1.0 + falloff * along * along)
+        rub = area[i] * tangential
+        f[0, i] -= push * nx + rub * (v[0, i] - along * nx)
+        f[1, i] -= push * ny + rub * (v[1, i] - along * ny)
+        f[2, i] -= push * nz + rub * (v[2, i] - along * nz)
+
+
+@_fast
+def add_outer(
+    t, dt, x, v, f, nu, air, sheet, effects, stages, n_effects, parameters, state, extra, knots, curve, segment
+):
+    """Weight, air and effects; returns whether effects have added mass to `extra`."""
+    for c in range(3):
+        g = sheet.gravity[c]
+        for e in range(f.shape[1]):
+            f[c, e] += sheet.mass[e] * g
+    windy = air[0] != 0.0 or air[1] != 0.0
+    if windy or n_effects > 0:
+        grid_normals(x, nu, sheet.normal)
+    if windy:
+        add_air(v, f, sheet.normal, sheet.area, air[0], air[1], air[2])
+    if n_effects == 0:
+        return False
+    for g in range(sheet.held.shape[0]):
+        for c in range(3):
+            sheet.grip[c, g] = grip_point(knots, curve, t, segment, g, c)
+    return apply_effects(effects, stages, n_effects, t, dt, x, v, f, extra, sheet, parameters, state)
+
+
+@_fast
+def largest(delta):
+    """Largest length of a column of delta (3, n)."""
+    top = 0.0
+    for e in range(delta.shape[1]):
+        top = max(top, delta[0, e] ** 2 + delta[1, e] ** 2 + delta[2, e] ** 2)
+    return np.sqrt(top)
+
+
+def _march_implicit(
+    scheme, x, nu, sheet,
+    lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, air,
+    effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
+    stages, n_effects, parameters, state,
+    knots, curve, held_points, pins_of_points, obstacles, thickness,
+    start, dt, tolerance, size, limit, index, weight, times, out, result,
+):  # fmt: skip
+    """Settle the shape x (3, n) m in place, then run it with steps of dt s; fills out (T, N, 3) m.
+
+    One Newton round a step from an extrapolated guess (Baraff and Witkin 1998, eq. 6; Choi and Ko 2002 for BDF2):
+    v' = v̄ + γ M⁻¹ f(x̄ + γ v', v'), with γ = dt, x̄ = x, v̄ = v for Euler and γ = 2dt/3, x̄ = (4x − x₋)/3 for BDF2.
+    Settling is the same step with v̄ = 0 and steps growing to a second, which is Newton's method for rest.
+    result: (3,) status, time steps, rounds of the linear solver.
+    """
+    effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
+    pins, mass = sheet.held, sheet.mass
+    n, padded, frames = mass.shape[0], mass.shape[0] + 2 * (nu + 1), times.shape[0]
+    edges, shear, work = np.zeros((10, padded)), np.zeros((13, padded)), np.zeros((20, padded))
+    f, r, delta, inverse = np.empty((3, n)), np.empty((3, n)), np.empty((3, n)), np.ones((6, n))
+    z, p, q = np.empty((3, n)), np.empty((3, n)), np.empty((3, n))
+    extra, normal, free = np.zeros((6, n)), np.zeros((3, n)), np.ones(n)
+    v, guess, x_bar, v_bar = np.zeros((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
+    x_old, v_old, x_before, v_before = np.empty((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
+    touch, friction, rub = np.zeros(n, np.int64), np.zeros(n), np.zeros((3, n))
+    solid = obstacles.shape[0] > 0
+    wanted = np.empty((3, n if solid else 0))
+    for g in range(pins.shape[0]):
+        touch[pins[g]] = STICKS
+        free[pins[g]] = 0.0
+    settling, count, done, segment = pins.shape[0] > 0, 0, 0, 0
+    rounds, h, t = 0, 0.01, start
+    if not settling:  # at rest now, and before that on the parabola of free fall
+        for c in range(3):
+            v_old[c] = -dt * sheet.gravity[c]
+            x_old[c] = x[c] + 0.5 * dt * dt * sheet.gravity[c]
+        done = write_frames(
+            x, v, x, v, start, start, done, index, weight, held_points, pins_of_points, knots, curve, times, out
+        )
+    while settling or done < frames:
+        if settling:
+            gamma = h
+            x_bar[:] = x
+            guess[:] = 0.0
+        else:
+            t = start + (count + 1) * dt
+            if scheme == EULER:
+                gamma = dt
+                x_bar[:] = x
+                v_bar[:] = v
+                guess[:] = v
+            else:
+                gamma = 2.0 * dt / 3.0
+                x_bar[:] = (4.0 * x - x_old) / 3.0
+                v_bar[:] = (4.0 * v - v_old) / 3.0
+                guess[:] = 2.0 * v - v_old
+        segment = advance_segment(knots, t, segment)
+        for g in range(pins.shape[0]):
+            for c in range(3):
+                guess[c, pins[g]] = (grip_point(knots, curve, t, segment, g, c) - x_bar[c, pins[g]]) / gamma
+        if solid:
+            touching(x, obstacles, free, touch, normal, friction)
+            for e in range(n):
+                if free[e] > 0.0 and touch[e] != FREE:  # x̄ lies off the surface by what x did before
+                    for c in range(3):
+                        z[c, e] = guess[c, e] - (x[c, e] - x_bar[c, e]) / gamma
+                else:
+                    z[0, e] = z[1, e] = z[2, e] = 0.0
+            q[:] = z
+            hold_back(q, touch, normal)
+            guess += q - z
+        for c in range(3):
+            for e in range(n):
+                q[c, e] = x_bar[c, e] + gamma * guess[c, e]  # where the forces are taken
+        f[:] = 0.0
+        step = dt if not settling else min(h, dt)
+        heavier = add_outer(
+            t, step, q, guess, f, nu, air, sheet, effects, stages, n_effects, parameters, state, extra,
+            knots, curve, segment,
+        )  # fmt: skip
+        elastic(
+            q, guess, f, nu, lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping,
+            gamma * gamma, gamma, edges, shear, work,
+        )  # fmt: skip
+        for c in range(3):
+            for e in range(n):
+                z[c, e] = guess[c, e] - v_bar[c, e]
+        mass_times(mass, extra, heavier, z, r)
+        for c in range(3):
+            for e in range(n):
+                r[c, e] = gamma * f[c, e] - r[c, e]
+        if solid:
+            r += gamma * rub
+            wanted[:] = r
+        rounds += solve(
+            delta, r, nu, mass, extra, heavier, edges, shear, offsets, bending,
+            gamma * gamma * bend + gamma * bend_damping, touch, normal, tolerance, 2000, inverse, z, p, q, work,
+        )  # fmt: skip
+        if solid:
+            multiply(
+                delta, nu, mass, extra, heavier, edges, shear, offsets, bending,
+                gamma * gamma * bend + gamma * bend_damping, z, work,
+            )  # fmt: skip
+            for c in range(3):
+                for e in range(n):
+                    z[c, e] = (z[c, e] - wanted[c, e]) / gamma
+                    q[c, e] = guess[c, e] + delta[c, e]
+            stop_reversed(q, touch, rub)
+            judge(z, q, free, touch, normal, friction, rub)
+        if settling:
+            moved = gamma * largest(delta)
+            shrink = min(1.0, 0.1 * size / max(moved, 1e-300))
+            for c in range(3):
+                for e in range(n):
+                    x[c, e] = x_bar[c, e] + gamma * (guess[c, e] + shrink * delta[c, e])
+            if solid:
+                keep_out(x, v, obstacles, free, 0, 1)
+            v[:] = 0.0
+            count += 1
+            if thickness > 0.0:
+                keep_apart(x, v, nu, sheet, free, thickness)
+            if is_lost(x, 0, 1, limit):
+                result[0], result[1], result[2] = DIVERGED, count, rounds
+                return
+            if (h >= 1.0 and moved < AT_REST) or count == SETTLE_ROUNDS:
+                settling, count = False, 0
+                x_old[:] = x
+                v_old[:] = 0.0
+                v_bar[:] = 0.0
+                done = write_frames(
+                    x, v, x, v, start, start, 0, index, weight, held_points, pins_of_points, knots, curve, times, out
+                )
+            h = min(1.0, h * (1.3 if shrink == 1.0 else 0.7))
+            continue
+        for c in range(3):
+            for e in range(n):
+                x_before[c, e], v_before[c, e] = x[c, e], v[c, e]
+                w = guess[c, e] + delta[c, e]
+                v[c, e] = w
+                x[c, e] = x_bar[c, e] + gamma * w
+        for g in range(pins.shape[0]):
+            for c in range(3):
+                x[c, pins[g]] = grip_point(knots, curve, t, segment, g, c)
+        x_old[:] = x_before
+        v_old[:] = v_before
+        if solid:
+            keep_out(x, v, obstacles, free, 0, 1)
+        if thickness > 0.0:
+            keep_apart(x, v, nu, sheet, free, thickness)
+        count += 1
+        if is_lost(x, 0, 1, limit):
+            result[0], result[1], result[2] = DIVERGED, count, rounds
+            return
+        done = write_frames(
+            x_old, v_old, x, v, t - dt, t, done, index, weight, held_points, pins_of_points, knots, curve, times, out
+        )
+    result[1], result[2] = count, rounds
+
+
+# Dormand and Prince 1980: nodes, weights, and fifth minus fourth order.
+_C = np.array([0.0, 1 / 5, 3 / 10, 4 / 5, 8 / 9, 1.0, 1.0])
+_A = np.array(
+    [
+        [0, 0, 0, 0, 0, 0],
+        [1 / 5, 0, 0, 0, 0, 0],
+        [3 / 40, 9 / 40, 0, 0, 0, 0],
+        [44 / 45, -56 / 15, 32 / 9, 0, 0, 0],
+        [19372 / 6561, -25360 / 2187, 64448 / 6561, -212 / 729, 0, 0],
+        [9017 / 3168, -355 / 33, 46732 / 5247, 49 / 176, -5103 / 18656, 0],
+        [35 / 384, 0, 500 / 1113, 125 / 192, -2187 / 6784, 11 / 84],
+    ]
+)
+_E = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
+SLOWEST = 1e-9  # s; a step that has to be shorter than this will never end
+CLOCK = 100.0  # 1/s, weighs errors of velocity against errors of position: those of a motion of some 15 Hz
+
+
+def _march_adaptive(
+    scheme, x, nu, sheet,
+    lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, air,
+    effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
+    stages, n_effects, parameters, state,
+    knots, curve, held_points, pins_of_points, obstacles, thickness,
+    start, dt, tolerance, size, limit, index, weight, times, out, result,
+):  # fmt: skip
+    """Run the settled shape x (3, n) m with Dormand and Prince's embedded pair; arguments as `_march_implicit`.
+
+    tolerance: m, the largest error of a node in one step; dt: s, the longest step. Effects with a memory see a copy
+    of it in trial stages and go on for good once per accepted step.
+    """
+    effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
+    pins, mass = sheet.held, sheet.mass
+    n, padded, frames = mass.shape[0], mass.shape[0] + 2 * (nu + 1), times.shape[0]
+    edges, shear, work = np.zeros((10, padded)), np.zeros((13, padded)), np.zeros((20, padded))
+    speed, push = np.zeros((7, 3, n)), np.zeros((7, 3, n))  # dx/dt and dv/dt of the stages
+    f, extra, free = np.empty((3, n)), np.zeros((6, n)), np.ones(n)
+    xs, vs, v = np.empty((3, n)), np.empty((3, n)), np.zeros((3, n))
+    memory = state.copy()
+    for g in range(pins.shape[0]):
+        free[pins[g]] = 0.0
+    t, h, count, tries, segment, fresh = start, min(dt, 1e-5), 0, 0, 0, True
+    done = write_frames(
+        x, v, x, v, start, start, 0, index, weight, held_points, pins_of_points, knots, curve, times, out
+    )
+    while done < frames:
+        for stage in range(0 if fresh else 1, 7):
+            at = t + _C[stage] * h
+            for c in range(3):
+                for e in range(n):
+                    a, b = 0.0, 0.0
+                    for k in range(stage):
+                        a += _A[stage, k] * speed[k, c, e]
+                        b += _A[stage, k] * push[k, c, e]
+                    xs[c, e], vs[c, e] = x[c, e] + h * a, v[c, e] + h * b
+            segment = advance_segment(knots, at, 0)
+            for g in range(pins.shape[0]):
+                for c in range(3):
+                    xs[c, pins[g]] = grip_point(knots, curve, at, segment, g, c)
+                    vs[c, pins[g]] = grip_speed(knots, curve, at, segment, g, c)
+            f[:] = 0.0
+            memory[:] = state
+            heavier = add_outer(
+                at, h, xs, vs, f, nu, air, sheet, effects, stages, n_effects, parameters, memory, extra,
+                knots, curve, segment,
+            )  # fmt: skip
+            elastic(
+                xs, vs, f, nu, lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, 0.0, 0.0,
+                edges, shear, work,
+            )  # fmt: skip
+            if heavier:
+                bear_inertia(f, mass, extra)
+            for c in range(3):
+                for e in range(n):
+                    speed[stage, c, e] = vs[c, e]
+                    push[stage, c, e] = free[e] * f[c, e] / mass[e]
+        fresh = False
+        worst = 0.0
+        for c in range(3):
+            for e in range(n):
+                a, b = 0.0, 0.0
+                for k in range(7):
+                    a += _E[k] * speed[k, c, e]
+                    b += _E[k] * push[k, c, e]
+                worst = max(worst, free[e] * abs(h * a), free[e] * abs(h * b) / CLOCK)
+        tries += 1
+        worst /= tolerance
+        if worst <= 1.0:  # the last stage is the new state, and the first stage of the next step
+            memory[:] = 0.0
+            if n_effects > 0:
+                f[:] = 0.0
+                add_outer(
+                    t + h, h, xs, vs, f, nu, air, sheet, effects, stages, n_effects, parameters, state, extra,
+                    knots, curve, segment,
+                )  # fmt: skip
+            done = write_frames(
+                x, v, xs, vs, t, t + h, done, index, weight, held_points, pins_of_points, knots, curve, times, out
+            )
+            x[:] = xs
+            v[:] = vs
+            t += h
+            count += 1
+            speed[0] = speed[6]
+            push[0] = push[6]
+            if obstacles.shape[0] > 0:
+                keep_out(x, v, obstacles, free, 0, 1)
+                fresh = True
+            if thickness > 0.0:
+                keep_apart(x, v, nu, sheet, free, thickness)
+                fresh = True
+        h = min(dt, h * min(4.0, max(0.2, 0.9 * max(worst, 1e-8) ** -0.2)))
+        if is_lost(x, 0, 1, limit) or not h > SLOWEST or tries > 20_000_000:
+            result[0], result[1] = DIVERGED, tries
+            return
+    result[1] = tries
+
+
+_d1, _d2, _d3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
+_i1, _i2, _real, _whole = types.int64[::1], types.int64[:, ::1], types.float64, types.int64
+_SIGNATURE = types.void(
+    _whole, _d2, _whole, SHEET,
+    _d2, _d2, _d2, _d2, _i1, _d2, _real, _real, _d1,
+    *(EFFECT,) * SLOTS, _i1, _whole, _d2, _d2,
+    _d1, types.float64[:, :, :, ::1], _i1, _i1, _d2, _real,
+    _real, _real, _real, _real, _real, _i2, _d2, _d1, _d3, _i1,
+)  # fmt: skip
+
+
+@functools.cache
+def march(scheme):
+    """The compiled loop of a scheme; compiling takes seconds once, then it lies on disk."""
+    return compiled(_SIGNATURE)(_march_adaptive if scheme == RK45 else _march_implicit)

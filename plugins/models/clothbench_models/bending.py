@@ -1,0 +1,45 @@
+"""Bending that is quadratic in the positions: E = ½ D xᵀK x, shared by the models that do not stretch much.
+
+The energy density ½ D (|x_uu|² + |x_vv|² + 2 |x_uv|²) of a sheet whose second derivatives are vectors along its normal
+wherever it does not stretch (isometric bending: Bergou et al. 2006, A quadratic bending model for inextensible
+surfaces). The second derivatives come from the four-triangle patches of `clothbench.kernels.curvature_weights` and
+not from Bergou's Laplacian, whose energy is blind to twist and saddle; single hinges with 3 l²/(A₁ + A₂) are
+consistent on no mesh (`tests/physics/test_bending.py` holds all three against cylinder, twist and saddle).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from clothbench import Sheet
+
+
+@dataclass(frozen=True, eq=False)
+class Diagonals:
+    """A symmetric matrix (n, n) by its diagonals on and above the main one.
+
+    offsets: (S,), increasing from 0; values: (S, n), values[s, i] couples node i with node i + offsets[s].
+    """
+
+    offsets: np.ndarray
+    values: np.ndarray
+
+
+def bending_matrix(sheet: Sheet) -> Diagonals:
+    """K of E = ½ D Σ xᵀK x over the three coordinates, in 1/m² (D in N·m)."""
+    from scipy.sparse import coo_matrix
+
+    weights = np.array([1.0, 1.0, 2.0])[:, None, None] * sheet.face_area[:, None]
+    blocks = np.einsum("fik,if,fil->fkl", sheet.curvature, weights[:, 0], sheet.curvature)
+    rows = np.repeat(sheet.patch[:, :, None], 6, axis=2)
+    full = coo_matrix((blocks.ravel(), (rows.ravel(), rows.transpose(0, 2, 1).ravel()))).tocsr()
+    full.sum_duplicates()
+    entries = full.tocoo()
+    keep = (entries.col >= entries.row) & (np.abs(entries.data) > 1e-12 * np.abs(entries.data).max())
+    row, offset, value = entries.row[keep], (entries.col - entries.row)[keep], entries.data[keep]
+    offsets = np.unique(offset)
+    values = np.zeros((len(offsets), len(sheet.uv)))
+    values[np.searchsorted(offsets, offset), row] = value
+    return Diagonals(offsets.astype(np.int64), values)

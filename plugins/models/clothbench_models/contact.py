@@ -1,0 +1,92 @@
+"""Contact with a scene's obstacles, for the compiled time loops of all models.
+
+The scheme, once after every step of a model, in this order: obstacle by obstacle as the scene lists them, and in each
+node by node. A node that the step has brought inside is put on the surface, along the surface's normal; the part of
+its velocity that points inwards is taken away (a perfectly inelastic impact); and Coulomb's friction takes from the
+tangential velocity at most μ times the normal velocity that was taken away, since friction's impulse in a step is at
+most μ times the normal one. So a resting node feels μ times the force with which it is pressed on, whatever that
+force is made of, and sticks as long as friction suffices. The part of the path that the node went tangentially since
+it touched is taken back in the same proportion; without that a sticking node would creep by g sin(α) dt² a step.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from clothbench import Scene
+from clothbench.scene import SHAPES
+
+PLANE, DISC, SPHERE = (float(SHAPES.index(shape)) for shape in ("plane", "disc", "sphere"))
+
+_fast = njit(cache=True, error_model="numpy", nogil=True)
+
+
+def obstacle_table(scene: Scene) -> np.ndarray:
+    """The obstacles for `keep_out`, (K, 9): kind, centre (3) m, outward normal (3), radius m, friction."""
+    rows = [(float(SHAPES.index(o.shape)), *o.centre, *o.normal, o.radius, o.friction) for o in scene.obstacles]
+    return np.array(rows, dtype=float).reshape(-1, 9)
+
+
+@_fast
+def keep_out(x, v, obstacles, free, lane, lanes):
+    """Put the nodes of one lane that are inside an obstacle on its surface; see the module for the scheme.
+
+    x (3, n·lanes) m and v m/s are changed in place, after a step; node i of a lane is entry i·lanes + lane.
+    obstacles (K, 9): `obstacle_table`; free (n·lanes,): inverse mass, 0 for a node that is held and stays where it is.
+    """
+    for k in range(obstacles.shape[0]):
+        kind, friction = obstacles[k, 0], obstacles[k, 8]
+        for e in range(lane, x.shape[1], lanes):
+            if free[e] == 0.0:
+                continue
+            depth, nx, ny, nz = _inside(kind, obstacles, k, x[0, e], x[1, e], x[2, e])
+            if depth > 0.0:
+                _put_on(x, v, e, depth, nx, ny, nz, friction)
+
+
+@_fast
+def _inside(kind, obstacles, k, px, py, pz):
+    """How deep the point is in obstacle k [m], ≤ 0 outside, and the way out: a unit normal."""
+    dx, dy, dz = px - obstacles[k, 1], py - obstacles[k, 2], pz - obstacles[k, 3]
+    nx, ny, nz, radius = obstacles[k, 4], obstacles[k, 5], obstacles[k, 6], obstacles[k, 7]
+    if kind == SPHERE:
+        square = dx * dx + dy * dy + dz * dz
+        if square >= radius * radius or square == 0.0:
+            return 0.0, nx, ny, nz
+        distance = np.sqrt(square)
+        return radius - distance, dx / distance, dy / distance, dz / distance
+    height = dx * nx + dy * ny + dz * nz
+    if kind == PLANE or height >= 0.0:
+        return -height, nx, ny, nz
+    # A disc is a pedestal: out through its top or its side, whichever is nearer.
+    dx, dy, dz = dx - height * nx, dy - height * ny, dz - height * nz
+    away = np.sqrt(dx * dx + dy * dy + dz * dz)
+    if away >= radius:
+        return 0.0, nx, ny, nz
+    if -height <= radius - away or away == 0.0:
+        return -height, nx, ny, nz
+    return radius - away, dx / away, dy / away, dz / away
+
+
+@_fast
+def _put_on(x, v, e, depth, nx, ny, nz, friction):
+    """Move node e out by `depth` m along the normal, and take what impact and friction take from its velocity."""
+    vx, vy, vz = v[0, e], v[1, e], v[2, e]
+    speed = vx * nx + vy * ny + vz * nz
+    x[0, e] += depth * nx
+    x[1, e] += depth * ny
+    x[2, e] += depth * nz
+    if speed >= 0.0:
+        return
+    tx, ty, tz = vx - speed * nx, vy - speed * ny, vz - speed * nz
+    sliding = np.sqrt(tx * tx + ty * ty + tz * tz)
+    lost = min(1.0, -friction * speed / sliding) if sliding > 0.0 else 0.0  # share of the tangential velocity
+    # Since it touched it has gone depth/|speed| long; it cannot have gone further sideways than friction held it.
+    back = min(lost * sliding * depth / -speed, friction * depth) / sliding if sliding > 0.0 else 0.0
+    x[0, e] -= back * tx
+    x[1, e] -= back * ty
+    x[2, e] -= back * tz
+    v[0, e] = (1.0 - lost) * tx
+    v[1, e] = (1.0 - lost) * ty
+    v[2, e] = (1.0 - lost) * tz

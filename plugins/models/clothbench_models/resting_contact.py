@@ -1,0 +1,102 @@
+"""Lasting contact inside an implicit step: which nodes rest on an obstacle, slide or stick there, and what rubs them.
+
+`contact.keep_out` deals with impact after any step. A linear solve that did not know of the obstacle would press
+resting nodes in at every step and have them put back; so there they are held back along the normal (Baraff and Witkin
+1998, section 5.2), and the reaction that this took decides what they do in the next step: a node that would have had
+to be pulled is let go; one whose tangential reaction leaves Coulomb's cone slides, rubbed by μ times the normal
+reaction; one that comes to a stop sticks again.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from clothbench_models.contact import DISC, SPHERE, _inside
+
+FREE, SLIDES, STICKS = 0, 1, 2  # what a node may do where it touches an obstacle; held nodes stick
+SKIN = 2e-9  # m; as near as this is touching
+
+_fast = njit(cache=True, error_model="numpy", nogil=True)
+
+
+@_fast
+def touching(x, obstacles, free, touch, normal, friction):
+    """Find the nodes of x (3, n) m on an obstacle: their outward normal (3, n) and friction (n,).
+
+    touch (n,) keeps what a node did before, as far as it still touches; a new contact sticks if there is friction.
+    """
+    for i in range(x.shape[1]):
+        if free[i] == 0.0:
+            continue
+        found = False
+        for k in range(obstacles.shape[0]):
+            kind = obstacles[k, 0]
+            ax, ay, az = obstacles[k, 4], obstacles[k, 5], obstacles[k, 6]
+            dx, dy, dz = x[0, i] - obstacles[k, 1], x[1, i] - obstacles[k, 2], x[2, i] - obstacles[k, 3]
+            if kind == SPHERE:
+                away = np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-300
+                sx, sy, sz = dx / away, dy / away, dz / away
+            else:
+                sx, sy, sz = ax, ay, az
+                if kind == DISC:
+                    height = dx * ax + dy * ay + dz * az
+                    rx, ry, rz = dx - height * ax, dy - height * ay, dz - height * az
+                    away = np.sqrt(rx * rx + ry * ry + rz * rz) + 1e-300
+                    sx, sy, sz = sx + rx / away, sy + ry / away, sz + rz / away
+            depth, nx, ny, nz = _inside(
+                kind, obstacles, k, x[0, i] - SKIN * sx, x[1, i] - SKIN * sy, x[2, i] - SKIN * sz
+            )
+            if depth > 0.0:
+                found = True
+                normal[0, i], normal[1, i], normal[2, i] = nx, ny, nz
+                friction[i] = obstacles[k, 8]
+                break
+        if not found:
+            touch[i] = FREE
+        elif touch[i] == FREE:
+            touch[i] = STICKS if friction[i] > 0.0 else SLIDES
+
+
+@_fast
+def judge(reaction, moved, free, touch, normal, friction, rub):
+    """What touching nodes do next, from the obstacle's reaction (3, n) N and how they moved (3, n), in any unit.
+
+    rub (3, n) N: friction on sliding nodes, to be added to the forces of the next step. A node let go is FREE.
+    """
+    for i in range(reaction.shape[1]):
+        rub[0, i] = rub[1, i] = rub[2, i] = 0.0
+        if free[i] == 0.0 or touch[i] == FREE:
+            continue
+        nx, ny, nz = normal[0, i], normal[1, i], normal[2, i]
+        push = reaction[0, i] * nx + reaction[1, i] * ny + reaction[2, i] * nz
+        if push <= 0.0:
+            touch[i] = FREE
+            continue
+        if friction[i] == 0.0:
+            touch[i] = SLIDES
+            continue
+        most = friction[i] * push
+        if touch[i] == STICKS:
+            tx, ty, tz = reaction[0, i] - push * nx, reaction[1, i] - push * ny, reaction[2, i] - push * nz
+            size = np.sqrt(tx * tx + ty * ty + tz * tz)
+            if size <= most:
+                continue
+            touch[i] = SLIDES
+        else:  # friction points against the motion
+            tx, ty, tz = -moved[0, i], -moved[1, i], -moved[2, i]
+            along = tx * nx + ty * ny + tz * nz
+            tx, ty, tz = tx - along * nx, ty - along * ny, tz - along * nz
+            size = np.sqrt(tx * tx + ty * ty + tz * tz)
+            if size == 0.0:
+                touch[i] = STICKS
+                continue
+        rub[0, i], rub[1, i], rub[2, i] = most * tx / size, most * ty / size, most * tz / size
+
+
+@_fast
+def stop_reversed(moved, touch, rub):
+    """A sliding node that friction has turned round has come to a stop: it sticks in the next step."""
+    for i in range(moved.shape[1]):
+        if touch[i] == SLIDES and rub[0, i] * moved[0, i] + rub[1, i] * moved[1, i] + rub[2, i] * moved[2, i] > 0.0:
+            touch[i] = STICKS
