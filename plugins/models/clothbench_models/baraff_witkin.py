@@ -25,6 +25,8 @@ from clothbench_models import loop
 from clothbench_models.bending import Diagonals, bending_matrix
 from clothbench_models.contact import obstacle_table
 from clothbench_models.grid_sheet import GridBatch, GridSimulation, check_number, check_resolution, grid_shape
+from clothbench_models.self_contact import layers_of
+from clothbench_models.sheet_forces import TRIANGLES
 from clothbench_models.spring_grid import tributary
 
 SCHEMES = {"implicit_euler": kernels.EULER, "bdf2": kernels.BDF2, "rk45": kernels.RK45}
@@ -45,9 +47,9 @@ PARAMETERS = ParameterSpace(
         _parameter("bend_damping", "k_d,bend", "N·m·s", 1e-9, 1e-4, 2e-7, "damping of bending", f"{BARAFF}.5"),
         _parameter("stretch_damping", "k_d,stretch", "N·s/m", 1e-4, 20.0, 0.02, "damping of stretch", f"{BARAFF}.5"),
         _parameter("shear_damping", "k_d,shear", "N·s/m", 1e-4, 20.0, 0.02, "damping of shear", f"{BARAFF}.5"),
-        _parameter("quadratic_drag", "k_N", "kg/m³", 0.0, 10.0, 0.6, "drag across the sheet", f"{BHAT}", "linear"),
-        _parameter("linear_drag", "k_T", "kg/(m²·s)", 0.0, 10.0, 0.02, "drag along it", f"{BHAT}"),
-        _parameter("drag_decline", "k_f", "s²/m²", 0.0, 10.0, 0.05, "how drag levels off", f"{BHAT}"),
+        _parameter("quadratic_drag", "k_N", "kg/m³", 0.0, 10.0, 0.6, "drag across the sheet", BHAT),
+        _parameter("linear_drag", "k_T", "kg/(m²·s)", 0.0, 10.0, 0.02, "drag along it", BHAT),
+        _parameter("drag_decline", "k_f", "s²/m²", 0.0, 10.0, 0.05, "how drag levels off", BHAT),
     )
 )
 
@@ -107,31 +109,12 @@ class BaraffWitkinSimulation(GridSimulation):
 
     @cached_property
     def edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rest lengths (2, P) m of u- and v-edges, 1/h (2, P) of the cells, and stiffness (3, P) of u-edges, v-edges
-        and shear for moduli of 1 N/m; P = the nodes and nu + 1 places before and after them.
-        """
-        (u, v), (nu, nv) = self.lines, self.shape
-        hu, hv = np.append(np.diff(u), 0.0), np.append(np.diff(v), 0.0)
-        over_u, over_v = (np.divide(1, h, out=np.zeros_like(h), where=h > 0) for h in (hu, hv))
-        wide, high = tributary(u, u[-1]), tributary(v, v[-1])
-        ones = np.ones((nv, nu))
-        inside = ones * (hu > 0) * (hv > 0)[:, None]
-        lengths = np.stack([ones * hu, ones * hv[:, None]])
-        stiffness = np.stack([np.outer(high, over_u), np.outer(over_v, wide), np.outer(hv, hu) / 2])
-        over = np.stack([inside * over_u, inside * over_v[:, None]])
-
-        def padded(rows: np.ndarray) -> np.ndarray:
-            return np.pad(rows.reshape(len(rows), -1), ((0, 0), (nu + 1, nu + 1)))
-
-        return padded(lengths), padded(over), padded(stiffness)
+        return triangle_edges(self.lines)
 
     def run(self, theta: np.ndarray) -> Rollout:
         """Simulate theta (B, P): the nine parameters, then the effects'."""
         theta = self.parameters.check(theta)
-        # Effects push explicitly: the step must stay below what their own stiffness can bear.
-        fastest = np.sqrt(self.stiffest_effect(theta))
-        dt = np.minimum(self.dt, np.divide(1.0, fastest, out=np.full(len(theta), np.inf), where=fastest > 0))
-        batch = GridBatch(self, theta, dt, 0.0)
+        batch = GridBatch(self, theta, self.bearable_step(self.dt, theta), 0.0)
 
         def simulate(b: int) -> None:
             batch.status[b], batch.steps[b] = self._march(batch, b)
@@ -148,14 +131,14 @@ class BaraffWitkinSimulation(GridSimulation):
 
         def march(scheme: int, tolerance: float, times: np.ndarray) -> None:
             kernels.march(scheme)(
-                scheme, shape, self.shape[0], own_sheet(self.sheet),
+                scheme, TRIANGLES, shape, self.shape[0], own_sheet(self.sheet),
                 lengths, over, shares * np.array([[stretch], [stretch], [shear]]),
                 shares * np.array([[stretch_damping], [stretch_damping], [shear_damping]]),
                 self.bending.offsets, self.bending.values, bend, bend_damping, theta[0, 6:9].copy(),
                 *batch.kernels, batch.stages, batch.terms, self.effects.kernel_parameters(theta, loop.SLOTS)[0],
                 self.effects.kernel_state(1, loop.SLOTS, self.sheet)[0],
                 batch.knots, batch.curve(np.array([b]))[0], batch.held_points, batch.pins_of_points,
-                obstacle_table(scene), scene.thickness,
+                obstacle_table(scene), layers_of(scene, self.sheet),
                 scene.start_time, batch.dt[b], tolerance, max(scene.width, scene.height), batch.bounds(),
                 batch.interpolator.index, batch.interpolator.weight, times, batch.position[b], result,
             )  # fmt: skip
@@ -165,3 +148,27 @@ class BaraffWitkinSimulation(GridSimulation):
         if result[0] == loop.OK:
             march(self.scheme, self.tolerance, batch.times[b])
         return int(result[0]), int(result[1])
+
+
+def triangle_edges(lines: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What the compiled forces need of a grid with lines at u (nu,) and v (nv,) m.
+
+    Rest lengths (2, P) m of u- and v-edges, 1/h (2, P) of the cells, and stiffness (3, P) of u-edges, v-edges and shear
+    for moduli of 1 N/m; P = the nodes and nu + 1 places before and after them.
+    """
+    u, v = lines
+    hu, hv = np.append(np.diff(u), 0.0), np.append(np.diff(v), 0.0)
+    over_u, over_v = (np.divide(1, h, out=np.zeros_like(h), where=h > 0) for h in (hu, hv))
+    wide, high = tributary(u, u[-1]), tributary(v, v[-1])
+    ones = np.ones((len(v), len(u)))
+    inside = ones * (hu > 0) * (hv > 0)[:, None]
+    lengths = np.stack([ones * hu, ones * hv[:, None]])
+    stiffness = np.stack([np.outer(high, over_u), np.outer(over_v, wide), np.outer(hv, hu) / 2])
+    over = np.stack([inside * over_u, inside * over_v[:, None]])
+    return tuple(padded(rows) for rows in (lengths, over, stiffness))  # type: ignore[return-value]
+
+
+def padded(rows: np.ndarray) -> np.ndarray:
+    """Rows over the nodes of a grid (R, nv, nu) laid out flat, with nu + 1 zeros before and after."""
+    margin = rows.shape[2] + 1
+    return np.pad(rows.reshape(len(rows), -1), ((0, 0), (margin, margin)))

@@ -20,17 +20,21 @@ from clothbench_models.loop import (
     is_lost,
     write_frames,
 )
-from clothbench_models.resting_contact import FREE, STICKS, judge, stop_reversed, touching
-from clothbench_models.sheet_forces import add_diagonals, add_fluxes, edge_differences, shear_fluxes, stretch_fluxes
+from clothbench_models.resting_contact import FREE, STICKS, judge, part_layers, stop_reversed, touching
+from clothbench_models.self_contact import LAYERS
+from clothbench_models.sheet_forces import (
+    CELLS,
+    add_diagonals,
+    add_fluxes,
+    cell_shear_fluxes,
+    edge_differences,
+    shear_fluxes,
+    stretch_fluxes,
+)
 
 EULER, BDF2, RK45 = 0, 1, 2
 SETTLE_ROUNDS = 600
 AT_REST = 2e-9  # m that a node still moves in a settling step as long as a second
-
-
-@njit(cache=True)
-def keep_apart(x, v, nu, sheet, free, thickness):
-    pass
 
 
 _fast = njit(cache=True, error_model="numpy", nogil=True)
@@ -51,12 +55,18 @@ def elastic(
     edge_differences(v, nu, ru, rv)
     stretch_fluxes(du, ru, lengths[0], stiffness[0], dampings[0], fu, edges[0:3], edges[3], edges[4], k_scale, c_scale)
     stretch_fluxes(dv, rv, lengths[1], stiffness[1], dampings[1], fv, edges[5:8], edges[8], edges[9], k_scale, c_scale)
-    shear_fluxes(
-        nu, du, dv, ru, rv, over[0], over[1], stiffness[2], dampings[2], fu, fv,
-        shear[0:3], shear[3:6], shear[6:9], shear[9:12],
-    )  # fmt: skip
+    last = shear.shape[0] - 1
+    if last + 1 == CELLS:
+        cell_shear_fluxes(
+            nu, du, dv, ru, rv, over[0], over[1], stiffness[2], dampings[2], fu, fv, shear[0:3], shear[3:6]
+        )
+    else:
+        shear_fluxes(
+            nu, du, dv, ru, rv, over[0], over[1], stiffness[2], dampings[2], fu, fv,
+            shear[0:3], shear[3:6], shear[6:9], shear[9:12],
+        )  # fmt: skip
     for e in range(shear.shape[1]):
-        shear[12, e] = k_scale * stiffness[2, e] + c_scale * dampings[2, e]
+        shear[last, e] = k_scale * stiffness[2, e] + c_scale * dampings[2, e]
     add_fluxes(fu, fv, nu, f, 1.0)
     add_diagonals(offsets, bending, x, -bend, f)
     if bend_damping != 0.0:
@@ -108,11 +118,11 @@ def largest(delta):
 
 
 def _march_implicit(
-    scheme, x, nu, sheet,
+    scheme, shear_rows, x, nu, sheet,
     lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, air,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
     stages, n_effects, parameters, state,
-    knots, curve, held_points, pins_of_points, obstacles, thickness,
+    knots, curve, held_points, pins_of_points, obstacles, layers,
     start, dt, tolerance, size, limit, index, weight, times, out, result,
 ):  # fmt: skip
     """Settle the shape x (3, n) m in place, then run it with steps of dt s; fills out (T, N, 3) m.
@@ -120,15 +130,15 @@ def _march_implicit(
     One Newton round a step from an extrapolated guess (Baraff and Witkin 1998, eq. 6; Choi and Ko 2002 for BDF2):
     v' = v̄ + γ M⁻¹ f(x̄ + γ v', v'), with γ = dt, x̄ = x, v̄ = v for Euler and γ = 2dt/3, x̄ = (4x − x₋)/3 for BDF2.
     Settling is the same step with v̄ = 0 and steps growing to a second, which is Newton's method for rest.
-    result: (3,) status, time steps, rounds of the linear solver.
+    shear_rows: TRIANGLES or CELLS. result: (3,) status, time steps, rounds of the linear solver.
     """
     effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
     pins, mass = sheet.held, sheet.mass
     n, padded, frames = mass.shape[0], mass.shape[0] + 2 * (nu + 1), times.shape[0]
-    edges, shear, work = np.zeros((10, padded)), np.zeros((13, padded)), np.zeros((20, padded))
+    edges, shear, work = np.zeros((10, padded)), np.zeros((shear_rows, padded)), np.zeros((20, padded))
     f, r, delta, inverse = np.empty((3, n)), np.empty((3, n)), np.empty((3, n)), np.ones((6, n))
     z, p, q = np.empty((3, n)), np.empty((3, n)), np.empty((3, n))
-    extra, normal, free = np.zeros((6, n)), np.zeros((3, n)), np.ones(n)
+    extra, normal, free = np.zeros((6, n)), np.zeros((3, n)), 1.0 / mass
     v, guess, x_bar, v_bar = np.zeros((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     x_old, v_old, x_before, v_before = np.empty((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     touch, friction, rub = np.zeros(n, np.int64), np.zeros(n), np.zeros((3, n))
@@ -226,8 +236,9 @@ def _march_implicit(
                 keep_out(x, v, obstacles, free, 0, 1)
             v[:] = 0.0
             count += 1
-            if thickness > 0.0:
-                keep_apart(x, v, nu, sheet, free, thickness)
+            if layers.size[0] > 0.0:
+                part_layers(x, v, x_bar, h, free, layers, z, q)
+                v[:] = 0.0
             if is_lost(x, 0, 1, limit):
                 result[0], result[1], result[2] = DIVERGED, count, rounds
                 return
@@ -254,8 +265,8 @@ def _march_implicit(
         v_old[:] = v_before
         if solid:
             keep_out(x, v, obstacles, free, 0, 1)
-        if thickness > 0.0:
-            keep_apart(x, v, nu, sheet, free, thickness)
+        if layers.size[0] > 0.0:
+            part_layers(x, v, x_old, dt, free, layers, z, q)
         count += 1
         if is_lost(x, 0, 1, limit):
             result[0], result[1], result[2] = DIVERGED, count, rounds
@@ -285,11 +296,11 @@ CLOCK = 100.0  # 1/s, weighs errors of velocity against errors of position: thos
 
 
 def _march_adaptive(
-    scheme, x, nu, sheet,
+    scheme, shear_rows, x, nu, sheet,
     lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, air,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
     stages, n_effects, parameters, state,
-    knots, curve, held_points, pins_of_points, obstacles, thickness,
+    knots, curve, held_points, pins_of_points, obstacles, layers,
     start, dt, tolerance, size, limit, index, weight, times, out, result,
 ):  # fmt: skip
     """Run the settled shape x (3, n) m with Dormand and Prince's embedded pair; arguments as `_march_implicit`.
@@ -300,11 +311,11 @@ def _march_adaptive(
     effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
     pins, mass = sheet.held, sheet.mass
     n, padded, frames = mass.shape[0], mass.shape[0] + 2 * (nu + 1), times.shape[0]
-    edges, shear, work = np.zeros((10, padded)), np.zeros((13, padded)), np.zeros((20, padded))
+    edges, shear, work = np.zeros((10, padded)), np.zeros((shear_rows, padded)), np.zeros((20, padded))
     speed, push = np.zeros((7, 3, n)), np.zeros((7, 3, n))  # dx/dt and dv/dt of the stages
-    f, extra, free = np.empty((3, n)), np.zeros((6, n)), np.ones(n)
+    f, extra, free = np.empty((3, n)), np.zeros((6, n)), 1.0 / mass
     xs, vs, v = np.empty((3, n)), np.empty((3, n)), np.zeros((3, n))
-    memory = state.copy()
+    memory, before = state.copy(), np.empty((3, n))
     for g in range(pins.shape[0]):
         free[pins[g]] = 0.0
     t, h, count, tries, segment, fresh = start, min(dt, 1e-5), 0, 0, 0, True
@@ -341,7 +352,7 @@ def _march_adaptive(
             for c in range(3):
                 for e in range(n):
                     speed[stage, c, e] = vs[c, e]
-                    push[stage, c, e] = free[e] * f[c, e] / mass[e]
+                    push[stage, c, e] = free[e] * f[c, e]
         fresh = False
         worst = 0.0
         for c in range(3):
@@ -350,11 +361,11 @@ def _march_adaptive(
                 for k in range(7):
                     a += _E[k] * speed[k, c, e]
                     b += _E[k] * push[k, c, e]
-                worst = max(worst, free[e] * abs(h * a), free[e] * abs(h * b) / CLOCK)
+                if free[e] > 0.0:
+                    worst = max(worst, abs(h * a), abs(h * b) / CLOCK)
         tries += 1
         worst /= tolerance
         if worst <= 1.0:  # the last stage is the new state, and the first stage of the next step
-            memory[:] = 0.0
             if n_effects > 0:
                 f[:] = 0.0
                 add_outer(
@@ -364,6 +375,7 @@ def _march_adaptive(
             done = write_frames(
                 x, v, xs, vs, t, t + h, done, index, weight, held_points, pins_of_points, knots, curve, times, out
             )
+            before[:] = x
             x[:] = xs
             v[:] = vs
             t += h
@@ -373,8 +385,8 @@ def _march_adaptive(
             if obstacles.shape[0] > 0:
                 keep_out(x, v, obstacles, free, 0, 1)
                 fresh = True
-            if thickness > 0.0:
-                keep_apart(x, v, nu, sheet, free, thickness)
+            if layers.size[0] > 0.0:
+                part_layers(x, v, before, h, free, layers, f, vs)
                 fresh = True
         h = min(dt, h * min(4.0, max(0.2, 0.9 * max(worst, 1e-8) ** -0.2)))
         if is_lost(x, 0, 1, limit) or not h > SLOWEST or tries > 20_000_000:
@@ -386,10 +398,10 @@ def _march_adaptive(
 _d1, _d2, _d3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
 _i1, _i2, _real, _whole = types.int64[::1], types.int64[:, ::1], types.float64, types.int64
 _SIGNATURE = types.void(
-    _whole, _d2, _whole, SHEET,
+    _whole, _whole, _d2, _whole, SHEET,
     _d2, _d2, _d2, _d2, _i1, _d2, _real, _real, _d1,
     *(EFFECT,) * SLOTS, _i1, _whole, _d2, _d2,
-    _d1, types.float64[:, :, :, ::1], _i1, _i1, _d2, _real,
+    _d1, types.float64[:, :, :, ::1], _i1, _i1, _d2, LAYERS,
     _real, _real, _real, _real, _real, _i2, _d2, _d1, _d3, _i1,
 )  # fmt: skip
 

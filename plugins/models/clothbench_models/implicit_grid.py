@@ -9,6 +9,8 @@ from numba import njit
 
 from clothbench_models.resting_contact import SLIDES, STICKS
 from clothbench_models.sheet_forces import (
+    CELLS,
+    _cell_shear_times,
     _shear_times,
     _stretch_times,
     add_diagonals,
@@ -51,13 +53,16 @@ def multiply(p, nu, mass, extra, heavier, edges, shear, offsets, bending, bend_s
     """out = (M + C + K) p, from what the force routines kept.
 
     edges: (8, …) rows unit (3), along, across of u-edges in edges[0:5] and of v-edges in edges[5:10];
-    shear: rows ∂C (12) and the weight; work: rows for differences and fluxes.
+    shear: rows ∂C (12, or 6 for whole cells) and the weight; work: rows for differences and fluxes.
     """
     du, dv, fu, fv = work[0:3], work[3:6], work[6:9], work[9:12]
     edge_differences(p, nu, du, dv)
     _stretch_times(du, edges[0:3], edges[3], edges[4], fu)
     _stretch_times(dv, edges[5:8], edges[8], edges[9], fv)
-    _shear_times(nu, shear[12], du, dv, shear[0:3], shear[3:6], shear[6:9], shear[9:12], work[12], work[13], fu, fv)
+    if shear.shape[0] == CELLS:
+        _cell_shear_times(nu, shear[6], du, dv, shear[0:3], shear[3:6], work[12], fu, fv)
+    else:
+        _shear_times(nu, shear[12], du, dv, shear[0:3], shear[3:6], shear[6:9], shear[9:12], work[12], work[13], fu, fv)
     mass_times(mass, extra, heavier, p, out)
     add_fluxes(fu, fv, nu, out, -1.0)
     add_diagonals(offsets, bending, p, bend_scale, out)
@@ -84,8 +89,12 @@ def invert_blocks(nu, mass, extra, heavier, edges, shear, bending, bend_scale, t
             xx, yy, zz = xx + a * x * x + b, yy + a * y * y + b, zz + a * z * z + b
             yz, xz, xy = yz + a * y * z, xz + a * x * z, xy + a * x * y
         # Triangles around the node: its own cell as corner a (both), as b, c and d of the cells before it.
-        for k in range(6):
-            if k == 0:  # lower, corner a: −p
+        for k in range(4 if shear.shape[0] == CELLS else 6):
+            if shear.shape[0] == CELLS:  # as corner a: −p − q, b: p − q, c: q − p, d: p + q
+                o = 0
+                j = e - (1 if k in (1, 3) else 0) - (nu if k in (2, 3) else 0)
+                s, t = (1.0 if k in (1, 3) else -1.0), (1.0 if k in (2, 3) else -1.0)
+            elif k == 0:  # lower, corner a: −p
                 j, o, s, t = e, 0, -1.0, 0.0
             elif k == 1:  # upper, corner a: −q
                 j, o, s, t = e, 6, 0.0, -1.0
@@ -97,7 +106,7 @@ def invert_blocks(nu, mass, extra, heavier, edges, shear, bending, bend_scale, t
                 j, o, s, t = e - nu - 1, 0, 0.0, 1.0
             else:  # upper, corner d: p
                 j, o, s, t = e - nu - 1, 6, 1.0, 0.0
-            w = shear[12, j]
+            w = shear[shear.shape[0] - 1, j]
             x = s * shear[o, j] + t * shear[o + 3, j]
             y = s * shear[o + 1, j] + t * shear[o + 4, j]
             z = s * shear[o + 2, j] + t * shear[o + 5, j]

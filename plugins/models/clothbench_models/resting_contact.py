@@ -13,6 +13,7 @@ import numpy as np
 from numba import njit
 
 from clothbench_models.contact import DISC, SPHERE, _inside
+from clothbench_models.self_contact import keep_apart
 
 FREE, SLIDES, STICKS = 0, 1, 2  # what a node may do where it touches an obstacle; held nodes stick
 SKIN = 2e-9  # m; as near as this is touching
@@ -100,3 +101,15 @@ def stop_reversed(moved, touch, rub):
     for i in range(moved.shape[1]):
         if touch[i] == SLIDES and rub[0, i] * moved[0, i] + rub[1, i] * moved[1, i] + rub[2, i] * moved[2, i] > 0.0:
             touch[i] = STICKS
+
+
+@_fast
+def part_layers(x, v, before, dt, free, layers, path, kept):
+    """`keep_apart` after a step of any scheme from `before` to x: its way in a straight line, v changed by as much."""
+    for c in range(3):
+        for e in range(x.shape[1]):
+            path[c, e] = kept[c, e] = (x[c, e] - before[c, e]) / dt
+    keep_apart(x, path, dt, free, layers)
+    for c in range(3):
+        for e in range(x.shape[1]):
+            v[c, e] += path[c, e] - kept[c, e]

@@ -14,6 +14,7 @@ from numba import njit
 _fast = njit(cache=True, error_model="numpy", nogil=True)
 _faster = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
 TINY = 1e-30  # m²
+TRIANGLES, CELLS = 13, 7  # rows that shear keeps: two triangles a cell, or whole cells
 
 
 @_fast
@@ -152,3 +153,46 @@ def _shear_times(nu, weight, p, q, pl, ql, pu, qu, yl, yu, fu, fv):
             b2[e + 1] += yl[e] * lq[e]
         for e in range(m):
             b2[e] += yu[e] * uq[e]
+
+
+@_fast
+def cell_shear_fluxes(nu, du, dv, ru, rv, over_u, over_v, stiffness, damping, fu, fv, p, q):
+    """Shear of whole cells, C = w_u·w_v from the means of a cell's opposite edges, E = ½ k A C²: as `shear_fluxes`, for
+    quadrilaterals. stiffness, damping (P,): k A and c A of a cell; keeps ∂C by either u-edge in p, either v-edge in q.
+    """
+    for e in range(over_u.shape[0] - 1 - nu):
+        b, c = e + 1, e + nu
+        scale = 0.25 * over_u[e] * over_v[e]
+        shear, rate = 0.0, 0.0
+        for k in range(3):
+            u, v = du[k, e] + du[k, c], dv[k, e] + dv[k, b]
+            p[k, e], q[k, e] = scale * v, scale * u
+            shear += scale * u * v
+            rate += scale * (u * (rv[k, e] + rv[k, b]) + (ru[k, e] + ru[k, c]) * v)
+        t = stiffness[e] * shear + damping[e] * rate
+        for k in range(3):
+            fu[k, e] += t * p[k, e]
+            fu[k, c] += t * p[k, e]
+            fv[k, e] += t * q[k, e]
+            fv[k, b] += t * q[k, e]
+
+
+@_faster
+def _cell_shear_times(nu, weight, a, b, p, q, y, fu, fv):
+    """Fluxes of `cell_shear_fluxes` for differences a along u-edges and b along v-edges."""
+    m = weight.shape[0] - 1 - nu
+    for e in range(m):
+        total = 0.0
+        for k in range(3):
+            total += p[k, e] * (a[k, e] + a[k, e + nu]) + q[k, e] * (b[k, e] + b[k, e + 1])
+        y[e] = weight[e] * total
+    for k in range(3):
+        fk, gk, pk, qk = fu[k], fv[k], p[k], q[k]
+        for e in range(m):
+            fk[e] += y[e] * pk[e]
+        for e in range(m):
+            fk[e + nu] += y[e] * pk[e]
+        for e in range(m):
+            gk[e] += y[e] * qk[e]
+        for e in range(m):
+            gk[e + 1] += y[e] * qk[e]

@@ -1,0 +1,162 @@
+"""`inextensible`: quadrilaterals that neither stretch nor shear, bend isometrically and are damped after Rayleigh.
+
+ρ M φ̈ = F_g − θ K φ − D φ̇ − ∇Cᵀ λ, C(φ) = 0, D = α M + β K (Coltraro, Experimental validation of an inextensible
+cloth model, eq. 1): M the lumped area of each node, K quadratic bending (`bending`), C the lengths of all mesh lines
+and the angle of every cell, solved by implicit steps with fast projection (Goldenthal et al. 2007, Efficient
+simulation of inextensible cloth). ρ is measured, not fitted, as in the paper: it is the scene's areal density.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
+from clothbench.effects import BoundEffects
+from clothbench.kernels import own_sheet
+from clothbench.parallel import for_each
+from clothbench_models import baraff_witkin_kernels as triangles
+from clothbench_models import inextensible_kernels as kernels
+from clothbench_models import loop
+from clothbench_models.baraff_witkin import padded, triangle_edges
+from clothbench_models.bending import Diagonals, bending_matrix
+from clothbench_models.contact import obstacle_table
+from clothbench_models.grid_sheet import GridBatch, GridSimulation, check_number, check_resolution, grid_shape
+from clothbench_models.self_contact import layers_of
+from clothbench_models.sheet_forces import CELLS
+from clothbench_models.spring_grid import tributary
+
+SCHEMES = {"implicit_euler": kernels.EULER, "bdf2": kernels.BDF2}
+STEP = {"implicit_euler": 1e-3, "bdf2": 2e-3}
+TAUT = 2e4  # N/m, what "inextensible" means: a 0.3 m sheet of 0.2 kg/m² hangs 10 µm longer
+COLTRARO = "Coltraro, Experimental validation of an inextensible cloth model, eq. 1"
+
+PARAMETERS = ParameterSpace(
+    (
+        Parameter("theta", "θ", "N·m", (1e-7, 1e-2), "log", 1e-5, "bending rigidity, factor of K", COLTRARO),
+        Parameter("alpha", "α", "kg/(m²·s)", (0.0, 5.0), "linear", 0.1, "damping as the area, D = αM + βK", COLTRARO),
+        Parameter("beta", "β", "N·m·s", (0.0, 1e-4), "linear", 2e-7, "damping of bending, D = αM + βK", COLTRARO),
+    )
+)
+
+
+class Inextensible:
+    """Inextensible sheet with implicit steps and fast projection; see the module for equations and sources.
+
+    resolution: nodes along (u, v) or one number for the longer side, where the scene does not say;
+    integrator: "bdf2" (default; second order) or "implicit_euler" (the paper's, which damps the motion itself);
+    dt: time step [s]; step_scale: multiplies it; tolerance: strain that the projection leaves; shear: N/m, stiffness
+    that stands for the cells' angle constraint (None: as stiff as the mesh lines).
+    """
+
+    name = "inextensible"
+    version = 1
+    kind = "implicit"
+    parameters = PARAMETERS
+    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact"})
+    bench_options: tuple[dict[str, str], ...] = ({},)
+
+    def __init__(
+        self, resolution: int | Sequence[int] = 13, integrator: str = "bdf2", dt: float | None = None,
+        step_scale: float = 1.0, tolerance: float = 1e-7, shear: float | None = None,
+    ):  # fmt: skip
+        if integrator not in SCHEMES:
+            raise ClothbenchError(f"inextensible: integrator is {integrator!r}, expected one of {', '.join(SCHEMES)}")
+        check_resolution(self.name, resolution)
+        check_number(self.name, "dt", dt, 0.0)
+        check_number(self.name, "step_scale", step_scale, 0.0, 100.0)
+        check_number(self.name, "tolerance", tolerance, 0.0, 0.1)
+        check_number(self.name, "shear", shear, 0.0)
+        self.resolution, self.integrator, self.tolerance = resolution, integrator, tolerance
+        self.shear = TAUT if shear is None else shear
+        self.dt = (STEP[integrator] if dt is None else dt) * step_scale
+
+    def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> InextensibleSimulation:
+        bound, shape = BoundEffects(self.parameters, tuple(effects)), grid_shape(scene, self.resolution)
+        return InextensibleSimulation(
+            scene, shape, bound, SCHEMES[self.integrator], self.dt, self.tolerance, self.shear
+        )
+
+    def of_material(self, material: Material, scene: Scene) -> np.ndarray:
+        """θ, α, β (3,) of a textbook material: its bending alone, no damping; that it stretches is not modelled."""
+        return np.array([material.bending, 0.0, 0.0])
+
+
+@dataclass(frozen=True, eq=False)
+class InextensibleSimulation(GridSimulation):
+    """One scene on one grid, ready for batches of parameter sets."""
+
+    scheme: int
+    dt: float
+    tolerance: float
+    shear: float
+
+    @cached_property
+    def bending(self) -> Diagonals:
+        return bending_matrix(self.sheet)
+
+    @cached_property
+    def constraints(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rest lengths (2, P) m of u- and v-edges; (3, P): 1/L, 1/L, 1/√(h_u h_v), 0 where there is none; and how
+        little each gives way (3, P) m/N. P = the nodes and nu + 1 places before and after them.
+        """
+        (u, v), (nu, nv) = self.lines, self.shape
+        hu, hv = np.append(np.diff(u), 0.0), np.append(np.diff(v), 0.0)
+        ones = np.ones((nv, nu))
+        wide, high = tributary(u, u[-1]) * ones, tributary(v, v[-1])[:, None] * ones
+        lengths = np.stack([ones * hu, ones * hv[:, None]])
+        cells = np.sqrt(lengths[0] * lengths[1])
+        three = np.stack([*lengths, cells])
+        share = np.divide(1.0, three, out=np.zeros_like(three), where=three > 0)
+        # An edge of length L and width w of a sheet of k N/m gives way by L/(k w) a newton; a cell by one over k.
+        give = np.stack([lengths[0] / high / TAUT, lengths[1] / wide / TAUT, (cells > 0) / self.shear])
+
+        return padded(lengths), padded(share), padded(give)
+
+    def run(self, theta: np.ndarray) -> Rollout:
+        """Simulate theta (B, P): θ N·m, α kg/(m²·s), β N·m·s, then the effects' parameters."""
+        theta = self.parameters.check(theta)
+        batch = GridBatch(self, theta, self.bearable_step(self.dt, theta), 0.0)
+
+        def simulate(b: int) -> None:
+            batch.status[b], batch.steps[b] = self._march(batch, b)
+
+        for_each(simulate, np.flatnonzero(~batch.late).tolist())
+        return batch.rollout()
+
+    def _march(self, batch: GridBatch, b: int) -> tuple[int, int]:
+        """Simulate member b into the batch's arrays → status, steps."""
+        scene, theta = self.scene, batch.theta[b : b + 1]
+        bend, alpha, beta = theta[0, :3]
+        lengths, share, give = self.constraints
+        shape, result = np.ascontiguousarray(batch.shape.T), np.zeros(3, np.int64)
+        about_bending = (self.bending.offsets, self.bending.values, bend)
+        effects = (
+            *batch.kernels, batch.stages, batch.terms, self.effects.kernel_parameters(theta, loop.SLOTS)[0],
+            self.effects.kernel_state(1, loop.SLOTS, self.sheet)[0],
+        )  # fmt: skip
+        about_scene = (
+            batch.knots, batch.curve(np.array([b]))[0], batch.held_points, batch.pins_of_points,
+            obstacle_table(scene), layers_of(scene, self.sheet), scene.start_time, batch.dt[b],
+        )  # fmt: skip
+        sampling = (batch.interpolator.index, batch.interpolator.weight)
+        if len(scene.grip_material):  # the same sheet with stiff springs for constraints finds rest in a few rounds
+            rest_lengths, over, unit = triangle_edges(self.lines)
+            stiff = unit * np.array([[TAUT], [TAUT], [2 * self.shear]])  # of a cell, not a triangle
+            triangles.march(triangles.BDF2)(
+                triangles.BDF2, CELLS, shape, self.shape[0], own_sheet(self.sheet),
+                rest_lengths, over, stiff, np.zeros_like(stiff), *about_bending, 0.0, np.zeros(3),
+                *effects, *about_scene, 1e-4, max(scene.width, scene.height), batch.bounds(), *sampling,
+                np.zeros(0), batch.position[b], result,
+            )  # fmt: skip
+        if result[0] == loop.OK:
+            kernels.march()(
+                self.scheme, shape, self.shape[0], own_sheet(self.sheet),
+                lengths, share, give, *about_bending, alpha, beta,
+                *effects, *about_scene, self.tolerance, batch.bounds(), *sampling,
+                batch.times[b], batch.position[b], result,
+            )  # fmt: skip
+        return int(result[0]), int(result[1])

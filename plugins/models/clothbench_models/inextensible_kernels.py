@@ -1,0 +1,376 @@
+"""Compiled loop of `inextensible`: implicit steps of the free sheet, then fast projection onto the constraints.
+
+Constraints are kept by edge and cell of the grid like the fluxes of `sheet_forces`: rows 0 (u-edges) and 1 (v-edges)
+with C = (|d|²/L − L)/2, row 2 (cells) with C = d_u·d_v/√(h_u h_v), d the mean of a cell's two opposite edges, which
+says that both diagonals are equal. Multipliers λ are tensions [N] in the same (3, P) layout.
+"""
+
+from __future__ import annotations
+
+import functools
+
+import numpy as np
+from numba import njit, types
+
+from clothbench.kernels import EFFECT, SHEET, bear_inertia, compiled
+from clothbench_models.baraff_witkin_kernels import add_outer
+from clothbench_models.contact import keep_out
+from clothbench_models.implicit_grid import hold_back, mass_times, solve
+from clothbench_models.loop import DIVERGED, SLOTS, advance_segment, grip_point, is_lost, write_frames
+from clothbench_models.resting_contact import FREE, STICKS, judge, part_layers, stop_reversed, touching
+from clothbench_models.self_contact import LAYERS
+from clothbench_models.sheet_forces import add_diagonals, add_fluxes, edge_differences
+
+EULER, BDF2 = 0, 1
+PROJECTIONS = 12  # rounds of the fast projection in one step, at most
+SOLVED = 0.01  # of the residual is left by each round's solver; the next round deals with it
+_fast = njit(cache=True, error_model="numpy", nogil=True)
+_faster = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
+
+
+@_faster
+def violations(nu, du, dv, lengths, share, c):
+    """C (3, P) m from the edge differences du, dv (3, P) m; share (3, P): 1/L, 1/L and 1/√(h_u h_v), 0 outside."""
+    for e in range(share.shape[1]):
+        square = du[0, e] * du[0, e] + du[1, e] * du[1, e] + du[2, e] * du[2, e]
+        c[0, e] = 0.5 * (square * share[0, e] - lengths[0, e])
+        square = dv[0, e] * dv[0, e] + dv[1, e] * dv[1, e] + dv[2, e] * dv[2, e]
+        c[1, e] = 0.5 * (square * share[1, e] - lengths[1, e])
+    for e in range(share.shape[1] - 1 - nu):
+        total = 0.0
+        for k in range(3):
+            total += (du[k, e] + du[k, e + nu]) * (dv[k, e] + dv[k, e + 1])
+        c[2, e] = 0.25 * share[2, e] * total
+
+
+@_faster
+def pull(nu, du, dv, share, tension, fu, fv):
+    """Fluxes (3, P) N of the constraint forces −∂Cᵀλ, tension λ (3, P) N."""
+    for k in range(3):
+        uk, vk, a, b = du[k], dv[k], fu[k], fv[k]
+        for e in range(share.shape[1]):
+            a[e] = tension[0, e] * share[0, e] * uk[e]
+            b[e] = tension[1, e] * share[1, e] * vk[e]
+        m = share.shape[1] - 1 - nu
+        for e in range(m):
+            a[e] += 0.25 * tension[2, e] * share[2, e] * (vk[e] + vk[e + 1])
+        for e in range(m):
+            a[e + nu] += 0.25 * tension[2, e] * share[2, e] * (vk[e] + vk[e + 1])
+        for e in range(m):
+            b[e] += 0.25 * tension[2, e] * share[2, e] * (uk[e] + uk[e + nu])
+        for e in range(m):
+            b[e + 1] += 0.25 * tension[2, e] * share[2, e] * (uk[e] + uk[e + nu])
+
+
+@_faster
+def rates(nu, du, dv, share, pu, pv, out):
+    """∂C·p (3, P) for the edge differences pu, pv of p."""
+    for e in range(share.shape[1]):
+        out[0, e] = share[0, e] * (du[0, e] * pu[0, e] + du[1, e] * pu[1, e] + du[2, e] * pu[2, e])
+        out[1, e] = share[1, e] * (dv[0, e] * pv[0, e] + dv[1, e] * pv[1, e] + dv[2, e] * pv[2, e])
+    for e in range(share.shape[1] - 1 - nu):
+        total = 0.0
+        for k in range(3):
+            total += (pu[k, e] + pu[k, e + nu]) * (dv[k, e] + dv[k, e + 1])
+            total += (du[k, e] + du[k, e + nu]) * (pv[k, e] + pv[k, e + 1])
+        out[2, e] = 0.25 * share[2, e] * total
+
+
+@_fast
+def yield_to(f, mass, extra, heavier, touch, normal):
+    """f (3, n) N becomes accelerations of what can move, in place."""
+    hold_back(f, touch, normal)
+    if heavier:
+        bear_inertia(f, mass, extra)
+    for c in range(3):
+        for e in range(mass.shape[0]):
+            f[c, e] /= mass[e]
+    hold_back(f, touch, normal)
+
+
+@_fast
+def schur_diagonal(nu, du, dv, share, weight, base, out):
+    """The diagonal (3, P) of base + ∂C W ∂Cᵀ for inverse masses `weight` (P,) padded like the edges, 0 where held."""
+    for e in range(share.shape[1] - 1 - nu):
+        uu = du[0, e] ** 2 + du[1, e] ** 2 + du[2, e] ** 2
+        vv = dv[0, e] ** 2 + dv[1, e] ** 2 + dv[2, e] ** 2
+        out[0, e] = base[0, e] + share[0, e] ** 2 * uu * (weight[e] + weight[e + 1])
+        out[1, e] = base[1, e] + share[1, e] ** 2 * vv * (weight[e] + weight[e + nu])
+        plus, minus = 0.0, 0.0
+        for k in range(3):
+            a = 0.25 * share[2, e] * (dv[k, e] + dv[k, e + 1])
+            b = 0.25 * share[2, e] * (du[k, e] + du[k, e + nu])
+            plus += (a + b) ** 2
+            minus += (a - b) ** 2
+        out[2, e] = base[2, e] + plus * (weight[e] + weight[e + nu + 1]) + minus * (weight[e + 1] + weight[e + nu])
+    for e in range(max(0, share.shape[1] - 1 - nu), share.shape[1]):
+        out[0, e] = out[1, e] = out[2, e] = 1.0
+    for k in range(3):
+        for e in range(share.shape[1]):
+            if out[k, e] <= 0.0:
+                out[k, e] = 1.0
+
+
+@_faster
+def _sum(a, b):
+    total = 0.0
+    for k in range(3):
+        ak, bk = a[k], b[k]
+        for e in range(ak.shape[0]):
+            total += ak[e] * bk[e]
+    return total
+
+
+@_fast
+def tighten(
+    x, gamma, tension, nu, lengths, share, give, mass, extra, heavier, touch, normal, weight, tolerance, rows, work, f
+):
+    """Fast projection (Goldenthal et al. 2007, section 4.1) of x (3, n) m onto C(x) = cλ, in the metric of the masses.
+
+    Rounds of (γ² ∂C W ∂Cᵀ + c) δλ = C − cλ, x ← x − γ² W ∂Cᵀ δλ, each solved by conjugate gradients, until no
+    constraint errs by more than `tolerance` of its length. tension (3, P) N: λ, as guessed from the step before, and
+    as found. give (3, P): c, how little the cloth stretches after all
+    [m/N], which keeps grips that pull it too far apart from asking the impossible. Returns the rounds of the solver.
+    """
+    du, dv, fu, fv, pu, pv = work[0:3], work[3:6], work[6:9], work[9:12], work[12:15], work[15:18]
+    c, r, z, p, q, step, diagonal = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6]
+    square, total = gamma * gamma, 0
+    edge_differences(x, nu, du, dv)
+    pull(nu, du, dv, share, tension, fu, fv)
+    f[:] = 0.0
+    add_fluxes(fu, fv, nu, f, 1.0)
+    yield_to(f, mass, extra, heavier, touch, normal)
+    for k in range(3):
+        for e in range(x.shape[1]):
+            x[k, e] += square * f[k, e]
+    for _ in range(PROJECTIONS):
+        edge_differences(x, nu, du, dv)
+        violations(nu, du, dv, lengths, share, c)
+        worst = 0.0
+        for k in range(3):
+            for e in range(c.shape[1]):
+                r[k, e] = (c[k, e] - give[k, e] * tension[k, e]) / square if share[k, e] > 0.0 else 0.0
+                worst = max(worst, abs(r[k, e]) * square * share[k, e])
+        if worst < tolerance or not worst < 1e6:
+            break
+        for k in range(3):
+            for e in range(c.shape[1]):
+                q[k, e] = give[k, e] / square
+        schur_diagonal(nu, du, dv, share, weight, q, diagonal)
+        for k in range(3):
+            for e in range(c.shape[1]):
+                z[k, e] = r[k, e] / diagonal[k, e]
+        p[:] = z
+        step[:] = 0.0
+        rz = _sum(r, z)
+        goal = SOLVED * SOLVED * rz
+        for _ in range(1000):
+            if rz <= goal:
+                break
+            pull(nu, du, dv, share, p, fu, fv)
+            f[:] = 0.0
+            add_fluxes(fu, fv, nu, f, 1.0)
+            yield_to(f, mass, extra, heavier, touch, normal)
+            edge_differences(f, nu, pu, pv)
+            rates(nu, du, dv, share, pu, pv, q)
+            for k in range(3):
+                for e in range(c.shape[1]):
+                    q[k, e] = give[k, e] / square * p[k, e] - q[k, e]
+            pq = _sum(p, q)
+            if not pq > 0.0:
+                break
+            alpha, before = rz / pq, rz
+            for k in range(3):
+                for e in range(c.shape[1]):
+                    step[k, e] += alpha * p[k, e]
+                    r[k, e] -= alpha * q[k, e]
+                    z[k, e] = r[k, e] / diagonal[k, e]
+            rz = _sum(r, z)
+            beta = rz / before
+            for k in range(3):
+                for e in range(c.shape[1]):
+                    p[k, e] = z[k, e] + beta * p[k, e]
+            total += 1
+        pull(nu, du, dv, share, step, fu, fv)
+        f[:] = 0.0
+        add_fluxes(fu, fv, nu, f, 1.0)
+        yield_to(f, mass, extra, heavier, touch, normal)
+        for k in range(3):
+            for e in range(x.shape[1]):
+                x[k, e] += square * f[k, e]
+            for e in range(c.shape[1]):
+                tension[k, e] += step[k, e]
+    return total
+
+
+def _march(
+    scheme, x, nu, sheet,
+    lengths, share, give, offsets, bending, bend, alpha, beta,
+    effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
+    stages, n_effects, parameters, state,
+    knots, curve, held_points, pins_of_points, obstacles, layers,
+    start, dt, tolerance, limit, index, weight, times, out, result,
+):  # fmt: skip
+    """Run the settled shape x (3, n) m with steps of dt s; fills out (T, N, 3) m.
+
+    M (v' − v̄)/γ = F − θ K x' − (α A + β K) v' − ∂Cᵀλ, x' = x̄ + γ v', C(x') = 0, with γ, x̄ and v̄ as in
+    `baraff_witkin` (Euler, or BDF2). First a linear solve without the constraints, then `tighten`, which weighs
+    nodes by their masses alone (Goldenthal et al. 2007): an error of the order of the step squared, like the others.
+    """
+    effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
+    pins, mass, area = sheet.held, sheet.mass, sheet.area
+    n, padded, frames, pad = mass.shape[0], mass.shape[0] + 2 * (nu + 1), times.shape[0], nu + 1
+    edges, shear, work = np.zeros((10, padded)), np.zeros((13, padded)), np.zeros((20, padded))
+    rows, tension = np.zeros((7, 3, padded)), np.zeros((3, padded))
+    f, r, delta, inverse = np.empty((3, n)), np.empty((3, n)), np.empty((3, n)), np.ones((6, n))
+    z, p, q = np.empty((3, n)), np.empty((3, n)), np.empty((3, n))
+    extra, normal, free = np.zeros((6, n)), np.zeros((3, n)), 1.0 / mass
+    v, guess, x_bar, v_bar = np.zeros((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
+    x_old, v_old, x_before, v_before = np.empty((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
+    touch, friction, rub = np.zeros(n, np.int64), np.zeros(n), np.zeros((3, n))
+    stiff_mass, lightness = np.empty(n), np.zeros(padded)
+    solid = obstacles.shape[0] > 0
+    for e in range(n):
+        lightness[pad + e] = 1.0 / mass[e]
+    for g in range(pins.shape[0]):
+        touch[pins[g]] = STICKS
+        free[pins[g]] = 0.0
+        lightness[pad + pins[g]] = 0.0
+    count, done, segment, rounds, t = 0, 0, 0, 0, start
+    if pins.shape[0] > 0:  # settled by forces that stretched it a little: that is what the constraints pull with
+        edge_differences(x, nu, work[0:3], work[3:6])
+        violations(nu, work[0:3], work[3:6], lengths, share, rows[0])
+        for k in range(3):
+            for e in range(padded):
+                tension[k, e] = rows[0, k, e] / give[k, e] if share[k, e] > 0.0 else 0.0
+        x_old[:] = x
+    else:  # a start that fits, at rest now, and before that on the parabola of free fall
+        rounds += tighten(
+            x, 1.0, tension, nu, lengths, share, give, mass, extra, False, touch, normal, lightness, tolerance,
+            rows, work, r,
+        )  # fmt: skip
+        tension[:] = 0.0
+        for c in range(3):
+            v_old[c] = -dt * sheet.gravity[c]
+            x_old[c] = x[c] + 0.5 * dt * dt * sheet.gravity[c]
+    done = write_frames(
+        x, v, x, v, start, start, done, index, weight, held_points, pins_of_points, knots, curve, times, out
+    )
+    while done < frames:
+        t = start + (count + 1) * dt
+        if scheme == EULER:
+            gamma = dt
+            x_bar[:] = x
+            v_bar[:] = v
+            guess[:] = v
+        else:
+            gamma = 2.0 * dt / 3.0
+            x_bar[:] = (4.0 * x - x_old) / 3.0
+            v_bar[:] = (4.0 * v - v_old) / 3.0
+            guess[:] = 2.0 * v - v_old
+        segment = advance_segment(knots, t, segment)
+        for g in range(pins.shape[0]):
+            for c in range(3):
+                guess[c, pins[g]] = (grip_point(knots, curve, t, segment, g, c) - x_bar[c, pins[g]]) / gamma
+        if solid:
+            touching(x, obstacles, free, touch, normal, friction)
+            for e in range(n):
+                if free[e] > 0.0 and touch[e] != FREE:  # x̄ lies off the surface by what x did before
+                    for c in range(3):
+                        z[c, e] = guess[c, e] - (x[c, e] - x_bar[c, e]) / gamma
+                else:
+                    z[0, e] = z[1, e] = z[2, e] = 0.0
+            q[:] = z
+            hold_back(q, touch, normal)
+            guess += q - z
+        for c in range(3):
+            for e in range(n):
+                q[c, e] = x_bar[c, e] + gamma * guess[c, e]  # where the forces are taken
+        f[:] = 0.0
+        heavier = add_outer(
+            t, dt, q, guess, f, nu, NO_AIR, sheet, effects, stages, n_effects, parameters, state, extra,
+            knots, curve, segment,
+        )  # fmt: skip
+        add_diagonals(offsets, bending, q, -bend, f)
+        if beta != 0.0:
+            add_diagonals(offsets, bending, guess, -beta, f)
+        for c in range(3):
+            for e in range(n):
+                f[c, e] -= alpha * area[e] * guess[c, e]
+        if solid:
+            f += rub
+        for c in range(3):
+            for e in range(n):
+                z[c, e] = guess[c, e] - v_bar[c, e]
+        mass_times(mass, extra, heavier, z, r)
+        for c in range(3):
+            for e in range(n):
+                r[c, e] = gamma * f[c, e] - r[c, e]
+        for e in range(n):
+            stiff_mass[e] = mass[e] + gamma * alpha * area[e]
+        bend_scale = gamma * gamma * bend + gamma * beta
+        rounds += solve(
+            delta, r, nu, stiff_mass, extra, heavier, edges, shear, offsets, bending, bend_scale, touch, normal,
+            1e-4, 2000, inverse, z, p, q, work,
+        )  # fmt: skip
+        for c in range(3):
+            for e in range(n):
+                x_before[c, e], v_before[c, e] = x[c, e], v[c, e]
+                x[c, e] = x_bar[c, e] + gamma * (guess[c, e] + delta[c, e])
+        for g in range(pins.shape[0]):
+            for c in range(3):
+                x[c, pins[g]] = grip_point(knots, curve, t, segment, g, c)
+        rounds += tighten(
+            x, gamma, tension, nu, lengths, share, give, mass, extra, heavier, touch, normal, lightness, tolerance,
+            rows, work, r,
+        )  # fmt: skip
+        for c in range(3):
+            for e in range(n):
+                v[c, e] = (x[c, e] - x_bar[c, e]) / gamma
+        if solid:  # what the obstacles did: the momentum that nothing else accounts for
+            for c in range(3):
+                for e in range(n):
+                    z[c, e] = v[c, e] - v_bar[c, e]
+            mass_times(mass, extra, heavier, z, q)
+            edge_differences(x, nu, work[0:3], work[3:6])
+            pull(nu, work[0:3], work[3:6], share, tension, work[6:9], work[9:12])
+            add_fluxes(work[6:9], work[9:12], nu, f, 1.0)
+            for c in range(3):
+                for e in range(n):
+                    q[c, e] = q[c, e] / gamma - f[c, e]
+                    z[c, e] = gamma * (v[c, e] - guess[c, e])
+            add_diagonals(offsets, bending, z, bend, q)
+            stop_reversed(v, touch, rub)
+            judge(q, v, free, touch, normal, friction, rub)
+        x_old[:] = x_before
+        v_old[:] = v_before
+        if solid:
+            keep_out(x, v, obstacles, free, 0, 1)
+        if layers.size[0] > 0.0:
+            part_layers(x, v, x_old, dt, free, layers, z, q)
+        count += 1
+        if is_lost(x, 0, 1, limit):
+            result[0], result[1], result[2] = DIVERGED, count, rounds
+            return
+        done = write_frames(
+            x_old, v_old, x, v, t - dt, t, done, index, weight, held_points, pins_of_points, knots, curve, times, out
+        )
+    result[1], result[2] = count, rounds
+
+
+NO_AIR = np.zeros(3)
+_d1, _d2, _d3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
+_i1, _i2, _real, _whole = types.int64[::1], types.int64[:, ::1], types.float64, types.int64
+_SIGNATURE = types.void(
+    _whole, _d2, _whole, SHEET,
+    _d2, _d2, _d2, _i1, _d2, _real, _real, _real,
+    *(EFFECT,) * SLOTS, _i1, _whole, _d2, _d2,
+    _d1, types.float64[:, :, :, ::1], _i1, _i1, _d2, LAYERS,
+    _real, _real, _real, _real, _i2, _d2, _d1, _d3, _i1,
+)  # fmt: skip
+
+
+@functools.cache
+def march():
+    """The compiled loop; compiling takes seconds once, then it lies on disk."""
+    return compiled(_SIGNATURE)(_march)
