@@ -14,7 +14,7 @@ from typing import Any
 
 from clothbench.errors import ClothbenchError
 from clothbench.parallel import thread_count
-from clothbench.plugins import Plugin, catalogue, one_line
+from clothbench.plugins import Plugin, absent, catalogue, one_line
 from clothbench.timing import STEP, FailedRun, Speed, share_of_processes, time_model, time_peer
 
 KEYS = (
@@ -98,7 +98,10 @@ def _variants() -> list[_Variant]:
             _skipped(plugin.name, plugin.reason)
         elif plugin.kind == "models":
             with _or_skipped(plugin.name):
-                found += _variants_of(plugin)
+                reason = absent(catalogue().load("models", plugin.name))
+                found += [] if reason else _variants_of(plugin)
+                if reason is not None:
+                    _skipped(plugin.name, reason)
     return found
 
 

@@ -222,7 +222,8 @@ def leaderboard(options: argparse.Namespace) -> int:
     if options.json:
         print_json([leaderboard_row(r) for r in rows])
     elif rows:
-        print_leaderboard(rows, Store(options.out).parameters())
+        store = Store(options.out)
+        print_leaderboard(rows, store.parameters(), store.levels())
     else:
         print(f"no results in {options.out}; make some with: clothbench run +suite=static_dynamic")
     return 0

@@ -132,10 +132,11 @@ class BoundEffects:
 
     def seen(self, scene: Scene, theta: np.ndarray, position: np.ndarray) -> np.ndarray:
         """What the sensor makes of the true positions (B, T, N, 3) m."""
-        for effect in self.at("sensor"):
-            if hasattr(effect, "positions"):
-                phis = self.of_effect(effect, theta)
-                position = np.stack(
-                    [effect.positions(scene.times, p, phi) for p, phi in zip(position, phis, strict=True)]
-                )
+        with np.errstate(over="ignore", invalid="ignore"):  # a member that diverged may hold anything
+            for effect in self.at("sensor"):
+                if hasattr(effect, "positions"):
+                    phis, points = self.of_effect(effect, theta), scene.points
+                    position = np.stack(
+                        [effect.positions(scene.times, p, points, phi) for p, phi in zip(position, phis, strict=True)]
+                    )
         return position

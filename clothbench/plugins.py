@@ -10,7 +10,8 @@ import sys
 from collections.abc import Iterable
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points
+from importlib.metadata import version as version_of
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -118,6 +119,21 @@ def import_target(target: str) -> Any:
     for part in filter(None, attribute.split(".")):
         value = getattr(value, part)
     return value
+
+
+def absent(loaded: Any) -> str | None:
+    """Why a plugin that loads cannot be used on this machine ("pip install …"), if it says so: no fault of anybody."""
+    ask = getattr(loaded, "skip_reason", None)
+    return ask() if ask is not None else None
+
+
+def library_version(loaded: Any) -> str:
+    """ "mujoco 4.0.0" of a plugin that is built on a library and says so in `built_on`; else ""."""
+    names = getattr(loaded, "built_on", ())
+    for name in names:
+        with contextlib.suppress(PackageNotFoundError):
+            return f"{name} {version_of(name)}"
+    return f"{names[0]} not installed" if names else ""
 
 
 def config_groups(place: str) -> set[str]:

@@ -71,7 +71,9 @@ class Material:
 class Model(Protocol):
     """A cloth model. Made by calling the registered attribute with its options as keywords.
 
-    Optional: `skip(scene) -> reason | None`, why it cannot simulate a scene;
+    Optional: `skip_reason() -> reason | None`, static: what has to be installed before it can do anything;
+    `built_on`, names of distributions the first installed of which has a version that results depend on;
+    `skip(scene) -> reason | None`, why it cannot simulate a scene;
     `of_material(material, scene) -> theta (P,)`, its parameters for a textbook material (damping as low as they go),
     or a ClothbenchError that says what it has no parameter for: then `physical_validation` can test it.
     capabilities: "dynamic" (moves), "static" (finds rest), "effects" (takes them), "contact" (keeps out of the
@@ -100,7 +102,7 @@ class Effect(Protocol):
       step depends on it then take a shorter one.
     place "boundary": has `grips(time (K,), position (K, G, 3), phi (P,)) -> position`.
     place "sensor": has `times(time (T,), phi) -> time` (when the simulation is looked at for each stamp) and/or
-        `positions(time (T,), position (T, N, 3), phi) -> position` (how it is seen).
+        `positions(time (T,), position (T, N, 3), points (N, 2) m, phi) -> position` (how it is seen).
     """
 
     name: ClassVar[str]

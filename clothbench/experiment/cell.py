@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.calibrate import Trial
 from clothbench.parameters import ParameterSpace
-from clothbench.plugins import OWN, Catalogue, PluginBroken
+from clothbench.plugins import OWN, Catalogue, PluginBroken, absent, library_version
 from clothbench.protocols import Effect, Metric
 from clothbench.recording import Recording, read_recording
 from clothbench.scene import scene_of
@@ -54,6 +54,9 @@ class Cell:
     seed: int = 0
     timeout: float | None = None
 
+    counts: ClassVar[str] = "evaluations"
+    value_word: ClassVar[str] = "best"
+
     @cached_property
     def key(self) -> str:
         """16 hexadecimal digits, the same on every machine for the same question."""
@@ -64,6 +67,11 @@ class Cell:
 
     def _plugins(self) -> set[str]:
         return {self.model, self.optimizer, self.metric, self.tracker, *self.effects, *self.report}
+
+    @property
+    def cases(self) -> tuple[str, ...]:
+        """The cases of its rows."""
+        return (self.case,)
 
     @property
     def label(self) -> str:
@@ -92,13 +100,17 @@ def uses(cell: Cell) -> list[tuple[str, str]]:
     return single + metrics + [("effects", name) for name in cell.effects]
 
 
-def plugin_versions(cell: Cell, plugins: Catalogue) -> dict[str, str]:
-    """ "kind/name" → "distribution version, plugin version" of all that a cell uses; "broken" where it cannot load."""
+def plugin_versions(used: Iterable[tuple[str, str]], plugins: Catalogue) -> dict[str, str]:
+    """ "kind/name" → "distribution version, plugin version" of what a cell uses; "broken" where it cannot load.
+
+    With the version of the library that a plugin is built on: a cell skipped for want of it is another one later.
+    """
     out = {}
-    for kind, name in uses(cell):
+    for kind, name in used:
         known = plugins.find(kind, name)
         try:
-            version = getattr(plugins.load(kind, name), "version", 0)
+            loaded = plugins.load(kind, name)
+            version = ", ".join(filter(None, (str(getattr(loaded, "version", 0)), library_version(loaded))))
         except ClothbenchError:
             version = "broken"
         out[f"{kind}/{name}"] = f"{known.distribution} {known.version}, {version}"
@@ -155,6 +167,8 @@ class Skipped(Exception):
 
 def set_up(cell: Cell, plugins: Catalogue) -> Bench:
     """Make the plugins, read and track the recordings, and prepare one simulation for each."""
+    if reason := absent(plugins.load("models", cell.model)):
+        raise Skipped(reason)
     model = plugins.make("models", cell.model, **cell.option(cell.model))
     effects: list[Effect] = [plugins.make("effects", name) for name in cell.effects]
     metric = plugins.make("metrics", cell.metric, **cell.option(cell.metric))

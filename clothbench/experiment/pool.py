@@ -6,19 +6,19 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 
-from clothbench.experiment.cell import Cell
-from clothbench.experiment.run import Attach, Progress, keep_failure, run_cell
+from clothbench.experiment.rows import AnyCell, keep_failure
+from clothbench.experiment.run import Attach, Progress, run_cell
 from clothbench.experiment.store import Store
 from clothbench.parallel import available_cores
 
 
 def run_cells(
-    cells: Sequence[Cell],
+    cells: Sequence[AnyCell],
     out: Path,
     *,
     jobs: int = 0,
     attach: Attach | None = None,
-    done: Callable[[Cell, str], None],
+    done: Callable[[AnyCell, str], None],
     progress: Progress | None = None,
 ) -> None:
     """Run every cell that the store lacks, `jobs` processes at a time (0: one per core); `done(cell, status)` after.
@@ -39,7 +39,7 @@ def run_cells(
 
 
 def _run_in_processes(
-    cells: Sequence[Cell], out: Path, workers: int, attach: Attach | None, done: Callable[[Cell, str], None]
+    cells: Sequence[AnyCell], out: Path, workers: int, attach: Attach | None, done: Callable[[AnyCell, str], None]
 ) -> None:
     """Keep `workers` processes busy.
 
@@ -49,7 +49,7 @@ def _run_in_processes(
     from loky.process_executor import BrokenProcessPool
 
     waiting = list(cells)[::-1]
-    running: dict[Future, Cell] = {}
+    running: dict[Future, AnyCell] = {}
     threads = max(1, available_cores() // workers)
     executor = _pool(workers)
     while waiting or running:
@@ -72,7 +72,7 @@ def _first(running: Iterable[Future]) -> Iterable[Future]:
     return wait(list(running), return_when=FIRST_COMPLETED).done
 
 
-def _run_alone(cell: Cell, out: Path, attach: Attach | None) -> str:
+def _run_alone(cell: AnyCell, out: Path, attach: Attach | None) -> str:
     from loky.process_executor import BrokenProcessPool
 
     store = Store(out)

@@ -10,27 +10,33 @@ from typing import Any
 import numpy as np
 
 from clothbench.experiment.calibrate import Fit, best_rollout, calibrate, error_interval, mean_interval, score_of
-from clothbench.experiment.cell import Bench, Cell, Skipped, set_up
-from clothbench.experiment.store import Store, now, system_info
-from clothbench.parallel import set_thread_count, thread_count
+from clothbench.experiment.cell import Bench, Skipped, set_up
+from clothbench.experiment.rows import AnyCell, about_cell, keep_failure, no_value
+from clothbench.experiment.store import Store
+from clothbench.experiment.validate import validate
+from clothbench.experiment.validation_cell import ValidationCell
+from clothbench.parallel import set_thread_count
 from clothbench.plugins import catalogue, one_line
 from clothbench.protocols import Metric, Score
 from clothbench.rollout import Rollout
 
-Progress = Callable[[Cell, int, float], None]
+Progress = Callable[[AnyCell, int, float], None]
 Attach = Callable[[Path, Bench, Sequence[Rollout]], None]  # adds files to a finished cell's folder
 
 
 def run_cell(
-    cell: Cell, out: Path, *, threads: int = 0, attach: Attach | None = None, progress: Progress | None = None
+    cell: AnyCell, out: Path, *, threads: int = 0, attach: Attach | None = None, progress: Progress | None = None
 ) -> str:
-    """Calibrate one cell, store it, and return its status. Whatever fails becomes a row with its reason.
+    """Calibrate or validate one cell, store it, and return its status. Whatever fails becomes a row with its reason.
 
     `attach(folder, bench, rollouts)` may add files to the cell, with one best rollout per recording.
     """
     set_thread_count(threads)
     store = Store(out)
+    told = (lambda n, value: progress(cell, n, value)) if progress else None
     try:
+        if isinstance(cell, ValidationCell):
+            return validate(store, cell, told)
         bench = set_up(cell, catalogue())
         optimizer = catalogue().make(
             "optimizers",
@@ -40,47 +46,12 @@ def run_cell(
             budget=cell.budget,
             **cell.option(cell.optimizer),
         )
-        told = (lambda n, value: progress(cell, n, value)) if progress else None
         fit = calibrate(bench.of_split("fit"), optimizer, bench.space, timeout=cell.timeout, progress=told)
         return _keep(store, bench, fit, attach)
     except Skipped as reason:
         return keep_failure(store, cell, "skipped", str(reason))
     except Exception as fault:
         return keep_failure(store, cell, "error", one_line(fault), detail=traceback.format_exc())
-
-
-def keep_failure(
-    store: Store, cell: Cell, status: str, reason: str, detail: str = "", evaluations: int = 0, wall_s: float = 0.0
-) -> str:
-    """Store a cell that has no result: one row, with the reason in place of a number."""
-    row = {**_about(cell), **_no_value(), "status": status, "reason": reason, "unit": None}
-    row |= {"evaluations": evaluations, "wall_s": wall_s}
-    extra = (lambda folder: (folder / "traceback.txt").write_text(detail)) if detail else None
-    store.put(cell.key, {"rows": [row]}, extra)
-    return status
-
-
-def _about(cell: Cell) -> dict[str, Any]:
-    plugins = "; ".join(f"{k} ({v})" for k, v in sorted(cell.versions.items()))
-    return {
-        "suite": cell.suite,
-        "case": cell.case,
-        "model": cell.model,
-        "effects": ",".join(cell.effects),
-        "optimizer": cell.optimizer,
-        "metric": cell.metric,
-        "seed": cell.seed,
-        "key": cell.key,
-        "plugins": plugins,
-        "objective": cell.metric,
-        "threads": thread_count(),
-        "finished": now(),
-        **system_info(),
-    }
-
-
-def _no_value() -> dict[str, Any]:
-    return dict.fromkeys(("value", "low", "high", "floor", "reference", "recording", "split"))
 
 
 def _keep(store: Store, bench: Bench, fit: Fit, attach: Attach | None) -> str:
@@ -116,7 +87,7 @@ def _rows_of(
 ) -> list[dict[str, Any]]:
     """One row per recording, then one per split over its recordings."""
     cell = bench.cell
-    about = {**_about(cell), **_no_value(), "metric": metric.name, "unit": metric.unit}
+    about = {**about_cell(cell), **no_value(), "metric": metric.name, "unit": metric.unit}
     about |= {"evaluations": fit.evaluations, "wall_s": fit.wall_s}
     rows = []
     for source, trial, score, rollout in zip(cell.recordings, bench.trials, scores, rollouts, strict=True):

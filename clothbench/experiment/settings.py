@@ -9,7 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.errors import ClothbenchError
+from clothbench.experiment.validation_cell import MESHES, chosen_tests
 from clothbench.plugins import Catalogue
+from clothbench.scene import AIR_DENSITY
 
 PRODUCT = ("model", "optimizer", "metric")
 CASES = ("fabric", "motion", "recording", "all")
@@ -17,7 +19,9 @@ KNOWN = {
     *PRODUCT, "effects", "report", "tracker", "recordings", "recording", "scene", "options", "bounds", "budget",
     "seed", "jobs", "timeout", "out", "data_dir", "suite", "rerun",
 }  # fmt: skip
-SUITE_KEYS = {"name", "version", "title", "recordings", "select", "case"}
+SUITE_KEYS = {"name", "version", "title", "recordings", "select", "case", "tests", "meshes"}
+# What a suite of tests against mechanics has no use for, beside `scene`.
+CALIBRATION = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds")
 
 
 def checked(config: Mapping[str, Any], plugins: Catalogue) -> dict[str, Any]:
@@ -36,12 +40,26 @@ def checked(config: Mapping[str, Any], plugins: Catalogue) -> dict[str, Any]:
     out["options"] = option_settings(mapping("options", out.get("options")), plugins)
     for key in (*PRODUCT, "effects", "report", "recording", "recordings"):
         out[key] = words(key, out.get(key))
+    if out["suite"]["tests"]:
+        _nothing_to_fit(out)
     for key in PRODUCT:
-        if not out[key]:
+        if not out[key] and not out["suite"]["tests"]:
             raise ClothbenchError(f"setting '{key}' is empty; name a plugin (see `clothbench plugins`)")
     if twice := sorted({e for e in out["effects"] if out["effects"].count(e) > 1}):
         raise ClothbenchError(f"setting 'effects': {twice[0]!r} is given twice; name every effect once")
     return out
+
+
+def _nothing_to_fit(config: Mapping[str, Any]) -> None:
+    """Refuse what tests against mechanics cannot follow: they bring their own scenes, effects and parameters."""
+    for key in CALIBRATION:
+        if config[key]:
+            raise ClothbenchError(f"setting '{key}': the tests of this suite are not fitted to anything; leave it out")
+    for key, value in config["scene"].items():
+        if not (key == "air_density" and value == AIR_DENSITY):
+            raise ClothbenchError(
+                f"setting 'scene.{key}': the tests of this suite bring their own scenes; leave it out"
+            )
 
 
 def known_words(what: str, given: Mapping[str, Any], known: set[str]) -> None:
@@ -105,8 +123,20 @@ def suite_settings(suite: Any) -> dict[str, Any]:
     known_words("setting of 'suite'", out, SUITE_KEYS)
     if out.get("case", "fabric") not in CASES:
         raise ClothbenchError(f"setting 'suite.case' is {out['case']!r}, expected one of {', '.join(CASES)}")
+    out["tests"] = chosen_tests(words("suite.tests", out.get("tests")))
+    out["meshes"] = mesh_sizes(out.get("meshes"))
     out["select"] = words("suite.select", out.get("select")) or ["*"]
     return out
+
+
+def mesh_sizes(value: Any) -> list[int]:
+    """Nodes along a strip, from the coarsest mesh to the finest."""
+    if value is None:
+        return list(MESHES)
+    sizes = value if isinstance(value, list | tuple) else [value]
+    if not sizes:
+        raise ClothbenchError("setting 'suite.meshes' is empty; give numbers of nodes, for example [9,17,33]")
+    return sorted({whole("suite.meshes", n, 5) for n in sizes})
 
 
 def scene_settings(scene: dict[str, Any]) -> dict[str, Any]:

@@ -4,6 +4,7 @@ RUNS/cells/KEY/rows.parquet         what the leaderboard shows, with the system 
 RUNS/cells/KEY/parameters.parquet   best values with intervals and units
 RUNS/cells/KEY/history.parquet      every evaluation
 RUNS/cells/KEY/trace.parquet        error of every recording, frame by frame
+RUNS/cells/KEY/validation.parquet   every simulation of a test against mechanics: mesh, step, value beside reference
 RUNS/cells/KEY/fit.rrd              recording beside rollout, for Rerun
 """
 
@@ -46,7 +47,13 @@ PARAMETER = {
     "at_bound": pa.bool_(), "meaning": _text, "key": _text,
 }  # fmt: skip
 TRACE = {"recording": _text, "split": _text, "metric": _text, "time": _number, "value": _number, "unit": _text}
-TABLES = {"rows": {**ROW, **SYSTEM}, "parameters": PARAMETER, "trace": TRACE}
+LEVEL = {
+    "case": _text, "model": _text, "metric": _text, "unit": _text, "along": _whole, "nodes": _whole, "size": _number,
+    "step_scale": _number, "load": _number, "load_name": _text, "value": _number, "reference": _number,
+    "error": _number, "relative": _number, "order": _number, "status": _text, "reason": _text, "steps": _whole,
+    "wall_s": _number, "key": _text,
+}  # fmt: skip
+TABLES = {"rows": {**ROW, **SYSTEM}, "parameters": PARAMETER, "trace": TRACE, "validation": LEVEL}
 FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
 
 
@@ -114,6 +121,10 @@ class Store:
 
     def parameters(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
         return self._all("parameters", keys)
+
+    def levels(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
+        """Every simulation of tests against mechanics, from the coarsest mesh of each to the finest."""
+        return self._all("validation", keys)
 
     def _all(self, name: str, keys: Iterable[str] | None) -> list[dict[str, Any]]:
         folders = [self.cell(k) for k in keys] if keys is not None else sorted(self.folder.glob("cells/[0-9a-f]*"))

@@ -11,8 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.errors import ClothbenchError
-from clothbench.experiment.cell import Cell, Source, plugin_versions, rehearse, resplit
+from clothbench.experiment.cell import Cell, Source, plugin_versions, rehearse, resplit, uses
+from clothbench.experiment.rows import AnyCell
 from clothbench.experiment.settings import PRODUCT, checked, words
+from clothbench.experiment.validation_cell import plan_validation
 from clothbench.plugins import Catalogue
 from clothbench.recording import Recording, find_recordings, read_recording
 
@@ -25,13 +27,15 @@ def suites_folder() -> Path:
     return inside if inside.is_dir() else Path(__file__).parents[2] / "suites"
 
 
-def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = None) -> list[Cell]:
+def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = None) -> list[AnyCell]:
     """Every cell of a resolved configuration. Reads and checks all recordings first: nothing is begun on bad input.
 
     `progress(done, planned, file)` is told while a public data set is fetched or converted.
     """
     config = checked(config, plugins)
     suite = config["suite"]
+    if suite["tests"]:
+        return list(plan_validation(config, plugins))
     recordings = read_all(where(config, progress))
     cases = group(recordings, suite.get("case") or "fabric", suite["select"], config["seed"])
     cells: dict[str, Cell] = {}
@@ -49,7 +53,7 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = 
                 tracker=str(config["tracker"]),
                 **{key: config[key] for key in ("options", "bounds", "scene", "budget", "seed", "timeout")},
             )
-            cell = dataclasses.replace(cell, versions=plugin_versions(cell, plugins))
+            cell = dataclasses.replace(cell, versions=plugin_versions(uses(cell), plugins))
             rehearse(cell, plugins, {r.path: r for r in recordings})
             cells[cell.key] = cell
     return list(cells.values())

@@ -16,14 +16,16 @@ IDENTITY = ("suite", "case", "recording", "split", "model", "effects", "optimize
 # Share of BASE's value that is never a regression: another processor or library rounds otherwise, folding cloth
 # amplifies that, and a search then ends a little elsewhere. An interval over frames knows nothing of it.
 SLACK = 0.05
+SMALL = 1e-3  # share of a reference below which a distance from it does not count
 
 
 def compare_rows(base: Rows, new: Rows) -> dict[str, Any]:
     """Verdict over the rows both have: {"passed", "compared", "worse", "better", "missing", "added"}.
 
     A row is worse if it lost its number, or if its error grew by more than the joint half-width of both 95 %
-    intervals, √(h_base² + h_new²), and 5 % of its value. A row of BASE that NEW lacks is missing, and fails the gate
-    as well: leaving out a test is no way to pass it.
+    intervals, √(h_base² + h_new²), and 5 % of its value. Where a row has a reference, its error is how far its value
+    is from that; there a thousandth of the reference (of 1 in the row's unit, where it is 0) does not count. A row of
+    BASE that NEW lacks is missing, and fails the gate as well: leaving out a test is no way to pass it.
     """
     theirs = named(new, {identity(r, "key") for r in base})
     verdict: dict[str, Any] = {"compared": 0, "worse": [], "better": [], "missing": []}
@@ -57,9 +59,18 @@ def judge(base: dict[str, Any], new: dict[str, Any]) -> str | None:
     had, has = (isinstance(r["value"], int | float) and math.isfinite(r["value"]) for r in (base, new))
     if not (had and has):
         return "worse" if had and not has else "better" if has and not had else None
-    allowed = math.hypot(_half(base), _half(new)) + SLACK * abs(base["value"])
-    change = new["value"] - base["value"]
+    before, after = (error(r) for r in (base, new))
+    allowed = math.hypot(_half(base), _half(new)) + SLACK * abs(before)
+    if (reference := base.get("reference")) is not None:
+        allowed += SMALL * (abs(reference) or 1.0)
+    change = after - before
     return "worse" if change > allowed else "better" if change < -allowed else None
+
+
+def error(row: dict[str, Any]) -> float:
+    """What is better the lower it is: the value, or its distance from the reference where there is one."""
+    reference = row.get("reference")
+    return row["value"] if reference is None else abs(row["value"] - reference)
 
 
 def _half(row: dict[str, Any]) -> float:
@@ -94,7 +105,7 @@ def print_gate(verdict: dict[str, Any]) -> None:
             table.add_column(name, overflow="fold")
         for side, r in rows:
             label = " · ".join(str(r[n]) for n in IDENTITY if r[n] not in (None, ""))
-            base, new = (f"{r[n]:.3f} {r['unit'] or ''}" if r[n] is not None else r["status"] for n in ("base", "new"))
+            base, new = (f"{r[n]:.4g} {r['unit'] or ''}" if r[n] is not None else r["status"] for n in ("base", "new"))
             table.add_row(side, *(escape(t) for t in (label, base, new, r["reason"])))
         out.print(table)
     if not verdict["compared"]:

@@ -10,7 +10,7 @@ from rich.table import Table
 
 from clothbench.datasets.convert import REPORT
 from clothbench.errors import ClothbenchError
-from clothbench.plugins import Plugin, catalogue, one_line
+from clothbench.plugins import Plugin, absent, catalogue, one_line
 from clothbench.report.tables import console
 
 
@@ -28,11 +28,13 @@ def _plugin_row(plugin: Plugin) -> dict[str, Any]:
         "target": plugin.target,
         "summary": plugin.summary,
         "broken": plugin.reason,
+        "missing": None,
         "parameters": [],
     }
-    if plugin.reason is None and plugin.kind != "peers":
+    if plugin.reason is None:
         try:
             loaded = catalogue().load(plugin.kind, plugin.name)
+            row["missing"] = absent(loaded)
             row["version"] = getattr(loaded, "version", None)
             row["parameters"] = [_parameter(p) for p in getattr(loaded, "parameters", ())]
         except ClothbenchError as fault:
@@ -58,6 +60,8 @@ def print_plugins(rows: list[dict[str, Any]]) -> None:
         )
     out = console()
     out.print(table)
+    for row in (r for r in rows if r["missing"] is not None):
+        out.print(f"[yellow]not installed[/]: {escape(row['kind'])} {escape(row['name'])}: {escape(row['missing'])}")
     for row in (r for r in rows if r["broken"] is not None):
         what, reason = f"{row['kind']} {row['name']} ({row['distribution']})", row["broken"]
         out.print(f"[red]broken[/]: {escape(what)}: {escape(reason)}")

@@ -11,9 +11,11 @@ from clothbench.experiment.store import Store
 from clothbench.files import whole_file
 from clothbench.report.figure_data import model_name
 from clothbench.report.figures import panels
-from clothbench.report.page_style import CSS, FIGURES, SCRIPT
+from clothbench.report.page_style import CSS, DRAWING, FIGURES, SCRIPT
 from clothbench.report.page_tables import leaderboard, parameters, pill, table, text
 from clothbench.report.tables import failures
+from clothbench.report.validation_page import validation_section
+from clothbench.report.validation_table import is_validation
 
 Rows = Sequence[dict[str, Any]]
 MACHINE = ("cpu", "cores", "threads", "platform", "python", "numpy", "numba", "clothbench")
@@ -39,15 +41,17 @@ def document(store: Store) -> str:
     rows = store.rows()
     sections = [heading(rows), HINT]
     if rows:
-        fitted = store.parameters()
+        found, tests = [r for r in rows if not is_validation(r)], [r for r in rows if is_validation(r)]
+        drawn = figures(store, found)
         sections = [
             heading(rows),
             overview(rows),
             failure_list(rows),
-            leaderboards(rows),
-            figures(store, rows),
+            leaderboards(found),
+            drawn,
+            validation_section(tests, store.levels({r["key"] for r in tests}), plotly=not drawn),
         ]
-        sections += [fits(rows, fitted), machines(rows), MORE]
+        sections += [fits(found, store.parameters()), machines(rows), MORE]
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
@@ -64,7 +68,8 @@ def title(rows: Rows) -> str:
 
 def heading(rows: Rows) -> str:
     """What was run, when and on which machine, in two lines."""
-    top = f"<h1>Cloth models against recordings: {title(rows)}</h1>"
+    kinds = {"mechanics" if is_validation(r) else "recordings" for r in rows} or {"recordings"}
+    top = f"<h1>Cloth models against {' and '.join(sorted(kinds, reverse=True))}: {title(rows)}</h1>"
     if not rows:
         return top
     finished = [r["finished"] for r in rows]
@@ -86,10 +91,11 @@ def overview(rows: Rows) -> str:
     tiles.append((len({(r["suite"], r["case"]) for r in rows}), "cases", ""))
     tiles.append((len({(r["suite"], r["case"], r["recording"]) for r in rows if r["recording"]}), "recordings", ""))
     tiles.append((len({model_name(r) for r in rows}), "models", ""))
-    tiles.append((len({r["optimizer"] for r in rows}), "optimizers", ""))
+    tiles.append((len({r["optimizer"] for r in rows} - {None}), "optimizers", ""))
     shown = (
         f'<div class="tile {kind}"><b>{n}</b>{word if n != 1 else word.removesuffix("s")}</div>'
         for n, word, kind in tiles
+        if n or word not in ("recordings", "optimizers")
     )
     return f'<div class="tiles">{"".join(shown)}</div>'
 
@@ -132,7 +138,7 @@ def figures(store: Store, rows: Rows) -> str:
     data = json.dumps(shown, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return (
         f'{FIGURES}<script type="application/json" id="panels">{data}</script>\n'
-        f"<script>{get_plotlyjs()}</script>\n<script>{SCRIPT}</script>"
+        f"<script>{get_plotlyjs()}</script>\n<script>{DRAWING}{SCRIPT}</script>"
     )
 
 

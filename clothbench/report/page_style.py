@@ -49,13 +49,14 @@ figure { margin: 0 0 8px; }
 select { font: inherit; color: inherit; background: var(--card); border: 1px solid var(--line);
   border-radius: 6px; padding: 5px 8px; max-width: 100%; }
 .menu { display: flex; gap: 8px; align-items: center; flex-wrap: wrap; }
-#legend { display: flex; flex-wrap: wrap; gap: 4px 6px; flex-basis: 100%; max-height: 132px;
+#legend, #test-legend { display: flex; flex-wrap: wrap; gap: 4px 6px; flex-basis: 100%; max-height: 132px;
   overflow-y: auto; }
-#legend button { font: inherit; font-size: 13px; color: inherit; background: none;
+#legend button, #test-legend button { font: inherit; font-size: 13px; color: inherit; background: none;
   border: 1px solid var(--line); border-radius: 12px; padding: 1px 10px; cursor: pointer;
   display: flex; align-items: center; gap: 7px; }
-#legend button[aria-pressed="false"] { opacity: 0.45; text-decoration: line-through; }
-#legend i { width: 22px; height: 0; border-top: 3px solid; }
+#legend button[aria-pressed="false"], #test-legend button[aria-pressed="false"] { opacity: 0.45;
+  text-decoration: line-through; }
+#legend i, #test-legend i { width: 22px; height: 0; border-top: 3px solid; }
 .menu.top { position: sticky; top: 0; z-index: 5; background: var(--ground); padding: 8px 0;
   border-bottom: 1px solid var(--line); }
 footer { margin-top: 48px; color: var(--soft); font-size: 13px; }
@@ -78,8 +79,7 @@ a perfect model.</figcaption>
 <div id="trace"></div></figure></div>
 """
 
-SCRIPT = """
-const panels = JSON.parse(document.getElementById("panels").textContent);
+DRAWING = """
 const byId = (id) => document.getElementById(id);
 const options = (select, names) => select.replaceChildren(...names.map((n) => new Option(n, n)));
 const hidden = new Set();
@@ -102,16 +102,20 @@ function draw(id, figure) {
   byId(id).style.height = figure.layout.height + "px";
   Plotly.react(byId(id), structuredClone(shown), themed(figure.layout), config);
 }
-function legendButton([name, colour, dash]) {
+function legendButton([name, colour, dash], redraw) {
   const button = document.createElement("button"), line = document.createElement("i");
   line.style.borderColor = colour;
   line.style.borderTopStyle = { solid: "solid", dot: "dotted" }[dash] ?? "dashed";
   button.append(line, name);
   button.ariaPressed = String(!hidden.has(name));
   button.title = "show or hide";
-  button.addEventListener("click", () => { hidden.delete(name) || hidden.add(name); drawPanel(); });
+  button.addEventListener("click", () => { hidden.delete(name) || hidden.add(name); redraw(); });
   return button;
 }
+"""
+
+SCRIPT = """
+const panels = JSON.parse(document.getElementById("panels").textContent);
 const current = () => panels[byId("panel").selectedIndex];
 function drawTrace() {
   const figure = current().traces[byId("recording").value];
@@ -119,7 +123,7 @@ function drawTrace() {
 }
 function drawPanel() {
   const panel = current(), before = byId("recording").value, names = Object.keys(panel.traces);
-  byId("legend").replaceChildren(...panel.legend.map(legendButton));
+  byId("legend").replaceChildren(...panel.legend.map((entry) => legendButton(entry, drawPanel)));
   draw("errors", panel.errors);
   byId("convergence-block").hidden = !panel.convergence;
   if (panel.convergence) draw("convergence", panel.convergence);

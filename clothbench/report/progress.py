@@ -9,13 +9,13 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from clothbench.experiment.cell import Cell
+from clothbench.experiment.rows import AnyCell
 
 
 class CellProgress:
     """A bar on standard error; where that is no terminal, one line per finished cell instead."""
 
-    def __init__(self, cells: Sequence[Cell]):
+    def __init__(self, cells: Sequence[AnyCell]):
         self.total, self.count = len(cells), 0
         console = Console(stderr=True)
         self.live = console.is_terminal
@@ -24,10 +24,10 @@ class CellProgress:
             TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[note]}"),
             console=console, disable=not self.live,
         )  # fmt: skip
-        # With one cell the bar counts its evaluations, which is what there is to wait for.
+        # With one cell the bar counts its evaluations or simulations, which is what there is to wait for.
         self.single = cells[0] if len(cells) == 1 else None
         steps = self.single.budget if self.single else self.total
-        self.task = self.bar.add_task("evaluations" if self.single else "cells", total=steps, note="")
+        self.task = self.bar.add_task(self.single.counts if self.single else "cells", total=steps, note="")
 
     def __enter__(self) -> CellProgress:
         self.bar.start()
@@ -36,14 +36,15 @@ class CellProgress:
     def __exit__(self, *_: object) -> None:
         self.bar.stop()
 
-    def tell(self, cell: Cell, evaluations: int, best: float) -> None:
-        """Word from inside a cell: so many evaluations, the best value so far."""
+    def tell(self, cell: AnyCell, evaluations: int, best: float) -> None:
+        """Word from inside a cell: so many evaluations, the best value so far; or simulations, and the last value."""
+        note = f"{cell.value_word} {best:.4g}"
         if self.single:
-            self.bar.update(self.task, completed=evaluations, note=f"best {best:.4g}")
+            self.bar.update(self.task, completed=evaluations, note=note)
         else:
-            self.bar.update(self.task, note=f"{cell.label}: {evaluations} evaluations, best {best:.4g}")
+            self.bar.update(self.task, note=f"{cell.label}: {evaluations} {cell.counts}, {note}")
 
-    def done(self, cell: Cell, status: str) -> None:
+    def done(self, cell: AnyCell, status: str) -> None:
         self.count += 1
         note = f"{status}: {cell.label}"
         self.bar.update(self.task, completed=self.single.budget if self.single else self.count, note=note)

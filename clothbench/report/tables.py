@@ -9,6 +9,8 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from clothbench.report.validation_table import is_validation, validation_table
+
 Rows = Sequence[dict[str, Any]]
 MANY = 24  # recordings in one cell beyond which only the totals are printed
 
@@ -19,11 +21,18 @@ def console() -> Console:
     return out if out.is_terminal else Console(highlight=False, width=120, color_system=None)
 
 
-def print_leaderboard(rows: Rows, parameters: Rows) -> None:
-    """One table per suite: error with its interval beside the noise floor; then what was fitted, with units."""
+def print_leaderboard(rows: Rows, parameters: Rows, levels: Rows = ()) -> None:
+    """One table per suite: error with its interval beside the noise floor; then what was fitted, with units.
+
+    levels: the simulations of tests against mechanics, which have a table of their own.
+    """
     out = console()
     for suite in sorted({r["suite"] for r in rows}):
-        mine = [r for r in rows if r["suite"] == suite]
+        if tests := [r for r in rows if r["suite"] == suite and is_validation(r)]:
+            out.print(validation_table(suite, tests, levels))
+        mine = [r for r in rows if r["suite"] == suite and not is_validation(r)]
+        if not mine:
+            continue
         out.print(error_table(suite, mine))
         for line in overall(mine):
             out.print(line)

@@ -10,7 +10,8 @@ from clothbench_models.mass_spring_kernels import add_pairwise, spring_forces
 from clothbench_models.spring_grid import FAMILIES, SpringGrid
 from scipy.optimize import curve_fit
 
-from clothbench import Scene
+from clothbench import ClothbenchError, Scene
+from clothbench.protocols import Material
 
 G = 9.81
 
@@ -228,3 +229,46 @@ def test_single_precision_agrees_while_the_motion_is_smooth():
         MassSpring(precision=p).prepare(scene).run([[60.0, 5.0, 0.3]]).position for p in ("double", "single")
     )
     assert np.abs(double - single).max() < 5e-5
+
+
+# --- options and materials ------------------------------------------------------------------------------------------
+
+
+def longest(simulation, theta) -> tuple[float, np.ndarray]:
+    """Largest strain of a structural or shear spring at the end of a run seen at the nodes; and where those are."""
+    grid, x = simulation.grid, simulation.run(theta).position[0, -1].T
+    strains = []
+    for f in range(4):
+        e = np.flatnonzero(grid.share[f])
+        strains.append(np.linalg.norm(x[:, e + grid.strides[f]] - x[:, e], axis=0) / grid.rest[f, e] - 1)
+    return float(np.concatenate(strains).max()), x
+
+
+def test_the_strain_limit_holds():
+    """Under a load that stretches it by 30 % without."""
+    shape = (7, 13)
+    u, v = np.meshgrid(np.linspace(0, 0.15, 7), np.linspace(0, 0.3, 13))
+    scene = sheet(0.15, 0.3, np.array([0.0, 0.1, 0.5]), grips=top_edge(0.15, 7), shape=shape,
+                  points=np.column_stack([u.ravel(), v.ravel()]))  # fmt: skip
+    theta = [[1.1, 0.01, 0.3]]
+    free, _ = longest(MassSpring().prepare(scene), theta)
+    held, x = longest(MassSpring(strain_limit=0.1).prepare(scene), theta)
+    assert free > 0.3
+    assert 0.095 < held < 0.105
+    np.testing.assert_allclose(x[0], 0.15 - x[0].reshape(13, 7)[:, ::-1].ravel(), atol=2e-3)  # as good as symmetric
+
+
+def test_a_strain_limit_that_is_not_reached_changes_nothing():
+    scene = sheet(0.2, 0.2, np.array([0.0, 0.3]), grips=[(0.0, 0.0)], shape=(5, 5))
+    plain, limited = (MassSpring(strain_limit=s).prepare(scene).run([[300.0, 1.0, 0.1]]).position for s in (None, 0.5))
+    np.testing.assert_array_equal(plain, limited)
+
+
+def test_a_material_gives_the_parameters_of_a_strip_that_may_narrow():
+    theta = MassSpring().of_material(
+        Material(bending=0.0, stretch=450.0, shear=100.0), sheet(0.05, 0.4, np.array([0.0]))
+    )
+    assert theta[0] == pytest.approx(300.0)  # what `test_a_hanging_strip_stretches_by_its_own_weight` takes
+    assert theta[2] == 0.0
+    with pytest.raises(ClothbenchError, match="no small-strain bending"):
+        MassSpring().of_material(Material(1e-6, 450.0, 100.0), sheet(0.05, 0.4, np.array([0.0])))

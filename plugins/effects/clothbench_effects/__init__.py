@@ -2,17 +2,39 @@
 
 from clothbench.hookspecs import Registration, hookimpl
 
+# Module (which is the name), class and one line, in the order of the physics: air, material, mass, grips, sensor.
+EFFECTS = (
+    ("linear_drag", "LinearDrag", "air drag, linear in velocity"),
+    ("quadratic_drag", "QuadraticDrag", "air drag, quadratic in velocity"),
+    ("drag_crisis", "DragCrisis", "air drag that levels off with speed"),
+    ("added_mass", "AddedMass", "air carried along by the normal acceleration"),
+    ("steady_wind", "SteadyWind", "a steady, uniform wind"),
+    ("local_jet", "LocalJet", "a draught along a horizontal line"),
+    ("lift", "Lift", "lift of a sheet that moves at an angle through the air"),
+    ("stretch_stiffening", "StretchStiffening", "tension that grows with the square of the strain"),
+    ("poisson_coupling", "PoissonCoupling", "cross contraction between warp and weft"),
+    ("bending_anisotropy", "BendingAnisotropy", "bending rigidity of warp and weft beyond the model's own"),
+    ("bending_hysteresis", "BendingHysteresis", "internal friction in bending"),
+    ("viscoelasticity", "Viscoelasticity", "stress relaxation in bending and stretch"),
+    ("rest_curvature", "RestCurvature", "cloth that curls by itself"),
+    ("heavy_hem", "HeavyHem", "a hem along the lower edge, with its weight"),
+    ("point_mass", "PointMass", "a small mass on the cloth, such as a marker"),
+    ("total_mass", "TotalMass", "cloth heavier or lighter than stated"),
+    ("gravity_tilt", "GravityTilt", "a recording whose vertical is not quite vertical"),
+    ("grip_offset", "GripOffset", "grips shifted against their recorded positions"),
+    ("grip_rotation", "GripRotation", "grips turned against their recorded pose"),
+    ("grip_slip", "GripSlip", "cloth that slips down in its grips, once"),
+    ("grip_compliance", "GripCompliance", "grips that follow their path like a damped spring mount"),
+    ("grip_patch", "GripPatch", "grips that hold a square patch each, not a point"),
+    ("clock_offset", "ClockOffset", "positions are stamped late or early"),
+    ("frame_rotation", "FrameRotation", "the camera's frame turned against the grips'"),
+    ("frame_translation", "FrameTranslation", "the camera's frame shifted against the grips'"),
+    ("frame_scale", "FrameScale", "lengths seen too long or too short"),
+    ("tracker_lowpass", "TrackerLowpass", "positions smoothed by a first-order filter"),
+    ("marker_standoff", "MarkerStandoff", "markers that stand off the cloth"),
+)
+
 
 @hookimpl
 def clothbench_effects():
-    return [
-        Registration(
-            "added_mass", "clothbench_effects.added_mass:AddedMass", "air carried along by the normal acceleration"
-        ),
-        Registration(
-            "quadratic_drag", "clothbench_effects.quadratic_drag:QuadraticDrag", "air drag, quadratic in velocity"
-        ),
-        Registration(
-            "clock_offset", "clothbench_effects.clock_offset:ClockOffset", "positions are stamped late or early"
-        ),
-    ]
+    return [Registration(name, f"clothbench_effects.{name}:{kind}", line) for name, kind, line in EFFECTS]

@@ -11,6 +11,31 @@ def clothbench_models():
             "clothbench_models.mass_spring:MassSpring",
             "Provot grid of structural, shear and flexion springs with dampers, explicit",
         ),
+        Registration(
+            "mass_spring_verlet",
+            "clothbench_models.mass_spring_verlet:MassSpringVerlet",
+            "particle grid with springs to the four nearest in each direction, position Verlet",
+        ),
+        Registration(
+            "baraff_witkin",
+            "clothbench_models.baraff_witkin:BaraffWitkin",
+            "triangles with stretch, shear and bend conditions; implicit Euler, BDF2 or adaptive Runge-Kutta",
+        ),
+        Registration(
+            "inextensible",
+            "clothbench_models.inextensible:Inextensible",
+            "inextensible quadrilaterals, isometric bending, Rayleigh damping; implicit with fast projection",
+        ),
+        Registration(
+            "mujoco",
+            "clothbench_models.peers.mujoco_model:Mujoco",
+            "MuJoCo flex: Saint Venant-Kirchhoff membrane and quadratic bending, explicit or implicit",
+        ),
+        Registration(
+            "newton",
+            "clothbench_models.peers.newton_model:Newton",
+            "Newton cloth: neo-Hookean membrane and hinges, explicit or vertex block descent, single precision",
+        ),
     ]
 
 

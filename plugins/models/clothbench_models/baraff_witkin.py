@@ -114,7 +114,7 @@ class BaraffWitkinSimulation(GridSimulation):
     def run(self, theta: np.ndarray) -> Rollout:
         """Simulate theta (B, P): the nine parameters, then the effects'."""
         theta = self.parameters.check(theta)
-        batch = GridBatch(self, theta, self.bearable_step(self.dt, theta), 0.0)
+        batch = GridBatch(self, theta, np.full(len(theta), self.dt), 0.0)
 
         def simulate(b: int) -> None:
             batch.status[b], batch.steps[b] = self._march(batch, b)
@@ -127,6 +127,7 @@ class BaraffWitkinSimulation(GridSimulation):
         scene, theta = self.scene, batch.theta[b : b + 1]
         bend, stretch, shear, bend_damping, stretch_damping, shear_damping = theta[0, :6]
         lengths, over, shares = self.edges
+        stiffer = self.effects.stiffness(theta)[0] / np.array([stretch, 1.0])
         shape, result = np.ascontiguousarray(batch.shape.T), np.zeros(3, np.int64)
 
         def march(scheme: int, tolerance: float, times: np.ndarray) -> None:
@@ -134,7 +135,7 @@ class BaraffWitkinSimulation(GridSimulation):
                 scheme, TRIANGLES, shape, self.shape[0], own_sheet(self.sheet),
                 lengths, over, shares * np.array([[stretch], [stretch], [shear]]),
                 shares * np.array([[stretch_damping], [stretch_damping], [shear_damping]]),
-                self.bending.offsets, self.bending.values, bend, bend_damping, theta[0, 6:9].copy(),
+                self.bending.offsets, self.bending.values, bend, stiffer, bend_damping, theta[0, 6:9].copy(),
                 *batch.kernels, batch.stages, batch.terms, self.effects.kernel_parameters(theta, loop.SLOTS)[0],
                 self.effects.kernel_state(1, loop.SLOTS, self.sheet)[0],
                 batch.knots, batch.curve(np.array([b]))[0], batch.held_points, batch.pins_of_points,

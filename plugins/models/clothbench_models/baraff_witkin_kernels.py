@@ -42,13 +42,15 @@ _fast = njit(cache=True, error_model="numpy", nogil=True)
 
 @_fast
 def elastic(
-    x, v, f, nu, lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, k_scale, c_scale,
+    x, v, f, nu, lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, stiffer, k_scale, c_scale,
     edges, shear, work,
 ):  # fmt: skip
     """Add all inner forces to f (3, n) N and keep the matrix k_scale·K + c_scale·C for `multiply`.
 
     lengths: (2, P) rest lengths of u- and v-edges m; over: (2, P) 1/h of the cells; stiffness, dampings: (3, P) of
-    u-edges N/m, v-edges N/m and shear N·m (·s); bend N·m, bend_damping N·m·s.
+    u-edges N/m, v-edges N/m and shear N·m (·s); bend N·m, bend_damping N·m·s; stiffer:
+    what effects add to the stretch stiffness, as a share of it (their forces are taken as they are; the matrix knows
+    them by this bound, so that they need no shorter step).
     """
     du, dv, fu, fv, ru, rv = work[0:3], work[3:6], work[6:9], work[9:12], work[14:17], work[17:20]
     edge_differences(x, nu, du, dv)
@@ -67,6 +69,10 @@ def elastic(
         )  # fmt: skip
     for e in range(shear.shape[1]):
         shear[last, e] = k_scale * stiffness[2, e] + c_scale * dampings[2, e]
+    if stiffer > 0.0:
+        for e in range(shear.shape[1]):
+            edges[3, e] += k_scale * stiffer * stiffness[0, e]
+            edges[8, e] += k_scale * stiffer * stiffness[1, e]
     add_fluxes(fu, fv, nu, f, 1.0)
     add_diagonals(offsets, bending, x, -bend, f)
     if bend_damping != 0.0:
@@ -119,7 +125,7 @@ def largest(delta):
 
 def _march_implicit(
     scheme, shear_rows, x, nu, sheet,
-    lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, air,
+    lengths, over, stiffness, dampings, offsets, bending, bend, stiffer, bend_damping, air,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
     stages, n_effects, parameters, state,
     knots, curve, held_points, pins_of_points, obstacles, layers,
@@ -198,7 +204,7 @@ def _march_implicit(
             knots, curve, segment,
         )  # fmt: skip
         elastic(
-            q, guess, f, nu, lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping,
+            q, guess, f, nu, lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, stiffer[0],
             gamma * gamma, gamma, edges, shear, work,
         )  # fmt: skip
         for c in range(3):
@@ -213,12 +219,13 @@ def _march_implicit(
             wanted[:] = r
         rounds += solve(
             delta, r, nu, mass, extra, heavier, edges, shear, offsets, bending,
-            gamma * gamma * bend + gamma * bend_damping, touch, normal, tolerance, 2000, inverse, z, p, q, work,
+            gamma * gamma * (bend + stiffer[1]) + gamma * bend_damping, touch, normal, tolerance, 2000,
+            inverse, z, p, q, work,
         )  # fmt: skip
         if solid:
             multiply(
                 delta, nu, mass, extra, heavier, edges, shear, offsets, bending,
-                gamma * gamma * bend + gamma * bend_damping, z, work,
+                gamma * gamma * (bend + stiffer[1]) + gamma * bend_damping, z, work,
             )  # fmt: skip
             for c in range(3):
                 for e in range(n):
@@ -297,7 +304,7 @@ CLOCK = 100.0  # 1/s, weighs errors of velocity against errors of position: thos
 
 def _march_adaptive(
     scheme, shear_rows, x, nu, sheet,
-    lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, air,
+    lengths, over, stiffness, dampings, offsets, bending, bend, stiffer, bend_damping, air,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
     stages, n_effects, parameters, state,
     knots, curve, held_points, pins_of_points, obstacles, layers,
@@ -344,7 +351,7 @@ def _march_adaptive(
                 knots, curve, segment,
             )  # fmt: skip
             elastic(
-                xs, vs, f, nu, lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, 0.0, 0.0,
+                xs, vs, f, nu, lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, 0.0, 0.0, 0.0,
                 edges, shear, work,
             )  # fmt: skip
             if heavier:
@@ -399,7 +406,7 @@ _d1, _d2, _d3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, :
 _i1, _i2, _real, _whole = types.int64[::1], types.int64[:, ::1], types.float64, types.int64
 _SIGNATURE = types.void(
     _whole, _whole, _d2, _whole, SHEET,
-    _d2, _d2, _d2, _d2, _i1, _d2, _real, _real, _d1,
+    _d2, _d2, _d2, _d2, _i1, _d2, _real, _d1, _real, _d1,
     *(EFFECT,) * SLOTS, _i1, _whole, _d2, _d2,
     _d1, types.float64[:, :, :, ::1], _i1, _i1, _d2, LAYERS,
     _real, _real, _real, _real, _real, _i2, _d2, _d1, _d3, _i1,

@@ -98,11 +98,6 @@ class GridSimulation:
         wave = sum(1 / np.diff(lines).min() ** 2 for lines in self.lines)
         return 3 * (4 * stretch * wave + 16 * bending * wave**2) / self.scene.areal_density
 
-    def bearable_step(self, dt: float, theta: np.ndarray) -> np.ndarray:
-        """The step of an implicit model (B,) s: dt, or less where effects, which push explicitly, are stiff."""
-        fastest = np.sqrt(self.stiffest_effect(theta))
-        return np.minimum(dt, np.divide(1.0, fastest, out=np.full(len(theta), np.inf), where=fastest > 0))
-
     @property
     def slowest(self) -> float:
         """ω₁ of the hanging sheet, (2.4048/2)√(g/L) [rad/s]; where nothing pulls it down, that of a gentle pull."""

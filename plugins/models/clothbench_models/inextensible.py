@@ -61,7 +61,7 @@ class Inextensible:
 
     def __init__(
         self, resolution: int | Sequence[int] = 13, integrator: str = "bdf2", dt: float | None = None,
-        step_scale: float = 1.0, tolerance: float = 1e-7, shear: float | None = None,
+        step_scale: float = 1.0, tolerance: float = 1e-6, shear: float | None = None,
     ):  # fmt: skip
         if integrator not in SCHEMES:
             raise ClothbenchError(f"inextensible: integrator is {integrator!r}, expected one of {', '.join(SCHEMES)}")
@@ -119,7 +119,7 @@ class InextensibleSimulation(GridSimulation):
     def run(self, theta: np.ndarray) -> Rollout:
         """Simulate theta (B, P): θ N·m, α kg/(m²·s), β N·m·s, then the effects' parameters."""
         theta = self.parameters.check(theta)
-        batch = GridBatch(self, theta, self.bearable_step(self.dt, theta), 0.0)
+        batch = GridBatch(self, theta, np.full(len(theta), self.dt), 0.0)
 
         def simulate(b: int) -> None:
             batch.status[b], batch.steps[b] = self._march(batch, b)
@@ -133,7 +133,7 @@ class InextensibleSimulation(GridSimulation):
         bend, alpha, beta = theta[0, :3]
         lengths, share, give = self.constraints
         shape, result = np.ascontiguousarray(batch.shape.T), np.zeros(3, np.int64)
-        about_bending = (self.bending.offsets, self.bending.values, bend)
+        about_bending = (self.bending.offsets, self.bending.values, bend, self.effects.stiffness(theta)[0])
         effects = (
             *batch.kernels, batch.stages, batch.terms, self.effects.kernel_parameters(theta, loop.SLOTS)[0],
             self.effects.kernel_state(1, loop.SLOTS, self.sheet)[0],

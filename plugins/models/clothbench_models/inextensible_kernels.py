@@ -89,26 +89,123 @@ def yield_to(f, mass, extra, heavier, touch, normal):
 
 
 @_fast
-def schur_diagonal(nu, du, dv, share, weight, base, out):
-    """The diagonal (3, P) of base + ∂C W ∂Cᵀ for inverse masses `weight` (P,) padded like the edges, 0 where held."""
+def schur_diagonal(nu, du, dv, share, weight, give, square, out):
+    """The diagonal (3, P) of c/γ² + ∂C W ∂Cᵀ for inverse masses `weight` (P,) padded like the edges, 0 where held."""
     for e in range(share.shape[1] - 1 - nu):
         uu = du[0, e] ** 2 + du[1, e] ** 2 + du[2, e] ** 2
         vv = dv[0, e] ** 2 + dv[1, e] ** 2 + dv[2, e] ** 2
-        out[0, e] = base[0, e] + share[0, e] ** 2 * uu * (weight[e] + weight[e + 1])
-        out[1, e] = base[1, e] + share[1, e] ** 2 * vv * (weight[e] + weight[e + nu])
+        out[0, e] = give[0, e] / square + share[0, e] ** 2 * uu * (weight[e] + weight[e + 1])
+        out[1, e] = give[1, e] / square + share[1, e] ** 2 * vv * (weight[e] + weight[e + nu])
         plus, minus = 0.0, 0.0
         for k in range(3):
             a = 0.25 * share[2, e] * (dv[k, e] + dv[k, e + 1])
             b = 0.25 * share[2, e] * (du[k, e] + du[k, e + nu])
             plus += (a + b) ** 2
             minus += (a - b) ** 2
-        out[2, e] = base[2, e] + plus * (weight[e] + weight[e + nu + 1]) + minus * (weight[e + 1] + weight[e + nu])
+        out[2, e] = (
+            give[2, e] / square + plus * (weight[e] + weight[e + nu + 1]) + minus * (weight[e + 1] + weight[e + nu])
+        )
     for e in range(max(0, share.shape[1] - 1 - nu), share.shape[1]):
         out[0, e] = out[1, e] = out[2, e] = 1.0
     for k in range(3):
         for e in range(share.shape[1]):
             if out[k, e] <= 0.0:
                 out[k, e] = 1.0
+
+
+@_fast
+def factor_lines(nu, du, dv, share, weight, diagonal, off):
+    """Turn the diagonal (3, P) into the pivots D of L D Lᵀ for all mesh lines' own blocks; off (2, P): their L.
+
+    The lengths along one line form a chain whose condition grows with the square of its nodes; between lines that are
+    orthogonal there is next to no coupling. So a chain is solved exactly, in its own direction, and what is left for
+    the conjugate gradients is shear.
+    """
+    for e in range(1, share.shape[1] - 1 - nu):
+        dots = du[0, e - 1] * du[0, e] + du[1, e - 1] * du[1, e] + du[2, e - 1] * du[2, e]
+        off[0, e] = -share[0, e - 1] * share[0, e] * weight[e] * dots / diagonal[0, e - 1]
+        diagonal[0, e] -= off[0, e] * off[0, e] * diagonal[0, e - 1]
+    for e in range(nu, share.shape[1] - 1 - nu):
+        f = e - nu
+        dots = dv[0, f] * dv[0, e] + dv[1, f] * dv[1, e] + dv[2, f] * dv[2, e]
+        off[1, e] = -share[1, f] * share[1, e] * weight[e] * dots / diagonal[1, f]
+        diagonal[1, e] -= off[1, e] * off[1, e] * diagonal[1, f]
+
+
+@_faster
+def times(a, b, out):
+    """out = a b for small matrices (l, m), (m, n)."""
+    for i in range(a.shape[0]):
+        row = out[i]
+        row[:] = 0.0
+        for k in range(a.shape[1]):
+            w, other = a[i, k], b[k]
+            for j in range(b.shape[1]):
+                row[j] += w * other[j]
+
+
+@_fast
+def solve_lines(nu, diagonal, off, waves_u, waves_v, damped, plane, r, z):
+    """The preconditioner: z = (L D Lᵀ)⁻¹ r for the mesh lines, and the flat sheet's inverse for the cells.
+
+    Of a flat sheet of square cells the cells' block is (1/m) (2 λ − ½ Σ λ of the four diagonal neighbours), whose
+    eigenvectors are sines along u and v: waves_u (nu − 1, nu − 1), waves_v (nv − 1, nv − 1), orthogonal and symmetric,
+    with the inverse eigenvalues damped (nv − 1, nu − 1). plane: (2, nv − 1, nu − 1), overwritten.
+    """
+    size = r.shape[1]
+    z[0, 0], end = r[0, 0], size - 1 - nu
+    for e in range(1, end):
+        z[0, e] = r[0, e] - off[0, e] * z[0, e - 1]
+    for e in range(end):
+        z[0, e] /= diagonal[0, e]
+    for e in range(end - 2, -1, -1):
+        z[0, e] -= off[0, e + 1] * z[0, e + 1]
+    for e in range(nu):
+        z[1, e] = r[1, e]
+    for e in range(nu, end):
+        z[1, e] = r[1, e] - off[1, e] * z[1, e - nu]
+    for e in range(end):
+        z[1, e] /= diagonal[1, e]
+    for e in range(end - 1 - nu, -1, -1):
+        z[1, e] -= off[1, e + nu] * z[1, e + nu]
+    one, two, pad = plane[0], plane[1], nu + 1
+    for j in range(one.shape[0]):
+        for i in range(nu - 1):
+            one[j, i] = r[2, pad + j * nu + i]
+    times(waves_v, one, two)
+    times(two, waves_u, one)
+    for j in range(one.shape[0]):
+        for i in range(nu - 1):
+            one[j, i] *= damped[j, i]
+    times(waves_v, one, two)
+    times(two, waves_u, one)
+    for e in range(size):
+        z[2, e] = 0.0
+    for j in range(one.shape[0]):
+        for i in range(nu - 1):
+            z[2, pad + j * nu + i] = one[j, i]
+
+
+@_fast
+def damp_waves(mass, give, square, nu, damped):
+    """Inverse eigenvalues (nv − 1, nu − 1) of the flat sheet's cells, for a typical inner mass and compliance."""
+    nv = damped.shape[0] + 1
+    pad, middle = nu + 1, (nv // 2) * nu + nu // 2
+    typical, softness = 1.0 / mass[middle], give[2, pad + middle - nu - 1] / square
+    for j in range(nv - 1):
+        for i in range(nu - 1):
+            wave = np.cos(np.pi * (i + 1) / nu) * np.cos(np.pi * (j + 1) / nv)
+            damped[j, i] = 1.0 / (softness + typical * (2.0 - 2.0 * wave))
+
+
+@_fast
+def sines(count):
+    """The orthogonal, symmetric matrix (count, count) of the discrete sine transform."""
+    out = np.empty((count, count))
+    for i in range(count):
+        for k in range(count):
+            out[i, k] = np.sqrt(2.0 / (count + 1)) * np.sin(np.pi * (i + 1) * (k + 1) / (count + 1))
+    return out
 
 
 @_faster
@@ -122,9 +219,25 @@ def _sum(a, b):
 
 
 @_fast
+def schur_times(nu, du, dv, share, give, square, p, mass, extra, heavier, touch, normal, f, out, work):
+    """out = (c/γ² + ∂C W ∂Cᵀ) p for multipliers p (3, P); work[6:12] and work[12:18] are overwritten."""
+    fu, fv, pu, pv = work[6:9], work[9:12], work[12:15], work[15:18]
+    pull(nu, du, dv, share, p, fu, fv)
+    f[:] = 0.0
+    add_fluxes(fu, fv, nu, f, 1.0)
+    yield_to(f, mass, extra, heavier, touch, normal)
+    edge_differences(f, nu, pu, pv)
+    rates(nu, du, dv, share, pu, pv, out)
+    for k in range(3):
+        for e in range(p.shape[1]):
+            out[k, e] = give[k, e] / square * p[k, e] - out[k, e]
+
+
+@_fast
 def tighten(
-    x, gamma, tension, nu, lengths, share, give, mass, extra, heavier, touch, normal, weight, tolerance, rows, work, f
-):
+    x, gamma, tension, nu, lengths, share, give, mass, extra, heavier, touch, normal, weight, tolerance, rows, work, f,
+    waves_u, waves_v, damped, plane,
+):  # fmt: skip
     """Fast projection (Goldenthal et al. 2007, section 4.1) of x (3, n) m onto C(x) = cλ, in the metric of the masses.
 
     Rounds of (γ² ∂C W ∂Cᵀ + c) δλ = C − cλ, x ← x − γ² W ∂Cᵀ δλ, each solved by conjugate gradients, until no
@@ -132,50 +245,33 @@ def tighten(
     as found. give (3, P): c, how little the cloth stretches after all
     [m/N], which keeps grips that pull it too far apart from asking the impossible. Returns the rounds of the solver.
     """
-    du, dv, fu, fv, pu, pv = work[0:3], work[3:6], work[6:9], work[9:12], work[12:15], work[15:18]
+    du, dv, fu, fv = work[0:3], work[3:6], work[6:9], work[9:12]
     c, r, z, p, q, step, diagonal = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6]
     square, total = gamma * gamma, 0
-    edge_differences(x, nu, du, dv)
-    pull(nu, du, dv, share, tension, fu, fv)
-    f[:] = 0.0
-    add_fluxes(fu, fv, nu, f, 1.0)
-    yield_to(f, mass, extra, heavier, touch, normal)
-    for k in range(3):
-        for e in range(x.shape[1]):
-            x[k, e] += square * f[k, e]
+    off = rows[7]
+    damp_waves(mass, give, square, nu, damped)
     for _ in range(PROJECTIONS):
         edge_differences(x, nu, du, dv)
         violations(nu, du, dv, lengths, share, c)
         worst = 0.0
+        step[:] = 0.0
         for k in range(3):
             for e in range(c.shape[1]):
                 r[k, e] = (c[k, e] - give[k, e] * tension[k, e]) / square if share[k, e] > 0.0 else 0.0
                 worst = max(worst, abs(r[k, e]) * square * share[k, e])
         if worst < tolerance or not worst < 1e6:
             break
-        for k in range(3):
-            for e in range(c.shape[1]):
-                q[k, e] = give[k, e] / square
-        schur_diagonal(nu, du, dv, share, weight, q, diagonal)
-        for k in range(3):
-            for e in range(c.shape[1]):
-                z[k, e] = r[k, e] / diagonal[k, e]
-        p[:] = z
-        step[:] = 0.0
+        schur_diagonal(nu, du, dv, share, weight, give, square, diagonal)
+        factor_lines(nu, du, dv, share, weight, diagonal, off)
+        solve_lines(nu, diagonal, off, waves_u, waves_v, damped, plane, r, z)
+        share_left = max(SOLVED, 0.3 * tolerance / worst)
+        goal = share_left * share_left * _sum(r, z)
         rz = _sum(r, z)
-        goal = SOLVED * SOLVED * rz
-        for _ in range(1000):
+        p[:] = z
+        for _ in range(500):
             if rz <= goal:
                 break
-            pull(nu, du, dv, share, p, fu, fv)
-            f[:] = 0.0
-            add_fluxes(fu, fv, nu, f, 1.0)
-            yield_to(f, mass, extra, heavier, touch, normal)
-            edge_differences(f, nu, pu, pv)
-            rates(nu, du, dv, share, pu, pv, q)
-            for k in range(3):
-                for e in range(c.shape[1]):
-                    q[k, e] = give[k, e] / square * p[k, e] - q[k, e]
+            schur_times(nu, du, dv, share, give, square, p, mass, extra, heavier, touch, normal, f, q, work)
             pq = _sum(p, q)
             if not pq > 0.0:
                 break
@@ -184,7 +280,7 @@ def tighten(
                 for e in range(c.shape[1]):
                     step[k, e] += alpha * p[k, e]
                     r[k, e] -= alpha * q[k, e]
-                    z[k, e] = r[k, e] / diagonal[k, e]
+            solve_lines(nu, diagonal, off, waves_u, waves_v, damped, plane, r, z)
             rz = _sum(r, z)
             beta = rz / before
             for k in range(3):
@@ -205,7 +301,7 @@ def tighten(
 
 def _march(
     scheme, x, nu, sheet,
-    lengths, share, give, offsets, bending, bend, alpha, beta,
+    lengths, share, give, offsets, bending, bend, stiffer, alpha, beta,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
     stages, n_effects, parameters, state,
     knots, curve, held_points, pins_of_points, obstacles, layers,
@@ -221,7 +317,9 @@ def _march(
     pins, mass, area = sheet.held, sheet.mass, sheet.area
     n, padded, frames, pad = mass.shape[0], mass.shape[0] + 2 * (nu + 1), times.shape[0], nu + 1
     edges, shear, work = np.zeros((10, padded)), np.zeros((13, padded)), np.zeros((20, padded))
-    rows, tension = np.zeros((7, 3, padded)), np.zeros((3, padded))
+    waves_u, waves_v = sines(nu - 1), sines(n // nu - 1)
+    damped, plane = np.empty((n // nu - 1, nu - 1)), np.empty((2, n // nu - 1, nu - 1))
+    rows, tension = np.zeros((8, 3, padded)), np.zeros((3, padded))
     f, r, delta, inverse = np.empty((3, n)), np.empty((3, n)), np.empty((3, n)), np.ones((6, n))
     z, p, q = np.empty((3, n)), np.empty((3, n)), np.empty((3, n))
     extra, normal, free = np.zeros((6, n)), np.zeros((3, n)), 1.0 / mass
@@ -247,7 +345,7 @@ def _march(
     else:  # a start that fits, at rest now, and before that on the parabola of free fall
         rounds += tighten(
             x, 1.0, tension, nu, lengths, share, give, mass, extra, False, touch, normal, lightness, tolerance,
-            rows, work, r,
+            rows, work, r, waves_u, waves_v, damped, plane,
         )  # fmt: skip
         tension[:] = 0.0
         for c in range(3):
@@ -299,16 +397,23 @@ def _march(
                 f[c, e] -= alpha * area[e] * guess[c, e]
         if solid:
             f += rub
+        edge_differences(q, nu, work[0:3], work[3:6])
+        pull(nu, work[0:3], work[3:6], share, tension, work[6:9], work[9:12])
+        p[:] = f
+        add_fluxes(work[6:9], work[9:12], nu, p, 1.0)
+        for e in range(padded):
+            edges[4, e] = gamma * gamma * max(tension[0, e], 0.0) * share[0, e]
+            edges[9, e] = gamma * gamma * max(tension[1, e], 0.0) * share[1, e]
         for c in range(3):
             for e in range(n):
                 z[c, e] = guess[c, e] - v_bar[c, e]
         mass_times(mass, extra, heavier, z, r)
         for c in range(3):
             for e in range(n):
-                r[c, e] = gamma * f[c, e] - r[c, e]
+                r[c, e] = gamma * p[c, e] - r[c, e]
         for e in range(n):
             stiff_mass[e] = mass[e] + gamma * alpha * area[e]
-        bend_scale = gamma * gamma * bend + gamma * beta
+        bend_scale = gamma * gamma * (bend + stiffer[1]) + gamma * beta
         rounds += solve(
             delta, r, nu, stiff_mass, extra, heavier, edges, shear, offsets, bending, bend_scale, touch, normal,
             1e-4, 2000, inverse, z, p, q, work,
@@ -322,7 +427,7 @@ def _march(
                 x[c, pins[g]] = grip_point(knots, curve, t, segment, g, c)
         rounds += tighten(
             x, gamma, tension, nu, lengths, share, give, mass, extra, heavier, touch, normal, lightness, tolerance,
-            rows, work, r,
+            rows, work, r, waves_u, waves_v, damped, plane,
         )  # fmt: skip
         for c in range(3):
             for e in range(n):
@@ -363,7 +468,7 @@ _d1, _d2, _d3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, :
 _i1, _i2, _real, _whole = types.int64[::1], types.int64[:, ::1], types.float64, types.int64
 _SIGNATURE = types.void(
     _whole, _d2, _whole, SHEET,
-    _d2, _d2, _d2, _i1, _d2, _real, _real, _real,
+    _d2, _d2, _d2, _i1, _d2, _real, _d1, _real, _real,
     *(EFFECT,) * SLOTS, _i1, _whole, _d2, _d2,
     _d1, types.float64[:, :, :, ::1], _i1, _i1, _d2, LAYERS,
     _real, _real, _real, _real, _i2, _d2, _d1, _d3, _i1,

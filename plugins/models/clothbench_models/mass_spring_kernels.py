@@ -1,4 +1,4 @@
-"""Compiled loops of the mass-spring grid.
+"""Compiled loops of the mass-spring grids.
 
 The grid is one flat row, structure of arrays: node (i, j) is entry j·nu + i, so every family of springs joins entry
 e with entry e + s for one stride s, and springs that would wrap around the edge carry a stiffness of 0. That keeps
@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit, types
 
 from clothbench.kernels import EFFECT, SHEET, bear_inertia, compiled, grid_normals
+from clothbench_models.contact import keep_out
 from clothbench_models.loop import (
     DIVERGED,
     OK,
@@ -26,12 +27,14 @@ from clothbench_models.loop import (
     grip_point,
     is_lost,
 )
+from clothbench_models.self_contact import LAYERS, keep_apart
 
 __all__ = ["DIVERGED", "OK", "SLOTS", "run_block"]
 
-FAMILIES = 6
 TINY = 1e-30  # m²; keeps the length of a masked spring between two coinciding nodes above 0
 CHECK_EVERY = 64  # steps between two looks for rest and for divergence
+SWEEPS = 30  # at most, over all limited springs after one step
+SLACK = 0.001  # of a spring's length; strain beyond the limit that needs no further sweep
 
 _fast = njit(cache=True, error_model="numpy", nogil=True)
 
@@ -55,6 +58,22 @@ def spring_forces(x, v, stride, rest, stiffness, damping, g):
         closing = (bu[e] - au[e]) * dx + (bv[e] - av[e]) * dy + (bw[e] - aw[e]) * dz
         inverse = one / np.sqrt(dx * dx + dy * dy + dz * dz + tiny)
         q = stiffness[e] * (one - rest[e] * inverse) + damping[e] * closing * inverse * inverse
+        gx[e] = q * dx
+        gy[e] = q * dy
+        gz[e] = q * dz
+
+
+@_fast
+def elastic_forces(x, stride, rest, stiffness, g):
+    """`spring_forces` without dashpots: g = k (1 − L/l) d."""
+    n = x.shape[1] - stride
+    ax, ay, az = x[0, :n], x[1, :n], x[2, :n]
+    bx, by, bz = x[0, stride : stride + n], x[1, stride : stride + n], x[2, stride : stride + n]
+    gx, gy, gz = g[0, :n], g[1, :n], g[2, :n]
+    one, tiny = x.dtype.type(1.0), x.dtype.type(TINY)
+    for e in range(n):
+        dx, dy, dz = bx[e] - ax[e], by[e] - ay[e], bz[e] - az[e]
+        q = stiffness[e] * (one - rest[e] / np.sqrt(dx * dx + dy * dy + dz * dz + tiny))
         gx[e] = q * dx
         gy[e] = q * dy
         gz[e] = q * dz
@@ -99,6 +118,48 @@ def hold(x, v, pins, lane, lanes, knots, curve, t, segment, dt):
 
 
 @_fast
+def limit_strain(x, v, limited, strides, rest, stiffness, free, lane, lanes, limit, dt):
+    """Shorten springs of the first `limited` families of one lane that are longer than (1 + limit) L to that length.
+
+    Provot 1995, section 5: the ends move along the spring, both of them or only the one that is free, here by their
+    inverse masses `free` (n·lanes,), which keeps the momentum where nodes differ in mass; and the velocities follow,
+    Δv = Δx/dt. One sweep goes family by family, and row by row in each, every second sweep the other way round; each
+    spring sees what those before it have done. It ends when no spring was too long by more than SLACK.
+    """
+    nodes = x.shape[1] // lanes
+    for sweep in range(SWEEPS):
+        worst = 0.0
+        for k in range(limited):
+            family = k if sweep % 2 == 0 else limited - 1 - k
+            count = nodes - strides[family] // lanes
+            for i in range(count):
+                a = (i if sweep % 2 == 0 else count - 1 - i) * lanes + lane
+                if stiffness[family, a] > 0.0:
+                    worst = max(worst, _shorten(x, v, a, a + strides[family], rest[family, a], free, limit, dt))
+        if worst <= SLACK:
+            break
+
+
+@_fast
+def _shorten(x, v, a, b, rest, free, limit, dt):
+    """Bring the ends of one spring back to (1 + limit) rest; returns by how much of its rest length it was too long."""
+    dx, dy, dz = x[0, b] - x[0, a], x[1, b] - x[1, a], x[2, b] - x[2, a]
+    square, longest = dx * dx + dy * dy + dz * dz, (1.0 + limit) * rest
+    mobility = free[a] + free[b]
+    if square <= longest * longest or mobility == 0.0:
+        return 0.0
+    length = np.sqrt(square)
+    share = (length - longest) / (length * mobility)
+    for c, d in enumerate((dx, dy, dz)):
+        move_a, move_b = share * free[a] * d, -share * free[b] * d
+        x[c, a] += move_a
+        x[c, b] += move_b
+        v[c, a] += move_a / dt
+        v[c, b] += move_b / dt
+    return (length - longest) / rest
+
+
+@_fast
 def write_due(x, v, lane, lanes, now, done, index, weight, held_points, pins_of_points, knots, curve, times, out):
     """Write the frames that fall due up to `now`; returns how many of this lane are written.
 
@@ -124,10 +185,10 @@ def write_due(x, v, lane, lanes, now, done, index, weight, held_points, pins_of_
 
 
 @_fast
-def come_to_rest(v, keep, kick, lane, lanes, dt):
+def come_to_rest(v, keep, kick, lane, lanes, dt, loss):
     """End the settling of one lane: no velocity, no artificial damping, and half a kick to start the leapfrog."""
     for e in range(lane, keep.shape[0], lanes):
-        keep[e] = 1.0
+        keep[e] = 1.0 - loss * dt
         kick[e] = 0.5 * dt
         for c in range(3):
             v[c, e] = 0.0
@@ -138,18 +199,20 @@ def _signature(real):
     double = types.float64
     r2, d1, d2, d3 = real[:, ::1], double[::1], double[:, ::1], double[:, :, ::1]
     i1, i2 = types.int64[::1], types.int64[:, ::1]
-    grid = (i1, r2, r2, r2, SHEET)
+    grid = (i1, r2, r2, r2, double[::1], SHEET)
+    contact = (d2, LAYERS, double, types.int64)
     effects = (*(EFFECT,) * SLOTS, i1, types.int64, d3, d3)
     grips = (i1, d1, double[:, :, :, :, ::1], i1, i1)
     settling = (double, d1, double, double, d1)
     sampling = (i2, d2, d2, double[:, :, :, ::1])
-    return types.void(types.int64, r2, *grid, double, *effects, *grips, *settling, *sampling, i1, i1)
+    return types.void(types.int64, r2, *grid, double, *contact, *effects, *grips, *settling, *sampling, i1, i1)
 
 
 def _run_block(
     lanes, x,
-    strides, rest, stiffness, damping, sheet,
+    strides, rest, stiffness, damping, loss, sheet,
     limit,
+    obstacles, layers, strain_limit, limited,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7, stages, n_effects,
     effect_parameters, effect_state,
     pins, knots, curves, held_points, pins_of_points,
@@ -159,7 +222,10 @@ def _run_block(
 ):  # fmt: skip
     """Settle and run `lanes` interleaved parameter sets from the shape x (3, n·lanes), which is changed in place.
 
-    strides (6,); rest m, stiffness N/m, damping N·s/m (6, n·lanes); `sheet` for the effects;
+    strides (S,); rest m, stiffness N/m, damping N·s/m (S, n·lanes), the last of length (0, 0) where springs have none;
+    loss (lanes,) 1/s, share of the velocity lost; `sheet` for the effects;
+    obstacles (K, 9) and layers: for `keep_out` and `keep_apart`, the latter with one lane only; strain_limit of the
+    first `limited` families, infinite for none;
     settle_time (2,) s, the least and the most; at_rest m/s, the speed that ends it; dt (lanes,) s;
     effect_parameters, effect_state: (lanes, SLOTS, …); curves (1 or lanes, 4, K−1, G, 3); times (lanes, T) s;
     out (lanes, T, N, 3) m, to be filled; status, steps (lanes,).
@@ -172,10 +238,11 @@ def _run_block(
     v, f = np.zeros((3, entries), x.dtype), np.empty((3, entries), x.dtype)
     g, weights = np.empty((3, entries), x.dtype), np.empty((3, entries), x.dtype)
     inverse_mass, step = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
-    kick, keep = np.empty(entries, x.dtype), np.ones(entries, x.dtype)
+    kick, keep = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
     for e in range(entries):
         inverse_mass[e] = 1.0 / mass[e // lanes]
         step[e] = kick[e] = dt[e % lanes]
+        keep[e] = 1.0 - loss[e % lanes] * dt[e % lanes]
         for c in range(3):
             weights[c, e] = mass[e // lanes] * sheet.gravity[c]
     f[:] = weights
@@ -197,7 +264,7 @@ def _run_block(
                 # The cheap question first: looking for the fastest node reads the whole sheet.
                 began[lane] = count if settled_for > settle_time[1] or fastest(v, lane, lanes) < at_rest else -1
             if began[lane] == count:
-                come_to_rest(v, keep, kick, lane, lanes, dt[lane])
+                come_to_rest(v, keep, kick, lane, lanes, dt[lane], loss[lane])
                 curve = curves[lane % curves.shape[0]]
                 done[lane] = write_due(
                     x, v, lane, lanes, start, 0, index, weight, held_points, pins_of_points, knots, curve,
@@ -206,8 +273,11 @@ def _run_block(
             elif began[lane] == count - 1:
                 for e in range(lane, entries, lanes):
                     kick[e] = dt[lane]
-        for family in range(FAMILIES):
-            spring_forces(x, v, strides[family], rest[family], stiffness[family], damping[family], g)
+        for family in range(strides.shape[0]):
+            if damping.shape[0] > 0:
+                spring_forces(x, v, strides[family], rest[family], stiffness[family], damping[family], g)
+            else:
+                elastic_forces(x, strides[family], rest[family], stiffness[family], g)
             add_pairwise(f, g, strides[family])
         if n_effects > 0:
             t = start + max(0, count - began[0]) * dt[0] if began[0] >= 0 else start
@@ -229,6 +299,14 @@ def _run_block(
             if pins.shape[0]:
                 segment[lane] = advance_segment(knots, now, segment[lane])
                 hold(x, v, pins, lane, lanes, knots, curve, now, segment[lane], dt[lane])
+            if strain_limit < np.inf:
+                limit_strain(
+                    x, v, limited, strides, rest, stiffness, inverse_mass, lane, lanes, strain_limit, dt[lane]
+                )  # fmt: skip
+            if layers.triangles.shape[0] > 0:
+                keep_apart(x, v, dt[lane], inverse_mass, layers)
+            if obstacles.shape[0] > 0:
+                keep_out(x, v, obstacles, inverse_mass, lane, lanes)
             if steps[lane] > 0:
                 continue
             if count % CHECK_EVERY == 0 and is_lost(x, lane, lanes, limit):

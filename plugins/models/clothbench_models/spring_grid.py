@@ -1,6 +1,6 @@
-"""The grid of `mass_spring`: where its lines lie, and what each spring and node of it stands for.
+"""The grid of the mass-spring models: where its lines lie, and what each spring and node of it stands for.
 
-Where the paper behind `mass_spring` gives every node the same mass, nodes here carry the mass, and border springs
+Where the papers behind the models give every node the same mass, nodes here carry the mass, and border springs
 the stiffness, of the area they stand for: only then do period and sag converge as the mesh is refined.
 """
 
@@ -13,8 +13,9 @@ import numpy as np
 
 from clothbench import ClothbenchError
 
-# (Δi, Δj, is flexion) of the six spring families
-FAMILIES = ((1, 0, False), (0, 1, False), (1, 1, False), (-1, 1, False), (2, 0, True), (0, 2, True))
+Families = tuple[tuple[int, int, int], ...]  # (Δi, Δj, which of the model's stiffnesses) of each family of springs
+# Provot's: structural, shear, flexion
+FAMILIES: Families = ((1, 0, 0), (0, 1, 0), (1, 1, 0), (-1, 1, 0), (2, 0, 1), (0, 2, 1))
 
 
 def even_count(asked: int, length: float, held: np.ndarray) -> int:
@@ -45,12 +46,15 @@ def grid_lines(length: float, count: int, held: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, eq=False)
 class SpringGrid:
-    """The springs of one grid, per unit k1 or k2. n nodes, six families.
+    """The springs of one grid, per unit stiffness. n nodes, S families.
 
-    uv: (n, 2) m; mass: (n,) kg; area: (n,) m²; strides: (6,); rest: (6, n) m; share: (6, n), stiffness of each
-    spring in units of k1 or k2 (0 where a spring would wrap around the edge); node_mass: kg, of an inner node.
+    families: (S,), those that fit on the grid; stiffnesses: how many the model has; uv: (n, 2) m; mass: (n,) kg;
+    area: (n,) m²; strides: (S,); rest: (S, n) m; share: (S, n), stiffness of each spring in units of its parameter
+    (0 where a spring would wrap around the edge); node_mass: kg, of an inner node.
     """
 
+    families: Families
+    stiffnesses: int
     uv: np.ndarray
     mass: np.ndarray
     area: np.ndarray
@@ -60,37 +64,48 @@ class SpringGrid:
     node_mass: float
 
     @classmethod
-    def of(cls, lines: tuple[np.ndarray, np.ndarray], size: tuple[float, float], areal_density: float) -> SpringGrid:
+    def of(
+        cls,
+        lines: tuple[np.ndarray, np.ndarray],
+        size: tuple[float, float],
+        areal_density: float,
+        families: Families = FAMILIES,
+    ) -> SpringGrid:
         u, v = lines
         v_of, u_of = (a.ravel() for a in np.meshgrid(v, u, indexing="ij"))
         wide, high = tributary(u, size[0]), tributary(v, size[1])
         area = np.outer(high, wide).ravel()
-        families = [_family(u, v, wide, high, *family) for family in FAMILIES]
+        stiffnesses = 1 + max(which for _, _, which in families)
+        families = tuple(f for f in families if abs(f[0]) < len(u) and f[1] < len(v))
+        springs = [_family(u, v, wide, high, di, dj) for di, dj, _ in families]
         return cls(
+            families=families,
+            stiffnesses=stiffnesses,
             uv=np.ascontiguousarray(np.stack([u_of, v_of], axis=1)),
             mass=areal_density * area,
             area=area,
-            strides=np.array([dj * len(u) + di for di, dj, _ in FAMILIES], dtype=np.int64),
-            rest=np.stack([f[0] for f in families]),
-            share=np.stack([f[1] for f in families]),
+            strides=np.array([dj * len(u) + di for di, dj, _ in families], dtype=np.int64),
+            rest=np.stack([f[0] for f in springs]),
+            share=np.stack([f[1] for f in springs]),
             node_mass=areal_density * size[0] * size[1] / ((len(u) - 1) * (len(v) - 1)),
         )
 
     @cached_property
-    def largest_eigenvalues(self) -> tuple[float, float]:
-        """Bounds on the largest eigenvalue [1/kg] of M⁻¹K of the flat sheet, for k1 = 1 and for k2 = 1 N/m.
+    def eigenvalue_rows(self) -> np.ndarray:
+        """Gershgorin's circles of M⁻¹K of the flat sheet, their largest values for each stiffness being 1 N/m alone:
+        (K, 2 n) 1/kg. The largest row of any mix bounds the eigenvalues.
 
-        Gershgorin's circles: each spring with direction d adds share·|d_c|(|d_u| + |d_v|) to the diagonal and as
-        much again off it.
+        Each spring with direction d adds share·|d_c|(|d_u| + |d_v|) to the diagonal and as much again off it.
         """
-        bounds = []
-        for flexion in (False, True):
-            rows = np.zeros((2, len(self.mass)))
-            for family, (_, _, is_flexion) in enumerate(FAMILIES):
-                if is_flexion == flexion:
-                    self._add_rows(rows, family)
-            bounds.append(float((2 * rows / self.mass).max()))
-        return bounds[0], bounds[1]
+        bounds = np.zeros((self.stiffnesses, 2, len(self.mass)))
+        for family, (_, _, which) in enumerate(self.families):
+            self._add_rows(bounds[which], family)
+        return (2 * bounds / self.mass).reshape(self.stiffnesses, -1)
+
+    @cached_property
+    def largest_eigenvalues(self) -> tuple[float, ...]:
+        """Bounds on the largest eigenvalue [1/kg] of M⁻¹K of the flat sheet, for each stiffness being 1 N/m alone."""
+        return tuple(float(row.max()) for row in self.eigenvalue_rows)
 
     def _add_rows(self, rows: np.ndarray, family: int) -> None:
         stride = self.strides[family]
@@ -109,11 +124,11 @@ def tributary(lines: np.ndarray, length: float) -> np.ndarray:
     return np.diff(edges)
 
 
-def _family(u, v, wide, high, di: int, dj: int, flexion: bool) -> tuple[np.ndarray, np.ndarray]:
+def _family(u, v, wide, high, di: int, dj: int) -> tuple[np.ndarray, np.ndarray]:
     """Rest length (n,) m and stiffness share (n,) of one family, at each spring's first node.
 
     On square cells the share is 1 inside and ½ along a border. Elsewhere it is what keeps the sheet's stiffness per
-    width: (width stood for) / (length per cell) for straight springs, 2ab/(a² + b²) for the diagonals of a cell a × b.
+    width: (width stood for) / (length per cell) for straight springs, 2ab/(a² + b²) for diagonals that span a × b.
     """
     nu, nv = len(u), len(v)
     j, i = (a.ravel() for a in np.meshgrid(np.arange(nv), np.arange(nu), indexing="ij"))
@@ -122,8 +137,6 @@ def _family(u, v, wide, high, di: int, dj: int, flexion: bool) -> tuple[np.ndarr
     a, b = np.abs(u[i2] - u[i]), np.abs(v[j2] - v[j])
     rest = np.hypot(a, b)
     with np.errstate(invalid="ignore", divide="ignore"):
-        if di and dj:
-            share = 2 * a * b / (a**2 + b**2)
-        else:
-            share = (high[j] if di else wide[i]) / (rest / (2 if flexion else 1))
+        straight = (high[j] if di else wide[i]) / (rest / max(di, dj))
+        share = 2 * a * b / (a**2 + b**2) if di and dj else straight
     return np.where(inside, rest, 1.0), np.where(inside, share, 0.0)

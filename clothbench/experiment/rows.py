@@ -1,0 +1,46 @@
+"""What every row of the leaderboard carries whatever was run: what it is about, on which machine, or why it failed."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from clothbench.experiment.cell import Cell
+from clothbench.experiment.store import Store, now, system_info
+from clothbench.experiment.validation_cell import ValidationCell
+from clothbench.parallel import thread_count
+
+AnyCell = Cell | ValidationCell
+
+
+def keep_failure(
+    store: Store, cell: AnyCell, status: str, reason: str, detail: str = "", evaluations: int = 0, wall_s: float = 0.0
+) -> str:
+    """Store a cell that has no result: one row for each of its cases, with the reason in place of a number."""
+    row = {**about_cell(cell), **no_value(), "status": status, "reason": reason, "unit": None}
+    row |= {"evaluations": evaluations, "wall_s": wall_s}
+    extra = (lambda folder: (folder / "traceback.txt").write_text(detail)) if detail else None
+    store.put(cell.key, {"rows": [{**row, "case": case} for case in cell.cases]}, extra)
+    return status
+
+
+def about_cell(cell: AnyCell) -> dict[str, Any]:
+    plugins = "; ".join(f"{k} ({v})" for k, v in sorted(cell.versions.items()))
+    return {
+        "suite": cell.suite,
+        "case": cell.case,
+        "model": cell.model,
+        "effects": ",".join(cell.effects),
+        "optimizer": cell.optimizer,
+        "metric": cell.metric,
+        "seed": cell.seed,
+        "key": cell.key,
+        "plugins": plugins,
+        "objective": cell.metric,
+        "threads": thread_count(),
+        "finished": now(),
+        **system_info(),
+    }
+
+
+def no_value() -> dict[str, Any]:
+    return dict.fromkeys(("value", "low", "high", "floor", "reference", "recording", "split"))

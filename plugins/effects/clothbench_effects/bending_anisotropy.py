@@ -1,0 +1,46 @@
+"""`bending_anisotropy`: warp and weft bend differently; each gets a rigidity of its own on top of the model's.
+
+As rigidities in N·m and not as a ratio, because an effect must act on any model and any simulator alike, and of most
+it cannot know what rigidity they have: a ratio of an unknown number is none.
+"""
+
+from clothbench import Parameter, ParameterSpace, effect_kernel
+
+
+@effect_kernel
+def straighten(t, dt, x, v, f, sheet, p, state):
+    """f −= A (D_u W_uu c_uu + D_v W_vv c_vv): energy per area ½ (D_u |∂²x/∂u²|² + D_v |∂²x/∂v²|²), linear in x.
+
+    On a sheet that only bends |∂²x/∂u²| is the warp's curvature.
+    """
+    if p[0] == 0.0 and p[1] == 0.0:
+        return
+    for face in range(sheet.triangles.shape[0]):
+        for c in range(2):
+            weights, rigidity = sheet.curvature[face, c], p[c] * sheet.face_area[face]
+            for axis in range(3):
+                bend = 0.0
+                for k in range(6):
+                    bend += weights[k] * x[axis, sheet.patch[face, k]]
+                for k in range(6):
+                    f[axis, sheet.patch[face, k]] -= rigidity * bend * weights[k]
+
+
+SOURCE = "Peirce 1930, The handle of cloth as a measurable quantity: flexural rigidity of warp and weft"
+
+
+class BendingAnisotropy:
+    name = "bending_anisotropy"
+    version = 1
+    place = "dynamics"
+    summary = "bending rigidity of warp and weft beyond the model's own"
+    force = staticmethod(straighten)
+    parameters = ParameterSpace(
+        (
+            Parameter("warp", "D_u", "N·m", (0.0, 1e-3), "linear", 1e-5, "extra rigidity along u", SOURCE, null=0.0),
+            Parameter("weft", "D_v", "N·m", (0.0, 1e-3), "linear", 0.0, "extra rigidity along v", SOURCE, null=0.0),
+        )
+    )  # fmt: skip
+
+    def stiffness(self, phi):
+        return 0.0, max(phi)

@@ -1,0 +1,42 @@
+"""`grip_compliance`: the gripper gives way: it is not quite where it was sent."""
+
+import numpy as np
+from scipy.linalg import expm
+
+from clothbench import Parameter, ParameterSpace
+
+SOURCE = "Meirovitch, Fundamentals of Vibrations, ch. 2: a damped oscillator driven at its base"
+
+
+class GripCompliance:
+    """y'' + 2 ζ ω y' + ω² (y − c) = 0 with ω = 2π/T: the grip y follows its commanded path c, from rest.
+
+    Integrated exactly for a path that is straight between stamps, so no period is too short: at T → 0 it is the path.
+    """
+
+    name = "grip_compliance"
+    version = 1
+    place = "boundary"
+    summary = "grips that follow their path like a damped spring mount"
+    parameters = ParameterSpace(
+        (
+            Parameter("period", "T", "s", (0.0, 0.5), "linear", 0.05, "natural period of the mount", SOURCE, null=0.0),
+            Parameter("damping", "ζ", "1", (0.02, 2.0), "log", 0.3, "its damping ratio", SOURCE),
+        )
+    )  # fmt: skip
+
+    def grips(self, time: np.ndarray, position: np.ndarray, phi: np.ndarray) -> np.ndarray:
+        period, damping = phi
+        if period == 0.0:
+            return position
+        omega, step = 2 * np.pi / period, np.diff(time)
+        # For c = c₀ + r t the mount lags steadily by 2ζr/ω; what differs from that rings freely.
+        free = expm(np.array([[0.0, 1.0], [-(omega**2), -2 * damping * omega]]) * step[:, None, None])
+        rate = np.diff(position, axis=0) / step[:, None, None]
+        out, speed = np.array(position), np.zeros_like(position[0])
+        for k, (r, phase) in enumerate(zip(rate, free, strict=True)):
+            lag = 2 * damping / omega * r
+            away, drift = out[k] - position[k] + lag, speed - r
+            out[k + 1] = position[k + 1] - lag + phase[0, 0] * away + phase[0, 1] * drift
+            speed = r + phase[1, 0] * away + phase[1, 1] * drift
+        return out

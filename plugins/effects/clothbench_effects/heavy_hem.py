@@ -1,0 +1,68 @@
+"""`heavy_hem`: a strip along the lower edge that is folded and sewn, and heavier for it."""
+
+import numpy as np
+
+from clothbench import Parameter, ParameterSpace, effect_kernel
+from clothbench_effects.sheet_kernels import add_overlap, helper
+
+
+@helper
+def find_hem(sheet, density, width, state):
+    """What each node carries of the strip [kg], into state[1:]; state[0] says that it is known.
+
+    By the part of each triangle that lies in the strip: total and first moment are right on every mesh.
+    """
+    if state[0] != 0.0:
+        return
+    state[0] = 1.0
+    foot = sheet.uv[:, 1].max()
+    low, high = np.array([-np.inf, foot - width]), np.array([np.inf, np.inf])
+    for face in range(sheet.triangles.shape[0]):
+        add_overlap(sheet, face, low, high, state[1:])
+    state[1:] *= density
+
+
+@effect_kernel
+def weigh(t, dt, x, v, f, sheet, p, state):
+    """f += m g, m = ρ_h ∫ N dA over the strip of width w along the lower edge."""
+    if p[0] == 0.0:
+        return
+    find_hem(sheet, p[0], p[1], state)
+    for i in range(x.shape[1]):
+        for c in range(3):
+            f[c, i] += state[1 + i] * sheet.gravity[c]
+
+
+@effect_kernel
+def bear(t, dt, x, v, mass, sheet, p, state):
+    """ΔM = m I with the same m."""
+    if p[0] == 0.0:
+        return
+    find_hem(sheet, p[0], p[1], state)
+    for i in range(x.shape[1]):
+        for c in range(3):
+            mass[c, i] += state[1 + i]
+
+
+SOURCE = "how the sheet was sewn: each further layer adds the cloth's own areal density"
+
+
+class HeavyHem:
+    name = "heavy_hem"
+    version = 1
+    place = "dynamics"
+    summary = "a hem along the lower edge, with its weight"
+    force = staticmethod(weigh)
+    inertia = staticmethod(bear)
+    parameters = ParameterSpace(
+        (
+            Parameter(
+                "areal_density", "ρ_h", "kg/m²", (0.0, 1.0), "linear", 0.1, "what the hem adds per area", SOURCE,
+                null=0.0,
+            ),
+            Parameter("width", "w", "m", (0.002, 0.1), "log", 0.015, "width of the hem", SOURCE),
+        )
+    )  # fmt: skip
+
+    def state_size(self, sheet):
+        return 1 + len(sheet.uv)

@@ -1,0 +1,36 @@
+"""`poisson_coupling`: cloth that is pulled along one yarn system narrows along the other."""
+
+from clothbench import Parameter, ParameterSpace, effect_kernel
+from clothbench_effects.sheet_kernels import add_tension, stretch
+
+
+@effect_kernel
+def couple_yarns(t, dt, x, v, f, sheet, p, state):
+    """Tensions T_u = C_12 ε_v and T_v = C_12 ε_u, of the energy C_12 ε_u ε_v per area."""
+    if p[0] == 0.0:
+        return
+    for face in range(sheet.triangles.shape[0]):
+        warp, weft = stretch(x, sheet, face, 0), stretch(x, sheet, face, 1)
+        add_tension(f, x, sheet, face, 0, p[0] * weft)
+        add_tension(f, x, sheet, face, 1, p[0] * warp)
+
+
+class PoissonCoupling:
+    """The energy alone has no minimum: with the model's own stiffnesses it must keep (C_12 + own)² < C_11 C_22."""
+
+    name = "poisson_coupling"
+    version = 1
+    place = "dynamics"
+    summary = "cross contraction between warp and weft"
+    force = staticmethod(couple_yarns)
+    parameters = ParameterSpace(
+        (
+            Parameter(
+                "coupling", "C₁₂", "N/m", (-50.0, 200.0), "linear", 10.0, "weft tension per warp strain and vice versa",
+                "Timoshenko and Woinowsky-Krieger, Theory of Plates and Shells, art. 83 (orthotropic sheet)", null=0.0,
+            ),
+        )
+    )  # fmt: skip
+
+    def stiffness(self, phi):
+        return abs(phi[0]), 0.0

@@ -1,0 +1,144 @@
+"""What the mass-spring models share: options, and a batch's way through the compiled loop."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from clothbench import ClothbenchError, Rollout
+from clothbench.kernels import own_sheet
+from clothbench.parallel import for_each
+from clothbench_models import loop
+from clothbench_models import mass_spring_kernels as kernels
+from clothbench_models.contact import obstacle_table
+from clothbench_models.grid_sheet import GridBatch, GridSimulation, check_number, check_resolution
+from clothbench_models.self_contact import layers_of
+from clothbench_models.spring_grid import FAMILIES, SpringGrid
+
+SAFETY = 0.8  # share of the largest stable step that is used
+SETTLE = np.array([9.0, 36.0])  # least and most settling time in units of 1/ω₁; soft, nearly buckled modes take longest
+SMALL = 256  # nodes below which several parameter sets are interleaved
+LANES = 8  # doubles in one vector register of AVX-512
+REAL = {"double": np.float64, "single": np.float32}
+# Speed [m/s] at which a settling sheet hangs still: so small that it does not matter when exactly it stops, but above
+# what rounding alone keeps alive in single precision (about ω · 3e-8 m with ω of the stiffest mode).
+AT_REST = {"double": 1e-6, "single": 1e-3}
+
+
+@dataclass(frozen=True)
+class SpringOptions:
+    """resolution: nodes along (u, v) or one number; dt: s or None; the rest is as the models say."""
+
+    resolution: int | Sequence[int]
+    dt: float | None
+    step_scale: float
+    precision: str
+    strain_limit: float | None = None
+
+    def check(self, model: str) -> None:
+        if self.precision not in REAL:
+            raise ClothbenchError(f"{model}: precision is {self.precision!r}, expected 'double' or 'single'")
+        check_resolution(model, self.resolution)
+        check_number(model, "dt", self.dt, 0.0)
+        check_number(model, "step_scale", self.step_scale, 0.0, 1.2)
+        check_number(model, "strain_limit", self.strain_limit, 0.0)
+
+
+@dataclass(frozen=True, eq=False)
+class SpringSimulation(GridSimulation):
+    """One scene on one grid of springs, ready for batches of parameter sets; a model says what its springs are."""
+
+    options: SpringOptions
+
+    families = FAMILIES
+    limited = 0  # how many of the first families a strain limit holds for
+
+    @cached_property
+    def grid(self) -> SpringGrid:
+        size = (self.scene.width, self.scene.height)
+        return SpringGrid.of(self.lines, size, self.scene.areal_density, self.families)
+
+    def run(self, theta: np.ndarray) -> Rollout:
+        """Simulate theta (B, P): the model's parameters in order, then those of the effects."""
+        theta = self.parameters.check(theta)
+        batch = _Batch(self, theta)
+        for_each(batch.run_block, batch.blocks)
+        return batch.rollout()
+
+    def stiffness(self, theta: np.ndarray) -> np.ndarray:
+        """The stiffnesses that `families` refers to, (B, K) N/m."""
+        raise NotImplementedError
+
+    def dashpots(self, theta: np.ndarray) -> np.ndarray | None:
+        """The damping that belongs to each of them, (B, K) N·s/m, or None where springs have none."""
+        return None
+
+    def loss(self, theta: np.ndarray) -> np.ndarray:
+        """Share of the velocity lost per second (B,) 1/s."""
+        return np.zeros(len(theta))
+
+    def stable_step(self, theta: np.ndarray) -> np.ndarray:
+        """The largest stable step of each parameter set (B,) s."""
+        raise NotImplementedError
+
+    def fastest_square(self, theta: np.ndarray) -> np.ndarray:
+        """A bound on ω² (B,) 1/s²: that of the flat sheet, whose springs all pull in one plane, and of the effects."""
+        rows = np.zeros((len(theta), 2 * self.nodes))
+        for k, row in zip(self.stiffness(theta).T, self.grid.eigenvalue_rows, strict=True):
+            rows += k[:, None] * row  # not as a matrix product, whose last bits depend on how many sets there are
+        return rows.max(axis=1) + self.stiffest_effect(theta)
+
+
+class _Batch(GridBatch):
+    """Parameter sets in blocks of lanes."""
+
+    simulation: SpringSimulation
+
+    def __init__(self, simulation: SpringSimulation, theta: np.ndarray):
+        options = simulation.options
+        steps = SAFETY * options.step_scale * simulation.stable_step(theta)
+        dt = steps if options.dt is None else np.full(len(theta), options.dt)
+        super().__init__(simulation, theta, dt, SETTLE[1] / simulation.slowest)
+        self.blocks = self._blocks(np.flatnonzero(~self.late))
+        self.obstacles = obstacle_table(simulation.scene)
+        self.strain_limit = math.inf if options.strain_limit is None else options.strain_limit
+
+    def _blocks(self, members: np.ndarray) -> list[np.ndarray]:
+        """Members that run together, similar steps side by side; one by one on a large grid."""
+        alone = self.simulation.nodes >= SMALL or self.terms > 0 or self.simulation.scene.thickness > 0
+        if alone:
+            return [members[k : k + 1] for k in range(len(members))]
+        order = members[np.argsort(self.dt[members], kind="stable")]
+        return [order[k : k + LANES] for k in range(0, len(order), LANES)]
+
+    def run_block(self, members: np.ndarray) -> None:
+        simulation, scene, precision = self.simulation, self.simulation.scene, self.simulation.options.precision
+        grid, effects, lanes, theta = simulation.grid, simulation.effects, len(members), self.theta[members]
+        stiffness, dashpots = _of_springs(grid, simulation.stiffness(theta)), simulation.dashpots(theta)
+        real = REAL[precision]
+        out = np.full((lanes, *self.position.shape[1:]), np.nan)
+        status, steps = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64)
+        kernels.run_block(precision)(
+            lanes, np.repeat(self.shape.T, lanes, axis=1).astype(real), grid.strides * lanes,
+            np.repeat(grid.rest, lanes, axis=1).astype(real), stiffness.astype(real),
+            (np.zeros((0, 0)) if dashpots is None else _of_springs(grid, dashpots)).astype(real),
+            simulation.loss(theta), own_sheet(simulation.sheet), self.bounds(),
+            self.obstacles, layers_of(scene, simulation.sheet), self.strain_limit, simulation.limited,
+            *self.kernels, self.stages, self.terms, effects.kernel_parameters(theta, loop.SLOTS),
+            effects.kernel_state(lanes, loop.SLOTS, simulation.sheet),
+            self.pins, self.knots, self.curve(members), self.held_points, self.pins_of_points,
+            scene.start_time, SETTLE / simulation.slowest, 2 * simulation.slowest, AT_REST[precision],
+            self.dt[members],
+            self.interpolator.index, self.interpolator.weight, self.times[members], out, status, steps,
+        )  # fmt: skip
+        self.position[members], self.status[members], self.steps[members] = out, status, steps
+
+
+def _of_springs(grid: SpringGrid, values: np.ndarray) -> np.ndarray:
+    """Values (lanes, K) of the model's stiffnesses or dashpots for every spring, (S, n·lanes), lanes innermost."""
+    each = values[:, [which for _, _, which in grid.families]].T  # (S, lanes)
+    return (grid.share[:, :, None] * each[:, None]).reshape(len(each), -1)

@@ -1,0 +1,117 @@
+"""`mass_spring_verlet`: the particle grid of "A hybrid evolutionary algorithm for tuning a cloth-simulation model"
+(Mongus, Repnik, Mernik and Žalik, Applied Soft Computing 12, 2012), section 2.
+
+Springs join each particle to the four nearest in every horizontal (H1…H4), vertical (V1…V4) and diagonal (D1…D4)
+direction; position Verlet moves it, with a share of the last displacement lost to the textile's inner friction:
+
+    x_i = x_{i−1} + (1 − c Δt)(x_{i−1} − x_{i−2}) + a_i Δt²
+
+c is a loss per second where the paper has one per step, and stiffnesses are per width of cloth as `spring_grid` has
+it, so that neither depends on step or mesh. The membrane does not either: a sheet has C11 = Σ k² (H_k + D_k),
+C22 = Σ k² (V_k + D_k), C12 = C66 = Σ k² D_k. What does depend on the mesh is the reach of the long springs. They resist
+bending only as chords that shorten, an energy of about (k h κ)⁴ per area for cells of h: bending fades on finer grids.
+And within k cells of a border, fewer of them pass.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clothbench import ClothbenchError, Effect, Parameter, ParameterSpace, Scene
+from clothbench.effects import BoundEffects
+from clothbench.protocols import Material
+from clothbench_models.grid_sheet import grid_shape
+from clothbench_models.mass_spring_simulation import SpringOptions, SpringSimulation
+from clothbench_models.spring_grid import Families
+
+SOURCE = "Mongus et al., A hybrid evolutionary algorithm for tuning a cloth-simulation model, 2012, section 2"
+REACH = 4  # springs to the nearest four particles
+DIRECTIONS = (("H", "horizontal", (1, 0)), ("V", "vertical", (0, 1)), ("D", "diagonal", (1, 1)))
+STIFFNESS = {1: (1.0, 1000.0, 60.0), 2: (0.01, 100.0, 1.0), 3: (0.01, 100.0, 0.3), 4: (0.01, 100.0, 0.1)}  # N/m
+
+
+def _families() -> Families:
+    """All sixteen, the shortest first; parameters are numbered H1…H4, V1…V4, D1…D4."""
+    found = []
+    for k in range(1, REACH + 1):
+        found += [(k, 0, k - 1), (0, k, REACH + k - 1), (k, k, 2 * REACH + k - 1), (-k, k, 2 * REACH + k - 1)]
+    return tuple(found)
+
+
+def _parameters() -> ParameterSpace:
+    springs = [
+        Parameter(
+            f"{letter}{k}", f"{letter}{'₁₂₃₄'[k - 1]}", "N/m", STIFFNESS[k][:2], "log", STIFFNESS[k][2],
+            f"stiffness of {direction} springs to the particle {k} away", SOURCE,
+        )
+        for letter, direction, _ in DIRECTIONS
+        for k in range(1, REACH + 1)
+    ]  # fmt: skip
+    loss = Parameter("damping", "c", "1/s", (0.0, 20.0), "linear", 1.0, "share of the velocity lost per second", SOURCE)
+    return ParameterSpace((*springs, loss))
+
+
+class MassSpringVerlet:
+    """Particles with springs to the four nearest in each direction, position Verlet; see the module.
+
+    resolution: nodes along (u, v) or one number for the longer side, where the scene does not say;
+    dt: time step [s], or None for the largest stable one of each parameter set times 0.8; step_scale: multiplies
+    that step; precision: "double", or "single", which takes no dynamics effects.
+    """
+
+    name = "mass_spring_verlet"
+    version = 1
+    kind = "explicit"
+    parameters = _parameters()
+    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact"})
+
+    def __init__(
+        self, resolution: int | Sequence[int] = 13, dt: float | None = None, step_scale: float = 1.0,
+        precision: str = "double",
+    ):  # fmt: skip
+        self.options = SpringOptions(resolution, dt, step_scale, precision)
+        self.options.check(self.name)
+
+    def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> VerletSimulation:
+        bound = BoundEffects(self.parameters, tuple(effects))
+        if self.options.precision == "single" and bound.at("dynamics"):
+            raise ClothbenchError("mass_spring_verlet: precision=single takes no dynamics effects; leave it at double")
+        return VerletSimulation(scene, grid_shape(scene, self.options.resolution), bound, self.options)
+
+    def of_material(self, material: Material, scene: Scene) -> np.ndarray:
+        """Parameters (13,) of a textbook material: only the shortest springs count, and nothing is lost.
+
+        With C11 = H1 + D1 and C12 = C66 = D1, a strip that is free to narrow has C11 − D1²/C11 as its tensile
+        stiffness. There remains a cross contraction of D1/C11.
+        """
+        if material.bending > 0:
+            raise ClothbenchError(
+                "mass_spring_verlet: has no small-strain bending rigidity; springs resist bending only to fourth order"
+            )
+        whole = (material.stretch + math.hypot(material.stretch, 2 * material.shear)) / 2
+        theta = self.parameters.low
+        theta[[0, REACH, 2 * REACH]] = whole - material.shear, whole - material.shear, material.shear
+        theta[-1] = 0.0
+        return theta
+
+
+@dataclass(frozen=True, eq=False)
+class VerletSimulation(SpringSimulation):
+    """One scene on one grid, ready for batches of parameter sets: H1…H4, V1…V4, D1…D4 N/m, c 1/s, the effects'."""
+
+    families = _families()
+
+    def stiffness(self, theta: np.ndarray) -> np.ndarray:
+        return theta[:, : 3 * REACH]
+
+    def loss(self, theta: np.ndarray) -> np.ndarray:
+        return theta[:, 3 * REACH].copy()
+
+    def stable_step(self, theta: np.ndarray) -> np.ndarray:
+        """Of Verlet with loss, ω² Δt² < 4 − 2 c Δt; there c Δt stays below 1 where c is not far above ω."""
+        square, loss = self.fastest_square(theta), self.loss(theta)
+        return (np.sqrt(loss**2 + 4 * square) - loss) / square

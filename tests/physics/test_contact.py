@@ -1,0 +1,223 @@
+"""Contact against mechanics: obstacles keep cloth out and rub as Coulomb says; a sheet's own layers do not cross."""
+
+import numpy as np
+import pytest
+from clothbench_models.contact import keep_out, obstacle_table
+from clothbench_models.mass_spring import MassSpring
+from clothbench_models.mass_spring_verlet import MassSpringVerlet
+from clothbench_models.self_contact import keep_apart, layers_of
+
+from clothbench import Scene
+from clothbench.kernels import grid_triangles, sheet_of
+from clothbench.scene import Obstacle
+
+G = 9.81
+SOFT = [[100.0, 0.05, 0.05]]
+THREE = (
+    Obstacle("plane"),
+    Obstacle("disc", (1.0, 0.0, 0.5), radius=0.1),
+    Obstacle("sphere", (2.0, 0, 0.5), radius=0.1),
+)
+
+
+def lattice(shape, width, height):
+    u, v = np.meshgrid(np.linspace(0, width, shape[0]), np.linspace(0, height, shape[1]))
+    return np.column_stack([u.ravel(), v.ravel()])
+
+
+def loose(start, uv, times, *, obstacles=(), thickness=0.0, gravity=(0.0, 0.0, -G), shape):
+    """A sheet that nothing holds, seen at its nodes."""
+    width, height = uv.max(axis=0)
+    return Scene(width, height, 0.2, np.array([0.0, 1.0]), np.zeros((0, 2)), np.zeros((2, 0, 3)), times, uv,
+                 gravity=gravity, resolution=shape, start=start, obstacles=obstacles, thickness=thickness)  # fmt: skip
+
+
+# --- one node -------------------------------------------------------------------------------------------------------
+
+
+def put_out(place, velocity=(0.0, 0.0, 0.0), obstacles=THREE, held=False):
+    scene = loose(np.zeros((9, 3)), lattice((3, 3), 1, 1), np.array([0.0]), obstacles=obstacles, shape=(3, 3))
+    x, v = np.array([place], dtype=float).T.copy(), np.array([velocity], dtype=float).T.copy()
+    keep_out(x, v, obstacle_table(scene), np.array([0.0 if held else 1.0]), 0, 1)
+    return x[:, 0], v[:, 0]
+
+
+@pytest.mark.parametrize(
+    ("inside", "expected"),
+    [
+        ((0.2, 0.3, -0.01), (0.2, 0.3, 0.0)),
+        ((1.02, 0.0, 0.49), (1.02, 0.0, 0.5)),  # through the pedestal's top
+        ((1.09, 0.0, 0.3), (1.1, 0.0, 0.3)),  # through its side
+        ((2.0, 0.05, 0.5), (2.0, 0.1, 0.5)),
+        ((1.11, 0.0, 0.3), (1.11, 0.0, 0.3)),  # outside of all
+        ((2.0, 0.08, 0.58), (2.0, 0.08, 0.58)),
+    ],
+)
+def test_the_nearest_way_out(inside, expected):
+    np.testing.assert_allclose(put_out(inside)[0], expected, atol=1e-12)
+
+
+def test_a_held_node_stays():
+    np.testing.assert_array_equal(put_out((0.0, 0.0, -0.1), held=True)[0], [0.0, 0.0, -0.1])
+
+
+def test_friction_takes_at_most_its_share_of_the_impact():
+    rough = (Obstacle("plane", friction=0.5),)
+    np.testing.assert_allclose(put_out((0, 0, -1e-3), (3.0, 0.0, -2.0), rough)[1], [2.0, 0.0, 0.0])
+    np.testing.assert_allclose(put_out((0, 0, -1e-3), (0.3, 0.4, -2.0), rough)[1], 0.0, atol=1e-15)
+    np.testing.assert_allclose(put_out((0, 0, -1e-3), (3.0, 0.0, 2.0), rough)[1], [3.0, 0.0, 2.0])
+
+
+# --- a sheet among obstacles ----------------------------------------------------------------------------------------
+
+
+def slide(angle, friction, model=MassSpring, theta=SOFT, batch=1):
+    """Mean path [m] down a slope of a sheet that lies on it, at 0, 0.1, … 0.5 s."""
+    shape, times = (7, 7), np.linspace(0.0, 0.5, 6)
+    uv = lattice(shape, 0.12, 0.12)
+    gravity = (G * np.sin(angle), 0.0, -G * np.cos(angle))
+    scene = loose(np.column_stack([uv, np.zeros(49)]), uv, times, obstacles=(Obstacle("plane", friction=friction),),
+                  gravity=gravity, shape=shape)  # fmt: skip
+    x = model().prepare(scene).run(np.repeat(theta, batch, axis=0)).position
+    assert (x[..., 2] > -1e-9).all()
+    return times, (x - x[:, :1])[..., 0].mean(axis=2)
+
+
+VERLET = MassSpringVerlet.parameters.defaults[None] * np.array([1.0] * 12 + [0.0])
+
+
+@pytest.mark.parametrize(("model", "theta"), [(MassSpring, SOFT), (MassSpringVerlet, VERLET)])
+@pytest.mark.parametrize("batch", [1, 3])
+def test_a_sheet_on_a_slope_slides_as_coulomb_says(model, theta, batch):
+    """Sticks below atan μ, and above accelerates with g (sin α − μ cos α)."""
+    times, path = slide(np.arctan(0.5) - 0.03, 0.5, model, theta, batch)
+    assert np.abs(path).max() < 1e-6
+    angle = np.arctan(0.5) + 0.1
+    times, path = slide(angle, 0.5, model, theta, batch)
+    expected = 0.5 * G * (np.sin(angle) - 0.5 * np.cos(angle)) * times**2
+    np.testing.assert_allclose(path[:, 1:], np.broadcast_to(expected, path.shape)[:, 1:], rtol=0.01)
+
+
+def test_a_dropped_sheet_comes_to_rest_on_the_plane():
+    shape, uv = (9, 9), lattice((9, 9), 0.16, 0.16)
+    start = np.column_stack([uv, 0.05 + 0.02 * uv[:, 0]])
+    scene = loose(start, uv, np.array([0.0, 1.0, 1.5]), obstacles=(Obstacle("plane", friction=0.3),), shape=shape)
+    x = MassSpring().prepare(scene).run(SOFT).position[0]
+    np.testing.assert_allclose(x[1:, :, 2], 0.0, atol=1e-4)
+    np.testing.assert_allclose(x[1], x[2], atol=1e-4)
+
+
+def drape(obstacle, times, thickness=0.0, nodes=17, model=MassSpring, theta=SOFT):
+    """A square sheet of 30 cm laid on a sphere of radius 5 cm or a disc of 6 cm → (T, n, 3) m."""
+    shape, uv = (nodes, nodes), lattice((nodes, nodes), 0.3, 0.3)
+    start = np.column_stack([uv - 0.15, 1e-3 + 1e-6 * np.sin(40 * uv[:, 0]) * np.cos(30 * uv[:, 1])])
+    scene = loose(start, uv, times, obstacles=(obstacle,), thickness=thickness, shape=shape)
+    rollout = model().prepare(scene).run(theta)
+    assert rollout.status == ("ok",)
+    return rollout.position[0]
+
+
+SPHERE = Obstacle("sphere", (0.0, 0.0, -0.05), radius=0.05, friction=0.3)
+DISC = Obstacle("disc", radius=0.06, friction=0.3)
+
+
+def test_no_node_enters_a_sphere():
+    x = drape(SPHERE, np.linspace(0.0, 0.8, 9))
+    assert np.linalg.norm(x - SPHERE.centre, axis=-1).min() > 0.05 - 1e-9
+    assert x[-1, :, 2].min() < -0.1
+
+
+@pytest.mark.parametrize(("model", "theta"), [(MassSpring, SOFT), (MassSpringVerlet, VERLET)])
+def test_cloth_drapes_over_the_rim_of_a_disc(model, theta):
+    x = drape(DISC, np.linspace(0.0, 0.8, 9), model=model, theta=theta)
+    away, height = np.hypot(x[..., 0], x[..., 1]), x[..., 2]
+    assert ((height > -1e-9) | (away > 0.06 - 1e-9)).all()
+    assert height[-1].min() < -0.05
+    assert (np.abs(height[-1][away[-1] < 0.05]) < 0.01).all()  # it may still tremble
+
+
+# --- layers ---------------------------------------------------------------------------------------------------------
+
+
+def crossings(x, triangles):
+    """How many edges pierce a triangle with which they share no node; x (n, 3) m."""
+    edges = np.unique(np.sort(triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    a, b, c = (x[triangles[:, k]] for k in range(3))
+    normal, total = np.cross(b - a, c - a), 0
+    for i, j in edges:
+        first, second = ((x[i] - a) * normal).sum(axis=1), ((x[j] - a) * normal).sum(axis=1)
+        hit = (first * second < 0) & ~((triangles == i) | (triangles == j)).any(axis=1)
+        at = x[i] + (first[hit] / (first[hit] - second[hit]))[:, None] * (x[j] - x[i])
+        inside = np.ones(hit.sum(), dtype=bool)
+        for p, q in ((a, b), (b, c), (c, a)):
+            inside &= (np.cross(q[hit] - p[hit], at - p[hit]) * normal[hit]).sum(axis=1) > 0
+        total += int(inside.sum())
+    return total
+
+
+def test_the_counter_counts():
+    x = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0.2, 0.2, -1], [0.2, 0.2, 1], [5, 5, 1]], dtype=float)
+    assert crossings(x, np.array([[0, 1, 2], [3, 4, 5]])) == 2  # one edge of each
+    x[3:, :2] += 1.0
+    assert crossings(x, np.array([[0, 1, 2], [3, 4, 5]])) == 0
+
+
+def pile(thickness, times, nodes=17):
+    """A sheet dropped upright on the floor, where it folds up → (T, n, 3) m."""
+    shape = (nodes // 2 + 1, nodes)
+    uv = lattice(shape, 0.15, 0.3)
+    wave = 2e-3 * np.sin(25 * uv[:, 1]) + 1e-3 * np.sin(20 * uv[:, 0])
+    start = np.column_stack([uv[:, 0], wave, 0.31 - uv[:, 1]])
+    floor = Obstacle("plane", friction=0.3)
+    scene = loose(start, uv, times, obstacles=(floor,), thickness=thickness, shape=shape)
+    return MassSpring().prepare(scene).run(SOFT).position[0]
+
+
+CELL = 0.3 / 16
+
+
+@pytest.mark.parametrize("share", [0.1, 0.4])
+def test_the_folds_of_a_drape_do_not_cross(share):
+    triangles, times = grid_triangles((17, 17)), np.linspace(0.1, 0.8, 8)
+    assert sum(crossings(x, triangles) for x in drape(SPHERE, times)) > 50
+    assert [crossings(x, triangles) for x in drape(SPHERE, times, share * CELL)] == [0] * 8
+
+
+@pytest.mark.parametrize("share", [0.1, 0.4])
+def test_the_layers_of_a_fold_do_not_cross(share):
+    triangles, times = grid_triangles((9, 17)), np.linspace(0.1, 0.8, 8)
+    assert sum(crossings(x, triangles) for x in pile(0.0, times)) > 50
+    assert [crossings(x, triangles) for x in pile(share * CELL, times)] == [0] * 8
+
+
+def two_layers(gap, closing, thickness, dt):
+    """Two pieces, one `gap` above the other and shifted, falling on it; → x, v after one step, masses, `layers`."""
+    uv = lattice((7, 7), 0.06, 0.06)
+    lower = np.column_stack([uv, 0 * uv[:, 0]])
+    upper = np.column_stack([uv + np.array([3e-3, 4e-3]), 0 * uv[:, 0] + gap])
+    x = np.vstack([lower, upper]).T
+    v = np.zeros_like(x)
+    v[2, 49:] = -closing
+    mass = np.random.default_rng(2).uniform(0.5, 2.0, 98)
+    triangles, rest = grid_triangles((7, 7)), np.vstack([uv, uv + 1.0])
+    sheet = sheet_of(rest, mass, mass, np.vstack([triangles, triangles + 49]), (0, 0, 0), 1.2)
+    scene = loose(x.T, uv, np.array([0.0]), thickness=thickness, shape=(7, 7))
+    return x + dt * v, v, mass, layers_of(scene, sheet)
+
+
+def test_layers_that_would_pass_each_other_in_one_step_are_kept_on_their_sides():
+    """One step of four thicknesses; position and momentum go from one layer to the other, and none is lost."""
+    x, v, mass, layers = two_layers(gap=2e-3, closing=4.0, thickness=1e-3, dt=1e-3)
+    centre, momentum = (mass * x).sum(axis=1), (mass * v).sum(axis=1)
+    keep_apart(x, v, 1e-3, 1 / mass, layers)
+    np.testing.assert_allclose((mass * x).sum(axis=1), centre, rtol=1e-12, atol=1e-15)
+    np.testing.assert_allclose((mass * v).sum(axis=1), momentum, rtol=1e-12, atol=1e-12)
+    assert crossings(x.T, layers.triangles) == 0
+    assert v[2, 49:].mean() - v[2, :49].mean() > -0.5 * 4.0
+
+
+def test_layers_far_enough_apart_are_not_touched():
+    x, v, mass, layers = two_layers(gap=2e-3, closing=0.5, thickness=1e-3, dt=1e-3)
+    before = x.copy(), v.copy()
+    keep_apart(x, v, 1e-3, 1 / mass, layers)
+    np.testing.assert_array_equal((x, v), before)

@@ -1,0 +1,85 @@
+"""Effects of the air on moving sheets, against balances of forces that have an answer on paper."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from effect_scenes import STIFF, G, cloth, fall, hanging, on_every_model, run, swing_frequency, terminal_speed
+
+WEIGHT = 0.1 * G  # N/m² of the falling sheet
+AIR = 1.2  # kg/m³
+
+
+@on_every_model
+@pytest.mark.parametrize("coefficient", [0.5, 1.0])
+def test_linear_drag_ends_a_fall_at_weight_over_coefficient(name, coefficient):
+    assert terminal_speed(name, ("linear_drag", [coefficient])) == pytest.approx(WEIGHT / coefficient, rel=1e-3)
+
+
+@on_every_model
+@pytest.mark.parametrize("coefficient", [0.5, 1.2])
+def test_quadratic_drag_ends_a_fall_at_its_terminal_speed(name, coefficient):
+    """v = √(2 ρ g/(ρ_air C_N))."""
+    expected = np.sqrt(2 * WEIGHT / (AIR * coefficient))
+    assert terminal_speed(name, ("quadratic_drag", [coefficient, 0.0])) == pytest.approx(expected, rel=1e-3)
+
+
+@on_every_model
+def test_drag_crisis_lets_it_fall_faster(name):
+    """½ ρ_air C_N v²/(1 + k_f v²) = ρ g."""
+    expected = np.sqrt(WEIGHT / (0.5 * AIR - 0.2 * WEIGHT))
+    found = terminal_speed(name, ("quadratic_drag", [1.0, 0.0]), ("drag_crisis", [0.2, 1.0]))
+    assert found == pytest.approx(expected, rel=2e-3)
+
+
+@on_every_model
+def test_a_rising_wind_slows_the_fall_by_its_own_speed(name):
+    still = terminal_speed(name, ("quadratic_drag", [1.0, 0.0]))
+    risen = terminal_speed(name, ("quadratic_drag", [1.0, 0.0]), ("steady_wind", [0.0, 0.0, 0.4, 1.0, 0.0]))
+    assert risen == pytest.approx(still - 0.4, rel=2e-3)
+
+
+@on_every_model
+def test_added_mass_slows_the_swing(name):
+    """ω = ω₁/√(1 + m_a/ρ) for a motion along the normal."""
+    ratio = swing_frequency(name, ("added_mass", [0.1])) / swing_frequency(name)
+    assert ratio == pytest.approx(1 / np.sqrt(1 + 0.1 / 0.2), rel=0.01)
+
+
+def lean(name, *pairs):
+    """Angle [rad] to the vertical at which a sheet hangs still, and how far it is from straight [m]."""
+    along = np.linspace(0.05, 0.3, 6)
+    scene = hanging(0.1, 0.3, np.array([0.0, 0.1]), [(0.05, v) for v in along], (5, 13), density=0.1)
+    y, z = run(name, scene, cloth(name, scene, STIFF)[0], *pairs)[0, :, 1:].T
+    return np.arctan2(y[-1], -z[-1]), np.abs(y - z * y[-1] / z[-1]).max()
+
+
+@on_every_model
+@pytest.mark.parametrize("speed", [0.4, -0.8])
+def test_a_sheet_in_the_wind_hangs_straight_at_the_angle_of_balance(name, speed):
+    """ρ g sin α = ½ ρ_air C_N w² cos² α at every point: no curvature, so no bending or tension across."""
+    angle, bent = lean(name, ("quadratic_drag", [1.1, 0.02]), ("steady_wind", [0.0, speed, 0.0, 1.1, 0.02]))
+    push = 0.5 * AIR * 1.1 * speed**2 / WEIGHT
+    sine = (np.sqrt(1 + 4 * push**2) - 1) / (2 * push)
+    assert angle == pytest.approx(np.sign(speed) * np.arcsin(sine), rel=0.01)
+    assert bent < 1e-3
+
+
+@on_every_model
+def test_a_wide_jet_is_a_wind(name):
+    jet, _ = lean(name, ("local_jet", [0.5, np.pi / 2, 0.05, 0.0, -0.15, 2.0]))
+    wind, _ = lean(name, ("steady_wind", [0.0, 0.5, 0.0, 1.0, 0.0]))
+    assert jet == pytest.approx(wind, rel=0.01)
+
+
+@on_every_model
+def test_lift_carries_a_falling_slope_sideways_and_does_no_work(name):
+    """At first ÿ = ½ ρ_air C_L (g t)² sin α cos α/ρ, towards its lower edge; the speed stays that of a free fall."""
+    times = np.linspace(0.0, 0.3, 301)
+    position = fall(name, times, ("lift", [0.2]), slope=np.pi / 4).mean(axis=1)
+    velocity = np.gradient(position, times, axis=0)[5:-5]
+    fallen = (position[0, 2] - position[:, 2])[5:-5]
+    np.testing.assert_allclose((velocity**2).sum(axis=1), 2 * G * fallen, rtol=5e-3, atol=1e-4)
+    expected = 0.5 * AIR * 0.2 * G**2 * 0.5 / 0.1 * times[120] ** 4 / 12
+    drift = position[120] - position[0]
+    assert drift[1] == pytest.approx(-expected, rel=0.03)

@@ -1,0 +1,244 @@
+"""Kernels of effects alone: forces are minus the gradient of an energy, air takes energy, inertia is a mass tensor."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clothbench.kernels import grid_triangles, own_sheet, sheet_of
+from clothbench.plugins import catalogue
+from clothbench.protocols import Effect
+
+SIZE, SHAPE = (0.2, 0.3), (4, 5)
+DENSITY, AIR = 0.2, 1.2
+
+
+def effect_named(name: str) -> Effect:
+    return catalogue().make("effects", name)
+
+
+def normals(x: np.ndarray, triangles: np.ndarray) -> np.ndarray:
+    """Area-weighted unit normals (3, n) of the nodes."""
+    a, b, c = (x[:, triangles[:, k]].T for k in range(3))
+    total = np.zeros((x.shape[1], 3))
+    for k in range(3):
+        np.add.at(total, triangles[:, k], np.cross(b - a, c - a))
+    return (total / np.linalg.norm(total, axis=1, keepdims=True)).T
+
+
+@pytest.fixture
+def crumpled():
+    """An uneven sheet of 4 × 5 nodes, crumpled and in motion: the sheet, x (3, 20) m, v (3, 20) m/s."""
+    u, v = np.array([0.0, 0.06, 0.12, 0.2]), np.array([0.0, 0.07, 0.14, 0.22, 0.3])
+    uv = np.stack([a.ravel() for a in np.meshgrid(u, v)], axis=1)
+    area = np.full(20, SIZE[0] * SIZE[1] / 20)
+    triangles = grid_triangles(SHAPE)
+    sheet = own_sheet(sheet_of(uv, DENSITY * area, area, triangles, (0.0, 0.0, -9.81), AIR, held=(0, 3)))
+    random = np.random.default_rng(11)
+    x = np.stack([uv[:, 0], 0 * uv[:, 0], -uv[:, 1]]) + random.normal(0, 0.012, (3, 20))
+    sheet.normal[:] = normals(x, triangles)
+    sheet.grip[:] = x[:, [0, 3]]
+    return sheet, x, random.normal(0, 0.5, (3, 20))
+
+
+def push(effect, values, sheet, x, v, *, state=None, t=0.0, dt=1e-3, stage="force"):
+    """What an effect adds: (3, n) N, or (6, n) kg for its inertia."""
+    if state is None:
+        state = np.zeros(effect.state_size(sheet) if hasattr(effect, "state_size") else 0)
+    out = np.zeros((3 if stage == "force" else 6, x.shape[1]))
+    getattr(effect, stage)(t, dt, np.ascontiguousarray(x), v, out, sheet, np.array(values, dtype=float), state)
+    return out
+
+
+# --- conservative ones ------------------------------------------------------------------------------------------------
+
+
+def fibres(sheet, x):
+    """∂x/∂u and ∂x/∂v of all triangles (F, 2, 3), and their strains (F, 2)."""
+    w = np.einsum("fck,xfk->fcx", sheet.gradient, x[:, sheet.triangles])
+    return w, np.linalg.norm(w, axis=-1) - 1
+
+
+def curvature_vectors(sheet, x):
+    """uu, vv, uv (F, 3, 3): the last axis is x, y, z."""
+    return np.einsum("fck,xfk->fcx", sheet.curvature, x[:, sheet.patch])
+
+
+def stiffening_energy(sheet, x, p):
+    strain = np.maximum(fibres(sheet, x)[1], 0)
+    beyond = np.maximum(strain - 0.1, 0)
+    density = p[0] * (np.minimum(strain, 0.1) ** 3 / 3 + 0.01 * beyond + 0.1 * beyond**2)
+    return (sheet.face_area[:, None] * density).sum()
+
+
+def coupling_energy(sheet, x, p):
+    return (sheet.face_area * p[0] * fibres(sheet, x)[1].prod(axis=1)).sum()
+
+
+def bending_energy(sheet, x, p):
+    square = (curvature_vectors(sheet, x) ** 2).sum(axis=-1)
+    return (sheet.face_area * (p[0] * square[:, 0] + p[1] * square[:, 1])).sum() / 2
+
+
+def curl_energy(sheet, x, p):
+    w = fibres(sheet, x)[0]
+    normal = np.cross(w[:, 0], w[:, 1])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    kappa = np.einsum("fcx,fx->fc", curvature_vectors(sheet, x), normal)
+    return -(sheet.face_area * (p[0] * kappa[:, 0] + p[1] * kappa[:, 1])).sum()
+
+
+ENERGIES = [
+    ("stretch_stiffening", (2000.0,), stiffening_energy),
+    ("poisson_coupling", (30.0,), coupling_energy),
+    ("bending_anisotropy", (2e-4, 5e-5), bending_energy),
+    ("rest_curvature", (3e-4, -2e-4), curl_energy),
+]
+
+
+@pytest.mark.parametrize(("name", "values", "energy"), ENERGIES, ids=[name for name, *_ in ENERGIES])
+def test_forces_are_minus_the_gradient_of_the_energy(crumpled, name, values, energy):
+    sheet, x, v = crumpled
+    found = push(effect_named(name), values, sheet, x, v)
+    expected, step = np.zeros_like(x), 1e-6
+    for c, e in np.ndindex(x.shape):
+        move = np.zeros_like(x)
+        move[c, e] = step
+        expected[c, e] = -(energy(sheet, x + move, values) - energy(sheet, x - move, values)) / (2 * step)
+    np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max())
+
+
+INTERNAL = [
+    ("stretch_stiffening", (2000.0,)),
+    ("poisson_coupling", (30.0,)),
+    ("bending_anisotropy", (2e-4, 5e-5)),
+    ("rest_curvature", (3e-4, -2e-4)),
+    ("bending_hysteresis", (1e-4, 10.0)),
+    ("viscoelasticity", (1e-4, 50.0, 0.1)),
+]
+
+
+@pytest.mark.parametrize(("name", "values"), INTERNAL, ids=[name for name, _ in INTERNAL])
+def test_forces_inside_the_cloth_push_and_turn_nothing(crumpled, name, values):
+    """Newton's third law; also for those with a memory, after a change of shape."""
+    sheet, x, v = crumpled
+    effect = effect_named(name)
+    state = np.zeros(effect.state_size(sheet) if hasattr(effect, "state_size") else 0)
+    push(effect, values, sheet, x + 0.01 * v, v, state=state)
+    found = push(effect, values, sheet, x, v, state=state, t=0.02)
+    assert np.abs(found).max() > 1e-4
+    np.testing.assert_allclose(found.sum(axis=1), 0, atol=1e-12)
+    np.testing.assert_allclose(np.cross(x.T, found.T).sum(axis=0), 0, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["bending_hysteresis", "viscoelasticity"])
+def test_what_a_turned_sheet_remembers_turns_along(crumpled, name):
+    """A rigid rotation neither rubs nor relaxes anything: the forces after it are the turned forces."""
+    sheet, x, v = crumpled
+    effect = effect_named(name)
+    values = (1e-4, 10.0) if name == "bending_hysteresis" else (1e-4, 50.0, 1e6)
+    state = np.zeros(effect.state_size(sheet))
+    push(effect, values, sheet, x + 0.01 * v, v, state=state)
+    before = push(effect, values, sheet, x, v, state=state, t=0.02)
+    turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+    turn *= np.linalg.det(turn)
+    after = push(effect, values, sheet, turn @ x, v, state=state, t=0.04)
+    np.testing.assert_allclose(after, turn @ before, atol=1e-7 * np.abs(before).max())
+
+
+# --- air --------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["linear_drag", "quadratic_drag"])
+def test_drag_takes_energy_from_every_node(crumpled, name):
+    sheet, x, v = crumpled
+    effect = effect_named(name)
+    assert ((push(effect, effect.parameters.defaults, sheet, x, v) * v).sum(axis=0) < 0).all()
+
+
+def test_drag_crisis_gives_back_less_than_drag_takes(crumpled):
+    sheet, x, v = crumpled
+    full = push(effect_named("quadratic_drag"), (0.8, 0.0), sheet, x, v)
+    less = full + push(effect_named("drag_crisis"), (3.0, 0.8), sheet, x, v)
+    along = (v * sheet.normal).sum(axis=0)
+    np.testing.assert_allclose(less, full / (1 + 3.0 * along**2), rtol=1e-12)
+
+
+def test_lift_does_no_work_and_lies_in_the_plane_of_velocity_and_normal(crumpled):
+    sheet, x, v = crumpled
+    lift = push(effect_named("lift"), (1.2,), sheet, x, v)
+    size = np.linalg.norm(lift, axis=0)
+    np.testing.assert_allclose((lift * v).sum(axis=0), 0, atol=1e-12 * size.max())
+    np.testing.assert_allclose((lift * np.cross(v.T, sheet.normal.T).T).sum(axis=0), 0, atol=1e-12 * size.max())
+    sine = np.abs((v * sheet.normal).sum(axis=0)) / np.linalg.norm(v, axis=0)
+    expected = 0.5 * AIR * sheet.area * 1.2 * (v**2).sum(axis=0) * sine * np.sqrt(1 - sine**2)
+    np.testing.assert_allclose(size, expected, rtol=1e-9)
+    assert ((lift * sheet.normal).sum(axis=0) * (v * sheet.normal).sum(axis=0) < 0).all()
+
+
+def test_wind_beside_drag_is_drag_in_moving_air(crumpled):
+    sheet, x, v = crumpled
+    wind = np.array([0.7, -0.4, 0.3])
+    drag = effect_named("quadratic_drag")
+    blown = push(effect_named("steady_wind"), (*wind, 1.1, 0.05), sheet, x, v)
+    expected = push(drag, (1.1, 0.05), sheet, x, v - wind[:, None])
+    np.testing.assert_allclose(blown + push(drag, (1.1, 0.05), sheet, x, v), expected, atol=1e-15)
+
+
+def test_a_jet_blows_on_its_line_and_not_far_beside_it(crumpled):
+    sheet, x, v = crumpled
+    azimuth, centre = 0.6, x[:, 7]
+    at_node = push(effect_named("local_jet"), (1.5, azimuth, *centre, 0.01), sheet, x, v)
+    wind = (1.5 * np.cos(azimuth), 1.5 * np.sin(azimuth), 0.0)
+    everywhere = push(effect_named("steady_wind"), (*wind, 1.0, 0.0), sheet, x, v)
+    np.testing.assert_allclose(at_node[:, 7], everywhere[:, 7], rtol=1e-12)
+    further = push(effect_named("local_jet"), (1.5, azimuth, *(centre + 9 * np.array(wind)), 0.01), sheet, x, v)
+    np.testing.assert_allclose(further[:, 7], at_node[:, 7], rtol=1e-9)
+    assert np.abs(at_node[:, 19]).max() < 1e-6 * np.abs(at_node[:, 7]).max()
+
+
+# --- mass -------------------------------------------------------------------------------------------------------------
+
+INERTIA = [
+    ("added_mass", (0.1,), 0.1 * 0.06),
+    ("heavy_hem", (0.5, 0.02), 3 * 0.5 * 0.02 * 0.2),
+    ("point_mass", (0.004, 0.43, 0.71), 3 * 0.004),
+    ("total_mass", (1.2,), 3 * 0.2 * 0.2 * 0.06),
+]
+
+
+@pytest.mark.parametrize(("name", "values", "trace"), INERTIA, ids=[name for name, *_ in INERTIA])
+def test_added_inertia_is_a_mass_tensor_of_the_right_size(crumpled, name, values, trace):
+    sheet, x, v = crumpled
+    xx, yy, zz, yz, xz, xy = push(effect_named(name), values, sheet, x, v, stage="inertia")
+    tensors = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]).transpose(2, 0, 1)
+    assert np.linalg.eigvalsh(tensors).min() > -1e-15
+    assert np.trace(tensors, axis1=1, axis2=2).sum() == pytest.approx(trace)
+
+
+def test_less_mass_than_stated_still_leaves_some(crumpled):
+    sheet, x, v = crumpled
+    effect = effect_named("total_mass")
+    less = push(effect, effect.parameters.low, sheet, x, v, stage="inertia")
+    assert (sheet.mass + less[:3] > 0.5 * sheet.mass).all()
+
+
+@pytest.mark.parametrize(("name", "values"), [("heavy_hem", (0.5, 0.031)), ("point_mass", (0.004, 0.43, 0.71))])
+def test_what_hangs_on_the_cloth_weighs_what_it_should_where_it_should(crumpled, name, values):
+    """Total and first moments, on an uneven mesh whose lines do not meet the strip or the point."""
+    sheet, x, v = crumpled
+    total, middle = (0.5 * 0.031 * 0.2, (0.1, 0.3 - 0.0155)) if name == "heavy_hem" else (0.004, (0.086, 0.213))
+    weight = push(effect_named(name), values, sheet, x, v)
+    assert np.abs(weight[:2]).max() == 0.0
+    mass = weight[2] / -9.81
+    assert mass.sum() == pytest.approx(total)
+    np.testing.assert_allclose(mass @ sheet.uv / total, middle, rtol=1e-12)
+
+
+def test_gravity_turns_about_x_then_y(crumpled):
+    sheet, x, v = crumpled
+    added = push(effect_named("gravity_tilt"), (0.1, -0.05), sheet, x, v) / sheet.mass
+    about_x = np.array([[1, 0, 0], [0, np.cos(0.1), -np.sin(0.1)], [0, np.sin(0.1), np.cos(0.1)]])
+    about_y = np.array([[np.cos(0.05), 0, -np.sin(0.05)], [0, 1, 0], [np.sin(0.05), 0, np.cos(0.05)]])
+    expected = about_y @ about_x @ [0, 0, -9.81] + np.array([0, 0, 9.81])
+    np.testing.assert_allclose(added, np.repeat(expected[:, None], 20, axis=1), atol=1e-12)

@@ -1,0 +1,172 @@
+"""Effects of the grips and of the sensor: geometry that is exact, and filters that have a solution on paper."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from effect_scenes import STIFF, cloth, effect_named, hanging, on_every_model, run
+from scipy.integrate import solve_ivp
+
+TIME = np.cumsum(np.array([0.0, 0.01, 0.03, 0.005, 0.02, 0.04, 0.01, 0.02, 0.015, 0.05]))
+
+
+def grips(name, values, time, position):
+    return effect_named(name).grips(time, position, np.array(values, dtype=float))
+
+
+def seen(name, values, time, position, points=None):
+    points = np.zeros((position.shape[1], 2)) if points is None else points
+    return effect_named(name).positions(time, position, points, np.array(values, dtype=float))
+
+
+@pytest.fixture
+def clamp():
+    """Four grips of a clamp, two by two, that moves: (10, 4, 3) m."""
+    held = np.array([[0.1, 0.0, 1.0], [0.3, 0.0, 1.0], [0.1, 0.02, 0.99], [0.3, 0.02, 1.01]])
+    path = np.stack([0.1 * TIME, 0.3 * TIME**2, 0.0 * TIME], axis=1)
+    return held[None, [0, 2, 3, 1]] + path[:, None]
+
+
+# --- grips ------------------------------------------------------------------------------------------------------------
+
+
+def test_offset_shifts_all_grips(clamp):
+    np.testing.assert_allclose(
+        grips("grip_offset", [0.01, -0.02, 0.03], TIME, clamp) - clamp,
+        np.broadcast_to([0.01, -0.02, 0.03], clamp.shape), atol=1e-15,
+    )  # fmt: skip
+
+
+def test_rotation_about_the_vertical_keeps_centroid_height_and_distances(clamp):
+    turned = grips("grip_rotation", [0.2, 0.0], TIME, clamp)
+    np.testing.assert_allclose(turned.mean(axis=1), clamp.mean(axis=1), atol=1e-15)
+    np.testing.assert_allclose(turned[..., 2], clamp[..., 2], atol=1e-15)
+    before, after = clamp[0, 3] - clamp[0, 0], turned[0, 3] - turned[0, 0]
+    assert np.arctan2(*after[[1, 0]]) - np.arctan2(*before[[1, 0]]) == pytest.approx(0.2)
+
+
+def test_rotation_about_the_line_keeps_its_ends(clamp):
+    turned = grips("grip_rotation", [0.0, np.pi / 2], TIME, clamp)
+    np.testing.assert_allclose(turned[:, [0, 3]], clamp[:, [0, 3]], atol=1e-15)
+    away = turned[0, 1] - turned[0, 0]  # was (0, 0.02, −0.01): a quarter turn about x brings y to z
+    np.testing.assert_allclose(away, [0.0, 0.01, 0.02], atol=1e-12)
+
+
+def test_slip_lowers_the_grips_smoothly_from_its_time_on():
+    time = np.linspace(0.0, 1.0, 401)
+    at = np.zeros((401, 2, 3))
+    fallen = grips("grip_slip", [0.01, 0.5], time, at)
+    assert (fallen[time <= 0.5] == 0).all()
+    np.testing.assert_allclose(fallen[time >= 0.5501], np.broadcast_to([0, 0, -0.01], fallen[time >= 0.5501].shape))
+    assert (np.diff(fallen[:, 0, 2]) <= 0).all()
+
+
+@pytest.mark.parametrize("damping", [0.1, 1.0, 1.7])
+def test_compliant_grips_follow_like_a_damped_oscillator(clamp, damping):
+    found = grips("grip_compliance", [0.06, damping], TIME, clamp)
+    omega = 2 * np.pi / 0.06
+    for c in range(3):
+        path = clamp[:, 1, c]
+
+        def fall(t, y, path=path):
+            return [y[1], -2 * damping * omega * y[1] - omega**2 * (y[0] - np.interp(t, TIME, path))]
+
+        exact = solve_ivp(fall, (0, TIME[-1]), [path[0], 0.0], t_eval=TIME, rtol=1e-9, atol=1e-12, max_step=1e-3)
+        np.testing.assert_allclose(found[:, 1, c], exact.y[0], atol=1e-7)
+
+
+def test_a_stiff_mount_is_none(clamp):
+    found = grips("grip_compliance", [1e-6, 0.5], TIME, clamp)
+    np.testing.assert_allclose(found, clamp, atol=1e-6)
+
+
+@on_every_model
+def test_what_lies_on_a_grip_goes_where_the_effect_puts_it(name):
+    scene = hanging(0.1, 0.2, np.array([0.0, 0.1]), [(0.0, 0.0), (0.1, 0.0)], (3, 5))
+    theta = cloth(name, scene, STIFF)[0]
+    bare, shifted = run(name, scene, theta), run(name, scene, theta, ("grip_offset", [0.01, 0.02, -0.03]))
+    np.testing.assert_allclose(shifted - bare, np.broadcast_to([0.01, 0.02, -0.03], bare.shape), atol=1e-12)
+
+
+@on_every_model
+def test_a_patch_moves_with_its_grip(name):
+    """Cloth inside the patch keeps its place beside a grip that is jerked; without the patch it lags."""
+    times = np.linspace(0.0, 0.4, 41)
+
+    def jerk(t):
+        s = np.clip(t / 0.2, 0, 1)
+        return np.stack([0 * t, 0.05 * s**3 * (10 - 15 * s + 6 * s**2), 0 * t], axis=1)
+
+    inside, outside = (0.05, 0.02), (0.05, 0.1)
+    scene = hanging(0.1, 0.2, times, [(0.05, 0.0), inside, outside], (5, 11), moved=jerk)
+    theta = cloth(name, scene, STIFF)[0]
+
+    def stray(*pairs):
+        beside = run(name, scene, theta, *pairs)
+        beside = beside - beside[:, :1]
+        return np.abs(beside - beside[0]).max(axis=(0, 2))[1:]
+
+    free, held = stray(), stray(("grip_patch", [0.06]))
+    assert held[0] < min(1.5e-3, 0.25 * free[0])
+    assert held[1] > 0.01  # what is below still swings
+
+
+# --- sensor -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cloud():
+    return np.random.default_rng(8).normal(size=(10, 6, 3))
+
+
+def test_frame_effects_are_a_similarity_about_the_centroid(cloud):
+    middle = cloud.mean(axis=(0, 1))
+    turned = seen("frame_rotation", [0.0, 0.0, 0.1], TIME, cloud) - middle
+    about_z = np.array([[np.cos(0.1), -np.sin(0.1), 0], [np.sin(0.1), np.cos(0.1), 0], [0, 0, 1]])
+    np.testing.assert_allclose(turned, (cloud - middle) @ about_z.T, atol=1e-14)
+    np.testing.assert_allclose(seen("frame_scale", [1.02], TIME, cloud) - middle, 1.02 * (cloud - middle), atol=1e-14)
+    shift = [0.01, 0.02, -0.03]
+    np.testing.assert_allclose(seen("frame_translation", shift, TIME, cloud), cloud + np.array(shift), atol=1e-15)
+
+
+def test_rotation_vectors_have_no_order(cloud):
+    there = seen("frame_rotation", [0.1, -0.05, 0.15], TIME, cloud)
+    back = seen("frame_rotation", [-0.1, 0.05, -0.15], TIME, there)
+    np.testing.assert_allclose(back, cloud, atol=1e-14)
+
+
+def test_a_lost_member_does_not_spoil_the_centroid(cloud):
+    lost = cloud.copy()
+    lost[7:] = np.nan
+    found = seen("frame_scale", [1.02], TIME, lost)
+    np.testing.assert_allclose(found[:7], seen("frame_scale", [1.02], TIME[:7], cloud[:7]), atol=1e-15)
+
+
+def test_lowpass_answers_a_ramp_and_a_pause_exactly():
+    """τ ẏ = x − y: y = t − τ (1 − exp(−t/τ)) on a ramp, then it catches up by exp(−t/τ); on uneven stamps."""
+    ramp = np.minimum(TIME, 0.065)
+    assert 0.065 in np.round(TIME, 12)
+    found = seen("tracker_lowpass", [0.03], TIME, np.broadcast_to(ramp[:, None, None], (10, 1, 3)))[:, 0, 0]
+    rising = TIME - 0.03 * (1 - np.exp(-TIME / 0.03))
+    behind = 0.03 * (1 - np.exp(-0.065 / 0.03))
+    expected = np.where(TIME <= 0.0651, rising, 0.065 - behind * np.exp(-(TIME - 0.065) / 0.03))
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_markers_stand_off_a_plane_and_a_cylinder():
+    points = np.stack([a.ravel() for a in np.meshgrid(np.linspace(0, 0.2, 9), np.linspace(0, 0.1, 5))], axis=1)
+    u, v = points.T
+    flat = np.stack([u, 0 * u, -v], axis=1)[None]  # u × v is +y
+    found = seen("marker_standoff", [0.007], TIME[:1], flat, points)
+    np.testing.assert_allclose(found - flat, np.broadcast_to([0.0, 0.007, 0.0], flat.shape), atol=1e-12)
+    radius = 0.2
+    round_ = np.stack([radius * np.sin(u / radius), radius * np.cos(u / radius), -v], axis=1)[None]
+    out = seen("marker_standoff", [0.007], TIME[:1], round_, points)[0]
+    inner = (u > 0.01) & (u < 0.19)
+    np.testing.assert_allclose(np.hypot(out[inner, 0], out[inner, 1]), radius + 0.007, atol=2e-5)
+
+
+def test_markers_in_one_line_have_no_normal():
+    points = np.stack([np.linspace(0, 1, 5), np.zeros(5)], axis=1)
+    line = np.random.default_rng(1).normal(size=(2, 5, 3))
+    np.testing.assert_array_equal(seen("marker_standoff", [0.01], TIME[:2], line, points), line)
