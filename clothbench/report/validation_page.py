@@ -100,7 +100,7 @@ def _figures(shown: list[dict[str, Any]], over_mesh: dict[str, Any], levels: Row
             '<select id="test-error"></select></div><figure><figcaption>Absolute error against the reference; dotted: '
             'second order.</figcaption><div id="test-errors"></div></figure>'
         )
-    legend = [[text(name), colour, "solid"] for name, colour in colours(levels).items()]
+    legend = [[name, colour, "solid"] for name, colour in colours(levels).items()]
     content = {"legend": legend, "figures": [one["figure"] for one in shown], "errors": over_mesh}
     data = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     parts.append(f'<script type="application/json" id="tests">{data}</script>')

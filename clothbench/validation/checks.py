@@ -5,36 +5,16 @@ from __future__ import annotations
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from clothbench import ClothbenchError, Material, Scene
-from clothbench.validation import measures, references, scenes
+from clothbench import ClothbenchError
+from clothbench.validation import references, trials
 from clothbench.validation.fabrics import FABRICS
 from clothbench.validation.scenes import DENSITY
 
-CLOTH = Material(bending=1e-5, stretch=300.0, shear=150.0)  # a light shirting
-LIMP = Material(bending=1e-7, stretch=1000.0, shear=500.0)  # bends freely, hardly stretches
-LOADS = (1.0, 10.0, 100.0, 1000.0)  # Γ of `cantilever`
-SMALL_LOAD = 0.05
-OVERHANG, HANGING, FALL_TIME = 0.04, 0.3, 0.5  # m, m, s
-EXTRA, COEFFICIENT = 0.075, 1.0  # kg/m² of air; C_N
 HALVES = (0.5, 0.25)
-FOLDS = (3.5e4, 2.6e3)  # η_b of `fold_table`: the limpest and the stiffest of its fabrics
-
-
-@dataclass(frozen=True, eq=False)
-class Trial:
-    """One simulation: its scene, the cloth, what is read off, and what that should be.
-
-    load: what is varied beside the mesh, in the check's `load_name`.
-    """
-
-    scene: Scene
-    material: Material
-    measure: Callable[[Scene, np.ndarray], float]
-    reference: float
-    load: float | None = None
 
 
 @dataclass(frozen=True)
@@ -61,7 +41,7 @@ class Answer:
 
     case: str
     value: float | None
-    reference: float
+    reference: float | None
     status: str
     reason: str
 
@@ -70,20 +50,21 @@ class Answer:
 class Check:
     """A test: name, what is measured in which unit, what the model must be able to do, and how to make its trials.
 
-    effects: effect → parameter → value; textbook: needs the model's parameters for a textbook material, else its
-    defaults will do; headline: the load whose value stands in the leaderboard; halved: also run on the coarsest mesh
-    with half and a quarter of the step; order: what stands in the leaderboard is the observed order of convergence;
-    finest: run on the finest mesh alone.
+    effects: effect → parameter → value; limp: bending takes no part, and a model that knows none may do without;
+    textbook: needs the model's parameters for a textbook material, else its defaults will do; headline: the load
+    whose value stands in the leaderboard; halved: also run on the coarsest mesh with half and a quarter of the step;
+    order: what stands in the leaderboard is the observed order of convergence; finest: run on the finest mesh alone.
     """
 
     name: str
     metric: str
     unit: str
     summary: str
-    trials: Callable[[int], Sequence[Trial]]
+    trials: Callable[[int], Sequence[trials.Trial]]
     needs: tuple[str, ...] = ()
     effects: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     textbook: bool = True
+    limp: bool = False
     load_name: str = ""
     headline: float | None = None
     halved: bool = False
@@ -117,7 +98,7 @@ class Check:
             return [_order(self, levels)]
         plain = [v for v in levels if v.step_scale == 1.0 and v.load == self.headline]
         if not plain:  # a mesh that was not reached, or skipped at another load
-            return [Answer(self.name, None, levels[-1].reference, levels[-1].status, levels[-1].reason)]
+            return [Answer(self.name, None, None, levels[-1].status, levels[-1].reason)]
         last = plain[-1]
         return [Answer(self.name, last.value, last.reference, last.status, last.reason)]
 
@@ -145,97 +126,34 @@ def _fabrics(check: Check, levels: Sequence[Level]) -> list[Answer]:
     return [Answer(case, eta, f.eta, "ok", "") for case, f, eta in zip(check.cases, FABRICS, etas, strict=True)]
 
 
-# --- trials ---------------------------------------------------------------------------------------------------------
-
-
-def _free_fall(along: int) -> list[Trial]:
-    scene = scenes.level(0.2, along, np.array([0.0, FALL_TIME]))
-    return [Trial(scene, CLOTH, measures.drop, references.fall(FALL_TIME))]
-
-
-def _sag(along: int, load: float) -> Trial:
-    length = scenes.tip_length(CLOTH.bending, load)
-    reference = length * -float(references.cantilever(load).z[-1])
-    return Trial(scenes.clamped(length, along, load), CLOTH, measures.tip_sag, reference, None)
-
-
-def _cantilever_small(along: int) -> list[Trial]:
-    length = scenes.tip_length(CLOTH.bending, SMALL_LOAD)
-    reference = length * references.small_sag(SMALL_LOAD)
-    return [Trial(scenes.clamped(length, along, SMALL_LOAD), CLOTH, measures.tip_sag, reference)]
-
-
-def _cantilever(along: int) -> list[Trial]:
-    return [
-        Trial(scenes.clamped(scenes.tip_length(CLOTH.bending, load), along, load), CLOTH, measures.sag_over_reach,
-              references.drop_over_reach(load), load)
-        for load in LOADS
-    ]  # fmt: skip
-
-
-def _fold(bending: float, along: int) -> Trial:
-    unit = references.bending_length(bending, DENSITY)
-    material = Material(bending, CLOTH.stretch, CLOTH.shear)
-    reference = references.fold_coefficients()[0] * unit
-    # The loop is two thirds of the strip, and turns by more than half a circle: it needs twice the nodes of the others.
-    return Trial(scenes.folded(bending, 2 * along - 1), material, measures.fold_height, reference, unit)
-
-
-def _free_fold(along: int) -> list[Trial]:
-    return [_fold(CLOTH.bending, along)]
-
-
-def _fold_table(along: int) -> list[Trial]:
-    return [_fold(DENSITY / eta, along) for eta in FOLDS]
-
-
-def _swing(along: int, extra: float = 0.0) -> list[Trial]:
-    scene = scenes.swinging(along, 0.003, 3.0, 0.01, extra / DENSITY)
-    return [Trial(scene, LIMP, measures.period, references.swing_period(scenes.LENGTH, extra / DENSITY))]
-
-
-def _catenary(along: int) -> list[Trial]:
-    weight, span = DENSITY * references.G, scenes.SPAN * HANGING
-    reference = references.catenary_sag(HANGING, span, weight, LIMP.stretch)
-    return [Trial(scenes.strung(HANGING, along), LIMP, measures.middle_sag, reference)]
-
-
-def _terminal(along: int) -> list[Trial]:
-    scene = scenes.level(0.2, along, np.array([0.0, 1.1, 1.2]))
-    return [Trial(scene, CLOTH, measures.last_speed, references.terminal_speed(DENSITY, scenes.AIR, COEFFICIENT))]
-
-
-def _drift(along: int) -> list[Trial]:
-    seconds = 10.0 + 2 * references.swing_period(scenes.LENGTH)
-    return [Trial(scenes.swinging(along, 0.06, seconds, 0.004), LIMP, measures.energy_drift, 0.0)]
-
-
 ELASTICA = "heavy elastica (Bickley 1934)"
+FREE: dict[str, Any] = {"textbook": False, "limp": True}  # what needs no bending and can do with a model's defaults
+MOVES, TAKES = ("dynamic",), ("dynamic", "effects")
 CHECKS = (
-    Check("free_fall", "drop", "m", "½gt² in vacuum, after 0.5 s", _free_fall, ("dynamic",), textbook=False),
+    Check("free_fall", "drop", "m", "½gt² in vacuum, after 0.5 s", trials.free_fall, MOVES, **FREE),
     Check("cantilever_small", "tip_sag", "m", "tip sag LΓ/8 of a strip held level, Γ = ρgL³/D = 0.05",
-          _cantilever_small),
-    Check("cantilever", "sag_over_reach", "1", f"H/W of a strip held level, Γ from 1 to 1000: {ELASTICA}", _cantilever,
-          load_name="Γ", headline=100.0),
-    Check("free_fold", "fold_height", "m", "height of a strip folded back on itself, 0.9066 (D/ρg)^⅓", _free_fold,
-          ("contact",), load_name="(D/ρg)^⅓ [m]",
-          headline=references.bending_length(CLOTH.bending, DENSITY)),
+          trials.cantilever_small),
+    Check("cantilever", "sag_over_reach", "1", f"H/W of a strip held level, Γ from 1 to 1000, here 100: {ELASTICA}",
+          trials.cantilever, load_name="Γ", headline=100.0),
+    Check("free_fold", "fold_height", "m", "height of a strip folded back on itself, 0.9066 (D/ρg)^⅓",
+          trials.free_fold, ("contact",), load_name="(D/ρg)^⅓ [m]",
+          headline=references.bending_length(trials.CLOTH.bending, DENSITY)),
     Check("fold_table", "fold_height", "m", "η_b of ten fabrics from their measured fold height, beside the paper's",
-          _fold_table, ("contact",), load_name="(D/ρg)^⅓ [m]", finest=True),
-    Check("swing_period", "period", "s", "hanging sheet, small swing in vacuum, ω₁ = (2.4048/2) √(g/L)", _swing,
-          ("dynamic",), textbook=False),
+          trials.fold_table, ("contact",), load_name="(D/ρg)^⅓ [m]", finest=True),
+    Check("swing_period", "period", "s", "hanging sheet, small swing in vacuum, ω₁ = (2.4048/2) √(g/L)",
+          trials.swing, MOVES, **FREE),
     Check("added_mass", "period", "s", "the same with air carried along, ω₁/√(1 + m_a/ρ)",
-          functools.partial(_swing, extra=EXTRA), ("dynamic", "effects"), {"added_mass": {"areal_density": EXTRA}},
-          textbook=False),
-    Check("catenary", "middle_sag", "m", "strip between two supports: elastic catenary (Irvine 1981)", _catenary),
-    Check("terminal_speed", "speed", "m/s", "sheet falling flat with quadratic drag, √(2ρg/(ρ_air C_N))", _terminal,
-          ("dynamic", "effects"), {"quadratic_drag": {"normal": COEFFICIENT, "tangential": 0.0}}, textbook=False),
-    Check("energy_drift", "energy_drift", "%", "undamped swing: energy gone within 10 s", _drift, ("dynamic",),
-          textbook=False),
+          functools.partial(trials.swing, extra=trials.EXTRA), TAKES,
+          {"added_mass": {"areal_density": trials.EXTRA}}, **FREE),
+    Check("catenary", "middle_sag", "m", "strip between two supports: elastic catenary (Irvine 1981)",
+          trials.catenary, limp=True),
+    Check("terminal_speed", "speed", "m/s", "sheet falling flat with quadratic drag, √(2ρg/(ρ_air C_N))",
+          trials.terminal, TAKES, {"quadratic_drag": {"normal": trials.COEFFICIENT, "tangential": 0.0}}, **FREE),
+    Check("energy_drift", "energy_drift", "%", "undamped swing: energy gone within 10 s", trials.drift, MOVES, **FREE),
     Check("convergence_sag", "tip_sag", "m", "observed order of convergence of a cantilever's sag, Γ = 10",
-          lambda along: [_sag(along, 10.0)], halved=True, order=True),
-    Check("convergence_period", "period", "s", "observed order of convergence of the swing's period", _swing,
-          ("dynamic",), textbook=False, halved=True, order=True),
+          lambda along: [trials.sag(along, 10.0)], halved=True, order=True),
+    Check("convergence_period", "period", "s", "observed order of convergence of the swing's period",
+          trials.swing, MOVES, **FREE, halved=True, order=True),
 )  # fmt: skip
 NAMES = tuple(check.name for check in CHECKS)
 

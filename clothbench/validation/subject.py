@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 
 from clothbench import ClothbenchError, Effect, Model
-from clothbench.validation.checks import HALVES, Check, Level, Trial
+from clothbench.validation.checks import HALVES, Check, Level
 from clothbench.validation.measures import NoMeasure, observed_order
+from clothbench.validation.trials import Trial
 
 DEFAULTS = "at its default parameters: "
 
@@ -88,21 +89,30 @@ class Subject:
         value = trial.measure(trial.scene, rollout.position[0])
         if not np.isfinite(value):
             raise NoMeasure("some positions are not known")
+        if trial.still:
+            note = note or _restless(trial.measure(trial.scene, rollout.position[0, :1]), value)
         return about | {"value": value, "reason": note}
 
 
 def parameters_for(model: Model, check: Check, trial: Trial) -> tuple[np.ndarray, str]:
     """The model's parameters (P,) for the trial's cloth; its defaults, and why, where those will do as well."""
-    of_material = getattr(model, "of_material", None)
+    of_material: Any = getattr(model, "of_material", None)
     reason = "the model does not say which of its parameters make a textbook material (no of_material)"
-    try:
-        if of_material is not None:
-            return np.asarray(of_material(trial.material, trial.scene), dtype=float), ""
-    except ClothbenchError as fault:
-        reason = str(fault)
+    cloths = [trial.material] + [dataclasses.replace(trial.material, bending=0.0)] * check.limp
+    for cloth in cloths if of_material is not None else ():
+        try:
+            return np.asarray(of_material(cloth, trial.scene), dtype=float), ""
+        except ClothbenchError as fault:
+            reason = str(fault)
     if check.textbook:
         raise CannotDo(reason)
     return model.parameters.defaults, DEFAULTS + reason
+
+
+def _restless(first: float, last: float) -> str:
+    """Word of a sheet that should have hung still from the first frame, and moved by more than a hundredth."""
+    moved = abs(last - first) > 0.01 * abs(last)
+    return f"not at rest when the run began: {first:.4g}, at its end {last:.4g}" if moved else ""
 
 
 def with_orders(levels: Sequence[Level]) -> list[Level]:
@@ -117,7 +127,8 @@ def with_orders(levels: Sequence[Level]) -> list[Level]:
             mine = [v for v in levels[: n + 1] if v.along == level.along]
             sizes = [v.step_scale for v in mine]
         known = [v.value if v.value is not None else float("nan") for v in mine]
-        out.append(dataclasses.replace(level, order=observed_order(sizes, known)))
+        order = observed_order(sizes, known) if level.reference else None  # a drift of 0 is approached from any side
+        out.append(dataclasses.replace(level, order=order))
     return out
 
 

@@ -33,16 +33,6 @@ DYNAMIC_MODELS = dynamic_models()
 on_every_model = pytest.mark.parametrize("name", DYNAMIC_MODELS)
 
 
-def _settling(name: str):
-    """A model that solves for rest in long steps, with the effects' forces as they were before each, may miss it."""
-    implicit = getattr(catalogue().load("models", name), "kind", "") == "implicit"
-    why = pytest.mark.xfail(reason=f"{name} does not settle under effects much stiffer than itself", strict=False)
-    return pytest.param(name, marks=[why] if implicit else [])
-
-
-on_every_model_under_stiff_effects = pytest.mark.parametrize("name", [_settling(name) for name in DYNAMIC_MODELS])
-
-
 def effect_named(name: str) -> Effect:
     return catalogue().make("effects", name)
 

@@ -12,7 +12,6 @@ from effect_scenes import (
     effect_named,
     hanging,
     on_every_model,
-    on_every_model_under_stiff_effects,
     run,
 )
 from scipy.optimize import curve_fit
@@ -122,7 +121,7 @@ def test_steady_bending_meets_the_viscous_limit(strip):
 # --- through a model --------------------------------------------------------------------------------------------------
 
 
-@on_every_model_under_stiff_effects
+@on_every_model
 def test_a_hanging_strip_stretches_less_as_it_stiffens(name):
     """E ε + B ε² = ρ g (L − v) at every height of an elastic strip under its own weight."""
     scene = hanging(0.05, 0.4, np.array([0.0, 0.1]), [(0.025, 0.4)], (4, 25))
@@ -174,7 +173,7 @@ def clamped(length, width, shape, points, gravity=(0.0, 0.0, 0.0)):
                  resolution=shape, start=start)  # fmt: skip
 
 
-@on_every_model_under_stiff_effects
+@on_every_model
 def test_a_strip_curls_to_the_radius_of_couple_over_rigidity(name):
     """R = D/M; D from `bending_anisotropy`, beside which the model's own rigidity does not count. n = u × v is +z."""
     scene = clamped(0.12, 0.04, (13, 5), [(0.03, 0.02), (0.07, 0.02), (0.11, 0.02)])
@@ -187,7 +186,7 @@ def test_a_strip_curls_to_the_radius_of_couple_over_rigidity(name):
     assert c[2] > b[2] > 0
 
 
-@on_every_model_under_stiff_effects
+@on_every_model
 def test_warp_and_weft_overhang_differently(name):
     """A strip that bends along its stiffer direction sags less; small sag of a cantilever: ρ g L⁴/(8 D)."""
     scene = clamped(0.07, 0.03, (15, 7), [(0.07, 0.015)], gravity=(0.0, 0.0, -G))
@@ -230,7 +229,7 @@ def test_a_strip_bounces_faster_where_stress_has_no_time_to_relax(name):
     assert bounce(("viscoelasticity", [0.0, 2 * STRETCH, 20.0])) == pytest.approx(expected(2 * STRETCH), rel=0.04)
 
 
-@on_every_model_under_stiff_effects
+@on_every_model
 def test_friction_calms_a_strip_that_springs_back(name):
     """A cantilever let down by its clamp: what is left of its swinging after two seconds is less with friction."""
     times = np.linspace(0.5, 2.0, 151)

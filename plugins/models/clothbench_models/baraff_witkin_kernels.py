@@ -154,7 +154,7 @@ def _march_implicit(
         touch[pins[g]] = STICKS
         free[pins[g]] = 0.0
     settling, count, done, segment = pins.shape[0] > 0, 0, 0, 0
-    rounds, h, t = 0, 0.01, start
+    rounds, h, t, relax, moved_before = 0, 0.01, start, 1.0, np.inf
     if not settling:  # at rest now, and before that on the parabola of free fall
         for c in range(3):
             v_old[c] = -dt * sheet.gravity[c]
@@ -179,6 +179,8 @@ def _march_implicit(
                 x_bar[:] = (4.0 * x - x_old) / 3.0
                 v_bar[:] = (4.0 * v - v_old) / 3.0
                 guess[:] = 2.0 * v - v_old
+                if stiffer[0] > 0.0 or stiffer[1] > 0.0:  # what the matrix only bounds must not be extrapolated
+                    guess[:] = v
         segment = advance_segment(knots, t, segment)
         for g in range(pins.shape[0]):
             for c in range(3):
@@ -236,9 +238,12 @@ def _march_implicit(
         if settling:
             moved = gamma * largest(delta)
             shrink = min(1.0, 0.1 * size / max(moved, 1e-300))
+            # Where the matrix leaves out what compression softens, full steps may go to and fro for ever.
+            relax = max(0.1, 0.7 * relax) if moved > 0.8 * moved_before else min(1.0, 1.2 * relax)
+            moved_before = moved
             for c in range(3):
                 for e in range(n):
-                    x[c, e] = x_bar[c, e] + gamma * (guess[c, e] + shrink * delta[c, e])
+                    x[c, e] = x_bar[c, e] + gamma * (guess[c, e] + relax * shrink * delta[c, e])
             if solid:
                 keep_out(x, v, obstacles, free, 0, 1)
             v[:] = 0.0

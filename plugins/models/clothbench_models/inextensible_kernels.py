@@ -366,6 +366,8 @@ def _march(
             x_bar[:] = (4.0 * x - x_old) / 3.0
             v_bar[:] = (4.0 * v - v_old) / 3.0
             guess[:] = 2.0 * v - v_old
+            if stiffer[0] > 0.0 or stiffer[1] > 0.0:  # what the matrix only bounds must not be extrapolated
+                guess[:] = v
         segment = advance_segment(knots, t, segment)
         for g in range(pins.shape[0]):
             for c in range(3):

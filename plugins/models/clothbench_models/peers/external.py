@@ -167,13 +167,17 @@ class _March:
         least, most = self.rest
         look = max(1, round(LOOK_AFTER / self.slowest / self.dt))
         start = np.full(look, self.scene.start_time)
+        # How far nodes get from look to look: rounding keeps their velocities alive, but not their way.
+        before, slow = self.position.copy(), self.at_rest * look * self.dt
         while self.steps * self.dt < most:
             self.engine.damp(self._damping(self.steps * self.dt * self.slowest))
             self._step(start, moving=False, settling=True)
             if not self._is_there():
                 return False
-            if self.steps * self.dt > least and np.abs(self.engine.motion()[1]).max() < self.at_rest:
+            after = self.position.copy()
+            if self.steps * self.dt > least and np.abs(after - before).max() < slow:
                 break
+            before = after
         self.engine.damp(0.0)
         self._begin(self.position.copy())
         return True
