@@ -43,8 +43,9 @@ def check_model(
     scenes: by name, instead of the kit's own (for a model that can do none of those); effects: instead of
     all installed ones. A scene that the model cannot do it refuses in `prepare` with a ClothbenchError; it is
     left out then. By these options a model shows more: `step_scale` (multiplies its time step) or a method
-    `refined(factor)`, and `dt` (a time step in s). A model in single precision says in `tolerance` [m] how far
-    rounding alone may carry a sheet; two motions are the same within it.
+    `refined(factor)`, and `dt` (a time step in s). A model in single precision, or with a solver that
+    ends at a tolerance, says in `repeatability` [m] how far that alone may carry a sheet; two motions are the same
+    within it.
     """
     if reason := absent(make):
         return tuple(Outcome(rule_name(rule), reason) for rule in choose(RULES, only))

@@ -58,8 +58,8 @@ def _require_same_in(case: ModelCase, turn: np.ndarray, *, with_gravity: bool) -
 
 
 def _tolerance(case: ModelCase, usual: float) -> float:
-    """What counts as the same motion [m]: the usual, or more where the model says that its rounding needs it."""
-    return max(usual, getattr(case.model, "tolerance", 0.0))
+    """What counts as the same motion [m]: the usual, or what the model says that it cannot tell apart."""
+    return max(usual, getattr(case.model, "repeatability", 0.0))
 
 
 def is_pulled_down(case: ModelCase) -> None:

@@ -83,7 +83,7 @@ def test_page_shows_what_was_run(results):
 def test_failed_cells_are_visible_with_their_reason(results):
     text, _ = checked(write_page(results))
     assert "1 cell has no complete result" in text
-    assert text.count("dt is -1.0, expected seconds above 0") >= 2
+    assert text.count("dt is -1.0, expected a number above 0") >= 2
 
 
 def test_text_is_escaped_everywhere(results):

@@ -57,6 +57,7 @@ class Inextensible:
     kind = "implicit"
     parameters = PARAMETERS
     capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact"})
+    repeatability = 1e-5  # m: what the tolerance of the projection leaves open
     bench_options: tuple[dict[str, str], ...] = ({},)
 
     def __init__(

@@ -108,6 +108,9 @@ def _march(
             f[c] = mass * gravity[c]
         if used > 0:
             grid_normals(x, nu, normal)
+            for g in range(held.shape[0]):
+                for c in range(3):
+                    sheet.grip[c, g] = grip_at(knots, curve, t, g, c)
             push_all(FORCE, effects, stages, used, t, dt, x, v, f, sheet, parameters, state)
         keep = max(0.0, 1.0 - SETTLING * dt) if settling else 1.0
         for c in range(3):

@@ -72,13 +72,14 @@ class XpbdSimulation:
         """Simulate theta (B, P): k1 N/m, k2 N/m, τ s, then the effects' parameters; several members at a time."""
         theta, scene, effects = self.parameters.check(theta), self.scene, self.effects
         grid = Grid.of(scene, self.shape)
-        sheet = sheet_of(grid.uv, grid.mass, grid.area, grid.triangles, scene.gravity, scene.air_density)
+        held = Interpolator.on_lines(scene.grip_material, *grid.lines)
+        points = Interpolator.on_lines(scene.points, *grid.lines)
+        nearest = np.take_along_axis(held.index, held.weight.argmax(axis=1)[:, None], axis=1)[:, 0]
+        sheet = sheet_of(grid.uv, grid.mass, grid.area, grid.triangles, scene.gravity, scene.air_density, nearest)
         curves, times = effects.grip_curves(scene, theta), effects.times(scene, theta)
         functions, stages, used = effects.kernels(kernels.SLOTS, no_effect)
         values = effects.kernel_parameters(theta, kernels.SLOTS)
         memory = effects.kernel_state(len(theta), kernels.SLOTS, sheet)
-        held = Interpolator.on_lines(scene.grip_material, *grid.lines)
-        points = Interpolator.on_lines(scene.points, *grid.lines)
         knots = np.array(scene.grip_time) if len(scene.grip_material) else np.zeros(2)
         on_grip = np.abs(scene.points[:, None] - scene.grip_material).max(axis=2) < 1e-9
         seen, shared = np.ascontiguousarray(np.argwhere(on_grip).T)

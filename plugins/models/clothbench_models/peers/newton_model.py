@@ -80,7 +80,7 @@ class Newton:
     parameters = PARAMETERS["semi_implicit"]
     capabilities = frozenset({"dynamic", "static", "effects"})
     precision = "single"
-    tolerance = 5e-6  # m: rounding alone carries a sheet up to a micrometre away
+    repeatability = 5e-6  # m: rounding alone carries a sheet up to a micrometre away
     built_on = ("newton",)
     bench_options: tuple[dict[str, str], ...] = ()  # `clothbench bench` measures the peers of that name
 
