@@ -53,7 +53,8 @@ class Check:
     effects: effect → parameter → value; limp: bending takes no part, and a model that knows none may do without;
     textbook: needs the model's parameters for a textbook material, else its defaults will do; headline: the load
     whose value stands in the leaderboard; halved: also run on the coarsest mesh with half and a quarter of the step;
-    order: what stands in the leaderboard is the observed order of convergence; finest: run on the finest mesh alone.
+    order: what stands in the leaderboard is the observed order of convergence, which shows best on a mesh finer than
+    the others: it is added; finest: run on the finest mesh alone.
     """
 
     name: str
@@ -71,10 +72,14 @@ class Check:
     order: bool = False
     finest: bool = False
 
-    def count(self, meshes: Sequence[int], halves: bool = True) -> int:
+    def meshes(self, given: Sequence[int]) -> list[int]:
+        """On which meshes it is run where a suite gives these, from the coarsest on."""
+        known = sorted(given)
+        return known[-1:] if self.finest else known + [2 * known[-1] - 1] * self.order
+
+    def count(self, given: Sequence[int], halves: bool = True) -> int:
         """How many simulations there are on these meshes, with a shorter step where `halves` says that it can be."""
-        loads = len(self.trials(5))
-        return loads * (1 if self.finest else len(meshes)) + (len(HALVES) if self.halved and halves else 0)
+        return len(self.trials(5)) * len(self.meshes(given)) + (len(HALVES) if self.halved and halves else 0)
 
     @property
     def cases(self) -> tuple[str, ...]:

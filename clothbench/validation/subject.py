@@ -44,7 +44,7 @@ class Subject:
 
         A model that cannot do the first mesh is not asked for the others.
         """
-        meshes = sorted(meshes)[-1:] if check.finest else sorted(meshes)
+        meshes = check.meshes(meshes)
         for along in meshes:
             for trial in check.trials(along):
                 yield self.level(check, trial, along)
@@ -62,7 +62,7 @@ class Subject:
             found = dataclasses.replace(found, **self._measured(check, trial, scale))
         except CannotDo as fault:
             found = dataclasses.replace(found, status="skipped", reason=str(fault))
-        except NoMeasure as fault:
+        except ClothbenchError as fault:
             found = dataclasses.replace(found, status="error", reason=str(fault))
         return dataclasses.replace(found, wall_s=time.perf_counter() - began)
 

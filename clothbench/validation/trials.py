@@ -12,6 +12,8 @@ from clothbench.validation import measures, references, scenes
 from clothbench.validation.scenes import DENSITY
 
 CLOTH = Material(bending=1e-5, stretch=300.0, shear=150.0)  # a light shirting
+CANVAS = Material(bending=1e-4, stretch=1000.0, shear=500.0)
+CARD = Material(bending=1e-2, stretch=1000.0, shear=500.0)  # as stiff as thin cardboard
 LIMP = Material(bending=1e-7, stretch=1000.0, shear=500.0)  # bends freely, hardly stretches
 LOADS = (1.0, 10.0, 100.0, 1000.0)  # Γ of `cantilever`
 SMALL_LOAD = 0.05
@@ -42,20 +44,20 @@ def free_fall(along: int) -> list[Trial]:
 
 
 def sag(along: int, load: float) -> Trial:
-    length = scenes.tip_length(CLOTH.bending, load)
+    length = scenes.tip_length(CANVAS.bending, load)
     reference = length * -float(references.cantilever(load).z[-1])
-    return Trial(scenes.clamped(length, along, load), CLOTH, measures.tip_sag, reference, still=True)
+    return Trial(scenes.clamped(length, along, load), CANVAS, measures.tip_sag, reference, still=True)
 
 
 def cantilever_small(along: int) -> list[Trial]:
-    length = scenes.tip_length(CLOTH.bending, SMALL_LOAD)
+    length = scenes.tip_length(CARD.bending, SMALL_LOAD)
     reference = length * references.small_sag(SMALL_LOAD)
-    return [Trial(scenes.clamped(length, along, SMALL_LOAD), CLOTH, measures.tip_sag, reference, still=True)]
+    return [Trial(scenes.clamped(length, along, SMALL_LOAD), CARD, measures.tip_sag, reference, still=True)]
 
 
 def cantilever(along: int) -> list[Trial]:
     return [
-        Trial(scenes.clamped(scenes.tip_length(CLOTH.bending, load), along, load), CLOTH, measures.sag_over_reach,
+        Trial(scenes.clamped(scenes.tip_length(CANVAS.bending, load), along, load), CANVAS, measures.sag_over_reach,
               references.drop_over_reach(load), load, still=True)
         for load in LOADS
     ]  # fmt: skip
@@ -74,7 +76,7 @@ def free_fold(along: int) -> list[Trial]:
 
 
 def fold_table(along: int) -> list[Trial]:
-    return [fold(DENSITY / eta, 3 * along // 2) for eta in FOLDS]
+    return [fold(DENSITY / eta, 2 * along - 1) for eta in FOLDS]
 
 
 def swing(along: int, extra: float = 0.0) -> list[Trial]:

@@ -2,9 +2,10 @@
 
 The energy density ½ D (|x_uu|² + |x_vv|² + 2 |x_uv|²) of a sheet whose second derivatives are vectors along its normal
 wherever it does not stretch (isometric bending: Bergou et al. 2006, A quadratic bending model for inextensible
-surfaces). The second derivatives come from the four-triangle patches of `clothbench.kernels.curvature_weights` and
-not from Bergou's Laplacian, whose energy is blind to twist and saddle; single hinges with 3 l²/(A₁ + A₂) are
-consistent on no mesh (`tests/physics/test_bending.py` holds all three against cylinder, twist and saddle).
+surfaces). The second derivatives come from the four-triangle patches of `clothbench.kernels.curvature_weights`. Single
+hinges with 3 l²/(A₁ + A₂) are three to nine times too stiff on these grids, depending on the direction; Bergou's
+Laplacian on edges is the same formula, and one on nodes is blind to twist and saddle (`tests/physics/test_bending.py`
+holds all of them against cylinder, twist and saddle).
 """
 
 from __future__ import annotations
@@ -31,8 +32,8 @@ def bending_matrix(sheet: Sheet) -> Diagonals:
     """K of E = ½ D Σ xᵀK x over the three coordinates, in 1/m² (D in N·m)."""
     from scipy.sparse import coo_matrix
 
-    weights = np.array([1.0, 1.0, 2.0])[:, None, None] * sheet.face_area[:, None]
-    blocks = np.einsum("fik,if,fil->fkl", sheet.curvature, weights[:, 0], sheet.curvature)
+    weights = np.array([1.0, 1.0, 2.0])[:, None] * sheet.face_area
+    blocks = np.einsum("fik,if,fil->fkl", sheet.curvature, weights, sheet.curvature)
     rows = np.repeat(sheet.patch[:, :, None], 6, axis=2)
     full = coo_matrix((blocks.ravel(), (rows.ravel(), rows.transpose(0, 2, 1).ravel()))).tocsr()
     full.sum_duplicates()

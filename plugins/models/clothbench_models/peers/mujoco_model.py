@@ -173,6 +173,11 @@ class MujocoSimulation(ExternalSimulation):
                 young=young, poisson=poisson, thickness=thickness, damping=damping,
             )
         )  # fmt: skip
+        if not np.isfinite(model.flex_stiffness).all():
+            raise ClothbenchError(
+                f"mujoco: gives triangles as small as {self.sheet.face_area.min():.1e} m² a stiffness that is not a "
+                "number; use a coarser mesh"
+            )
         model.body_mass[1:] = self.sheet.mass
         mujoco.mj_setConst(model, mujoco.MjData(model))
         return model

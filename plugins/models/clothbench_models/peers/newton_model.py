@@ -48,7 +48,7 @@ PARAMETERS = {
         (
             ("tri_ke", "k_e", "N/m", (5.0, 1000.0), "log", 50.0, "membrane: shear modulus times thickness, μ"),
             ("tri_ka", "k_a", "N/m", (5.0, 1000.0), "log", 50.0, "membrane: resistance to a change of area, λ + μ"),
-            ("tri_kd", "k_d", "N·s/m", (1e-5, 1e-1), "log", 1e-3, "membrane: viscosity times thickness"),
+            ("tri_kd", "k_d", "N·s/m", (1e-7, 1e-1), "log", 1e-3, "membrane: viscosity times thickness"),
             ("edge_ke", "b_e", "N/m²", (1e-2, 1e2), "log", 1.0, "bending: hinge stiffness over 2 A l"),
             ("edge_kd", "b_d", "N·s/m⁴", (1e-3, 1e1), "log", 0.1, "bending: hinge damping over 4 A² l"),
         ),
