@@ -90,7 +90,7 @@ def overview(rows: Rows) -> str:
     tiles += [(len(skipped), "skipped", "")] if skipped else []
     tiles.append((len({(r["suite"], r["case"]) for r in rows}), "cases", ""))
     tiles.append((len({(r["suite"], r["case"], r["recording"]) for r in rows if r["recording"]}), "recordings", ""))
-    tiles.append((len({model_name(r) for r in rows}), "models", ""))
+    tiles.append((len({r["model"] if is_validation(r) else model_name(r) for r in rows}), "models", ""))
     tiles.append((len({r["optimizer"] for r in rows} - {None}), "optimizers", ""))
     shown = (
         f'<div class="tile {kind}"><b>{n}</b>{word if n != 1 else word.removesuffix("s")}</div>'

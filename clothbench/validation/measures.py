@@ -63,9 +63,15 @@ def period(scene: Scene, x: np.ndarray) -> float:
 
     The share is the projection on J₀(z₁ √ξ), to which the sheet's other modes are orthogonal.
     """
-    along = x.shape[1]
-    aside = x[1:, :, 1] - x[1:, :1, 1]
-    return 2 * math.pi / _frequency(scene.times[1:], trapezoid(aside * first_mode(along), axis=1))
+    aside = _mean_across(scene, x[1:, :, 1] - x[1:, :1, 1])
+    return 2 * math.pi / _frequency(scene.times[1:], trapezoid(aside * first_mode(aside.shape[1]), axis=1))
+
+
+def _mean_across(scene: Scene, values: np.ndarray) -> np.ndarray:
+    """Means (T, along) over the width of a hanging sheet of values (T, N) at its nodes, from the top down."""
+    assert scene.resolution is not None  # the scenes here all state one
+    rows = values.reshape(len(values), -1, scene.resolution[0])
+    return trapezoid(rows, axis=2) / (rows.shape[2] - 1)
 
 
 def _frequency(time: np.ndarray, signal: np.ndarray) -> float:
@@ -101,7 +107,8 @@ def energy_drift(scene: Scene, x: np.ndarray) -> float:
     """
     time, path = scene.times[1:], x[1:]
     speed = (path[2:] - path[:-2]) / (time[2:] - time[:-2])[:, None, None]
-    energy = trapezoid((speed**2).sum(axis=-1) / 2 + G * (path[1:-1, :, 2] - x[0, :, 2]), axis=1)
+    everywhere = (speed**2).sum(axis=-1) / 2 + G * (path[1:-1, :, 2] - x[0, :, 2])
+    energy = trapezoid(_mean_across(scene, everywhere), axis=1)
     window = 2 * swing_period(LENGTH)
     early = energy[time[1:-1] < time[0] + window].mean()
     late = energy[time[1:-1] > time[-1] - window].mean()

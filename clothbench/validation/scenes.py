@@ -89,8 +89,7 @@ def swinging(along: int, step: float, seconds: float, interval: float, extra: fl
     """A sheet held along its whole top edge, which steps aside by `step` m; then it swings freely for `seconds`.
 
     The step is timed so that the lowest mode alone swings, with air of `extra` times the sheet's mass carried along.
-    The first frame is the sheet at rest, the others follow from the end of the step every `interval` s. The points
-    are the middle line's nodes, from the top down.
+    The first frame is the sheet at rest, the others follow from the end of the step every `interval` s.
     """
     width, across = LENGTH / SLENDER, nodes_across(along, SLENDER)
     held = np.stack([np.linspace(0, width, across), np.zeros(across)], axis=1)
@@ -101,10 +100,9 @@ def swinging(along: int, step: float, seconds: float, interval: float, extra: fl
     at = np.stack([held[:, 0], 0 * held[:, 0], 0 * held[:, 0]], axis=1)
     path = at + aside[:, None, None] * np.array([0.0, 1.0, 0.0])
     times = np.concatenate([[0.0], ramp + np.arange(0.0, seconds, interval)])
-    points = np.stack([np.full(along, width / 2), np.linspace(0, LENGTH, along)], axis=1)
     return Scene(
         width=width, height=LENGTH, areal_density=DENSITY, grip_time=clock, grip_material=held, grip_position=path,
-        times=times, points=points, air_density=AIR, resolution=(across, along),
+        times=times, points=_nodes(width, LENGTH, across, along), air_density=AIR, resolution=(across, along),
     )  # fmt: skip
 
 
@@ -146,7 +144,11 @@ def _still(length: float, width: float, along: int, slope, columns, obstacles: t
 
 def _rows(length: float, width: float, along: int) -> np.ndarray:
     """Every node, (n, 2) m; row by row, so that a first guess known there is known evenly in both directions."""
-    u, v = np.meshgrid(np.linspace(0, length, along), np.linspace(0, width, _across(length, width, along)))
+    return _nodes(length, width, along, _across(length, width, along))
+
+
+def _nodes(width: float, height: float, nu: int, nv: int) -> np.ndarray:
+    u, v = np.meshgrid(np.linspace(0, width, nu), np.linspace(0, height, nv))
     return np.stack([u.ravel(), v.ravel()], axis=1)
 
 

@@ -157,11 +157,12 @@ def test_a_terminal_speed_balances_weight_and_drag():
 def swung(along: int, wave) -> tuple:
     """A scene of the swing, and positions that follow wave(time after the step) in the sheet's lowest mode."""
     scene = scenes.swinging(along, 0.003, 3.0, 0.01)
-    x = np.zeros((len(scene.times), along, 3))
-    x[..., 2] = -np.linspace(0, scenes.LENGTH, along)
-    x[1:, :, 1] = 0.003 + wave(scene.times[1:] - scene.times[1])[:, None] * scenes.first_mode(along)
-    x[1:, 0, 1] = 0.003
-    return scene, x
+    x = np.zeros((len(scene.times), along, scene.resolution[0], 3))
+    x[..., 2] = -np.linspace(0, scenes.LENGTH, along)[:, None]
+    swing = 0.003 + wave(scene.times[1:] - scene.times[1])[:, None] * scenes.first_mode(along)
+    x[1:, ..., 1] = swing[..., None] + 1e-3 * np.array([1.0, -1.0, 1.0])  # a flutter across it is no swing
+    x[1:, 0, :, 1] = 0.003
+    return scene, x.reshape(len(scene.times), -1, 3)
 
 
 @pytest.mark.parametrize("decay", [0.0, 0.5])
