@@ -6,7 +6,7 @@ from clothbench.hookspecs import Registration, hookimpl
 EFFECTS = (
     ("linear_drag", "LinearDrag", "air drag, linear in velocity"),
     ("quadratic_drag", "QuadraticDrag", "air drag, quadratic in velocity"),
-    ("drag_crisis", "DragCrisis", "air drag that levels off with speed"),
+    ("drag_crisis", "DragCrisis", "air drag, quadratic when slow, that levels off with speed"),
     ("added_mass", "AddedMass", "air carried along by the normal acceleration"),
     ("steady_wind", "SteadyWind", "a steady, uniform wind"),
     ("local_jet", "LocalJet", "a draught along a horizontal line"),

@@ -25,13 +25,6 @@ def add_drag(f, i, sheet, vx, vy, vz, normal, tangential):
 
 
 @helper
-def add_wind(f, i, sheet, v, wx, wy, wz, normal, tangential):
-    """What air that moves with w m/s changes: drag of v − w less drag of v, so that `quadratic_drag` completes it."""
-    add_drag(f, i, sheet, v[0, i] - wx, v[1, i] - wy, v[2, i] - wz, normal, tangential)
-    add_drag(f, i, sheet, v[0, i], v[1, i], v[2, i], -normal, -tangential)
-
-
-@helper
 def fibre(x, sheet, face, c):
     """∂x/∂u (c = 0, warp) or ∂x/∂v (c = 1, weft) over a triangle: (3 numbers); its length is 1 at rest."""
     a, b, d = sheet.triangles[face, 0], sheet.triangles[face, 1], sheet.triangles[face, 2]
