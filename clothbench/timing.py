@@ -1,6 +1,7 @@
 """How fast a model or a peer steps, timed through its public interface: best of a few long runs.
 
-All step the same sheet: 0.30 m square, 0.2 kg/m², held at its two upper corners.
+All step the same sheet: 0.30 m square, 0.2 kg/m², held at its two upper corners, or along its upper edge where models
+are timed at equal error.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -20,7 +21,8 @@ import numpy as np
 from clothbench.errors import ClothbenchError
 from clothbench.parallel import set_thread_count
 from clothbench.plugins import import_target
-from clothbench.protocols import Simulation
+from clothbench.protocols import Material, Simulation
+from clothbench.rollout import Rollout
 from clothbench.scene import Scene
 
 SIZE, AREAL_DENSITY = 0.30, 0.2  # m, kg/m²
@@ -30,6 +32,11 @@ MIN_SECONDS = 0.3  # wall time of a run beside which its set-up is negligible
 REPEATS = 3
 PATIENCE = 15.0  # s of wall time after which a measurement is not repeated: so long a run is a mean in itself
 ROUNDS = 3  # of threads and separate processes in turn
+CLOTH = Material(bending=1e-5, stretch=300.0, shear=150.0)  # a light shirting
+ASIDE, RAMP, SWING = 0.1, 0.5, 1.5  # m, s and s: how far and fast a swung sheet's edge moves, and how long it is seen
+TOLERABLE = 2e-3  # m, RMS over nodes and frames
+BRIEF = 0.02  # s from frame to frame
+LADDER = tuple(0.016 * 2 ** (-k / 2) for k in range(18))  # s, the steps that are tried, from the longest on
 
 
 class FailedRun(ClothbenchError):
@@ -132,19 +139,24 @@ class _Prepared:
         start = time.perf_counter()
         rollout = simulation.run(theta)
         seconds = time.perf_counter() - start
-        for member, status in enumerate(rollout.status):
-            if status != "ok":
-                why = rollout.reasons[member] if rollout.reasons else status
-                raise FailedRun(f"its sheet of {self.side} × {self.side} nodes could not be timed: {why}")
-        work = float(np.sum(rollout.steps)) * rollout.nodes
-        if not work > 0:
-            raise FailedRun("its rollout counts no steps")
-        return Speed(rollout.nodes, work, span * batch, seconds)
+        return _speed(rollout, self.side, span * batch, seconds)
 
     def _prepared(self, span: float) -> Simulation:
         if self._simulation is None or span != self._span:
             self._span, self._simulation = span, self.model.prepare(hanging_sheet(self.side, span))
         return self._simulation
+
+
+def _speed(rollout: Rollout, side: int, simulated: float, seconds: float) -> Speed:
+    """What a rollout of so many simulated seconds that took so long says; an error if it did not get to its end."""
+    for member, status in enumerate(rollout.status):
+        if status != "ok":
+            why = rollout.reasons[member] if rollout.reasons else status
+            raise FailedRun(f"its sheet of {side} × {side} nodes could not be timed: {why}")
+    work = float(np.sum(rollout.steps)) * rollout.nodes
+    if not work > 0:
+        raise FailedRun("its rollout counts no steps")
+    return Speed(rollout.nodes, work, simulated, seconds)
 
 
 @contextmanager
@@ -154,6 +166,94 @@ def on_threads(count: int) -> Iterator[None]:
         yield
     finally:
         set_thread_count(0)
+
+
+# --- speed at equal error -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Accurate:
+    """The longest step [s] that is accurate enough, the error with it [m] and the speed."""
+
+    step: float
+    error: float
+    speed: Speed
+
+
+def at_equal_error(
+    make: Callable[[float], Any], side: int, truth: np.ndarray, ladder: Sequence[float] = LADDER
+) -> Accurate:
+    """The speed of the model that `make(step)` gives, with the longest step that errs by no more than `TOLERABLE`.
+
+    The error is the RMS distance over nodes and frames from `truth`, what `swung` gives for a converged simulation of
+    the same equations on the same mesh. One sheet on one thread.
+    """
+    with on_threads(1):
+        for step in sorted(ladder, reverse=True):
+            model = make(step)
+            try:
+                error = rms_distance(swung(model, side)[0], truth)
+                if error <= TOLERABLE:
+                    return Accurate(step, error, moving_speed(model, side))
+            except FailedRun:
+                continue
+    raise FailedRun(f"no step from {min(ladder):.2g} s on keeps its error below {1e3 * TOLERABLE:g} mm")
+
+
+def moving_speed(model: Any, side: int) -> Speed:
+    """The speed of the sheet in motion: of a whole run less what a run takes that ends when the motion begins.
+
+    What is spent on settling and set-up is in neither; the second run is the more exactly the shorter the first.
+    """
+    brief, whole = [], []
+    begun = time.perf_counter()
+    while not whole or (len(whole) < REPEATS and time.perf_counter() - begun < PATIENCE):
+        brief.append(swung(model, side, BRIEF)[1])
+        whole.append(swung(model, side)[1])
+    short, long = (min(runs, key=lambda s: s.seconds) for runs in (brief, whole))
+    seconds = max(long.seconds - short.seconds, 1e-9)
+    return Speed(long.nodes, long.node_steps - short.node_steps, long.simulated - short.simulated, seconds)
+
+
+def swung(model: Any, side: int, span: float = SWING) -> tuple[np.ndarray, Speed]:
+    """Positions (T, N, 3) m of the swung sheet of textbook cloth, and how fast it ran with its settling.
+
+    Seconds are those of this process's cores, not the wall's: one-thread runs take so long that neighbours would show.
+    """
+    scene = swung_sheet(side, span)
+    simulation = model.prepare(scene)
+    theta = model.of_material(CLOTH, scene)[None]
+    begun = time.process_time()
+    rollout = simulation.run(theta)
+    seconds = time.process_time() - begun
+    return rollout.position[0], _speed(rollout, side, span, seconds)
+
+
+def swung_sheet(
+    side: int, span: float = SWING, points: np.ndarray | None = None, times: np.ndarray | None = None
+) -> Scene:
+    """The sheet of side × side nodes, held along its whole upper edge; that steps aside, and the sheet swings.
+
+    Every node of the edge is held; points (N, 2) m and times (T,) s are where and when it is seen: below the edge,
+    fifty times a second. Held at two corners, it would soon move so chaotically that no step is short enough.
+    """
+    held = np.stack([np.linspace(0, SIZE, side), np.zeros(side)], axis=1)
+    stamps = np.linspace(0.0, RAMP, 41)
+    s = stamps / RAMP
+    aside = ASIDE * s**3 * (10 - 15 * s + 6 * s**2)
+    path = np.insert(held, 1, 0.0, axis=1) + aside[:, None, None] * np.array([0.0, 1.0, 0.0])
+    across, down = np.meshgrid(np.linspace(0, SIZE, 11), np.linspace(SIZE / 10, SIZE, 10))
+    return Scene(
+        width=SIZE, height=SIZE, areal_density=AREAL_DENSITY, resolution=(side, side),
+        grip_time=stamps, grip_material=held, grip_position=path,
+        times=np.linspace(0.0, span, round(span / BRIEF) + 1) if times is None else times,
+        points=np.stack([across.ravel(), down.ravel()], axis=1) if points is None else points,
+    )  # fmt: skip
+
+
+def rms_distance(one: np.ndarray, other: np.ndarray) -> float:
+    """RMS over nodes and frames of the distance between positions (T, N, 3) m."""
+    return float(np.sqrt(((one - other) ** 2).sum(axis=-1).mean()))
 
 
 # --- threads against separate processes ---------------------------------------------------------------------

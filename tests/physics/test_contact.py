@@ -1,8 +1,12 @@
 """Contact against mechanics: obstacles keep cloth out and rub as Coulomb says; a sheet's own layers do not cross."""
 
+from functools import partial
+
 import numpy as np
 import pytest
+from clothbench_models.baraff_witkin import BaraffWitkin
 from clothbench_models.contact import keep_out, obstacle_table
+from clothbench_models.inextensible import Inextensible
 from clothbench_models.mass_spring import MassSpring
 from clothbench_models.mass_spring_verlet import MassSpringVerlet
 from clothbench_models.self_contact import keep_apart, layers_of
@@ -107,6 +111,40 @@ def test_a_dropped_sheet_comes_to_rest_on_the_plane():
     np.testing.assert_allclose(x[1], x[2], atol=1e-4)
 
 
+TRIANGLES, IN_AIR = ([[1e-5, 200.0, 50.0, 2e-7, 0.02, 0.02, *air]] for air in ((0.0, 0.0, 0.0), (0.6, 0.02, 0.05)))
+QUADS, DAMPED = ([[1e-5, alpha, 2e-7]] for alpha in (0.0, 1.5))
+SCHEMES = {
+    "baraff_witkin bdf2": (BaraffWitkin, TRIANGLES, 2e-3),
+    "baraff_witkin implicit_euler": (partial(BaraffWitkin, integrator="implicit_euler"), TRIANGLES, 1e-3),
+    "inextensible bdf2": (Inextensible, QUADS, 2e-3),
+    "inextensible implicit_euler": (partial(Inextensible, integrator="implicit_euler"), QUADS, 1e-3),
+}
+
+
+@pytest.mark.parametrize(("model", "theta", "dt"), SCHEMES.values(), ids=SCHEMES)
+@pytest.mark.parametrize("friction", [0.1, 0.5])
+def test_in_implicit_steps_a_sheet_slides_as_coulomb_says_a_few_steps_late(model, theta, dt, friction):
+    """Sticks below atan μ; above, a new contact sticks for a step, and then accelerates with g (sin α − μ cos α)."""
+    times, path = slide(np.arctan(friction) - 0.003, friction, model, theta)
+    assert np.abs(path).max() < 1e-12
+    angle = np.arctan(friction) + 0.1
+    times, path = slide(angle, friction, model, theta)
+    pull = G * (np.sin(angle) - friction * np.cos(angle))
+    np.testing.assert_allclose(np.diff(path[0], 2) / 0.1**2, pull, rtol=2e-3)
+    late = times[1:] - np.sqrt(2 * path[0, 1:] / pull)
+    assert (np.abs(late) < 2 * dt).all()
+
+
+def test_in_runge_kutta_steps_a_sheet_slides_as_coulomb_says():
+    model = partial(BaraffWitkin, integrator="rk45")
+    times, path = slide(np.arctan(0.5) - 0.03, 0.5, model, TRIANGLES)
+    assert np.abs(path).max() < 1e-5
+    angle = np.arctan(0.5) + 0.1
+    times, path = slide(angle, 0.5, model, TRIANGLES)
+    expected = 0.5 * G * (np.sin(angle) - 0.5 * np.cos(angle)) * times**2
+    np.testing.assert_allclose(path[0, 1:], expected[1:], rtol=1e-3)
+
+
 def drape(obstacle, times, thickness=0.0, nodes=17, model=MassSpring, theta=SOFT):
     """A square sheet of 30 cm laid on a sphere of radius 5 cm or a disc of 6 cm → (T, n, 3) m."""
     shape, uv = (nodes, nodes), lattice((nodes, nodes), 0.3, 0.3)
@@ -124,6 +162,27 @@ DISC = Obstacle("disc", radius=0.06, friction=0.3)
 def test_no_node_enters_a_sphere():
     x = drape(SPHERE, np.linspace(0.0, 0.8, 9))
     assert np.linalg.norm(x - SPHERE.centre, axis=-1).min() > 0.05 - 1e-9
+    assert x[-1, :, 2].min() < -0.1
+
+
+# Where it hits an obstacle and folds, `inextensible` needs shorter steps than its default.
+IMPLICIT = {
+    "baraff_witkin bdf2": (BaraffWitkin, IN_AIR),
+    "baraff_witkin implicit_euler": (partial(BaraffWitkin, integrator="implicit_euler"), IN_AIR),
+    "baraff_witkin rk45": (partial(BaraffWitkin, integrator="rk45"), IN_AIR),
+    "inextensible bdf2": (partial(Inextensible, dt=5e-4), DAMPED),
+}
+
+
+@pytest.mark.parametrize(("model", "theta"), IMPLICIT.values(), ids=IMPLICIT)
+def test_in_models_that_do_not_stretch_much_no_node_enters_a_sphere_or_a_disc(model, theta):
+    """But by 1 µm, in a frame between two of the Runge–Kutta steps."""
+    times, inside = np.linspace(0.0, 0.8, 41), 1e-6
+    x = drape(SPHERE, times, nodes=13, model=model, theta=theta)
+    assert np.linalg.norm(x - SPHERE.centre, axis=-1).min() > 0.05 - inside
+    assert x[-1, :, 2].min() < -0.1
+    x = drape(DISC, times, nodes=13, model=model, theta=theta)
+    assert ((x[..., 2] > -inside) | (np.hypot(x[..., 0], x[..., 1]) > 0.06 - inside)).all()
     assert x[-1, :, 2].min() < -0.1
 
 
@@ -162,7 +221,7 @@ def test_the_counter_counts():
     assert crossings(x, np.array([[0, 1, 2], [3, 4, 5]])) == 0
 
 
-def pile(thickness, times, nodes=17):
+def pile(thickness, times, nodes=17, model=MassSpring, theta=SOFT):
     """A sheet dropped upright on the floor, where it folds up → (T, n, 3) m."""
     shape = (nodes // 2 + 1, nodes)
     uv = lattice(shape, 0.15, 0.3)
@@ -170,7 +229,19 @@ def pile(thickness, times, nodes=17):
     start = np.column_stack([uv[:, 0], wave, 0.31 - uv[:, 1]])
     floor = Obstacle("plane", friction=0.3)
     scene = loose(start, uv, times, obstacles=(floor,), thickness=thickness, shape=shape)
-    return MassSpring().prepare(scene).run(SOFT).position[0]
+    return model().prepare(scene).run(theta).position[0]
+
+
+def folded(thickness, times, nodes, model, theta):
+    """A sheet folded back on itself over a loop of 4 cm, dropped by 1 mm: its upper layer falls on the lower."""
+    shape, loop = (nodes // 2 + 1, nodes), 0.02
+    uv = lattice(shape, 0.15, 0.3)
+    begin = 0.15 - np.pi * loop / 2
+    angle = np.clip((uv[:, 1] - begin) / loop, 0, np.pi)
+    x = np.minimum(uv[:, 1], begin) + loop * np.sin(angle) - np.maximum(uv[:, 1] - begin - np.pi * loop, 0)
+    start = np.column_stack([uv[:, 0], x, 1e-3 + loop * (1 - np.cos(angle))])
+    scene = loose(start, uv, times, obstacles=(Obstacle("plane", friction=0.3),), thickness=thickness, shape=shape)
+    return model().prepare(scene).run(theta).position[0]
 
 
 CELL = 0.3 / 16
@@ -188,6 +259,40 @@ def test_the_layers_of_a_fold_do_not_cross(share):
     triangles, times = grid_triangles((9, 17)), np.linspace(0.1, 0.8, 8)
     assert sum(crossings(x, triangles) for x in pile(0.0, times)) > 50
     assert [crossings(x, triangles) for x in pile(share * CELL, times)] == [0] * 8
+
+
+LAYERED = {name: IMPLICIT[name] for name in ("baraff_witkin bdf2", "baraff_witkin rk45", "inextensible bdf2")}
+COARSE, FRAMES = 0.3 / 12, np.linspace(0.1, 0.6, 6)
+
+
+@pytest.mark.parametrize(("model", "theta"), LAYERED.values(), ids=LAYERED)
+@pytest.mark.parametrize("share", [0.1, 0.4])
+def test_in_models_that_do_not_stretch_much_layers_do_not_cross(model, theta, share):
+    thickness, square, strip = share * COARSE, grid_triangles((13, 13)), grid_triangles((7, 13))
+    x = drape(SPHERE, FRAMES, thickness, 13, model, theta)
+    assert [crossings(frame, square) for frame in x] == [0] * 6
+    x = pile(thickness, FRAMES, 13, model, theta)
+    assert [crossings(frame, strip) for frame in x] == [0] * 6
+
+
+@pytest.mark.parametrize(("model", "theta"), LAYERED.values(), ids=LAYERED)
+def test_without_a_thickness_they_do(model, theta):
+    x = drape(SPHERE, FRAMES, 0.0, 13, model, theta)
+    y = pile(0.0, FRAMES, 13, model, theta)
+    assert sum(crossings(frame, grid_triangles((13, 13))) for frame in x) > 20
+    assert sum(crossings(frame, grid_triangles((7, 13))) for frame in y) > 20
+
+
+@pytest.mark.parametrize(("model", "theta"), LAYERED.values(), ids=LAYERED)
+@pytest.mark.parametrize("share", [0.1, 0.4])
+def test_a_fold_comes_to_rest_with_its_layers_a_thickness_apart(model, theta, share):
+    """Up to a tenth of it, the upper layer may press the lower one into the ground for a while."""
+    thickness = share * COARSE
+    x = folded(thickness, FRAMES, 13, model, theta)
+    assert [crossings(frame, grid_triangles((7, 13))) for frame in x] == [0] * 6
+    assert x[..., 2].min() > -0.1 * thickness
+    upper = x[-1].reshape(13, 7, 3)[-4:, :, 2]
+    np.testing.assert_allclose(upper, thickness, rtol=0.03)
 
 
 def two_layers(gap, closing, thickness, dt):

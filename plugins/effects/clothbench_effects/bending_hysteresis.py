@@ -41,7 +41,7 @@ class BendingHysteresis:
     parameters = ParameterSpace(
         (
             Parameter(
-                "couple", "M_c", "N", (0.0, 1e-3), "linear", 5e-5, "couple per width at which the yarns slip", SOURCE,
+                "couple", "M_c", "N", (0.0, 1e-2), "linear", 2e-4, "couple per width at which the yarns slip", SOURCE,
                 null=0.0,
             ),
             Parameter(

@@ -29,11 +29,11 @@ class RestCurvature:
     parameters = ParameterSpace(
         (
             Parameter(
-                "warp", "M_u", "N", (-1e-3, 1e-3), "linear", 1e-4, "couple per width along u; above 0 towards u × v",
+                "warp", "M_u", "N", (-5e-3, 5e-3), "linear", 1e-4, "couple per width along u; above 0 towards u × v",
                 SOURCE, null=0.0,
             ),
             Parameter(
-                "weft", "M_v", "N", (-1e-3, 1e-3), "linear", 0.0, "couple per width along v; above 0 towards u × v",
+                "weft", "M_v", "N", (-5e-3, 5e-3), "linear", 0.0, "couple per width along v; above 0 towards u × v",
                 SOURCE, null=0.0,
             ),
         )

@@ -35,8 +35,8 @@ TOLERANCE = {"implicit_euler": 1e-4, "bdf2": 1e-4, "rk45": 1e-6}
 BHAT, BARAFF = "Bhat et al. 2003, section 3", "Baraff and Witkin 1998, section 4"
 
 
-def _parameter(name, symbol, unit, low, high, default, meaning, source):
-    return Parameter(name, symbol, unit, (low, high), "log" if low > 0 else "linear", default, meaning, source)
+def _parameter(name, symbol, unit, low, high, default, meaning, source, null=None):
+    return Parameter(name, symbol, unit, (low, high), "log" if low > 0 else "linear", default, meaning, source, null)
 
 
 PARAMETERS = ParameterSpace(
@@ -47,9 +47,9 @@ PARAMETERS = ParameterSpace(
         _parameter("bend_damping", "k_d,bend", "N·m·s", 1e-9, 1e-4, 2e-7, "damping of bending", f"{BARAFF}.5"),
         _parameter("stretch_damping", "k_d,stretch", "N·s/m", 1e-4, 20.0, 0.02, "damping of stretch", f"{BARAFF}.5"),
         _parameter("shear_damping", "k_d,shear", "N·s/m", 1e-4, 20.0, 0.02, "damping of shear", f"{BARAFF}.5"),
-        _parameter("quadratic_drag", "k_N", "kg/m³", 0.0, 10.0, 0.6, "drag across the sheet", BHAT),
-        _parameter("linear_drag", "k_T", "kg/(m²·s)", 0.0, 10.0, 0.02, "drag along it", BHAT),
-        _parameter("drag_decline", "k_f", "s²/m²", 0.0, 10.0, 0.05, "how drag levels off", BHAT),
+        _parameter("quadratic_drag", "k_N", "kg/m³", 0.0, 10.0, 0.6, "drag across the sheet", BHAT, 0.0),
+        _parameter("linear_drag", "k_T", "kg/(m²·s)", 0.0, 10.0, 0.02, "drag along it", BHAT, 0.0),
+        _parameter("drag_decline", "k_f", "s²/m²", 0.0, 10.0, 0.05, "how drag levels off", BHAT, 0.0),
     )
 )
 

@@ -327,7 +327,7 @@ def _march_adaptive(
     speed, push = np.zeros((7, 3, n)), np.zeros((7, 3, n))  # dx/dt and dv/dt of the stages
     f, extra, free = np.empty((3, n)), np.zeros((6, n)), 1.0 / mass
     xs, vs, v = np.empty((3, n)), np.empty((3, n)), np.zeros((3, n))
-    memory, before = state.copy(), np.empty((3, n))
+    memory, before, speed_before = state.copy(), np.empty((3, n)), np.empty((3, n))
     for g in range(pins.shape[0]):
         free[pins[g]] = 0.0
     t, h, count, tries, segment, fresh = start, min(dt, 1e-5), 0, 0, 0, True
@@ -384,13 +384,8 @@ def _march_adaptive(
                     t + h, h, xs, vs, f, nu, air, sheet, effects, stages, n_effects, parameters, state, extra,
                     knots, curve, segment,
                 )  # fmt: skip
-            done = write_frames(
-                x, v, xs, vs, t, t + h, done, index, weight, held_points, pins_of_points, knots, curve, times, out
-            )
-            before[:] = x
-            x[:] = xs
-            v[:] = vs
-            t += h
+            before[:], speed_before[:] = x, v
+            x[:], v[:] = xs, vs
             count += 1
             speed[0] = speed[6]
             push[0] = push[6]
@@ -400,6 +395,11 @@ def _march_adaptive(
             if layers.size[0] > 0.0:
                 part_layers(x, v, before, h, free, layers, f, vs)
                 fresh = True
+            done = write_frames(
+                before, speed_before, x, v, t, t + h, done, index, weight, held_points, pins_of_points,
+                knots, curve, times, out,
+            )  # fmt: skip
+            t += h
         h = min(dt, h * min(4.0, max(0.2, 0.9 * max(worst, 1e-8) ** -0.2)))
         if is_lost(x, 0, 1, limit) or not h > SLOWEST or tries > 20_000_000:
             result[0], result[1] = DIVERGED, tries

@@ -1,0 +1,122 @@
+"""Fits of the loop: from where the last one stood, all parameters free, on all fit recordings together."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import t as student
+
+from clothbench.experiment.calibrate import Trial, calibrate, evaluate
+from clothbench.loop.problem import Problem, Told
+from clothbench.parameters import ParameterSpace
+
+PROBE = 0.02  # step of differences, in units of the scaled range
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """A calibrated model with some effects.
+
+    effects: names beyond the problem's base; theta: (P,); residual: per fit recording (M,) m, simulated minus seen at
+    visible coordinates; jacobian: per fit recording (M, P), by the scaled parameters; low, high: (P,), 95 %.
+    """
+
+    effects: tuple[str, ...]
+    space: ParameterSpace
+    theta: np.ndarray
+    residual: list[np.ndarray]
+    jacobian: list[np.ndarray]
+    low: np.ndarray
+    high: np.ndarray
+    evaluations: int
+
+    @property
+    def at_bound(self) -> np.ndarray:
+        return self.space.at_bound(self.theta)
+
+    @property
+    def squares(self) -> np.ndarray:
+        """Mean square of the residual of each fit recording (R,) m²."""
+        return np.array([float(np.mean(r**2)) for r in self.residual])
+
+    @property
+    def rms(self) -> float:
+        """m; every recording has the same say."""
+        return float(np.sqrt(self.squares.mean()))
+
+
+def fit(problem: Problem, names: tuple[str, ...], start: np.ndarray | None, budget: int, told: Told | None = None) -> Fitted:
+    """Least squares from `start` (P,), or from the defaults and a spread of other starts if None."""
+    trials = problem.trials(names, "fit")
+    space = trials[0].simulation.parameters
+    settings = {"starts": 7}
+    if start is not None:
+        settings = {"starts": 0, "walks": 1}
+        space = started(space, start)
+    optimizer = problem.plugins.make("optimizers", "least_squares", space, seed=problem.seed, budget=budget, **settings)
+    theta, value, count = space.defaults, np.inf, 0
+    while not optimizer.done:
+        asked = np.asarray(optimizer.ask(), dtype=float)
+        evaluation, _ = evaluate(trials, asked)
+        optimizer.tell(asked, evaluation)
+        count += len(asked)
+        best = int(np.argmin(np.where(np.isfinite(evaluation.value), evaluation.value, np.inf)))
+        cost = float(np.sum(evaluation.residual[best] ** 2)) if np.isfinite(evaluation.value[best]) else np.inf
+        if cost < value:
+            theta, value = asked[best], cost
+        if told is not None:
+            told(len(asked), 1e3 * np.sqrt(value))
+    residual, jacobian, spent = differences(trials, space, theta)
+    low, high = interval(space, theta, residual, jacobian)
+    return Fitted(names, space, theta, residual, jacobian, low, high, count + spent)
+
+
+def started(space: ParameterSpace, start: np.ndarray) -> ParameterSpace:
+    """The same space with other defaults, kept inside the bounds."""
+    inside = np.clip(start, space.low, space.high)
+    return ParameterSpace(
+        tuple(dataclasses.replace(p, default=float(v)) for p, v in zip(space, inside, strict=True))
+    )
+
+
+def differences(trials: list[Trial], space: ParameterSpace, theta: np.ndarray) -> tuple[list, list, int]:
+    """Residual (M,) m and Jacobian (M, P) m of each recording at theta, by one-sided differences in the unit cube."""
+    unit = space.to_unit(theta)
+    away = np.where(unit + PROBE <= 1.0, PROBE, -PROBE)
+    points = space.from_unit(np.vstack([unit, unit + np.diag(away)]))
+    points[0] = theta
+    residual, jacobian = [], []
+    for trial in trials:
+        found = trial.metric(trial.observation, trial.simulation.run(points)).residual
+        residual.append(found[0])
+        jacobian.append(np.nan_to_num((found[1:] - found[0]) / away[:, None]).T)
+    return residual, jacobian, len(points)
+
+
+def interval(space: ParameterSpace, theta: np.ndarray, residual: list, jacobian: list) -> tuple[np.ndarray, np.ndarray]:
+    """95 % intervals (P,), (P,): how far the fit moves, to first order, when one recording is left out (jackknife)."""
+    whole = normal_equations(residual, jacobian)
+    count = len(residual)
+    unit = space.to_unit(theta)
+    if count < 3:
+        return np.full(len(space), np.nan), np.full(len(space), np.nan)
+    moved = []
+    for r in range(count):
+        part = normal_equations(residual[r : r + 1], jacobian[r : r + 1])
+        moved.append(solve(whole[0] - part[0], whole[1] - part[1]))
+    moved = np.array(moved)
+    half = student.ppf(0.975, count - 1) * np.sqrt((count - 1) / count * ((moved - moved.mean(axis=0)) ** 2).sum(axis=0))
+    return space.from_unit(unit - half), space.from_unit(unit + half)
+
+
+def normal_equations(residual: list, jacobian: list) -> tuple[np.ndarray, np.ndarray]:
+    """JᵀJ and −Jᵀr, each recording with the same say."""
+    hessian = sum(j.T @ j / len(j) for j in jacobian)
+    gradient = -sum(j.T @ r / len(r) for j, r in zip(jacobian, residual, strict=True))
+    return hessian, gradient
+
+
+def solve(hessian: np.ndarray, gradient: np.ndarray) -> np.ndarray:
+    return np.linalg.lstsq(hessian + 1e-10 * np.trace(hessian) / len(hessian) * np.eye(len(hessian)), gradient, rcond=None)[0]

@@ -1,0 +1,241 @@
+"""Stages 1 to 5 in turn: calibrate, look at what is left, find the effect that explains it, add it, and go round again."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from clothbench.errors import ClothbenchError
+from clothbench.loop.attribution import Probe, outside, probes, weights
+from clothbench.loop.fitting import Fitted, fit
+from clothbench.loop.guard import Shares, shares
+from clothbench.loop.problem import Problem
+from clothbench.loop.residual import correction, numerical_floor
+
+ALPHA = 0.05
+ROUNDS = 3  # effects that can be named one after the other
+REFITS = 5  # candidates that are fitted in earnest in each round
+AT_THE_FLOOR = 1.15  # times the floor: a residual this small is not worth a name
+MATERIAL = 0.25  # share of the mean square above the floor that an effect has to explain to be worth a name
+TIED = 0.1  # two candidates whose gains differ by less than this share of the larger cannot be told apart
+FIRST, AGAIN = 140, 60  # evaluations of the first fit, and of one that begins where another ended
+
+Stage = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """What came of one candidate in one round.
+
+    share: of the residual that only it could explain, to first order; p_value: of that share; gain: m², by which the
+    mean square fell when all was refitted (NaN where it was not); chosen in so many of the leave-one-out rounds.
+    """
+
+    name: str
+    share: float
+    p_value: float
+    gain: float = float("nan")
+    selected: int = 0
+    fitted: Fitted | None = None
+    why_not: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Round:
+    """One turn of the loop: the fit it began with, its floor [m], the candidates, and who was named (or tied)."""
+
+    before: Fitted
+    floor: float
+    candidates: tuple[Candidate, ...]
+    named: tuple[str, ...]
+    after: Fitted | None = None
+
+
+@dataclass
+class Outcome:
+    """All that the loop found out."""
+
+    problem: Problem
+    base: Fitted
+    noise: float
+    rounds: list[Round] = field(default_factory=list)
+    final: Fitted | None = None
+    floor: float = 0.0
+    evaluations: int = 0
+
+
+def improve(problem: Problem, candidates: Sequence[str], stage: Stage) -> Outcome:
+    """Run the loop on the fit recordings; what it finds is judged on the held-out ones afterwards."""
+    noise = noise_of(problem)
+    stage("calibrate", 0, 2)
+    base = fit(problem, (), None, FIRST)
+    problem, base, floor = corrected(problem, base, noise)
+    outcome = Outcome(problem, base, noise, final=base, floor=floor, evaluations=base.evaluations)
+    current = base
+    for turn in range(ROUNDS):
+        if current.rms <= AT_THE_FLOOR * floor:
+            break
+        found = one_round(problem, current, floor, [c for c in candidates if c not in current.effects], stage, turn)
+        outcome.rounds.append(found)
+        outcome.evaluations += sum(c.fitted.evaluations for c in found.candidates if c.fitted is not None)
+        if found.after is None:
+            break
+        problem, current, floor = corrected(problem, found.after, noise)
+        outcome.rounds[-1] = dataclasses.replace(found, after=current)
+        outcome.problem, outcome.final, outcome.floor = problem, current, floor
+    return outcome
+
+
+def noise_of(problem: Problem) -> float:
+    """σ of one coordinate [m]: as stated, else from how much neighbouring frames jump."""
+    found = []
+    for case in problem.of_split("fit"):
+        sigma = case.observation.sigma
+        if not np.isfinite(sigma):
+            x = np.where(case.observation.visible[..., None], case.observation.position, np.nan)
+            sigma = 1.4826 * float(np.nanmedian(np.abs(np.diff(x, n=3, axis=0)))) / np.sqrt(20)
+        found.append(sigma)
+    return float(np.sqrt(np.mean(np.square(found))))
+
+
+def corrected(problem: Problem, fitted: Fitted, noise: float) -> tuple[Problem, Fitted, float]:
+    """The problem with the mesh's error taken away at this fit, the fit again, and the floor [m] of noise and mesh."""
+    plain = dataclasses.replace(problem, corrections={})
+    changes = correction(plain, fitted, "fit")
+    left = numerical_floor(fitted, changes)
+    if above(fitted, changes) >= above(fitted, [0 * c for c in changes]):
+        # What a finer mesh changes is no step towards what was seen: the model does not converge to it, and all of the
+        # change is doubt.
+        return plain, fitted, float(np.hypot(noise, 2 * left))
+    names = [case.name for case in problem.of_split("fit")]
+    problem = dataclasses.replace(problem, corrections=dict(zip(names, changes, strict=True)))
+    again = fit(problem, fitted.effects, fitted.theta, AGAIN)
+    return problem, again, float(np.hypot(noise, left))
+
+
+def above(fitted: Fitted, changes: Sequence[np.ndarray]) -> float:
+    """What a refit could not take up of the residual with these changes [m]."""
+    scale = weights(fitted.residual)
+    base = np.vstack(fitted.jacobian) * scale[:, None]
+    total = np.concatenate([r + c for r, c in zip(fitted.residual, changes, strict=True)]) * scale
+    return float(np.linalg.norm(outside(base, total[:, None])))
+
+
+def one_round(
+    problem: Problem, current: Fitted, floor: float, candidates: Sequence[str], stage: Stage, turn: int
+) -> Round:
+    """Screen all candidates to first order, fit the best in earnest, and name the one that stands every test."""
+    found: list[Probe] = []
+    for k, name in enumerate(candidates):
+        stage(f"round {turn + 1}: candidates", k, len(candidates))
+        try:
+            found += probes(problem, current, name)
+        except ClothbenchError:
+            continue  # a model may have no room for it; it is listed as not tried
+    seen = shares(problem.of_split("fit"), current, found, problem.seed)
+    screened = screen(candidates, found, seen)
+    promising = sorted((c for c in screened if c.p_value < ALPHA), key=lambda c: -c.share)[:REFITS]
+    tried = []
+    for k, candidate in enumerate(promising):
+        stage(f"round {turn + 1}: refits", k, len(promising))
+        tried.append(refit(problem, current, candidate, found, seen))
+    judged = judge(current, floor, tried)
+    others = [c for c in screened if c.name not in {t.name for t in judged}]
+    named = choose(judged)
+    after = next((c.fitted for c in judged if named and c.name == named[0]), None)
+    return Round(current, floor, tuple([*judged, *others]), named, after)
+
+
+def screen(candidates: Sequence[str], found: Sequence[Probe], seen: Shares) -> list[Candidate]:
+    """Each candidate at the best setting of its other parameters."""
+    out = []
+    for name in candidates:
+        mine = [k for k, probe in enumerate(found) if probe.effect == name]
+        if not mine:
+            out.append(Candidate(name, 0.0, 1.0, why_not="could not be simulated with this model"))
+            continue
+        best = max(mine, key=lambda k: seen.share[k])
+        p_value = seen.p_value(best)
+        why = "" if p_value < ALPHA else f"explains no more than chance would (p = {p_value:.2g})"
+        out.append(Candidate(name, float(seen.share[best]), p_value, why_not=why))
+    return out
+
+
+def refit(problem: Problem, current: Fitted, candidate: Candidate, found: Sequence[Probe], seen: Shares) -> Candidate:
+    """Everything fitted again with the candidate, from its best probe's first-order amount."""
+    mine = [k for k, probe in enumerate(found) if probe.effect == candidate.name]
+    probe = found[max(mine, key=lambda k: seen.share[k])]
+    start = np.concatenate([current.theta, first_order(current, probe)])
+    fitted = fit(problem, (*current.effects, candidate.name), start, AGAIN)
+    gain = float((current.squares - fitted.squares).mean())
+    return dataclasses.replace(candidate, gain=gain, fitted=fitted)
+
+
+def first_order(current: Fitted, probe: Probe) -> np.ndarray:
+    """The probe's parameters (P,) with the amounts that least squares gives them beside the base's."""
+    scale = weights(current.residual)
+    columns = np.vstack(probe.columns) * scale[:, None]
+    both = np.hstack([columns, np.vstack(current.jacobian) * scale[:, None]])
+    amount = np.linalg.lstsq(both, -np.concatenate(current.residual) * scale, rcond=1e-8)[0][: len(probe.amounts)]
+    phi = probe.phi.copy()
+    phi[list(probe.amounts)] += amount * probe.steps
+    return phi
+
+
+def judge(current: Fitted, floor: float, tried: Sequence[Candidate]) -> list[Candidate]:
+    """What speaks against each of them, if anything; and in how many leave-one-out rounds it is the best."""
+    count = len(current.squares)
+    gains = np.array([current.squares - c.fitted.squares for c in tried if c.fitted is not None]).reshape(-1, count)
+    excess = max(float(current.squares.mean()) - floor**2, 1e-12)
+    out = []
+    for k, candidate in enumerate(tried):
+        wins = 0
+        for left_out in range(count):
+            rest = [r for r in range(count) if r != left_out] or [0]
+            mean = gains[:, rest].mean(axis=1)
+            wins += mean[k] >= (1 - TIED) * mean.max()
+        helped = int((gains[k] > 0).sum())
+        why = ""
+        if candidate.gain < MATERIAL * excess:
+            why = f"explains only {max(candidate.gain, 0) / excess:.0%} of what is above the floor"
+        elif helped < count - 1:
+            why = f"helps in {helped} of {count} recordings only"
+        elif fault := unphysical(candidate):
+            why = fault
+        elif wins < count - 1:
+            why = f"another is better when a recording is left out ({wins} of {count})"
+        out.append(dataclasses.replace(candidate, selected=int(wins), why_not=why))
+    return sorted(out, key=lambda c: -c.gain)
+
+
+def unphysical(candidate: Candidate) -> str:
+    """Why the fitted amounts cannot stand, or ""."""
+    assert candidate.fitted is not None
+    space, fitted = candidate.fitted.space, candidate.fitted
+    own = [i for i, n in enumerate(space.names) if n.startswith(f"{candidate.name}.")]
+    amounts = [i for i in own if space.parameters[i].null is not None]
+    null = np.array([space.parameters[i].null for i in amounts])
+    far = np.abs(fitted.theta[amounts] - null) > 1e-3 * (space.high - space.low)[amounts]
+    at_bound = [i for i, away in zip(amounts, far, strict=True) if away and fitted.at_bound[i]]
+    if at_bound:
+        return f"its {space.names[at_bound[0]]} runs to the bound {fitted.theta[at_bound[0]]:.3g}"
+    if not far.any():
+        return "its amount is fitted to nothing"
+    low, high = fitted.low[amounts], fitted.high[amounts]
+    if not any(a and (l > n or h < n) for a, l, h, n in zip(far, low, high, null, strict=True)):
+        return "its amount cannot be told from nothing"
+    return ""
+
+
+def choose(judged: Sequence[Candidate]) -> tuple[str, ...]:
+    """The one that stands; of several as good as each other the one with the fewest parameters, or both as tied."""
+    standing = [c for c in judged if not c.why_not]
+    if not standing:
+        return ()
+    best = standing[0].gain
+    close = [c for c in standing if c.gain >= (1 - TIED) * best]
+    fewest = min(len(c.fitted.theta) for c in close)  # type: ignore[union-attr]
+    return tuple(c.name for c in close if len(c.fitted.theta) == fewest)[:2]  # type: ignore[union-attr]

@@ -1,0 +1,152 @@
+"""What the loop is asked: recordings, a model, and how to fit it with any set of effects."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from clothbench.experiment.calibrate import Trial
+from clothbench.observation import Observation
+from clothbench.parameters import ParameterSpace
+from clothbench.plugins import Catalogue
+from clothbench.protocols import Effect, Score, Simulation
+from clothbench.recording import Recording
+from clothbench.rollout import Rollout
+from clothbench.scene import Scene
+
+Told = Callable[[int, float], None]
+
+
+@dataclass(frozen=True, eq=False)
+class CoordinateError:
+    """Root-mean-square over visible node coordinates [mm]: the loop's own yardstick, a metric like any other.
+
+    correction: (M,) m, added to the residual at the M visible coordinates: what is known of the mesh's own error.
+    """
+
+    correction: np.ndarray | float = 0.0
+    name: ClassVar[str] = "coordinate_error"
+    version: ClassVar[int] = 1
+    unit: ClassVar[str] = "mm"
+
+    def __call__(self, observation: Observation, rollout: Rollout) -> Score:
+        seen = observation.visible
+        away = (rollout.position - np.nan_to_num(observation.position))[:, seen].reshape(len(rollout.position), -1)
+        away = away + self.correction
+        return Score(1e3 * np.sqrt(np.mean(away**2, axis=1)), self.unit, residual=away)
+
+    def floor(self, observation: Observation) -> float:
+        return 1e3 * observation.sigma
+
+
+@dataclass(frozen=True, eq=False)
+class Case:
+    """One recording ready for the loop: what was seen of it, and its scene."""
+
+    name: str
+    split: str
+    recording: Recording
+    observation: Observation
+    scene: Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Without:
+    """A simulation whose model keeps the parameters that can be switched off at their null values."""
+
+    simulation: Simulation
+    kept: np.ndarray
+    values: np.ndarray
+
+    @property
+    def parameters(self) -> ParameterSpace:
+        space = self.simulation.parameters
+        return ParameterSpace(tuple(p for p, keep in zip(space, self.kept, strict=True) if keep))
+
+    def run(self, theta: np.ndarray) -> Rollout:
+        theta = np.atleast_2d(theta)
+        whole = np.tile(self.values, (len(theta), 1))
+        whole[:, self.kept] = theta
+        return self.simulation.run(whole)
+
+
+def without_switches(simulation: Simulation, own: int) -> Simulation:
+    """Physics of the first `own` parameters, the model's, that can be switched off, is: it is for the loop to find."""
+    space = simulation.parameters
+    kept = np.array([i >= own or p.null is None for i, p in enumerate(space)])
+    if kept.all():
+        return simulation
+    values = np.array([p.default if p.null is None else p.null for p in space], dtype=float)
+    return Without(simulation, kept, values)
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A model, with what belongs to it in any case (`base`), beside recordings.
+
+    base: effects that are part of the model from the start; resolution: nodes (nu, nv); step_scale: of the model's own
+    step, for models that have that option; corrections: by recording, see `CoordinateError`.
+    """
+
+    model: str
+    cases: tuple[Case, ...]
+    plugins: Catalogue
+    base: tuple[str, ...] = ()
+    options: Mapping[str, Any] = field(default_factory=dict)
+    resolution: tuple[int, int] | None = None
+    step_scale: float = 1.0
+    seed: int = 0
+    corrections: Mapping[str, np.ndarray] = field(default_factory=dict)
+
+    def finer(self) -> Problem:
+        """The same with half the cell size and half the step."""
+        nu, nv = self.resolution or (0, 0)
+        scale = self.step_scale / 2 if self.takes_scale else 1.0
+        return dataclasses.replace(self, resolution=(2 * nu - 1, 2 * nv - 1), step_scale=scale, corrections={})
+
+    @cached_property
+    def takes_scale(self) -> bool:
+        import inspect
+
+        try:
+            return "step_scale" in inspect.signature(self.plugins.load("models", self.model)).parameters
+        except (TypeError, ValueError):
+            return False
+
+    def effects(self, names: Sequence[str]) -> list[Effect]:
+        return [self.plugins.make("effects", name) for name in (*self.base, *names)]
+
+    def of_split(self, split: str) -> list[Case]:
+        return [case for case in self.cases if case.split == split]
+
+    def trials(self, names: Sequence[str], split: str) -> list[Trial]:
+        """One simulation for each recording of a split, with these effects beside the base."""
+        options = dict(self.options) | ({"step_scale": self.step_scale} if self.takes_scale else {})
+        model, effects = self.plugins.make("models", self.model, **options), self.effects(names)
+        out = []
+        for case in self.of_split(split):
+            scene = dataclasses.replace(case.scene, resolution=self.resolution)
+            simulation = without_switches(model.prepare(scene, effects), len(model.parameters))
+            metric = CoordinateError(self.corrections.get(case.name, 0.0))
+            out.append(Trial(case.name, case.observation, simulation, metric))
+        return out
+
+    def space(self, names: Sequence[str]) -> ParameterSpace:
+        return self.trials(names, "fit")[0].simulation.parameters
+
+    def key(self, *more: Any) -> str:
+        """16 hexadecimal digits of everything that a result depends on."""
+        about = {
+            "model": self.model, "base": self.base, "options": dict(self.options), "resolution": self.resolution,
+            "step": self.step_scale, "seed": self.seed, "recordings": [c.recording.hash for c in self.cases],
+            "splits": [c.split for c in self.cases], "more": more,
+            "versions": [getattr(self.plugins.load("models", self.model), "version", 0)],
+        }  # fmt: skip
+        return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()[:16]
