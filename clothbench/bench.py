@@ -1,6 +1,8 @@
 """`clothbench bench`: the speed of every dynamic model beside the installed peers, measured in one run.
 
-A speed means little away from the machine it was measured on; a ratio to a peer in the same run means more.
+A speed means little away from the machine it was measured on; a ratio to a peer in the same run means more. Steps are
+not worth the same either: models that know textbook materials are also timed at equal error, each with the longest
+step that keeps it close to its own converged motion.
 """
 
 from __future__ import annotations
@@ -14,14 +16,27 @@ from typing import Any
 
 from clothbench.errors import ClothbenchError
 from clothbench.parallel import thread_count
-from clothbench.plugins import Plugin, absent, catalogue, one_line
-from clothbench.timing import STEP, FailedRun, Speed, share_of_processes, time_model, time_peer
+from clothbench.plugins import Plugin, absent, catalogue, library_version, one_line
+from clothbench.timing import (
+    STEP,
+    TOLERABLE,
+    FailedRun,
+    Speed,
+    at_equal_error,
+    on_threads,
+    share_of_processes,
+    swung,
+    time_model,
+    time_peer,
+)
 
 KEYS = (
     "model", "kind", "nodes", "threads", "batch", "node_steps_per_s", "realtime_factor", "peer", "ratio",
-    "precision", "version", "note",
+    "precision", "version", "note", "step_s", "error_m",
 )  # fmt: skip
 SIDES = (9, 21, 41, 65)  # nodes along each side of the square sheet
+EQUAL_SIDES = (21, 41)  # at equal error, where a peer's converged simulation of a fine sheet takes many minutes
+CONVERGED = {"explicit": 0.5}  # of a model's default step, whose motion stands for the exact one; else a quarter
 BATCH = 64
 PEER_STEP = f"step {1e3 * STEP:g} ms"
 PROCESSES = "separate processes"
@@ -36,10 +51,11 @@ def run_bench(sides: Sequence[int] = SIDES, progress: Say | None = None) -> list
     A model's row stands once for each peer measured at its number of nodes, with `ratio` = its speed per
     thread over the peer's, or once with no peer. A peer has rows of its own; one row a model compares threads
     with separate processes. What cannot be measured is left out, with a line on standard error. `progress` is
-    told in one line what is measured next.
+    told in one line what is measured next. Rows with an `error_m` are those of `equal_error`.
     """
     say = progress or (lambda _: None)
-    variants, peers, rows = _variants(), _peers(), []
+    models, peers, rows = _models(), _peers(), []
+    variants = [v for plugin in models for v in _guarded_variants(plugin)]
     for side in sides:
         beside = [row for peer in peers for row in _peer_rows(peer, side, say)]
         rows += beside
@@ -49,6 +65,8 @@ def run_bench(sides: Sequence[int] = SIDES, progress: Say | None = None) -> list
         say(f"{name}: threads against {PROCESSES}")
         with _or_skipped(name):
             rows += two_cores(name, middle)
+    for side in (s for s in sides if s in EQUAL_SIDES):
+        rows += equal_error(models, side, say)
     return rows
 
 
@@ -67,6 +85,26 @@ def two_cores(name: str, side: int = 21) -> list[Row]:
     return [row | {"peer": PROCESSES, "ratio": share}]
 
 
+def equal_error(models: Sequence[Plugin], side: int, progress: Say | None = None) -> list[Row]:
+    """Simulated seconds per second of one core, each model with the longest step that errs by 2 mm at most.
+
+    The error is that of a swung sheet of textbook cloth (`timing.swung_sheet`), RMS over nodes and frames, to the same
+    model with its default options and a far shorter step: equations may differ, only what the step spoils counts.
+    A model takes part if it has `of_material` and options `dt` and `step_scale`; its class may list sets of options to
+    try in `equal_error_options`. `ratio` is to the fastest setting of a peer, which is a model with `built_on`.
+    """
+    say, rows = progress or (lambda _: None), []
+    for plugin in models:
+        with _or_skipped(f"{plugin.name} at equal error"):
+            rows += _equal_rows(plugin, side, say)
+    built_on = {p.name for p in models if library_version(catalogue().load("models", p.name))}
+    best = max((r for r in rows if r["model"] in built_on), key=lambda r: r["realtime_factor"], default=None)
+    if best is None:
+        return rows
+    ratios = [{"peer": best["model"], "ratio": r["realtime_factor"] / best["realtime_factor"]} for r in rows]
+    return [r | ratio if r["model"] not in built_on else r for r, ratio in zip(rows, ratios, strict=True)]
+
+
 @dataclass(frozen=True)
 class _Variant:
     """A model with one set of the options that it wants to be measured with."""
@@ -82,6 +120,9 @@ class _Variant:
     def make(self, **more: Any) -> Any:
         return catalogue().make("models", self.name, **self.options, **more)
 
+    def at_step(self, dt: float) -> Any:
+        return self.make(dt=dt)
+
     def row(self, model: Any, speed: Speed, threads: int, batch: int, note: str | None) -> Row:
         about = {
             "kind": getattr(model, "kind", None),
@@ -91,7 +132,8 @@ class _Variant:
         return _row(self.name, speed, threads, batch) | about | {"note": note}
 
 
-def _variants() -> list[_Variant]:
+def _models() -> list[Plugin]:
+    """The models that are installed; a line on standard error for each that is not, or that is broken."""
     found = []
     for plugin in catalogue().plugins:
         if plugin.kind in ("models", "module") and plugin.reason is not None:
@@ -99,20 +141,27 @@ def _variants() -> list[_Variant]:
         elif plugin.kind == "models":
             with _or_skipped(plugin.name):
                 reason = absent(catalogue().load("models", plugin.name))
-                found += [] if reason else _variants_of(plugin)
+                found += [] if reason else [plugin]
                 if reason is not None:
                     _skipped(plugin.name, reason)
     return found
 
 
-def _variants_of(plugin: Plugin) -> list[_Variant]:
+def _guarded_variants(plugin: Plugin) -> list[_Variant]:
+    with _or_skipped(plugin.name):
+        return _variants_of(plugin)
+    return []
+
+
+def _variants_of(plugin: Plugin, matrix: str = "bench_options") -> list[_Variant]:
+    """A dynamic model with every set of options that its attribute `matrix` lists."""
     factory = catalogue().load("models", plugin.name)
     try:
         takes_step = "dt" in inspect.signature(factory).parameters
     except (TypeError, ValueError):  # some compiled callables have none
         takes_step = False
-    matrix: Sequence[dict[str, Any]] = getattr(factory, "bench_options", ({},))
-    variants = [_Variant(plugin, dict(options), takes_step) for options in matrix]
+    sets: Sequence[dict[str, Any]] = getattr(factory, matrix, ({},))
+    variants = [_Variant(plugin, dict(options), takes_step) for options in sets]
     return [v for v in variants if "dynamic" in v.make().capabilities]
 
 
@@ -138,6 +187,25 @@ def _measure(variant: _Variant, side: int, threads: int, batch: int) -> Row:
             pass
     model = variant.make()
     return variant.row(model, time_model(model, side, batch, threads), threads, batch, "own step")
+
+
+def _equal_rows(plugin: Plugin, side: int, say: Say) -> list[Row]:
+    """A row for each set of options with which the model is accurate enough at some step."""
+    variants = [v for v in _variants_of(plugin, "equal_error_options") if v.takes_step]
+    if not variants or not hasattr(catalogue().load("models", plugin.name), "of_material"):
+        return []
+    rows, scale = [], CONVERGED.get(variants[0].make().kind, 0.25)
+    say(f"{plugin.name}: {side} × {side} nodes, converged")
+    with on_threads(1):
+        truth = swung(catalogue().make("models", plugin.name, step_scale=scale), side)[0]
+    for variant in variants:
+        options = ", ".join(f"{k}={v}" for k, v in variant.options.items())
+        say(f"{plugin.name} {options}: {side} × {side} nodes, at equal error")
+        with _or_skipped(f"{plugin.name} {options} at equal error"):
+            found = at_equal_error(variant.at_step, side, truth)
+            row = variant.row(variant.make(), found.speed, 1, 1, options or None)
+            rows.append(row | {"step_s": found.step, "error_m": found.error})
+    return rows
 
 
 def _with_ratios(row: Row, beside: list[Row]) -> list[Row]:
@@ -202,6 +270,7 @@ def print_table(rows: Sequence[Row]) -> None:
 
     from clothbench.report.tables import console
 
+    equal, rows = [r for r in rows if r["error_m"] is not None], [r for r in rows if r["error_m"] is None]
     peers = list(dict.fromkeys(r["peer"] for r in rows if r["peer"] not in (None, PROCESSES)))
     table = Table(title="speed; × a peer: per core", title_justify="left", title_style="bold")
     for name in ("model", "kind", "precision", "step"):
@@ -216,6 +285,17 @@ def print_table(rows: Sequence[Row]) -> None:
     for row in (r for r in rows if r["peer"] == PROCESSES):
         what = f"{row['model']}, {row['nodes']} nodes, {row['threads']} threads"
         out.print(f"{escape(what)}: {row['ratio']:.2f}, {escape(row['note'])}")
+    if not equal:
+        return
+    title = f"one sheet per core, longest step that errs by {1e3 * TOLERABLE:g} mm at most"
+    table = Table("model", "options", title=title, title_justify="left", title_style="bold")
+    for name in ("nodes", "step, ms", "error, mm", "× real time", "× fastest peer"):
+        table.add_column(name, justify="right")
+    for r in equal:
+        ratio = "" if r["ratio"] is None else f"{r['ratio']:.1f} ({r['peer']})"
+        step, error, pace = f"{1e3 * r['step_s']:.3g}", f"{1e3 * r['error_m']:.2g}", f"{r['realtime_factor']:.3g}"
+        table.add_row(*map(escape, (r["model"], r["note"] or "", str(r["nodes"]), step, error, pace, ratio)))
+    out.print(table)
 
 
 def _lines(rows: Sequence[Row], peers: Sequence[str]) -> Iterator[list[str]]:

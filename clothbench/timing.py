@@ -205,7 +205,8 @@ def moving_speed(model: Any, side: int) -> Speed:
 
     What is spent on settling and set-up is in neither; the second run is the more exactly the shorter the first.
     """
-    brief, whole = [], []
+    brief: list[Speed] = []
+    whole: list[Speed] = []
     begun = time.perf_counter()
     while not whole or (len(whole) < REPEATS and time.perf_counter() - begun < PATIENCE):
         brief.append(swung(model, side, BRIEF)[1])

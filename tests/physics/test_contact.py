@@ -229,7 +229,9 @@ def pile(thickness, times, nodes=17, model=MassSpring, theta=SOFT):
     start = np.column_stack([uv[:, 0], wave, 0.31 - uv[:, 1]])
     floor = Obstacle("plane", friction=0.3)
     scene = loose(start, uv, times, obstacles=(floor,), thickness=thickness, shape=shape)
-    return model().prepare(scene).run(theta).position[0]
+    rollout = model().prepare(scene).run(theta)
+    assert rollout.status == ("ok",)  # what diverged crosses nothing
+    return rollout.position[0]
 
 
 def folded(thickness, times, nodes, model, theta):
@@ -241,7 +243,9 @@ def folded(thickness, times, nodes, model, theta):
     x = np.minimum(uv[:, 1], begin) + loop * np.sin(angle) - np.maximum(uv[:, 1] - begin - np.pi * loop, 0)
     start = np.column_stack([uv[:, 0], x, 1e-3 + loop * (1 - np.cos(angle))])
     scene = loose(start, uv, times, obstacles=(Obstacle("plane", friction=0.3),), thickness=thickness, shape=shape)
-    return model().prepare(scene).run(theta).position[0]
+    rollout = model().prepare(scene).run(theta)
+    assert rollout.status == ("ok",)
+    return rollout.position[0]
 
 
 CELL = 0.3 / 16
