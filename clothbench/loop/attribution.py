@@ -6,15 +6,14 @@ of s_e and of the residual, since a refit would take their part.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.stats import qmc
 
-from clothbench.errors import ClothbenchError
 from clothbench.loop.fitting import Fitted
-from clothbench.loop.problem import Case, Problem
+from clothbench.loop.problem import Problem, residuals
 from clothbench.protocols import Effect
 
 SHAPES = 4  # how many settings of an effect's other parameters are looked at (the effect's place, direction, time, …)
@@ -41,12 +40,9 @@ def settings_of(effect: Effect, seed: int) -> Iterator[tuple[np.ndarray, tuple[i
     space = effect.parameters
     amounts = tuple(i for i, p in enumerate(space) if p.null is not None)
     shapes = [i for i, p in enumerate(space) if p.null is None]
-    null = np.array([p.default if p.null is None else p.null for p in space])
-    steps = []
-    for i in amounts:
-        p = space.parameters[i]
-        away = p.default - p.null
-        steps.append(away if away else AMOUNT * (p.bounds[1] - p.null))
+    null = null_of(effect)
+    away = space.defaults - null
+    steps = [away[i] or AMOUNT * (space.high[i] - null[i]) for i in amounts]
     yield null, amounts, np.array(steps)
     if shapes:
         many = SHAPES * (2 if len(shapes) > 2 else 1)
@@ -56,6 +52,11 @@ def settings_of(effect: Effect, seed: int) -> Iterator[tuple[np.ndarray, tuple[i
             phi = space.from_unit(unit)
             phi[list(amounts)] = null[list(amounts)]
             yield phi, amounts, np.array(steps)
+
+
+def null_of(effect: Effect) -> np.ndarray:
+    """Where the effect vanishes (P,): amounts at null, the others at their defaults."""
+    return np.array([p.default if p.null is None else p.null for p in effect.parameters], dtype=float)
 
 
 def probes(problem: Problem, fitted: Fitted, name: str) -> list[Probe]:
@@ -72,8 +73,7 @@ def probes(problem: Problem, fitted: Fitted, name: str) -> list[Probe]:
     trials = problem.trials((*fitted.effects, name), "fit")
     changes = []
     for trial, residual in zip(trials, fitted.residual, strict=True):
-        found = trial.metric(trial.observation, trial.simulation.run(theta)).residual
-        changes.append(found - residual)
+        changes.append(residuals(trial, theta) - residual)
     out, at = [], 0
     for phi, amounts, steps in settings:
         columns = [c[at : at + len(amounts)].T for c in changes]

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from clothbench.experiment.calibrate import Trial, calibrate, evaluate
-from clothbench.loop.problem import Problem, Told
+from clothbench.experiment.calibrate import Trial, evaluate
+from clothbench.loop.problem import Problem, Told, residuals
 from clothbench.parameters import ParameterSpace
 
 PROBE = 0.02  # step of differences, in units of the scaled range
@@ -47,7 +47,9 @@ class Fitted:
         return float(np.sqrt(self.squares.mean()))
 
 
-def fit(problem: Problem, names: tuple[str, ...], start: np.ndarray | None, budget: int, told: Told | None = None) -> Fitted:
+def fit(
+    problem: Problem, names: tuple[str, ...], start: np.ndarray | None, budget: int, told: Told | None = None
+) -> Fitted:
     """Least squares from `start` (P,), or from the defaults and a spread of other starts if None."""
     trials = problem.trials(names, "fit")
     space = trials[0].simulation.parameters
@@ -63,6 +65,7 @@ def fit(problem: Problem, names: tuple[str, ...], start: np.ndarray | None, budg
         optimizer.tell(asked, evaluation)
         count += len(asked)
         best = int(np.argmin(np.where(np.isfinite(evaluation.value), evaluation.value, np.inf)))
+        assert evaluation.residual is not None
         cost = float(np.sum(evaluation.residual[best] ** 2)) if np.isfinite(evaluation.value[best]) else np.inf
         if cost < value:
             theta, value = asked[best], cost
@@ -76,9 +79,7 @@ def fit(problem: Problem, names: tuple[str, ...], start: np.ndarray | None, budg
 def started(space: ParameterSpace, start: np.ndarray) -> ParameterSpace:
     """The same space with other defaults, kept inside the bounds."""
     inside = np.clip(start, space.low, space.high)
-    return ParameterSpace(
-        tuple(dataclasses.replace(p, default=float(v)) for p, v in zip(space, inside, strict=True))
-    )
+    return ParameterSpace(tuple(dataclasses.replace(p, default=float(v)) for p, v in zip(space, inside, strict=True)))
 
 
 def differences(trials: list[Trial], space: ParameterSpace, theta: np.ndarray) -> tuple[list, list, int]:
@@ -89,7 +90,7 @@ def differences(trials: list[Trial], space: ParameterSpace, theta: np.ndarray) -
     points[0] = theta
     residual, jacobian = [], []
     for trial in trials:
-        found = trial.metric(trial.observation, trial.simulation.run(points)).residual
+        found = residuals(trial, points)
         residual.append(found[0])
         jacobian.append(np.nan_to_num((found[1:] - found[0]) / away[:, None]).T)
     return residual, jacobian, len(points)
@@ -102,12 +103,11 @@ def interval(space: ParameterSpace, theta: np.ndarray, residual: list, jacobian:
     unit = space.to_unit(theta)
     if count < 3:
         return np.full(len(space), np.nan), np.full(len(space), np.nan)
-    moved = []
-    for r in range(count):
-        part = normal_equations(residual[r : r + 1], jacobian[r : r + 1])
-        moved.append(solve(whole[0] - part[0], whole[1] - part[1]))
-    moved = np.array(moved)
-    half = student.ppf(0.975, count - 1) * np.sqrt((count - 1) / count * ((moved - moved.mean(axis=0)) ** 2).sum(axis=0))
+    parts = [normal_equations(residual[r : r + 1], jacobian[r : r + 1]) for r in range(count)]
+    moved = np.array([solve(whole[0] - part[0], whole[1] - part[1]) for part in parts])
+    half = student.ppf(0.975, count - 1) * np.sqrt(
+        (count - 1) / count * ((moved - moved.mean(axis=0)) ** 2).sum(axis=0)
+    )
     return space.from_unit(unit - half), space.from_unit(unit + half)
 
 
@@ -119,4 +119,6 @@ def normal_equations(residual: list, jacobian: list) -> tuple[np.ndarray, np.nda
 
 
 def solve(hessian: np.ndarray, gradient: np.ndarray) -> np.ndarray:
-    return np.linalg.lstsq(hessian + 1e-10 * np.trace(hessian) / len(hessian) * np.eye(len(hessian)), gradient, rcond=None)[0]
+    return np.linalg.lstsq(
+        hessian + 1e-10 * np.trace(hessian) / len(hessian) * np.eye(len(hessian)), gradient, rcond=None
+    )[0]

@@ -1,4 +1,4 @@
-"""Stages 1 to 5 in turn: calibrate, look at what is left, find the effect that explains it, add it, and go round again."""
+"""Stages 1 to 5 in turn: calibrate, find the effect that explains what is left, add it, and go round again."""
 
 from __future__ import annotations
 
@@ -225,7 +225,7 @@ def unphysical(candidate: Candidate) -> str:
     if not far.any():
         return "its amount is fitted to nothing"
     low, high = fitted.low[amounts], fitted.high[amounts]
-    if not any(a and (l > n or h < n) for a, l, h, n in zip(far, low, high, null, strict=True)):
+    if not (far & ((low > null) | (high < null))).any():
         return "its amount cannot be told from nothing"
     return ""
 

@@ -24,17 +24,17 @@ from clothbench.scene import Scene
 Told = Callable[[int, float], None]
 
 
-@dataclass(frozen=True, eq=False)
 class CoordinateError:
     """Root-mean-square over visible node coordinates [mm]: the loop's own yardstick, a metric like any other.
 
     correction: (M,) m, added to the residual at the M visible coordinates: what is known of the mesh's own error.
     """
 
-    correction: np.ndarray | float = 0.0
     name: ClassVar[str] = "coordinate_error"
     version: ClassVar[int] = 1
-    unit: ClassVar[str] = "mm"
+
+    def __init__(self, correction: np.ndarray | float = 0.0):
+        self.correction, self.unit = correction, "mm"
 
     def __call__(self, observation: Observation, rollout: Rollout) -> Score:
         seen = observation.visible
@@ -57,18 +57,13 @@ class Case:
     scene: Scene
 
 
-@dataclass(frozen=True, eq=False)
 class Without:
-    """A simulation whose model keeps the parameters that can be switched off at their null values."""
+    """A simulation of which only the `kept` (P,) parameters are free; the others stay at `values` (P,)."""
 
-    simulation: Simulation
-    kept: np.ndarray
-    values: np.ndarray
-
-    @property
-    def parameters(self) -> ParameterSpace:
-        space = self.simulation.parameters
-        return ParameterSpace(tuple(p for p, keep in zip(space, self.kept, strict=True) if keep))
+    def __init__(self, simulation: Simulation, kept: np.ndarray, values: np.ndarray):
+        self.simulation, self.kept, self.values = simulation, kept, values
+        free = zip(simulation.parameters, kept, strict=True)
+        self.parameters = ParameterSpace(tuple(p for p, keep in free if keep))
 
     def run(self, theta: np.ndarray) -> Rollout:
         theta = np.atleast_2d(theta)
@@ -85,6 +80,13 @@ def without_switches(simulation: Simulation, own: int) -> Simulation:
         return simulation
     values = np.array([p.default if p.null is None else p.null for p in space], dtype=float)
     return Without(simulation, kept, values)
+
+
+def residuals(trial: Trial, theta: np.ndarray) -> np.ndarray:
+    """Simulated minus seen (B, M) m at the M visible coordinates, for parameter sets (B, P)."""
+    found = trial.metric(trial.observation, trial.simulation.run(theta)).residual
+    assert found is not None  # CoordinateError has one
+    return found
 
 
 @dataclass(frozen=True, eq=False)

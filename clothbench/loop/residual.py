@@ -10,7 +10,7 @@ import numpy as np
 from clothbench.loop.attribution import outside, weights
 from clothbench.loop.fitting import Fitted
 from clothbench.loop.guard import field_of
-from clothbench.loop.problem import Case, Problem
+from clothbench.loop.problem import Case, Problem, residuals
 
 ORDER = 4 / 3  # with half the cells' size, three quarters of a second-order error are gone
 
@@ -24,10 +24,8 @@ def correction(problem: Problem, fitted: Fitted, split: str) -> list[np.ndarray]
     coarse, fine = problem.trials(fitted.effects, split), problem.finer().trials(fitted.effects, split)
     out = []
     for a, b in zip(coarse, fine, strict=True):
-        first = a.metric(a.observation, a.simulation.run(fitted.theta[None])).residual[0]
-        second = b.metric(b.observation, b.simulation.run(fitted.theta[None])).residual[0]
-        change = second - first
-        out.append(ORDER * change if np.isfinite(change).all() else np.zeros_like(first))
+        change = residuals(b, fitted.theta[None])[0] - residuals(a, fitted.theta[None])[0]
+        out.append(ORDER * change if np.isfinite(change).all() else np.zeros_like(change))
     return out
 
 
@@ -57,10 +55,11 @@ def portrait(case: Case, residual: np.ndarray) -> Portrait:
     field = field_of(case, residual)
     seen = case.observation.visible
     frames = directions(case)
-    size = [1e3 * float(np.sqrt(np.mean(np.sum(field * d, axis=-1)[seen] ** 2))) for d in frames]
+    normal, warp, weft = (1e3 * float(np.sqrt(np.mean(np.sum(field * d, axis=-1)[seen] ** 2))) for d in frames)
     both = seen[1:] & seen[:-1]
     product = float(np.mean((field[1:] * field[:-1])[both]))
-    return Portrait(case.name, 1e3 * float(np.sqrt(np.mean(residual**2))), *size, product / float(np.mean(residual**2)))
+    square = float(np.mean(residual**2))
+    return Portrait(case.name, 1e3 * square**0.5, normal, warp, weft, product / square)
 
 
 def directions(case: Case) -> list[np.ndarray]:

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Sequence
-from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
 
 from clothbench.loop.fitting import Fitted
-from clothbench.loop.improve import AT_THE_FLOOR, Candidate, Outcome
+from clothbench.loop.improve import AT_THE_FLOOR, Outcome
 from clothbench.loop.problem import Problem
 from clothbench.loop.residual import correction
 

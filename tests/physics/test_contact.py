@@ -170,7 +170,7 @@ IMPLICIT = {
     "baraff_witkin bdf2": (BaraffWitkin, IN_AIR),
     "baraff_witkin implicit_euler": (partial(BaraffWitkin, integrator="implicit_euler"), IN_AIR),
     "baraff_witkin rk45": (partial(BaraffWitkin, integrator="rk45"), IN_AIR),
-    "inextensible bdf2": (partial(Inextensible, dt=5e-4), DAMPED),
+    "inextensible bdf2": (Inextensible, DAMPED),
 }
 
 

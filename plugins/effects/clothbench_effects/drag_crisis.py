@@ -37,7 +37,8 @@ class DragCrisis:
                 null=0.0,
             ),
             Parameter(
-                "falloff", "k_f", "s²/m²", (0.0, 2.0), "linear", 0.2, "drag is halved at a normal speed of 1/√k_f", SOURCE
+                "falloff", "k_f", "s²/m²", (0.0, 2.0), "linear", 0.2, "drag is halved at a normal speed of 1/√k_f",
+                SOURCE,
             ),
         )
     )  # fmt: skip

@@ -23,6 +23,7 @@ from clothbench_models.sheet_forces import add_diagonals, add_fluxes, edge_diffe
 
 EULER, BDF2 = 0, 1
 PROJECTIONS = 12  # rounds of the fast projection in one step, at most
+CRUMPLED = 0.1  # strain that is left when projecting has failed
 SOLVED = 0.01  # of the residual is left by each round's solver; the next round deals with it
 _fast = njit(cache=True, error_model="numpy", nogil=True)
 _faster = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
@@ -243,12 +244,13 @@ def tighten(
     Rounds of (γ² ∂C W ∂Cᵀ + c) δλ = C − cλ, x ← x − γ² W ∂Cᵀ δλ, each solved by conjugate gradients, until no
     constraint errs by more than `tolerance` of its length. tension (3, P) N: λ, as guessed from the step before, and
     as found. give (3, P): c, how little the cloth stretches after all
-    [m/N], which keeps grips that pull it too far apart from asking the impossible. Returns the rounds of the solver.
+    [m/N], which keeps grips that pull it too far apart from asking the impossible. Returns the rounds of the solver,
+    or -1 if the sheet cannot be pulled straight.
     """
     du, dv, fu, fv = work[0:3], work[3:6], work[6:9], work[9:12]
     c, r, z, p, q, step, diagonal = rows[0], rows[1], rows[2], rows[3], rows[4], rows[5], rows[6]
     square, total = gamma * gamma, 0
-    off = rows[7]
+    off, worst = rows[7], 0.0
     damp_waves(mass, give, square, nu, damped)
     for _ in range(PROJECTIONS):
         edge_differences(x, nu, du, dv)
@@ -296,7 +298,7 @@ def tighten(
                 x[k, e] += square * f[k, e]
             for e in range(c.shape[1]):
                 tension[k, e] += step[k, e]
-    return total
+    return total if worst < CRUMPLED else -1
 
 
 def _march(
@@ -343,10 +345,14 @@ def _march(
                 tension[k, e] = rows[0, k, e] / give[k, e] if share[k, e] > 0.0 else 0.0
         x_old[:] = x
     else:  # a start that fits, at rest now, and before that on the parabola of free fall
-        rounds += tighten(
+        used = tighten(
             x, 1.0, tension, nu, lengths, share, give, mass, extra, False, touch, normal, lightness, tolerance,
             rows, work, r, waves_u, waves_v, damped, plane,
         )  # fmt: skip
+        if used < 0:
+            result[0] = DIVERGED
+            return
+        rounds += used
         tension[:] = 0.0
         for c in range(3):
             v_old[c] = -dt * sheet.gravity[c]
@@ -427,10 +433,14 @@ def _march(
         for g in range(pins.shape[0]):
             for c in range(3):
                 x[c, pins[g]] = grip_point(knots, curve, t, segment, g, c)
-        rounds += tighten(
+        used = tighten(
             x, gamma, tension, nu, lengths, share, give, mass, extra, heavier, touch, normal, lightness, tolerance,
             rows, work, r, waves_u, waves_v, damped, plane,
         )  # fmt: skip
+        if used < 0:
+            result[0], result[1], result[2] = DIVERGED, count, rounds
+            return
+        rounds += used
         for c in range(3):
             for e in range(n):
                 v[c, e] = (x[c, e] - x_bar[c, e]) / gamma
