@@ -39,32 +39,36 @@ def fit(both: list[Trial], budget: int) -> Fit:
     return calibrate(both, catalogue().make("optimizers", "least_squares", space, seed=0, budget=budget), space)
 
 
-def error(model: str, mesh: int, fabric: str, split: str, theta: np.ndarray) -> float:
-    return float(evaluate(trials(model, mesh, fabric, split), theta[None])[0].value[0])
-
-
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("models", nargs="*", default=list(EFFECTS), help="models (default: all four)")
     parser.add_argument("--fabric", default="linen", help="embedded fabric (default: linen)")
     parser.add_argument("--budget", type=int, default=120, help="evaluations of a fit (default: 120)")
     parser.add_argument("--meshes", type=int, nargs="+", default=MESHES, help="nodes along a side (default: 9 17 33)")
+    parser.add_argument("--fits", type=int, nargs="+", help="meshes on which to fit as well (default: all)")
     options = parser.parse_args()
-    coarse = min(options.meshes)
     for model in options.models:
-        first: Fit | None = None
-        for mesh in sorted(options.meshes):
-            found = fit(trials(model, mesh, options.fabric, "fit"), options.budget)
-            first = first or found
-            if mesh == coarse:
-                print(f"\n{model}, {options.fabric}: {', '.join(found.space.names)}\n")
-                print(f"| nodes | parameters fitted there | fit mm | held out mm | with {coarse}²'s: fit | held out |")
-                print("|---|---|---|---|---|---|")
-            errors = [
-                error(model, mesh, options.fabric, s, f.best) for f in (found, first) for s in ("fit", "held_out")
-            ]
-            values = " ".join(f"{v:.3g}{'*' * b}" for v, b in zip(found.best, found.at_bound, strict=True))
-            print(f"| {mesh}² | {values} | " + " | ".join(f"{e:.2f}" for e in errors) + " |", flush=True)
+        table(model, options.fabric, sorted(options.meshes), set(options.fits or options.meshes), options.budget)
+
+
+def table(model: str, fabric: str, meshes: list[int], fits: set[int], budget: int) -> None:
+    first = fit(trials(model, meshes[0], fabric, "fit"), budget)
+    print(f"\n{model}, {fabric}: {', '.join(first.space.names)} (* on its bound); errors in mm, fit / held out\n")
+    print(f"| nodes | with the parameters of {meshes[0]}² | parameters fitted there | error |\n|---|---|---|---|")
+    for mesh in meshes:
+        cells = [f"{mesh}²", errors(model, mesh, fabric, first.best)]
+        if mesh in fits:
+            found = first if mesh == meshes[0] else fit(trials(model, mesh, fabric, "fit"), budget)
+            values = " ".join(f"{v:.3g}{'*' * int(b)}" for v, b in zip(found.best, found.at_bound, strict=True))
+            cells += [values, errors(model, mesh, fabric, found.best)]
+        else:
+            cells += ["", ""]
+        print("| " + " | ".join(cells) + " |", flush=True)
+
+
+def errors(model: str, mesh: int, fabric: str, theta: np.ndarray) -> str:
+    both = (trials(model, mesh, fabric, split) for split in ("fit", "held_out"))
+    return " / ".join(f"{float(evaluate(some, theta[None])[0].value[0]):.2f}" for some in both)
 
 
 if __name__ == "__main__":
