@@ -1,7 +1,7 @@
 """Draws docs/images/integrators.svg: what each integrator leaves of a swing in vacuum. Needs `clothbench[docs]`.
 
-The sheet of `physical_validation`'s energy test on 17 nodes, without any damping, steps as each integrator takes them
-by itself. Implicit Euler takes 38 % of the energy within ten seconds, the others less than 0.1 %.
+The sheet of `physical_validation`'s energy test on 17 nodes, without any damping: implicit Euler and BDF2 with steps of
+2 ms, and Dormand and Prince's pair with steps as it chooses them.
 """
 
 from __future__ import annotations
@@ -18,18 +18,16 @@ matplotlib.use("svg")
 import matplotlib.pyplot as plt
 
 FILE = Path(__file__).resolve().parents[1] / "docs" / "images" / "integrators.svg"
-SETTINGS = (
-    ("baraff_witkin", "implicit_euler", "#c44e52", "-"),
-    ("baraff_witkin", "bdf2", "#4c72b0", "-"),
-    ("baraff_witkin", "rk45", "#55a868", "--"),
-)
+MODEL, STEP = "baraff_witkin", 2e-3  # s
+SETTINGS = (("implicit_euler", "#c44e52", "-"), ("bdf2", "#4c72b0", "-"), ("rk45", "#55a868", "--"))
 SHOWN = 5.0  # s
 
 
-def hem(model: str, integrator: str) -> tuple[np.ndarray, np.ndarray]:
+def hem(integrator: str) -> tuple[np.ndarray, np.ndarray]:
     """When (T,) s, and how far the middle of the lower edge is beside the grips (T,) m."""
     trial = trials.drift(17)[0]
-    made = catalogue().make("models", model, integrator=integrator)
+    options = {} if integrator == "rk45" else {"dt": STEP}
+    made = catalogue().make("models", MODEL, integrator=integrator, **options)
     theta = made.of_material(trial.material, trial.scene)
     rollout = made.prepare(trial.scene).run(theta[None])
     across = trial.scene.resolution[0]
@@ -40,16 +38,14 @@ def hem(model: str, integrator: str) -> tuple[np.ndarray, np.ndarray]:
 def main() -> None:
     plt.rcParams.update({"font.size": 9, "svg.hashsalt": "clothbench", "svg.fonttype": "none"})
     figure, axes = plt.subplots(figsize=(7.2, 2.6), layout="constrained")
-    for model, integrator, colour, dash in SETTINGS:
-        time, aside = hem(model, integrator)
+    for integrator, colour, dash in SETTINGS:
+        time, aside = hem(integrator)
         seen = time <= SHOWN
         axes.plot(time[seen], 1e3 * aside[seen], dash, color=colour, lw=1.2, label=integrator)
         late = (time > time[-1] - 2) & (time <= time[-1])
-        print(
-            f"{model} {integrator}: {100 * np.ptp(aside[late]) / np.ptp(aside[time < 2]):.1f} % of the swing after 10 s"
-        )
+        print(f"{integrator}: {100 * np.ptp(aside[late]) / np.ptp(aside[time < 2]):.1f} % of the swing after 10 s")
     axes.set(xlabel="time [s]", ylabel="hem beside the grips [mm]", xlim=(0, SHOWN))
-    axes.legend(frameon=False, ncols=3, loc="upper right")
+    axes.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
     axes.spines[["top", "right"]].set_visible(False)
     FILE.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(FILE, metadata={"Date": None})
