@@ -19,6 +19,7 @@ examples:
   clothbench run +suite=static_dynamic                 the default benchmark, nothing else needed
   clothbench run -m +suite=static_dynamic seed=1,2,3   a Hydra sweep over any setting
   clothbench run recording=swing.nc model=mass_spring optimizer=ga metric=node_error
+  clothbench improve recordings=DIR model=mass_spring  what does the model lack?
   clothbench import iri_wam_cloth_swing data_dir=DATA  real recordings of a robot
   clothbench leaderboard --json > results.json
 exit codes: 0 done; 1 some cells failed or the gate is broken; 2 wrong use or bad input"""
@@ -73,6 +74,7 @@ def parser() -> argparse.ArgumentParser:
     commands.add_parser(
         "run", help="run a suite, a sweep or one cell (Hydra overrides; `run --help` shows all settings)"
     )
+    _add(commands, "improve", improve, "find what a calibrated model lacks beside recordings, and add it", _improve)
     _add(commands, "plugins", plugins, "every plugin, with parameters and units; broken ones with the reason", _json)
     _add(commands, "validate", validate, "check recordings; exit 1 if one is bad", _paths, _json)
     _add(commands, "datasets", datasets, "known public data sets, their licence, and whether they are at hand", _json)
@@ -113,6 +115,13 @@ def _import(sub: argparse.ArgumentParser) -> None:
         metavar="KEY=VALUE",
         help="data_dir=FOLDER of the originals, out=FOLDER for the recordings",
     )
+
+
+def _improve(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "settings", nargs="+", metavar="KEY=VALUE",
+        help="recordings=DIR model=NAME [out=DIR] [candidates=NAME,…] [seed=N] [resolution=NODES] [base=NAME,…]",
+    )  # fmt: skip
 
 
 def _compare(sub: argparse.ArgumentParser) -> None:
@@ -166,6 +175,12 @@ def print_json(document: Any) -> None:
 
 
 # --- commands -------------------------------------------------------------------------------------------------------
+
+
+def improve(options: argparse.Namespace) -> int:
+    from clothbench.improve_command import KEYS, command
+
+    return command(key_values(options.settings, KEYS))
 
 
 def plugins(options: argparse.Namespace) -> int:

@@ -10,10 +10,10 @@ import argparse
 
 import numpy as np
 
-from clothbench import read_recording
 from clothbench.experiment.calibrate import Fit, Trial, calibrate, evaluate
 from clothbench.experiment.suite import suites_folder
 from clothbench.plugins import catalogue
+from clothbench.recording import find_recordings, read_recording
 from clothbench.scene import scene_of
 
 MESHES = (9, 17, 33)
@@ -26,9 +26,9 @@ def trials(model: str, mesh: int, fabric: str, split: str) -> list[Trial]:
     made, metric = plugins.make("models", model, resolution=mesh), plugins.make("metrics", "node_error")
     effects = [plugins.make("effects", name) for name in EFFECTS.get(model, ())]
     tracker, found = plugins.make("trackers", "markers"), []
-    for path in sorted((suites_folder() / "embedded" / "static_dynamic" / fabric).glob("*.nc")):
+    for path in find_recordings([suites_folder() / "embedded" / "static_dynamic"]):
         recording = read_recording(path)
-        if recording.split == split:
+        if (recording.fabric, recording.split) == (fabric, split):
             simulation = made.prepare(scene_of(recording), effects)
             found.append(Trial(recording.name, tracker.track(recording), simulation, metric))
     return found

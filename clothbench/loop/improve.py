@@ -20,7 +20,7 @@ ROUNDS = 3  # effects that can be named one after the other
 REFITS = 5  # candidates that are fitted in earnest in each round
 AT_THE_FLOOR = 1.15  # times the floor: a residual this small is not worth a name
 MATERIAL = 0.25  # share of the mean square above the floor that an effect has to explain to be worth a name
-TIED = 0.1  # two candidates whose gains differ by less than this share of the larger cannot be told apart
+TIED = 0.1  # two candidates cannot be told apart if what they leave (mean square) differs by less than this share
 FIRST, AGAIN = 140, 60  # evaluations of the first fit, and of one that begins where another ended
 
 Stage = Callable[[str, int, int], None]
@@ -60,11 +60,11 @@ class Outcome:
 
     problem: Problem
     base: Fitted
+    final: Fitted
     noise: float
+    floor: float
+    evaluations: int
     rounds: list[Round] = field(default_factory=list)
-    final: Fitted | None = None
-    floor: float = 0.0
-    evaluations: int = 0
 
 
 def improve(problem: Problem, candidates: Sequence[str], stage: Stage) -> Outcome:
@@ -73,7 +73,7 @@ def improve(problem: Problem, candidates: Sequence[str], stage: Stage) -> Outcom
     stage("calibrate", 0, 2)
     base = fit(problem, (), None, FIRST)
     problem, base, floor = corrected(problem, base, noise)
-    outcome = Outcome(problem, base, noise, final=base, floor=floor, evaluations=base.evaluations)
+    outcome = Outcome(problem, base, base, noise, floor, base.evaluations)
     current = base
     for turn in range(ROUNDS):
         if current.rms <= AT_THE_FLOOR * floor:
@@ -188,16 +188,16 @@ def first_order(current: Fitted, probe: Probe) -> np.ndarray:
 def judge(current: Fitted, floor: float, tried: Sequence[Candidate]) -> list[Candidate]:
     """What speaks against each of them, if anything; and in how many leave-one-out rounds it is the best."""
     count = len(current.squares)
-    gains = np.array([current.squares - c.fitted.squares for c in tried if c.fitted is not None]).reshape(-1, count)
+    left = np.array([c.fitted.squares for c in tried if c.fitted is not None]).reshape(-1, count)
     excess = max(float(current.squares.mean()) - floor**2, 1e-12)
     out = []
     for k, candidate in enumerate(tried):
         wins = 0
         for left_out in range(count):
             rest = [r for r in range(count) if r != left_out] or [0]
-            mean = gains[:, rest].mean(axis=1)
-            wins += mean[k] >= (1 - TIED) * mean.max()
-        helped = int((gains[k] > 0).sum())
+            mean = left[:, rest].mean(axis=1)
+            wins += mean[k] <= (1 + TIED) * mean.min()
+        helped = int((left[k] < current.squares).sum())
         why = ""
         if candidate.gain < MATERIAL * excess:
             why = f"explains only {max(candidate.gain, 0) / excess:.0%} of what is above the floor"
@@ -235,7 +235,8 @@ def choose(judged: Sequence[Candidate]) -> tuple[str, ...]:
     standing = [c for c in judged if not c.why_not]
     if not standing:
         return ()
-    best = standing[0].gain
-    close = [c for c in standing if c.gain >= (1 - TIED) * best]
-    fewest = min(len(c.fitted.theta) for c in close)  # type: ignore[union-attr]
-    return tuple(c.name for c in close if len(c.fitted.theta) == fewest)[:2]  # type: ignore[union-attr]
+    fits = {c.name: c.fitted for c in standing if c.fitted is not None}
+    least = min(f.rms for f in fits.values()) ** 2
+    close = {name: f for name, f in fits.items() if f.rms**2 <= (1 + TIED) * least}
+    fewest = min(len(f.theta) for f in close.values())
+    return tuple(name for name, f in close.items() if len(f.theta) == fewest)[:2]

@@ -4,16 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
 
-from clothbench.loop.fitting import Fitted
-from clothbench.loop.improve import AT_THE_FLOOR, Outcome
+from clothbench.loop.attribution import null_of
+from clothbench.loop.fitting import Fitted, fit
+from clothbench.loop.improve import AGAIN, AT_THE_FLOOR, Outcome
 from clothbench.loop.problem import Problem
 from clothbench.loop.residual import correction
 
 SCHEMA = 1
+
+
+@dataclasses.dataclass(frozen=True)
+class Placebo:
+    """An effect that nothing speaks for, fitted all the same: its held-out errors [mm] must be no better."""
+
+    name: str
+    errors: tuple[float, ...]
+
+
 EXPLAINED = 0.6  # share of the mean square above the floor that named effects leave at most `1 −` this much of
 
 
@@ -46,12 +58,112 @@ def paired_interval(before: Sequence[float], after: Sequence[float]) -> list[flo
 
 def word(outcome: Outcome) -> str:
     """complete, attributed, tied or unexplained."""
-    final, floor = outcome.final, outcome.floor
-    assert final is not None
     named = [r for r in outcome.rounds if r.named]
     if not named:
-        return "complete" if final.rms <= AT_THE_FLOOR * floor else "unexplained"
-    left = (final.rms**2 - floor**2) / max(outcome.base.rms**2 - floor**2, 1e-12)
-    if left > 1 - EXPLAINED:
+        return "complete" if outcome.final.rms <= AT_THE_FLOOR * outcome.floor else "unexplained"
+    if left_over(outcome) > 1 - EXPLAINED:
         return "unexplained"
     return "tied" if any(len(r.named) > 1 for r in named) else "attributed"
+
+
+def left_over(outcome: Outcome) -> float:
+    """Share of the mean square above the floor that is still there after all that was named."""
+    floor = outcome.floor**2
+    return (outcome.final.rms**2 - floor) / max(outcome.base.rms**2 - floor, 1e-12)
+
+
+def document(outcome: Outcome, placebo: Placebo | None, wall_s: float) -> dict[str, Any]:
+    """`verdict.json`. Errors are rms over visible node coordinates, pooled over recordings, in mm."""
+    problem, final, verdict = outcome.problem, outcome.final, word(outcome)
+    before = held_out_errors(problem, outcome.base)
+    stands = verdict in ("attributed", "tied")
+    after = held_out_errors(problem, final) if final.effects else before
+    held_out = problem.of_split("held_out")
+    return {
+        "schema": SCHEMA, "model": problem.model, "base": list(problem.base), "verdict": verdict,
+        "effects": [effect_entry(outcome, n) for n, r in enumerate(outcome.rounds) if r.named] if stands else [],
+        "error_mm": {
+            "fit": {"before": 1e3 * outcome.base.rms, "after": 1e3 * (final if stands else outcome.base).rms},
+            "held_out": {
+                "before": pooled(before), "after": pooled(after if stands else before),
+                "ci95": paired_interval(before, after if stands else before),
+                "per_recording": [
+                    {"recording": c.name, "before": b, "after": a if stands else b}
+                    for c, b, a in zip(held_out, before, after, strict=True)
+                ],
+                "placebo": placebo and {"name": placebo.name, "after": pooled(placebo.errors)},
+            },
+            "noise_floor": 1e3 * outcome.floor,
+        },
+        "unexplained_mm": 1e3 * max((final if stands else outcome.base).rms ** 2 - outcome.floor**2, 0.0) ** 0.5,
+        "hint": hint(outcome, verdict),
+        "candidates": candidate_entries(outcome),
+        "evaluations": outcome.evaluations, "wall_s": wall_s, "seed": problem.seed,
+        "recordings": {split: [c.name for c in problem.of_split(split)] for split in ("fit", "held_out")},
+        "parameters": {
+            p.name: {"value": float(v), "low": number(a), "high": number(b), "unit": p.unit}
+            for p, v, a, b in zip(final.space, final.theta, final.low, final.high, strict=True)
+        },
+    }  # fmt: skip
+
+
+def effect_entry(outcome: Outcome, turn: int) -> dict[str, Any]:
+    """What was named in one round, with its amounts as the last fit has them."""
+    found, final = outcome.rounds[turn], outcome.final
+    name = found.named[0]
+    candidate = next(c for c in found.candidates if c.name == name)
+    effect = outcome.problem.plugins.make("effects", name)
+    parameters = {}
+    for i, parameter in enumerate(final.space):
+        if parameter.name.startswith(f"{name}."):
+            parameters[parameter.name.removeprefix(f"{name}.")] = {
+                "value": float(final.theta[i]), "low": number(final.low[i]), "high": number(final.high[i]),
+                "unit": parameter.unit,
+            }  # fmt: skip
+    return {
+        "name": name, "place": effect.place, "summary": effect.summary, "parameters": parameters,
+        "tied_with": list(found.named[1:]), "p_value": candidate.p_value,
+        "selected_in": f"{candidate.selected}/{len(final.squares)}",
+    }  # fmt: skip
+
+
+def candidate_entries(outcome: Outcome) -> list[dict[str, Any]]:
+    """Every candidate as the last round that tried it saw it; gain: mm² by which the mean square fell."""
+    latest: dict[str, dict[str, Any]] = {}
+    for found in outcome.rounds:
+        for c in found.candidates:
+            named = c.name in found.named
+            latest[c.name] = {
+                "name": c.name, "share": c.share, "gain": number(1e6 * c.gain), "p_value": c.p_value,
+                "why_not": "" if named else c.why_not or "another explains as much with fewer parameters",
+            }  # fmt: skip
+    return sorted(latest.values(), key=lambda c: (-(c["gain"] or 0.0), -c["share"]))
+
+
+def hint(outcome: Outcome, verdict: str) -> str:
+    """One sentence for the reader on what to do next."""
+    if verdict == "complete":
+        return "nothing is left above the noise and the mesh"
+    if verdict in ("attributed", "tied"):
+        return ""
+    best = max((c for r in outcome.rounds for c in r.candidates), key=lambda c: c.share, default=None)
+    if best is None:
+        return "the residual stands above the noise, and no candidate could be tried"
+    return f"nearest, but not enough: {best.name} ({best.share:.0%} of what only an effect could explain)"
+
+
+def number(value: float) -> float | None:
+    """JSON has no NaN and no infinity."""
+    return float(value) if np.isfinite(value) else None
+
+
+def placebo_of(outcome: Outcome) -> Placebo | None:
+    """The candidate that spoke least for itself, fitted beside what was named: it must not help on held-out data."""
+    tried = [c for c in outcome.rounds[-1].candidates if c.name not in outcome.final.effects and c.share > 0]
+    if not tried or not outcome.problem.of_split("held_out"):
+        return None
+    name = min(tried, key=lambda c: c.share).name
+    problem, final = outcome.problem, outcome.final
+    start = np.concatenate([final.theta, null_of(problem.plugins.make("effects", name))])
+    fitted = fit(problem, (*final.effects, name), start, AGAIN)
+    return Placebo(name, tuple(held_out_errors(problem, fitted)))

@@ -26,7 +26,7 @@ LAYERS = [
     {"kernels", "protocols", "effects", "plugins"},
     {"datasets", "experiment", "testing", "loop"},
     {"report", "bench", "timing"},
-    {"run_command", "cli", "scaffold", "__main__"},
+    {"run_command", "improve_command", "cli", "scaffold", "__main__"},
 ]
 
 

@@ -1,0 +1,150 @@
+"""`clothbench improve`: recordings and a model in, the verdict on what the model lacks out."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+from clothbench.errors import ClothbenchError
+from clothbench.experiment.cell import Source, resplit
+from clothbench.experiment.settings import writable
+from clothbench.files import whole_file
+from clothbench.loop.improve import improve
+from clothbench.loop.problem import Case, Problem
+from clothbench.loop.verdict import document, placebo_of
+from clothbench.plugins import Catalogue, absent, catalogue
+from clothbench.recording import find_recordings, read_recording
+from clothbench.scene import scene_of
+
+KEYS = ("recordings", "model", "out", "candidates", "seed", "resolution", "base")
+NODES = 13  # along the longer side, where the user does not say
+DAMPING = "linear_drag"  # what every model is given that has no damping of its own that takes all motion alike
+
+
+def command(settings: Mapping[str, str]) -> int:
+    """Run the loop with settings as KEY=VALUE words gave them, and print the verdict."""
+    began = time.perf_counter()
+    plugins = catalogue()
+    for key in ("recordings", "model"):
+        if not settings.get(key):
+            raise ClothbenchError(f"found no {key}=…, expected clothbench improve recordings=DIR model=NAME [out=DIR]")
+    out = writable(settings.get("out", "improve"))
+    problem = problem_of(settings, plugins)
+    candidates = candidates_of(settings.get("candidates"), plugins, problem)
+    with StageBar() as bar:
+        outcome = improve(problem, candidates, bar.stage)
+        bar.stage("held-out recordings", 0, 1)
+        placebo = placebo_of(outcome) if outcome.final.effects else None
+        found = document(outcome, placebo, time.perf_counter() - began)
+    out.mkdir(parents=True, exist_ok=True)
+    with whole_file(out / "verdict.json") as part:
+        part.write_text(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
+    say(found, out)
+    return 0
+
+
+def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> Problem:
+    """Everything read and checked before anything is run."""
+    model, seed = settings["model"], whole("seed", settings.get("seed", "0"))
+    if reason := absent(plugins.load("models", model)):
+        raise ClothbenchError(f"model {model!r}: {reason}")
+    recordings = [read_recording(path) for path in find_recordings([settings["recordings"]])]
+    sources = resplit([Source(r.path, r.name, r.hash, r.split) for r in recordings], seed)
+    if not any(r.split for r in recordings):
+        held = ", ".join(s.name for s in sources if s.split == "held_out") or "none"
+        print(f"clothbench: no recording states a split; held out by seed {seed}: {held}", file=sys.stderr)
+    tracker = plugins.make("trackers", "markers")
+    cases = tuple(
+        Case(r.name, s.split, r, tracker.track(r), scene_of(r)) for r, s in zip(recordings, sources, strict=True)
+    )
+    if not any(c.split == "fit" for c in cases):
+        raise ClothbenchError(f"{settings['recordings']}: found only held-out recordings, expected at least one to fit")
+    nodes = whole("resolution", settings.get("resolution", str(NODES)), 5)
+    scene = cases[0].scene
+    cell = max(scene.width, scene.height) / (nodes - 1)
+    shape = (max(3, round(scene.width / cell) + 1), max(3, round(scene.height / cell) + 1))
+    problem = Problem(model, cases, plugins, resolution=shape, seed=seed)
+    base = names(settings["base"]) if "base" in settings else default_base(problem)
+    for name in base:
+        plugins.find("effects", name)
+    return dataclasses.replace(problem, base=tuple(base))
+
+
+def default_base(problem: Problem) -> list[str]:
+    """Damping of all motion alike, unless a parameter of the model has that dimension already."""
+    if DAMPING not in problem.plugins.names("effects"):
+        return []
+    unit = problem.plugins.make("effects", DAMPING).parameters.parameters[0].unit
+    return [] if any(p.unit == unit for p in problem.space(())) else [DAMPING]
+
+
+def candidates_of(given: str | None, plugins: Catalogue, problem: Problem) -> list[str]:
+    """All installed effects that the model does not have, or those that were named."""
+    chosen = names(given) if given else plugins.names("effects")
+    for name in chosen:
+        plugins.find("effects", name)
+    order = {"sensor": 0, "boundary": 1, "dynamics": 2}
+    found = [name for name in chosen if name not in problem.base]
+    return sorted(found, key=lambda name: order.get(plugins.make("effects", name).place, 3))
+
+
+def names(text: str) -> list[str]:
+    return [word for word in text.strip("[]").replace(" ", "").split(",") if word]
+
+
+def whole(name: str, text: str, least: int = 0) -> int:
+    if not text.isdecimal() or int(text) < least:
+        raise ClothbenchError(f"{name} is {text!r}, expected a whole number, at least {least}")
+    return int(text)
+
+
+class StageBar:
+    """Which stage the loop is in and how far; without a terminal, one line for each stage."""
+
+    def __init__(self) -> None:
+        console = Console(stderr=True)
+        self.live, self.last = console.is_terminal, ""
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        self.bar = Progress(*columns, console=console, disable=not self.live)
+        self.task = self.bar.add_task("read", total=None)
+
+    def __enter__(self) -> StageBar:
+        self.bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.bar.stop()
+
+    def stage(self, name: str, done: int, planned: int) -> None:
+        self.bar.update(self.task, description=name, completed=done, total=planned)
+        if not self.live and name != self.last:
+            print(name, file=sys.stderr)
+        self.last = name
+
+
+def say(found: Mapping[str, Any], out: Path) -> None:
+    """The verdict in a few lines."""
+    error, held = found["error_mm"], found["error_mm"]["held_out"]
+    print(f"verdict: {found['verdict']}")
+    for effect in found["effects"]:
+        tied = f", tied with {', '.join(effect['tied_with'])}" if effect["tied_with"] else ""
+        print(f"  {effect['name']} ({effect['place']}): {effect['summary']}{tied}")
+        print(f"    p = {effect['p_value']:.3g}, chosen in {effect['selected_in']} of the leave-one-out rounds")
+        for name, p in effect["parameters"].items():
+            low, high = (("?" if p[k] is None else f"{p[k]:.4g}") for k in ("low", "high"))
+            print(f"    {name} = {p['value']:.4g} {p['unit']} ({low} … {high})")
+    print(f"fit recordings: {error['fit']['before']:.2f} → {error['fit']['after']:.2f} mm", end="")
+    if held["before"] is not None:
+        print(f"; held out: {held['before']:.2f} → {held['after']:.2f} mm", end="")
+    print(f"; floor of noise and mesh: {error['noise_floor']:.2f} mm")
+    if found["hint"]:
+        print(f"hint: {found['hint']}")
+    print(f"{out / 'verdict.json'}: {found['evaluations']} evaluations, {found['wall_s']:.0f} s")
