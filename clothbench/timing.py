@@ -200,8 +200,8 @@ def at_equal_error(
     raise FailedRun(f"no step from {min(ladder):.2g} s on keeps its error below {1e3 * TOLERABLE:g} mm")
 
 
-def moving_speed(model: Any, side: int) -> Speed:
-    """The speed of the sheet in motion: of a whole run less what a run takes that ends when the motion begins.
+def moving_speed(model: Any, side: int, span: float = SWING) -> Speed:
+    """The speed of the sheet in motion: of a run over `span` s less what a run takes that ends when the motion begins.
 
     What is spent on settling and set-up is in neither; the second run is the more exactly the shorter the first.
     """
@@ -210,7 +210,7 @@ def moving_speed(model: Any, side: int) -> Speed:
     begun = time.perf_counter()
     while not whole or (len(whole) < REPEATS and time.perf_counter() - begun < PATIENCE):
         brief.append(swung(model, side, BRIEF)[1])
-        whole.append(swung(model, side)[1])
+        whole.append(swung(model, side, span)[1])
     short, long = (min(runs, key=lambda s: s.seconds) for runs in (brief, whole))
     seconds = max(long.seconds - short.seconds, 1e-9)
     return Speed(long.nodes, long.node_steps - short.node_steps, long.simulated - short.simulated, seconds)

@@ -12,11 +12,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clothbench.loop.attribution import Probe, outside, weights
+from clothbench.loop.attribution import Probe, weights
 from clothbench.loop.fitting import Fitted
 from clothbench.loop.problem import Case
 
 DRAWS = 199
+NOTHING = 1e-6  # share of a candidate's squares; less than that is rounding and the error of differences
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,32 +36,33 @@ class Shares:
 
 def shares(cases: Sequence[Case], fitted: Fitted, found: Sequence[Probe], seed: int) -> Shares:
     scale = weights(fitted.residual)
-    base = np.vstack(fitted.jacobian) * scale[:, None]
+    base = span_of(np.vstack(fitted.jacobian) * scale[:, None])
     spans = []
     for probe in found:
-        columns = outside(base, np.vstack(probe.columns) * scale[:, None])
-        spans.append(span_of(columns))
-    rest = outside(base, (np.concatenate(fitted.residual) * scale)[:, None])[:, 0]
-    observed = explained(spans, rest)
+        columns = np.vstack(probe.columns) * scale[:, None]
+        spans.append(span_of(columns - base @ (base.T @ columns), np.square(columns).sum()))
     random = np.random.default_rng(seed)
     fields = [field_of(case, r) for case, r in zip(cases, fitted.residual, strict=True)]
-    chance = []
+    tried = [np.concatenate(fitted.residual)]
     for _ in range(DRAWS):
-        moved = [scrambled(case, f, random) for case, f in zip(cases, fields, strict=True)]
-        other = outside(base, (np.concatenate(moved) * scale)[:, None])[:, 0]
-        chance.append(explained(spans, other).max())
-    return Shares(observed, np.array(chance))
+        tried.append(np.concatenate([scrambled(case, f, random) for case, f in zip(cases, fields, strict=True)]))
+    share = explained(base, spans, np.array(tried) * scale)
+    return Shares(share[0], share[1:].max(axis=1))
 
 
-def span_of(columns: np.ndarray) -> np.ndarray:
-    """An orthonormal basis (M, k) of the columns; those that are nothing but rounding are left out."""
-    u, s, _ = np.linalg.svd(columns, full_matrices=False)
-    return u[:, s > 1e-3 * s.max(initial=0.0)] if s.size and s[0] > 0 else u[:, :0]
+def span_of(columns: np.ndarray, of: float | None = None) -> np.ndarray:
+    """An orthonormal basis (M, k) of what the columns (M, K) span, less what is next to nothing beside squares `of`."""
+    size, turn = np.linalg.eigh(columns.T @ columns)
+    kept = size > NOTHING * (size.sum() if of is None else of) + 1e-300
+    return columns @ (turn[:, kept] / np.sqrt(size[kept]))
 
 
-def explained(spans: Sequence[np.ndarray], residual: np.ndarray) -> np.ndarray:
-    total = residual @ residual
-    return np.array([float(np.square(q.T @ residual).sum() / total) for q in spans])
+def explained(base: np.ndarray, spans: Sequence[np.ndarray], residuals: np.ndarray) -> np.ndarray:
+    """(D, K): the share of each residual (D, M), less what the base takes up, that each of K spans explains."""
+    total = np.square(residuals).sum(axis=1) - np.square(residuals @ base).sum(axis=1)
+    # Spans are at right angles to the base, so it need not be taken from the residuals first.
+    parts = [np.square(residuals @ span).sum(axis=1) for span in spans]
+    return np.stack(parts, axis=1) / total[:, None]
 
 
 def field_of(case: Case, residual: np.ndarray) -> np.ndarray:
@@ -72,7 +74,10 @@ def field_of(case: Case, residual: np.ndarray) -> np.ndarray:
 
 def scrambled(case: Case, field: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """The residual out of step: moved round in time, turned about the vertical, mirrored or not; (M,)."""
-    moved = np.roll(field, random.integers(1, len(field)), axis=0)
+    # Round a circle of the motion and its reverse, so that no jump comes in where the end meets the beginning.
+    frames = len(field)
+    at = (np.arange(frames) + random.integers(2 * frames)) % (2 * frames)
+    moved = field[np.minimum(at, 2 * frames - 1 - at)]
     angle = random.uniform(0, 2 * np.pi)
     c, s = np.cos(angle), np.sin(angle)
     turned = moved @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])

@@ -1,12 +1,17 @@
-"""Speed of `mass_spring` beside the peers. Asserted are ratios of what one run measured, never seconds.
+"""Speed of `mass_spring` beside the peers, and of the implicit models where that is the same question.
 
-The bounds lie far below what a quiet machine shows: they catch a kernel that lost its vector unit or its
-threads, not a busy neighbour. Where the kernel alone is timed nothing holds the sheet, or it would settle first.
+Asserted are ratios of what one run measured, never seconds. The bounds lie far below what a quiet machine shows: they
+catch a kernel that lost its vector unit or its threads, not a busy neighbour. Where the kernel alone is timed nothing
+holds the sheet, or it would settle first.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import os
+import subprocess
+import sys
+import time
 
 import numpy as np
 import pytest
@@ -18,6 +23,15 @@ from clothbench.plugins import catalogue
 SIDES = (9, 21, 41, 65)
 NODE_STEPS = 4e6  # in one timed call
 TRIANGLE_CLOTH = ("mujoco", "newton")
+IMPLICIT_STEP, IMPLICIT_SPAN = 2e-3, 0.4  # s
+FIRST_RUN = """
+import sys
+import numpy as np
+from clothbench import timing
+from clothbench.plugins import catalogue
+simulation = catalogue().make("models", sys.argv[1]).prepare(timing.hanging_sheet(21, 0.1))
+assert simulation.run(simulation.parameters.defaults[None]).status == ("ok",)
+"""
 
 
 def model(**options):
@@ -91,8 +105,66 @@ def test_faster_than_newtons_net_of_springs_per_core():
 
 
 @pytest.mark.slow
-def test_threads_do_what_separate_processes_do():
-    rows = bench.two_cores("mass_spring", 21)
+@pytest.mark.parametrize("name", ["mass_spring", "baraff_witkin"])
+def test_threads_do_what_separate_processes_do(name):
+    rows = bench.two_cores(name, 21)
     if not rows:
         pytest.skip("only one core")
     assert rows[0]["ratio"] >= 0.75
+
+
+# --- what a finer mesh costs: the same sheet, the same step -------------------------------------------------
+
+
+def explicit_cost(side: int) -> float:
+    """Seconds of a core for a step of `mass_spring`."""
+    run, seconds, steps = kernel_run(side, 1, "double"), [], 1.0
+    with timing.on_threads(1):
+        for _ in range(6):
+            began = time.process_time()
+            steps = float(run().steps[0])
+            seconds.append(time.process_time() - began)
+    return min(seconds[1:]) / steps
+
+
+def implicit_cost(name: str, side: int) -> float:
+    """Seconds of a core for a step of an implicit model in motion."""
+    stepped = catalogue().make("models", name, dt=IMPLICIT_STEP)
+    with timing.on_threads(1):
+        timing.swung(stepped, side, timing.BRIEF)
+        return side**2 / timing.moving_speed(stepped, side, IMPLICIT_SPAN).node_steps_per_s
+
+
+def exponent(cost) -> float:
+    """The power of the number of nodes with which the cost of a step grows, by least squares on logarithms."""
+    nodes = np.array(SIDES) ** 2
+    return float(np.polyfit(np.log(nodes), np.log([cost(side) for side in SIDES]), 1)[0])
+
+
+@pytest.mark.slow
+def test_an_explicit_step_costs_in_proportion_to_the_nodes():
+    assert exponent(explicit_cost) <= 1.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["baraff_witkin", "inextensible"])
+def test_an_implicit_step_costs_far_less_than_the_square_of_the_nodes(name):
+    assert exponent(lambda side: implicit_cost(name, side)) <= 1.7
+
+
+# --- the first run of a new installation --------------------------------------------------------------------
+
+
+def seconds_of_first_run(name: str, cache) -> float:
+    """Wall time of a process that simulates one small sheet, from its start on, with compiled code kept in `cache`."""
+    began = time.perf_counter()
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(cache)}
+    subprocess.run([sys.executable, "-c", FIRST_RUN, name], env=environment, check=True, timeout=900)
+    return time.perf_counter() - began
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["mass_spring", "baraff_witkin", "inextensible"])
+def test_what_was_compiled_once_starts_at_once(name, tmp_path):
+    cold = seconds_of_first_run(name, tmp_path)
+    assert min(seconds_of_first_run(name, tmp_path) for _ in range(2)) <= cold / 3

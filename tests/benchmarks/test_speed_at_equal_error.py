@@ -4,8 +4,9 @@ A swung sheet of textbook cloth (`timing.swung_sheet`); the error is the RMS dis
 equations' own converged motion on the same mesh, at most 2 mm. Each setting takes the longest step of a ladder that
 keeps to it. What a model does to come to rest before the motion is not counted.
 
-The truth of all of a peer's solvers is its explicit one with half a stable step. Sweeps of Newton's `vbd` that leave
-the cloth too soft are thus errors: they are found to be 12 mm and more unless the step is next to explicit.
+The truth of all of a peer's solvers is its explicit one with half a stable step. Too few sweeps of Newton's `vbd`,
+which leave the cloth too soft, are thus errors: of 11 mm and more with 5 to 40 sweeps in 2 ms. It gets accurate enough
+only where it is next to explicit, fifty times as slow as Newton's explicit solver, and is left out on the finer mesh.
 """
 
 from __future__ import annotations
@@ -35,11 +36,11 @@ PEERS = {
     "mujoco, Euler": ("mujoco", {"step_scale": LONGEST}, [None]),
     "mujoco, discrete": ("mujoco", {"integrator": "discrete"}, SHORTER),
     "newton, semi_implicit": ("newton", {"step_scale": LONGEST}, [None]),
-    "newton, vbd × 5": ("newton", {"solver": "vbd", "iterations": 5}, SHORTER),
-    "newton, vbd × 10": ("newton", {"solver": "vbd", "iterations": 10}, SHORTER),
-    "newton, vbd × 20": ("newton", {"solver": "vbd", "iterations": 20}, SHORTER),
+    "newton, vbd × 5": ("newton", {"solver": "vbd", "iterations": 5}, [4e-3, 2e-3, 1e-3]),
+    "newton, vbd × 20": ("newton", {"solver": "vbd", "iterations": 20}, [2e-3, 1e-3, 7e-4]),
 }
-FASTEST_PEERS = ("newton, semi_implicit", "mujoco, Euler")  # at either size; the others are ten times slower and more
+COARSE_ONLY = ("newton, vbd × 5", "newton, vbd × 20")
+FASTEST_PEERS = ("newton, semi_implicit", "mujoco, Euler")  # at either size
 
 
 @functools.cache
@@ -68,8 +69,9 @@ def accurate(setting: str, side: int) -> timing.Accurate:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("setting", [*OWN, *PEERS])
-@pytest.mark.parametrize("side", SIDES)
+@pytest.mark.parametrize(
+    ("side", "setting"), [(s, w) for s in SIDES for w in (*OWN, *PEERS) if s == 21 or w not in COARSE_ONLY]
+)
 def test_speed_at_equal_error(benchmark, side, setting):
     benchmark.group = f"{side} × {side} nodes, at equal error"
     try:

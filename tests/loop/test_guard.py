@@ -1,0 +1,101 @@
+"""The guard on residuals of known make: how often it cries wolf, and how often it sees one."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clothbench.loop.attribution import Probe
+from clothbench.loop.fitting import Fitted
+from clothbench.loop.guard import field_of, mirror, scrambled, shares
+from clothbench.loop.problem import Case
+from clothbench.observation import Observation
+from clothbench.parameters import Parameter, ParameterSpace
+
+FRAMES, SIDE, RECORDINGS, CANDIDATES, SIGMA = 60, 4, 5, 25, 1e-3
+MATERIAL = np.stack(np.meshgrid(np.linspace(0, 0.3, SIDE), np.linspace(0, 0.3, SIDE)), axis=-1).reshape(-1, 2)
+SPACE = ParameterSpace(
+    tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.5, "of the base", "a test") for n in ("a", "b", "c"))
+)
+
+
+def smooth(random: np.random.Generator, count: int = 1) -> np.ndarray:
+    """Fields (count, T, N, 3) that hang together in time for a third of a second and over the whole sheet."""
+    time = np.arange(FRAMES)
+    kernel = np.exp(-0.5 * ((time[:, None] - time[None]) / 5.0) ** 2)
+    waves = random.normal(size=(count, 4, FRAMES, 3))
+    waves = np.einsum("ts,kmsc->kmtc", kernel, waves)
+    u, v = (MATERIAL / 0.3).T
+    shapes = np.stack([v, v * (2 * u - 1), v**2, v * np.sin(np.pi * u)])
+    out = np.einsum("mn,kmtc->ktnc", shapes, waves)
+    return out / np.sqrt(np.mean(out**2, axis=(1, 2, 3), keepdims=True))
+
+
+@pytest.fixture(scope="module")
+def cases():
+    seen = np.ones((FRAMES, len(MATERIAL)), bool)
+    still = np.zeros((FRAMES, len(MATERIAL), 3))
+    observation = Observation(np.arange(FRAMES) / 30, still, seen, SIGMA, MATERIAL)
+    return [Case(f"r{k}", "fit", None, observation, None) for k in range(RECORDINGS)]
+
+
+@pytest.fixture(scope="module")
+def candidates(cases):
+    """Each has one amount, and changes every recording in its own smooth way."""
+    random = np.random.default_rng(3)
+    fields = [smooth(random, RECORDINGS).reshape(RECORDINGS, -1, 1) for _ in range(CANDIDATES)]
+    return [Probe(f"e{k}", np.zeros(1), (0,), np.ones(1), list(1e-3 * f)) for k, f in enumerate(fields)]
+
+
+def fitted(residual: np.ndarray, random: np.random.Generator) -> Fitted:
+    """A fit of three parameters that leaves these residuals (R, M) m."""
+    jacobian = [smooth(random, len(SPACE)).reshape(len(SPACE), -1).T for _ in range(RECORDINGS)]
+    theta = SPACE.defaults
+    return Fitted((), SPACE, theta, list(residual), jacobian, theta, theta, 0)
+
+
+def left(random: np.random.Generator, structure: float = 2e-3) -> np.ndarray:
+    """Residuals (R, M) m without any effect: what a slightly wrong model leaves, and noise."""
+    wrong = structure * smooth(random, RECORDINGS).reshape(RECORDINGS, -1)
+    return wrong + random.normal(0, SIGMA, wrong.shape)
+
+
+def test_it_seldom_names_an_effect_where_there_is_none(cases, candidates):
+    """At most 5 % of a hundred residuals; of as many, 5 % of chance's own alarms lie below 9 (95 %)."""
+    alarms = 0
+    for seed in range(100):
+        random = np.random.default_rng(seed)
+        seen = shares(cases, fitted(left(random), random), candidates, seed)
+        alarms += min(seen.p_value(k) for k in range(CANDIDATES)) < 0.05
+    assert alarms <= 9
+
+
+@pytest.mark.parametrize(("size", "least"), [(1e-3, 0.8), (0.6e-3, 0.3)])
+def test_it_sees_an_effect_half_as_large_as_what_the_model_leaves(cases, candidates, size, least):
+    """size: rms [m] of what the effect changes, beside 2 mm of structure that no effect explains."""
+    hits = 0
+    for seed in range(20):
+        random = np.random.default_rng(1000 + seed)
+        truth = seed % CANDIDATES
+        residual = left(random) + size / 1e-3 * np.array([c[:, 0] for c in candidates[truth].columns])
+        seen = shares(cases, fitted(residual, random), candidates, seed)
+        best = int(np.argmax(seen.share))
+        hits += best == truth and seen.p_value(best) < 0.05
+    assert hits >= 20 * least
+
+
+def test_what_the_base_explains_counts_for_no_candidate(cases, candidates):
+    random = np.random.default_rng(7)
+    fit = fitted(left(random), random)
+    same = Probe("copy", np.zeros(1), (0,), np.ones(1), [j[:, :1] for j in fit.jacobian])
+    assert shares(cases, fit, [same, *candidates], 0).share[0] < 1e-9
+
+
+def test_scrambling_keeps_what_a_residual_is_made_of(cases):
+    random = np.random.default_rng(1)
+    residual = left(random)[0]
+    moved = scrambled(cases[0], field_of(cases[0], residual), random)
+    assert moved.shape == residual.shape
+    assert np.sum(moved**2) == pytest.approx(np.sum(residual**2))
+    assert abs(np.corrcoef(moved, residual)[0, 1]) < 0.5
+    assert (mirror(MATERIAL)[mirror(MATERIAL)] == np.arange(len(MATERIAL))).all()
