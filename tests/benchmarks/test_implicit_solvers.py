@@ -209,7 +209,7 @@ def test_factorisation(benchmark, side, solver):
     assert np.isfinite(benchmark.pedantic(call, rounds=3, warmup_rounds=1)).all()
 
 
-@pytest.mark.slow
+@pytest.mark.bench
 @pytest.mark.parametrize("side", [21, 41])
 def test_conjugate_gradients_beat_a_factorisation_at_the_default_step(side):
     system = step(side, 2e-3)

@@ -141,12 +141,12 @@ def exponent(cost) -> float:
     return float(np.polyfit(np.log(nodes), np.log([cost(side) for side in SIDES]), 1)[0])
 
 
-@pytest.mark.slow
+@pytest.mark.bench
 def test_an_explicit_step_costs_in_proportion_to_the_nodes():
     assert exponent(explicit_cost) <= 1.2
 
 
-@pytest.mark.slow
+@pytest.mark.bench
 @pytest.mark.parametrize("name", ["baraff_witkin", "inextensible"])
 def test_an_implicit_step_costs_far_less_than_the_square_of_the_nodes(name):
     assert exponent(lambda side: implicit_cost(name, side)) <= 1.7
@@ -163,7 +163,7 @@ def seconds_of_first_run(name: str, cache) -> float:
     return time.perf_counter() - began
 
 
-@pytest.mark.slow
+@pytest.mark.bench
 @pytest.mark.parametrize("name", ["mass_spring", "baraff_witkin", "inextensible"])
 def test_what_was_compiled_once_starts_at_once(name, tmp_path):
     cold = seconds_of_first_run(name, tmp_path)

@@ -5,8 +5,8 @@ equations' own converged motion on the same mesh, at most 2 mm. Each setting tak
 keeps to it. What a model does to come to rest before the motion is not counted.
 
 The truth of all of a peer's solvers is its explicit one with half a stable step. Too few sweeps of Newton's `vbd`,
-which leave the cloth too soft, are thus errors: of 11 mm and more with 5 to 40 sweeps in 2 ms. It gets accurate enough
-only where it is next to explicit, fifty times as slow as Newton's explicit solver, and is left out on the finer mesh.
+which leave the cloth too soft, are thus errors: on 21 × 21 nodes 13 mm with 5 sweeps in 2 ms, and still 9 mm with 20 in
+1.4 ms. It becomes accurate enough where it is next to explicit and fifty times as slow as Newton's explicit solver.
 """
 
 from __future__ import annotations
@@ -36,10 +36,7 @@ PEERS = {
     "mujoco, Euler": ("mujoco", {"step_scale": LONGEST}, [None]),
     "mujoco, discrete": ("mujoco", {"integrator": "discrete"}, SHORTER),
     "newton, semi_implicit": ("newton", {"step_scale": LONGEST}, [None]),
-    "newton, vbd × 5": ("newton", {"solver": "vbd", "iterations": 5}, [4e-3, 2e-3, 1e-3]),
-    "newton, vbd × 20": ("newton", {"solver": "vbd", "iterations": 20}, [2e-3, 1e-3, 7e-4]),
 }
-COARSE_ONLY = ("newton, vbd × 5", "newton, vbd × 20")
 FASTEST_PEERS = ("newton, semi_implicit", "mujoco, Euler")  # at either size
 
 
@@ -64,27 +61,22 @@ def accurate(setting: str, side: int) -> timing.Accurate:
         model = factory(**options)
         error = timing.rms_distance(timing.swung(model, side)[0], truth(name, side))
         speed = timing.moving_speed(model, side)
-    assert error <= timing.TOLERABLE
     return timing.Accurate(speed.simulated * speed.nodes / speed.node_steps, error, speed)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("side", "setting"), [(s, w) for s in SIDES for w in (*OWN, *PEERS) if s == 21 or w not in COARSE_ONLY]
-)
+@pytest.mark.bench
+@pytest.mark.parametrize("setting", [*OWN, *PEERS])
+@pytest.mark.parametrize("side", SIDES)
 def test_speed_at_equal_error(benchmark, side, setting):
     benchmark.group = f"{side} × {side} nodes, at equal error"
-    try:
-        found = benchmark.pedantic(accurate, args=(setting, side), rounds=1)
-    except timing.FailedRun as fault:
-        benchmark.extra_info["reason"] = str(fault)
-        return
+    found = benchmark.pedantic(accurate, args=(setting, side), rounds=1)
+    assert found.error <= timing.TOLERABLE
     benchmark.extra_info |= {
         "step_ms": 1e3 * found.step, "error_mm": 1e3 * found.error, "realtime_factor": found.speed.realtime_factor,
     }  # fmt: skip
 
 
-@pytest.mark.slow
+@pytest.mark.bench
 @pytest.mark.parametrize("setting", ["inextensible", "baraff_witkin, 1 %"])
 @pytest.mark.parametrize("side", SIDES)
 def test_several_times_as_fast_as_any_peer_at_equal_error(side, setting):
@@ -92,9 +84,21 @@ def test_several_times_as_fast_as_any_peer_at_equal_error(side, setting):
     assert accurate(setting, side).speed.realtime_factor >= 4 * best
 
 
-@pytest.mark.slow
+@pytest.mark.bench
 def test_bdf2_takes_steps_several_times_as_long_as_euler():
     assert accurate("baraff_witkin", 21).step >= 3 * accurate("baraff_witkin, Euler", 21).step
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sweeps", [5, 20])
+def test_sweeps_too_few_for_the_step_leave_a_cloth_too_soft(sweeps):
+    newton = catalogue().load("models", "newton")
+    if reason := newton.skip_reason():
+        pytest.skip(reason)
+    position, _ = timing.swung(newton(solver="vbd", iterations=sweeps, dt=2e-3), 21)
+    below = position[..., 2] - truth("newton", 21)[..., 2]
+    assert timing.rms_distance(position, truth("newton", 21)) >= 3 * timing.TOLERABLE
+    assert below[0, -11:].mean() < -timing.TOLERABLE  # the lower edge, before it has moved at all
 
 
 # --- how it is measured: on a toy whose error is its step ---------------------------------------------------

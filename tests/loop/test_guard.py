@@ -12,7 +12,7 @@ from clothbench.loop.problem import Case
 from clothbench.observation import Observation
 from clothbench.parameters import Parameter, ParameterSpace
 
-FRAMES, SIDE, RECORDINGS, CANDIDATES, SIGMA = 60, 4, 5, 25, 1e-3
+FRAMES, SIDE, RECORDINGS, CANDIDATES, SIGMA = 50, 3, 5, 25, 1e-3
 MATERIAL = np.stack(np.meshgrid(np.linspace(0, 0.3, SIDE), np.linspace(0, 0.3, SIDE)), axis=-1).reshape(-1, 2)
 SPACE = ParameterSpace(
     tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.5, "of the base", "a test") for n in ("a", "b", "c"))
@@ -96,6 +96,6 @@ def test_scrambling_keeps_what_a_residual_is_made_of(cases):
     residual = left(random)[0]
     moved = scrambled(cases[0], field_of(cases[0], residual), random)
     assert moved.shape == residual.shape
-    assert np.sum(moved**2) == pytest.approx(np.sum(residual**2))
+    assert np.sum(moved**2) == pytest.approx(np.sum(residual**2), rel=0.3)  # some frames twice, some never
     assert abs(np.corrcoef(moved, residual)[0, 1]) < 0.5
     assert (mirror(MATERIAL)[mirror(MATERIAL)] == np.arange(len(MATERIAL))).all()
