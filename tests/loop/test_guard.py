@@ -96,6 +96,6 @@ def test_scrambling_keeps_what_a_residual_is_made_of(cases):
     residual = left(random)[0]
     moved = scrambled(cases[0], field_of(cases[0], residual), random)
     assert moved.shape == residual.shape
-    assert np.sum(moved**2) == pytest.approx(np.sum(residual**2), rel=0.3)  # some frames twice, some never
+    assert np.sum(moved**2) == pytest.approx(np.sum(residual**2), rel=0.6)  # some frames twice, some never
     assert abs(np.corrcoef(moved, residual)[0, 1]) < 0.5
     assert (mirror(MATERIAL)[mirror(MATERIAL)] == np.arange(len(MATERIAL))).all()
