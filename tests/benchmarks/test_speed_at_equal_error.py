@@ -5,8 +5,8 @@ equations' own converged motion on the same mesh, at most 2 mm. Each setting tak
 keeps to it. What a model does to come to rest before the motion is not counted.
 
 The truth of all of a peer's solvers is its explicit one with half a stable step. Too few sweeps of Newton's `vbd`,
-which leave the cloth too soft, are thus errors: on 21 × 21 nodes 13 mm with 5 sweeps in 2 ms, and still 9 mm with 20 in
-1.4 ms. It becomes accurate enough where it is next to explicit and fifty times as slow as Newton's explicit solver.
+which leave the cloth too soft and too slow to move, are thus errors: on 21 × 21 nodes 13 mm with 5 sweeps in 2 ms, and
+still 9 mm with 20 in 1.4 ms. It becomes accurate enough where it is fifty times as slow as Newton's explicit solver.
 """
 
 from __future__ import annotations
@@ -89,16 +89,14 @@ def test_bdf2_takes_steps_several_times_as_long_as_euler():
     assert accurate("baraff_witkin", 21).step >= 3 * accurate("baraff_witkin, Euler", 21).step
 
 
-@pytest.mark.slow
+@pytest.mark.bench
 @pytest.mark.parametrize("sweeps", [5, 20])
-def test_sweeps_too_few_for_the_step_leave_a_cloth_too_soft(sweeps):
+def test_newtons_vbd_needs_more_sweeps_than_it_is_given(sweeps):
     newton = catalogue().load("models", "newton")
     if reason := newton.skip_reason():
         pytest.skip(reason)
     position, _ = timing.swung(newton(solver="vbd", iterations=sweeps, dt=2e-3), 21)
-    below = position[..., 2] - truth("newton", 21)[..., 2]
     assert timing.rms_distance(position, truth("newton", 21)) >= 3 * timing.TOLERABLE
-    assert below[0, -11:].mean() < -timing.TOLERABLE  # the lower edge, before it has moved at all
 
 
 # --- how it is measured: on a toy whose error is its step ---------------------------------------------------

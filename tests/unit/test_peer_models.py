@@ -13,7 +13,7 @@ from clothbench_models.peers.newton_model import Newton, unit_bending
 from conftest import swinging_recording
 
 from clothbench import ClothbenchError, Obstacle, write_recording
-from clothbench.bench import _variants
+from clothbench.bench import _models
 from clothbench.experiment.cell import Cell, Source, plugin_versions
 from clothbench.experiment.run import run_cell
 from clothbench.experiment.store import Store
@@ -213,7 +213,7 @@ def test_an_absent_library_is_listed_as_such_and_not_as_broken(absent, capsys):
 
 
 def test_the_bench_and_the_kit_pass_over_an_absent_library(absent, capsys):
-    assert not {v.name for v in _variants()} & set(MODELS)
+    assert not {plugin.name for plugin in _models()} & set(MODELS)
     assert f"mujoco: skipped: {INSTALL['mujoco']}" in capsys.readouterr().err
     assert {outcome.skipped for outcome in check_model(Newton)} == {INSTALL["newton"]}
 

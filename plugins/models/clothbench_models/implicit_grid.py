@@ -1,7 +1,7 @@
 """One linear solve on a grid of triangles: (M + C + K) δ = r by conjugate gradients, preconditioned node by node.
 
-Why conjugate gradients and not a factorisation: on 41 × 41 nodes at 2 ms CHOLMOD, given the pattern, takes 2.4 times as
-long, QDLDL and SuperLU 14 times (`tests/benchmarks/test_implicit_solvers.py`). Only CHOLMOD gets ahead from 8 ms on,
+Why conjugate gradients and not a factorisation: on 41 × 41 nodes at 2 ms CHOLMOD, given the pattern, takes 2.4 times
+as long, QDLDL and SuperLU 14 times (`tests/benchmarks/test_implicit_solvers.py`). Only CHOLMOD gets ahead from 8 ms on,
 and only of solves to 1e-4: those to 1e-2 stay quicker up to 1/60 s.
 """
 
