@@ -69,6 +69,7 @@ class BaraffWitkin:
     kind = "implicit"
     parameters = PARAMETERS
     capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact"})
+    repeatability = 1e-5  # m: what the tolerance of the linear solver leaves open
     bench_options: tuple[dict[str, str], ...] = ({}, {"integrator": "implicit_euler"})
 
     def __init__(

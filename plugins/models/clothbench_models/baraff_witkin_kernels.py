@@ -33,7 +33,7 @@ from clothbench_models.sheet_forces import (
 )
 
 EULER, BDF2, RK45 = 0, 1, 2
-SETTLE_ROUNDS = 600
+SETTLE_ROUNDS = 2000
 AT_REST = 2e-9  # m that a node still moves in a settling step as long as a second
 
 

@@ -39,7 +39,7 @@ PARAMETERS = ParameterSpace(
     (
         Parameter("theta", "θ", "N·m", (1e-7, 1e-2), "log", 1e-5, "bending rigidity, factor of K", COLTRARO),
         Parameter("alpha", "α", "kg/(m²·s)", (0.0, 5.0), "linear", 1.5, "damping as the area, D = αM + βK", COLTRARO),
-        Parameter("beta", "β", "N·m·s", (0.0, 1e-4), "linear", 2e-7, "damping of bending, D = αM + βK", COLTRARO),
+        Parameter("beta", "β", "N·m·s", (0.0, 1e-4), "linear", 2e-6, "damping of bending, D = αM + βK", COLTRARO),
     )
 )
 
