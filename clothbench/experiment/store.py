@@ -24,6 +24,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from clothbench.errors import ClothbenchError
+from clothbench.experiment.improve_schema import IMPROVE_TABLES
 from clothbench.files import whole_folder
 
 SCHEMA_VERSION = 1
@@ -54,6 +55,7 @@ LEVEL = {
     "wall_s": _number, "key": _text,
 }  # fmt: skip
 TABLES = {"rows": {**ROW, **SYSTEM}, "parameters": PARAMETER, "trace": TRACE, "validation": LEVEL}
+TABLES |= {f"improve/{name}": columns for name, columns in IMPROVE_TABLES.items()}
 FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
 
 

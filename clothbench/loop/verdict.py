@@ -12,7 +12,7 @@ from scipy.stats import t as student
 from clothbench.loop.attribution import null_of
 from clothbench.loop.fitting import Fitted, fit
 from clothbench.loop.improve import AGAIN, AT_THE_FLOOR, Outcome
-from clothbench.loop.problem import Problem
+from clothbench.loop.problem import Problem, residuals
 from clothbench.loop.residual import correction
 
 SCHEMA = 1
@@ -31,16 +31,18 @@ EXPLAINED = 0.6  # share of the mean square above the floor that named effects l
 
 def held_out_errors(problem: Problem, fitted: Fitted) -> list[float]:
     """rms [mm] of each held-out recording, the mesh's own error taken away as on the fit recordings."""
+    return [1e3 * float(np.sqrt(np.mean(left**2))) for left in held_out_residuals(problem, fitted)]
+
+
+def held_out_residuals(problem: Problem, fitted: Fitted) -> list[np.ndarray]:
+    """Simulated minus seen (M,) m of each held-out recording at its visible coordinates."""
     plain = dataclasses.replace(problem, corrections={})
     if not plain.of_split("held_out"):
         return []
     changes = correction(plain, fitted, "held_out")
     names = [case.name for case in plain.of_split("held_out")]
     judged = dataclasses.replace(plain, corrections=dict(zip(names, changes, strict=True)))
-    out = []
-    for trial in judged.trials(fitted.effects, "held_out"):
-        out.append(float(trial.metric(trial.observation, trial.simulation.run(fitted.theta[None])).value[0]))
-    return out
+    return [residuals(trial, fitted.theta[None])[0] for trial in judged.trials(fitted.effects, "held_out")]
 
 
 def pooled(values: Sequence[float]) -> float | None:

@@ -1,0 +1,52 @@
+"""Columns of the tables that `clothbench improve` writes; errors are rms over coordinates, in `unit`."""
+
+from __future__ import annotations
+
+import pyarrow as pa
+
+_text, _number, _whole, _flag = pa.string(), pa.float64(), pa.int64(), pa.bool_()
+
+# Every candidate of every round. share: of the residual only it could explain; gain: mm², by which the mean square
+# fell when all was refitted (null where it was not); selected: leave-one-recording-out rounds of `of`.
+CANDIDATE = {
+    "round": _whole, "name": _text, "place": _text, "summary": _text, "share": _number, "p_value": _number,
+    "gain": _number, "selected": _whole, "of": _whole, "why_not": _text, "named": _flag,
+}  # fmt: skip
+# fit: "before" (the calibrated model) or "after" (with what was named).
+PARAMETER = {
+    "fit": _text, "name": _text, "symbol": _text, "unit": _text, "value": _number, "low": _number, "high": _number,
+    "at_bound": _flag, "meaning": _text,
+}  # fmt: skip
+ERROR = {
+    "recording": _text, "split": _text, "unit": _text, "before": _number, "after": _number, "floor": _number,
+}  # fmt: skip
+# next_frame: correlation of the residual in one frame with the next, 0 for noise.
+PORTRAIT = {
+    "recording": _text, "split": _text, "fit": _text, "rms": _number, "normal": _number, "warp": _number,
+    "weft": _number, "next_frame": _number, "unit": _text,
+}  # fmt: skip
+# against: speed, acceleration or height, between `low` and `high` of `against_unit`.
+BIN = {
+    "recording": _text, "split": _text, "against": _text, "against_unit": _text, "low": _number, "high": _number,
+    "coordinates": _whole, "before": _number, "after": _number, "unit": _text,
+}  # fmt: skip
+FRAME = {
+    "recording": _text, "split": _text, "time": _number, "coordinates": _whole, "before": _number, "after": _number,
+    "unit": _text,
+}  # fmt: skip
+# u, v: m, material coordinates.
+NODE = {
+    "recording": _text, "split": _text, "u": _number, "v": _number, "coordinates": _whole, "before": _number,
+    "after": _number, "unit": _text,
+}  # fmt: skip
+STAGE = {"stage": _text, "wall_s": _number, "evaluations": _whole}
+# value: fitted to this recording alone; joint, low, high: fitted to all together, with its 95 % interval.
+DRIFT = {
+    "recording": _text, "name": _text, "symbol": _text, "unit": _text, "scale": _text, "value": _number,
+    "at_bound": _flag, "joint": _number, "low": _number, "high": _number, "outside": _flag,
+}  # fmt: skip
+
+IMPROVE_TABLES = {
+    "candidates": CANDIDATE, "parameters": PARAMETER, "errors": ERROR, "portrait": PORTRAIT, "against": BIN,
+    "frames": FRAME, "nodes": NODE, "stages": STAGE, "drift": DRIFT,
+}  # fmt: skip
