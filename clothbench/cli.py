@@ -192,12 +192,13 @@ def plugins(options: argparse.Namespace) -> int:
 
 
 def validate(options: argparse.Namespace) -> int:
-    from clothbench.recording import find_recordings, read_recording
+    from clothbench.curve import read_any
+    from clothbench.recording import find_recordings
 
     rows = []
     for path in find_recordings(options.paths):
         try:
-            recording = read_recording(path)
+            recording = read_any(path)
             rows.append({"file": str(path), "ok": True, "fault": None, "name": recording.name, "hash": recording.hash})
         except ClothbenchError as fault:
             rows.append({"file": str(path), "ok": False, "fault": str(fault), "name": None, "hash": None})

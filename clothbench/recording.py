@@ -14,11 +14,10 @@ import numpy as np
 
 from clothbench.errors import ClothbenchError
 from clothbench.files import whole_file
+from clothbench.recording_file import FORMAT, VERSION, check_header, number, open_file, variable
 from clothbench.recording_rules import LAYOUT, check
 
-FORMAT, VERSION = "clothbench-recording", 1
-HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-
+NEEDED = ("name", "cloth_width", "cloth_height", "gravity", "noise_sigma")
 NUMBERS = ("cloth_width", "cloth_height", "areal_density", "noise_sigma")
 TEXTS = ("name", "fabric", "sensor", "source", "licence", "declared_effects", "motion")
 
@@ -81,17 +80,17 @@ class Recording:
 def read_recording(path: str | os.PathLike[str]) -> Recording:
     """Read and check one file; a fault raises `ClothbenchError` with file, variable, found, expected."""
     path = Path(path)
-    dataset = _open(path)
+    dataset = open_file(path)
     try:
-        _check_header(dataset.attrs, path)
-        arrays: dict[str, Any] = {name: _variable(dataset, name, path) for name in LAYOUT}
+        check_header(dataset.attrs, path, "nodes", NEEDED)
+        arrays: dict[str, Any] = {name: variable(dataset, name, *LAYOUT[name], path) for name in LAYOUT}
         stated = dict(dataset.attrs)
     finally:
         dataset.close()
     gravity = _gravity(stated.get("gravity"), path)
     known = {f.name for f in fields(Recording)} | {"format", "format_version", "kind"}
     content: dict[str, Any] = {name: str(stated.get(name, "")) for name in (*TEXTS, "split")}
-    content |= {name: _number(stated, name, path) for name in NUMBERS}
+    content |= {name: number(stated, name, path) for name in NUMBERS}
     notes = {str(k): str(v) for k, v in sorted(stated.items()) if k not in known}
     return Recording(**arrays, **content, gravity=gravity, notes=notes, path=str(path))
 
@@ -138,60 +137,6 @@ def _attributes(recording: Recording) -> dict[str, Any]:
     return {**recording.notes, **header, **stated, **numbers}
 
 
-def _open(path: Path):
-    import xarray as xr
-
-    if not path.is_file():
-        raise ClothbenchError(f"{path}: no such file; give a recording (.nc)")
-    with open(path, "rb") as stream:
-        start = stream.read(8)
-    if start != HDF5_MAGIC:
-        raise ClothbenchError(
-            f"{path}: found a file that starts with {start!r}, expected NetCDF-4 (HDF5); convert it first"
-        )
-    try:
-        return xr.open_dataset(path, engine="h5netcdf", decode_times=False, mask_and_scale=True, phony_dims="access")
-    except (OSError, ValueError, KeyError, RuntimeError) as fault:
-        size = path.stat().st_size
-        what = "a truncated file" if "truncated" in str(fault) else f"an unreadable file ({str(fault).splitlines()[0]})"
-        raise ClothbenchError(
-            f"{path}: found {what} of {size} bytes, expected whole NetCDF-4; copy it again"
-        ) from fault
-
-
-def _check_header(stated: dict[str, Any], path: Path) -> None:
-    if stated.get("format") != FORMAT:
-        raise ClothbenchError(f"{path}: attribute 'format': found {stated.get('format')!r}, expected {FORMAT!r}")
-    version = stated.get("format_version")
-    if version != VERSION:
-        raise ClothbenchError(
-            f"{path}: attribute 'format_version': found {version}, expected {VERSION}; "
-            "upgrade clothbench or convert the file"
-        )
-    if stated.get("kind") != "nodes":
-        raise ClothbenchError(f"{path}: attribute 'kind': found {stated.get('kind')!r}, expected 'nodes'")
-    for name in ("name", "cloth_width", "cloth_height", "gravity", "noise_sigma"):
-        if name not in stated:
-            raise ClothbenchError(f"{path}: attribute {name!r} is missing; add it to the file's header")
-
-
-def _variable(dataset, name: str, path: Path) -> np.ndarray:
-    dims, unit = LAYOUT[name]
-    if name not in dataset.variables:
-        raise ClothbenchError(f"{path}: variable '{name}' is missing, expected {name}({', '.join(dims)}) in {unit}")
-    variable = dataset.variables[name]
-    if tuple(variable.dims) != dims or not np.issubdtype(variable.dtype, np.number):
-        found = f"{variable.dtype} with dimensions ({', '.join(map(str, variable.dims))})"
-        raise ClothbenchError(f"{path}: variable '{name}': found {found}, expected numbers ({', '.join(dims)})")
-    found_unit = variable.attrs.get("units")
-    if found_unit != unit:
-        raise ClothbenchError(
-            f"{path}: variable '{name}': found units {found_unit!r}, expected {unit!r}; "
-            "convert the values and the attribute"
-        )
-    return np.asarray(variable.values, dtype=float)
-
-
 def _gravity(text: Any, path: Path) -> tuple[float, float, float]:
     try:
         x, y, z = (float(part) for part in str(text).split())
@@ -200,10 +145,3 @@ def _gravity(text: Any, path: Path) -> tuple[float, float, float]:
             f"{path}: attribute 'gravity': found {text!r}, expected three numbers like '0 0 -9.81' [m/s²]"
         ) from None
     return x, y, z
-
-
-def _number(stated: dict[str, Any], name: str, path: Path) -> float:
-    try:
-        return float(stated.get(name, math.nan))
-    except (TypeError, ValueError):
-        raise ClothbenchError(f"{path}: attribute '{name}': found {stated[name]!r}, expected a number") from None

@@ -1,0 +1,80 @@
+"""Recordings of kind "curve": round trip, hash, and one line for every fault."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import h5netcdf.legacyapi
+import numpy as np
+import pytest
+
+from clothbench import ClothbenchError, Curve, read_curve, read_recording, write_curve
+from clothbench.curve import read_any
+
+
+def pulled(name: str = "pull", **changes) -> Curve:
+    """Forty samples of a linear sample with 10 N at twice its length."""
+    stretch = np.linspace(1.0, 1.5, 40)
+    content = {"name": name, "stretch": stretch, "force": 10 * (stretch - 1), "fabric": "rib", "direction": "course",
+               "noise_sigma": 0.05, "notes": {"yarn": "acrylic"}}  # fmt: skip
+    return Curve(**{**content, **changes})
+
+
+def test_round_trip_keeps_everything(tmp_path):
+    again = read_curve(write_curve(pulled(), tmp_path / "a.nc"))
+    assert again.hash == pulled().hash
+    assert (again.fabric, again.direction, again.notes) == ("rib", "course", {"yarn": "acrylic"})
+    assert np.isnan(again.sample_width)
+    np.testing.assert_array_equal(again.force, pulled().force)
+    assert replace(again, split="held_out").hash != again.hash
+
+
+def test_both_kinds_are_told_apart(recording, tmp_path):
+    from clothbench import write_recording
+
+    nodes, curve = write_recording(recording, tmp_path / "n.nc"), write_curve(pulled(), tmp_path / "c.nc")
+    assert read_any(nodes).hash == recording.hash
+    assert read_any(curve).hash == pulled().hash
+    with pytest.raises(ClothbenchError, match="found 'curve', expected 'nodes'; `clothbench improve` takes curves"):
+        read_recording(curve)
+    with pytest.raises(ClothbenchError, match="found 'nodes', expected 'curve'"):
+        read_curve(nodes)
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (lambda f: setattr(f["force"], "units", "kN"), "variable 'force': found units 'kN', expected 'N'"),
+        (lambda f: setattr(f, "format_version", 2), "attribute 'format_version': found 2, expected 1"),
+        (lambda f: setattr(f, "direction", "X"), "attribute 'direction': found 'X', expected one of 'warp'"),
+        (lambda f: setattr(f, "noise_sigma", -1.0), "attribute 'noise_sigma': found -1.0"),
+        (lambda f: setattr(f, "sample_width", 0.0), "attribute 'sample_width': found 0.0, expected metres above 0"),
+        (lambda f: setattr(f, "sample_length", "long"), "attribute 'sample_length': found 'long', expected a number"),
+        (lambda f: setattr(f, "name", ""), "attribute 'name': found nothing"),
+        (lambda f: setattr(f, "split", "train"), "attribute 'split': found 'train'"),
+        (lambda f: f["force"].__setitem__(3, np.nan), "1 values that are not finite, the first at sample 3"),
+        (lambda f: f["stretch"].__setitem__(5, np.inf), "variable 'stretch': found 1 values that are not finite"),
+        (lambda f: f["force"].__setitem__(slice(None), 2.0), "found 2 N in every sample, expected a curve"),
+        (lambda f: f["stretch"].__setitem__(slice(None), np.linspace(0, 50, 40)), "add 1 to a strain"),
+        (lambda f: f["stretch"].__setitem__(slice(None), np.linspace(1, 1.0001, 40)), "to change by 0.001 at least"),
+        (lambda f: f._h5file.attrs.__delitem__("direction"), "attribute 'direction' is missing"),
+    ],
+)
+def test_every_fault_is_one_line_with_file_and_field(tmp_path, change, found):
+    path = write_curve(pulled(), tmp_path / "bad.nc")
+    with h5netcdf.legacyapi.Dataset(path, "a") as stream:
+        change(stream)
+    with pytest.raises(ClothbenchError) as caught:
+        read_curve(path)
+    assert str(caught.value).startswith(f"{path}: ")
+    assert found in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_arrays_that_do_not_belong_together_are_refused():
+    with pytest.raises(ClothbenchError, match="'force': found 39 along 'sample', expected 40"):
+        pulled(force=np.arange(39.0))
+    with pytest.raises(ClothbenchError, match="found 5 samples, expected at least 8"):
+        pulled(stretch=np.linspace(1, 1.2, 5), force=np.arange(5.0))
+    with pytest.raises(ClothbenchError, match=r"found shape \(40, 1\), expected \(sample\)"):
+        pulled(stretch=np.linspace(1, 1.5, 40)[:, None])
