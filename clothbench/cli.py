@@ -74,7 +74,7 @@ def parser() -> argparse.ArgumentParser:
     commands.add_parser(
         "run", help="run a suite, a sweep or one cell (Hydra overrides; `run --help` shows all settings)"
     )
-    _add(commands, "improve", improve, "find what a calibrated model lacks beside recordings, and add it", _improve)
+    _add(commands, "improve", improve, "find what a calibrated model lacks, and add it", _improve, _json)
     _add(commands, "plugins", plugins, "every plugin, with parameters and units; broken ones with the reason", _json)
     _add(commands, "validate", validate, "check recordings; exit 1 if one is bad", _paths, _json)
     _add(commands, "datasets", datasets, "known public data sets, their licence, and whether they are at hand", _json)
@@ -138,7 +138,10 @@ def _report(sub: argparse.ArgumentParser) -> None:
 
 
 def _view(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("cell", metavar="CELL", help="key of a cell, or its beginning, as the leaderboard shows it")
+    sub.add_argument(
+        "cell", metavar="CELL",
+        help="key of a cell, or its beginning, as the leaderboard shows it; of `improve`, a recording's name",
+    )  # fmt: skip
     _store(sub)
 
 
@@ -180,7 +183,7 @@ def print_json(document: Any) -> None:
 def improve(options: argparse.Namespace) -> int:
     from clothbench.improve_command import KEYS, command
 
-    return command(key_values(options.settings, KEYS))
+    return command(key_values(options.settings, KEYS), options.json)
 
 
 def plugins(options: argparse.Namespace) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -49,6 +49,27 @@ def whole_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         raise
+
+
+@contextmanager
+def whole_files(folder: str | os.PathLike[str], instead_of: Sequence[str] = ()) -> Iterator[Path]:
+    """A temporary folder to fill; when the block ends without a fault, every file in it takes its place below `folder`.
+
+    What else lies in `folder` stays, but for older files that a pattern of `instead_of` ("tables/*.parquet") finds.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    part = Path(tempfile.mkdtemp(dir=folder, prefix=".new."))
+    try:
+        yield part
+        made = sorted(p.relative_to(part) for p in part.rglob("*") if p.is_file())
+        for old in {p for pattern in instead_of for p in folder.glob(pattern)} - {folder / name for name in made}:
+            old.unlink()
+        for name in made:
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            os.replace(part / name, folder / name)
+    finally:
+        shutil.rmtree(part, ignore_errors=True)
 
 
 def _umask() -> int:

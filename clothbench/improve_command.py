@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import json
+import shlex
 import sys
 import time
 from collections.abc import Mapping
@@ -16,12 +16,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.cell import Source, resplit
 from clothbench.experiment.settings import writable
-from clothbench.files import whole_file
 from clothbench.loop.improve import improve
 from clothbench.loop.problem import Case, Problem
 from clothbench.loop.verdict import document, placebo_of
 from clothbench.plugins import Catalogue, absent, catalogue
 from clothbench.recording import find_recordings, read_recording
+from clothbench.report.improve_files import json_text, write_folder
 from clothbench.scene import scene_of
 
 KEYS = ("recordings", "model", "out", "candidates", "seed", "resolution", "base")
@@ -29,8 +29,8 @@ NODES = 13  # along the longer side, where the user does not say
 DAMPING = "linear_drag"  # what every model is given that has no damping of its own that takes all motion alike
 
 
-def command(settings: Mapping[str, str]) -> int:
-    """Run the loop with settings as KEY=VALUE words gave them, and print the verdict."""
+def command(settings: Mapping[str, str], as_json: bool = False) -> int:
+    """Run the loop with settings as KEY=VALUE words gave them, and print the verdict: in words, or as the document."""
     began = time.perf_counter()
     plugins = catalogue()
     for key in ("recordings", "model"):
@@ -44,10 +44,9 @@ def command(settings: Mapping[str, str]) -> int:
         bar.stage("held-out recordings", 0, 1)
         placebo = placebo_of(outcome) if outcome.final.effects else None
         found = document(outcome, placebo, time.perf_counter() - began)
-    out.mkdir(parents=True, exist_ok=True)
-    with whole_file(out / "verdict.json") as part:
-        part.write_text(json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
-    say(found, out)
+        bar.stage("page, tables and Rerun files", 0, 1)
+        write_folder(out, outcome, found)
+    print(json_text(found)) if as_json else say(found, out)
     return 0
 
 
@@ -147,4 +146,8 @@ def say(found: Mapping[str, Any], out: Path) -> None:
     print(f"; floor of noise and mesh: {error['noise_floor']:.2f} mm")
     if found["hint"]:
         print(f"hint: {found['hint']}")
-    print(f"{out / 'verdict.json'}: {found['evaluations']} evaluations, {found['wall_s']:.0f} s")
+    print(f"{found['evaluations']} evaluations, {found['wall_s']:.0f} s")
+    print(f"page: {out / 'index.html'}")
+    print(f"verdict: {out / 'verdict.json'}; tables: {out / 'tables'}; Rerun files: {out / 'rerun'}")
+    recordings = [*found["recordings"]["held_out"], *found["recordings"]["fit"]]
+    print(f"look at one with: clothbench view {shlex.quote(recordings[0])} --out {shlex.quote(str(out))}")

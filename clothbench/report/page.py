@@ -52,11 +52,16 @@ def document(store: Store) -> str:
             validation_section(tests, store.levels({r["key"] for r in tests}), plotly=not drawn),
         ]
         sections += [fits(found, store.parameters()), machines(rows), MORE]
+    return whole_page(title(rows), sections)
+
+
+def whole_page(title: str, sections: Sequence[str], style: str = "") -> str:
+    """A page of HTML sections without the empty ones; `title` is HTML, `style` goes behind the style sheet."""
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
         '<meta name="color-scheme" content="light dark">'
-        f"<title>clothbench: {title(rows)}</title><style>{CSS}</style></head><body><main>\n"
+        f"<title>clothbench: {title}</title><style>{CSS}{style}</style></head><body><main>\n"
         + "\n".join(s for s in sections if s)
         + "\n</main></body></html>\n"
     )

@@ -17,6 +17,7 @@ from scipy.spatial import Delaunay, QhullError
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.calibrate import Trial
 from clothbench.experiment.cell import Bench
+from clothbench.observation import Observation
 from clothbench.recording import Recording
 from clothbench.rollout import Rollout
 
@@ -70,22 +71,18 @@ def _curves(origin: str, name: str, contents: str | list[str] = "$origin/error/*
 def _log_run(stream: Any, root: str, trial: Trial, recording: Recording, simulated: np.ndarray) -> None:
     """All entities of one recording; `simulated` (T, N, 3) m, NaN where the rollout had stopped."""
     seen = trial.observation
-    triangles = triangulate(seen.material)
     edge = typical_distance(seen.material)
     there = np.isfinite(simulated).all(axis=(1, 2))
     stream.log(root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
-    _log_seen(stream, f"{root}/seen", seen.time, seen.position, seen.visible, 0.12 * edge)
-    if len(triangles):
-        _log_mesh(stream, f"{root}/simulated", seen.time[there], simulated[there], triangles)
-    else:
-        _log_points(stream, f"{root}/simulated", seen.time[there], simulated[there], CLOTH, 0.12 * edge)
-    _log_away(stream, f"{root}/away", trial, simulated, there, 0.04 * edge)
+    log_seen(stream, f"{root}/seen", seen.time, seen.position, seen.visible, 0.12 * edge)
+    log_sheet(stream, f"{root}/simulated", seen.time[there], simulated[there], seen.material)
+    log_away(stream, f"{root}/away", seen, simulated, there, 0.04 * edge)
     if recording.grip_material.size:
-        _log_points(stream, f"{root}/grips", seen.time, grips_at(recording, seen.time), HELD, 0.25 * edge)
+        log_points(stream, f"{root}/grips", seen.time, grips_at(recording, seen.time), HELD, 0.25 * edge)
     _log_error(stream, f"{root}/error", trial, simulated, there)
 
 
-def _log_seen(
+def log_seen(
     stream: Any, path: str, time: np.ndarray, position: np.ndarray, visible: np.ndarray, radius: float
 ) -> None:
     stream.log(path, rr.Points3D.from_fields(colors=[SEEN], radii=[radius]), static=True)
@@ -93,7 +90,7 @@ def _log_seen(
     stream.send_columns(path, _at(time), columns.partition(visible.sum(axis=1)))
 
 
-def _log_points(
+def log_points(
     stream: Any, path: str, time: np.ndarray, position: np.ndarray, colour: tuple[int, ...], radius: float
 ) -> None:
     """Points (T, n, 3) m that are there in every frame."""
@@ -103,7 +100,16 @@ def _log_points(
         stream.send_columns(path, _at(time), columns.partition(np.full(len(time), position.shape[1])))
 
 
-def _log_mesh(stream: Any, path: str, time: np.ndarray, position: np.ndarray, triangles: np.ndarray) -> None:
+def log_sheet(stream: Any, path: str, time: np.ndarray, position: np.ndarray, material: np.ndarray) -> None:
+    """The simulated nodes (T, N, 3) m: as a mesh, or as points where they all lie on one line."""
+    triangles = triangulate(material)
+    if len(triangles):
+        log_mesh(stream, path, time, position, triangles)
+    else:
+        log_points(stream, path, time, position, CLOTH, 0.12 * typical_distance(material))
+
+
+def log_mesh(stream: Any, path: str, time: np.ndarray, position: np.ndarray, triangles: np.ndarray) -> None:
     """The sheet (T, N, 3) m: triangles and colour once, positions and normals for every frame in one go."""
     if not len(time):
         return
@@ -116,13 +122,15 @@ def _log_mesh(stream: Any, path: str, time: np.ndarray, position: np.ndarray, tr
     stream.send_columns(path, _at(time), columns.partition(np.full(len(time), position.shape[1])))
 
 
-def _log_away(stream: Any, path: str, trial: Trial, simulated: np.ndarray, there: np.ndarray, radius: float) -> None:
+def log_away(
+    stream: Any, path: str, seen: Observation, simulated: np.ndarray, there: np.ndarray, radius: float
+) -> None:
     """Arrows from simulated to seen nodes, where both are known."""
-    both = trial.observation.visible & there[:, None]
+    both = seen.visible & there[:, None]
     stream.log(path, rr.Arrows3D.from_fields(colors=[AWAY], radii=[radius]), static=True)
-    vectors = trial.observation.position[both] - simulated[both]
+    vectors = seen.position[both] - simulated[both]
     columns = rr.Arrows3D.columns(origins=np.float32(simulated[both]), vectors=np.float32(vectors))
-    stream.send_columns(path, _at(trial.observation.time), columns.partition(both.sum(axis=1)))
+    stream.send_columns(path, _at(seen.time), columns.partition(both.sum(axis=1)))
 
 
 def _log_error(stream: Any, path: str, trial: Trial, simulated: np.ndarray, there: np.ndarray) -> None:
@@ -132,13 +140,13 @@ def _log_error(stream: Any, path: str, trial: Trial, simulated: np.ndarray, ther
     count = seen.visible[frames].sum(axis=1)
     distance = np.linalg.norm(np.nan_to_num(seen.position[frames]) - simulated[frames], axis=-1)
     error = (distance * seen.visible[frames]).sum(axis=1) / count * MM
-    _log_curve(stream, f"{path}/simulated", seen.time[frames], error, f"{trial.name} [mm]")
+    log_curve(stream, f"{path}/simulated", seen.time[frames], error, f"{trial.name} [mm]")
     if np.isfinite(seen.sigma):
         floor = np.full(2, MAXWELL * seen.sigma * MM)
-        _log_curve(stream, f"{path}/noise_floor", seen.time[[0, -1]], floor, "noise floor [mm]", NOISE)
+        log_curve(stream, f"{path}/noise_floor", seen.time[[0, -1]], floor, "noise floor [mm]", NOISE)
 
 
-def _log_curve(
+def log_curve(
     stream: Any, path: str, time: np.ndarray, value: np.ndarray, name: str, colour: tuple[int, ...] | None = None
 ) -> None:
     """A curve over time; without a colour the viewer gives each its own."""
@@ -191,14 +199,24 @@ def grips_at(recording: Recording, time: np.ndarray) -> np.ndarray:
     return np.stack(at, axis=1).reshape(len(time), -1, 3)
 
 
-def open_viewer(out: Path, cell: str) -> int:
-    """Open the viewer on the cell of `out` whose key begins with `cell`; returns the viewer's exit code."""
-    file = find_cell(out, cell) / "fit.rrd"
+def open_viewer(out: Path, name: str) -> int:
+    """Open the viewer on the cell of `out` whose key begins with `name`, or, where `out` is of `clothbench improve`,
+    on the recording of that name; returns the viewer's exit code.
+    """
+    file = improved(out, name) if (out / "verdict.json").is_file() else find_cell(out, name) / "fit.rrd"
     if not file.is_file():
         raise ClothbenchError(
             f"cell {file.parent.name} has no fit.rrd: it failed or ran with rerun=false; see the leaderboard"
         )
     return subprocess.run([sys.executable, "-m", "rerun", str(file)], check=False).returncode
+
+
+def improved(out: Path, name: str) -> Path:
+    """The Rerun file of one recording in a folder of `clothbench improve`."""
+    names = sorted(p.stem for p in (out / "rerun").glob("*.rrd"))
+    if name not in names:
+        raise ClothbenchError(f"{out}: found no recording {name!r}; there are: {', '.join(names) or 'none'}")
+    return out / "rerun" / f"{name}.rrd"
 
 
 def find_cell(out: Path, beginning: str) -> Path:
