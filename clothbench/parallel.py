@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -10,6 +11,8 @@ from typing import Any
 from clothbench.errors import ClothbenchError
 
 _threads = 0
+_places: tuple[int, threading.Semaphore] | None = None
+_lock = threading.Lock()
 
 
 def available_cores() -> int:
@@ -35,8 +38,36 @@ def for_each(work: Callable[[Any], None], items: Sequence[Any]) -> None:
     """Call `work(item)` for all items on up to `thread_count()` threads; the first exception is raised here."""
     if (threads := min(thread_count(), len(items))) <= 1:
         for item in items:
-            work(item)
+            with _slots():
+                work(item)
         return
+
+    def in_turn(item: Any) -> None:
+        with _slots():
+            work(item)
+
     with ThreadPoolExecutor(threads) as pool:
-        for _ in pool.map(work, items):
+        for _ in pool.map(in_turn, items):
             pass
+
+
+def side_by_side(work: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+    """[work(item), …] with all items begun at once, for work that itself comes down to `for_each`.
+
+    The cores stay busy where each item alone has too few members for them; what runs at a time is bounded all the
+    same, since calls of `for_each` share `thread_count()` places.
+    """
+    if len(items) <= 1 or thread_count() == 1:
+        return [work(item) for item in items]
+    with ThreadPoolExecutor(min(len(items), 4 * thread_count())) as pool:
+        return list(pool.map(work, items))
+
+
+def _slots() -> threading.Semaphore:
+    """As many places as threads may run; made anew when that number changes."""
+    global _places
+    count = thread_count()
+    with _lock:
+        if _places is None or _places[0] != count:
+            _places = (count, threading.Semaphore(count))
+        return _places[1]

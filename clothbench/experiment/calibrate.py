@@ -6,11 +6,13 @@ import dataclasses
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
 
 from clothbench.observation import Observation
+from clothbench.parallel import side_by_side
 from clothbench.parameters import ParameterSpace
 from clothbench.protocols import Evaluation, Metric, Optimizer, Score, Simulation
 from clothbench.rollout import Rollout
@@ -62,13 +64,20 @@ def evaluate(trials: Sequence[Trial], theta: np.ndarray) -> tuple[Evaluation, li
 
     Every recording has the same say, however many frames it has.
     """
-    scores = [score_of(t, t.metric, t.simulation.run(theta)) for t in trials]
+    scores = over(trials, lambda t: score_of(t, t.metric, t.simulation.run(theta)))
     value = np.mean([s.value for s in scores], axis=0)
     residuals = [s.residual for s in scores if s.residual is not None]
     if len(residuals) < len(scores):
         return Evaluation(value), scores
     weighted = [r / np.sqrt(max(r.shape[1], 1) * len(scores)) for r in residuals]
     return Evaluation(value, np.concatenate(weighted, axis=1)), scores
+
+
+def over(trials: Sequence[Trial], work: Callable[[Trial], Any]) -> list[Any]:
+    """[work(trial), …], side by side if the simulations can."""
+    if all(getattr(trial.simulation, "threads", False) for trial in trials):
+        return side_by_side(work, trials)
+    return [work(trial) for trial in trials]
 
 
 def calibrate(

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import qmc
 
+from clothbench.experiment.calibrate import over
 from clothbench.loop.fitting import Fitted
 from clothbench.loop.problem import Problem, residuals
 from clothbench.protocols import Effect
@@ -71,9 +72,8 @@ def probes(problem: Problem, fitted: Fitted, name: str) -> list[Probe]:
             rows.append(row)
     theta = np.hstack([np.tile(fitted.theta, (len(rows), 1)), np.array(rows)])
     trials = problem.trials((*fitted.effects, name), "fit")
-    changes = []
-    for trial, residual in zip(trials, fitted.residual, strict=True):
-        changes.append(residuals(trial, theta) - residual)
+    runs = over(trials, lambda trial: residuals(trial, theta))
+    changes = [run - residual for run, residual in zip(runs, fitted.residual, strict=True)]
     out, at = [], 0
     for phi, amounts, steps in settings:
         columns = [c[at : at + len(amounts)].T for c in changes]

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from clothbench.experiment.calibrate import Trial, evaluate
+from clothbench.experiment.calibrate import Trial, evaluate, over
 from clothbench.loop.problem import Problem, Told, residuals
 from clothbench.parameters import ParameterSpace
 
@@ -50,13 +50,13 @@ class Fitted:
 def fit(
     problem: Problem, names: tuple[str, ...], start: np.ndarray | None, budget: int, told: Told | None = None
 ) -> Fitted:
-    """Least squares from `start` (P,), or from the defaults and a spread of other starts if None."""
+    """Least squares from the best of `start` (S, P) or (P,), or from the defaults and a spread of others if None."""
     trials = problem.trials(names, "fit")
     space = trials[0].simulation.parameters
-    settings = {"starts": 7}
+    settings = {"starts": 7, "walks": 2, "secant": True}
     if start is not None:
-        settings = {"starts": 0, "walks": 1}
-        space = started(space, start)
+        settings = {"starts": 0, "walks": 1, "secant": True}
+        space = started(space, better(trials, space, np.atleast_2d(start)))
     optimizer = problem.plugins.make("optimizers", "least_squares", space, seed=problem.seed, budget=budget, **settings)
     theta, value, count = space.defaults, np.inf, 0
     while not optimizer.done:
@@ -76,6 +76,15 @@ def fit(
     return Fitted(names, space, theta, residual, jacobian, low, high, count + spent)
 
 
+def better(trials: list[Trial], space: ParameterSpace, starts: np.ndarray) -> np.ndarray:
+    """The one of `starts` (S, P), kept inside the bounds, that fits best."""
+    starts = np.clip(starts, space.low, space.high)
+    if len(starts) == 1:
+        return starts[0]
+    value = evaluate(trials, starts)[0].value
+    return starts[int(np.argmin(np.where(np.isfinite(value), value, np.inf)))]
+
+
 def started(space: ParameterSpace, start: np.ndarray) -> ParameterSpace:
     """The same space with other defaults, kept inside the bounds."""
     inside = np.clip(start, space.low, space.high)
@@ -89,8 +98,7 @@ def differences(trials: list[Trial], space: ParameterSpace, theta: np.ndarray) -
     points = space.from_unit(np.vstack([unit, unit + np.diag(away)]))
     points[0] = theta
     residual, jacobian = [], []
-    for trial in trials:
-        found = residuals(trial, points)
+    for found in over(trials, lambda trial: residuals(trial, points)):
         residual.append(found[0])
         jacobian.append(np.nan_to_num((found[1:] - found[0]) / away[:, None]).T)
     return residual, jacobian, len(points)

@@ -168,21 +168,22 @@ def refit(problem: Problem, current: Fitted, candidate: Candidate, found: Sequen
     """Everything fitted again with the candidate, from its best probe's first-order amount."""
     mine = [k for k, probe in enumerate(found) if probe.effect == candidate.name]
     probe = found[max(mine, key=lambda k: seen.share[k])]
-    start = np.concatenate([current.theta, first_order(current, probe)])
-    fitted = fit(problem, (*current.effects, candidate.name), start, AGAIN)
+    fitted = fit(problem, (*current.effects, candidate.name), first_order(current, probe), AGAIN)
     gain = float((current.squares - fitted.squares).mean())
     return dataclasses.replace(candidate, gain=gain, fitted=fitted)
 
 
 def first_order(current: Fitted, probe: Probe) -> np.ndarray:
-    """The probe's parameters (P,) with the amounts that least squares gives them beside the base's."""
+    """Starts (2, P): the probe with the amounts that least squares gives it, beside the base as it is and as moved."""
     scale = weights(current.residual)
     columns = np.vstack(probe.columns) * scale[:, None]
     both = np.hstack([columns, np.vstack(current.jacobian) * scale[:, None]])
-    amount = np.linalg.lstsq(both, -np.concatenate(current.residual) * scale, rcond=1e-8)[0][: len(probe.amounts)]
+    found = np.linalg.lstsq(both, -np.concatenate(current.residual) * scale, rcond=1e-8)[0]
+    amount, shift = found[: len(probe.amounts)], found[len(probe.amounts) :]
     phi = probe.phi.copy()
     phi[list(probe.amounts)] += amount * probe.steps
-    return phi
+    moved = current.space.from_unit(np.clip(current.space.to_unit(current.theta) + shift, 0.0, 1.0))
+    return np.array([np.concatenate([base, phi]) for base in (current.theta, moved)])
 
 
 def judge(current: Fitted, floor: float, tried: Sequence[Candidate]) -> list[Candidate]:

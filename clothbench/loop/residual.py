@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clothbench.experiment.calibrate import over
 from clothbench.loop.attribution import outside, weights
 from clothbench.loop.fitting import Fitted
 from clothbench.loop.guard import field_of
@@ -22,9 +23,10 @@ def correction(problem: Problem, fitted: Fitted, split: str) -> list[np.ndarray]
     the cell's size; a third of it is what may be left (`numerical_floor`).
     """
     coarse, fine = problem.trials(fitted.effects, split), problem.finer().trials(fitted.effects, split)
+    runs = over([*coarse, *fine], lambda trial: residuals(trial, fitted.theta[None])[0])
     out = []
-    for a, b in zip(coarse, fine, strict=True):
-        change = residuals(b, fitted.theta[None])[0] - residuals(a, fitted.theta[None])[0]
+    for a, b in zip(runs[: len(coarse)], runs[len(coarse) :], strict=True):
+        change = b - a
         out.append(ORDER * change if np.isfinite(change).all() else np.zeros_like(change))
     return out
 

@@ -34,7 +34,8 @@ from clothbench_models.sheet_forces import (
 
 EULER, BDF2, RK45 = 0, 1, 2
 SETTLE_ROUNDS = 2000
-AT_REST = 2e-9  # m that a node still moves in a settling step as long as a second
+ROUGH = 1e-2  # what settling leaves of a step's residual: the next step mends it, so that finer solves only cost time
+AT_REST = 2e-8  # m that a node still moves in a settling step as long as a second
 
 
 _fast = njit(cache=True, error_model="numpy", nogil=True)
@@ -221,8 +222,8 @@ def _march_implicit(
             wanted[:] = r
         rounds += solve(
             delta, r, nu, mass, extra, heavier, edges, shear, offsets, bending,
-            gamma * gamma * (bend + stiffer[1]) + gamma * bend_damping, touch, normal, tolerance, 2000,
-            inverse, z, p, q, work,
+            gamma * gamma * (bend + stiffer[1]) + gamma * bend_damping, touch, normal,
+            max(tolerance, ROUGH) if settling else tolerance, 2000, inverse, z, p, q, work,
         )  # fmt: skip
         if solid:
             multiply(

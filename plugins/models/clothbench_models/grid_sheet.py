@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import ClassVar
 
 import numpy as np
 
@@ -58,6 +59,7 @@ class GridSimulation:
     scene: Scene
     shape: tuple[int, int]
     effects: BoundEffects
+    threads: ClassVar[bool] = True  # several of them may run at the same time
 
     @property
     def parameters(self) -> ParameterSpace:

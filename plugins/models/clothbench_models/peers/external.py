@@ -78,7 +78,6 @@ class ExternalSimulation(GridSimulation):
     """One scene ready for an external simulator; a subclass says how its sheet is made."""
 
     at_rest = 1e-6  # m/s at which a settling sheet hangs still
-    threads = True  # whether several sheets may be stepped at the same time
 
     @abstractmethod
     def engine(self, theta: np.ndarray) -> Engine:
