@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from clothbench.curve_simulation import acts_on_sheets
 from clothbench.errors import ClothbenchError
 from clothbench.parameters import ParameterSpace
 from clothbench.protocols import Effect
@@ -35,6 +36,8 @@ class BoundEffects:
                 raise ClothbenchError(
                     f"effect {effect.name!r}: place is {effect.place!r}, expected one of {', '.join(PLACES)}"
                 )
+            if not acts_on_sheets(effect):
+                raise ClothbenchError(f"effect {effect.name!r} acts on force-extension curves only, not on a sheet")
             if names.count(effect.name) > 1:
                 raise ClothbenchError(f"effect {effect.name!r} is given twice; name every effect once")
 

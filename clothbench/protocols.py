@@ -75,15 +75,17 @@ class Model(Protocol):
     `built_on`, names of distributions the first installed of which has a version that results depend on;
     `skip(scene) -> reason | None`, why it cannot simulate a scene;
     `of_material(material, scene) -> theta (P,)`, its parameters for a textbook material (damping as low as they go),
-    or a ClothbenchError that says what it has no parameter for: then `physical_validation` can test it.
+    or a ClothbenchError that says what it has no parameter for: then `physical_validation` can test it;
+    `curve(stretch (M,), theta (P,)) -> tension (M,)` N/m per width, for the capability "curve".
     capabilities: "dynamic" (moves), "static" (finds rest), "effects" (takes them), "contact" (keeps out of the
-    scene's obstacles), "self_contact" (keeps the scene's `thickness` between its own layers).
+    scene's obstacles), "self_contact" (keeps the scene's `thickness` between its own layers), "curve" (answers
+    force-extension curves; with that alone, `prepare` refuses every scene).
     """
 
     name: ClassVar[str]
     version: ClassVar[int]
     parameters: ParameterSpace
-    capabilities: ClassVar[frozenset[str]]  # of the five above
+    capabilities: ClassVar[frozenset[str]]  # of the six above
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> Simulation: ...
 
@@ -103,6 +105,9 @@ class Effect(Protocol):
     place "boundary": has `grips(time (K,), position (K, G, 3), phi (P,)) -> position`.
     place "sensor": has `times(time (T,), phi) -> time` (when the simulation is looked at for each stamp) and/or
         `positions(time (T,), position (T, N, 3), points (N, 2) m, phi) -> position` (how it is seen).
+    An effect that takes part in force-extension curves, there only or there too, has one method more, by its place:
+    `curve(stretch (M,), phi) -> tension (M,)` N/m, `clamped(stretch, phi) -> stretch`, or
+    `weighed(stretch, force (M,) N, phi) -> force`; `clothbench.curve_simulation` says what becomes of it.
     """
 
     name: ClassVar[str]

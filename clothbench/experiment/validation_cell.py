@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import hashlib
 import json
@@ -10,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
+from clothbench.curve_simulation import answers_sheets
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.cell import plugin_versions
 from clothbench.plugins import OWN, Catalogue, PluginBroken
@@ -79,7 +81,7 @@ def plan_validation(config: Mapping[str, Any], plugins: Catalogue) -> list[Valid
     """Every cell of checked settings; what the user got wrong in a model's options comes to light here."""
     suite = config["suite"]
     cells = []
-    for model in dict.fromkeys(config["model"] or plugins.names("models")):
+    for model in dict.fromkeys(config["model"] or _of_sheets(plugins)):
         options = config["options"].get(model, {})
         _rehearse(model, options, plugins)
         for test in suite["tests"]:
@@ -89,6 +91,17 @@ def plan_validation(config: Mapping[str, Any], plugins: Catalogue) -> list[Valid
             )  # fmt: skip
             cells.append(dataclasses.replace(cell, versions=plugin_versions(cell.uses, plugins)))
     return cells
+
+
+def _of_sheets(plugins: Catalogue) -> list[str]:
+    """All models but those that answer curves only; one that is broken is left to its own cells."""
+    found = []
+    for name in plugins.names("models"):
+        with contextlib.suppress(PluginBroken):
+            if not answers_sheets(plugins.load("models", name)):
+                continue
+        found.append(name)
+    return found
 
 
 def _rehearse(model: str, options: Mapping[str, Any], plugins: Catalogue) -> None:

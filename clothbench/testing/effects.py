@@ -7,15 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.curve_simulation import CURVE_HOOKS, SHEET_HOOKS, acts_on_curves, acts_on_sheets
 from clothbench.effects import PLACES
 from clothbench.parameters import ParameterSpace
 from clothbench.protocols import Effect, Model
-from clothbench.testing import probe
+from clothbench.testing import curves, probe
 from clothbench.testing.effect_case import EffectCase, first_that_takes_effects, waving_sheet
 from clothbench.testing.model_case import ModelCase, finished, same_bits
 from clothbench.testing.rules import Outcome, choose, made, require, require_members, run_rules
-
-HOOKS = {"dynamics": ("force", "inertia"), "boundary": ("grips",), "sensor": ("times", "positions")}
 
 
 def check_effect(
@@ -38,12 +37,12 @@ def has_all_members(case: EffectCase) -> None:
     effect = case.effect
     require_members(effect, Effect, ("name", "version", "place", "summary", "parameters"))
     require(effect.place in PLACES, f"place {effect.place!r}", f"one of {', '.join(PLACES)}")
-    hooks = HOOKS[effect.place]
+    hooks = (*SHEET_HOOKS[effect.place], CURVE_HOOKS[effect.place])
     acts = any(callable(getattr(effect, hook, None)) for hook in hooks)
     require(acts, f"none of {', '.join(hooks)}", f"at least one of them, since its place is {effect.place!r}")
     one_line = isinstance(effect.summary, str) and effect.summary.strip() and "\n" not in effect.summary
     require(one_line, f"summary {effect.summary!r}", "one line for a report")
-    for stage in HOOKS["dynamics"]:
+    for stage in SHEET_HOOKS["dynamics"]:
         function = getattr(effect, stage, None)
         compiled = function is None or effect.place != "dynamics" or hasattr(function, "py_func")
         require(compiled, f"{stage!r} that is not compiled", "one decorated with clothbench.effect_kernel")
@@ -62,6 +61,10 @@ def has_null_values_within_its_bounds(case: EffectCase) -> None:
 
 def vanishes_at_its_null_values(case: EffectCase) -> str | None:
     """Also with those parameters elsewhere that have no null value of their own."""
+    if acts_on_curves(case.effect):
+        curves.vanishes(case.effect)
+    if not acts_on_sheets(case.effect):
+        return None
     if not case.models:
         return "no model that takes effects is installed"
     elsewhere = case.effect.parameters.from_unit(np.full(len(case.effect.parameters), 0.3))
@@ -79,6 +82,10 @@ def acts_elsewhere(case: EffectCase) -> str | None:
 
     All values in the liveliest scene, and in the other scenes as long as it has not acted.
     """
+    if acts_on_curves(case.effect):
+        curves.acts(case.effect)
+    if not acts_on_sheets(case.effect):
+        return None
     if not case.models:
         return "no model that takes effects is installed"
     for number, model in enumerate(case.models):
@@ -98,6 +105,8 @@ def acts_elsewhere(case: EffectCase) -> str | None:
 
 def goes_along_with_another_effect(case: EffectCase) -> str | None:
     """Beside a throw-away push: in either order, and with either of the two at its null value."""
+    if not acts_on_sheets(case.effect):
+        return "acts on curves only, where effects do not know of each other"
     if not case.models:
         return "no model that takes effects is installed"
     push: Any = probe.SidewaysPush()
@@ -119,11 +128,11 @@ def keeps_to_its_own_memory(case: EffectCase) -> str | None:
 
     It is run uncompiled, where reaching past the end of an array is an error and not a silent overwrite.
     """
-    if case.effect.place != "dynamics":
+    if case.effect.place != "dynamics" or not acts_on_sheets(case.effect):
         return "has no kernel"
     effect, (sheet, x, v) = case.effect, waving_sheet()
     size = effect.state_size(sheet) if hasattr(effect, "state_size") else 0
-    for stage in HOOKS["dynamics"]:
+    for stage in SHEET_HOOKS["dynamics"]:
         if getattr(effect, stage, None) is None:
             continue
         given = [x, v, *(part for part in sheet if isinstance(part, np.ndarray)), effect.parameters.defaults]
@@ -140,13 +149,15 @@ def keeps_to_its_own_memory(case: EffectCase) -> str | None:
 
 def leaves_positions_it_is_given_alone(case: EffectCase) -> str | None:
     effect, phi = case.effect, next(probe.acting_values(case.effect))
+    if acts_on_curves(effect):
+        curves.leaves_inputs_alone(effect)
     if effect.place == "dynamics":
         return "is given no positions to change"
     time, position = np.linspace(0.0, 0.5, 6), np.random.default_rng(4).normal(size=(6, 4, 3))
     points = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1], [0.1, 0.1]])
     before = time.copy(), position.copy(), points.copy()
     arguments = {"grips": (time, position), "times": (time,), "positions": (time, position, points)}
-    for hook in HOOKS[effect.place]:
+    for hook in SHEET_HOOKS[effect.place]:
         if not hasattr(effect, hook):
             continue
         wanted = time.shape if hook == "times" else position.shape

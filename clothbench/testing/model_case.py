@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.curve_simulation import answers_sheets
 from clothbench.errors import ClothbenchError
 from clothbench.protocols import Effect, Model
 from clothbench.rollout import Rollout
 from clothbench.scene import Scene
 from clothbench.testing import probe, scenes
-from clothbench.testing.rules import require
+from clothbench.testing.rules import NotApplicable, require
 
 
 @dataclass(frozen=True, eq=False)
@@ -33,6 +34,8 @@ class ModelCase:
     @cached_property
     def scenes(self) -> dict[str, Scene]:
         """The scenes that the model can simulate, by name; it refuses others with a ClothbenchError."""
+        if not answers_sheets(self.model):
+            raise NotApplicable("answers force-extension curves only")
         wanted = dict(scenes.standard() if self.wanted is None else self.wanted)
         if not self.is_dynamic:
             wanted = {name: scenes.still(scene) for name, scene in wanted.items() if len(scene.grip_material)}

@@ -6,13 +6,14 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from clothbench.curve_simulation import answers_curves, answers_sheets
 from clothbench.errors import ClothbenchError
 from clothbench.parameters import ParameterSpace
 from clothbench.plugins import absent
 from clothbench.protocols import Effect, Model
 from clothbench.rollout import Rollout
 from clothbench.scene import Scene
-from clothbench.testing import motion, probe
+from clothbench.testing import curves, motion, probe
 from clothbench.testing.model_case import ModelCase, finished, same_bits
 from clothbench.testing.rollouts import require_independent, require_whole
 from clothbench.testing.rules import (
@@ -27,7 +28,7 @@ from clothbench.testing.rules import (
     takes,
 )
 
-CAPABILITIES = frozenset({"dynamic", "static", "effects", "contact", "self_contact"})
+CAPABILITIES = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "curve"})
 STEPS_TO_TRY = 1e-3 * 2.0 ** np.arange(9)  # s, from fine to hopeless
 
 
@@ -61,8 +62,12 @@ def has_all_members(case: ModelCase) -> None:
     require(len(model.parameters) > 0, "no parameter", "at least one to calibrate")
     unknown = sorted(set(model.capabilities) - CAPABILITIES)
     require(not unknown, f"capabilities {unknown}", f"some of {sorted(CAPABILITIES)}")
-    able = {"dynamic", "static"} & set(model.capabilities)
-    require(able, f"capabilities {sorted(model.capabilities)}", "'dynamic', 'static' or both")
+    able = {"dynamic", "static", "curve"} & set(model.capabilities)
+    require(able, f"capabilities {sorted(model.capabilities)}", "'dynamic', 'static' or 'curve'")
+    if answers_curves(model):
+        require_members(model, Model, ("curve",))
+    if not answers_sheets(model):
+        return
     simulation = model.prepare(next(iter(case.scenes.values())))
     names = simulation.parameters.names
     require(names == model.parameters.names, f"a simulation with parameters {names}", model.parameters.names)
@@ -192,6 +197,13 @@ def reports_divergence(case: ModelCase) -> str | None:
     return None if some_lost else "no step up to 0.26 s makes it diverge"
 
 
+def answers_curves_if_it_says_so(case: ModelCase) -> str | None:
+    if not answers_curves(case.model):
+        return "answers no force-extension curves"
+    curves.answers(case.model)
+    return None
+
+
 RULES = (
     has_all_members,
     gives_whole_rollouts,
@@ -202,5 +214,6 @@ RULES = (
     is_untouched_by_null_effects,
     lets_effects_act,
     reports_divergence,
+    answers_curves_if_it_says_so,
     *motion.RULES,
 )

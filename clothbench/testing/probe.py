@@ -6,6 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from clothbench.curve_simulation import acts_on_sheets
 from clothbench.kernels import effect_kernel
 from clothbench.parameters import Parameter, ParameterSpace
 from clothbench.plugins import catalogue
@@ -65,11 +66,11 @@ def acting_values(effect: Effect) -> Iterator[np.ndarray]:
 
 
 def installed_effects() -> tuple[Effect, ...]:
-    """Every effect in the catalogue that can be made; one that cannot is its own author's concern."""
+    """Every effect on sheets in the catalogue that can be made; one that cannot is its own author's concern."""
     found = []
     for name in catalogue().names("effects"):
         try:
             found.append(catalogue().make("effects", name))
         except Exception:
             continue
-    return tuple(found)
+    return tuple(effect for effect in found if acts_on_sheets(effect))

@@ -234,6 +234,18 @@ class Nothing(Faulty):
         raise ClothbenchError("not this scene")
 
 
+class Overstretched(Faulty):
+    """Has no answer beyond twice the length."""
+
+    def __init__(self):
+        super().__init__()
+        self.capabilities = self.capabilities | {"curve"}
+
+    def curve(self, stretch, theta):
+        with np.errstate(invalid="ignore"):
+            return theta[0] * np.sqrt(2 - stretch)
+
+
 CASES = [
     (Nameless, "has all members", "name 'not a name'"),
     (Nothing, "has all members", "no parameter"),
@@ -247,6 +259,7 @@ CASES = [
     (TouchyAboutEffects, "is untouched by null effects", "at its null values"),
     (DeafToEffects, "lets effects act", "nothing changed by effect"),
     (Explosive, "reports divergence", "FloatingPointError: the sheet blew up"),
+    (Overstretched, "answers curves if it says so", "forces that are not finite"),
     (Infectious, "reports divergence", "dt ="),
     (LettingGo, "follows the grips", "from their grips in scene swinging"),
     (Homesick, "moves along with the room", "off after turning and shifting scene"),

@@ -12,6 +12,9 @@ EFFECTS = (
     ("local_jet", "LocalJet", "a draught along a horizontal line"),
     ("lift", "Lift", "lift of a sheet that moves at an angle through the air"),
     ("stretch_stiffening", "StretchStiffening", "tension that grows with the square of the strain"),
+    ("strain_locking", "StrainLocking", "tension that grows exponentially as the yarns lock (curves)"),
+    ("limited_extension", "LimitedExtension", "a stretch that cannot be passed (curves)"),
+    ("start_friction", "StartFriction", "yarns that stick before they slide (curves)"),
     ("poisson_coupling", "PoissonCoupling", "cross contraction between warp and weft"),
     ("bending_anisotropy", "BendingAnisotropy", "bending rigidity of warp and weft beyond the model's own"),
     ("bending_hysteresis", "BendingHysteresis", "internal friction in bending"),
@@ -26,12 +29,15 @@ EFFECTS = (
     ("grip_slip", "GripSlip", "cloth that slips down in its grips, once"),
     ("grip_compliance", "GripCompliance", "grips that follow their path like a damped spring mount"),
     ("grip_patch", "GripPatch", "grips that hold a square patch each, not a point"),
+    ("clamp_slack", "ClampSlack", "a sample loose or already drawn at the start (curves)"),
+    ("clamp_slip", "ClampSlip", "cloth that slips out of its clamps (curves)"),
     ("clock_offset", "ClockOffset", "positions are stamped late or early"),
     ("frame_rotation", "FrameRotation", "the camera's frame turned against the grips'"),
     ("frame_translation", "FrameTranslation", "the camera's frame shifted against the grips'"),
     ("frame_scale", "FrameScale", "lengths seen too long or too short"),
     ("tracker_lowpass", "TrackerLowpass", "positions smoothed by a first-order filter"),
     ("marker_standoff", "MarkerStandoff", "markers that stand off the cloth"),
+    ("load_offset", "LoadOffset", "a load cell whose zero is off (curves)"),
 )
 
 

@@ -1,5 +1,7 @@
 """`stretch_stiffening`: yarns are crimped; once pulled straight the cloth gets stiffer with strain."""
 
+import numpy as np
+
 from clothbench import Parameter, ParameterSpace, effect_kernel
 from clothbench_effects.sheet_kernels import add_tension, stretch
 
@@ -40,3 +42,8 @@ class StretchStiffening:
 
     def stiffness(self, phi):
         return 2.0 * phi[0] * STRAIGHT, 0.0
+
+    def curve(self, stretch: np.ndarray, phi: np.ndarray) -> np.ndarray:
+        strain = np.maximum(stretch - 1, 0)
+        crimped = np.minimum(strain, STRAIGHT)
+        return phi[0] * (2 * strain - crimped) * crimped

@@ -27,6 +27,11 @@ def clothbench_models():
             "inextensible quadrilaterals, isometric bending, Rayleigh damping; implicit with fast projection",
         ),
         Registration(
+            "linear_stretch",
+            "clothbench_models.linear_stretch:LinearStretch",
+            "tension in proportion to strain, for force-extension curves only",
+        ),
+        Registration(
             "mujoco",
             "clothbench_models.peers.mujoco_model:Mujoco",
             "MuJoCo flex: Saint Venant-Kirchhoff membrane and quadratic bending, explicit or implicit",

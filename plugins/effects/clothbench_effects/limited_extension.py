@@ -1,0 +1,33 @@
+"""`limited_extension`: a cloth that cannot be stretched beyond a certain length."""
+
+import numpy as np
+
+from clothbench import Parameter, ParameterSpace
+
+SOURCE = "limiting chain extensibility: Gent 1996, A new constitutive relation for rubber, in one dimension"
+NEAR = 0.98  # share of the limit from which on it goes along its tangent, so that it has a value everywhere
+
+
+class LimitedExtension:
+    """T = A (1/(1 − x) − 1 − x), x = ε/ε_m with ε the stretch less 1: a pole where the loops are drawn out.
+
+    Without slope and force at ε = 0: those are the model's own. Curves only.
+    """
+
+    name = "limited_extension"
+    version = 1
+    place = "dynamics"
+    summary = "tension that grows beyond all bounds towards a largest stretch"
+    parameters = ParameterSpace(
+        (
+            Parameter("tension", "A", "N/m", (0.0, 500.0), "linear", 10.0, "tension at half the limit, doubled", SOURCE,
+                      null=0.0),
+            Parameter("limit", "ε_m", "1", (0.02, 5.0), "log", 0.6, "strain that is never reached", SOURCE),
+        )
+    )  # fmt: skip
+
+    def curve(self, stretch: np.ndarray, phi: np.ndarray) -> np.ndarray:
+        x = np.maximum(stretch - 1, 0) / phi[1]
+        inside = np.minimum(x, NEAR)
+        tangent = (x - inside) * (1 / (1 - NEAR) ** 2 - 1)
+        return phi[0] * (1 / (1 - inside) - 1 - inside + tangent)
