@@ -33,11 +33,12 @@ def error_figure(errors: Rows, verdict: Mapping[str, Any], unit: str) -> Figure:
     together, with the placebo; an upright line where noise and mesh are.
     """
     changed, total = bool(verdict["effects"]), verdict["error_mm"]
-    lines = [(label(r), r["before"], r["after"], r["split"]) for r in reversed(errors)]
-    for split, word in SPLIT_WORDS.items():
-        pair = (total[split]["before"], total[split]["after"])
-        if pair[0] is not None and sum(r["split"] == split for r in errors) > 1:
-            lines.append((f"<b>all {word}</b>", *pair, split))
+    lines: list[tuple[str, float, float, str]] = []
+    for split, word in SPLIT_WORDS.items():  # from below: the held-out recordings stand on top
+        mine = [r for r in reversed(errors) if r["split"] == split]
+        lines += [(label(r), r["before"], r["after"], split) for r in mine]
+        if len(mine) > 1:
+            lines.append((f"<b>all {word}</b>", total[split]["before"], total[split]["after"], split))
     names = [name for name, *_ in lines]
     data = []
     if changed:
@@ -106,9 +107,14 @@ def cloth(rows: Rows, column: str, word: str, top: float) -> Figure:
         },
         "hovertemplate": f"%{{marker.color}} {unit} at u = %{{x}} mm, v = %{{y}} mm<extra>{word}</extra>",
     }  # fmt: skip
-    y_axis = {"title": {"text": "v, down [mm]"}, "autorange": "reversed", "scaleanchor": "x", "showgrid": False}
-    out = figure([marks], f"{word}: u, along the warp [mm]", y_axis, height=360)
-    out["layout"]["xaxis"] |= {"showgrid": False, "constrain": "domain"}
+    pad = 0.7 * pitch
+    y_axis = {"title": {"text": "v, down [mm]"}, "scaleanchor": "x", "constrain": "domain", "showgrid": False,
+              "range": [max(v, default=0.0) + pad, min(v, default=0.0) - pad]}  # fmt: skip
+    out = figure([marks], "u, along the warp [mm]", y_axis, height=390)
+    x_range = [min(u, default=0.0) - pad, max(u, default=0.0) + pad]
+    out["layout"]["xaxis"] |= {"showgrid": False, "constrain": "domain", "range": x_range}
+    out["layout"] |= {"title": {"text": word, "x": 0.5, "font": {"size": 14}}}
+    out["layout"]["margin"] |= {"t": 40}
     return out
 
 
@@ -174,12 +180,21 @@ def drift_figures(drift: Rows) -> dict[str, list[Figure]]:
         data.append({**marks, "meta": "alone"})
         y_axis = {"tickvals": list(range(len(mine))), "ticktext": [escape(r["recording"]) for r in mine],
                   "automargin": True, "showgrid": False, "range": ends}  # fmt: skip
-        title = f"{escape(first['symbol'])}, {escape(name)}" + (f" [{first['unit']}]" if unit else "")
+        title = f"{escape(first['symbol'])} ({escape(name)})" + (f" [{first['unit']}]" if unit else "")
         height = int(np.clip(90 + 26 * len(mine), 200, 1200))
         view = figure(data, title, y_axis, height=height)
-        view["layout"]["xaxis"] |= {"rangemode": "normal", "type": "log" if first["scale"] == "log" else "linear"}
+        view["layout"]["xaxis"] |= padded([first, *mine], first["scale"] == "log")
         out[name] = [view]
     return out
+
+
+def padded(rows: Rows, log: bool) -> dict[str, Any]:
+    """An axis that ends a little beyond all values and the joint interval."""
+    ends = [r[n] for r in rows for n in ("value", "joint", "low", "high") if r[n] is not None]
+    scaled = np.log10([v for v in ends if v > 0]) if log else np.array(ends)
+    pad = 0.06 * float(np.ptp(scaled)) or 0.1
+    span = [float(scaled.min() - pad), float(scaled.max() + pad)]
+    return {"type": "log" if log else "linear", "range": span, "rangemode": "normal"}
 
 
 def stage_figure(stages: Rows) -> Figure:

@@ -138,7 +138,7 @@ def candidate_section(candidates: Rows) -> str:
 def candidate_row(row: dict[str, Any]) -> list[str]:
     kind = "named" if row["named"] else "tried" if row["gain"] is not None else ""
     width = f"{100 * min(max(row['share'], 0.0), 1.0):.1f}"
-    bar = f'<div class="bar {kind}"><i style="width:{width}%"></i><span>{row["share"]:.1%}</span></div>'
+    bar = f'<div class="bar {kind}"><i style="width:{width}%"></i><span>{100 * row["share"]:.1f} %</span></div>'
     name = f'<span title="{text(row["summary"])}">{text(row["name"])}</span>'
     gain = "–" if row["gain"] is None else f"{row['gain']:.3g}"
     best = "–" if row["gain"] is None else f"{row['selected']}/{row['of']}"
@@ -165,7 +165,10 @@ def direction_section(found: Mapping[str, Any], portrait: Rows, blocks: list[dic
     if not portrait:
         return ""
     views = draw.direction_figures(portrait, bool(found["effects"]))
-    caption = "The residual split along the sheet's normal, warp and weft as it was seen."
+    caption = (
+        "The residual split along the sheet's normal, warp and weft as it was seen; these are distances, so that their "
+    )
+    caption += "squares add up to three times that of a coordinate."
     body = []
     for name, rows in draw.by_recording(portrait).items():
         at = {r["fit"]: r for r in rows}

@@ -15,6 +15,8 @@ STYLE = """
 .bar.named i { background: #0077bb; }
 .bar span { position: absolute; left: 8px; line-height: 22px; font-size: 13px;
   font-variant-numeric: tabular-nums; }
+h1 + p.soft { max-width: none; }
+tr.group small { font-weight: 400; }
 li { max-width: 95ch; margin: 4px 0; }
 """
 

@@ -60,7 +60,7 @@ def direction(left: Rows) -> str:
     names = ("normal", "warp", "weft")
     square = {n: sum(r[n] ** 2 for r in left) for n in names}
     total = sum(square.values()) or 1.0
-    shares = ", ".join(f"{n} {square[n] / total:.0%}" for n in sorted(names, key=lambda n: -square[n]))
+    shares = ", ".join(f"{n} {100 * square[n] / total:.0f} %" for n in sorted(names, key=lambda n: -square[n]))
     return f"By direction (share of the mean square): {shares}."
 
 

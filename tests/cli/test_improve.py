@@ -1,0 +1,187 @@
+"""`clothbench improve` as a user meets it: a planted clock offset is found, and all that lies in the folder then."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import swinging_recording
+from test_commands import only_line
+
+from clothbench import Recording, write_recording
+from clothbench.experiment.improve_schema import IMPROVE_TABLES
+from clothbench.experiment.store import read_table
+from clothbench.plugins import catalogue
+from clothbench.scene import scene_of
+
+DELAY = 0.05  # s, between camera and grips, which the model is not told
+KEYS = {
+    "schema", "model", "verdict", "effects", "error_mm", "unexplained_mm", "hint", "candidates", "evaluations",
+    "wall_s", "seed", "recordings",
+}  # fmt: skip
+SMALL = ("model=mass_spring", "resolution=5")
+
+
+def improve(folder: Path, *settings: str) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "clothbench", "improve", *settings]
+    return subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=600, check=False)
+
+
+def planted(number: int, split: str) -> Recording:
+    """A swatch moved to and fro, in each recording another way; the truth has a finer mesh, and a delay."""
+    plugins = catalogue()
+    time, grip_time = np.linspace(0.0, 0.44, 12), np.linspace(0.0, 0.44, 23)
+    rate, size, angle = ((1.3, 0.030, 0.3), (1.7, 0.025, 1.2), (1.0, 0.035, 0.9), (1.5, 0.030, 0.6))[number]
+    way = size * np.sin(2 * np.pi * rate * grip_time)[:, None, None] ** 2 * [np.cos(angle), np.sin(angle), 0.0]
+    held = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0]])
+    blank = swinging_recording(
+        f"sway-{number}", split=split, time=time, position=np.zeros((12, 25, 3)), grip_time=grip_time,
+        grip_position=held + way, noise_sigma=5e-4,
+    )  # fmt: skip
+    scene = dataclasses.replace(scene_of(blank), resolution=(7, 7), start=None)
+    effects = [plugins.make("effects", name) for name in ("linear_drag", "clock_offset")]
+    simulation = plugins.make("models", "mass_spring").prepare(scene, effects)
+    truth = {"k1": 80.0, "k2": 4.0, "zeta": 0.1, "linear_drag.coefficient": 0.4, "clock_offset.delay": DELAY}
+    theta = [truth.get(p.name, p.default if p.null is None else p.null) for p in simulation.parameters]
+    position = simulation.run(np.array([theta])).position[0]
+    position = position + np.random.default_rng(number).normal(0.0, 5e-4, position.shape)
+    position[5:8, 7] = np.nan
+    return dataclasses.replace(blank, position=position)
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Path:
+    """A folder with four planted recordings in `rec`, the last one held out; two of them also in `two`."""
+    folder = tmp_path_factory.mktemp("improve")
+    for number, split in enumerate(("fit", "fit", "fit", "held_out")):
+        write_recording(planted(number, split), folder / "rec" / f"sway-{number}.nc")
+        if number in (0, 3):
+            write_recording(planted(number, split), folder / "two" / f"sway-{number}.nc")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(place) -> tuple[Path, subprocess.CompletedProcess[str]]:
+    """The folder that the command filled, and what it said."""
+    (place / "found" / "tables").mkdir(parents=True)
+    (place / "found" / "notes.txt").write_text("mine")
+    (place / "found" / "tables" / "old.parquet").write_text("of an earlier run")
+    ran = improve(place, "recordings=rec", *SMALL, "candidates=clock_offset,gravity_tilt", "out=found")
+    assert ran.returncode == 0, ran.stderr
+    return place / "found", ran
+
+
+@pytest.fixture(scope="module")
+def verdict(done) -> dict:
+    return json.loads((done[0] / "verdict.json").read_text())
+
+
+def test_the_verdict_names_the_planted_effect_with_its_amount(verdict):
+    assert verdict["schema"] == 1
+    assert set(verdict) >= KEYS
+    assert (verdict["verdict"], [e["name"] for e in verdict["effects"]]) == ("attributed", ["clock_offset"])
+    delay = verdict["effects"][0]["parameters"]["delay"]
+    assert delay["low"] <= DELAY <= delay["high"]
+    assert delay["unit"] == "s"
+    error = verdict["error_mm"]["held_out"]
+    assert error["after"] < error["before"] / 2
+    assert set(error) >= {"before", "after", "ci95", "per_recording"}
+    assert verdict["recordings"] == {"fit": ["sway-0", "sway-1", "sway-2"], "held_out": ["sway-3"]}
+    assert {c["name"] for c in verdict["candidates"]} == {"clock_offset", "gravity_tilt"}
+
+
+def test_every_table_can_be_read_and_says_the_same(done, verdict):
+    tables = {name: read_table(done[0] / "tables" / f"{name}.parquet").to_pylist() for name in IMPROVE_TABLES}
+    for name in set(tables) - {"stages", "drift"}:
+        assert tables[name], name
+    error = {r["recording"]: r for r in tables["errors"]}
+    assert list(error) == ["sway-0", "sway-1", "sway-2", "sway-3"]
+    assert error["sway-3"]["after"] == pytest.approx(verdict["error_mm"]["held_out"]["after"])
+    for name in ("frames", "nodes"):
+        for recording, row in error.items():
+            mine = [r for r in tables[name] if r["recording"] == recording and r["coordinates"]]
+            for fit in ("before", "after"):
+                square = sum(r["coordinates"] * r[fit] ** 2 for r in mine) / sum(r["coordinates"] for r in mine)
+                assert square**0.5 == pytest.approx(row[fit]), (name, recording, fit)
+    assert {r["against"] for r in tables["against"]} == {"speed", "acceleration", "height"}
+    assert {r["fit"] for r in tables["parameters"] if r["name"] == "clock_offset.delay"} == {"after"}
+    assert [r["name"] for r in tables["candidates"] if r["named"]] == ["clock_offset"]
+
+
+def test_the_page_is_self_contained_and_says_what_was_found(done):
+    text = (done[0] / "index.html").read_text()
+    own = re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)  # plotly.js names addresses that it never asks
+    assert not re.search(r"https?://|\b(src|href)=", own)
+    for word in ("attributed", "clock_offset", "gravity_tilt", "explains no more than chance", "What remains"):
+        assert word in own
+    content = json.loads(re.search(r'id="found">(.*?)</script>', text, re.DOTALL)[1])
+    blocks = {block["id"]: block["views"] for block in content["blocks"]}
+    assert set(blocks) >= {"errors", "frames", "map", "directions", "against"}
+    assert next(iter(blocks["frames"])) == "sway-3 (held out)"
+    assert [len(view) for view in blocks["map"].values()] == [2] * 5
+    for name in blocks:
+        assert f'id="{name}-0"' in own
+
+
+def test_rerun_files_lie_beside_and_nothing_of_an_older_run(done):
+    folder, ran = done
+    assert sorted(p.name for p in (folder / "rerun").iterdir()) == [f"sway-{n}.rrd" for n in range(4)]
+    assert all((folder / "rerun" / f"sway-{n}.rrd").read_bytes()[:4] == b"RRF2" for n in range(4))
+    assert sorted(p.name for p in folder.iterdir()) == ["index.html", "notes.txt", "rerun", "tables", "verdict.json"]
+    assert sorted(p.stem for p in (folder / "tables").iterdir()) == sorted(IMPROVE_TABLES)
+    for word in ("verdict: attributed", "index.html", "tables", "rerun", "clothbench view sway-3 --out found"):
+        assert word in ran.stdout
+    assert "calibrate" in ran.stderr
+
+
+def test_view_knows_the_recordings_of_the_folder(done, clothbench):
+    out = clothbench("view", "sway-9", "--out", str(done[0]))
+    assert out.returncode == 2
+    assert "no recording 'sway-9'; there are: sway-0, sway-1, sway-2, sway-3" in only_line(out.stderr)
+
+
+def test_json_is_the_document_and_nothing_else(place):
+    ran = improve(place, "--json", "recordings=two", *SMALL, "candidates=gravity_tilt", "out=plain", "seed=3")
+    assert ran.returncode == 0, ran.stderr
+    found = json.loads(ran.stdout)
+    assert found == json.loads((place / "plain" / "verdict.json").read_text())
+    assert (found["verdict"], found["effects"], found["seed"]) == ("unexplained", [], 3)
+    assert found["error_mm"]["held_out"]["before"] == found["error_mm"]["held_out"]["after"]
+    assert "that no candidate explains" in (place / "plain" / "index.html").read_text()
+
+
+@pytest.mark.parametrize(
+    ("settings", "found"),
+    [
+        (("model=mass_spring",), "found no recordings=…"),
+        (("recordings=rec", "modle=mass_spring"), "found 'modle=mass_spring', expected recordings=VALUE"),
+        (("recordings=nowhere", *SMALL), "nowhere: no such file or folder"),
+        (("recordings=.", *SMALL), "found no recordings, expected files ending in .nc"),
+        (("recordings=rec", "model=mass_sping"), "did you mean 'mass_spring'"),
+        (("recordings=rec", *SMALL, "candidates=clock_ofset"), "did you mean 'clock_offset'"),
+        (("recordings=rec", *SMALL, "seed=x"), "seed is 'x', expected a whole number, at least 0"),
+        (("recordings=rec", *SMALL, "resolution=2"), "resolution is '2', expected a whole number, at least 5"),
+        (("recordings=rec", *SMALL, "out=file"), "setting 'out': file cannot be written to"),
+        (("recordings=bad", *SMALL), "bad.nc: found a file that starts with"),
+        (("recordings=rec/sway-3.nc", *SMALL), "found only held-out recordings, expected at least one to fit"),
+    ],
+)
+def test_wrong_use_is_one_line_and_exit_2(place, tmp_path, settings, found):
+    shutil.copytree(place / "rec", tmp_path / ("rec" if "recordings=." not in settings else ".rec"))
+    (tmp_path / "file").write_text("mine")
+    if "recordings=bad" in settings:
+        shutil.copytree(place / "rec", tmp_path / "bad")
+        (tmp_path / "bad" / "bad.nc").write_text("no NetCDF")
+    before = sorted(tmp_path.rglob("*"))
+    ran = improve(tmp_path, *settings)
+    assert ran.returncode == 2, ran.stderr
+    assert found in only_line(ran.stderr)
+    assert ran.stdout == ""
+    assert sorted(tmp_path.rglob("*")) == before
