@@ -26,7 +26,7 @@ KEYS = {
     "schema", "model", "verdict", "effects", "error_mm", "unexplained_mm", "hint", "candidates", "evaluations",
     "wall_s", "seed", "recordings",
 }  # fmt: skip
-SMALL = ("model=mass_spring", "resolution=5")
+SMALL = ("model=mass_spring", "resolution=5", "base=")
 
 
 def improve(folder: Path, *settings: str) -> subprocess.CompletedProcess[str]:
@@ -46,9 +46,9 @@ def planted(number: int, split: str) -> Recording:
         grip_position=held + way, noise_sigma=5e-4,
     )  # fmt: skip
     scene = dataclasses.replace(scene_of(blank), resolution=(7, 7), start=None)
-    effects = [plugins.make("effects", name) for name in ("linear_drag", "clock_offset")]
+    effects = [plugins.make("effects", "clock_offset")]
     simulation = plugins.make("models", "mass_spring").prepare(scene, effects)
-    truth = {"k1": 80.0, "k2": 4.0, "zeta": 0.1, "linear_drag.coefficient": 0.4, "clock_offset.delay": DELAY}
+    truth = {"k1": 80.0, "k2": 4.0, "zeta": 0.3, "clock_offset.delay": DELAY}
     theta = [truth.get(p.name, p.default if p.null is None else p.null) for p in simulation.parameters]
     position = simulation.run(np.array([theta])).position[0]
     position = position + np.random.default_rng(number).normal(0.0, 5e-4, position.shape)
