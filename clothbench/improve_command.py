@@ -13,6 +13,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from clothbench.curve_simulation import acts_on_sheets
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.cell import Source, resplit
 from clothbench.experiment.settings import writable
@@ -21,6 +22,7 @@ from clothbench.loop.problem import Case, Problem
 from clothbench.loop.verdict import document, placebo_of
 from clothbench.plugins import Catalogue, absent, catalogue
 from clothbench.recording import find_recordings, read_recording
+from clothbench.recording_file import kind_of
 from clothbench.report.improve_files import json_text, write_folder
 from clothbench.scene import scene_of
 
@@ -36,6 +38,10 @@ def command(settings: Mapping[str, str], as_json: bool = False) -> int:
     for key in ("recordings", "model"):
         if not settings.get(key):
             raise ClothbenchError(f"found no {key}=…, expected clothbench improve recordings=DIR model=NAME [out=DIR]")
+    if kind_of(find_recordings([settings["recordings"]])[0]) == "curve":
+        from clothbench.curve_command import command as on_curves
+
+        return on_curves(settings, as_json)
     out = writable(settings.get("out", "improve"))
     problem = problem_of(settings, plugins)
     candidates = candidates_of(settings.get("candidates"), plugins, problem)
@@ -87,12 +93,18 @@ def default_base(problem: Problem) -> list[str]:
 
 def candidates_of(given: str | None, plugins: Catalogue, problem: Problem) -> list[str]:
     """All installed effects that the model does not have, or those that were named."""
-    chosen = names(given) if given else plugins.names("effects")
+    chosen = names(given) if given else [n for n in plugins.names("effects") if _on_sheets(n, plugins)]
     for name in chosen:
         plugins.find("effects", name)
+        if not _on_sheets(name, plugins):
+            raise ClothbenchError(f"effect {name!r} acts on force-extension curves only; take it out of candidates")
     order = {"sensor": 0, "boundary": 1, "dynamics": 2}
     found = [name for name in chosen if name not in problem.base]
     return sorted(found, key=lambda name: order.get(plugins.make("effects", name).place, 3))
+
+
+def _on_sheets(name: str, plugins: Catalogue) -> bool:
+    return acts_on_sheets(plugins.make("effects", name))
 
 
 def names(text: str) -> list[str]:

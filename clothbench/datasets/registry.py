@@ -64,7 +64,9 @@ def _load(name: str) -> Dataset:
     return Dataset(**stated, files=MappingProxyType(listed))
 
 
-DATASETS: Mapping[str, Dataset] = MappingProxyType({name: _load(name) for name in ("iri_wam_cloth_swing",)})
+DATASETS: Mapping[str, Dataset] = MappingProxyType(
+    {name: _load(name) for name in ("iri_wam_cloth_swing", "knit_uniaxial_gatech")}
+)
 
 
 def dataset(name: str) -> Dataset:

@@ -57,6 +57,7 @@ def fit(
     if start is not None:
         settings = {"starts": 0, "walks": 1, "secant": True}
         space = started(space, better(trials, space, np.atleast_2d(start)))
+    settings, budget = settings | problem.search, budget * problem.patience
     optimizer = problem.plugins.make("optimizers", "least_squares", space, seed=problem.seed, budget=budget, **settings)
     theta, value, count = space.defaults, np.inf, 0
     while not optimizer.done:
@@ -71,7 +72,7 @@ def fit(
             theta, value = asked[best], cost
         if told is not None:
             told(len(asked), 1e3 * np.sqrt(value))
-    residual, jacobian, spent = differences(trials, space, theta)
+    residual, jacobian, spent = differences(trials, space, theta, problem.probe or PROBE)
     low, high = interval(space, theta, residual, jacobian)
     return Fitted(names, space, theta, residual, jacobian, low, high, count + spent)
 
@@ -91,10 +92,12 @@ def started(space: ParameterSpace, start: np.ndarray) -> ParameterSpace:
     return ParameterSpace(tuple(dataclasses.replace(p, default=float(v)) for p, v in zip(space, inside, strict=True)))
 
 
-def differences(trials: list[Trial], space: ParameterSpace, theta: np.ndarray) -> tuple[list, list, int]:
+def differences(
+    trials: list[Trial], space: ParameterSpace, theta: np.ndarray, probe: float = PROBE
+) -> tuple[list, list, int]:
     """Residual (M,) m and Jacobian (M, P) m of each recording at theta, by one-sided differences in the unit cube."""
     unit = space.to_unit(theta)
-    away = np.where(unit + PROBE <= 1.0, PROBE, -PROBE)
+    away = np.where(unit + probe <= 1.0, probe, -probe)
     points = space.from_unit(np.vstack([unit, unit + np.diag(away)]))
     points[0] = theta
     residual, jacobian = [], []

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clothbench.loop.attribution import Probe, weights
+from clothbench.loop.curves import CurveCase
 from clothbench.loop.fitting import Fitted
 from clothbench.loop.problem import Case
 
@@ -66,7 +67,9 @@ def explained(base: np.ndarray, spans: Sequence[np.ndarray], residuals: np.ndarr
 
 
 def field_of(case: Case, residual: np.ndarray) -> np.ndarray:
-    """The residual (M,) back on its frames and nodes (T, N, 3), 0 where nothing was seen."""
+    """The residual (M,) back on its frames and nodes (T, N, 3), 0 where nothing was seen; a curve's as it is."""
+    if isinstance(case, CurveCase):
+        return residual
     out = np.zeros(case.observation.position.shape)
     out[case.observation.visible] = residual.reshape(-1, 3)
     return out
@@ -74,6 +77,8 @@ def field_of(case: Case, residual: np.ndarray) -> np.ndarray:
 
 def scrambled(case: Case, field: np.ndarray, random: np.random.Generator) -> np.ndarray:
     """The residual out of step: moved round in time, turned about the vertical, mirrored or not; (M,)."""
+    if isinstance(case, CurveCase):
+        return case.scrambled(field, random)
     # Round a circle of the motion and its reverse, so that no jump comes in where the end meets the beginning.
     frames = len(field)
     at = (np.arange(frames) + random.integers(2 * frames)) % (2 * frames)

@@ -107,6 +107,12 @@ class Problem:
     seed: int = 0
     corrections: Mapping[str, np.ndarray] = field(default_factory=dict)
 
+    # What a fit does otherwise where a rollout costs next to nothing and has no ripples: settings of the search, times
+    # the budget, and the step of differences (0: the usual).
+    search: ClassVar[dict[str, Any]] = {}
+    patience: ClassVar[int] = 1
+    probe: ClassVar[float] = 0.0
+
     def finer(self) -> Problem:
         """The same with half the cell size and half the step."""
         nu, nv = self.resolution or (0, 0)

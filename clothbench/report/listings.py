@@ -72,7 +72,10 @@ def dataset_rows() -> list[dict[str, Any]]:
 
     rows = []
     for name, d in DATASETS.items():
-        local = local_copy(name, None)
+        try:
+            local = local_copy(name, None)
+        except ClothbenchError:  # CLOTHBENCH_DATA names a folder that has others, or nothing
+            local = None
         rows.append(
             {
                 "name": name,
@@ -103,7 +106,8 @@ def print_import(folder: Path) -> None:
     """What came of each source file: frames in, kept, dropped and why."""
     import json
 
-    recordings = json.loads((folder / REPORT).read_text())["recordings"]
+    report = json.loads((folder / REPORT).read_text())
+    recordings = report["recordings"]
     table = Table(title="import", title_justify="left", title_style="bold")
     table.add_column("source", overflow="fold")
     for name in ("frames in", "kept", "clock offset"):
@@ -117,4 +121,5 @@ def print_import(folder: Path) -> None:
     console().print(table)
     kept, came = (sum(r[n] for r in recordings) for n in ("frames_kept", "frames_in"))
     made = sum(not r["skipped"] for r in recordings)
-    print(f"{made} recordings with {kept} of {came} frames in {folder}; next: clothbench run +suite=iri_swing")
+    after = report.get("next", "clothbench run +suite=iri_swing").format(folder=folder / report.get("next_folder", ""))
+    print(f"{made} recordings with {kept} of {came} frames in {folder}; next: {after}")

@@ -29,7 +29,7 @@ LAYERS = [
     {"kernels", "protocols", "effects", "curve_simulation", "plugins"},
     {"datasets", "experiment", "testing", "loop"},
     {"report", "bench", "timing"},
-    {"run_command", "improve_command", "cli", "scaffold", "__main__"},
+    {"run_command", "improve_command", "curve_command", "cli", "scaffold", "__main__"},
 ]
 
 

@@ -9,7 +9,7 @@ NEAR = 0.98  # share of the limit from which on it goes along its tangent, so th
 
 
 class LimitedExtension:
-    """T = A (1/(1 − x) − 1 − x), x = ε/ε_m with ε the stretch less 1: a pole where the loops are drawn out.
+    """T = A (1/(1 − x) − 1 − x), x = cε with ε the stretch less 1: a pole at ε = 1/c, where the loops are drawn out.
 
     Without slope and force at ε = 0: those are the model's own. Curves only.
     """
@@ -20,14 +20,14 @@ class LimitedExtension:
     summary = "tension that grows beyond all bounds towards a largest stretch"
     parameters = ParameterSpace(
         (
-            Parameter("tension", "A", "N/m", (0.0, 500.0), "linear", 10.0, "tension at half the limit, doubled", SOURCE,
+            Parameter("closeness", "c", "1", (0.0, 20.0), "linear", 0.5, "1 over the strain never reached", SOURCE,
                       null=0.0),
-            Parameter("limit", "ε_m", "1", (0.02, 5.0), "log", 0.6, "strain that is never reached", SOURCE),
+            Parameter("tension", "A", "N/m", (1e-2, 1e3), "log", 5.0, "twice the tension at half the limit", SOURCE),
         )
     )  # fmt: skip
 
     def curve(self, stretch: np.ndarray, phi: np.ndarray) -> np.ndarray:
-        x = np.maximum(stretch - 1, 0) / phi[1]
+        x = phi[0] * np.maximum(stretch - 1, 0)
         inside = np.minimum(x, NEAR)
         tangent = (x - inside) * (1 / (1 - NEAR) ** 2 - 1)
-        return phi[0] * (1 / (1 - inside) - 1 - inside + tangent)
+        return phi[1] * (1 / (1 - inside) - 1 - inside + tangent)

@@ -1,0 +1,129 @@
+"""`clothbench improve` on force-extension curves: the same loop, with errors in newtons."""
+
+from __future__ import annotations
+
+import csv
+import io
+import sys
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from clothbench.curve import Curve, read_any
+from clothbench.curve_simulation import acts_on_curves
+from clothbench.errors import ClothbenchError
+from clothbench.experiment.cell import Source, resplit
+from clothbench.experiment.settings import writable
+from clothbench.files import whole_file
+from clothbench.improve_command import StageBar, names, whole
+from clothbench.loop.before_after import standing
+from clothbench.loop.curves import CurveProblem, curve_problem, in_newtons
+from clothbench.loop.improve import Outcome, improve
+from clothbench.loop.verdict import document, placebo_of
+from clothbench.plugins import Catalogue, absent, catalogue
+from clothbench.recording import find_recordings
+from clothbench.report.improve_files import json_text
+
+ORDER = ("sensor", "boundary", "dynamics")
+
+
+def command(settings: Mapping[str, str], as_json: bool = False) -> int:
+    """Run the loop on curves; write `verdict.json` and `curves.csv`, print the verdict in words or as the document."""
+    began = time.perf_counter()
+    plugins = catalogue()
+    out = writable(settings.get("out", "improve"))
+    problem = problem_of(settings, plugins)
+    candidates = candidates_of(settings.get("candidates"), plugins)
+    with StageBar() as bar:
+        outcome, found = improved(problem, candidates, bar, began)
+    out.mkdir(parents=True, exist_ok=True)
+    for name, text in (("verdict.json", json_text(found) + "\n"), ("curves.csv", table(outcome, found))):
+        with whole_file(out / name) as part:
+            part.write_text(text, encoding="utf-8")
+    print(json_text(found)) if as_json else say(found, out)
+    return 0
+
+
+def improved(
+    problem: CurveProblem, candidates: Sequence[str], bar: StageBar | None = None, began: float | None = None
+) -> tuple[Outcome, dict[str, Any]]:
+    """What the loop found, and the document of its verdict."""
+    began = time.perf_counter() if began is None else began
+    outcome = improve(problem, candidates, bar.stage if bar is not None else lambda *_: None)
+    placebo = placebo_of(outcome) if outcome.final.effects else None
+    return outcome, in_newtons(document(outcome, placebo, time.perf_counter() - began))
+
+
+def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> CurveProblem:
+    """Everything read and checked before anything is fitted."""
+    model, seed = settings["model"], whole("seed", settings.get("seed", "0"))
+    if reason := absent(plugins.load("models", model)):
+        raise ClothbenchError(f"model {model!r}: {reason}")
+    for key in ("resolution", "base"):
+        if key in settings:
+            raise ClothbenchError(f"found {key}=…, which force-extension curves have no use for; leave it out")
+    curves = []
+    for path in find_recordings([settings["recordings"]]):
+        recording = read_any(path)
+        if not isinstance(recording, Curve):
+            raise ClothbenchError(f"{path}: found kind 'nodes' among curves, expected one kind in a folder")
+        curves.append(recording)
+    sources = resplit([Source(c.path, c.name, c.hash, c.split) for c in curves], seed)
+    if not any(c.split for c in curves):
+        held = ", ".join(s.name for s in sources if s.split == "held_out") or "none"
+        print(f"clothbench: no recording states a split; held out by seed {seed}: {held}", file=sys.stderr)
+    if not any(s.split == "fit" for s in sources):
+        raise ClothbenchError(f"{settings['recordings']}: found only held-out recordings, expected at least one to fit")
+    return curve_problem(model, curves, [s.split for s in sources], plugins, seed)
+
+
+def candidates_of(given: str | None, plugins: Catalogue) -> list[str]:
+    """All installed effects that act on curves, or those that were named, where the loop tries them: sensors first."""
+    known = [name for name in plugins.names("effects") if acts_on_curves(plugins.make("effects", name))]
+    chosen = names(given) if given else known
+    for name in chosen:
+        plugins.find("effects", name)
+        if name not in known:
+            raise ClothbenchError(
+                f"effect {name!r} does not act on force-extension curves; those that do: {', '.join(known)}"
+            )
+    return sorted(chosen, key=lambda name: ORDER.index(plugins.make("effects", name).place))
+
+
+def table(outcome: Outcome, found: Mapping[str, Any]) -> str:
+    """`curves.csv`: what was seen at each step of stretch, and the model before and after, in N."""
+    problem, after = outcome.problem, standing(outcome, found["verdict"])
+    stream = io.StringIO()
+    rows = csv.writer(stream, lineterminator="\n")
+    rows.writerow(["recording", "split", "stretch", "force_N", "before_N", "after_N"])
+    for split in ("fit", "held_out"):
+        fits = [(problem.trials(fitted.effects, split), fitted.theta) for fitted in (outcome.base, after)]
+        for case, *trials in zip(problem.of_split(split), *(trials for trials, _ in fits), strict=True):
+            seen: Any = case.observation
+            answers: Any = [trial.simulation.run(theta[None]) for trial, (_, theta) in zip(trials, fits, strict=True)]
+            columns = (seen.stretch[seen.visible], seen.force[seen.visible], *(a.force[0] for a in answers))
+            for values in zip(*columns, strict=True):
+                rows.writerow([case.name, split, *(f"{v:.6g}" for v in values)])
+    return stream.getvalue()
+
+
+def say(found: Mapping[str, Any], out: Path) -> None:
+    """The verdict in a few lines."""
+    error, held = found["error"], found["error"]["held_out"]
+    print(f"verdict: {found['verdict']}")
+    for effect in found["effects"]:
+        tied = f", tied with {', '.join(effect['tied_with'])}" if effect["tied_with"] else ""
+        print(f"  {effect['name']} ({effect['place']}): {effect['summary']}{tied}")
+        print(f"    p = {effect['p_value']:.3g}, chosen in {effect['selected_in']} of the leave-one-out rounds")
+        for name, p in effect["parameters"].items():
+            low, high = (("?" if p[k] is None else f"{p[k]:.4g}") for k in ("low", "high"))
+            print(f"    {name} = {p['value']:.4g} {p['unit']} ({low} … {high})")
+    print(f"fit recordings: {error['fit']['before']:.3g} → {error['fit']['after']:.3g} N", end="")
+    if held["before"] is not None:
+        print(f"; held out: {held['before']:.3g} → {held['after']:.3g} N", end="")
+    print(f"; floor between runs: {error['noise_floor']:.3g} N")
+    if found["hint"]:
+        print(f"hint: {found['hint']}")
+    print(f"{found['evaluations']} evaluations, {found['wall_s']:.0f} s")
+    print(f"verdict: {out / 'verdict.json'}; curves: {out / 'curves.csv'}")
