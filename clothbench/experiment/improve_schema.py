@@ -6,11 +6,12 @@ import pyarrow as pa
 
 _text, _number, _whole, _flag = pa.string(), pa.float64(), pa.int64(), pa.bool_()
 
-# Every candidate of every round. share: of the residual only it could explain; gain: mm², by which the mean square
-# fell when all was refitted (null where it was not); selected: leave-one-recording-out rounds of `of`.
+# Every candidate of every round. share: of the residual only it could explain; gain: in `unit` (mm², of
+# curves N²), by which the mean square fell when all was refitted (null where it was not); selected: rounds with one
+# recording left out, of `of`.
 CANDIDATE = {
     "round": _whole, "name": _text, "place": _text, "summary": _text, "share": _number, "p_value": _number,
-    "gain": _number, "selected": _whole, "of": _whole, "why_not": _text, "named": _flag,
+    "gain": _number, "unit": _text, "selected": _whole, "of": _whole, "why_not": _text, "named": _flag,
 }  # fmt: skip
 # fit: "before" (the calibrated model) or "after" (with what was named).
 PARAMETER = {
@@ -39,6 +40,11 @@ NODE = {
     "recording": _text, "split": _text, "u": _number, "v": _number, "coordinates": _whole, "before": _number,
     "after": _number, "unit": _text,
 }  # fmt: skip
+# Of force-extension curves: force N at each stretch as measured, and of the model before and after.
+CURVE = {
+    "recording": _text, "split": _text, "stretch": _number, "force": _number, "before": _number, "after": _number,
+    "unit": _text,
+}  # fmt: skip
 STAGE = {"stage": _text, "wall_s": _number, "evaluations": _whole}
 # value: fitted to this recording alone; joint, low, high: fitted to all together, with its 95 % interval.
 DRIFT = {
@@ -48,5 +54,5 @@ DRIFT = {
 
 IMPROVE_TABLES = {
     "candidates": CANDIDATE, "parameters": PARAMETER, "errors": ERROR, "portrait": PORTRAIT, "against": BIN,
-    "frames": FRAME, "nodes": NODE, "stages": STAGE, "drift": DRIFT,
+    "frames": FRAME, "nodes": NODE, "curves": CURVE, "stages": STAGE, "drift": DRIFT,
 }  # fmt: skip

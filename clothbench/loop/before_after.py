@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clothbench.experiment.calibrate import Trial
+from clothbench.loop.curves import CurveCase
 from clothbench.loop.fitting import Fitted
 from clothbench.loop.improve import Outcome
 from clothbench.loop.problem import Case, Problem
@@ -33,6 +34,17 @@ class Seen:
     left_after: np.ndarray
 
 
+@dataclass(frozen=True, eq=False)
+class Pulled:
+    """One force-extension curve at its M steps of stretch: the force measured, before and after (M,) N."""
+
+    case: Case
+    stretch: np.ndarray
+    force: np.ndarray
+    before: np.ndarray
+    after: np.ndarray
+
+
 def standing(outcome: Outcome, verdict: str) -> Fitted:
     """The fit that the verdict stands by: with what was named, or the calibrated model if nothing was."""
     return outcome.final if verdict in ("attributed", "tied") else outcome.base
@@ -40,15 +52,30 @@ def standing(outcome: Outcome, verdict: str) -> Fitted:
 
 def both(outcome: Outcome, after: Fitted) -> list[Seen]:
     """All recordings of node positions before and after, those that were fitted first."""
-    out = []
+    out: list[Seen] = []
     for split in SPLITS:
         cases = outcome.problem.of_split(split)
+        if any(isinstance(case, CurveCase) for case in cases):
+            return []
         first = rollouts(outcome.problem, outcome.base, split)
         last = first if after is outcome.base else rollouts(outcome.problem, after, split)
         left = left_by(outcome.problem, outcome.base, split)
         rest = left if after is outcome.base else left_by(outcome.problem, after, split)
         found = zip(cases, first, last, left, rest, strict=True)
         out += [Seen(*one) for one in found if one[0].observation.visible.any()]
+    return out
+
+
+def pulled(outcome: Outcome, after: Fitted) -> list[Pulled]:
+    """All force-extension curves before and after, those that were fitted first."""
+    out = []
+    for split in SPLITS:
+        cases = [case for case in outcome.problem.of_split(split) if isinstance(case, CurveCase)]
+        left = [left_by(outcome.problem, fitted, split) for fitted in (outcome.base, after)] if cases else [[], []]
+        for case, first, last in zip(cases, *left, strict=True):
+            seen = case.observation
+            stretch, force = seen.stretch[seen.visible], seen.force[seen.visible]
+            out.append(Pulled(case, stretch, force, force + first, force + last))
     return out
 
 

@@ -1,4 +1,7 @@
-"""Rows of the tables that `clothbench improve` writes (columns: `experiment.improve_schema`). Errors in mm."""
+"""Rows of the tables that `clothbench improve` writes (columns: `experiment.improve_schema`).
+
+Errors in mm, of force-extension curves in N.
+"""
 
 from __future__ import annotations
 
@@ -7,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.loop.before_after import Seen
+from clothbench.loop.before_after import Pulled, Seen
 from clothbench.loop.fitting import Fitted
 from clothbench.loop.guard import field_of
 from clothbench.loop.improve import Outcome
@@ -18,32 +21,41 @@ BINS = 8  # of speed, acceleration and height, with equal numbers of coordinates
 Rows = list[dict[str, Any]]
 
 
-def all_rows(outcome: Outcome, found: Mapping[str, Any], after: Fitted, seen: Sequence[Seen]) -> dict[str, Rows]:
+def all_rows(
+    outcome: Outcome, found: Mapping[str, Any], after: Fitted, seen: Sequence[Seen], curves: Sequence[Pulled] = ()
+) -> dict[str, Rows]:
     """Every table by name. found: the document of `verdict.json`; after: the fit that it stands by."""
     return {
-        "candidates": candidate_rows(outcome),
+        "candidates": candidate_rows(outcome, found),
         "parameters": parameter_rows("before", outcome.base) + parameter_rows("after", after),
         "errors": error_rows(found, outcome, after),
         "portrait": portrait_rows(seen),
         "against": bin_rows(seen),
         "frames": frame_rows(seen),
         "nodes": node_rows(seen),
+        "curves": curve_rows(curves),
         "stages": stage_rows(outcome),
         "drift": drift_rows(outcome),
     }
 
 
-def candidate_rows(outcome: Outcome) -> Rows:
+def unit_of(found: Mapping[str, Any]) -> tuple[str, float]:
+    """The unit of errors, and how many of it one of the residuals' (m or N) are."""
+    return ("N", 1.0) if found.get("kind") == "curve" else ("mm", MM)
+
+
+def candidate_rows(outcome: Outcome, found: Mapping[str, Any]) -> Rows:
     """Every candidate of every round, the most promising first."""
     rows: Rows = []
-    for turn, found in enumerate(outcome.rounds, 1):
-        for c in found.candidates:
+    unit, scale = unit_of(found)
+    for turn, one in enumerate(outcome.rounds, 1):
+        for c in one.candidates:
             effect = outcome.problem.plugins.make("effects", c.name)
-            why = "" if c.name in found.named else c.why_not or "another explains as much with fewer parameters"
+            why = "" if c.name in one.named else c.why_not or "another explains as much with fewer parameters"
             rows.append({
                 "round": turn, "name": c.name, "place": effect.place, "summary": effect.summary, "share": c.share,
-                "p_value": c.p_value, "gain": number(MM**2 * c.gain), "selected": c.selected,
-                "of": len(found.before.squares), "why_not": why, "named": c.name in found.named,
+                "p_value": c.p_value, "gain": number(scale**2 * c.gain), "unit": f"{unit}²",
+                "selected": c.selected, "of": len(one.before.squares), "why_not": why, "named": c.name in one.named,
             })  # fmt: skip
     return sorted(rows, key=lambda r: (r["round"], not r["named"], -(r["gain"] or 0.0), -r["share"]))
 
@@ -61,13 +73,14 @@ def parameter_rows(fit: str, fitted: Fitted) -> Rows:
 
 def error_rows(found: Mapping[str, Any], outcome: Outcome, after: Fitted) -> Rows:
     """Each recording's error before and after, the same numbers as in the verdict."""
+    unit, scale = unit_of(found)
     names = [case.name for case in outcome.problem.of_split("fit")]
     fitted = zip(names, outcome.base.squares, after.squares, strict=True)
-    rows = [(name, "fit", MM * float(a) ** 0.5, MM * float(b) ** 0.5) for name, a, b in fitted]
-    held = found["error_mm"]["held_out"]["per_recording"]
+    rows = [(name, "fit", scale * float(a) ** 0.5, scale * float(b) ** 0.5) for name, a, b in fitted]
+    held = (found["error"] if unit == "N" else found["error_mm"])["held_out"]["per_recording"]
     rows += [(r["recording"], "held_out", r["before"], r["after"]) for r in held]
     return [
-        {"recording": name, "split": split, "unit": "mm", "before": a, "after": b, "floor": MM * outcome.floor}
+        {"recording": name, "split": split, "unit": unit, "before": a, "after": b, "floor": scale * outcome.floor}
         for name, split, a, b in rows
     ]
 
@@ -141,6 +154,16 @@ def edges_of(values: Sequence[np.ndarray]) -> np.ndarray:
     """Bounds of bins that hold about as many values each; none if there is nothing to sort."""
     known = np.concatenate([v[np.isfinite(v)] for v in values]) if values else np.zeros(0)
     return np.unique(np.quantile(known, np.linspace(0, 1, BINS + 1))) if known.size else np.zeros(1)
+
+
+def curve_rows(curves: Sequence[Pulled]) -> Rows:
+    """Force over stretch, as measured and as the model has it."""
+    return [
+        {"recording": one.case.name, "split": one.case.split, "stretch": float(s), "force": float(f),
+         "before": number(a), "after": number(b), "unit": "N"}
+        for one in curves
+        for s, f, a, b in zip(one.stretch, one.force, one.before, one.after, strict=True)
+    ]  # fmt: skip
 
 
 def stage_rows(outcome: Outcome) -> Rows:

@@ -17,7 +17,8 @@ Figure = dict[str, Any]
 BEFORE, AFTER = {"name": "before", "colour": COLOURS[1]}, {"name": "after", "colour": COLOURS[0]}
 ONLY = {"name": "calibrated", "colour": COLOURS[1]}
 PLACEBO = {"name": "placebo", "colour": COLOURS[3]}
-FLOOR = {"name": "noise and mesh", "colour": GREY}
+FLOOR = {"name": "floor", "colour": GREY}
+MEASURED = {"name": "measured", "colour": COLOURS[2]}
 POINTS = 400  # of one curve
 SPLIT_WORDS = {"fit": "fit", "held_out": "held out"}
 MAP_SIZE = 230  # px, about what the longer side of the cloth gets on the map
@@ -28,11 +29,11 @@ def series(changed: bool) -> list[tuple[str, dict[str, str]]]:
     return [("before", BEFORE), ("after", AFTER)] if changed else [("before", ONLY)]
 
 
-def error_figure(errors: Rows, verdict: Mapping[str, Any], unit: str) -> Figure:
+def error_figure(errors: Rows, total: Mapping[str, Any], changed: bool) -> Figure:
     """Each recording's error before and after, joined by a line; above them what the recordings of a split have
-    together, with the placebo; an upright line where noise and mesh are.
+    together, with the placebo; an upright line where the floor is. total: errors of the verdict, with their unit.
     """
-    changed, total = bool(verdict["effects"]), verdict["error_mm"]
+    unit = total["unit"]
     lines: list[tuple[str, float, float, str]] = []
     for split, word in SPLIT_WORDS.items():  # from below: the held-out recordings stand on top
         mine = [r for r in reversed(errors) if r["split"] == split]
@@ -160,6 +161,19 @@ def against_figures(bins: Rows, floor: float, changed: bool) -> list[Figure]:
         data.append(curve([x[0], x[-1]], [floor] * 2, FLOOR, f"%{{y}} {mine[0]['unit']}"))
         title = f"{name} [{mine[0]['against_unit']}]"
         out.append(figure(data, title, {"title": {"text": f"error, rms [{mine[0]['unit']}]"}}, height=270))
+    return out
+
+
+def curve_figures(curves: Rows, changed: bool) -> dict[str, list[Figure]]:
+    """Force over stretch of each recording: what was measured, and the model."""
+    out = {}
+    for name, rows in by_recording(curves).items():
+        x, unit = [r["stretch"] for r in rows], rows[0]["unit"]
+        data = [curve(x, [r["force"] for r in rows], MEASURED, f"%{{y}} {unit} at %{{x}}", "markers")]
+        data += [curve(x, [r[c] for r in rows], look, f"%{{y}} {unit} at %{{x}}") for c, look in series(changed)]
+        view = figure(data, "stretch: length over the unloaded length", {"title": {"text": f"force [{unit}]"}}, 420)
+        view["layout"]["xaxis"] |= {"rangemode": "normal"}
+        out[name] = [view]
     return out
 
 

@@ -3,7 +3,7 @@
 OUT/verdict.json            the verdict (schema 1)
 OUT/index.html              one self-contained page
 OUT/tables/NAME.parquet     what the page is made from (`experiment.improve_schema`)
-OUT/rerun/RECORDING.rrd     recording beside the model before and after
+OUT/rerun/RECORDING.rrd     recording beside the model before and after (not of force-extension curves)
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 from clothbench.experiment.store import write_table
 from clothbench.files import whole_files
-from clothbench.loop.before_after import Seen, both, standing
+from clothbench.loop.before_after import Seen, both, pulled, standing
 from clothbench.loop.improve import Outcome
 from clothbench.loop.tables import MM, all_rows
 from clothbench.report.improve_page import document
@@ -29,7 +29,7 @@ def write_folder(out: Path, outcome: Outcome, found: Mapping[str, Any]) -> None:
     """Fill `out`; what an earlier run left there is replaced, other files stay."""
     after = standing(outcome, found["verdict"])
     seen = both(outcome, after)
-    tables = all_rows(outcome, found, after, seen)
+    tables = all_rows(outcome, found, after, seen, pulled(outcome, after))
     with whole_files(out, instead_of=OLD) as part:
         (part / "verdict.json").write_text(json_text(found) + "\n", encoding="utf-8")
         (part / "tables").mkdir()

@@ -9,7 +9,7 @@ from typing import Any
 from clothbench.experiment.store import system_info
 from clothbench.report import improve_figures as draw
 from clothbench.report.improve_style import BLOCKS, STYLE
-from clothbench.report.improve_words import remains, sentence
+from clothbench.report.improve_words import errors_of, floor_word, remains, sentence, size
 from clothbench.report.page import whole_page
 from clothbench.report.page_style import DRAWING
 from clothbench.report.page_tables import group, interval, table, text, unit
@@ -31,16 +31,15 @@ outside it: a parameter that drifts from recording to recording is a sign of mis
 def document(found: Mapping[str, Any], tables: Tables) -> str:
     """The whole page as text. found: what `verdict.json` holds; tables: the rows of each table by name."""
     blocks: list[dict[str, Any]] = []
-    errors = tables["errors"]
-    measure = errors[0]["unit"] if errors else "mm"
     sections = [
         heading(found),
         verdict_box(found),
-        tiles(found, measure),
+        tiles(found),
         LEGEND,
-        error_section(found, errors, measure, blocks),
+        error_section(found, tables["errors"], blocks),
         effect_section(found),
         candidate_section(tables["candidates"]),
+        curve_section(tables["curves"], bool(found["effects"]), blocks),
         frame_section(found, tables["frames"], blocks),
         map_section(found, tables["nodes"], blocks),
         direction_section(found, tables["portrait"], blocks),
@@ -72,35 +71,38 @@ def verdict_box(found: Mapping[str, Any]) -> str:
     return f'<div class="verdict">{pill}<p>{sentence(found)}</p>{hint}</div>'
 
 
-def tiles(found: Mapping[str, Any], measure: str) -> str:
-    error = found["error_mm"]
-    changed = bool(found["effects"])
-    shown = []
+def tiles(found: Mapping[str, Any]) -> str:
+    error, changed = errors_of(found), bool(found["effects"])
+    unit, shown = error["unit"], []
     for split, word in (("held_out", "held out"), ("fit", "fit")):
         if error[split]["before"] is not None:
-            value = f"{error[split]['before']:.2f}"
-            value += f" → {error[split]['after']:.2f}" if changed else ""
-            shown.append((value, f"{measure}, {word}" + (", before → after" if changed else "")))
+            value = size(error[split]["before"], unit)
+            value += f" → {size(error[split]['after'], unit)}" if changed else ""
+            shown.append((value, f"{unit}, {word}" + (", before → after" if changed else "")))
     if placebo := error["held_out"].get("placebo"):
-        shown.append((f"{placebo['after']:.2f}", f"{measure}, held out, with the placebo {placebo['name']} added"))
-    shown.append((f"{error['noise_floor']:.2f}", f"{measure}, floor of noise and mesh"))
-    shown.append((f"{found['unexplained_mm']:.2f}", f"{measure} above the floor remain"))
+        word = f"{unit}, held out, with the placebo {placebo['name']} added"
+        shown.append((size(placebo["after"], unit), word))
+    shown.append((size(error["noise_floor"], unit), f"{unit}, floor: {floor_word(unit)}"))
+    shown.append((size(error["left"], unit), f"{unit} above the floor remain"))
     inside = "".join(f'<div class="tile"><b>{text(value)}</b>{text(word)}</div>' for value, word in shown)
     return f'<div class="tiles">{inside}</div>'
 
 
-def error_section(found: Mapping[str, Any], errors: Rows, measure: str, blocks: list[dict[str, Any]]) -> str:
+def error_section(found: Mapping[str, Any], errors: Rows, blocks: list[dict[str, Any]]) -> str:
     if not errors:
         return ""
-    caption = "Root-mean-square over visible node coordinates. Dots: recordings that were fitted; diamonds: held out, "
-    caption += "never used to decide. Grey: what noise and the model's own mesh account for."
-    fall = found["error_mm"]["held_out"]["ci95"]
+    error = errors_of(found)
+    over = "visible node coordinates" if error["unit"] == "mm" else "steps of stretch"
+    caption = f"Root-mean-square over {over}. Dots: recordings that were fitted; diamonds: held out, never used to "
+    caption += f"decide. Grey: the floor, {floor_word(error['unit'])}."
+    fall = error["held_out"]["ci95"]
     if found["effects"] and fall[0] is not None:
-        caption += f" The error of a held-out recording falls by {fall[0]:.2f} … {fall[1]:.2f} {measure} in the mean "
-        caption += "(95 %, paired over recordings)."
-    if found["error_mm"]["held_out"].get("placebo"):
+        low, high = (size(v, error["unit"]) for v in fall)
+        caption += f" The error of a held-out recording falls by {low} … {high} {error['unit']} in the mean (95 %, "
+        caption += "paired over recordings)."
+    if error["held_out"].get("placebo"):
         caption += " Cross: with one more effect that nothing speaks for; it must be no better."
-    views = {"": [draw.error_figure(errors, found, measure)]}
+    views = {"": [draw.error_figure(errors, error, bool(found["effects"]))]}
     return "<h2>Error</h2>" + block("errors", caption, views, blocks)
 
 
@@ -126,11 +128,9 @@ def candidate_section(candidates: Rows) -> str:
     rounds = group(candidates, lambda r: r["round"])
     out = [f"<h2>Candidates</h2>{CANDIDATES}"]
     for number, rows in rounds.items():
-        shown = table(
-            ["candidate", "place", "share of the residual", "p", "gain [mm²]", "best in", "why not"],
-            [candidate_row(r) for r in rows],
-            numeric={3, 4, 5},
-        )
+        gain = f"gain [{rows[0]['unit']}]"
+        head = ["candidate", "place", "share of the residual", "p", gain, "best in", "why not"]
+        shown = table(head, [candidate_row(r) for r in rows], numeric={3, 4, 5})
         out.append((f"<h3>Round {number}</h3>" if len(rounds) > 1 else "") + shown)
     return "".join(out)
 
@@ -146,10 +146,17 @@ def candidate_row(row: dict[str, Any]) -> list[str]:
     return [name, text(row["place"]), bar, f"{row['p_value']:.2g}", gain, best, why]
 
 
+def curve_section(curves: Rows, changed: bool, blocks: list[dict[str, Any]]) -> str:
+    if not curves:
+        return ""
+    caption = "Dots: measured, medians over steps of stretch. Lines: the model."
+    return "<h2>Force over stretch</h2>" + block("curves", caption, draw.curve_figures(curves, changed), blocks)
+
+
 def frame_section(found: Mapping[str, Any], frames: Rows, blocks: list[dict[str, Any]]) -> str:
     if not frames:
         return ""
-    views = draw.frame_figures(frames, found["error_mm"]["noise_floor"], bool(found["effects"]))
+    views = draw.frame_figures(frames, errors_of(found)["noise_floor"], bool(found["effects"]))
     return "<h2>Over time</h2>" + block("frames", "Error of each frame.", views, blocks)
 
 
@@ -181,7 +188,7 @@ def direction_section(found: Mapping[str, Any], portrait: Rows, blocks: list[dic
 
 
 def against_section(found: Mapping[str, Any], bins: Rows, blocks: list[dict[str, Any]]) -> str:
-    figures = draw.against_figures(bins, found["error_mm"]["noise_floor"], bool(found["effects"]))
+    figures = draw.against_figures(bins, errors_of(found)["noise_floor"], bool(found["effects"]))
     if not figures:
         return ""
     caption = "Error in eight classes of equal size of how fast a node moves, how hard it is accelerated, and how high "
@@ -254,7 +261,8 @@ def scripts(found: Mapping[str, Any], blocks: list[dict[str, Any]]) -> str:
     from plotly.offline import get_plotlyjs
 
     looks = [look for _, look in draw.series(bool(found["effects"]))] + [draw.FLOOR]
-    looks += [draw.PLACEBO] if found["error_mm"]["held_out"].get("placebo") else []
+    looks += [draw.PLACEBO] if errors_of(found)["held_out"].get("placebo") else []
+    looks += [draw.MEASURED] if found.get("kind") == "curve" else []
     content = {"legend": [[look["name"], look["colour"], "solid"] for look in looks], "blocks": blocks}
     data = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     return (

@@ -12,27 +12,38 @@ Rows = Sequence[dict[str, Any]]
 WHITE = 0.3  # correlation of one frame with the next below which a residual looks like noise
 
 
+def errors_of(found: Mapping[str, Any]) -> dict[str, Any]:
+    """The verdict's errors with their `unit`, mm of nodes or N of curves, and `left`, what is above the floor."""
+    if found.get("kind") == "curve":
+        return {**found["error"], "left": found["unexplained"]}
+    return {"unit": "mm", **found["error_mm"], "left": found["unexplained_mm"]}
+
+
+def size(value: float, unit: str) -> str:
+    """A number of millimetres to two places, of newtons to three digits."""
+    return f"{value:.2f}" if unit == "mm" else f"{value:.3g}"
+
+
+def floor_word(unit: str) -> str:
+    """What the floor is made of."""
+    return "noise and mesh" if unit == "mm" else "spread between runs"
+
+
 def sentence(found: Mapping[str, Any]) -> str:
     """The verdict as HTML."""
-    error, model = found["error_mm"], f"<b>{text(found['model'])}</b>"
+    error, model = errors_of(found), f"<b>{text(found['model'])}</b>"
+    unit = error["unit"]
     split = "held_out" if error["held_out"]["before"] is not None else "fit"
     where = "held-out" if split == "held_out" else "fit"
-    before, after, floor = error[split]["before"], error[split]["after"], error["noise_floor"]
+    floor = f"the floor ({floor_word(unit)}) is {size(error['noise_floor'], unit)} {unit}"
+    before, after = (size(error[split][fit], unit) for fit in ("before", "after"))
     if found["verdict"] == "complete":
-        return (
-            f"{model} lacks nothing above the noise: {before:.2f} mm on the {where} recordings, of which noise and "
-            f"mesh account for {floor:.2f} mm."
-        )
+        return f"{model} lacks nothing above the noise: {before} {unit} on the {where} recordings; {floor}."
     if not found["effects"]:
-        return (
-            f"{model} leaves {found['unexplained_mm']:.2f} mm above noise and mesh that no candidate explains "
-            f"({before:.2f} mm on the {where} recordings)."
-        )
+        left = f"{size(error['left'], unit)} {unit} above the floor"
+        return f"{model} leaves {left} that no candidate explains: {before} {unit} on the {where} recordings; {floor}."
     lacks = " and ".join(named(effect) for effect in found["effects"])
-    return (
-        f"{model} lacks {lacks}. The error on the {where} recordings "
-        f"falls from {before:.2f} to {after:.2f} mm; noise and mesh account for {floor:.2f} mm."
-    )
+    return f"{model} lacks {lacks}. The error on the {where} recordings falls from {before} to {after} {unit}; {floor}."
 
 
 def named(effect: Mapping[str, Any]) -> str:
@@ -47,13 +58,15 @@ def named(effect: Mapping[str, Any]) -> str:
 
 def remains(found: Mapping[str, Any], tables: Mapping[str, Rows]) -> list[str]:
     """How large what is left is, where, when and in which direction: one HTML sentence each."""
-    lines = [f"{found['unexplained_mm']:.2f} mm above noise and mesh on the fit recordings."]
+    error = errors_of(found)
+    lines = [f"{size(error['left'], error['unit'])} {error['unit']} above the floor, on the fit recordings."]
     if found["hint"]:
         lines.append(f"Hint: {text(found['hint'])}.")
     left = [r for r in tables["portrait"] if r["fit"] == "after"]
-    if not left or found["unexplained_mm"] <= 0:
+    if not left or error["left"] <= 0:
         return lines
-    return [*lines, direction(left), whiteness(left), place(tables["nodes"]), moment(tables["frames"])]
+    lines += [direction(left), whiteness(left), place(tables["nodes"]), moment(tables["frames"])]
+    return [line for line in lines if line]
 
 
 def direction(left: Rows) -> str:
@@ -66,7 +79,9 @@ def direction(left: Rows) -> str:
 
 def whiteness(left: Rows) -> str:
     known = [r["next_frame"] for r in left if r["next_frame"] is not None]
-    mean = sum(known) / max(len(known), 1)
+    if not known:
+        return ""
+    mean = sum(known) / len(known)
     what = "it looks like noise" if mean < WHITE else "it is no noise, something moves along"
     return f"Correlation of one frame with the next: {mean:.2f}; {what}."
 

@@ -1,0 +1,137 @@
+"""The page of `clothbench improve` from rows alone: what is said for each verdict, and text escaped."""
+
+from __future__ import annotations
+
+import json
+import re
+
+import pytest
+from test_page import checked
+
+from clothbench.experiment.improve_schema import IMPROVE_TABLES
+from clothbench.report.improve_page import document, duration
+from clothbench.report.improve_words import remains, sentence
+
+NOTHING = {name: [] for name in IMPROVE_TABLES}
+EFFECT = {
+    "name": "lag", "place": "sensor", "summary": "late <i>", "tied_with": [], "p_value": 0.005, "selected_in": "3/3",
+    "parameters": {"delay": {"value": 0.05, "low": 0.04, "high": None, "unit": "s"}},
+}  # fmt: skip
+
+
+def verdict(word: str, *effects: dict, **more) -> dict:
+    after = 1.25 if effects else 5.0
+    return {
+        "schema": 1, "model": "springs", "base": ["drag"], "verdict": word, "effects": list(effects),
+        "error_mm": {
+            "fit": {"before": 4.0, "after": after - 0.25},
+            "held_out": {"before": 5.0, "after": after, "ci95": [None, None], "per_recording": [], "placebo": None},
+            "noise_floor": 1.0,
+        },
+        "unexplained_mm": 0.5, "hint": "", "candidates": [], "evaluations": 7, "wall_s": 61.0, "seed": 0,
+        "recordings": {"fit": ["a"], "held_out": ["b"]}, **more,
+    }  # fmt: skip
+
+
+def rows() -> dict[str, list[dict]]:
+    """One fit and one held-out recording of two nodes and two frames; what was not seen is None."""
+    about = [
+        {"recording": "a <b>", "split": "fit", "unit": "mm"},
+        {"recording": "b", "split": "held_out", "unit": "mm"},
+    ]
+    error = {"coordinates": 6, "before": 4.0, "after": 1.0}
+    unseen = {"coordinates": 0, "before": None, "after": None}
+    part = {"rms": 1.0, "normal": 1.5, "warp": 0.7, "weft": 0.5, "next_frame": None}
+    bins = {"against": "speed", "against_unit": "m/s", "low": 0.0, "high": 0.2}
+    parameter = {
+        "name": "k", "symbol": "k", "unit": "N/m", "value": 2.0, "low": None, "high": None, "at_bound": True,
+        "meaning": "stiffness",
+    }  # fmt: skip
+    candidate = {
+        "round": 1, "name": "lag", "place": "sensor", "summary": "late", "share": 0.9, "p_value": 0.005, "gain": 15.0,
+        "unit": "mm²", "selected": 3, "of": 3, "why_not": "", "named": True,
+    }  # fmt: skip
+    alone = {
+        "recording": "a <b>", "name": "k", "symbol": "k", "unit": "N/m", "scale": "log", "value": 3.0, "joint": 2.0,
+        "low": None, "high": None, "outside": False, "at_bound": False,
+    }  # fmt: skip
+    return {
+        **NOTHING,
+        "errors": [{**a, "before": 4.0, "after": 1.0, "floor": 1.0} for a in about],
+        "portrait": [{**a, "fit": fit, **part} for a in about for fit in ("before", "after")],
+        "frames": [{**a, "time": t, **e} for a in about for t, e in ((0.0, error), (0.1, unseen))],
+        "nodes": [{**a, "u": u, "v": 0.0, **e} for a in about for u, e in ((0.0, error), (0.1, unseen))],
+        "against": [{**a, **bins, **error} for a in about],
+        "parameters": [{**parameter, "fit": fit} for fit in ("before", "after")],
+        "candidates": [candidate, {**candidate, "name": "wind", "gain": None, "named": False, "why_not": "chance"}],
+        "stages": [{"stage": "calibrate", "wall_s": 2.0, "evaluations": 9}],
+        "drift": [alone],
+    }
+
+
+def blocks(text: str) -> dict[str, dict]:
+    content = json.loads(re.search(r'id="found">(.*?)</script>', text, re.DOTALL)[1])
+    return {block["id"]: block["views"] for block in content["blocks"]}
+
+
+def test_every_section_is_there_and_text_is_escaped(tmp_path):
+    (tmp_path / "index.html").write_text(document(verdict("attributed", EFFECT), rows()), encoding="utf-8")
+    text, checker = checked(tmp_path / "index.html")
+    assert checker.scripts == 3
+    assert "a <b>" not in re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
+    assert "late &lt;i&gt;" in text
+    found = blocks(text)
+    assert list(found) == ["errors", "frames", "map", "directions", "against", "drift", "stages"]
+    assert list(found["frames"]) == ["b (held out)", "a &lt;b&gt; (fit)"]
+    assert {line["meta"] for line in found["frames"]["b (held out)"][0]["data"]} == {"before", "after", "floor"}
+    for name, views in found.items():
+        assert len(views) < 2 or f'id="{name}-view"' in text
+
+
+def test_without_an_effect_there_is_one_curve_only():
+    found = blocks(document(verdict("unexplained", hint="look at the wind"), rows()))
+    assert {line["meta"] for line in found["frames"]["b (held out)"][0]["data"]} == {"calibrated", "floor"}
+    assert len(found["map"]["b (held out)"]) == 1
+
+
+def test_a_page_without_rows_still_says_the_verdict():
+    text = document(verdict("complete"), NOTHING)
+    assert "lacks nothing above the noise" in text
+    assert blocks(text) == {}
+
+
+def test_curves_are_told_in_newtons():
+    error = verdict("attributed", EFFECT)["error_mm"]
+    found = verdict("attributed", EFFECT, kind="curve", error={"unit": "N", **error}, unexplained=0.02, error_mm=None)
+    about = {"recording": "run", "split": "fit", "unit": "N"}
+    table = [{**about, "stretch": s, "force": s - 1, "before": 0.1, "after": s - 1} for s in (1.0, 1.1, 1.2)]
+    text = document(found, {**NOTHING, "curves": table, "errors": [{**about, "before": 4.0, "after": 1.0}]})
+    assert "falls from 5 to 1.25 N; the floor (spread between runs) is 1 N." in text
+    assert "mm" not in re.sub(r"<(script|style)>.*?</\1>", "", text, flags=re.DOTALL).replace("mm²", "")
+    assert [line["meta"] for line in blocks(text)["curves"]["run (fit)"][0]["data"]] == ["measured", "before", "after"]
+
+
+@pytest.mark.parametrize(
+    ("found", "said"),
+    [
+        (verdict("complete"), "lacks nothing above the noise: 5.00 mm on the held-out recordings"),
+        (verdict("unexplained"), "leaves 0.50 mm above the floor that no candidate explains"),
+        (
+            verdict("attributed", EFFECT),
+            "lacks <b>lag</b> (delay = 0.05 s). The error on the held-out recordings falls",
+        ),
+        (verdict("tied", {**EFFECT, "tied_with": ["twin"]}), "<b>lag</b> or <b>twin</b> (delay = 0.05 s), which these"),
+    ],
+)
+def test_the_verdict_is_one_sentence_or_two(found, said):
+    assert said in sentence(found)
+
+
+def test_what_remains_says_where_when_and_how():
+    said = " ".join(remains(verdict("attributed", EFFECT), rows()))
+    for word in ("0.50 mm above the floor", "normal 75 %", "u = 0 mm, v = 0 mm", "0.00 s of a &lt;b&gt;"):
+        assert word in said
+
+
+def test_durations():
+    assert [duration(s) for s in (0.4, 59.6, 125.0)] == ["0 s", "1 min 0 s", "2 min 5 s"]

@@ -1,0 +1,37 @@
+"""A set of files takes its place all together, or not at all."""
+
+from __future__ import annotations
+
+import pytest
+
+from clothbench.files import whole_files
+
+
+def test_files_take_their_place_beside_what_is_there(tmp_path):
+    (tmp_path / "tables").mkdir()
+    for name in ("notes.txt", "tables/old.parquet", "tables/rows.parquet", "tables/mine.txt"):
+        (tmp_path / name).write_text("old")
+    with whole_files(tmp_path, instead_of=("tables/*.parquet",)) as part:
+        (part / "tables").mkdir()
+        (part / "tables" / "rows.parquet").write_text("new")
+        (part / "verdict.json").write_text("new")
+        assert (tmp_path / "tables" / "rows.parquet").read_text() == "old"
+    found = {str(p.relative_to(tmp_path)): p.read_text() for p in tmp_path.rglob("*") if p.is_file()}
+    assert found == {
+        "notes.txt": "old", "tables/mine.txt": "old", "tables/rows.parquet": "new", "verdict.json": "new",
+    }  # fmt: skip
+
+
+def half_written(folder):
+    with whole_files(folder, instead_of=("*.json",)) as part:
+        (part / "verdict.json").write_text("half")
+        (part / "index.html").write_text("half")
+        raise ZeroDivisionError
+
+
+def test_a_fault_leaves_everything_as_it_was(tmp_path):
+    (tmp_path / "verdict.json").write_text("old")
+    with pytest.raises(ZeroDivisionError):
+        half_written(tmp_path)
+    assert [p.name for p in tmp_path.rglob("*")] == ["verdict.json"]
+    assert (tmp_path / "verdict.json").read_text() == "old"
