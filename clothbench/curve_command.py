@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import sys
 import time
 from collections.abc import Mapping, Sequence
@@ -15,21 +13,19 @@ from clothbench.curve_simulation import acts_on_curves
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.cell import Source, resplit
 from clothbench.experiment.settings import writable
-from clothbench.files import whole_file
 from clothbench.improve_command import StageBar, names, whole
-from clothbench.loop.before_after import standing
 from clothbench.loop.curves import CurveProblem, curve_problem, in_newtons
 from clothbench.loop.improve import Outcome, improve
 from clothbench.loop.verdict import document, placebo_of
 from clothbench.plugins import Catalogue, absent, catalogue
 from clothbench.recording import find_recordings
-from clothbench.report.improve_files import json_text
+from clothbench.report.improve_files import json_text, write_folder
 
 ORDER = ("sensor", "boundary", "dynamics")
 
 
 def command(settings: Mapping[str, str], as_json: bool = False) -> int:
-    """Run the loop on curves; write `verdict.json` and `curves.csv`, print the verdict in words or as the document."""
+    """Run the loop on curves; write verdict, page and tables, print the verdict in words or as the document."""
     began = time.perf_counter()
     plugins = catalogue()
     out = writable(settings.get("out", "improve"))
@@ -37,10 +33,8 @@ def command(settings: Mapping[str, str], as_json: bool = False) -> int:
     candidates = candidates_of(settings.get("candidates"), plugins)
     with StageBar() as bar:
         outcome, found = improved(problem, candidates, bar, began)
-    out.mkdir(parents=True, exist_ok=True)
-    for name, text in (("verdict.json", json_text(found) + "\n"), ("curves.csv", table(outcome, found))):
-        with whole_file(out / name) as part:
-            part.write_text(text, encoding="utf-8")
+        bar.stage("page and tables", 0, 1)
+        write_folder(out, outcome, found)
     print(json_text(found)) if as_json else say(found, out)
     return 0
 
@@ -91,23 +85,6 @@ def candidates_of(given: str | None, plugins: Catalogue) -> list[str]:
     return sorted(chosen, key=lambda name: ORDER.index(plugins.make("effects", name).place))
 
 
-def table(outcome: Outcome, found: Mapping[str, Any]) -> str:
-    """`curves.csv`: what was seen at each step of stretch, and the model before and after, in N."""
-    problem, after = outcome.problem, standing(outcome, found["verdict"])
-    stream = io.StringIO()
-    rows = csv.writer(stream, lineterminator="\n")
-    rows.writerow(["recording", "split", "stretch", "force_N", "before_N", "after_N"])
-    for split in ("fit", "held_out"):
-        fits = [(problem.trials(fitted.effects, split), fitted.theta) for fitted in (outcome.base, after)]
-        for case, *trials in zip(problem.of_split(split), *(trials for trials, _ in fits), strict=True):
-            seen: Any = case.observation
-            answers: Any = [trial.simulation.run(theta[None]) for trial, (_, theta) in zip(trials, fits, strict=True)]
-            columns = (seen.stretch[seen.visible], seen.force[seen.visible], *(a.force[0] for a in answers))
-            for values in zip(*columns, strict=True):
-                rows.writerow([case.name, split, *(f"{v:.6g}" for v in values)])
-    return stream.getvalue()
-
-
 def say(found: Mapping[str, Any], out: Path) -> None:
     """The verdict in a few lines."""
     error, held = found["error"], found["error"]["held_out"]
@@ -126,4 +103,5 @@ def say(found: Mapping[str, Any], out: Path) -> None:
     if found["hint"]:
         print(f"hint: {found['hint']}")
     print(f"{found['evaluations']} evaluations, {found['wall_s']:.0f} s")
-    print(f"verdict: {out / 'verdict.json'}; curves: {out / 'curves.csv'}")
+    print(f"page: {out / 'index.html'}")
+    print(f"verdict: {out / 'verdict.json'}; tables: {out / 'tables'}")
