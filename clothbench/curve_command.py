@@ -31,6 +31,9 @@ def command(settings: Mapping[str, str], as_json: bool = False) -> int:
     out = writable(settings.get("out", "improve"))
     problem = problem_of(settings, plugins)
     candidates = candidates_of(settings.get("candidates"), plugins)
+    if not any(case.recording.split for case in problem.cases):
+        held = ", ".join(case.name for case in problem.of_split("held_out")) or "none"
+        print(f"clothbench: no recording states a split; held out by seed {problem.seed}: {held}", file=sys.stderr)
     with StageBar() as bar:
         outcome, found = improved(problem, candidates, bar, began)
         bar.stage("page and tables", 0, 1)
@@ -64,9 +67,6 @@ def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> CurveProblem:
             raise ClothbenchError(f"{path}: found kind 'nodes' among curves, expected one kind in a folder")
         curves.append(recording)
     sources = resplit([Source(c.path, c.name, c.hash, c.split) for c in curves], seed)
-    if not any(c.split for c in curves):
-        held = ", ".join(s.name for s in sources if s.split == "held_out") or "none"
-        print(f"clothbench: no recording states a split; held out by seed {seed}: {held}", file=sys.stderr)
     if not any(s.split == "fit" for s in sources):
         raise ClothbenchError(f"{settings['recordings']}: found only held-out recordings, expected at least one to fit")
     return curve_problem(model, curves, [s.split for s in sources], plugins, seed)

@@ -1,0 +1,162 @@
+"""The loop on made-up force-extension curves: it finds what was planted, and nothing where nothing was."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from clothbench import ClothbenchError, Curve
+from clothbench.curve_command import candidates_of, improved
+from clothbench.loop.curves import CurveCase, common_steps, curve_problem, loading, observed
+from clothbench.plugins import catalogue
+
+RUNS, SIGMA, SAMPLES = 6, 0.1, 600
+
+
+def runs(seed: int, law, longest: float = 1.6, between: float = 0.02) -> list[Curve]:
+    """Six runs of one sample, the last two held out: k = 20 N and what `law(strain)` adds, noise, and a stiffness that
+    differs by 2 % from run to run."""
+    random, out = np.random.default_rng(seed), []
+    for number in range(RUNS):
+        stretch = 1 + np.linspace(0, longest - 1 + random.uniform(0, 0.02), SAMPLES)
+        force = (20 * (stretch - 1) + law(stretch - 1)) * (1 + between * random.standard_normal())
+        force = force + random.normal(0, SIGMA, SAMPLES)
+        split = "fit" if number < RUNS - 2 else "held_out"
+        out.append(Curve(f"run{number}", stretch, force, "knit", "wale", noise_sigma=SIGMA, split=split))
+    return out
+
+
+def verdict(curves: list[Curve], given: str | None = None) -> dict:
+    plugins = catalogue()
+    problem = curve_problem("linear_stretch", curves, [c.split for c in curves], plugins, 0)
+    return improved(problem, candidates_of(given, plugins))[1]
+
+
+def named(found: dict) -> set[str]:
+    return {name for effect in found["effects"] for name in (effect["name"], *effect["tied_with"])}
+
+
+def test_planted_locking_is_found_with_its_amount_and_holds_on_other_runs():
+    found = verdict(runs(0, lambda e: 0.05 * (np.exp(9 * e) - 1 - 9 * e)))
+    assert found["verdict"] in ("attributed", "tied")
+    assert "strain_locking" in named(found)
+    error = found["error"]
+    assert error["unit"] == "N"
+    assert error["held_out"]["after"] < 0.2 * error["held_out"]["before"]
+    assert error["held_out"]["after"] < 1.6 * error["noise_floor"]
+    low, high = error["held_out"]["ci95"]
+    assert low < error["held_out"]["before"] - error["held_out"]["after"] < high
+    first = found["effects"][0]
+    if first["name"] == "strain_locking":
+        rate = first["parameters"]["rate"]
+        assert rate["low"] < 9 < rate["high"]
+        assert rate["high"] - rate["low"] < 4
+
+
+def test_stiffening_of_straightening_yarns_goes_by_the_name_that_sheets_know():
+    found = verdict(runs(1, lambda e: 900 * np.where(e < 0.1, e**2, (2 * e - 0.1) * 0.1), longest=1.12))
+    assert "stretch_stiffening" in named(found)
+    assert found["error"]["held_out"]["after"] < 0.5 * found["error"]["held_out"]["before"]
+
+
+def test_a_slack_sample_is_told_from_a_stiffening_one():
+    def law(strain: np.ndarray) -> np.ndarray:
+        """What makes 20 ε the curve of a sample that is 8 % longer than was stated."""
+        return 20 * np.maximum((1 + strain) / 1.08 - 1, 0) - 20 * strain
+
+    assert named(verdict(runs(2, law, longest=1.3))) == {"clamp_slack"}
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_where_nothing_was_planted_nothing_is_named(seed):
+    found = verdict(runs(100 + seed, lambda e: 0 * e))
+    assert (found["verdict"], found["effects"]) == ("complete", [])
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_runs_that_differ_each_in_its_own_way_are_spread_not_an_effect(seed):
+    random = np.random.default_rng(seed)
+
+    def own(e):
+        waves = random.normal(0, 0.6, 3)
+        return sum(w * np.sin((k + 1) * 4 * e + random.uniform(0, 6)) for k, w in enumerate(waves))
+
+    found = verdict(runs(200 + seed, own))
+    assert found["effects"] == []
+
+
+def test_a_shape_that_no_candidate_has_is_left_unexplained():
+    found = verdict(runs(3, lambda e: np.sin(40 * e)))
+    assert (found["verdict"], found["effects"]) == ("unexplained", [])
+    assert found["unexplained"] == pytest.approx(0.7, abs=0.15)  # N, rms of the sine
+    assert found["unexplained_mm"] is None
+
+
+def test_errors_in_mm_are_null_and_those_in_newtons_have_their_shape():
+    found = verdict(runs(4, lambda e: 0 * e), "load_offset")
+    assert set(found["error"]) == {*found["error_mm"], "unit"}
+    assert found["error_mm"]["fit"] == {"before": None, "after": None}
+    assert found["error_mm"]["noise_floor"] is None
+    assert [r["recording"] for r in found["error"]["held_out"]["per_recording"]] == ["run4", "run5"]
+    assert [r["before"] for r in found["error_mm"]["held_out"]["per_recording"]] == [None, None]
+    assert found["error"]["fit"]["before"] == pytest.approx(SIGMA, rel=1.0)
+
+
+def test_the_floor_is_the_spread_between_runs_at_equal_stretch():
+    curves = runs(5, lambda e: 0 * e, between=0.1)
+    found = verdict(curves)
+    assert 0.4 < found["error"]["noise_floor"] < 1.6  # 10 % of 20 N times a strain of 0.35, of four runs
+
+
+def test_the_loop_looks_at_the_way_up_in_equal_steps_that_all_runs_share():
+    there, back = np.linspace(1.0, 1.4, 90), np.linspace(1.4, 1.0, 90)
+    curve = Curve("loop", np.concatenate([there, back]), np.concatenate([10 * (there - 1), 4 * (back - 1)]))
+    stretch, force = loading(curve)
+    np.testing.assert_array_equal(stretch, there)
+    short = Curve("short", np.linspace(1.1, 1.3, 90), np.linspace(1, 3, 90))
+    edges = common_steps([curve, short])
+    assert (edges[0], edges[-1]) == pytest.approx((1.1, 1.3))
+    seen = observed(curve, edges, 0.1)
+    assert seen.visible.all()
+    np.testing.assert_allclose(seen.force, 10 * (seen.stretch - 1), atol=1e-9)
+    assert np.ptp(force) == pytest.approx(4.0)
+
+
+def test_scrambling_keeps_what_a_residual_is_made_of():
+    curve = runs(6, lambda e: 0 * e)[0]
+    case = CurveCase("c", "fit", curve, observed(curve, common_steps([curve]), 0.1), None)
+    residual, random = np.sin(np.linspace(0, 9, 60)), np.random.default_rng(0)
+    moved = [case.scrambled(residual, random) for _ in range(200)]
+    assert {round(float(abs(m).max()), 6) for m in moved} <= {round(float(v), 6) for v in abs(residual)}
+    assert abs(np.mean([m @ residual for m in moved])) < 0.2 * (residual @ residual)
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        ({"direction": "course"}, "attribute 'direction': found 'course', 'wale' among 6 recordings"),
+        ({"fabric": "rib"}, "attribute 'fabric': found 'knit', 'rib' among 6 recordings"),
+        ({"stretch": np.linspace(1.3, 1.5, 50), "force": np.linspace(0, 9, 50)}, "all 4 fit recordings share"),
+        ({"stretch": np.linspace(1.3, 1.5, 50), "force": np.linspace(0, 9, 50), "split": "held_out"},
+         "found next to nothing in the range of stretch 1 to 1.12"),
+    ],
+)  # fmt: skip
+def test_recordings_that_do_not_go_together_are_refused(change, found):
+    first, *others = runs(7, lambda e: 0 * e, longest=1.12)
+    extra = [first] if "split" in change else []
+    with pytest.raises(ClothbenchError) as caught:
+        verdict([replace(first, **change), *extra, *others])
+    assert found in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_models_and_effects_of_sheets_are_refused():
+    plugins, curves = catalogue(), runs(8, lambda e: 0 * e)
+    with pytest.raises(ClothbenchError, match=r"'mass_spring' answers no force-extension curves.* linear_stretch"):
+        curve_problem("mass_spring", curves, [c.split for c in curves], plugins, 0)
+    with pytest.raises(ClothbenchError, match="'quadratic_drag' does not act on force-extension curves; those that do"):
+        candidates_of("load_offset,quadratic_drag", plugins)
+    assert "quadratic_drag" not in candidates_of(None, plugins)
+    assert candidates_of(None, plugins)[0] == "load_offset"
