@@ -30,6 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [a for a in arguments if a != "--debug"]
+    arguments.sort(key=lambda a: a == "--json")  # last: argparse takes no flag between KEY=VALUE words
     for library in (
         "OPENBLAS",
         "MKL",

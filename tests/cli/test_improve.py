@@ -148,7 +148,7 @@ def test_view_knows_the_recordings_of_the_folder(done, clothbench):
 
 
 def test_json_is_the_document_and_nothing_else(place):
-    ran = improve(place, "--json", "recordings=two", *SMALL, "candidates=gravity_tilt", "out=plain", "seed=3")
+    ran = improve(place, "recordings=two", *SMALL, "candidates=gravity_tilt", "--json", "out=plain", "seed=3")
     assert ran.returncode == 0, ran.stderr
     found = json.loads(ran.stdout)
     assert found == json.loads((place / "plain" / "verdict.json").read_text())
