@@ -140,7 +140,7 @@ def candidate_row(row: dict[str, Any]) -> list[str]:
     width = f"{100 * min(max(row['share'], 0.0), 1.0):.1f}"
     bar = f'<div class="bar {kind}"><i style="width:{width}%"></i><span>{100 * row["share"]:.1f} %</span></div>'
     name = f'<span title="{text(row["summary"])}">{text(row["name"])}</span>'
-    gain = "–" if row["gain"] is None else f"{row['gain']:.3g}"
+    gain = "–" if row["gain"] is None else f"{round(row['gain'], 9):.3g}"
     best = "–" if row["gain"] is None else f"{row['selected']}/{row['of']}"
     why = '<span class="pill ok">named</span>' if row["named"] else text(row["why_not"])
     return [name, text(row["place"]), bar, f"{row['p_value']:.2g}", gain, best, why]

@@ -47,13 +47,15 @@ def sentence(found: Mapping[str, Any]) -> str:
 
 
 def named(effect: Mapping[str, Any]) -> str:
-    """ "clock_offset or x (delay = 0.05 s)" """
-    names = " or ".join(f"<b>{text(n)}</b>" for n in (effect["name"], *effect["tied_with"]))
+    """ "clock_offset (delay = 0.05 s) or …, which these recordings cannot tell apart" """
     amounts = ", ".join(
         f"{text(name)} = {p['value']:.3g}{'' if p['unit'] == '1' else ' ' + text(unit(p))}"
         for name, p in effect["parameters"].items()
     )
-    return f"{names} ({amounts})" + (", which these recordings cannot tell apart" if effect["tied_with"] else "")
+    others = "".join(f" or <b>{text(n)}</b>" for n in effect["tied_with"])
+    return f"<b>{text(effect['name'])}</b> ({amounts}){others}" + (
+        ", which these recordings cannot tell apart" if others else ""
+    )
 
 
 def remains(found: Mapping[str, Any], tables: Mapping[str, Rows]) -> list[str]:

@@ -120,7 +120,7 @@ def test_curves_are_told_in_newtons():
             verdict("attributed", EFFECT),
             "lacks <b>lag</b> (delay = 0.05 s). The error on the held-out recordings falls",
         ),
-        (verdict("tied", {**EFFECT, "tied_with": ["twin"]}), "<b>lag</b> or <b>twin</b> (delay = 0.05 s), which these"),
+        (verdict("tied", {**EFFECT, "tied_with": ["twin"]}), "<b>lag</b> (delay = 0.05 s) or <b>twin</b>, which these"),
     ],
 )
 def test_the_verdict_is_one_sentence_or_two(found, said):
