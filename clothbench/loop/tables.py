@@ -79,8 +79,9 @@ def error_rows(found: Mapping[str, Any], outcome: Outcome, after: Fitted) -> Row
     rows = [(name, "fit", scale * float(a) ** 0.5, scale * float(b) ** 0.5) for name, a, b in fitted]
     held = (found["error"] if unit == "N" else found["error_mm"])["held_out"]["per_recording"]
     rows += [(r["recording"], "held_out", r["before"], r["after"]) for r in held]
+    floor = scale * outcome.floor
     return [
-        {"recording": name, "split": split, "unit": unit, "before": a, "after": b, "floor": scale * outcome.floor}
+        {"recording": name, "split": split, "unit": unit, "before": number(a), "after": number(b), "floor": floor}
         for name, split, a, b in rows
     ]
 
@@ -91,8 +92,9 @@ def portrait_rows(seen: Sequence[Seen]) -> Rows:
         for fit, left in (("before", one.left_before), ("after", one.left_after)):
             p = portrait(one.case, left)
             rows.append({
-                "recording": p.recording, "split": one.case.split, "fit": fit, "rms": p.rms_mm, "normal": p.normal_mm,
-                "warp": p.warp_mm, "weft": p.weft_mm, "next_frame": number(p.next_frame), "unit": "mm",
+                "recording": p.recording, "split": one.case.split, "fit": fit, "rms": number(p.rms_mm),
+                "normal": number(p.normal_mm), "warp": number(p.warp_mm), "weft": number(p.weft_mm),
+                "next_frame": number(p.next_frame), "unit": "mm",
             })  # fmt: skip
     return rows
 
@@ -209,6 +211,6 @@ def rms(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
     return {"coordinates": count, "before": value[0], "after": value[1]}
 
 
-def number(value: float) -> float | None:
+def number(value: float | None) -> float | None:
     """A table has null where there is no number."""
-    return float(value) if np.isfinite(value) else None
+    return float(value) if value is not None and np.isfinite(value) else None

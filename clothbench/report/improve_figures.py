@@ -134,10 +134,11 @@ def directions(rows: Rows, changed: bool) -> Figure:
     data, unit = [], rows[0]["unit"]
     for fit, look in series(changed):
         mine = [r for r in rows if r["fit"] == fit]
-        y = [float(np.sqrt(np.mean([r[n] ** 2 for r in mine]))) for n in ("normal", "warp", "weft")]
+        known = {n: [r[n] ** 2 for r in mine if r[n] is not None] for n in ("normal", "warp", "weft")}
+        y = [float(np.sqrt(np.mean(squares))) if squares else np.nan for squares in known.values()]
         data.append({
             "type": "bar", "x": ["normal", "warp", "weft"], "y": rounded(y), "meta": look["name"],
-            "text": [f"{v:.2f}" for v in y], "textposition": "outside", "cliponaxis": False,
+            "text": [f"{v:.2f}" if np.isfinite(v) else "" for v in y], "textposition": "outside", "cliponaxis": False,
             "marker": {"color": look["colour"]}, "hovertemplate": f"{look['name']}: %{{y}} {unit}<extra></extra>",
         })  # fmt: skip
     return figure(data, "direction", {"title": {"text": f"rms of the component [{unit}]"}}, height=320)
@@ -226,11 +227,12 @@ def stage_figure(stages: Rows) -> Figure:
 
 def pooled(rows: Rows) -> dict[str, Any]:
     """Several rows of a table as one: squares weighted by their numbers of coordinates."""
-    out, count = dict(rows[0]), sum(r["coordinates"] for r in rows)
+    out = {**rows[0], "coordinates": sum(r["coordinates"] for r in rows)}
     for column in ("before", "after"):
-        square = sum(r["coordinates"] * r[column] ** 2 for r in rows if r[column] is not None)
-        out[column] = (square / count) ** 0.5 if count else None
-    return {**out, "coordinates": count}
+        known = [r for r in rows if r[column] is not None]
+        count = sum(r["coordinates"] for r in known)
+        out[column] = (sum(r["coordinates"] * r[column] ** 2 for r in known) / count) ** 0.5 if count else None
+    return out
 
 
 def by_recording(rows: Rows) -> dict[str, list[dict[str, Any]]]:

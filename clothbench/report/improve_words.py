@@ -19,8 +19,10 @@ def errors_of(found: Mapping[str, Any]) -> dict[str, Any]:
     return {"unit": "mm", **found["error_mm"], "left": found["unexplained_mm"]}
 
 
-def size(value: float, unit: str) -> str:
-    """A number of millimetres to two places, of newtons to three digits."""
+def size(value: float | None, unit: str) -> str:
+    """A number of millimetres to two places, of newtons to three digits; a dash where a run was stopped."""
+    if value is None:
+        return "–"
     return f"{value:.2f}" if unit == "mm" else f"{value:.3g}"
 
 
@@ -73,7 +75,7 @@ def remains(found: Mapping[str, Any], tables: Mapping[str, Rows]) -> list[str]:
 
 def direction(left: Rows) -> str:
     names = ("normal", "warp", "weft")
-    square = {n: sum(r[n] ** 2 for r in left) for n in names}
+    square = {n: sum(r[n] ** 2 for r in left if r[n] is not None) for n in names}
     total = sum(square.values()) or 1.0
     shares = ", ".join(f"{n} {100 * square[n] / total:.0f} %" for n in sorted(names, key=lambda n: -square[n]))
     return f"By direction (share of the mean square): {shares}."
@@ -90,10 +92,14 @@ def whiteness(left: Rows) -> str:
 
 def place(nodes: Rows) -> str:
     spots = group([r for r in nodes if r["after"] is not None], lambda r: (r["u"], r["v"]))
+    if not spots:
+        return ""
     (u, v), worst = max(((at, pooled(rows)["after"]) for at, rows in spots.items()), key=lambda item: item[1])
     return f"Largest on the cloth at u = {1e3 * u:.0f} mm, v = {1e3 * v:.0f} mm: {worst:.2f} mm."
 
 
 def moment(frames: Rows) -> str:
-    worst = max((r for r in frames if r["after"] is not None), key=lambda r: r["after"])
+    worst = max((r for r in frames if r["after"] is not None), key=lambda r: r["after"], default=None)
+    if worst is None:
+        return ""
     return f"Largest in time at {worst['time']:.2f} s of {text(worst['recording'])}: {worst['after']:.2f} mm."

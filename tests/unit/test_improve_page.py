@@ -94,6 +94,19 @@ def test_without_an_effect_there_is_one_curve_only():
     assert len(found["map"]["b (held out)"]) == 1
 
 
+def test_a_run_that_was_stopped_has_gaps_and_no_numbers():
+    gone = {"before": None, "after": None}
+    stopped = {
+        name: [{**r, **(gone if r.get("recording") == "b" and "after" in r else {})} for r in table]
+        for name, table in rows().items()
+    }
+    part = dict.fromkeys(("rms", "normal", "warp", "weft"))
+    stopped["portrait"] = [{**r, **(part if r["recording"] == "b" else {})} for r in stopped["portrait"]]
+    text = document(verdict("attributed", EFFECT), stopped)
+    assert blocks(text)["directions"]["b (held out)"][0]["data"][0]["y"] == [None, None, None]
+    assert ">nan" not in text
+
+
 def test_a_page_without_rows_still_says_the_verdict():
     text = document(verdict("complete"), NOTHING)
     assert "lacks nothing above the noise" in text
