@@ -18,6 +18,7 @@ from clothbench.errors import ClothbenchError
 from clothbench.experiment.cell import Source, resplit
 from clothbench.experiment.settings import writable
 from clothbench.loop.improve import improve
+from clothbench.loop.memory import Memory
 from clothbench.loop.problem import Case, Problem
 from clothbench.loop.verdict import document, placebo_of
 from clothbench.plugins import Catalogue, absent, catalogue
@@ -43,7 +44,7 @@ def command(settings: Mapping[str, str], as_json: bool = False) -> int:
 
         return on_curves(settings, as_json)
     out = writable(settings.get("out", "improve"))
-    problem = problem_of(settings, plugins)
+    problem = dataclasses.replace(problem_of(settings, plugins), memory=Memory(out / ".unfinished"))
     candidates = candidates_of(settings.get("candidates"), plugins, problem)
     with StageBar() as bar:
         outcome = improve(problem, candidates, bar.stage)
@@ -52,6 +53,7 @@ def command(settings: Mapping[str, str], as_json: bool = False) -> int:
         found = document(outcome, placebo, time.perf_counter() - began)
         bar.stage("page, tables and Rerun files", 0, 1)
         write_folder(out, outcome, found)
+        problem.memory.forget()
     print(json_text(found)) if as_json else say(found, out)
     return 0
 

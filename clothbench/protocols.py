@@ -44,7 +44,8 @@ class Evaluation:
 class Simulation(Protocol):
     """A scene made ready: meshes built, kernels compiled.
 
-    `parameters` holds the model's parameters, then those of each effect as `effect.parameter`.
+    `parameters` holds the model's parameters, then those of each effect as `effect.parameter`. Optional: `threads`,
+    true if several simulations may run at the same time in threads of one process.
     """
 
     parameters: ParameterSpace

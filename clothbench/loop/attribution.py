@@ -14,7 +14,7 @@ from scipy.stats import qmc
 
 from clothbench.experiment.calibrate import over
 from clothbench.loop.fitting import Fitted
-from clothbench.loop.problem import Problem, residuals
+from clothbench.loop.problem import Problem, digest, residuals
 from clothbench.protocols import Effect
 
 SHAPES = 4  # how many settings of an effect's other parameters are looked at (the effect's place, direction, time, …)
@@ -71,9 +71,7 @@ def probes(problem: Problem, fitted: Fitted, name: str) -> list[Probe]:
             row[i] += step
             rows.append(row)
     theta = np.hstack([np.tile(fitted.theta, (len(rows), 1)), np.array(rows)])
-    trials = problem.trials((*fitted.effects, name), "fit")
-    runs = over(trials, lambda trial: residuals(trial, theta))
-    changes = [run - residual for run, residual in zip(runs, fitted.residual, strict=True)]
+    changes = changes_of(problem, fitted, name, theta)
     out, at = [], 0
     for phi, amounts, steps in settings:
         columns = [c[at : at + len(amounts)].T for c in changes]
@@ -81,6 +79,17 @@ def probes(problem: Problem, fitted: Fitted, name: str) -> list[Probe]:
         if all(np.isfinite(c).all() for c in columns):
             out.append(Probe(name, phi, amounts, steps, columns))
     return out
+
+
+def changes_of(problem: Problem, fitted: Fitted, name: str, theta: np.ndarray) -> list[np.ndarray]:
+    """What the candidate at theta (B, P) changes, (B, M) m for each fit recording; remembered."""
+    key = problem.key("probe", fitted.effects, fitted.theta.tolist(), name, digest(theta))
+    if (known := problem.memory.recall(key)) is not None:
+        return [known[str(k)] for k in range(len(known))]
+    runs = over(problem.trials((*fitted.effects, name), "fit"), lambda trial: residuals(trial, theta))
+    changes = [run - residual for run, residual in zip(runs, fitted.residual, strict=True)]
+    problem.memory.keep(key, **{str(k): change for k, change in enumerate(changes)})
+    return changes
 
 
 def weights(parts: Sequence[np.ndarray]) -> np.ndarray:

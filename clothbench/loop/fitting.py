@@ -11,6 +11,7 @@ from scipy.stats import t as student
 from clothbench.experiment.calibrate import Trial, evaluate, over
 from clothbench.loop.problem import Problem, Told, residuals
 from clothbench.parameters import ParameterSpace
+from clothbench.protocols import Optimizer
 
 PROBE = 0.02  # step of differences, in units of the scaled range
 
@@ -58,7 +59,24 @@ def fit(
         settings = {"starts": 0, "walks": 1, "secant": True}
         space = started(space, better(trials, space, np.atleast_2d(start)))
     settings, budget = settings | problem.search, budget * problem.patience
-    optimizer = problem.plugins.make("optimizers", "least_squares", space, seed=problem.seed, budget=budget, **settings)
+    key = problem.key("fit", names, space.defaults.tolist(), budget, settings)
+    if (known := problem.memory.recall(key)) is not None:
+        theta, count = known["theta"], int(known["count"])
+    else:
+        optimizer = problem.plugins.make(
+            "optimizers", "least_squares", space, seed=problem.seed, budget=budget, **settings
+        )
+        theta, count = search(trials, optimizer, space, told)
+        problem.memory.keep(key, theta=theta, count=np.array(count))
+    residual, jacobian, spent = differences(trials, space, theta, problem.probe or PROBE)
+    low, high = interval(space, theta, residual, jacobian)
+    return Fitted(names, space, theta, residual, jacobian, low, high, count + spent)
+
+
+def search(
+    trials: list[Trial], optimizer: Optimizer, space: ParameterSpace, told: Told | None = None
+) -> tuple[np.ndarray, int]:
+    """The best point that the optimizer comes to (P,), and how many it asked for."""
     theta, value, count = space.defaults, np.inf, 0
     while not optimizer.done:
         asked = np.asarray(optimizer.ask(), dtype=float)
@@ -72,9 +90,7 @@ def fit(
             theta, value = asked[best], cost
         if told is not None:
             told(len(asked), 1e3 * np.sqrt(value))
-    residual, jacobian, spent = differences(trials, space, theta, problem.probe or PROBE)
-    low, high = interval(space, theta, residual, jacobian)
-    return Fitted(names, space, theta, residual, jacobian, low, high, count + spent)
+    return theta, count
 
 
 def better(trials: list[Trial], space: ParameterSpace, starts: np.ndarray) -> np.ndarray:

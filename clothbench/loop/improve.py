@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
@@ -21,9 +22,50 @@ REFITS = 5  # candidates that are fitted in earnest in each round
 AT_THE_FLOOR = 1.15  # times the floor: a residual this small is not worth a name
 MATERIAL = 0.25  # share of the mean square above the floor that an effect has to explain to be worth a name
 TIED = 0.1  # two candidates cannot be told apart if what they leave (mean square) differs by less than this share
-FIRST, AGAIN = 140, 60  # evaluations of the first fit, and of one that begins where another ended
+FIRST, AGAIN, ALONE = (
+    140,
+    60,
+    25,
+)  # evaluations of the first fit, of one that begins where another ended, of one recording's
 
 Stage = Callable[[str, int, int], None]
+
+
+class Budget:
+    """Tells the caller which stage the loop is in, and adds up what each one takes: seconds and simulated sets."""
+
+    def __init__(self, told: Stage):
+        self.told = told
+        self.spent: dict[str, list] = {}
+        self.now, self.since = "", time.perf_counter()
+
+    def stage(self, name: str, done: int, planned: int) -> None:
+        self.told(name, done, planned)
+        self.stop()
+        self.now = name
+
+    def stop(self) -> None:
+        """The stage that runs is over, or goes on: its time so far counts."""
+        now = time.perf_counter()
+        if self.now:
+            self._entry()[0] += now - self.since
+        self.since = now
+
+    def count(self, evaluations: int) -> None:
+        """So many parameter sets were simulated in the stage that runs, on all fit recordings each."""
+        self._entry()[1] += evaluations
+
+    def _entry(self) -> list:
+        return self.spent.setdefault(self.now, [0.0, 0])
+
+    @property
+    def table(self) -> list[tuple[str, float, int]]:
+        """(stage, s, evaluations) in the order in which they began."""
+        return [(name, float(seconds), int(count)) for name, (seconds, count) in self.spent.items()]
+
+    @property
+    def evaluations(self) -> int:
+        return sum(count for _, _, count in self.table)
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,30 +105,67 @@ class Outcome:
     final: Fitted
     noise: float
     floor: float
-    evaluations: int
+    budget: Budget
     rounds: list[Round] = field(default_factory=list)
+    alone: dict[str, Fitted] = field(default_factory=dict)  # the base fitted to each recording by itself
+
+    @property
+    def stages(self) -> list[tuple[str, float, int]]:
+        """(stage, s, evaluations): where the time went."""
+        return self.budget.table
+
+    @property
+    def evaluations(self) -> int:
+        return self.budget.evaluations
 
 
-def improve(problem: Problem, candidates: Sequence[str], stage: Stage) -> Outcome:
+def improve(problem: Problem, candidates: Sequence[str], told: Stage) -> Outcome:
     """Run the loop on the fit recordings; what it finds is judged on the held-out ones afterwards."""
+    budget = Budget(told)
     noise = noise_of(problem)
-    stage("calibrate", 0, 2)
-    base = fit(problem, (), None, FIRST)
-    problem, base, floor = corrected(problem, base, noise)
-    outcome = Outcome(problem, base, base, noise, floor, base.evaluations)
+    base = calibrated(problem, budget)
+    problem, base, floor = corrected(problem, base, noise, budget)
+    outcome = Outcome(problem, base, base, noise, floor, budget)
+    outcome.alone = each_alone(problem, base, budget)
     current = base
     for turn in range(ROUNDS):
         if current.rms <= AT_THE_FLOOR * floor:
             break
-        found = one_round(problem, current, floor, [c for c in candidates if c not in current.effects], stage, turn)
+        rest = [c for c in candidates if c not in current.effects]
+        found = one_round(problem, current, floor, rest, budget, turn)
         outcome.rounds.append(found)
-        outcome.evaluations += sum(c.fitted.evaluations for c in found.candidates if c.fitted is not None)
         if found.after is None:
             break
-        problem, current, floor = corrected(problem, found.after, noise)
+        problem, current, floor = corrected(problem, found.after, noise, budget)
         outcome.rounds[-1] = dataclasses.replace(found, after=current)
         outcome.problem, outcome.final, outcome.floor = problem, current, floor
+    budget.stop()
     return outcome
+
+
+def calibrated(problem: Problem, budget: Budget) -> Fitted:
+    """The base model on all fit recordings together."""
+    budget.stage("calibrate", 0, FIRST)
+    done = 0
+
+    def told(more: int, _: float) -> None:
+        nonlocal done
+        done += more
+        budget.stage("calibrate", min(done, FIRST), FIRST)
+
+    base = fit(problem, (), None, FIRST, told)
+    budget.count(base.evaluations)
+    return base
+
+
+def each_alone(problem: Problem, base: Fitted, budget: Budget) -> dict[str, Fitted]:
+    """The base fitted to each recording by itself: parameters that drift say that physics is missing."""
+    out, cases = {}, problem.of_split("fit")
+    for k, case in enumerate(cases):
+        budget.stage("each recording alone", k, len(cases))
+        out[case.name] = fit(dataclasses.replace(problem, cases=(case,)), (), base.theta, ALONE)
+        budget.count(out[case.name].evaluations // len(cases))
+    return out
 
 
 def noise_of(problem: Problem) -> float:
@@ -101,10 +180,12 @@ def noise_of(problem: Problem) -> float:
     return float(np.sqrt(np.mean(np.square(found))))
 
 
-def corrected(problem: Problem, fitted: Fitted, noise: float) -> tuple[Problem, Fitted, float]:
+def corrected(problem: Problem, fitted: Fitted, noise: float, budget: Budget) -> tuple[Problem, Fitted, float]:
     """The problem with the mesh's error taken away at this fit, the fit again, and the floor [m] of noise and mesh."""
+    budget.stage("mesh and step refined", 0, 2)
     plain = dataclasses.replace(problem, corrections={})
     changes = correction(plain, fitted, "fit")
+    budget.stage("mesh and step refined", 1, 2)
     left = numerical_floor(fitted, changes)
     if above(fitted, changes) >= above(fitted, [0 * c for c in changes]):
         # What a finer mesh changes is no step towards what was seen: the model does not converge to it, and all of the
@@ -113,6 +194,7 @@ def corrected(problem: Problem, fitted: Fitted, noise: float) -> tuple[Problem, 
     names = [case.name for case in problem.of_split("fit")]
     problem = dataclasses.replace(problem, corrections=dict(zip(names, changes, strict=True)))
     again = fit(problem, fitted.effects, fitted.theta, AGAIN)
+    budget.count(again.evaluations)
     return problem, again, float(np.hypot(noise, left))
 
 
@@ -125,23 +207,26 @@ def above(fitted: Fitted, changes: Sequence[np.ndarray]) -> float:
 
 
 def one_round(
-    problem: Problem, current: Fitted, floor: float, candidates: Sequence[str], stage: Stage, turn: int
+    problem: Problem, current: Fitted, floor: float, candidates: Sequence[str], budget: Budget, turn: int
 ) -> Round:
     """Screen all candidates to first order, fit the best in earnest, and name the one that stands every test."""
     found: list[Probe] = []
     for k, name in enumerate(candidates):
-        stage(f"round {turn + 1}: candidates", k, len(candidates))
+        budget.stage(f"round {turn + 1}: candidates", k, len(candidates))
         try:
-            found += probes(problem, current, name)
+            more = probes(problem, current, name)
         except ClothbenchError:
             continue  # a model may have no room for it; it is listed as not tried
+        budget.count(sum(len(probe.amounts) for probe in more))
+        found += more
     seen = shares(problem.of_split("fit"), current, found, problem.seed)
     screened = screen(candidates, found, seen)
     promising = sorted((c for c in screened if c.p_value < ALPHA), key=lambda c: -c.share)[:REFITS]
     tried = []
     for k, candidate in enumerate(promising):
-        stage(f"round {turn + 1}: refits", k, len(promising))
-        tried.append(refit(problem, current, candidate, found, seen))
+        budget.stage(f"round {turn + 1}: refits", k, len(promising))
+        tried.append(done := refit(problem, current, candidate, found, seen))
+        budget.count(done.fitted.evaluations if done.fitted else 0)
     judged = judge(current, floor, tried)
     others = [c for c in screened if c.name not in {t.name for t in judged}]
     named = choose(judged)

@@ -12,7 +12,9 @@ from typing import Any, ClassVar
 
 import numpy as np
 
+from clothbench import __version__
 from clothbench.experiment.calibrate import Trial
+from clothbench.loop.memory import Memory
 from clothbench.observation import Observation
 from clothbench.parameters import ParameterSpace
 from clothbench.plugins import Catalogue
@@ -62,6 +64,7 @@ class Without:
 
     def __init__(self, simulation: Simulation, kept: np.ndarray, values: np.ndarray):
         self.simulation, self.kept, self.values = simulation, kept, values
+        self.threads = getattr(simulation, "threads", False)
         free = zip(simulation.parameters, kept, strict=True)
         self.parameters = ParameterSpace(tuple(p for p, keep in free if keep))
 
@@ -94,7 +97,8 @@ class Problem:
     """A model, with what belongs to it in any case (`base`), beside recordings.
 
     base: effects that are part of the model from the start; resolution: nodes (nu, nv); step_scale: of the model's own
-    step, for models that have that option; corrections: by recording, see `CoordinateError`.
+    step, for models that have that option; corrections: by recording, see `CoordinateError`; memory: of what was
+    computed already.
     """
 
     model: str
@@ -106,6 +110,7 @@ class Problem:
     step_scale: float = 1.0
     seed: int = 0
     corrections: Mapping[str, np.ndarray] = field(default_factory=dict)
+    memory: Memory = field(default_factory=Memory)
 
     # What a fit does otherwise where a rollout costs next to nothing and has no ripples: settings of the search, times
     # the budget, and the step of differences (0: the usual).
@@ -154,7 +159,14 @@ class Problem:
         about = {
             "model": self.model, "base": self.base, "options": dict(self.options), "resolution": self.resolution,
             "step": self.step_scale, "seed": self.seed, "recordings": [c.recording.hash for c in self.cases],
-            "splits": [c.split for c in self.cases], "more": more,
+            "splits": [c.split for c in self.cases], "more": more, "clothbench": __version__,
             "versions": [getattr(self.plugins.load("models", self.model), "version", 0)],
+            "corrections": {name: digest(c) for name, c in self.corrections.items()},
+            "effects": {name: self.plugins.load("effects", name).version for name in self.plugins.names("effects")},
         }  # fmt: skip
         return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def digest(array: np.ndarray) -> str:
+    """16 hexadecimal digits of an array's numbers."""
+    return hashlib.sha256(np.ascontiguousarray(array, dtype=float).tobytes()).hexdigest()[:16]
