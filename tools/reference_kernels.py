@@ -28,6 +28,7 @@ class Sheet(NamedTuple):
     damping: np.ndarray  # (4,) stretch [s], shear [s], bending [s], mass-proportional [1/s]
     drag: np.ndarray  # (2,) ½ρ_air C_N, ½ρ_air C_T [kg/m³]
     gravity: np.ndarray  # (3,) [m/s²]
+    wind: np.ndarray  # (3,) velocity of the air [m/s]
 
 
 @compiled
@@ -143,13 +144,14 @@ def bending_force(sheet, x, v, force):
 
 @compiled
 def drag_force(sheet, x, v, force):
-    """f = −½ρ_air A (C_N |v_n| v_n + C_T |v_t| v_t): still air, quadratic in both parts of the velocity."""
+    """f = −½ρ_air A (C_N |v_n| v_n + C_T |v_t| v_t): quadratic in both parts of the velocity
+    against the air."""
     normal_drag, tangential_drag = sheet.drag
     for t in range(len(sheet.area)):
         i, j, k = sheet.triangle[t]
         twice = _cross(_minus(x, j, i), _minus(x, k, i))
         size = math.sqrt(_dot(twice, twice))
-        mean = _mix(1.0 / 3.0, _mix(1.0, v[i], 1.0, v[j]), 1.0 / 3.0, v[k])
+        mean = _mix(1.0, _mix(1.0 / 3.0, _mix(1.0, v[i], 1.0, v[j]), 1.0 / 3.0, v[k]), -1.0, sheet.wind)
         along = _mix(_dot(mean, twice) / (size * size), twice, 0.0, twice)
         across = _mix(1.0, mean, -1.0, along)
         third = size / 6.0

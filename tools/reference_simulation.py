@@ -67,6 +67,7 @@ def discretise(fabric: Fabric, mesh: Mesh, gravity: tuple[float, float, float] =
         damping=np.array(damping),
         drag=0.5 * AIR_DENSITY * np.array([fabric.normal_drag, fabric.tangential_drag]),
         gravity=np.array(gravity),
+        wind=np.zeros(3),
     )
 
 

@@ -1,0 +1,353 @@
+"""The loop's own blind test: `python tools/blind_test.py --out FOLDER [--cases 0-29] [--model NAME]`.
+
+Every case is a piece of cloth that the reference simulation beside this file moves (finite elements on another mesh
+than any model's, explicit steps, noise, dropouts), with something in it that its recordings do not say. `clothbench
+improve` sees the recordings only; its verdict is then held against what was planted. Cases 0–5 hold nothing beyond
+elasticity, gravity and damping; 6–25 one effect each out of ten, drawn by the case's number; 26–27 two at once; 28–31
+something that no effect of the library describes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from reference_mesh import build, tracking_weights
+from reference_simulation import Fabric, State, bowed, discretise, settle, simulate, stable_step
+
+from clothbench.recording import Recording, write_recording
+
+NOISE, GRIP_NOISE, DROPOUT = 1e-3, 1e-4, 0.01
+HEIGHT, RATE, SECONDS = 1.0, 30.0, 3.0  # m, Hz, s
+SPLIT = ("fit", "fit", "fit", "fit", "held_out", "held_out")
+CELLS = 20  # of the reference mesh, along the width
+NONE, ONE, TWO, UNKNOWN = range(6), range(6, 26), range(26, 28), range(28, 32)
+RESULTS = Path(__file__).resolve().parent.parent / "results" / "blind_test.json"
+
+
+@dataclass
+class World:
+    """One cloth and everything about it that a planted effect may change."""
+
+    fabric: Fabric
+    width: float
+    height: float
+    gravity: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -9.81]))
+    wind: np.ndarray = field(default_factory=lambda: np.zeros(3))
+    added_mass: list[Callable[[np.ndarray, np.ndarray], np.ndarray]] = field(default_factory=list)  # (uv, area) → kg
+    stiffer: Callable[[np.ndarray], np.ndarray] | None = None  # factor on the rigidity of hinges, by their middle
+    grips: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda time, position: position
+    clock: Callable[[np.ndarray], np.ndarray] = lambda time: time  # when the cloth was as a stamp shows it
+    seen: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda time, position: position
+    planted: dict[str, dict[str, float]] = field(default_factory=dict)
+
+
+# --- what can be planted: each changes the world and notes what it did -----------------------------------------------
+
+
+def quadratic_drag(world: World, random: np.random.Generator) -> dict[str, float]:
+    normal = random.uniform(0.8, 1.5)
+    world.fabric = dataclasses.replace(world.fabric, normal_drag=normal, tangential_drag=0.02)
+    return {"normal": normal}
+
+
+def steady_wind(world: World, random: np.random.Generator) -> dict[str, float]:
+    angle, speed, normal = random.uniform(0, 2 * np.pi), random.uniform(0.4, 0.7), random.uniform(0.8, 1.2)
+    world.fabric = dataclasses.replace(world.fabric, normal_drag=normal, tangential_drag=0.02)
+    world.wind = speed * np.array([np.cos(angle), np.sin(angle), 0.0])
+    return {"normal": normal, "wx": world.wind[0], "wy": world.wind[1]}
+
+
+def heavy_hem(world: World, random: np.random.Generator) -> dict[str, float]:
+    width, density = random.uniform(0.012, 0.02), random.uniform(0.4, 0.8)
+    world.added_mass.append(lambda uv, area: density * area * hem_share(uv, world, width))
+    return {"areal_density": density, "width": width}
+
+
+def hem_share(uv: np.ndarray, world: World, width: float) -> np.ndarray:
+    """Share of a node's area that belongs to the hem, so that the hem's mass is right on any mesh."""
+    inside = np.clip((uv[:, 1] - (world.height - width)) / width, 0.0, 1.0) * (uv[:, 1] > world.height - width)
+    rows = np.unique(uv[:, 1])
+    cell = rows[1] - rows[0]
+    on_rows = np.array([np.mean(inside[uv[:, 1] == row]) for row in rows]) * cell * np.where(rows == rows[-1], 0.5, 1.0)
+    return inside * width / on_rows.sum()
+
+
+def point_mass(world: World, random: np.random.Generator) -> dict[str, float]:
+    u, v, mass = random.uniform(0.2, 0.8), random.uniform(0.5, 0.95), random.uniform(1.0e-3, 2.5e-3)
+    world.added_mass.append(lambda uv, area: spot(uv, u * world.width, v * world.height, mass))
+    return {"mass": mass, "u": u, "v": v}
+
+
+def spot(uv: np.ndarray, u: float, v: float, mass: float) -> np.ndarray:
+    """The mass shared out among the three nodes nearest to a point, so that its centre of mass is there."""
+    near = np.argsort(np.hypot(*(uv - [u, v]).T))[:3]
+    share = np.linalg.solve(np.vstack([uv[near].T, np.ones(3)]), [u, v, 1.0])
+    out = np.zeros(len(uv))
+    out[near] = mass * np.clip(share, 0.0, 1.0) / np.clip(share, 0.0, 1.0).sum()
+    return out
+
+
+def gravity_tilt(world: World, random: np.random.Generator) -> dict[str, float]:
+    about_x = random.choice([-1, 1]) * random.uniform(0.04, 0.1)
+    c, s = np.cos(about_x), np.sin(about_x)
+    world.gravity = np.array([[1, 0, 0], [0, c, -s], [0, s, c]]) @ world.gravity
+    return {"about_x": about_x}
+
+
+def grip_offset(world: World, random: np.random.Generator) -> dict[str, float]:
+    offset = random.choice([-1, 1], 3) * random.uniform(0.003, 0.012, 3)
+    world.grips = lambda time, position: position + offset
+    return dict(zip(("dx", "dy", "dz"), offset, strict=True))
+
+
+def grip_slip(world: World, random: np.random.Generator) -> dict[str, float]:
+    distance, at = random.uniform(0.01, 0.02), random.uniform(0.8, 1.8)
+
+    def slipped(time: np.ndarray, position: np.ndarray) -> np.ndarray:
+        s = np.clip((time - at) / 0.05, 0.0, 1.0)
+        return position - distance * (s**2 * (3 - 2 * s))[:, None, None] * [0.0, 0.0, 1.0]
+
+    world.grips = slipped
+    return {"distance": distance, "time": at}
+
+
+def clock_offset(world: World, random: np.random.Generator) -> dict[str, float]:
+    delay = random.uniform(0.02, 0.06)
+    world.clock = lambda time: time - delay
+    return {"delay": delay}
+
+
+def frame_rotation(world: World, random: np.random.Generator) -> dict[str, float]:
+    turn = random.choice([-1, 1]) * random.uniform(0.03, 0.08)
+    c, s = np.cos(turn), np.sin(turn)
+
+    def turned(time: np.ndarray, position: np.ndarray) -> np.ndarray:
+        middle = position.mean(axis=(0, 1))
+        return (position - middle) @ np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]]) + middle
+
+    world.seen = turned
+    return {"rz": turn}
+
+
+def frame_scale(world: World, random: np.random.Generator) -> dict[str, float]:
+    ratio = 1 + random.choice([-1, 1]) * random.uniform(0.02, 0.05)
+
+    def scaled(time: np.ndarray, position: np.ndarray) -> np.ndarray:
+        middle = position.mean(axis=(0, 1))
+        return middle + ratio * (position - middle)
+
+    world.seen = scaled
+    return {"ratio": ratio}
+
+
+# Nothing of this is in the library.
+
+
+def drifting_clock(world: World, random: np.random.Generator) -> dict[str, float]:
+    """The camera's clock runs slow, from time to time it is set right again."""
+    world.clock = lambda time: time - 0.09 * ((time / 1.1) % 1.0)
+    return {}
+
+
+def swaying_camera(world: World, random: np.random.Generator) -> dict[str, float]:
+    rate = random.uniform(1.0, 2.0)
+    world.seen = lambda time, position: position + 0.008 * np.sin(2 * np.pi * rate * time)[:, None, None] * [1, 0, 0.5]
+    return {}
+
+
+def stiff_seam(world: World, random: np.random.Generator) -> dict[str, float]:
+    middle = random.uniform(0.35, 0.65) * world.width
+    world.stiffer = lambda uv: np.where(abs(uv[:, 0] - middle) < 0.04 * world.width, 60.0, 1.0)
+    return {}
+
+
+def wet_half(world: World, random: np.random.Generator) -> dict[str, float]:
+    density = 0.6 * world.fabric.areal_density
+    world.added_mass.append(lambda uv, area: density * area * (uv[:, 0] < 0.5 * world.width))
+    return {}
+
+
+EFFECTS = (
+    quadratic_drag, clock_offset, heavy_hem, steady_wind, frame_rotation, gravity_tilt, point_mass, grip_offset,
+    grip_slip, frame_scale,
+)  # fmt: skip
+NOT_IN_LIBRARY = (drifting_clock, swaying_camera, stiff_seam, wet_half)
+
+
+def drawn(case: int, random: np.random.Generator) -> Sequence[Callable[[World, np.random.Generator], dict[str, float]]]:
+    """What a case holds: each of the ten effects comes twice among the twenty, in an order of its own."""
+    if case in ONE:
+        order = np.random.default_rng(20).permutation(2 * len(EFFECTS))
+        return [EFFECTS[order[case - ONE[0]] % len(EFFECTS)]]
+    if case in TWO:
+        pairs = ((clock_offset, heavy_hem), (quadratic_drag, frame_scale))
+        return pairs[case - TWO[0]]
+    return [NOT_IN_LIBRARY[case - UNKNOWN[0]]] if case in UNKNOWN else []
+
+
+# --- making a case ----------------------------------------------------------------------------------------------------
+
+
+def make(case: int, folder: Path) -> dict[str, dict[str, float]]:
+    """Write the recordings of one case below `folder`; returns what was planted, which they do not say."""
+    random = np.random.default_rng([case, 4])
+    warp, weft, side = random.uniform(400, 700), random.uniform(400, 700), random.uniform(0.26, 0.34)
+    fabric = Fabric(
+        f"blind-{case:02d}", random.uniform(0.14, 0.24), warp, weft, 0.2 * min(warp, weft),
+        random.uniform(0.2, 0.3) * min(warp, weft), random.uniform(1.5e-5, 4e-5), 4e-5, 4e-5, 1e-3,
+        random.uniform(0.6, 1.2),
+    )  # fmt: skip
+    world = World(fabric, side, side * random.uniform(0.85, 1.15))
+    for plant in drawn(case, random):
+        world.planted[plant.__name__] = plant(world, random)
+    mesh = build(world.width, world.height, CELLS, 2 * round(1.155 * CELLS * world.height / world.width / 2))
+    sheet = discretise(world.fabric, mesh, tuple(world.gravity))._replace(wind=world.wind)
+    area = sheet.mass / world.fabric.areal_density
+    for more in world.added_mass:
+        sheet = sheet._replace(mass=sheet.mass + more(mesh.material, area))
+    if world.stiffer is not None:
+        middle = mesh.material[sheet.hinge[:, :2]].mean(axis=1)
+        sheet = sheet._replace(hinge_stiffness=sheet.hinge_stiffness * world.stiffer(middle))
+    step = stable_step(world.fabric, mesh, 0.6 if world.stiffer is None else 0.2)
+    levels = mesh.material[mesh.row_start[:-1], 1][::2]
+    points = np.array([(u, v) for v in levels[:: max(1, len(levels) // 8)] for u in np.linspace(0, world.width, 8)])
+    weights, held = tracking_weights(mesh, points), np.array([0, CELLS])
+    for number, split in enumerate(SPLIT):
+        name = f"{fabric.name}/rec-{number + 1:02d}"
+        record = measured(world, sheet, mesh, step, held, weights, points, name, split, random)
+        write_recording(record, folder / f"rec-{number + 1:02d}.nc")
+    return world.planted
+
+
+def measured(world, sheet, mesh, step, held, weights, points, name, split, random) -> Recording:
+    """One run, seen with noise and dropouts."""
+    amplitude = random.uniform(0.01, 0.045, (2, 3)) * random.choice([-1, 1], (2, 3)) * [0.3, 1.0, 0.6]
+    rate, phase = random.uniform(0.5, 1.1, (2, 3)), random.uniform(0, 2 * np.pi, (2, 3))
+
+    def told(time: np.ndarray) -> np.ndarray:
+        """Where the grips are said to be, (K, 2, 3) m; they rise from rest within 0.6 s."""
+        s = np.clip(time / 0.6, 0.0, 1.0)[:, None, None]
+        wave = np.sin(2 * np.pi * rate * time[:, None, None] + phase) - np.sin(phase)
+        return hung.home + s**3 * (10 - 15 * s + 6 * s**2) * amplitude * wave
+
+    def held_at(time: np.ndarray) -> np.ndarray:
+        return world.grips(time, told(time))
+
+    time = np.arange(round(SECONDS * RATE)) / RATE
+    wanted = np.maximum(world.clock(time), 0.0)
+    fine = np.unique(np.concatenate([[0.0], wanted]))
+    frames, _ = simulate(sheet, State(rest, np.zeros_like(rest)), held, held_at, fine, step)
+    truth = np.einsum("mn,tnd->tmd", weights, frames)[np.searchsorted(fine, wanted)]
+    position = world.seen(time, truth) + random.normal(0.0, NOISE, truth.shape)
+    position[random.random(position.shape[:2]) < DROPOUT] = np.nan
+    grip_time = np.arange(round(SECONDS * 100) + 1) / 100.0
+    return Recording(
+        name=name, fabric=world.fabric.name, split=split, motion="both upper corners to and fro", time=time,
+        material=points, position=position, grip_time=grip_time,
+        grip_material=np.array([[0.0, 0.0], [world.width, 0.0]]),
+        grip_position=told(grip_time) + random.normal(0.0, GRIP_NOISE, (len(grip_time), 2, 3)),
+        cloth_width=world.width, cloth_height=world.height, areal_density=world.fabric.areal_density,
+        noise_sigma=NOISE, sensor="simulated marker tracking", source="clothbench blind test (tools/blind_test.py)",
+        licence="CC0-1.0", declared_effects="gravity,elasticity,bending,damping", notes={},
+    )  # fmt: skip
+
+
+# --- running it and holding the verdict against the truth -------------------------------------------------------------
+
+
+def judged(planted: dict[str, dict[str, float]], found: dict) -> dict[str, object]:
+    """One row of the table: what was planted, what was said, and whether that is a hit, a miss or a false name."""
+    sets = [{e["name"], *e["tied_with"]} for e in found["effects"]]
+    known = [name for name in planted if name in {f.__name__ for f in EFFECTS}]
+    hits = sum(any(name in group for group in sets) for name in known)
+    false = sum(not group & set(planted) for group in sets)
+    held = found["error_mm"]["held_out"]
+    inside = []
+    for effect in found["effects"]:
+        for name, value in planted.get(effect["name"], {}).items():
+            p = effect["parameters"].get(name, {})
+            if None not in (p.get("low"), p.get("high")):
+                inside.append(bool(p["low"] <= value <= p["high"]))
+    return {
+        "planted": planted, "verdict": found["verdict"],
+        "named": [[e["name"], *e["tied_with"]] for e in found["effects"]],
+        "p_value": max((e["p_value"] for e in found["effects"]), default=None),
+        "hits": hits, "of": len(known), "false_names": false, "amounts_inside": sum(inside), "amounts": len(inside),
+        "right": (hits == len(known) and not false) if planted and known else not sets and (
+            found["verdict"] == ("unexplained" if planted else "complete")
+        ),
+        "fit_mm": [found["error_mm"]["fit"]["before"], found["error_mm"]["fit"]["after"]],
+        "held_out_mm": [held["before"], held["after"]], "floor_mm": found["error_mm"]["noise_floor"],
+        "wall_s": found["wall_s"],
+    }  # fmt: skip
+
+
+def run(case: int, folder: Path, model: str) -> dict[str, object]:
+    """Make one case, let the installed command loose on it, and judge what it says."""
+    recordings, out = folder / f"case-{case:02d}", folder / f"verdict-{case:02d}-{model}"
+    planted_file = folder / f"case-{case:02d}.json"
+    if not planted_file.is_file():
+        planted_file.write_text(json.dumps(make(case, recordings)))
+    planted = json.loads(planted_file.read_text())
+    if not (out / "verdict.json").is_file():
+        words = ["improve", f"recordings={recordings}", f"model={model}", f"out={out}"]
+        done = subprocess.run([sys.executable, "-m", "clothbench", *words], capture_output=True, text=True)
+        if done.returncode:
+            raise SystemExit(f"case {case}: {done.stderr.strip().splitlines()[-1]}")
+    return {"case": case, "model": model} | judged(planted, json.loads((out / "verdict.json").read_text()))
+
+
+def line(row: dict) -> str:
+    said = "; ".join("=".join(group) for group in row["named"]) or "-"
+    before, after = row["held_out_mm"]
+    mark = "ok" if row["right"] else "FALSE" if row["false_names"] else "missed"
+    return (
+        f"{row['case']:3d} {'+'.join(row['planted']) or '(nothing)':26s} {row['verdict']:12s} {said:36s} {mark:7s}"
+        f" {before:6.2f} -> {after:6.2f} floor {row['floor_mm']:.2f} mm  {row['wall_s']:4.0f} s"
+    )
+
+
+def summary(rows: Sequence[dict]) -> str:
+    """Hit rate, false alarms and tied sets over the cases that were run."""
+    known = [r for r in rows if r["of"]]
+    others = [r for r in rows if not r["of"]]
+    return (
+        f"{sum(r['hits'] for r in known)} of {sum(r['of'] for r in known)} planted effects named, "
+        f"{sum(len(g) > 1 for r in rows for g in r['named'])} in tied sets; false names: "
+        f"{sum(r['false_names'] for r in known)} where something was planted, "
+        f"{sum(r['false_names'] for r in others)} of {len(others)} without anything the library knows; amounts inside "
+        f"their intervals: {sum(r['amounts_inside'] for r in rows)} of {sum(r['amounts'] for r in rows)}"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description="Run the loop's blind test.")
+    parser.add_argument(
+        "--out", type=Path, required=True, help="folder for recordings and verdicts; kept, so resumable"
+    )
+    parser.add_argument("--cases", default=f"0-{UNKNOWN[-1]}", help="FIRST-LAST or N,N,…")
+    parser.add_argument("--model", default="baraff_witkin")
+    parser.add_argument("--keep", action="store_true", help=f"write the table to {RESULTS.name}")
+    options = parser.parse_args()
+    first, dash, last = options.cases.partition("-")
+    cases = range(int(first), int(last) + 1) if dash else [int(word) for word in options.cases.split(",")]
+    options.out.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for case in cases:
+        rows.append(run(case, options.out, options.model))
+        print(line(rows[-1]), flush=True)
+    print(summary(rows))
+    if options.keep:
+        RESULTS.write_text(json.dumps({"summary": summary(rows), "cases": rows}, indent=1, ensure_ascii=False) + "\n")
+
+
+if __name__ == "__main__":
+    main()
