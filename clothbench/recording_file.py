@@ -57,7 +57,7 @@ def check_header(stated: Mapping[str, Any], path: Path, kind: str, needed: Seque
             "upgrade clothbench or convert the file"
         )
     if stated.get("kind") != kind:
-        hint = "; keep curves in a folder of their own" if stated.get("kind") == "curve" else ""
+        hint = "; curves go to `clothbench improve`, in a folder of their own" if stated.get("kind") == "curve" else ""
         raise ClothbenchError(f"{path}: attribute 'kind': found {stated.get('kind')!r}, expected {kind!r}{hint}")
     for name in needed:
         if name not in stated:

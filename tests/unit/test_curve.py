@@ -35,7 +35,7 @@ def test_both_kinds_are_told_apart(recording, tmp_path):
     nodes, curve = write_recording(recording, tmp_path / "n.nc"), write_curve(pulled(), tmp_path / "c.nc")
     assert read_any(nodes).hash == recording.hash
     assert read_any(curve).hash == pulled().hash
-    with pytest.raises(ClothbenchError, match="found 'curve', expected 'nodes'; keep curves in a folder of their own"):
+    with pytest.raises(ClothbenchError, match="found 'curve', expected 'nodes'; curves go to `clothbench improve`"):
         read_recording(curve)
     with pytest.raises(ClothbenchError, match="found 'nodes', expected 'curve'"):
         read_curve(nodes)
