@@ -76,6 +76,7 @@ class CurveProblem(Problem):
     }  # fmt: skip
     patience: ClassVar[int] = 20
     probe: ClassVar[float] = 1e-4
+    rounds: ClassVar[int] = 1  # a smooth curve has few features: of two or three effects one can make nearly any
 
     def finer(self) -> CurveProblem:
         """A curve has no mesh."""

@@ -128,7 +128,7 @@ def improve(problem: Problem, candidates: Sequence[str], told: Stage) -> Outcome
     outcome = Outcome(problem, base, base, noise, floor, budget)
     outcome.alone = each_alone(problem, base, budget)
     current = base
-    for turn in range(ROUNDS):
+    for turn in range(problem.rounds or ROUNDS):
         if current.rms <= AT_THE_FLOOR * floor:
             break
         rest = [c for c in candidates if c not in current.effects]

@@ -113,10 +113,11 @@ class Problem:
     memory: Memory = field(default_factory=Memory)
 
     # What a fit does otherwise where a rollout costs next to nothing and has no ripples: settings of the search, times
-    # the budget, and the step of differences (0: the usual).
+    # the budget, and the step of differences (0: the usual). rounds: how many effects may be named (0: the usual).
     search: ClassVar[dict[str, Any]] = {}
     patience: ClassVar[int] = 1
     probe: ClassVar[float] = 0.0
+    rounds: ClassVar[int] = 0
 
     def finer(self) -> Problem:
         """The same with half the cell size and half the step."""
