@@ -37,6 +37,11 @@ class CurveObservation:
     visible: np.ndarray
     sigma: float
 
+    @property
+    def time(self) -> np.ndarray:
+        """A curve has no clock: nothing in it is bound to a time."""
+        return np.array([0.0, np.inf])
+
 
 class ForceError:
     """Root-mean-square over steps of stretch [mN]: the loop's own yardstick for curves. Residuals (B, S) in N."""
