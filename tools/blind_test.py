@@ -19,7 +19,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from reference_mesh import build, tracking_weights
+from reference_kernels import Sheet
+from reference_mesh import Mesh, build, tracking_weights
 from reference_simulation import Fabric, State, bowed, discretise, settle, simulate, stable_step
 
 from clothbench.recording import Recording, write_recording
@@ -219,16 +220,50 @@ def make(case: int, folder: Path) -> dict[str, dict[str, float]]:
     step = stable_step(world.fabric, mesh, 0.6 if world.stiffer is None else 0.2)
     levels = mesh.material[mesh.row_start[:-1], 1][::2]
     points = np.array([(u, v) for v in levels[:: max(1, len(levels) // 8)] for u in np.linspace(0, world.width, 8)])
-    weights, held = tracking_weights(mesh, points), np.array([0, CELLS])
+    hung = Hung(
+        world, sheet, step, points, tracking_weights(mesh, points), np.array([0, CELLS]), random.uniform(0.8, 0.92)
+    )
+    hung.settle(mesh)
     for number, split in enumerate(SPLIT):
-        name = f"{fabric.name}/rec-{number + 1:02d}"
-        record = measured(world, sheet, mesh, step, held, weights, points, name, split, random)
+        record = measured(hung, f"{fabric.name}/rec-{number + 1:02d}", split, random)
         write_recording(record, folder / f"rec-{number + 1:02d}.nc")
     return world.planted
 
 
-def measured(world, sheet, mesh, step, held, weights, points, name, split, random) -> Recording:
+@dataclass
+class Hung:
+    """The cloth of one case on its mesh, and how it hangs before it is moved."""
+
+    world: World
+    sheet: Sheet
+    step: float  # s
+    points: np.ndarray  # (M, 2) m, tracked
+    weights: np.ndarray  # (M, N), that read them from the nodes
+    held: np.ndarray  # the two nodes in the grips
+    apart: float  # of the grips, over the width
+
+    @property
+    def home(self) -> np.ndarray:
+        """Where the grips are said to be before they move (2, 3) m."""
+        half = self.apart * self.world.width / 2
+        return np.array([[-half, 0.0, HEIGHT], [half, 0.0, HEIGHT - 0.004]])
+
+    def settle(self, mesh: Mesh) -> None:
+        """Bow the flat sheet, bring its corners to the grips, and wait."""
+        where = self.world.grips(np.zeros(1), self.home[None])[0]
+        start = bowed(mesh, self.world.width, self.apart * self.world.width)
+        start = start - start[self.held].mean(axis=0) + where.mean(axis=0)
+
+        def lower(time: np.ndarray) -> np.ndarray:
+            s = np.clip(time / 0.5, 0.0, 1.0)[:, None, None]
+            return start[self.held] + s**2 * (3 - 2 * s) * (where - start[self.held])
+
+        self.rest = settle(self.sheet, start, self.held, lower, self.step, at_rest=1e-3)
+
+
+def measured(hung: Hung, name: str, split: str, random: np.random.Generator) -> Recording:
     """One run, seen with noise and dropouts."""
+    world = hung.world
     amplitude = random.uniform(0.01, 0.045, (2, 3)) * random.choice([-1, 1], (2, 3)) * [0.3, 1.0, 0.6]
     rate, phase = random.uniform(0.5, 1.1, (2, 3)), random.uniform(0, 2 * np.pi, (2, 3))
 
@@ -244,14 +279,15 @@ def measured(world, sheet, mesh, step, held, weights, points, name, split, rando
     time = np.arange(round(SECONDS * RATE)) / RATE
     wanted = np.maximum(world.clock(time), 0.0)
     fine = np.unique(np.concatenate([[0.0], wanted]))
-    frames, _ = simulate(sheet, State(rest, np.zeros_like(rest)), held, held_at, fine, step)
-    truth = np.einsum("mn,tnd->tmd", weights, frames)[np.searchsorted(fine, wanted)]
+    state = State(hung.rest, np.zeros_like(hung.rest))
+    frames, _ = simulate(hung.sheet, state, hung.held, held_at, fine, hung.step)
+    truth = np.einsum("mn,tnd->tmd", hung.weights, frames)[np.searchsorted(fine, wanted)]
     position = world.seen(time, truth) + random.normal(0.0, NOISE, truth.shape)
     position[random.random(position.shape[:2]) < DROPOUT] = np.nan
     grip_time = np.arange(round(SECONDS * 100) + 1) / 100.0
     return Recording(
         name=name, fabric=world.fabric.name, split=split, motion="both upper corners to and fro", time=time,
-        material=points, position=position, grip_time=grip_time,
+        material=hung.points, position=position, grip_time=grip_time,
         grip_material=np.array([[0.0, 0.0], [world.width, 0.0]]),
         grip_position=told(grip_time) + random.normal(0.0, GRIP_NOISE, (len(grip_time), 2, 3)),
         cloth_width=world.width, cloth_height=world.height, areal_density=world.fabric.areal_density,

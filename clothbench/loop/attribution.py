@@ -1,7 +1,7 @@
 """Stage 3: what a small amount of each candidate would change, and which share of the residual only it could explain.
 
-s_e = ∂x/∂φ_e near the effect's null values, by differences; the base parameters' own sensitivities are projected out
-of s_e and of the residual, since a refit would take their part.
+s_e is what the rollout gains by some of the effect, in exchange for as much of the base as does the same; the base
+parameters' own sensitivities are then projected out of s_e and of the residual, since a refit would take their part.
 """
 
 from __future__ import annotations
@@ -19,25 +19,36 @@ from clothbench.protocols import Effect
 
 SHAPES = 4  # how many settings of an effect's other parameters are looked at (the effect's place, direction, time, …)
 AMOUNT = 0.1  # of the range, where an amount has no default of its own
+BEST = 2  # settings of an effect with several shape parameters that are looked at in exchange with the base
+MOST = 10.0  # times the default amount, or its inverse
+FURTHEST = 0.2  # of the range: how far the base moves to make up for a candidate
+RIDGE = 1e-6  # of the squares of all columns
 
 
 @dataclass(frozen=True, eq=False)
 class Probe:
-    """One candidate with its shape parameters at some values: phi (P,) at which the columns were measured.
+    """One candidate with its shape parameters at some values: phi (P,) with its amounts at null.
 
-    amounts: numbers of the parameters that were set apart from null, one column each; steps: (k,), by how much.
-    columns: per fit recording (M, k) m, the change of the rollout at visible coordinates.
+    amounts: numbers of the parameters that were set apart from null, one column each; steps: (k,), by how much;
+    shifts: (k, base parameters), how far the base moved along in the unit cube; columns: per fit recording (M, k) m,
+    what amount and shift together change at visible coordinates.
     """
 
     effect: str
     phi: np.ndarray
     amounts: tuple[int, ...]
     steps: np.ndarray
+    shifts: np.ndarray
     columns: list[np.ndarray]
 
 
-def settings_of(effect: Effect, seed: int) -> Iterator[tuple[np.ndarray, tuple[int, ...], np.ndarray]]:
-    """(phi with amounts at null, numbers of the amounts, their steps) for each setting of the other parameters."""
+def settings_of(
+    effect: Effect, seed: int, duration: float = np.inf
+) -> Iterator[tuple[np.ndarray, tuple[int, ...], np.ndarray]]:
+    """(phi with amounts at null, numbers of the amounts, their steps) for each setting of the other parameters.
+
+    duration: s, of the longest recording; no time after its end is looked at.
+    """
     space = effect.parameters
     amounts = tuple(i for i, p in enumerate(space) if p.null is not None)
     shapes = [i for i, p in enumerate(space) if p.null is None]
@@ -46,10 +57,14 @@ def settings_of(effect: Effect, seed: int) -> Iterator[tuple[np.ndarray, tuple[i
     steps = [away[i] or AMOUNT * (space.high[i] - null[i]) for i in amounts]
     yield null, amounts, np.array(steps)
     if shapes:
-        many = SHAPES * (2 if len(shapes) > 2 else 1)
+        many = SHAPES * (2 if len(shapes) > 1 else 1)
+        last = [
+            space.to_unit(np.minimum(space.high, duration))[i] if space.parameters[i].unit == "s" else 1.0
+            for i in shapes
+        ]
         for point in qmc.Sobol(len(shapes), rng=np.random.default_rng(seed)).random(many):
             unit = space.to_unit(null)
-            unit[shapes] = point
+            unit[shapes] = point * last
             phi = space.from_unit(unit)
             phi[list(amounts)] = null[list(amounts)]
             yield phi, amounts, np.array(steps)
@@ -61,24 +76,88 @@ def null_of(effect: Effect) -> np.ndarray:
 
 
 def probes(problem: Problem, fitted: Fitted, name: str) -> list[Probe]:
-    """All settings of one candidate beside the fitted model."""
+    """One candidate beside the fitted model, with its shape parameters where they explain most.
+
+    Twice: first a default amount of it alone, at all settings of its shape; then, at the best of them, as much of it as
+    would change what is left by its own size, with the base moved so that it makes up for what it can. Drag, say, may
+    have passed for damping: only what is left of both after that exchange tells them apart, and the exchange is too far
+    for a tangent.
+    """
     effect = problem.plugins.make("effects", name)
-    settings = list(settings_of(effect, problem.seed))
-    rows = []
-    for phi, amounts, steps in settings:
-        for i, step in zip(amounts, steps, strict=True):
-            row = phi.copy()
-            row[i] += step
-            rows.append(row)
-    theta = np.hstack([np.tile(fitted.theta, (len(rows), 1)), np.array(rows)])
-    changes = changes_of(problem, fitted, name, theta)
-    out, at = [], 0
-    for phi, amounts, steps in settings:
-        columns = [c[at : at + len(amounts)].T for c in changes]
-        at += len(amounts)
+    duration = max(case.duration for case in problem.of_split("fit"))
+    settings = list(settings_of(effect, problem.seed, duration))
+    rows = [(phi, i, step) for phi, amounts, steps in settings for i, step in zip(amounts, steps, strict=True)]
+    still = np.zeros(len(fitted.theta))
+    alone = changes_of(problem, fitted, name, np.array([beside(fitted, still, *row) for row in rows]))
+    count = len(settings[0][1])
+    tangent = [[c[k * count : (k + 1) * count] for c in alone] for k in range(len(settings))]
+    chosen = sorted(range(len(settings)), key=lambda k: -share_of(fitted, tangent[k]))
+    out = []
+    for k in chosen[: BEST if len(settings) > 1 + SHAPES else 1]:
+        phi, amounts, steps = settings[k]
+        rows = [(phi, i, step) for i, step in zip(amounts, steps, strict=True)]
+        exchanges = [exchange(fitted, effect, [c[n] for c in tangent[k]], *row) for n, row in enumerate(rows)]
+        theta = [beside(fitted, s, phi, i, step) for (step, s), i in zip(exchanges, amounts, strict=True)]
+        columns = [c.T for c in changes_of(problem, fitted, name, np.array(theta))]
         if all(np.isfinite(c).all() for c in columns):
-            out.append(Probe(name, phi, amounts, steps, columns))
+            by, shifts = zip(*exchanges, strict=True)
+            out.append(Probe(name, phi, amounts, np.array(by), np.array(shifts), columns))
     return out
+
+
+def share_of(fitted: Fitted, change: list[np.ndarray]) -> float:
+    """Share of what the base leaves that changes, per recording (k, M) m, explain beside it; -1 if they failed."""
+    scale = weights(fitted.residual)
+    columns = np.hstack(change).T * scale[:, None]
+    if not np.isfinite(columns).all():
+        return -1.0
+    base = np.vstack(fitted.jacobian) * scale[:, None]
+    left = outside(base, np.column_stack([np.concatenate(fitted.residual) * scale, columns]))
+    rest = outside(left[:, 1:], left[:, :1]) if np.abs(left[:, 1:]).max() > 0 else left[:, :1]
+    return float(1 - np.square(rest).sum() / np.square(left[:, 0]).sum())
+
+
+def beside(fitted: Fitted, shift: np.ndarray, phi: np.ndarray, amount: int, step: float) -> np.ndarray:
+    """The base moved by `shift` in the unit cube, then the effect's phi with one amount set apart by `step`; (P,)."""
+    phi = phi.copy()
+    phi[amount] += step
+    return np.concatenate([moved(fitted, shift), phi])
+
+
+def moved(fitted: Fitted, shift: np.ndarray) -> np.ndarray:
+    """The base parameters after a shift in the unit cube, inside their bounds."""
+    if not shift.any():
+        return fitted.theta
+    return fitted.space.from_unit(np.clip(fitted.space.to_unit(fitted.theta) + shift, 0.0, 1.0))
+
+
+def exchange(
+    fitted: Fitted, effect: Effect, change: list[np.ndarray], phi: np.ndarray, amount: int, step: float
+) -> tuple[float, np.ndarray]:
+    """How much of the effect, and the shift of the base that makes up for it, from what `step` of it alone changes.
+
+    The amount is the one that changes as much as is left unexplained, with the sign that would explain it.
+    """
+    scale = weights(fitted.residual)
+    base = np.vstack(fitted.jacobian) * scale[:, None]
+    seen, left = np.concatenate(change) * scale, np.concatenate(fitted.residual) * scale
+    size = float(np.linalg.norm(seen))
+    if not (np.isfinite(size) and size > 0):
+        return step, np.zeros(len(fitted.theta))
+    factor = float(np.clip(np.linalg.norm(left) / size, 1 / MOST, MOST))
+    if outside(base, seen[:, None])[:, 0] @ left > 0:
+        factor = -factor
+    parameter = effect.parameters.parameters[amount]
+    low, high = parameter.bounds
+    if not low <= phi[amount] + factor * step <= high:
+        factor = abs(factor) if low <= phi[amount] + abs(factor) * step <= high else 1.0
+    return factor * step, np.clip(ridge(base, -factor * seen), -FURTHEST, FURTHEST)
+
+
+def ridge(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
+    """Least squares (K,) for columns (M, K), kept small along what hardly changes anything."""
+    square = columns.T @ columns
+    return np.linalg.solve(square + RIDGE * np.trace(square) * np.eye(len(square)), columns.T @ target)
 
 
 def changes_of(problem: Problem, fitted: Fitted, name: str, theta: np.ndarray) -> list[np.ndarray]:

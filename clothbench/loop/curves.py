@@ -37,11 +37,6 @@ class CurveObservation:
     visible: np.ndarray
     sigma: float
 
-    @property
-    def time(self) -> np.ndarray:
-        """A curve has no clock: nothing in it is bound to a time."""
-        return np.array([0.0, np.inf])
-
 
 class ForceError:
     """Root-mean-square over steps of stretch [mN]: the loop's own yardstick for curves. Residuals (B, S) in N."""
@@ -64,6 +59,7 @@ class CurveCase(Case):
 
     recording: Curve  # type: ignore[assignment]
     observation: CurveObservation  # type: ignore[assignment]
+    duration: ClassVar[float] = math.inf  # no time is known of a curve
 
     def scrambled(self, residual: np.ndarray, random: np.random.Generator) -> np.ndarray:
         """The residual (M,) out of step: moved round a circle of the curve and its reverse, and turned over or not."""

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from clothbench.errors import ClothbenchError
-from clothbench.loop.attribution import Probe, outside, probes, weights
+from clothbench.loop.attribution import Probe, moved, outside, probes, ridge, weights
 from clothbench.loop.fitting import Fitted, fit
 from clothbench.loop.guard import Shares, shares
 from clothbench.loop.problem import Problem
@@ -217,7 +217,7 @@ def one_round(
             more = probes(problem, current, name)
         except ClothbenchError:
             continue  # a model may have no room for it; it is listed as not tried
-        budget.count(sum(len(probe.amounts) for probe in more))
+        budget.count(2 * sum(len(probe.amounts) for probe in more))
         found += more
     seen = shares(problem.of_split("fit"), current, found, problem.seed)
     screened = screen(candidates, found, seen)
@@ -259,16 +259,22 @@ def refit(problem: Problem, current: Fitted, candidate: Candidate, found: Sequen
 
 
 def first_order(current: Fitted, probe: Probe) -> np.ndarray:
-    """Starts (2, P): the probe with the amounts that least squares gives it, beside the base as it is and as moved."""
+    """Starts (S, P): the probe with the amounts that least squares gives it, with and without the base's own step
+    beside it; and the probe as it was tried.
+    """
     scale = weights(current.residual)
     columns = np.vstack(probe.columns) * scale[:, None]
     both = np.hstack([columns, np.vstack(current.jacobian) * scale[:, None]])
-    found = np.linalg.lstsq(both, -np.concatenate(current.residual) * scale, rcond=1e-8)[0]
-    amount, shift = found[: len(probe.amounts)], found[len(probe.amounts) :]
-    phi = probe.phi.copy()
-    phi[list(probe.amounts)] += amount * probe.steps
-    moved = current.space.from_unit(np.clip(current.space.to_unit(current.theta) + shift, 0.0, 1.0))
-    return np.array([np.concatenate([base, phi]) for base in (current.theta, moved)])
+    found = ridge(both, -np.concatenate(current.residual) * scale)
+    count = len(probe.amounts)
+    starts = []
+    nothing = np.zeros(len(current.theta))
+    tried = np.ones(count) / count
+    for amount, shift in ((found[:count], found[count:]), (found[:count], nothing), (tried, nothing)):
+        phi = probe.phi.copy()
+        phi[list(probe.amounts)] += amount * probe.steps
+        starts.append(np.concatenate([moved(current, amount @ probe.shifts + shift), phi]))
+    return np.array(starts)
 
 
 def judge(current: Fitted, floor: float, tried: Sequence[Candidate]) -> list[Candidate]:

@@ -58,6 +58,11 @@ class Case:
     observation: Observation
     scene: Scene
 
+    @property
+    def duration(self) -> float:
+        """s, from the first frame to the last."""
+        return float(np.ptp(self.observation.time))
+
 
 class Without:
     """A simulation of which only the `kept` (P,) parameters are free; the others stay at `values` (P,)."""

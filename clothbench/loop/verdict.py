@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from clothbench.loop.attribution import null_of
 from clothbench.loop.fitting import Fitted, fit
-from clothbench.loop.improve import AGAIN, AT_THE_FLOOR, Outcome
+from clothbench.loop.improve import AGAIN, AT_THE_FLOOR, REFITS, Candidate, Outcome
 from clothbench.loop.problem import Problem, residuals
 from clothbench.loop.residual import correction
 
@@ -30,7 +30,7 @@ EXPLAINED = 0.6  # share of the mean square above the floor that named effects l
 
 
 def held_out_errors(problem: Problem, fitted: Fitted) -> list[float]:
-    """rms [mm] of each held-out recording, the mesh's own error taken away as on the fit recordings."""
+    """rms [mm] of each held-out recording, the mesh's own error taken away if it was on the fit recordings."""
     return [1e3 * float(np.sqrt(np.mean(left**2))) for left in held_out_residuals(problem, fitted)]
 
 
@@ -39,14 +39,17 @@ def held_out_residuals(problem: Problem, fitted: Fitted) -> list[np.ndarray]:
     plain = dataclasses.replace(problem, corrections={})
     if not plain.of_split("held_out"):
         return []
-    changes = correction(plain, fitted, "held_out")
-    names = [case.name for case in plain.of_split("held_out")]
-    judged = dataclasses.replace(plain, corrections=dict(zip(names, changes, strict=True)))
+    judged = plain
+    if problem.corrections:
+        changes = correction(plain, fitted, "held_out")
+        names = [case.name for case in plain.of_split("held_out")]
+        judged = dataclasses.replace(plain, corrections=dict(zip(names, changes, strict=True)))
     return [residuals(trial, fitted.theta[None])[0] for trial in judged.trials(fitted.effects, "held_out")]
 
 
 def pooled(values: Sequence[float]) -> float | None:
-    return float(np.sqrt(np.mean(np.square(values)))) if len(values) else None
+    """Over recordings, each with the same say; None where there are none or one of them could not be simulated."""
+    return number(np.sqrt(np.mean(np.square(values)))) if len(values) else None
 
 
 def paired_interval(before: Sequence[float], after: Sequence[float]) -> list[float | None]:
@@ -55,7 +58,7 @@ def paired_interval(before: Sequence[float], after: Sequence[float]) -> list[flo
     if len(fall) < 2:
         return [None, None]
     half = student.ppf(0.975, len(fall) - 1) * fall.std(ddof=1) / np.sqrt(len(fall))
-    return [float(fall.mean() - half), float(fall.mean() + half)]
+    return [number(fall.mean() - half), number(fall.mean() + half)]
 
 
 def word(outcome: Outcome) -> str:
@@ -90,7 +93,7 @@ def document(outcome: Outcome, placebo: Placebo | None, wall_s: float) -> dict[s
                 "before": pooled(before), "after": pooled(after if stands else before),
                 "ci95": paired_interval(before, after if stands else before),
                 "per_recording": [
-                    {"recording": c.name, "before": b, "after": a if stands else b}
+                    {"recording": c.name, "before": number(b), "after": number(a if stands else b)}
                     for c, b, a in zip(held_out, before, after, strict=True)
                 ],
                 "placebo": placebo and {"name": placebo.name, "after": pooled(placebo.errors)},
@@ -137,9 +140,16 @@ def candidate_entries(outcome: Outcome) -> list[dict[str, Any]]:
             named = c.name in found.named
             latest[c.name] = {
                 "name": c.name, "share": c.share, "gain": number(1e6 * c.gain), "p_value": c.p_value,
-                "why_not": "" if named else c.why_not or "another explains as much with fewer parameters",
+                "why_not": "" if named else c.why_not or beaten(c),
             }  # fmt: skip
     return sorted(latest.values(), key=lambda c: (-(c["gain"] or 0.0), -c["share"]))
+
+
+def beaten(candidate: Candidate) -> str:
+    """Why a candidate that nothing speaks against is not named."""
+    if candidate.fitted is None:
+        return f"not among the {REFITS} that explain most to first order"
+    return "another explains as much or more, with as few parameters"
 
 
 def hint(outcome: Outcome, verdict: str) -> str:

@@ -44,7 +44,9 @@ def candidates(cases):
     """Each has one amount, and changes every recording in its own smooth way."""
     random = np.random.default_rng(3)
     fields = [smooth(random, RECORDINGS).reshape(RECORDINGS, -1, 1) for _ in range(CANDIDATES)]
-    return [Probe(f"e{k}", np.zeros(1), (0,), np.ones(1), list(1e-3 * f)) for k, f in enumerate(fields)]
+    return [
+        Probe(f"e{k}", np.zeros(1), (0,), np.ones(1), np.zeros((1, 0)), list(1e-3 * f)) for k, f in enumerate(fields)
+    ]
 
 
 def fitted(residual: np.ndarray, random: np.random.Generator) -> Fitted:
