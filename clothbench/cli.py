@@ -121,7 +121,8 @@ def _import(sub: argparse.ArgumentParser) -> None:
 def _improve(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "settings", nargs="+", metavar="KEY=VALUE",
-        help="recordings=DIR model=NAME [out=DIR] [candidates=NAME,…] [seed=N] [resolution=NODES] [base=NAME,…]",
+        help="recordings=DIR model=NAME [out=DIR] [candidates=NAME,…] [seed=N] [resolution=NODES] [base=NAME,…] "
+        "[areal_density=KG_PER_M2]",
     )  # fmt: skip
 
 

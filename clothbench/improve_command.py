@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import shlex
 import sys
 import time
@@ -27,7 +28,7 @@ from clothbench.recording_file import kind_of
 from clothbench.report.improve_files import json_text, write_folder
 from clothbench.scene import scene_of
 
-KEYS = ("recordings", "model", "out", "candidates", "seed", "resolution", "base")
+KEYS = ("recordings", "model", "out", "candidates", "seed", "resolution", "base", "areal_density")
 NODES = 13  # along the longer side, where the user does not say
 DAMPING = "linear_drag"  # what every model is given that has no damping of its own that takes all motion alike
 
@@ -68,9 +69,10 @@ def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> Problem:
     if not any(r.split for r in recordings):
         held = ", ".join(s.name for s in sources if s.split == "held_out") or "none"
         print(f"clothbench: no recording states a split; held out by seed {seed}: {held}", file=sys.stderr)
-    tracker = plugins.make("trackers", "markers")
+    tracker, density = plugins.make("trackers", "markers"), density_of(settings)
     cases = tuple(
-        Case(r.name, s.split, r, tracker.track(r), scene_of(r)) for r, s in zip(recordings, sources, strict=True)
+        Case(r.name, s.split, r, tracker.track(r), scene_of(r, areal_density=density))
+        for r, s in zip(recordings, sources, strict=True)
     )
     if not any(c.split == "fit" for c in cases):
         raise ClothbenchError(f"{settings['recordings']}: found only held-out recordings, expected at least one to fit")
@@ -83,6 +85,19 @@ def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> Problem:
     for name in base:
         plugins.find("effects", name)
     return dataclasses.replace(problem, base=tuple(base))
+
+
+def density_of(settings: Mapping[str, str]) -> float | None:
+    """kg/m², what stands in where a recording does not know it; None if nothing was stated."""
+    if (text := settings.get("areal_density")) is None:
+        return None
+    try:
+        density = float(text)
+    except ValueError:
+        density = math.nan
+    if not (math.isfinite(density) and density > 0):
+        raise ClothbenchError(f"areal_density is {text!r}, expected kg/m², above 0")
+    return density
 
 
 def default_base(problem: Problem) -> list[str]:

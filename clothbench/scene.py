@@ -131,7 +131,7 @@ def scene_of(
         if areal_density is None:
             raise ClothbenchError(
                 f"{recording.path or recording.name}: attribute 'areal_density' is not known; "
-                "state what to assume with scene.areal_density=VALUE [kg/m²]"
+                "state what to assume with scene.areal_density=VALUE [kg/m²] (improve: areal_density=VALUE)"
             )
         density = areal_density
     seen = np.flatnonzero(recording.visible.any(axis=1))[:3]

@@ -56,9 +56,9 @@ def fit(
     """Least squares from the best of `start` (S, P) or (P,), or from the defaults and a spread of others if None."""
     trials = problem.trials(names, "fit")
     space = trials[0].simulation.parameters
-    settings = {"starts": 7, "walks": 2, "secant": True}
+    settings = {"starts": 7, "walks": 2, "difference": PROBE}
     if start is not None:
-        settings = {"starts": 0, "walks": 1, "secant": True}
+        settings = {"starts": 0, "walks": 1, "difference": PROBE}
         space = started(space, better(trials, space, np.atleast_2d(start)))
     settings, budget = settings | problem.search, budget * problem.patience
     key = problem.key("fit", names, space.defaults.tolist(), budget, settings)
@@ -138,6 +138,18 @@ def interval(space: ParameterSpace, theta: np.ndarray, residual: list, jacobian:
         (count - 1) / count * ((moved - moved.mean(axis=0)) ** 2).sum(axis=0)
     )
     return space.from_unit(unit - half), space.from_unit(unit + half)
+
+
+def widened(fitted: Fitted, doubt: list[np.ndarray]) -> Fitted:
+    """The same fit with intervals that also hold what it would move by, to first order, if the residual were changed by
+    `doubt`, (M,) m for each recording: the error of the mesh, which no number of recordings averages out."""
+    shift = np.abs(solve(*normal_equations(doubt, fitted.jacobian)))
+    unit, low, high = (fitted.space.to_unit(t) for t in (fitted.theta, fitted.low, fitted.high))
+    return dataclasses.replace(
+        fitted,
+        low=fitted.space.from_unit(unit - np.hypot(unit - low, shift)),
+        high=fitted.space.from_unit(unit + np.hypot(high - unit, shift)),
+    )
 
 
 def normal_equations(residual: list, jacobian: list) -> tuple[np.ndarray, np.ndarray]:

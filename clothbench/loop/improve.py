@@ -11,7 +11,7 @@ import numpy as np
 
 from clothbench.errors import ClothbenchError
 from clothbench.loop.attribution import Probe, moved, outside, probes, ridge, weights
-from clothbench.loop.fitting import Fitted, fit
+from clothbench.loop.fitting import Fitted, fit, widened
 from clothbench.loop.guard import Shares, shares
 from clothbench.loop.problem import Problem
 from clothbench.loop.residual import correction, numerical_floor
@@ -22,11 +22,9 @@ REFITS = 5  # candidates that are fitted in earnest in each round
 AT_THE_FLOOR = 1.15  # times the floor: a residual this small is not worth a name
 MATERIAL = 0.25  # share of the mean square above the floor that an effect has to explain to be worth a name
 TIED = 0.1  # two candidates cannot be told apart if what they leave (mean square) differs by less than this share
-FIRST, AGAIN, ALONE = (
-    140,
-    60,
-    25,
-)  # evaluations of the first fit, of one that begins where another ended, of one recording's
+PER_PARAMETER = 0.05  # and per parameter that one has more than the other
+# Evaluations of the first fit, of one that begins where another ended, and of one of a single recording.
+FIRST, AGAIN, ALONE = 140, 60, 25
 
 Stage = Callable[[str, int, int], None]
 
@@ -190,12 +188,12 @@ def corrected(problem: Problem, fitted: Fitted, noise: float, budget: Budget) ->
     if above(fitted, changes) >= above(fitted, [0 * c for c in changes]):
         # What a finer mesh changes is no step towards what was seen: the model does not converge to it, and all of the
         # change is doubt.
-        return plain, fitted, float(np.hypot(noise, 2 * left))
+        return plain, widened(fitted, changes), float(np.hypot(noise, 2 * left))
     names = [case.name for case in problem.of_split("fit")]
     problem = dataclasses.replace(problem, corrections=dict(zip(names, changes, strict=True)))
     again = fit(problem, fitted.effects, fitted.theta, AGAIN)
     budget.count(again.evaluations)
-    return problem, again, float(np.hypot(noise, left))
+    return problem, widened(again, [c / 3 for c in changes]), float(np.hypot(noise, left))
 
 
 def above(fitted: Fitted, changes: Sequence[np.ndarray]) -> float:
@@ -228,10 +226,22 @@ def one_round(
         tried.append(done := refit(problem, current, candidate, found, seen))
         budget.count(done.fitted.evaluations if done.fitted else 0)
     judged = judge(current, floor, tried)
+    if named := choose(judged):
+        current = second_thought(problem, current, next(c.fitted for c in judged if c.name == named[0]), budget)
+        judged = judge(current, floor, tried)
+        named = choose(judged)
     others = [c for c in screened if c.name not in {t.name for t in judged}]
-    named = choose(judged)
     after = next((c.fitted for c in judged if named and c.name == named[0]), None)
     return Round(current, floor, tuple([*judged, *others]), named, after)
+
+
+def second_thought(problem: Problem, current: Fitted, better: Fitted | None, budget: Budget) -> Fitted:
+    """The fit without the effect again, from where the fit with it ended: a gain must not come from a better valley."""
+    if better is None:
+        return current
+    again = fit(problem, current.effects, better.theta[: len(current.theta)], AGAIN)
+    budget.count(again.evaluations)
+    return again if again.rms < current.rms else current
 
 
 def screen(candidates: Sequence[str], found: Sequence[Probe], seen: Shares) -> list[Candidate]:
@@ -254,8 +264,7 @@ def refit(problem: Problem, current: Fitted, candidate: Candidate, found: Sequen
     mine = [k for k, probe in enumerate(found) if probe.effect == candidate.name]
     probe = found[max(mine, key=lambda k: seen.share[k])]
     fitted = fit(problem, (*current.effects, candidate.name), first_order(current, probe), AGAIN)
-    gain = float((current.squares - fitted.squares).mean())
-    return dataclasses.replace(candidate, gain=gain, fitted=fitted)
+    return dataclasses.replace(candidate, fitted=fitted)
 
 
 def first_order(current: Fitted, probe: Probe) -> np.ndarray:
@@ -282,13 +291,14 @@ def judge(current: Fitted, floor: float, tried: Sequence[Candidate]) -> list[Can
     count = len(current.squares)
     left = np.array([c.fitted.squares for c in tried if c.fitted is not None]).reshape(-1, count)
     excess = max(float(current.squares.mean()) - floor**2, 1e-12)
+    allowed = allowances(tried)
     out = []
     for k, candidate in enumerate(tried):
+        candidate = dataclasses.replace(candidate, gain=float((current.squares - left[k]).mean()))
         wins = 0
         for left_out in range(count):
             rest = [r for r in range(count) if r != left_out] or [0]
-            mean = left[:, rest].mean(axis=1)
-            wins += mean[k] <= (1 + TIED) * mean.min()
+            wins += bool((left[k, rest].mean() <= allowed[:, k] * left[:, rest].mean(axis=1)).all())
         helped = int((left[k] < current.squares).sum())
         why = ""
         if candidate.gain < MATERIAL * excess:
@@ -322,13 +332,21 @@ def unphysical(candidate: Candidate) -> str:
     return ""
 
 
+def allowances(tried: Sequence[Candidate]) -> np.ndarray:
+    """(K, K): candidate k stands beside j if it leaves at most [j, k] times what j leaves (mean squares).
+
+    Within `TIED` two cannot be told apart; beyond that every further parameter has to pay for itself.
+    """
+    size = np.array([0 if c.fitted is None else len(c.fitted.theta) for c in tried])
+    return 1 + TIED + PER_PARAMETER * np.maximum(size[:, None] - size[None, :], 0)
+
+
 def choose(judged: Sequence[Candidate]) -> tuple[str, ...]:
     """The one that stands; of several as good as each other the one with the fewest parameters, or both as tied."""
     standing = [c for c in judged if not c.why_not]
     if not standing:
         return ()
-    fits = {c.name: c.fitted for c in standing if c.fitted is not None}
-    least = min(f.rms for f in fits.values()) ** 2
-    close = {name: f for name, f in fits.items() if f.rms**2 <= (1 + TIED) * least}
-    fewest = min(len(f.theta) for f in close.values())
-    return tuple(name for name, f in close.items() if len(f.theta) == fewest)[:2]
+    left = np.array([c.fitted.rms**2 for c in standing if c.fitted is not None])
+    close = [c for k, c in enumerate(standing) if (left[k] <= allowances(standing)[:, k] * left).all()]
+    sizes = [len(c.fitted.theta) for c in close if c.fitted is not None]
+    return tuple(c.name for c, size in zip(close, sizes, strict=True) if size == min(sizes))[:2]

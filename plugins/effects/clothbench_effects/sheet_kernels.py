@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-helper = njit(cache=True, error_model="numpy", nogil=True)
+helper = njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
 
 COLLAPSED = 1e-9  # area over rest area below which a triangle has no normal that could be trusted
 
@@ -87,10 +87,14 @@ def normal_of(x, sheet, face):
 def curvatures(x, sheet, face):
     """κ_uu, κ_vv, κ_uv 1/m of a triangle: second derivatives along its normal; above 0 it curls towards warp × weft."""
     nx, ny, nz, _ = normal_of(x, sheet, face)
-    ax, ay, az = bend_vector(x, sheet, face, 1.0, 0.0, 0.0)
-    bx, by, bz = bend_vector(x, sheet, face, 0.0, 1.0, 0.0)
-    cx, cy, cz = bend_vector(x, sheet, face, 0.0, 0.0, 1.0)
-    return ax * nx + ay * ny + az * nz, bx * nx + by * ny + bz * nz, cx * nx + cy * ny + cz * nz
+    uu, vv, uv = 0.0, 0.0, 0.0
+    for k in range(6):
+        e = sheet.patch[face, k]
+        height = x[0, e] * nx + x[1, e] * ny + x[2, e] * nz
+        uu += sheet.curvature[face, 0, k] * height
+        vv += sheet.curvature[face, 1, k] * height
+        uv += sheet.curvature[face, 2, k] * height
+    return uu, vv, uv
 
 
 @helper

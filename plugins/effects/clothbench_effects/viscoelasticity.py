@@ -27,14 +27,18 @@ def relax(t, dt, x, v, f, sheet, p, state):
         share = -np.expm1(-h) / h
     for face in range(sheet.triangles.shape[0]):
         memory = state[2 + 10 * face : 12 + 10 * face]
-        uu, vv, uv = curvatures(x, sheet, face)
-        now = (uu, vv, uv, stretch(x, sheet, face, 0), stretch(x, sheet, face, 1))
-        for c in range(5):
-            memory[5 + c] = kept * memory[5 + c] + share * (now[c] - memory[c])
-            memory[c] = now[c]
-        add_couples(f, x, sheet, face, p[0] * memory[5], p[0] * memory[6], p[0] * memory[7])
-        add_tension(f, x, sheet, face, 0, p[1] * memory[8])
-        add_tension(f, x, sheet, face, 1, p[1] * memory[9])
+        if p[0] != 0.0:
+            now = curvatures(x, sheet, face)
+            for c in range(3):
+                memory[5 + c] = kept * memory[5 + c] + share * (now[c] - memory[c])
+                memory[c] = now[c]
+            add_couples(f, x, sheet, face, p[0] * memory[5], p[0] * memory[6], p[0] * memory[7])
+        if p[1] != 0.0:
+            for c in range(2):
+                strain = stretch(x, sheet, face, c)
+                memory[8 + c] = kept * memory[8 + c] + share * (strain - memory[3 + c])
+                memory[3 + c] = strain
+                add_tension(f, x, sheet, face, c, p[1] * memory[8 + c])
 
 
 SOURCE = "Maxwell 1867; Simo and Hughes 1998, Computational Inelasticity, section 10.3"
