@@ -26,11 +26,23 @@ from reference_simulation import Fabric, State, bowed, discretise, settle, simul
 from clothbench.recording import Recording, write_recording
 
 NOISE, GRIP_NOISE, DROPOUT = 1e-3, 1e-4, 0.01
-HEIGHT, RATE, SECONDS = 1.0, 30.0, 3.0  # m, Hz, s
-SPLIT = ("fit", "fit", "fit", "fit", "held_out", "held_out")
-CELLS = 20  # of the reference mesh, along the width
+HEIGHT, RATE = 1.0, 30.0  # m, Hz
 NONE, ONE, TWO, UNKNOWN = range(6), range(6, 26), range(26, 28), range(28, 32)
 RESULTS = Path(__file__).resolve().parent.parent / "results" / "blind_test.json"
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much of everything: cells of the reference mesh along the width, seconds, splits of the recordings, and what
+    else the command is told."""
+
+    cells: int
+    seconds: float
+    split: tuple[str, ...]
+    words: tuple[str, ...] = ()
+
+
+FULL = Size(20, 3.0, ("fit",) * 4 + ("held_out",) * 2)
 
 
 @dataclass
@@ -183,7 +195,7 @@ EFFECTS = (
 NOT_IN_LIBRARY = (drifting_clock, swaying_camera, stiff_seam, wet_half)
 
 
-def drawn(case: int, random: np.random.Generator) -> Sequence[Callable[[World, np.random.Generator], dict[str, float]]]:
+def drawn(case: int) -> Sequence[Callable[[World, np.random.Generator], dict[str, float]]]:
     """What a case holds: each of the ten effects comes twice among the twenty, in an order of its own."""
     if case in ONE:
         order = np.random.default_rng(20).permutation(2 * len(EFFECTS))
@@ -197,7 +209,7 @@ def drawn(case: int, random: np.random.Generator) -> Sequence[Callable[[World, n
 # --- making a case ----------------------------------------------------------------------------------------------------
 
 
-def make(case: int, folder: Path) -> dict[str, dict[str, float]]:
+def make(case: int, folder: Path, size: Size = FULL) -> dict[str, dict[str, float]]:
     """Write the recordings of one case below `folder`; returns what was planted, which they do not say."""
     random = np.random.default_rng([case, 4])
     warp, weft, side = random.uniform(400, 700), random.uniform(400, 700), random.uniform(0.26, 0.34)
@@ -207,9 +219,10 @@ def make(case: int, folder: Path) -> dict[str, dict[str, float]]:
         random.uniform(0.6, 1.2),
     )  # fmt: skip
     world = World(fabric, side, side * random.uniform(0.85, 1.15))
-    for plant in drawn(case, random):
+    for plant in drawn(case):
         world.planted[plant.__name__] = plant(world, random)
-    mesh = build(world.width, world.height, CELLS, 2 * round(1.155 * CELLS * world.height / world.width / 2))
+    rows = 2 * round(1.155 * size.cells * world.height / world.width / 2)
+    mesh = build(world.width, world.height, size.cells, rows)
     sheet = discretise(world.fabric, mesh, tuple(world.gravity))._replace(wind=world.wind)
     area = sheet.mass / world.fabric.areal_density
     for more in world.added_mass:
@@ -221,11 +234,11 @@ def make(case: int, folder: Path) -> dict[str, dict[str, float]]:
     levels = mesh.material[mesh.row_start[:-1], 1][::2]
     points = np.array([(u, v) for v in levels[:: max(1, len(levels) // 8)] for u in np.linspace(0, world.width, 8)])
     hung = Hung(
-        world, sheet, step, points, tracking_weights(mesh, points), np.array([0, CELLS]), random.uniform(0.8, 0.92)
+        world, sheet, step, points, tracking_weights(mesh, points), np.array([0, size.cells]), random.uniform(0.8, 0.92)
     )
     hung.settle(mesh)
-    for number, split in enumerate(SPLIT):
-        record = measured(hung, f"{fabric.name}/rec-{number + 1:02d}", split, random)
+    for number, split in enumerate(size.split):
+        record = measured(hung, f"{fabric.name}/rec-{number + 1:02d}", split, size.seconds, random)
         write_recording(record, folder / f"rec-{number + 1:02d}.nc")
     return world.planted
 
@@ -261,7 +274,7 @@ class Hung:
         self.rest = settle(self.sheet, start, self.held, lower, self.step, at_rest=1e-3)
 
 
-def measured(hung: Hung, name: str, split: str, random: np.random.Generator) -> Recording:
+def measured(hung: Hung, name: str, split: str, seconds: float, random: np.random.Generator) -> Recording:
     """One run, seen with noise and dropouts."""
     world = hung.world
     amplitude = random.uniform(0.01, 0.045, (2, 3)) * random.choice([-1, 1], (2, 3)) * [0.3, 1.0, 0.6]
@@ -276,7 +289,7 @@ def measured(hung: Hung, name: str, split: str, random: np.random.Generator) -> 
     def held_at(time: np.ndarray) -> np.ndarray:
         return world.grips(time, told(time))
 
-    time = np.arange(round(SECONDS * RATE)) / RATE
+    time = np.arange(round(seconds * RATE)) / RATE
     wanted = np.maximum(world.clock(time), 0.0)
     fine = np.unique(np.concatenate([[0.0], wanted]))
     state = State(hung.rest, np.zeros_like(hung.rest))
@@ -284,7 +297,7 @@ def measured(hung: Hung, name: str, split: str, random: np.random.Generator) -> 
     truth = np.einsum("mn,tnd->tmd", hung.weights, frames)[np.searchsorted(fine, wanted)]
     position = world.seen(time, truth) + random.normal(0.0, NOISE, truth.shape)
     position[random.random(position.shape[:2]) < DROPOUT] = np.nan
-    grip_time = np.arange(round(SECONDS * 100) + 1) / 100.0
+    grip_time = np.arange(round(seconds * 100) + 1) / 100.0
     return Recording(
         name=name, fabric=world.fabric.name, split=split, motion="both upper corners to and fro", time=time,
         material=hung.points, position=position, grip_time=grip_time,
@@ -326,15 +339,15 @@ def judged(planted: dict[str, dict[str, float]], found: dict) -> dict[str, objec
     }  # fmt: skip
 
 
-def run(case: int, folder: Path, model: str) -> dict[str, object]:
+def run(case: int, folder: Path, model: str, size: Size = FULL) -> dict[str, object]:
     """Make one case, let the installed command loose on it, and judge what it says."""
     recordings, out = folder / f"case-{case:02d}", folder / f"verdict-{case:02d}-{model}"
     planted_file = folder / f"case-{case:02d}.json"
     if not planted_file.is_file():
-        planted_file.write_text(json.dumps(make(case, recordings)))
+        planted_file.write_text(json.dumps(make(case, recordings, size)))
     planted = json.loads(planted_file.read_text())
     if not (out / "verdict.json").is_file():
-        words = ["improve", f"recordings={recordings}", f"model={model}", f"out={out}"]
+        words = ["improve", f"recordings={recordings}", f"model={model}", f"out={out}", *size.words]
         done = subprocess.run([sys.executable, "-m", "clothbench", *words], capture_output=True, text=True)
         if done.returncode:
             raise SystemExit(f"case {case}: {done.stderr.strip().splitlines()[-1]}")
@@ -370,7 +383,7 @@ def main() -> None:
         "--out", type=Path, required=True, help="folder for recordings and verdicts; kept, so resumable"
     )
     parser.add_argument("--cases", default=f"0-{UNKNOWN[-1]}", help="FIRST-LAST or N,N,…")
-    parser.add_argument("--model", default="baraff_witkin")
+    parser.add_argument("--model", default="mass_spring")
     parser.add_argument("--keep", action="store_true", help=f"write the table to {RESULTS.name}")
     options = parser.parse_args()
     first, dash, last = options.cases.partition("-")

@@ -51,14 +51,22 @@ class Fitted:
 
 
 def fit(
-    problem: Problem, names: tuple[str, ...], start: np.ndarray | None, budget: int, told: Told | None = None
+    problem: Problem,
+    names: tuple[str, ...],
+    start: np.ndarray | None,
+    budget: int,
+    told: Told | None = None,
+    spread: bool = False,
 ) -> Fitted:
-    """Least squares from the best of `start` (S, P) or (P,), or from the defaults and a spread of others if None."""
+    """Least squares from the best of `start` (S, P) or (P,), or from the defaults if None.
+
+    spread: from other starts over the whole space as well; always so from the defaults.
+    """
     trials = problem.trials(names, "fit")
     space = trials[0].simulation.parameters
-    settings = {"starts": 7, "walks": 2, "difference": PROBE}
+    starts, walks = (7, 2) if spread or start is None else (0, 1)
+    settings = {"starts": starts, "walks": walks, "difference": PROBE}
     if start is not None:
-        settings = {"starts": 0, "walks": 1, "difference": PROBE}
         space = started(space, better(trials, space, np.atleast_2d(start)))
     settings, budget = settings | problem.search, budget * problem.patience
     key = problem.key("fit", names, space.defaults.tolist(), budget, settings)

@@ -22,6 +22,8 @@ REFITS = 5  # candidates that are fitted in earnest in each round
 AT_THE_FLOOR = 1.15  # times the floor: a residual this small is not worth a name
 MATERIAL = 0.25  # share of the mean square above the floor that an effect has to explain to be worth a name
 TIED = 0.1  # two candidates cannot be told apart if what they leave (mean square) differs by less than this share
+EXPLAINED = 0.6  # share of the mean square above the floor that all names together have to explain
+COARSE = 0.45  # and of that above the noise, where the mesh alone may stand for the residual
 PER_PARAMETER = 0.05  # and per parameter that one has more than the other
 # Evaluations of the first fit, of one that begins where another ended, and of one of a single recording.
 FIRST, AGAIN, ALONE = 140, 60, 25
@@ -127,14 +129,17 @@ def improve(problem: Problem, candidates: Sequence[str], told: Stage) -> Outcome
     outcome.alone = each_alone(problem, base, budget)
     current = base
     for turn in range(problem.rounds or ROUNDS):
-        if current.rms <= AT_THE_FLOOR * floor:
+        if current.rms <= AT_THE_FLOOR * (floor if turn else noise):
             break
         rest = [c for c in candidates if c not in current.effects]
-        found = one_round(problem, current, floor, rest, budget, turn)
+        found = one_round(problem, current, floor, needed(current, floor, noise), rest, budget, turn)
         outcome.rounds.append(found)
         if found.after is None:
             break
-        problem, current, floor = corrected(problem, found.after, noise, budget)
+        budget.stage(f"round {turn + 1}: fit with {found.named[0]}", 0, 1)
+        after = fit(problem, found.after.effects, found.after.theta, FIRST, spread=True)
+        budget.count(after.evaluations)
+        problem, current, floor = corrected(problem, after, noise, budget)
         outcome.rounds[-1] = dataclasses.replace(found, after=current)
         outcome.problem, outcome.final, outcome.floor = problem, current, floor
     budget.stop()
@@ -164,6 +169,18 @@ def each_alone(problem: Problem, base: Fitted, budget: Budget) -> dict[str, Fitt
         out[case.name] = fit(dataclasses.replace(problem, cases=(case,)), (), base.theta, ALONE)
         budget.count(out[case.name].evaluations // len(cases))
     return out
+
+
+def needed(current: Fitted, floor: float, noise: float) -> float:
+    """How far the mean square has to fall for a name [m²].
+
+    A share of what stands above the floor. Where nothing does, a coarse mesh may stand for all that is left; then only
+    an effect that explains much of it, noise apart, is no doing of the mesh.
+    """
+    square = current.rms**2
+    if current.rms > AT_THE_FLOOR * floor:
+        return MATERIAL * (square - floor**2)
+    return COARSE * max(square - noise**2, 1e-12)
 
 
 def noise_of(problem: Problem) -> float:
@@ -205,9 +222,12 @@ def above(fitted: Fitted, changes: Sequence[np.ndarray]) -> float:
 
 
 def one_round(
-    problem: Problem, current: Fitted, floor: float, candidates: Sequence[str], budget: Budget, turn: int
+    problem: Problem, current: Fitted, floor: float, gain: float, candidates: Sequence[str], budget: Budget, turn: int
 ) -> Round:
-    """Screen all candidates to first order, fit the best in earnest, and name the one that stands every test."""
+    """Screen all candidates to first order, fit the best in earnest, and name the one that stands every test.
+
+    gain: m², by how much the mean square has to fall for a name.
+    """
     found: list[Probe] = []
     for k, name in enumerate(candidates):
         budget.stage(f"round {turn + 1}: candidates", k, len(candidates))
@@ -225,10 +245,10 @@ def one_round(
         budget.stage(f"round {turn + 1}: refits", k, len(promising))
         tried.append(done := refit(problem, current, candidate, found, seen))
         budget.count(done.fitted.evaluations if done.fitted else 0)
-    judged = judge(current, floor, tried)
+    judged = judge(current, gain, tried)
     if named := choose(judged):
         current = second_thought(problem, current, next(c.fitted for c in judged if c.name == named[0]), budget)
-        judged = judge(current, floor, tried)
+        judged = judge(current, gain, tried)
         named = choose(judged)
     others = [c for c in screened if c.name not in {t.name for t in judged}]
     after = next((c.fitted for c in judged if named and c.name == named[0]), None)
@@ -286,11 +306,10 @@ def first_order(current: Fitted, probe: Probe) -> np.ndarray:
     return np.array(starts)
 
 
-def judge(current: Fitted, floor: float, tried: Sequence[Candidate]) -> list[Candidate]:
+def judge(current: Fitted, gain: float, tried: Sequence[Candidate]) -> list[Candidate]:
     """What speaks against each of them, if anything; and in how many leave-one-out rounds it is the best."""
     count = len(current.squares)
     left = np.array([c.fitted.squares for c in tried if c.fitted is not None]).reshape(-1, count)
-    excess = max(float(current.squares.mean()) - floor**2, 1e-12)
     allowed = allowances(tried)
     out = []
     for k, candidate in enumerate(tried):
@@ -301,8 +320,8 @@ def judge(current: Fitted, floor: float, tried: Sequence[Candidate]) -> list[Can
             wins += bool((left[k, rest].mean() <= allowed[:, k] * left[:, rest].mean(axis=1)).all())
         helped = int((left[k] < current.squares).sum())
         why = ""
-        if candidate.gain < MATERIAL * excess:
-            why = f"explains only {max(candidate.gain, 0) / excess:.0%} of what is above the floor"
+        if candidate.gain < gain:
+            why = f"explains only {max(candidate.gain, 0) / gain:.0%} of what a name has to"
         elif helped < count - 1:
             why = f"helps in {helped} of {count} recordings only"
         elif fault := unphysical(candidate):

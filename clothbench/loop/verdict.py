@@ -11,7 +11,7 @@ from scipy.stats import t as student
 
 from clothbench.loop.attribution import null_of
 from clothbench.loop.fitting import Fitted, fit
-from clothbench.loop.improve import AGAIN, AT_THE_FLOOR, REFITS, Candidate, Outcome
+from clothbench.loop.improve import AGAIN, AT_THE_FLOOR, COARSE, EXPLAINED, REFITS, Candidate, Outcome
 from clothbench.loop.problem import Problem, residuals
 from clothbench.loop.residual import correction
 
@@ -24,9 +24,6 @@ class Placebo:
 
     name: str
     errors: tuple[float, ...]
-
-
-EXPLAINED = 0.6  # share of the mean square above the floor that named effects leave at most `1 −` this much of
 
 
 def held_out_errors(problem: Problem, fitted: Fitted) -> list[float]:
@@ -66,15 +63,22 @@ def word(outcome: Outcome) -> str:
     named = [r for r in outcome.rounds if r.named]
     if not named:
         return "complete" if outcome.final.rms <= AT_THE_FLOOR * outcome.floor else "unexplained"
-    if left_over(outcome) > 1 - EXPLAINED:
+    if left_over(outcome) > 1 - (EXPLAINED if above_floor(outcome) else COARSE):
         return "unexplained"
     return "tied" if any(len(r.named) > 1 for r in named) else "attributed"
 
 
 def left_over(outcome: Outcome) -> float:
-    """Share of the mean square above the floor that is still there after all that was named."""
-    floor = outcome.floor**2
+    """Share of the mean square above the floor (above the noise, if the base stood at the floor) that is still there
+    after all that was named.
+    """
+    floor = (outcome.floor if above_floor(outcome) else outcome.noise) ** 2
     return (outcome.final.rms**2 - floor) / max(outcome.base.rms**2 - floor, 1e-12)
+
+
+def above_floor(outcome: Outcome) -> bool:
+    """Whether the calibrated model stood above what noise and mesh account for."""
+    return outcome.base.rms > AT_THE_FLOOR * (outcome.rounds[0].floor if outcome.rounds else outcome.floor)
 
 
 def document(outcome: Outcome, placebo: Placebo | None, wall_s: float) -> dict[str, Any]:
