@@ -18,7 +18,7 @@ from clothbench.loop.residual import correction, numerical_floor
 
 ALPHA = 0.05
 ROUNDS = 3  # effects that can be named one after the other
-REFITS = 5  # candidates that are fitted in earnest in each round
+REFITS, NEAR = 4, 0.2  # how many candidates are fitted in earnest in each round, and from which part of the best share
 AT_THE_FLOOR = 1.15  # times the floor: a residual this small is not worth a name
 MATERIAL = 0.25  # share of the mean square above the floor that an effect has to explain to be worth a name
 TIED = 0.1  # two candidates cannot be told apart if what they leave (mean square) differs by less than this share
@@ -239,7 +239,9 @@ def one_round(
         found += more
     seen = shares(problem.of_split("fit"), current, found, problem.seed)
     screened = screen(candidates, found, seen)
-    promising = sorted((c for c in screened if c.p_value < ALPHA), key=lambda c: -c.share)[:REFITS]
+    most = max((c.share for c in screened), default=0.0)
+    promising = [c for c in screened if c.p_value < ALPHA and c.share >= NEAR * most]
+    promising = sorted(promising, key=lambda c: -c.share)[:REFITS]
     tried = []
     for k, candidate in enumerate(promising):
         budget.stage(f"round {turn + 1}: refits", k, len(promising))

@@ -11,6 +11,7 @@ from scipy.stats import t as student
 
 from clothbench.loop.attribution import null_of
 from clothbench.loop.fitting import Fitted, fit
+from clothbench.loop.guard import field_of
 from clothbench.loop.improve import AGAIN, AT_THE_FLOOR, COARSE, EXPLAINED, REFITS, Candidate, Outcome
 from clothbench.loop.problem import Problem, residuals
 from clothbench.loop.residual import correction
@@ -152,20 +153,47 @@ def candidate_entries(outcome: Outcome) -> list[dict[str, Any]]:
 def beaten(candidate: Candidate) -> str:
     """Why a candidate that nothing speaks against is not named."""
     if candidate.fitted is None:
-        return f"not among the {REFITS} that explain most to first order"
+        return f"not among the {REFITS} at most that come near the best to first order"
     return "another explains as much or more, with as few parameters"
 
 
 def hint(outcome: Outcome, verdict: str) -> str:
-    """One sentence for the reader on what to do next."""
+    """What the reader may want to know or do next, in one or two sentences."""
     if verdict == "complete":
         return "nothing is left above the noise and the mesh"
-    if verdict in ("attributed", "tied"):
+    if verdict == "attributed":
         return ""
-    best = max((c for r in outcome.rounds for c in r.candidates), key=lambda c: c.share, default=None)
-    if best is None:
+    if verdict == "tied":
+        names = next(r.named for r in outcome.rounds if len(r.named) > 1)
+        return f"{' and '.join(names)} fit alike on these motions; record one in which they differ"
+    tried = [c for r in outcome.rounds for c in r.candidates]
+    if not tried:
         return "the residual stands above the noise, and no candidate could be tried"
-    return f"nearest, but not enough: {best.name} ({best.share:.0%} of what only an effect could explain)"
+    best = max(tried, key=lambda c: c.share)
+    text = f"a hint, no finding: {best.name} comes nearest ({best.share:.0%} of what only an effect could explain)"
+    forces = [c for c in tried if outcome.problem.plugins.make("effects", c.name).place == "dynamics"]
+    force = max(forces, key=lambda c: c.share, default=best)
+    if force.name != best.name:
+        text += f", {force.name} among forces ({force.share:.0%})"
+    return f"{text}{where(outcome)}"
+
+
+def where(outcome: Outcome) -> str:
+    """Where on the sheet and in which recording most is left; nothing for curves, which have no sheet."""
+    cases = outcome.problem.of_split("fit")
+    if not hasattr(cases[0].observation, "position"):
+        return ""
+    squares: dict[str, list[np.ndarray]] = {"upper": [], "middle": [], "lower": []}
+    for case, residual in zip(cases, outcome.final.residual, strict=True):
+        left, seen = field_of(case, residual), case.observation.visible
+        third = np.minimum(3 * case.observation.material[:, 1] / case.scene.height, 2).astype(int)
+        for k, rows in enumerate(squares.values()):
+            rows.append(left[:, third == k][seen[:, third == k]].ravel() ** 2)
+    sizes = {name: 1e3 * float(np.sqrt(np.concatenate(rows).mean())) for name, rows in squares.items() if len(rows[0])}
+    most = max(sizes, key=lambda name: sizes[name])
+    worst = cases[int(np.argmax(outcome.final.squares))].name
+    rest = ", ".join(f"{name} {size:.1f} mm" for name, size in sizes.items())
+    return f"; most is left in the {most} third ({rest}) and in {worst}"
 
 
 def number(value: float) -> float | None:

@@ -8,6 +8,7 @@ import re
 import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -145,6 +146,33 @@ def test_view_knows_the_recordings_of_the_folder(done, clothbench):
     out = clothbench("view", "sway-9", "--out", str(done[0]))
     assert out.returncode == 2
     assert "no recording 'sway-9'; there are: sway-0, sway-1, sway-2, sway-3" in only_line(out.stderr)
+
+
+def test_a_killed_run_goes_on_and_ends_the_same(place, verdict):
+    words = ["recordings=rec", *SMALL, "candidates=clock_offset,gravity_tilt", "out=again"]
+    command = [sys.executable, "-m", "clothbench", "improve", *words]
+    process = subprocess.Popen(command, cwd=place, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    unfinished = place / "again" / ".unfinished"
+    until = time.monotonic() + 120
+    while len(list(unfinished.glob("*.npz"))) < 3 and process.poll() is None and time.monotonic() < until:
+        time.sleep(0.02)
+    process.kill()
+    process.wait()
+    assert not (place / "again" / "verdict.json").exists()
+    assert len(list(unfinished.glob("*.npz"))) >= 3
+    ran = improve(place, *words)
+    assert ran.returncode == 0, ran.stderr
+    assert not unfinished.exists()
+    again = json.loads((place / "again" / "verdict.json").read_text())
+    assert again | {"wall_s": 0} == verdict | {"wall_s": 0}
+
+
+def test_a_finished_run_is_not_run_again(place, done):
+    stamp = (done[0] / "verdict.json").stat().st_mtime_ns
+    ran = improve(place, "recordings=rec", *SMALL, "candidates=clock_offset,gravity_tilt", "out=found")
+    assert ran.returncode == 0, ran.stderr
+    assert "kept" in ran.stderr
+    assert (done[0] / "verdict.json").stat().st_mtime_ns == stamp
 
 
 def test_json_is_the_document_and_nothing_else(place):

@@ -1,0 +1,36 @@
+"""What the loop remembers between a run that was stopped and the one that goes on."""
+
+import numpy as np
+
+from clothbench.loop.memory import Memory
+
+
+def test_arrays_come_back_to_the_bit(tmp_path):
+    memory = Memory(tmp_path / "unfinished")
+    values = np.random.default_rng(0).normal(size=(3, 4))
+    memory.keep("a" * 16, values=values, count=np.array(7))
+    known = Memory(tmp_path / "unfinished").recall("a" * 16)
+    assert known is not None
+    assert (known["values"] == values).all()
+    assert int(known["count"]) == 7
+
+
+def test_unknown_and_damaged_are_computed_again(tmp_path):
+    memory = Memory(tmp_path)
+    assert memory.recall("b" * 16) is None
+    (tmp_path / f"{'b' * 16}.npz").write_bytes(b"half a file")
+    assert memory.recall("b" * 16) is None
+
+
+def test_without_a_folder_nothing_is_kept():
+    memory = Memory()
+    memory.keep("c" * 16, values=np.zeros(3))
+    assert memory.recall("c" * 16) is None
+    memory.forget()
+
+
+def test_forgotten_leaves_nothing(tmp_path):
+    memory = Memory(tmp_path / "unfinished")
+    memory.keep("d" * 16, values=np.zeros(3))
+    memory.forget()
+    assert not (tmp_path / "unfinished").exists()
