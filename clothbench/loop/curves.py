@@ -73,7 +73,7 @@ class CurveProblem(Problem):
     """A model that answers curves beside curves of one fabric, pulled in one direction."""
 
     search: ClassVar[dict[str, Any]] = {
-        "starts": 127, "walks": 6, "difference": 1e-4, "tolerance": 1e-5, "secant": False,
+        "starts": 127, "walks": 6, "difference": 1e-4, "tolerance": 1e-5,
     }  # fmt: skip
     patience: ClassVar[int] = 20
     probe: ClassVar[float] = 1e-4

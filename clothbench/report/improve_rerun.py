@@ -33,8 +33,7 @@ def write_recording_file(path: Path, one: Seen, label: str, floor: float) -> Non
     The sheet is as the sensor would see it; unlike the errors it has the mesh's own error in it.
     """
     name = f"{one.case.name} · {label}"
-    # An application's name in Rerun has no slashes.
-    stream = rr.RecordingStream(f"clothbench-improve-{name}", recording_id=name, send_properties=False)
+    stream = rr.RecordingStream("clothbench-improve", recording_id=name, send_properties=False)
     stream.save(path, default_blueprint=blueprint())
     try:
         stream.send_recording_name(name)

@@ -89,7 +89,7 @@ def test_it_sees_an_effect_half_as_large_as_what_the_model_leaves(cases, candida
 def test_what_the_base_explains_counts_for_no_candidate(cases, candidates):
     random = np.random.default_rng(7)
     fit = fitted(left(random), random)
-    same = Probe("copy", np.zeros(1), (0,), np.ones(1), [j[:, :1] for j in fit.jacobian])
+    same = Probe("copy", np.zeros(1), (0,), np.ones(1), np.zeros((1, 0)), [j[:, :1] for j in fit.jacobian])
     assert shares(cases, fit, [same, *candidates], 0).share[0] < 1e-9
 
 

@@ -11,7 +11,6 @@ from clothbench import ClothbenchError, Evaluation, ParameterSpace
 from clothbench_optimizers.search import GeneratorSearch, Steps
 
 Walk = Generator[np.ndarray, Evaluation, None]
-SLOW = 0.05  # relative gain below which a Jacobian that was only brought up to date is measured anew
 DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])  # tried at once, in units of the current damping
 
 
@@ -22,8 +21,7 @@ class LeastSquares(GeneratorSearch):
     to walk, one after the other; difference: step of the forward differences, in units of the scaled range, long enough
     to look over the ripples that folding cloth leaves in the error; tolerance: relative gain in the sum of squares
     below which two rounds in a row end a walk. Each round simulates the Jacobian's points as one batch, then four
-    dampings as another. secant: after a good step bring the Jacobian up to date by what that step showed (Broyden
-    1965), and measure it anew only where this stops helping: fewer simulations, a slightly less straight way.
+    dampings as another.
     """
 
     name = "least_squares"
@@ -32,10 +30,9 @@ class LeastSquares(GeneratorSearch):
 
     def __init__(
         self, space: ParameterSpace, *, seed: int, budget: int,
-        starts: int = 31, walks: int = 2, difference: float = 0.03, tolerance: float = 1e-3, secant: bool = False,
+        starts: int = 31, walks: int = 2, difference: float = 0.03, tolerance: float = 1e-3,
     ):  # fmt: skip
         self.starts, self.walks, self.difference, self.tolerance = starts, walks, difference, tolerance
-        self.secant = secant
         super().__init__(space, seed=seed, budget=budget)
 
     def steps(self) -> Steps:
@@ -54,29 +51,21 @@ class LeastSquares(GeneratorSearch):
 
     def _walk(self, here: np.ndarray, residual: np.ndarray, cost_here: float) -> Walk:
         """Descend from one point until two rounds in a row gain next to nothing."""
-        damping, idle, measured = 0.01, 0, False
+        damping, idle = 0.01, 0
         while idle < 2:
-            if not measured:
-                away = np.where(here + self.difference <= 1.0, self.difference, -self.difference)
-                shifted = yield here + np.diag(away)
-                jacobian = np.nan_to_num((shifted.residual - residual) / away[:, None]).T
-            estimated = measured
+            away = np.where(here + self.difference <= 1.0, self.difference, -self.difference)
+            shifted = yield here + np.diag(away)
+            jacobian = np.nan_to_num((shifted.residual - residual) / away[:, None]).T
             trials, used = proposals(here, jacobian, residual, damping)
             evaluation = yield trials
             cost = sums_of_squares(evaluation)
             best = int(np.argmin(cost))
             gain = (cost_here - cost[best]) / max(cost_here, np.finfo(float).tiny)
-            measured = self.secant and gain > SLOW
             if gain > 0:
-                if measured:
-                    step = trials[best] - here
-                    missed = evaluation.residual[best] - residual - jacobian @ step
-                    jacobian = jacobian + np.outer(missed, step / (step @ step))
                 here, residual, cost_here, damping = trials[best], evaluation.residual[best], cost[best], used[best]
-            elif not estimated:
+            else:
                 damping *= DAMPINGS[-1]
-            if not estimated:
-                idle = idle + 1 if gain < self.tolerance else 0
+            idle = idle + 1 if gain < self.tolerance else 0
 
 
 def sums_of_squares(evaluation: Evaluation) -> np.ndarray:

@@ -1,0 +1,96 @@
+"""How a candidate is tried in exchange with the base, on residuals that are linear in everything."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from clothbench.loop.attribution import exchange, moved, settings_of, share_of
+from clothbench.loop.fitting import Fitted, widened
+from clothbench.loop.improve import Candidate, allowances, choose
+from clothbench.parameters import Parameter, ParameterSpace
+from clothbench.plugins import catalogue
+
+BASE = ParameterSpace(
+    tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.5, "of the base", "a test") for n in ("a", "b"))
+)
+ROWS, RECORDINGS = 400, 3
+
+
+@dataclasses.dataclass
+class OneSided:
+    parameters = ParameterSpace((Parameter("amount", "φ", "1", (0.0, 10.0), "linear", 1.0, "how much", "a test", 0.0),))
+
+
+@pytest.fixture
+def fit() -> Fitted:
+    random = np.random.default_rng(0)
+    jacobian = [random.normal(size=(ROWS, 2)) for _ in range(RECORDINGS)]
+    residual = [1e-3 * random.normal(size=ROWS) for _ in range(RECORDINGS)]
+    return Fitted((), BASE, BASE.defaults, residual, jacobian, BASE.defaults - 0.1, BASE.defaults + 0.1, 0)
+
+
+def test_the_base_makes_up_for_what_it_can(fit):
+    """A candidate that does what the first base parameter does is cancelled by moving that parameter."""
+    change = [1e-3 * j[:, 0] for j in fit.jacobian]
+    step, shift = exchange(fit, OneSided(), change, np.zeros(1), 0, 1.0)
+    left = [step * c + j @ shift for c, j in zip(change, fit.jacobian, strict=True)]
+    assert np.linalg.norm(left) < 1e-4 * np.linalg.norm(change)
+    assert moved(fit, shift) == pytest.approx(BASE.defaults + shift)
+
+
+def test_as_much_as_is_left_and_never_over_the_bounds(fit):
+    random = np.random.default_rng(1)
+    change = [1e-4 * random.normal(size=ROWS) for _ in range(RECORDINGS)]
+    step, _ = exchange(fit, OneSided(), change, np.zeros(1), 0, 1.0)
+    assert step == pytest.approx(10.0, rel=0.1)  # a tenth of the residual's size for an amount of 1
+    against = [r.copy() for r in fit.residual]  # would have to be negative to help
+    step, _ = exchange(fit, OneSided(), against, np.zeros(1), 0, 1.0)
+    assert 0.0 < step <= 10.0
+
+
+def test_share_of_what_is_really_in_it(fit):
+    change = [-r[None] for r in fit.residual]
+    assert share_of(fit, change) == pytest.approx(1.0)
+    nothing = [np.random.default_rng(5).normal(size=(1, ROWS)) for _ in range(RECORDINGS)]
+    assert share_of(fit, nothing) < 0.05
+    assert share_of(fit, [np.full((1, ROWS), np.nan)] * RECORDINGS) == -1.0
+
+
+def test_no_time_after_the_end_is_looked_at():
+    slip = catalogue().make("effects", "grip_slip")
+    at = slip.parameters.names.index("time")
+    times = [phi[at] for phi, _, _ in settings_of(slip, 0, duration=3.0)]
+    assert len(times) >= 4
+    assert max(times) <= 3.0
+
+
+def test_the_mesh_widens_an_interval_by_what_it_would_shift(fit):
+    doubt = [0.03 * j[:, 0] for j in fit.jacobian]
+    wide = widened(fit, doubt)
+    assert BASE.defaults[0] - wide.low[0] == pytest.approx(np.hypot(0.1, 0.03), rel=1e-3)
+    assert wide.high[1] - BASE.defaults[1] == pytest.approx(0.1, rel=1e-3)
+
+
+def candidate(name: str, parameters: int, rms: float) -> Candidate:
+    space = ParameterSpace(
+        tuple(Parameter(f"p{k}", "p", "1", (0.0, 1.0), "linear", 0.5, "a number", "a test") for k in range(parameters))
+    )
+    theta = space.defaults
+    residual = [np.full(ROWS, rms)] * RECORDINGS
+    return Candidate(name, 0.5, 0.005, fitted=Fitted((name,), space, theta, residual, [], theta, theta, 0))
+
+
+def test_further_parameters_have_to_pay():
+    simple, rich = candidate("simple", 5, 1.05e-3), candidate("rich", 9, 0.95e-3)
+    assert allowances([simple, rich])[1, 0] == pytest.approx(1.3)
+    assert choose([rich, simple]) == ("simple",)
+    assert choose([candidate("rich", 9, 0.7e-3), simple]) == ("rich",)
+
+
+def test_two_as_good_as_each_other_are_tied():
+    assert choose([candidate("one", 5, 1.0e-3), candidate("other", 5, 1.02e-3)]) == ("one", "other")
+    assert choose([candidate("one", 5, 1.0e-3), candidate("other", 5, 1.2e-3)]) == ("one",)
+    assert choose([]) == ()

@@ -1,0 +1,41 @@
+"""Work side by side: results in order, faults raised, and never more at a time than there are places."""
+
+import threading
+import time
+
+import pytest
+
+from clothbench.parallel import for_each, set_thread_count, side_by_side
+
+
+@pytest.fixture(autouse=True)
+def two_threads():
+    set_thread_count(2)
+    yield
+    set_thread_count(0)
+
+
+def test_results_come_in_order():
+    assert side_by_side(lambda n: n * n, range(7)) == [0, 1, 4, 9, 16, 25, 36]
+
+
+def test_a_fault_is_raised_here():
+    with pytest.raises(ZeroDivisionError):
+        side_by_side(lambda n: 1 // n, [1, 0, 2])
+
+
+def test_no_more_at_a_time_than_threads():
+    running, most, lock = 0, 0, threading.Lock()
+
+    def work(_: int) -> None:
+        nonlocal running, most
+        with lock:
+            running += 1
+            most = max(most, running)
+        time.sleep(0.002)
+        with lock:
+            running -= 1
+
+    side_by_side(lambda _: for_each(work, range(4)), range(5))
+    assert running == 0
+    assert most == 2
