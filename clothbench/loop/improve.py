@@ -22,6 +22,7 @@ REFITS, NEAR = 4, 0.2  # how many candidates are fitted in earnest in each round
 AT_THE_FLOOR = 1.15  # times the floor: a residual this small is not worth a name
 MATERIAL = 0.25  # share of the mean square above the floor that an effect has to explain to be worth a name
 TIED = 0.1  # two candidates cannot be told apart if what they leave (mean square) differs by less than this share
+ALIKE = 0.9  # correlation of what two candidates correct, from which on they may be one and the same
 EXPLAINED = 0.6  # share of the mean square above the floor that all names together have to explain
 COARSE = 0.45  # and of that above the noise, where the mesh alone may stand for the residual
 PER_PARAMETER = 0.05  # and per parameter that one has more than the other
@@ -248,10 +249,10 @@ def one_round(
         tried.append(done := refit(problem, current, candidate, found, seen))
         budget.count(done.fitted.evaluations if done.fitted else 0)
     judged = judge(current, gain, tried)
-    if named := choose(judged):
+    if named := choose(current, judged):
         current = second_thought(problem, current, next(c.fitted for c in judged if c.name == named[0]), budget)
         judged = judge(current, gain, tried)
-        named = choose(judged)
+        named = choose(current, judged)
     others = [c for c in screened if c.name not in {t.name for t in judged}]
     after = next((c.fitted for c in judged if named and c.name == named[0]), None)
     return Round(current, floor, tuple([*judged, *others]), named, after)
@@ -312,7 +313,7 @@ def judge(current: Fitted, gain: float, tried: Sequence[Candidate]) -> list[Cand
     """What speaks against each of them, if anything; and in how many leave-one-out rounds it is the best."""
     count = len(current.squares)
     left = np.array([c.fitted.squares for c in tried if c.fitted is not None]).reshape(-1, count)
-    allowed = allowances(tried)
+    allowed = allowances(current, tried)
     out = []
     for k, candidate in enumerate(tried):
         candidate = dataclasses.replace(candidate, gain=float((current.squares - left[k]).mean()))
@@ -353,21 +354,38 @@ def unphysical(candidate: Candidate) -> str:
     return ""
 
 
-def allowances(tried: Sequence[Candidate]) -> np.ndarray:
+def allowances(current: Fitted, tried: Sequence[Candidate]) -> np.ndarray:
     """(K, K): candidate k stands beside j if it leaves at most [j, k] times what j leaves (mean squares).
 
-    Within `TIED` two cannot be told apart; beyond that every further parameter has to pay for itself.
+    Within `TIED` two cannot be told apart, within twice that if what they correct is alike; beyond that every further
+    parameter has to pay for itself.
     """
     size = np.array([0 if c.fitted is None else len(c.fitted.theta) for c in tried])
-    return 1 + TIED + PER_PARAMETER * np.maximum(size[:, None] - size[None, :], 0)
+    more = size[:, None] - size[None, :]
+    alike = (likeness(current, tried) >= ALIKE) & (np.abs(more) <= 1)
+    return 1 + TIED * np.where(alike, 2, 1) + PER_PARAMETER * np.maximum(more, 0)
 
 
-def choose(judged: Sequence[Candidate]) -> tuple[str, ...]:
-    """The one that stands; of several as good as each other the one with the fewest parameters, or both as tied."""
-    standing = [c for c in judged if not c.why_not]
+def likeness(current: Fitted, tried: Sequence[Candidate]) -> np.ndarray:
+    """(K, K): correlation of what the candidates take from the residual."""
+    before = np.concatenate(current.residual)
+    taken = [np.zeros_like(before) if c.fitted is None else before - np.concatenate(c.fitted.residual) for c in tried]
+    unit = np.array([t / max(float(np.linalg.norm(t)), 1e-300) for t in taken]).reshape(len(tried), len(before))
+    return unit @ unit.T
+
+
+def choose(current: Fitted, judged: Sequence[Candidate]) -> tuple[str, ...]:
+    """The one that stands; of several as good as each other the one with the fewest parameters, or two as tied: equally
+    simple ones, or one that corrects the same and is hardly less simple."""
+    standing = [c for c in judged if not c.why_not and c.fitted is not None]
     if not standing:
         return ()
     left = np.array([c.fitted.rms**2 for c in standing if c.fitted is not None])
-    close = [c for k, c in enumerate(standing) if (left[k] <= allowances(standing)[:, k] * left).all()]
-    sizes = [len(c.fitted.theta) for c in close if c.fitted is not None]
-    return tuple(c.name for c, size in zip(close, sizes, strict=True) if size == min(sizes))[:2]
+    size = np.array([len(c.fitted.theta) for c in standing if c.fitted is not None])
+    allowed, alike = allowances(current, standing), likeness(current, standing) >= ALIKE
+    close = [k for k in range(len(standing)) if (left[k] <= allowed[:, k] * left).all()]
+    first = min(close, key=lambda k: (size[k], left[k]))
+    others = [
+        k for k in close if k != first and (size[k] == size[first] or (alike[k, first] and size[k] == size[first] + 1))
+    ]
+    return tuple(standing[k].name for k in [first, *sorted(others, key=lambda k: left[k])][:2])

@@ -74,23 +74,43 @@ def test_the_mesh_widens_an_interval_by_what_it_would_shift(fit):
     assert wide.high[1] - BASE.defaults[1] == pytest.approx(0.1, rel=1e-3)
 
 
-def candidate(name: str, parameters: int, rms: float) -> Candidate:
+def fitted_to(residual: np.ndarray, parameters: int = 5, name: str = "base") -> Fitted:
     space = ParameterSpace(
         tuple(Parameter(f"p{k}", "p", "1", (0.0, 1.0), "linear", 0.5, "a number", "a test") for k in range(parameters))
     )
     theta = space.defaults
-    residual = [np.full(ROWS, rms)] * RECORDINGS
-    return Candidate(name, 0.5, 0.005, fitted=Fitted((name,), space, theta, residual, [], theta, theta, 0))
+    return Fitted((name,), space, theta, [residual] * RECORDINGS, [], theta, theta, 0)
 
 
-def test_further_parameters_have_to_pay():
-    simple, rich = candidate("simple", 5, 1.05e-3), candidate("rich", 9, 0.95e-3)
-    assert allowances([simple, rich])[1, 0] == pytest.approx(1.3)
-    assert choose([rich, simple]) == ("simple",)
-    assert choose([candidate("rich", 9, 0.7e-3), simple]) == ("rich",)
+BEFORE = np.random.default_rng(8).normal(size=ROWS)
 
 
-def test_two_as_good_as_each_other_are_tied():
-    assert choose([candidate("one", 5, 1.0e-3), candidate("other", 5, 1.02e-3)]) == ("one", "other")
-    assert choose([candidate("one", 5, 1.0e-3), candidate("other", 5, 1.2e-3)]) == ("one",)
-    assert choose([]) == ()
+def candidate(name: str, parameters: int, rms: float, taken: int = 0) -> Candidate:
+    """Leaves a residual of this size; two with the same `taken` correct the same, others something else."""
+    random = np.random.default_rng(taken)
+    away = BEFORE * random.choice([0.3, 1.7], ROWS) if taken else BEFORE
+    left = BEFORE - away
+    left = rms * (left / np.linalg.norm(left) if taken else BEFORE / np.linalg.norm(BEFORE)) * np.sqrt(ROWS)
+    return Candidate(name, 0.5, 0.005, fitted=fitted_to(left, parameters, name))
+
+
+@pytest.fixture(scope="module")
+def before() -> Fitted:
+    return fitted_to(BEFORE)
+
+
+def test_further_parameters_have_to_pay(before):
+    simple, rich = candidate("simple", 5, 0.35), candidate("rich", 9, 0.32)
+    assert allowances(before, [simple, rich])[1, 0] == pytest.approx(1.3)
+    assert choose(before, [rich, simple]) == ("simple",)
+    assert choose(before, [candidate("rich", 9, 0.2), simple]) == ("rich",)
+
+
+def test_two_as_good_as_each_other_are_tied(before):
+    assert choose(before, [candidate("one", 5, 0.30, 1), candidate("other", 5, 0.305, 2)]) == ("one", "other")
+    assert choose(before, [candidate("one", 5, 0.30, 1), candidate("other", 5, 0.35, 2)]) == ("one",)
+    assert choose(before, []) == ()
+
+
+def test_two_that_correct_the_same_are_tied_though_one_is_less_simple(before):
+    assert choose(before, [candidate("simple", 5, 0.30), candidate("other", 6, 0.28)]) == ("simple", "other")
