@@ -11,7 +11,7 @@ import numpy as np
 
 from clothbench.errors import ClothbenchError
 from clothbench.loop.attribution import Probe, moved, outside, probes, ridge, weights
-from clothbench.loop.fitting import Fitted, fit, widened
+from clothbench.loop.fitting import Fitted, fit, polish, widened
 from clothbench.loop.guard import Shares, shares
 from clothbench.loop.problem import Problem
 from clothbench.loop.residual import correction, numerical_floor
@@ -28,6 +28,8 @@ COARSE = 0.45  # and of that above the noise, where the mesh alone may stand for
 PER_PARAMETER = 0.05  # and per parameter that one has more than the other
 # Evaluations of the first fit, of one that begins where another ended, and of one of a single recording.
 FIRST, AGAIN, ALONE = 140, 60, 25
+POLISH = 80  # and to make sure that a candidate's search has not ended early
+FINALISTS, CONTEST = 3, 2.0  # how many are made sure of, and what they may leave, times the least (mean squares)
 
 Stage = Callable[[str, int, int], None]
 
@@ -137,10 +139,7 @@ def improve(problem: Problem, candidates: Sequence[str], told: Stage) -> Outcome
         outcome.rounds.append(found)
         if found.after is None:
             break
-        budget.stage(f"round {turn + 1}: fit with {found.named[0]}", 0, 1)
-        after = fit(problem, found.after.effects, found.after.theta, FIRST, spread=True)
-        budget.count(after.evaluations)
-        problem, current, floor = corrected(problem, after, noise, budget)
+        problem, current, floor = corrected(problem, found.after, noise, budget)
         outcome.rounds[-1] = dataclasses.replace(found, after=current)
         outcome.problem, outcome.final, outcome.floor = problem, current, floor
     budget.stop()
@@ -248,6 +247,7 @@ def one_round(
         budget.stage(f"round {turn + 1}: refits", k, len(promising))
         tried.append(done := refit(problem, current, candidate, found, seen))
         budget.count(done.fitted.evaluations if done.fitted else 0)
+    tried = contest(problem, current, gain, tried, budget, turn)
     judged = judge(current, gain, tried)
     if named := choose(current, judged):
         current = second_thought(problem, current, next(c.fitted for c in judged if c.name == named[0]), budget)
@@ -256,6 +256,24 @@ def one_round(
     others = [c for c in screened if c.name not in {t.name for t in judged}]
     after = next((c.fitted for c in judged if named and c.name == named[0]), None)
     return Round(current, floor, tuple([*judged, *others]), named, after)
+
+
+def contest(
+    problem: Problem, current: Fitted, gain: float, tried: Sequence[Candidate], budget: Budget, turn: int
+) -> list[Candidate]:
+    """The candidates with those polished that may yet be named: a search that ended early must not decide."""
+    fits = [c.fitted for c in tried if c.fitted is not None]
+    least = min((f.rms**2 for f in fits), default=0.0)
+    within = [f for f in fits if f.rms**2 <= CONTEST * least and f.rms**2 <= current.rms**2 - gain / 2]
+    within = sorted(within, key=lambda f: f.rms)[:FINALISTS]
+    better = {}
+    for k, fitted in enumerate(within):
+        budget.stage(f"round {turn + 1}: contest", k, len(within))
+        better[fitted.effects], count = polish(problem, fitted, POLISH)
+        budget.count(count)
+    return [
+        c if c.fitted is None else dataclasses.replace(c, fitted=better.get(c.fitted.effects, c.fitted)) for c in tried
+    ]
 
 
 def second_thought(problem: Problem, current: Fitted, better: Fitted | None, budget: Budget) -> Fitted:
