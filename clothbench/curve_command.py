@@ -2,26 +2,21 @@
 
 from __future__ import annotations
 
-import sys
 import time
 from collections.abc import Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from clothbench.curve import Curve, read_any
 from clothbench.curve_simulation import acts_on_curves
 from clothbench.errors import ClothbenchError
-from clothbench.experiment.cell import Source, resplit
 from clothbench.experiment.settings import writable
-from clothbench.improve_command import StageBar, names, whole
+from clothbench.improve_command import StageBar, names, say, sensors_first, splits_of, tell_splits, whole
 from clothbench.loop.curves import CurveProblem, curve_problem, in_newtons
 from clothbench.loop.improve import Outcome, improve
 from clothbench.loop.verdict import document, placebo_of
 from clothbench.plugins import Catalogue, absent, catalogue
 from clothbench.recording import find_recordings
 from clothbench.report.improve_files import json_text, write_folder
-
-ORDER = ("sensor", "boundary", "dynamics")
 
 
 def command(settings: Mapping[str, str], as_json: bool = False) -> int:
@@ -31,9 +26,7 @@ def command(settings: Mapping[str, str], as_json: bool = False) -> int:
     out = writable(settings.get("out", "improve"))
     problem = problem_of(settings, plugins)
     candidates = candidates_of(settings.get("candidates"), plugins)
-    if not any(case.recording.split for case in problem.cases):
-        held = ", ".join(case.name for case in problem.of_split("held_out")) or "none"
-        print(f"clothbench: no recording states a split; held out by seed {problem.seed}: {held}", file=sys.stderr)
+    tell_splits(problem)
     with StageBar() as bar:
         outcome, found = improved(problem, candidates, bar, began)
         bar.stage("page and tables", 0, 1)
@@ -66,10 +59,7 @@ def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> CurveProblem:
         if not isinstance(recording, Curve):
             raise ClothbenchError(f"{path}: found kind 'nodes' among curves, expected one kind in a folder")
         curves.append(recording)
-    sources = resplit([Source(c.path, c.name, c.hash, c.split) for c in curves], seed)
-    if not any(s.split == "fit" for s in sources):
-        raise ClothbenchError(f"{settings['recordings']}: found only held-out recordings, expected at least one to fit")
-    return curve_problem(model, curves, [s.split for s in sources], plugins, seed)
+    return curve_problem(model, curves, splits_of(curves, settings["recordings"], seed), plugins, seed)
 
 
 def candidates_of(given: str | None, plugins: Catalogue) -> list[str]:
@@ -82,26 +72,4 @@ def candidates_of(given: str | None, plugins: Catalogue) -> list[str]:
             raise ClothbenchError(
                 f"effect {name!r} does not act on force-extension curves; those that do: {', '.join(known)}"
             )
-    return sorted(chosen, key=lambda name: ORDER.index(plugins.make("effects", name).place))
-
-
-def say(found: Mapping[str, Any], out: Path) -> None:
-    """The verdict in a few lines."""
-    error, held = found["error"], found["error"]["held_out"]
-    print(f"verdict: {found['verdict']}")
-    for effect in found["effects"]:
-        tied = f", tied with {', '.join(effect['tied_with'])}" if effect["tied_with"] else ""
-        print(f"  {effect['name']} ({effect['place']}): {effect['summary']}{tied}")
-        print(f"    p = {effect['p_value']:.3g}, chosen in {effect['selected_in']} of the leave-one-out rounds")
-        for name, p in effect["parameters"].items():
-            low, high = (("?" if p[k] is None else f"{p[k]:.4g}") for k in ("low", "high"))
-            print(f"    {name} = {p['value']:.4g} {p['unit']} ({low} … {high})")
-    print(f"fit recordings: {error['fit']['before']:.3g} → {error['fit']['after']:.3g} N", end="")
-    if held["before"] is not None:
-        print(f"; held out: {held['before']:.3g} → {held['after']:.3g} N", end="")
-    print(f"; floor between runs: {error['noise_floor']:.3g} N")
-    if found["hint"]:
-        print(f"hint: {found['hint']}")
-    print(f"{found['evaluations']} evaluations, {found['wall_s']:.0f} s")
-    print(f"page: {out / 'index.html'}")
-    print(f"verdict: {out / 'verdict.json'}; tables: {out / 'tables'}")
+    return sensors_first(chosen, plugins)

@@ -8,13 +8,14 @@ import math
 import shlex
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from clothbench.curve import Curve
 from clothbench.curve_simulation import acts_on_sheets
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.cell import Source, resplit
@@ -24,7 +25,7 @@ from clothbench.loop.memory import Memory
 from clothbench.loop.problem import Case, Problem
 from clothbench.loop.verdict import document, placebo_of
 from clothbench.plugins import Catalogue, absent, catalogue
-from clothbench.recording import find_recordings, read_recording
+from clothbench.recording import Recording, find_recordings, read_recording
 from clothbench.recording_file import kind_of
 from clothbench.report.improve_files import json_text, write_folder
 from clothbench.scene import scene_of
@@ -50,6 +51,7 @@ def command(settings: Mapping[str, str], as_json: bool = False) -> int:
     out = writable(settings.get("out", "improve"))
     problem = dataclasses.replace(problem_of(settings, plugins), memory=Memory(out / ".unfinished"))
     candidates = candidates_of(settings.get("candidates"), plugins, problem)
+    tell_splits(problem)
     key = problem.key("verdict", candidates)
     if (kept := finished(out, key)) is not None:
         print(f"{out}: kept, these recordings were judged with the same settings before", file=sys.stderr)
@@ -82,17 +84,12 @@ def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> Problem:
     if reason := absent(plugins.load("models", model)):
         raise ClothbenchError(f"model {model!r}: {reason}")
     recordings = [read_recording(path) for path in find_recordings([settings["recordings"]])]
-    sources = resplit([Source(r.path, r.name, r.hash, r.split) for r in recordings], seed)
-    if not any(r.split for r in recordings):
-        held = ", ".join(s.name for s in sources if s.split == "held_out") or "none"
-        print(f"clothbench: no recording states a split; held out by seed {seed}: {held}", file=sys.stderr)
+    splits = splits_of(recordings, settings["recordings"], seed)
     tracker, density = plugins.make("trackers", "markers"), density_of(settings)
     cases = tuple(
-        Case(r.name, s.split, r, tracker.track(r), scene_of(r, areal_density=density))
-        for r, s in zip(recordings, sources, strict=True)
+        Case(r.name, split, r, tracker.track(r), scene_of(r, areal_density=density))
+        for r, split in zip(recordings, splits, strict=True)
     )
-    if not any(c.split == "fit" for c in cases):
-        raise ClothbenchError(f"{settings['recordings']}: found only held-out recordings, expected at least one to fit")
     implicit = getattr(plugins.load("models", model), "kind", "") == "implicit"
     nodes = whole("resolution", settings.get("resolution", str(IMPLICIT_NODES if implicit else NODES)), 5)
     scene = cases[0].scene
@@ -103,6 +100,21 @@ def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> Problem:
     for name in base:
         plugins.find("effects", name)
     return dataclasses.replace(problem, base=tuple(base))
+
+
+def splits_of(recordings: Sequence[Recording | Curve], where: str, seed: int) -> list[str]:
+    """ "fit" or "held_out" for each, as it states or, where none does, by seed."""
+    sources = resplit([Source(r.path, r.name, r.hash, r.split) for r in recordings], seed)
+    if not any(s.split == "fit" for s in sources):
+        raise ClothbenchError(f"{where}: found only held-out recordings, expected at least one to fit")
+    return [s.split for s in sources]
+
+
+def tell_splits(problem: Problem) -> None:
+    """What is held out by seed, since no recording says it, is told to the user: once all else has been checked."""
+    if not any(c.recording.split for c in problem.cases):
+        held = ", ".join(c.name for c in problem.cases if c.split == "held_out") or "none"
+        print(f"clothbench: no recording states a split; held out by seed {problem.seed}: {held}", file=sys.stderr)
 
 
 def density_of(settings: Mapping[str, str]) -> float | None:
@@ -133,9 +145,13 @@ def candidates_of(given: str | None, plugins: Catalogue, problem: Problem) -> li
         plugins.find("effects", name)
         if not _on_sheets(name, plugins):
             raise ClothbenchError(f"effect {name!r} acts on force-extension curves only; take it out of candidates")
+    return sensors_first([name for name in chosen if name not in problem.base], plugins)
+
+
+def sensors_first(effects: Sequence[str], plugins: Catalogue) -> list[str]:
+    """The order of trying: how the cloth was seen and held may look like physics."""
     order = {"sensor": 0, "boundary": 1, "dynamics": 2}
-    found = [name for name in chosen if name not in problem.base]
-    return sorted(found, key=lambda name: order.get(plugins.make("effects", name).place, 3))
+    return sorted(effects, key=lambda name: order.get(plugins.make("effects", name).place, 3))
 
 
 def _on_sheets(name: str, plugins: Catalogue) -> bool:
@@ -178,7 +194,9 @@ class StageBar:
 
 def say(found: Mapping[str, Any], out: Path) -> None:
     """The verdict in a few lines."""
-    error, held = found["error_mm"], found["error_mm"]["held_out"]
+    curves = found.get("kind") == "curve"
+    error, unit, digits = (found["error"], "N", ".3g") if curves else (found["error_mm"], "mm", ".2f")
+    held = error["held_out"]
     print(f"verdict: {found['verdict']}")
     for effect in found["effects"]:
         tied = f", tied with {', '.join(effect['tied_with'])}" if effect["tied_with"] else ""
@@ -187,14 +205,17 @@ def say(found: Mapping[str, Any], out: Path) -> None:
         for name, p in effect["parameters"].items():
             low, high = (("?" if p[k] is None else f"{p[k]:.4g}") for k in ("low", "high"))
             print(f"    {name} = {p['value']:.4g} {p['unit']} ({low} … {high})")
-    print(f"fit recordings: {error['fit']['before']:.2f} → {error['fit']['after']:.2f} mm", end="")
+    print(f"fit recordings: {error['fit']['before']:{digits}} → {error['fit']['after']:{digits}} {unit}", end="")
     if held["before"] is not None:
-        print(f"; held out: {held['before']:.2f} → {held['after']:.2f} mm", end="")
-    print(f"; floor of noise and mesh: {error['noise_floor']:.2f} mm")
+        print(f"; held out: {held['before']:{digits}} → {held['after']:{digits}} {unit}", end="")
+    print(f"; floor {'between runs' if curves else 'of noise and mesh'}: {error['noise_floor']:{digits}} {unit}")
     if found["hint"]:
         print(f"hint: {found['hint']}")
     print(f"{found['evaluations']} evaluations, {found['wall_s']:.0f} s")
     print(f"page: {out / 'index.html'}")
-    print(f"verdict: {out / 'verdict.json'}; tables: {out / 'tables'}; Rerun files: {out / 'rerun'}")
+    rerun = "" if curves else f"; Rerun files: {out / 'rerun'}"
+    print(f"verdict: {out / 'verdict.json'}; tables: {out / 'tables'}{rerun}")
+    if curves:
+        return
     recordings = [*found["recordings"]["held_out"], *found["recordings"]["fit"]]
     print(f"look at one with: clothbench view {shlex.quote(recordings[0])} --out {shlex.quote(str(out))}")

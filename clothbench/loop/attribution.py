@@ -6,7 +6,7 @@ parameters' own sensitivities are then projected out of s_e and of the residual,
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -107,12 +107,10 @@ def probes(problem: Problem, fitted: Fitted, name: str) -> list[Probe]:
 
 def share_of(fitted: Fitted, change: list[np.ndarray]) -> float:
     """Share of what the base leaves that changes, per recording (k, M) m, explain beside it; -1 if they failed."""
-    scale = weights(fitted.residual)
-    columns = np.hstack(change).T * scale[:, None]
+    columns = np.hstack(change).T * fitted.scale[:, None]
     if not np.isfinite(columns).all():
         return -1.0
-    base = np.vstack(fitted.jacobian) * scale[:, None]
-    left = outside(base, np.column_stack([np.concatenate(fitted.residual) * scale, columns]))
+    left = outside(fitted.tangent, np.column_stack([fitted.left, columns]))
     rest = outside(left[:, 1:], left[:, :1]) if np.abs(left[:, 1:]).max() > 0 else left[:, :1]
     return float(1 - np.square(rest).sum() / np.square(left[:, 0]).sum())
 
@@ -138,20 +136,18 @@ def exchange(
 
     The amount is the one that changes as much as is left unexplained, with the sign that would explain it.
     """
-    scale = weights(fitted.residual)
-    base = np.vstack(fitted.jacobian) * scale[:, None]
-    seen, left = np.concatenate(change) * scale, np.concatenate(fitted.residual) * scale
+    seen, left = np.concatenate(change) * fitted.scale, fitted.left
     size = float(np.linalg.norm(seen))
     if not (np.isfinite(size) and size > 0):
         return step, np.zeros(len(fitted.theta))
     factor = float(np.clip(np.linalg.norm(left) / size, 1 / MOST, MOST))
-    if outside(base, seen[:, None])[:, 0] @ left > 0:
+    if outside(fitted.tangent, seen[:, None])[:, 0] @ left > 0:
         factor = -factor
     parameter = effect.parameters.parameters[amount]
     low, high = parameter.bounds
     if not low <= phi[amount] + factor * step <= high:
         factor = abs(factor) if low <= phi[amount] + abs(factor) * step <= high else 1.0
-    return factor * step, np.clip(ridge(base, -factor * seen), -FURTHEST, FURTHEST)
+    return factor * step, np.clip(ridge(fitted.tangent, -factor * seen), -FURTHEST, FURTHEST)
 
 
 def ridge(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
@@ -169,11 +165,6 @@ def changes_of(problem: Problem, fitted: Fitted, name: str, theta: np.ndarray) -
     changes = [run - residual for run, residual in zip(runs, fitted.residual, strict=True)]
     problem.memory.keep(key, **{str(k): change for k, change in enumerate(changes)})
     return changes
-
-
-def weights(parts: Sequence[np.ndarray]) -> np.ndarray:
-    """1/√M of every row, so that each recording has the same say."""
-    return np.concatenate([np.full(len(p), len(p) ** -0.5) for p in parts])
 
 
 def outside(base: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.stats import t as student
@@ -35,6 +36,21 @@ class Fitted:
     low: np.ndarray
     high: np.ndarray
     evaluations: int
+
+    @cached_property
+    def scale(self) -> np.ndarray:
+        """1/√M of every row of all recordings joined, so that each recording has the same say."""
+        return np.concatenate([np.full(len(r), len(r) ** -0.5) for r in self.residual])
+
+    @cached_property
+    def left(self) -> np.ndarray:
+        """The residuals joined and scaled."""
+        return np.concatenate(self.residual) * self.scale
+
+    @cached_property
+    def tangent(self) -> np.ndarray:
+        """The Jacobians joined and scaled: what small changes of the base do."""
+        return np.vstack(self.jacobian) * self.scale[:, None]
 
     @property
     def at_bound(self) -> np.ndarray:

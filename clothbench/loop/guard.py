@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clothbench.loop.attribution import Probe, weights
+from clothbench.loop.attribution import Probe
 from clothbench.loop.curves import CurveCase
 from clothbench.loop.fitting import Fitted
 from clothbench.loop.problem import Case
@@ -36,18 +36,17 @@ class Shares:
 
 
 def shares(cases: Sequence[Case], fitted: Fitted, found: Sequence[Probe], seed: int) -> Shares:
-    scale = weights(fitted.residual)
-    base = span_of(np.vstack(fitted.jacobian) * scale[:, None])
+    base = span_of(fitted.tangent)
     spans = []
     for probe in found:
-        columns = np.vstack(probe.columns) * scale[:, None]
+        columns = np.vstack(probe.columns) * fitted.scale[:, None]
         spans.append(span_of(columns - base @ (base.T @ columns), np.square(columns).sum()))
     random = np.random.default_rng(seed)
     fields = [field_of(case, r) for case, r in zip(cases, fitted.residual, strict=True)]
     tried = [np.concatenate(fitted.residual)]
     for _ in range(DRAWS):
         tried.append(np.concatenate([scrambled(case, f, random) for case, f in zip(cases, fields, strict=True)]))
-    share = explained(base, spans, np.array(tried) * scale)
+    share = explained(base, spans, np.array(tried) * fitted.scale)
     return Shares(share[0], share[1:].max(axis=1))
 
 

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from clothbench.errors import ClothbenchError
-from clothbench.loop.attribution import Probe, moved, outside, probes, ridge, weights
+from clothbench.loop.attribution import Probe, moved, outside, probes, ridge
 from clothbench.loop.fitting import Fitted, fit, polish, widened
 from clothbench.loop.guard import Shares, shares
 from clothbench.loop.problem import Problem
@@ -215,10 +215,8 @@ def corrected(problem: Problem, fitted: Fitted, noise: float, budget: Budget) ->
 
 def above(fitted: Fitted, changes: Sequence[np.ndarray]) -> float:
     """What a refit could not take up of the residual with these changes [m]."""
-    scale = weights(fitted.residual)
-    base = np.vstack(fitted.jacobian) * scale[:, None]
-    total = np.concatenate([r + c for r, c in zip(fitted.residual, changes, strict=True)]) * scale
-    return float(np.linalg.norm(outside(base, total[:, None])))
+    total = fitted.left + np.concatenate(changes) * fitted.scale
+    return float(np.linalg.norm(outside(fitted.tangent, total[:, None])))
 
 
 def one_round(
@@ -312,10 +310,8 @@ def first_order(current: Fitted, probe: Probe) -> np.ndarray:
     """Starts (S, P): the probe with the amounts that least squares gives it, with and without the base's own step
     beside it; and the probe as it was tried.
     """
-    scale = weights(current.residual)
-    columns = np.vstack(probe.columns) * scale[:, None]
-    both = np.hstack([columns, np.vstack(current.jacobian) * scale[:, None]])
-    found = ridge(both, -np.concatenate(current.residual) * scale)
+    columns = np.vstack(probe.columns) * current.scale[:, None]
+    found = ridge(np.hstack([columns, current.tangent]), -current.left)
     count = len(probe.amounts)
     starts = []
     nothing = np.zeros(len(current.theta))

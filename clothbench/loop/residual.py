@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clothbench.experiment.calibrate import over
-from clothbench.loop.attribution import outside, weights
+from clothbench.loop.attribution import outside
 from clothbench.loop.fitting import Fitted
 from clothbench.loop.guard import field_of
 from clothbench.loop.problem import Case, Problem, residuals
@@ -33,9 +33,7 @@ def correction(problem: Problem, fitted: Fitted, split: str) -> list[np.ndarray]
 
 def numerical_floor(fitted: Fitted, corrections: Sequence[np.ndarray]) -> float:
     """What the mesh may still be wrong by [m]: a third of the correction, less what a refit takes up."""
-    scale = weights(fitted.residual)
-    base = np.vstack(fitted.jacobian) * scale[:, None]
-    left = outside(base, (np.concatenate(corrections) * scale)[:, None])
+    left = outside(fitted.tangent, (np.concatenate(corrections) * fitted.scale)[:, None])
     return float(np.sqrt(np.square(left).sum() / len(corrections))) / 3
 
 

@@ -15,6 +15,7 @@ from clothbench.loop.fitting import Fitted
 from clothbench.loop.guard import field_of
 from clothbench.loop.improve import Outcome
 from clothbench.loop.residual import portrait
+from clothbench.loop.verdict import number, why_not
 
 MM = 1e3
 BINS = 8  # of speed, acceleration and height, with equal numbers of coordinates
@@ -51,11 +52,11 @@ def candidate_rows(outcome: Outcome, found: Mapping[str, Any]) -> Rows:
     for turn, one in enumerate(outcome.rounds, 1):
         for c in one.candidates:
             effect = outcome.problem.plugins.make("effects", c.name)
-            why = "" if c.name in one.named else c.why_not or "another explains as much with fewer parameters"
             rows.append({
                 "round": turn, "name": c.name, "place": effect.place, "summary": effect.summary, "share": c.share,
                 "p_value": c.p_value, "gain": number(scale**2 * c.gain), "unit": f"{unit}²",
-                "selected": c.selected, "of": len(one.before.squares), "why_not": why, "named": c.name in one.named,
+                "selected": c.selected, "of": len(one.before.squares), "why_not": why_not(c, one),
+                "named": c.name in one.named,
             })  # fmt: skip
     return sorted(rows, key=lambda r: (r["round"], not r["named"], -(r["gain"] or 0.0), -r["share"]))
 
@@ -209,8 +210,3 @@ def rms(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
     count = 3 * len(before)
     value = [number(MM * float(np.sqrt(s.sum() / count))) if count else None for s in (before, after)]
     return {"coordinates": count, "before": value[0], "after": value[1]}
-
-
-def number(value: float | None) -> float | None:
-    """A table has null where there is no number."""
-    return float(value) if value is not None and np.isfinite(value) else None

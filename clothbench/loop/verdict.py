@@ -12,7 +12,7 @@ from scipy.stats import t as student
 from clothbench.loop.attribution import null_of
 from clothbench.loop.fitting import Fitted, fit
 from clothbench.loop.guard import field_of
-from clothbench.loop.improve import AGAIN, AT_THE_FLOOR, COARSE, EXPLAINED, REFITS, Candidate, Outcome
+from clothbench.loop.improve import AGAIN, AT_THE_FLOOR, COARSE, EXPLAINED, REFITS, Candidate, Outcome, Round
 from clothbench.loop.problem import Problem, residuals
 from clothbench.loop.residual import correction
 
@@ -142,16 +142,19 @@ def candidate_entries(outcome: Outcome) -> list[dict[str, Any]]:
     latest: dict[str, dict[str, Any]] = {}
     for found in outcome.rounds:
         for c in found.candidates:
-            named = c.name in found.named
             latest[c.name] = {
                 "name": c.name, "share": c.share, "gain": number(1e6 * c.gain), "p_value": c.p_value,
-                "why_not": "" if named else c.why_not or beaten(c),
+                "why_not": why_not(c, found),
             }  # fmt: skip
     return sorted(latest.values(), key=lambda c: (-(c["gain"] or 0.0), -c["share"]))
 
 
-def beaten(candidate: Candidate) -> str:
-    """Why a candidate that nothing speaks against is not named."""
+def why_not(candidate: Candidate, of: Round) -> str:
+    """Why a candidate was not named in a round; "" if it was."""
+    if candidate.name in of.named:
+        return ""
+    if candidate.why_not:
+        return candidate.why_not
     if candidate.fitted is None:
         return f"not among the {REFITS} at most that come near the best to first order"
     return "another explains as much or more, with as few parameters"
@@ -196,9 +199,9 @@ def where(outcome: Outcome) -> str:
     return f"; most is left in the {most} third ({rest}) and in {worst}"
 
 
-def number(value: float) -> float | None:
-    """JSON has no NaN and no infinity."""
-    return float(value) if np.isfinite(value) else None
+def number(value: float | None) -> float | None:
+    """None where there is no number: JSON has no NaN and no infinity, tables have nulls."""
+    return float(value) if value is not None and np.isfinite(value) else None
 
 
 def placebo_of(outcome: Outcome) -> Placebo | None:
