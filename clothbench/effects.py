@@ -133,6 +133,18 @@ class BoundEffects:
                     out[b] = effect.times(out[b], phi)
         return out
 
+    def distinct(self, theta: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of members that only the sensor tells apart, looked at at the same `times` (B, T), the first (K,); and for
+        each of all members (B,) the one that moves as it does.
+        """
+        if not self.at("sensor"):
+            return np.arange(len(theta)), np.arange(len(theta))
+        moving = theta.copy()
+        for effect in self.at("sensor"):
+            self.of_effect(effect, moving)[:] = 0.0
+        _, first, alike = np.unique(np.hstack([moving, times]), axis=0, return_index=True, return_inverse=True)
+        return np.sort(first), first[alike.ravel()]
+
     def seen(self, scene: Scene, theta: np.ndarray, position: np.ndarray) -> np.ndarray:
         """What the sensor makes of the true positions (B, T, N, 3) m."""
         with np.errstate(over="ignore", invalid="ignore"):  # a member that diverged may hold anything

@@ -19,8 +19,9 @@ from clothbench.protocols import Effect
 
 SHAPES = 4  # how many settings of an effect's other parameters are looked at (the effect's place, direction, time, …)
 AMOUNT = 0.1  # of the range, where an amount has no default of its own
+LARGE = 5.0  # times the default amount: folding cloth answers anything small with ripples, which hide it
 BEST = 2  # settings of an effect with several shape parameters that are looked at in exchange with the base
-MOST = 10.0  # times the default amount, or its inverse
+MOST = 10.0  # times the amount that was tried, or its inverse
 FURTHEST = 0.2  # of the range: how far the base moves to make up for a candidate
 RIDGE = 1e-6  # of the squares of all columns
 
@@ -45,7 +46,8 @@ class Probe:
 def settings_of(
     effect: Effect, seed: int, duration: float = np.inf
 ) -> Iterator[tuple[np.ndarray, tuple[int, ...], np.ndarray]]:
-    """(phi with amounts at null, numbers of the amounts, their steps) for each setting of the other parameters.
+    """(phi with amounts at null, numbers of the amounts, their steps) for each setting of the other parameters: default
+    amounts at the default setting, large ones at it and at all others.
 
     duration: s, of the longest recording; no time after its end is looked at.
     """
@@ -53,9 +55,11 @@ def settings_of(
     amounts = tuple(i for i, p in enumerate(space) if p.null is not None)
     shapes = [i for i, p in enumerate(space) if p.null is None]
     null = null_of(effect)
-    away = space.defaults - null
-    steps = [away[i] or AMOUNT * (space.high[i] - null[i]) for i in amounts]
-    yield null, amounts, np.array(steps)
+    steps = np.array([space.defaults[i] - null[i] or AMOUNT * (space.high[i] - null[i]) for i in amounts])
+    room = np.where(steps > 0, (space.high - null)[[*amounts]], (null - space.low)[[*amounts]])
+    large = np.sign(steps) * np.minimum(LARGE * np.abs(steps), room)
+    yield null, amounts, steps
+    yield null, amounts, large
     if shapes:
         many = SHAPES * (2 if len(shapes) > 1 else 1)
         last = [
@@ -67,7 +71,7 @@ def settings_of(
             unit[shapes] = point * last
             phi = space.from_unit(unit)
             phi[list(amounts)] = null[list(amounts)]
-            yield phi, amounts, np.array(steps)
+            yield phi, amounts, large
 
 
 def null_of(effect: Effect) -> np.ndarray:
@@ -78,10 +82,10 @@ def null_of(effect: Effect) -> np.ndarray:
 def probes(problem: Problem, fitted: Fitted, name: str) -> list[Probe]:
     """One candidate beside the fitted model, with its shape parameters where they explain most.
 
-    Twice: first a default amount of it alone, at all settings of its shape; then, at the best of them, as much of it as
-    would change what is left by its own size, with the base moved so that it makes up for what it can. Drag, say, may
-    have passed for damping: only what is left of both after that exchange tells them apart, and the exchange is too far
-    for a tangent.
+    Twice: alone, in some amounts, at all settings of its shape; then, at the best of these, as much of it as would
+    change what is left by its own size, with the base moved so that it makes up for what it can. Drag, say, may have
+    passed for damping: only what is left of both after that exchange tells them apart, and the exchange is too far for
+    a tangent. In return, what is small may drown in the ripples of folding cloth.
     """
     effect = problem.plugins.make("effects", name)
     duration = max(case.duration for case in problem.of_split("fit"))
@@ -93,15 +97,16 @@ def probes(problem: Problem, fitted: Fitted, name: str) -> list[Probe]:
     tangent = [[c[k * count : (k + 1) * count] for c in alone] for k in range(len(settings))]
     chosen = sorted(range(len(settings)), key=lambda k: -share_of(fitted, tangent[k]))
     out = []
-    for k in chosen[: BEST if len(settings) > 1 + SHAPES else 1]:
+    for k in chosen[: BEST if len(settings) > 2 + SHAPES else 1]:
         phi, amounts, steps = settings[k]
         rows = [(phi, i, step) for i, step in zip(amounts, steps, strict=True)]
         exchanges = [exchange(fitted, effect, [c[n] for c in tangent[k]], *row) for n, row in enumerate(rows)]
         theta = [beside(fitted, s, phi, i, step) for (step, s), i in zip(exchanges, amounts, strict=True)]
-        columns = [c.T for c in changes_of(problem, fitted, name, np.array(theta))]
-        if all(np.isfinite(c).all() for c in columns):
-            by, shifts = zip(*exchanges, strict=True)
-            out.append(Probe(name, phi, amounts, np.array(by), np.array(shifts), columns))
+        exchanged = changes_of(problem, fitted, name, np.array(theta))
+        by, shifts = (np.array(each) for each in zip(*exchanges, strict=True))
+        for columns, used, shift in ((tangent[k], steps, 0 * shifts), (exchanged, by, shifts)):
+            if all(np.isfinite(c).all() for c in columns):
+                out.append(Probe(name, phi, amounts, used, shift, [c.T for c in columns]))
     return out
 
 

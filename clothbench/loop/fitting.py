@@ -17,6 +17,7 @@ from clothbench.protocols import Optimizer
 # Step of differences, in units of the scaled range: folding cloth leaves ripples in the error, and a shorter step sees
 # these rather than what a parameter does.
 PROBE = 0.1
+MIMIC = 0.2  # amplitude; about a hundred patterns in space and time are independent, of which a parameter makes one
 AROUND, LOOKS = 0.1, 7  # how far around a fit other starts are looked for, of the scaled range, and how many
 
 
@@ -177,15 +178,22 @@ def interval(space: ParameterSpace, theta: np.ndarray, residual: list, jacobian:
     return space.from_unit(unit - half), space.from_unit(unit + half)
 
 
-def widened(fitted: Fitted, doubt: list[np.ndarray]) -> Fitted:
-    """The same fit with intervals that also hold what it would move by, to first order, if the residual were changed by
-    `doubt`, (M,) m for each recording: the error of the mesh, which no number of recordings averages out."""
-    shift = np.abs(solve(*normal_equations(doubt, fitted.jacobian)))
+def widened(fitted: Fitted, doubt: list[np.ndarray], noise: float) -> Fitted:
+    """The same fit with intervals that also hold what no number of recordings averages out.
+
+    That is, to first order, what it would move by if the residual were changed by `doubt`, (M,) m for each recording,
+    the error of the mesh; and if a part `MIMIC` of what is left above the noise [m], wherever it comes from, looked
+    like the parameter (model discrepancy: Kennedy & O'Hagan 2001, Bayesian calibration of computer models).
+    """
+    hessian, gradient = normal_equations(doubt, fitted.jacobian)
+    mesh = np.abs(solve(hessian, gradient))
+    count, inverse = len(fitted.residual), np.linalg.pinv(hessian, rcond=1e-10, hermitian=True)
+    discrepancy = MIMIC * np.sqrt(max(fitted.rms**2 - noise**2, 0.0) * count * np.diag(inverse))
     unit, low, high = (fitted.space.to_unit(t) for t in (fitted.theta, fitted.low, fitted.high))
+    lower = unit - np.sqrt((unit - low) ** 2 + mesh**2 + discrepancy**2)
+    upper = unit + np.sqrt((high - unit) ** 2 + mesh**2 + discrepancy**2)
     return dataclasses.replace(
-        fitted,
-        low=fitted.space.from_unit(unit - np.hypot(unit - low, shift)),
-        high=fitted.space.from_unit(unit + np.hypot(high - unit, shift)),
+        fitted, low=fitted.space.from_unit(np.maximum(lower, 0.0)), high=fitted.space.from_unit(np.minimum(upper, 1.0))
     )
 
 

@@ -205,12 +205,12 @@ def corrected(problem: Problem, fitted: Fitted, noise: float, budget: Budget) ->
     if above(fitted, changes) >= above(fitted, [0 * c for c in changes]):
         # What a finer mesh changes is no step towards what was seen: the model does not converge to it, and all of the
         # change is doubt.
-        return plain, widened(fitted, changes), float(np.hypot(noise, 2 * left))
+        return plain, widened(fitted, changes, noise), float(np.hypot(noise, 2 * left))
     names = [case.name for case in problem.of_split("fit")]
     problem = dataclasses.replace(problem, corrections=dict(zip(names, changes, strict=True)))
     again = fit(problem, fitted.effects, fitted.theta, AGAIN)
     budget.count(again.evaluations)
-    return problem, widened(again, [c / 3 for c in changes]), float(np.hypot(noise, left))
+    return problem, widened(again, [c / 3 for c in changes], noise), float(np.hypot(noise, left))
 
 
 def above(fitted: Fitted, changes: Sequence[np.ndarray]) -> float:

@@ -69,7 +69,7 @@ def test_no_time_after_the_end_is_looked_at():
 
 def test_the_mesh_widens_an_interval_by_what_it_would_shift(fit):
     doubt = [0.03 * j[:, 0] for j in fit.jacobian]
-    wide = widened(fit, doubt)
+    wide = widened(fit, doubt, 0.0)
     assert BASE.defaults[0] - wide.low[0] == pytest.approx(np.hypot(0.1, 0.03), rel=1e-3)
     assert wide.high[1] - BASE.defaults[1] == pytest.approx(0.1, rel=1e-3)
 

@@ -7,6 +7,8 @@ import pytest
 from effect_scenes import STIFF, cloth, effect_named, hanging, on_every_model, run
 from scipy.integrate import solve_ivp
 
+from clothbench.plugins import catalogue
+
 TIME = np.cumsum(np.array([0.0, 0.01, 0.03, 0.005, 0.02, 0.04, 0.01, 0.02, 0.015, 0.05]))
 
 
@@ -86,6 +88,28 @@ def test_what_lies_on_a_grip_goes_where_the_effect_puts_it(name):
     theta = cloth(name, scene, STIFF)[0]
     bare, shifted = run(name, scene, theta), run(name, scene, theta, ("grip_offset", [0.01, 0.02, -0.03]))
     np.testing.assert_allclose(shifted - bare, np.broadcast_to([0.01, 0.02, -0.03], bare.shape), atol=1e-12)
+
+
+@on_every_model
+def test_what_only_the_sensor_tells_apart_is_seen_as_if_run_alone(name):
+    """Members that move alike are run once; those that are looked at at other times, or move otherwise, are not."""
+    swung = np.array([0.0, 0.1]), [(0.0, 0.2), (0.1, 0.1)], (3, 5)
+    scene = hanging(0.1, 0.2, *swung, moved=lambda t: np.stack([0.1 * t, 0 * t, 0 * t], axis=1))
+    theta = cloth(name, scene, STIFF)[0]
+    sensors = [("frame_scale", 1.0), ("clock_offset", 0.0), ("frame_scale", 1.05), ("frame_scale", 0.95)]
+    rows = np.tile(np.concatenate([theta, [1.0], [0.0]]), (5, 1))
+    for row, (effect, value) in zip(rows, sensors, strict=False):
+        row[len(theta) + (effect == "clock_offset")] = value
+    rows[3, len(theta) + 1] = 0.03
+    rows[4, 0] *= 0.9
+    model = catalogue().make("models", name)
+    simulation = model.prepare(scene, [effect_named("frame_scale"), effect_named("clock_offset")])
+    together = simulation.run(rows)
+    for k, row in enumerate(rows):
+        alone = simulation.run(row[None])
+        np.testing.assert_array_equal(together.position[k], alone.position[0])
+        assert together.steps[k] == alone.steps[0]
+    assert len({together.position[k].tobytes() for k in (0, 2, 3, 4)}) == 4
 
 
 @on_every_model

@@ -109,7 +109,8 @@ class GridSimulation:
 class GridBatch:
     """One call of `run`: what every member needs, and the arrays that members fill side by side.
 
-    dt (B,) s and settling (s) tell which members nobody could afford: they are timeouts, not begun at all.
+    dt (B,) s and settling (s) tell which members nobody could afford: they are timeouts, not begun at all. Only
+    `members` are run: the others move as one of them does, and just the sensor sees them otherwise.
     """
 
     def __init__(self, simulation: GridSimulation, theta: np.ndarray, dt: np.ndarray, settling: float):
@@ -127,6 +128,8 @@ class GridBatch:
         self.shape = initial_shape(scene, simulation.sheet.uv)
         span = self.times.max(axis=1) - scene.start_time + settling
         self.late = span / dt > MAX_STEPS
+        first, self.alike = effects.distinct(theta, self.times)
+        self.members = first[~self.late[first]]
 
     def curve(self, members: np.ndarray) -> np.ndarray:
         return self.curves if len(self.curves) == 1 else self.curves[members]
@@ -142,9 +145,9 @@ class GridBatch:
     def rollout(self) -> Rollout:
         """What the sensor makes of the positions, with a status for every member."""
         scene = self.simulation.scene
-        position = self.simulation.effects.seen(scene, self.theta, self.position)
+        position = self.simulation.effects.seen(scene, self.theta, self.position[self.alike])
         lost = ~(np.abs(position).max(axis=(2, 3), initial=0.0) < 1e6)
-        gone = (self.status == loop.DIVERGED) | (lost.any(axis=1) & ~self.late)
+        gone = (self.status[self.alike] == loop.DIVERGED) | (lost.any(axis=1) & ~self.late)
         status = np.where(self.late, "timeout", np.where(gone, "diverged", "ok"))
         reasons = {
             "ok": "",
@@ -153,7 +156,7 @@ class GridBatch:
         }
         position[np.logical_or.accumulate(lost, axis=1)] = np.nan
         return Rollout(
-            scene.times, position, tuple(map(str, status)), self.steps, self.simulation.nodes,
+            scene.times, position, tuple(map(str, status)), self.steps[self.alike], self.simulation.nodes,
             tuple(reasons[s] for s in status),
         )  # fmt: skip
 

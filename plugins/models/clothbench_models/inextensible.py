@@ -129,7 +129,7 @@ class InextensibleSimulation(GridSimulation):
         def simulate(b: int) -> None:
             batch.status[b], batch.steps[b] = self._march(batch, b)
 
-        for_each(simulate, np.flatnonzero(~batch.late).tolist())
+        for_each(simulate, batch.members.tolist())
         return batch.rollout()
 
     def _march(self, batch: GridBatch, b: int) -> tuple[int, int]:

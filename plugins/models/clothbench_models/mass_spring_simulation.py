@@ -103,7 +103,7 @@ class _Batch(GridBatch):
         steps = SAFETY * options.step_scale * simulation.stable_step(theta)
         dt = steps if options.dt is None else np.full(len(theta), options.dt)
         super().__init__(simulation, theta, dt, SETTLE[1] / simulation.slowest)
-        self.blocks = self._blocks(np.flatnonzero(~self.late))
+        self.blocks = self._blocks(self.members)
         self.obstacles = obstacle_table(simulation.scene)
         self.strain_limit = math.inf if options.strain_limit is None else options.strain_limit
 

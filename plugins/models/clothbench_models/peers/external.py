@@ -92,7 +92,7 @@ class ExternalSimulation(GridSimulation):
         theta = self.parameters.check(theta)
         with self.library():
             batch = _Batch(self, theta)
-            members = np.flatnonzero(~batch.late).tolist()
+            members = batch.members.tolist()
             if self.threads:
                 for_each(batch.run_member, members)
             else:
