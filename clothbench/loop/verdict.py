@@ -12,7 +12,8 @@ from scipy.stats import t as student
 from clothbench.loop.attribution import null_of
 from clothbench.loop.fitting import Fitted, fit
 from clothbench.loop.guard import field_of
-from clothbench.loop.improve import AGAIN, AT_THE_FLOOR, COARSE, EXPLAINED, REFITS, Candidate, Outcome, Round
+from clothbench.loop.improve import AGAIN, REFITS, Outcome, Round
+from clothbench.loop.judge import AT_THE_FLOOR, COARSE, EXPLAINED, Candidate
 from clothbench.loop.problem import Problem, residuals
 from clothbench.loop.residual import correction
 

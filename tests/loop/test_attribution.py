@@ -9,7 +9,7 @@ import pytest
 
 from clothbench.loop.attribution import exchange, moved, settings_of, share_of
 from clothbench.loop.fitting import Fitted, widened
-from clothbench.loop.improve import Candidate, allowances, choose
+from clothbench.loop.judge import Candidate, allowances, choose
 from clothbench.parameters import Parameter, ParameterSpace
 from clothbench.plugins import catalogue
 
