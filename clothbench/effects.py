@@ -91,6 +91,11 @@ class BoundEffects:
                 out += [effect.stiffness(phi) for phi in self.of_effect(effect, theta)]
         return out
 
+    @property
+    def normals(self) -> bool:
+        """Whether any kernel may read `sheet.normal`."""
+        return any(getattr(e, "normals", True) for e in self.at("dynamics"))
+
     def _stages(self) -> list[tuple[Effect, str]]:
         """Every force and inertia term, in the order of the effects; an effect that has both appears twice."""
         found = []

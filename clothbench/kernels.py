@@ -108,6 +108,12 @@ def grid_normals(x, nu, normal):
 
 
 @_fast
+def wants_normals(sheet):
+    """Whether a loop has to fill `sheet.normal` (see `own_sheet`)."""
+    return sheet.normal[0, 0] == sheet.normal[0, 0]  # NaN is not
+
+
+@_fast
 def _unit_cross(px, py, pz, qx, qy, qz):
     """p × q, normalised; the zero vector where they are parallel."""
     nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
@@ -185,9 +191,12 @@ def sheet_of(
     )  # fmt: skip
 
 
-def own_sheet(sheet: Sheet) -> Sheet:
-    """A copy for one thread: normals and grips, which a loop fills at every step, of its own."""
-    return sheet._replace(normal=np.zeros_like(sheet.normal), grip=np.zeros_like(sheet.grip))
+def own_sheet(sheet: Sheet, normals: bool = True) -> Sheet:
+    """A copy for one thread: normals and grips, which a loop fills at every step, of its own.
+
+    normals: whether anything reads them; else they are NaN, and stay so in a loop that asks `wants_normals`.
+    """
+    return sheet._replace(normal=np.full_like(sheet.normal, 0.0 if normals else np.nan), grip=np.zeros_like(sheet.grip))
 
 
 def gradient_weights(uv: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -102,7 +102,8 @@ class Effect(Protocol):
       with x (3, n) m, v (3, n) m/s, `sheet` (clothbench.Sheet), p this effect's parameters in order, and
       state (S,) kept from step to step, S = `state_size(sheet)` if there is such a method, else 0. A force that makes
       the cloth stiffer says so with a method `stiffness(phi) -> (in-plane N/m, bending N·m)`, at most: models whose
-      step depends on it then take a shorter one.
+      step depends on it then take a shorter one. With `normals = False` it says that its kernels read no
+      `sheet.normal`, which then nobody computes (NaN).
     place "boundary": has `grips(time (K,), position (K, G, 3), phi (P,)) -> position`.
     place "sensor": has `times(time (T,), phi) -> time` (when the simulation is looked at for each stamp) and/or
         `positions(time (T,), position (T, N, 3), points (N, 2) m, phi) -> position` (how it is seen).

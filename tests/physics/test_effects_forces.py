@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clothbench.kernels import grid_triangles, own_sheet, sheet_of
+from clothbench.kernels import grid_triangles, own_sheet, sheet_of, wants_normals
 from clothbench.plugins import catalogue
 from clothbench.protocols import Effect
 
@@ -242,3 +242,29 @@ def test_gravity_turns_about_x_then_y(crumpled):
     about_y = np.array([[np.cos(0.05), 0, -np.sin(0.05)], [0, 1, 0], [np.sin(0.05), 0, np.cos(0.05)]])
     expected = about_y @ about_x @ [0, 0, -9.81] + np.array([0, 0, 9.81])
     np.testing.assert_allclose(added, np.repeat(expected[:, None], 20, axis=1), atol=1e-12)
+
+
+# --- what they read ---------------------------------------------------------------------------------------------------
+
+
+def test_an_effect_that_says_so_reads_no_normals(crumpled):
+    """Where nobody asks for normals a loop leaves them NaN, and the forces of all others must not notice."""
+    sheet, x, v = crumpled
+    blind = own_sheet(sheet, normals=False)
+    blind.grip[:] = sheet.grip
+    assert not wants_normals(blind)
+    assert wants_normals(sheet)
+    plugins, without = catalogue(), []
+    for name in plugins.names("effects"):
+        effect = plugins.make("effects", name)
+        stages = [s for s in ("force", "inertia") if effect.place == "dynamics" and hasattr(effect, s)]
+        if not stages or getattr(effect, "normals", True):
+            continue
+        without.append(name)
+        amounts = effect.parameters.from_unit(np.full(len(effect.parameters), 0.5))
+        for stage in stages:
+            seen, unseen = (push(effect, amounts, s, x, v, t=0.1, stage=stage) for s in (sheet, blind))
+            np.testing.assert_array_equal(seen, unseen)
+            assert np.isfinite(unseen).all()
+    assert "linear_drag" in without
+    assert "quadratic_drag" not in without

@@ -33,6 +33,7 @@ class BendingAnisotropy:
     name = "bending_anisotropy"
     version = 1
     place = "dynamics"
+    normals = False
     summary = "bending rigidity of warp and weft beyond the model's own"
     force = staticmethod(straighten)
     parameters = ParameterSpace(

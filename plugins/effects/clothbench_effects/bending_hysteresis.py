@@ -3,7 +3,7 @@
 import numpy as np
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
-from clothbench_effects.sheet_kernels import add_couples, curvatures
+from clothbench_effects.sheet_kernels import add_couples, curvatures, normal_of
 
 
 @effect_kernel
@@ -19,14 +19,15 @@ def rub(t, dt, x, v, f, sheet, p, state):
     state[0] = 1.0
     for face in range(sheet.triangles.shape[0]):
         memory = state[1 + 6 * face : 7 + 6 * face]
-        now = curvatures(x, sheet, face)
+        normal = normal_of(x, sheet, face)
+        now = curvatures(x, sheet, face, normal)
         for c in range(3):
             if started:
                 change = now[c] - memory[c]
                 limit = p[0] if change > 0.0 else -p[0]
                 memory[3 + c] = limit + (memory[3 + c] - limit) * np.exp(-abs(change) / p[1])
             memory[c] = now[c]
-        add_couples(f, x, sheet, face, memory[3], memory[4], memory[5])
+        add_couples(f, x, sheet, face, normal, memory[3], memory[4], memory[5])
 
 
 SOURCE = "Dahl 1968, A solid friction model; for cloth: Miguel et al. 2013, Modeling internal friction in cloth"
@@ -36,6 +37,7 @@ class BendingHysteresis:
     name = "bending_hysteresis"
     version = 1
     place = "dynamics"
+    normals = False
     summary = "internal friction in bending"
     force = staticmethod(rub)
     parameters = ParameterSpace(

@@ -51,6 +51,7 @@ class HeavyHem:
     name = "heavy_hem"
     version = 1
     place = "dynamics"
+    normals = False
     summary = "a hem along the lower edge, with its weight"
     force = staticmethod(weigh)
     inertia = staticmethod(bear)

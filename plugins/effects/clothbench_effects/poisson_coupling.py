@@ -21,6 +21,7 @@ class PoissonCoupling:
     name = "poisson_coupling"
     version = 1
     place = "dynamics"
+    normals = False
     summary = "cross contraction between warp and weft"
     force = staticmethod(couple_yarns)
     parameters = ParameterSpace(

@@ -5,7 +5,7 @@ and D belongs to the model.
 """
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
-from clothbench_effects.sheet_kernels import add_couples
+from clothbench_effects.sheet_kernels import add_couples, normal_of
 
 
 @effect_kernel
@@ -14,7 +14,7 @@ def curl(t, dt, x, v, f, sheet, p, state):
     if p[0] == 0.0 and p[1] == 0.0:
         return
     for face in range(sheet.triangles.shape[0]):
-        add_couples(f, x, sheet, face, -p[0], -p[1], 0.0)
+        add_couples(f, x, sheet, face, normal_of(x, sheet, face), -p[0], -p[1], 0.0)
 
 
 SOURCE = "Timoshenko and Woinowsky-Krieger, Theory of Plates and Shells, art. 14: a plate bent by couples alone"
@@ -24,6 +24,7 @@ class RestCurvature:
     name = "rest_curvature"
     version = 1
     place = "dynamics"
+    normals = False
     summary = "cloth that curls by itself"
     force = staticmethod(curl)
     parameters = ParameterSpace(

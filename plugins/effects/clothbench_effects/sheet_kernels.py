@@ -59,19 +59,6 @@ def add_tension(f, x, sheet, face, c, tension):
 
 
 @helper
-def bend_vector(x, sheet, face, uu, vv, uv):
-    """Σ_k W_k x_k with W = uu·∂²/∂u² + vv·∂²/∂v² + uv·∂²/∂u∂v over a triangle's patch: (3 numbers)."""
-    cx, cy, cz = 0.0, 0.0, 0.0
-    for k in range(6):
-        e = sheet.patch[face, k]
-        w = uu * sheet.curvature[face, 0, k] + vv * sheet.curvature[face, 1, k] + uv * sheet.curvature[face, 2, k]
-        cx += w * x[0, e]
-        cy += w * x[1, e]
-        cz += w * x[2, e]
-    return cx, cy, cz
-
-
-@helper
 def normal_of(x, sheet, face):
     """Unit normal of a triangle, along warp × weft, and its area over that at rest; zero where it has collapsed."""
     ux, uy, uz = fibre(x, sheet, face, 0)
@@ -80,13 +67,17 @@ def normal_of(x, sheet, face):
     size = np.sqrt(nx * nx + ny * ny + nz * nz)
     if size < COLLAPSED:
         return 0.0, 0.0, 0.0, 0.0
-    return nx / size, ny / size, nz / size, size
+    over = 1.0 / size
+    return nx * over, ny * over, nz * over, size
 
 
 @helper
-def curvatures(x, sheet, face):
-    """κ_uu, κ_vv, κ_uv 1/m of a triangle: second derivatives along its normal; above 0 it curls towards warp × weft."""
-    nx, ny, nz, _ = normal_of(x, sheet, face)
+def curvatures(x, sheet, face, normal):
+    """κ_uu, κ_vv, κ_uv 1/m of a triangle: second derivatives along its normal; above 0 it curls towards warp × weft.
+
+    normal: from `normal_of`, here and in `add_couples`.
+    """
+    nx, ny, nz, _ = normal
     uu, vv, uv = 0.0, 0.0, 0.0
     for k in range(6):
         e = sheet.patch[face, k]
@@ -98,30 +89,34 @@ def curvatures(x, sheet, face):
 
 
 @helper
-def add_couples(f, x, sheet, face, uu, vv, uv):
+def add_couples(f, x, sheet, face, normal, uu, vv, uv):
     """f −= A (M_uu ∂κ_uu + M_vv ∂κ_vv + 2 M_uv ∂κ_uv)/∂x: couples per width M N, which do work on the curvatures.
 
     κ = c·n, so ∂κ = ∂c·n + c·∂n: the second term vanishes on a sheet that only bends; with it the forces carry no
     net torque on any sheet.
     """
-    nx, ny, nz, size = normal_of(x, sheet, face)
+    nx, ny, nz, size = normal
     if size == 0.0:
         return
     area, uv = sheet.face_area[face], 2.0 * uv
-    cx, cy, cz = bend_vector(x, sheet, face, uu, vv, uv)
-    along = cx * nx + cy * ny + cz * nz
-    qx, qy, qz = (cx - along * nx) / size, (cy - along * ny) / size, (cz - along * nz) / size
-    ux, uy, uz = fibre(x, sheet, face, 0)
-    vx, vy, vz = fibre(x, sheet, face, 1)
+    cx, cy, cz = 0.0, 0.0, 0.0  # c = Σ_k W_k x_k with W = M_uu ∂²/∂u² + M_vv ∂²/∂v² + 2 M_uv ∂²/∂u∂v as weights
     for k in range(6):
         e = sheet.patch[face, k]
         w = uu * sheet.curvature[face, 0, k] + vv * sheet.curvature[face, 1, k] + uv * sheet.curvature[face, 2, k]
+        cx += w * x[0, e]
+        cy += w * x[1, e]
+        cz += w * x[2, e]
         f[0, e] -= area * w * nx
         f[1, e] -= area * w * ny
         f[2, e] -= area * w * nz
+    along = cx * nx + cy * ny + cz * nz
+    over = area / size
+    qx, qy, qz = over * (cx - along * nx), over * (cy - along * ny), over * (cz - along * nz)
+    ux, uy, uz = fibre(x, sheet, face, 0)
+    vx, vy, vz = fibre(x, sheet, face, 1)
     for k in range(3):
         e = sheet.triangles[face, k]
-        g, h = area * sheet.gradient[face, 0, k], area * sheet.gradient[face, 1, k]
+        g, h = sheet.gradient[face, 0, k], sheet.gradient[face, 1, k]
         f[0, e] -= g * (vy * qz - vz * qy) + h * (qy * uz - qz * uy)
         f[1, e] -= g * (vz * qx - vx * qz) + h * (qz * ux - qx * uz)
         f[2, e] -= g * (vx * qy - vy * qx) + h * (qx * uy - qy * ux)

@@ -3,7 +3,7 @@
 import numpy as np
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
-from clothbench_effects.sheet_kernels import add_couples, add_tension, curvatures, stretch
+from clothbench_effects.sheet_kernels import add_couples, add_tension, curvatures, normal_of, stretch
 
 
 @effect_kernel
@@ -28,11 +28,12 @@ def relax(t, dt, x, v, f, sheet, p, state):
     for face in range(sheet.triangles.shape[0]):
         memory = state[2 + 10 * face : 12 + 10 * face]
         if p[0] != 0.0:
-            now = curvatures(x, sheet, face)
+            normal = normal_of(x, sheet, face)
+            now = curvatures(x, sheet, face, normal)
             for c in range(3):
                 memory[5 + c] = kept * memory[5 + c] + share * (now[c] - memory[c])
                 memory[c] = now[c]
-            add_couples(f, x, sheet, face, p[0] * memory[5], p[0] * memory[6], p[0] * memory[7])
+            add_couples(f, x, sheet, face, normal, p[0] * memory[5], p[0] * memory[6], p[0] * memory[7])
         if p[1] != 0.0:
             for c in range(2):
                 strain = stretch(x, sheet, face, c)
@@ -48,6 +49,7 @@ class Viscoelasticity:
     name = "viscoelasticity"
     version = 1
     place = "dynamics"
+    normals = False
     summary = "stress relaxation in bending and stretch"
     force = staticmethod(relax)
     parameters = ParameterSpace(

@@ -133,7 +133,7 @@ class BaraffWitkinSimulation(GridSimulation):
 
         def march(scheme: int, tolerance: float, times: np.ndarray) -> None:
             kernels.march(scheme)(
-                scheme, TRIANGLES, shape, self.shape[0], own_sheet(self.sheet),
+                scheme, TRIANGLES, shape, self.shape[0], own_sheet(self.sheet, self.effects.normals),
                 lengths, over, shares * np.array([[stretch], [stretch], [shear]]),
                 shares * np.array([[stretch_damping], [stretch_damping], [shear_damping]]),
                 self.bending.offsets, self.bending.values, bend, stiffer, bend_damping, theta[0, 6:9].copy(),

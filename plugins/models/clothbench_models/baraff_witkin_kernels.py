@@ -7,7 +7,7 @@ import functools
 import numpy as np
 from numba import njit, types
 
-from clothbench.kernels import EFFECT, SHEET, bear_inertia, compiled, grid_normals
+from clothbench.kernels import EFFECT, SHEET, bear_inertia, compiled, grid_normals, wants_normals
 from clothbench_models.contact import keep_out
 from clothbench_models.implicit_grid import hold_back, mass_times, multiply, solve
 from clothbench_models.loop import (
@@ -103,7 +103,7 @@ def add_outer(
         for e in range(f.shape[1]):
             f[c, e] += sheet.mass[e] * g
     windy = air[0] != 0.0 or air[1] != 0.0
-    if windy or n_effects > 0:
+    if windy or (n_effects > 0 and wants_normals(sheet)):
         grid_normals(x, nu, sheet.normal)
     if windy:
         add_air(v, f, sheet.normal, sheet.area, air[0], air[1], air[2])

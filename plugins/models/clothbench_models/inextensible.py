@@ -152,14 +152,14 @@ class InextensibleSimulation(GridSimulation):
             rest_lengths, over, unit = triangle_edges(self.lines)
             stiff = unit * np.array([[TAUT], [TAUT], [2 * self.shear]])  # of a cell, not a triangle
             triangles.march(triangles.BDF2)(
-                triangles.BDF2, CELLS, shape, self.shape[0], own_sheet(self.sheet),
+                triangles.BDF2, CELLS, shape, self.shape[0], own_sheet(self.sheet, self.effects.normals),
                 rest_lengths, over, stiff, np.zeros_like(stiff), *about_bending, 0.0, np.zeros(3),
                 *effects, *about_scene, 1e-4, max(scene.width, scene.height), batch.bounds(), *sampling,
                 np.zeros(0), batch.position[b], result,
             )  # fmt: skip
         if result[0] == loop.OK:
             kernels.march()(
-                self.scheme, shape, self.shape[0], own_sheet(self.sheet),
+                self.scheme, shape, self.shape[0], own_sheet(self.sheet, self.effects.normals),
                 lengths, share, give, *about_bending, alpha, beta,
                 *effects, *about_scene, self.tolerance, batch.bounds(), *sampling,
                 batch.times[b], batch.position[b], result,

@@ -14,7 +14,7 @@ import functools
 import numpy as np
 from numba import njit, types
 
-from clothbench.kernels import EFFECT, SHEET, bear_inertia, compiled, grid_normals
+from clothbench.kernels import EFFECT, SHEET, bear_inertia, compiled, grid_normals, wants_normals
 from clothbench_models.contact import keep_out
 from clothbench_models.loop import (
     DIVERGED,
@@ -232,7 +232,7 @@ def _run_block(
     """
     # Taken one by one and bundled here: a tuple of functions as an argument is typed anew, slowly, at every call.
     effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
-    mass, normal = sheet.mass, sheet.normal
+    mass, normals = sheet.mass, wants_normals(sheet)
     n, frames = mass.shape[0], times.shape[1]
     entries = n * lanes
     v, f = np.zeros((3, entries), x.dtype), np.empty((3, entries), x.dtype)
@@ -285,7 +285,8 @@ def _run_block(
             for grip in range(pins.shape[0]):
                 for c in range(3):
                     sheet.grip[c, grip] = grip_point(knots, curves[0], t, segment[0], grip, c)
-            grid_normals(xd, strides[1] // lanes, normal)
+            if normals:
+                grid_normals(xd, strides[1] // lanes, sheet.normal)
             heavier = apply_effects(
                 effects, stages, n_effects, t, dt[0], xd, vd, fd, extra, sheet, effect_parameters[0], effect_state[0]
             )

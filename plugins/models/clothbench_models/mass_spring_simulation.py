@@ -126,7 +126,7 @@ class _Batch(GridBatch):
             lanes, np.repeat(self.shape.T, lanes, axis=1).astype(real), grid.strides * lanes,
             np.repeat(grid.rest, lanes, axis=1).astype(real), stiffness.astype(real),
             (np.zeros((0, 0)) if dashpots is None else _of_springs(grid, dashpots)).astype(real),
-            simulation.loss(theta), own_sheet(simulation.sheet), self.bounds(),
+            simulation.loss(theta), own_sheet(simulation.sheet, effects.normals), self.bounds(),
             self.obstacles, layers_of(scene, simulation.sheet), self.strain_limit, simulation.limited,
             *self.kernels, self.stages, self.terms, effects.kernel_parameters(theta, loop.SLOTS),
             effects.kernel_state(lanes, loop.SLOTS, simulation.sheet),
