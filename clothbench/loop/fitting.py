@@ -17,6 +17,7 @@ from clothbench.protocols import Optimizer
 # Step of differences, in units of the scaled range: folding cloth leaves ripples in the error, and a shorter step sees
 # these rather than what a parameter does.
 PROBE = 0.1
+GAIN = 0.005  # of the sum of squares; ripples give as much by chance, so that two rounds with less end a search
 MIMIC = 0.2  # amplitude; about a hundred patterns in space and time are independent, of which a parameter makes one
 AROUND, LOOKS = 0.1, 7  # how far around a fit other starts are looked for, of the scaled range, and how many
 
@@ -79,7 +80,7 @@ def fit(
     trials = problem.trials(names, "fit")
     space = trials[0].simulation.parameters
     starts, walks = (7, 2) if start is None else (0, 1)
-    settings = {"starts": starts, "walks": walks, "difference": PROBE}
+    settings = {"starts": starts, "walks": walks, "difference": PROBE, "tolerance": GAIN}
     if start is not None:
         space = started(space, better(trials, space, np.atleast_2d(start)))
     settings, budget = settings | problem.search, budget * problem.patience

@@ -23,7 +23,7 @@ REFITS, NEAR = 4, 0.2  # how many candidates are fitted in earnest in each round
 # Evaluations of the first fit, of one that begins where another ended, and of one of a single recording.
 FIRST, AGAIN, ALONE = 140, 60, 25
 POLISH = 80  # and to make sure that a candidate's search has not ended early
-FINALISTS, CONTEST = 3, 2.0  # how many are made sure of, and what they may leave, times the least (mean squares)
+FINALISTS, CONTEST = 3, 1.5  # how many are made sure of, and what they may leave, times the least (mean squares)
 
 Stage = Callable[[str, int, int], None]
 

@@ -20,12 +20,12 @@ class LeastSquares(GeneratorSearch):
     starts: points of a scrambled Sobol sequence (the defaults are one more); walks: from how many of the best of them
     to walk, one after the other; difference: step of the forward differences, in units of the scaled range, long enough
     to look over the ripples that folding cloth leaves in the error; tolerance: relative gain in the sum of squares
-    below which two rounds in a row end a walk. Each round simulates the Jacobian's points as one batch, then four
-    dampings as another.
+    below which two rounds in a row end a walk. Each round simulates the Jacobian's points as one batch, where the
+    last one got anywhere, then four dampings as another.
     """
 
     name = "least_squares"
-    version = 1
+    version = 2
     needs_residual = True
 
     def __init__(
@@ -51,11 +51,12 @@ class LeastSquares(GeneratorSearch):
 
     def _walk(self, here: np.ndarray, residual: np.ndarray, cost_here: float) -> Walk:
         """Descend from one point until two rounds in a row gain next to nothing."""
-        damping, idle = 0.01, 0
+        damping, idle, jacobian = 0.01, 0, None
         while idle < 2:
-            away = np.where(here + self.difference <= 1.0, self.difference, -self.difference)
-            shifted = yield here + np.diag(away)
-            jacobian = np.nan_to_num((shifted.residual - residual) / away[:, None]).T
+            if jacobian is None:
+                away = np.where(here + self.difference <= 1.0, self.difference, -self.difference)
+                shifted = yield here + np.diag(away)
+                jacobian = np.nan_to_num((shifted.residual - residual) / away[:, None]).T
             trials, used = proposals(here, jacobian, residual, damping)
             evaluation = yield trials
             cost = sums_of_squares(evaluation)
@@ -63,6 +64,7 @@ class LeastSquares(GeneratorSearch):
             gain = (cost_here - cost[best]) / max(cost_here, np.finfo(float).tiny)
             if gain > 0:
                 here, residual, cost_here, damping = trials[best], evaluation.residual[best], cost[best], used[best]
+                jacobian = None
             else:
                 damping *= DAMPINGS[-1]
             idle = idle + 1 if gain < self.tolerance else 0
