@@ -19,7 +19,7 @@ from clothbench.loop.residual import correction, numerical_floor
 
 ALPHA = 0.05
 ROUNDS = 3  # effects that can be named one after the other
-REFITS, NEAR = 4, 0.2  # how many candidates are fitted in earnest in each round, and from which part of the best share
+REFITS, NEAR = 4, 0.3  # how many candidates are fitted in earnest in each round, and from which part of the best share
 # Evaluations of the first fit, of one that begins where another ended, and of one of a single recording.
 FIRST, AGAIN, ALONE = 140, 60, 25
 POLISH = 80  # and to make sure that a candidate's search has not ended early

@@ -69,9 +69,32 @@ def test_no_time_after_the_end_is_looked_at():
 
 def test_the_mesh_widens_an_interval_by_what_it_would_shift(fit):
     doubt = [0.03 * j[:, 0] for j in fit.jacobian]
-    wide = widened(fit, doubt, 0.0)
+    wide = widened(fit, doubt, noise=fit.rms)
     assert BASE.defaults[0] - wide.low[0] == pytest.approx(np.hypot(0.1, 0.03), rel=1e-3)
     assert wide.high[1] - BASE.defaults[1] == pytest.approx(0.1, rel=1e-3)
+
+
+def test_what_is_left_above_the_noise_widens_an_interval_and_the_bounds_end_it(fit):
+    """A fifth of it may look like a parameter: as far as that takes one whose column is at right angles to the rest."""
+    still = [0 * r for r in fit.residual]
+    wide = widened(fit, still, noise=0.6 * fit.rms)
+    column = np.sqrt(np.mean([np.mean(j[:, 0] ** 2) for j in fit.jacobian]))
+    assert BASE.defaults[0] - wide.low[0] == pytest.approx(np.hypot(0.1, 0.2 * 0.8 * fit.rms / column), rel=0.01)
+    large = dataclasses.replace(fit, residual=[1e4 * r for r in fit.residual])
+    wide = widened(large, still, noise=0.0)
+    assert wide.low == pytest.approx(BASE.low)
+    assert wide.high == pytest.approx(BASE.high)
+
+
+def test_large_amounts_stay_inside_the_bounds():
+    for name in ("quadratic_drag", "grip_offset", "total_mass", "bending_hysteresis"):
+        space = (effect := catalogue().make("effects", name)).parameters
+        sizes = [phi[list(amounts)] + steps for phi, amounts, steps in settings_of(effect, 0)]
+        amounts = next(settings_of(effect, 0))[1]
+        for values in sizes:
+            assert (values >= space.low[list(amounts)]).all()
+            assert (values <= space.high[list(amounts)]).all()
+        assert (np.abs(sizes[1] - sizes[0]) > 0).any()
 
 
 def fitted_to(residual: np.ndarray, parameters: int = 5, name: str = "base") -> Fitted:

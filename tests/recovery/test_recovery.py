@@ -10,7 +10,9 @@ from clothbench.experiment.calibrate import Trial, calibrate, evaluate
 from clothbench.experiment.cell import set_up
 from clothbench.experiment.suite import plan, suites_folder
 from clothbench.observation import Observation
+from clothbench.parameters import Parameter, ParameterSpace
 from clothbench.plugins import catalogue
+from clothbench.protocols import Evaluation
 
 TRUTH = {"k1": 80.0, "k2": 2.0, "zeta": 0.1, "quadratic_drag.normal": 1.3, "quadratic_drag.tangential": 0.05}
 NOISE = 1e-3  # m
@@ -104,3 +106,18 @@ def test_drag_is_found_in_recordings_of_the_reference_simulation(fabric, drag):
     assert found == pytest.approx(drag, abs=0.5)
     held, _ = evaluate(bench.of_split("held_out"), np.stack([bench.space.defaults, fit.best]))
     assert held.value[1] < held.value[0]
+
+
+def test_least_squares_asks_for_no_second_jacobian_where_it_stands():
+    """At an optimum a Jacobian (2 points) is followed by two rounds of four dampings; nothing is simulated twice."""
+    space = ParameterSpace(
+        tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.5, "a number", "a test") for n in ("a", "b"))
+    )
+    optimizer = catalogue().make("optimizers", "least_squares", space, seed=0, budget=60, starts=0, walks=1)
+    asked = []
+    while not optimizer.done:
+        theta = optimizer.ask()
+        asked.append(theta)
+        off = np.hstack([theta - 0.5, np.ones((len(theta), 1))])
+        optimizer.tell(theta, Evaluation(np.sum(off**2, axis=1), off))
+    assert [len(batch) for batch in asked] == [1, 2, 4, 4]
