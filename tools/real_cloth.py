@@ -2,9 +2,11 @@
 
     python tools/real_cloth.py knits DATA_DIR    docs/images/knit-curves.svg, docs/images/knit-errors.svg
     python tools/real_cloth.py folds             docs/images/fold-heights.svg
+    python tools/real_cloth.py swings DATA_DIR   docs/images/robot-swings.svg (hours; a stopped run goes on)
 
 knits: every run of every swatch is held out once; what `improve` finds on the other four is judged on it.
 folds: ten fabrics, each left out once.
+swings: a robot swings cloth; repeats of each motion are held out.
 """
 
 from __future__ import annotations
@@ -21,6 +23,7 @@ from typing import Any
 import fold_heights as folds
 import matplotlib
 import numpy as np
+import robot_swings as swings
 from scipy.stats import t as student
 
 from clothbench.curve import Curve, read_curve
@@ -223,6 +226,13 @@ def draw_folds(axes: Sequence[Any]) -> None:
     right.legend(frameon=False, fontsize=7, loc="lower center", bbox_to_anchor=(0.4, 1.0), ncols=3, columnspacing=0.8)
 
 
+def robot_swings(data_dir: str, out: Path) -> None:
+    found = swings.stories(data_dir, out)
+    swings.print_table(found)
+    with figure_file("robot-swings.svg", 1, 2, (7.2, 3.2)) as axes:
+        swings.draw_stories(found, axes, (LINEAR, LOCKING))
+
+
 @contextlib.contextmanager
 def figure_file(name: str, rows: int, columns: int, size: tuple[float, float]) -> Iterator[Sequence[Any]]:
     """Axes of a figure, in one list; written when the block ends."""
@@ -243,6 +253,10 @@ def main() -> None:
     first.add_argument("data_dir", metavar="DATA_DIR", help="folder with the originals")
     first.set_defaults(story=lambda o: knits(o.data_dir))
     stories.add_parser("folds", help="free-fold heights of ten fabrics").set_defaults(story=lambda _: free_folds())
+    last = stories.add_parser("swings", help="cloth that a robot swings")
+    last.add_argument("data_dir", metavar="DATA_DIR", help="folder with the originals")
+    last.add_argument("--out", type=Path, default=Path("swings"), help="where recordings and verdicts are kept")
+    last.set_defaults(story=lambda o: robot_swings(o.data_dir, o.out))
     options = parser.parse_args()
     options.story(options)
 

@@ -99,7 +99,7 @@ def fit(
 
 
 def polish(problem: Problem, fitted: Fitted, budget: int) -> tuple[Fitted, int]:
-    """The best of this fit and of two more from good places around it, and how many sets that took.
+    """The better of this fit and of one more from a good place nearby, and how many sets that took.
 
     Folding cloth leaves ripples in the error, in which a search ends early; two candidates are compared fairly only
     when neither has ended in a ripple that the other has passed.
@@ -109,9 +109,10 @@ def polish(problem: Problem, fitted: Fitted, budget: int) -> tuple[Fitted, int]:
     away = np.random.default_rng(problem.seed).normal(0.0, AROUND, (LOOKS, len(unit)))
     starts = space.from_unit(unit + away)
     value = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value
-    best = np.argsort(np.where(np.isfinite(value), value, np.inf), kind="stable")[:2]
-    fits = [fit(problem, fitted.effects, starts[k], budget // 2) for k in best if np.isfinite(value[k])]
-    return min([fitted, *fits], key=lambda f: f.rms), LOOKS + sum(f.evaluations for f in fits)
+    if not np.isfinite(value).any():
+        return fitted, LOOKS
+    again = fit(problem, fitted.effects, starts[int(np.nanargmin(value))], budget)
+    return min(fitted, again, key=lambda f: f.rms), LOOKS + again.evaluations
 
 
 def search(

@@ -22,7 +22,7 @@ ROUNDS = 3  # effects that can be named one after the other
 REFITS, NEAR = 4, 0.3  # how many candidates are fitted in earnest in each round, and from which part of the best share
 # Evaluations of the first fit, of one that begins where another ended, and of one of a single recording.
 FIRST, AGAIN, ALONE = 140, 60, 25
-POLISH = 80  # and to make sure that a candidate's search has not ended early
+POLISH = 40  # and to make sure that a candidate's search has not ended early
 FINALISTS, CONTEST = 3, 1.5  # how many are made sure of, and what they may leave, times the least (mean squares)
 
 Stage = Callable[[str, int, int], None]
@@ -224,11 +224,13 @@ def one_round(
 def contest(
     problem: Problem, current: Fitted, gain: float, tried: Sequence[Candidate], budget: Budget, turn: int
 ) -> list[Candidate]:
-    """The candidates with those polished that may yet be named: a search that ended early must not decide."""
+    """The candidates, with those polished that may yet be named where there are several: a search that ended early must
+    not decide between them.
+    """
     fits = [c.fitted for c in tried if c.fitted is not None]
     least = min((f.rms**2 for f in fits), default=0.0)
     within = [f for f in fits if f.rms**2 <= CONTEST * least and f.rms**2 <= current.rms**2 - gain / 2]
-    within = sorted(within, key=lambda f: f.rms)[:FINALISTS]
+    within = sorted(within, key=lambda f: f.rms)[:FINALISTS] if len(within) > 1 else []
     better = {}
     for k, fitted in enumerate(within):
         budget.stage(f"round {turn + 1}: contest", k, len(within))
