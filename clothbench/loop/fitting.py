@@ -77,25 +77,27 @@ def fit(
     told: Told | None = None,
 ) -> Fitted:
     """Least squares from the best of `start` (S, P) or (P,), or from the defaults and a spread of others if None."""
+    starts, walks = (7, 2) if start is None else (0, 1)
+    settings = {"starts": starts, "walks": walks, "difference": PROBE, "tolerance": GAIN} | problem.search
+    key = problem.key("fit", names, None if start is None else np.asarray(start).tolist(), budget, settings)
     trials = problem.trials(names, "fit")
     space = trials[0].simulation.parameters
-    starts, walks = (7, 2) if start is None else (0, 1)
-    settings = {"starts": starts, "walks": walks, "difference": PROBE, "tolerance": GAIN}
-    if start is not None:
-        space = started(space, better(trials, space, np.atleast_2d(start)))
-    settings, budget = settings | problem.search, budget * problem.patience
-    key = problem.key("fit", names, space.defaults.tolist(), budget, settings)
-    if (known := problem.memory.recall(key)) is not None:
-        theta, count = known["theta"], int(known["count"])
-    else:
+    known = problem.memory.recall(key)
+    if known is None:
+        begin = space if start is None else started(space, better(trials, space, np.atleast_2d(start)))
         optimizer = problem.plugins.make(
-            "optimizers", "least_squares", space, seed=problem.seed, budget=budget, **settings
+            "optimizers", "least_squares", begin, seed=problem.seed, budget=budget * problem.patience, **settings
         )
-        theta, count = search(trials, optimizer, space, told)
-        problem.memory.keep(key, theta=theta, count=np.array(count))
-    residual, jacobian, spent = differences(trials, space, theta, problem.probe or PROBE)
+        theta, count = search(trials, optimizer, begin, told)
+        residual, jacobian, spent = differences(trials, space, theta, problem.probe or PROBE)
+        known = {"theta": theta, "count": np.array(count + spent)}
+        known |= {f"residual-{k}": r for k, r in enumerate(residual)}
+        known |= {f"jacobian-{k}": j for k, j in enumerate(jacobian)}
+        problem.memory.keep(key, **known)
+    theta = known["theta"]
+    residual, jacobian = ([known[f"{what}-{k}"] for k in range(len(trials))] for what in ("residual", "jacobian"))
     low, high = interval(space, theta, residual, jacobian)
-    return Fitted(names, space, theta, residual, jacobian, low, high, count + spent)
+    return Fitted(names, space, theta, residual, jacobian, low, high, int(known["count"]))
 
 
 def polish(problem: Problem, fitted: Fitted, budget: int) -> tuple[Fitted, int]:

@@ -10,6 +10,8 @@ import pytest
 from clothbench import ClothbenchError, Curve
 from clothbench.curve_command import candidates_of, improved
 from clothbench.loop.curves import CurveCase, common_steps, curve_problem, loading, observed
+from clothbench.loop.fitting import fit
+from clothbench.loop.memory import Memory
 from clothbench.plugins import catalogue
 
 RUNS, SIGMA, SAMPLES = 6, 0.1, 600
@@ -160,3 +162,16 @@ def test_models_and_effects_of_sheets_are_refused():
         candidates_of("load_offset,quadratic_drag", plugins)
     assert "quadratic_drag" not in candidates_of(None, plugins)
     assert candidates_of(None, plugins)[0] == "load_offset"
+
+
+def test_a_fit_that_is_remembered_is_not_simulated_again(tmp_path, monkeypatch):
+    curves = runs(3, lambda e: 20 * e)
+    problem = curve_problem("linear_stretch", curves, [c.split for c in curves], catalogue(), 0)
+    problem = replace(problem, memory=Memory(tmp_path))
+    first = fit(problem, ("strain_locking",), np.array([15.0, 1.0, 0.1]), 20)
+    monkeypatch.setattr("clothbench.loop.fitting.evaluate", None)
+    monkeypatch.setattr("clothbench.loop.fitting.over", None)
+    again = fit(problem, ("strain_locking",), np.array([15.0, 1.0, 0.1]), 20)
+    assert again.evaluations == first.evaluations
+    for name in ("theta", "left", "tangent", "low", "high"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
