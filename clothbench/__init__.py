@@ -31,6 +31,7 @@ _HOME = {
     "Metric": "protocols",
     "Optimizer": "protocols",
     "Tracker": "protocols",
+    "FoldState": "folding",
     "Registration": "hookspecs",
     "hookimpl": "hookspecs",
     "effect_kernel": "kernels",

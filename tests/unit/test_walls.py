@@ -23,6 +23,7 @@ LAYERS = [
         "scene",
         "observation",
         "rollout",
+        "folding",
         "parallel",
         "hookspecs",
     },
