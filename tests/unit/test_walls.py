@@ -20,6 +20,7 @@ LAYERS = [
         "recording_file",
         "curve",
         "curve_rules",
+        "laser",
         "scene",
         "observation",
         "rollout",
