@@ -113,8 +113,8 @@ def write_curve(curve: Curve, path: str | os.PathLike[str]) -> Path:
 
 def read_any(path: str | os.PathLike[str]) -> Recording | Curve | LaserImages:
     """Read and check one recording of any kind."""
-    readers = {"curve": read_curve, "laser": read_laser}
-    return readers.get(kind_of(Path(path)), read_recording)(path)
+    kind = kind_of(Path(path))
+    return read_curve(path) if kind == "curve" else read_laser(path) if kind == "laser" else read_recording(path)
 
 
 def _attributes(curve: Curve) -> dict[str, Any]:

@@ -89,8 +89,8 @@ def read_laser(path: str | os.PathLike[str]) -> LaserImages:
         raise ClothbenchError(f"{path}: variable 'image': found other values than whole numbers from 0 to 255")
     known = {"format", "format_version", "kind", "name", "fabric", "source"}
     notes = {k: v for k, v in sorted(stated.items()) if k not in known}
-    words = {k: stated.get(k, "") for k in ("name", "fabric", "source")}
-    return LaserImages(**arrays, **words, notes=notes, path=str(path))
+    arrays |= {k: stated.get(k, "") for k in ("name", "fabric", "source")}
+    return LaserImages(**arrays, notes=notes, path=str(path))
 
 
 def write_laser(images: LaserImages, path: str | os.PathLike[str]) -> Path:

@@ -164,7 +164,7 @@ def _hand(cell: FoldCell, plugins: Catalogue) -> Hand:
     for effect in effects:
         if effect.place != "boundary":
             raise ClothbenchError(f"effect {effect.name!r} does not act on the gripper; only those take part in a fold")
-    strip: Any = model.strip(cell.fold.length)  # type: ignore[attr-defined]
+    strip: Any = model.strip(cell.fold.length)
     metric = plugins.make("metrics", cell.metric, **cell.option(cell.metric))
     tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
     return Hand(cell, strip, model.parameters, effects, metric, tracker)
@@ -223,7 +223,8 @@ def _step(cell: FoldCell, sheet: TestStrip, truth: Lifted, near: FoldState, numb
     moment = np.interp(bends - bends[0], truth.s, truth.moment**2 * sheet.stiffness(bends[0] + truth.s))
     local = float(np.exp(np.average(np.log(sheet.stiffness(bends)), weights=moment + 1e-300)))
     return {
-        "step": number, "x": float(x), "z": float(z), "slope": float(slope), "off": truth.off, "sheet": local,
+        "step": number, "length": cell.fold.length, "x": float(x), "z": float(z), "slope": float(slope),
+        "off": truth.off, "sheet": local,
         "friction": abs(truth.pull) / truth.press, "slips": bool(abs(truth.pull) / truth.press > cell.fold.friction),
     }  # fmt: skip
 

@@ -115,7 +115,7 @@ def fold_settings(given: Mapping[str, Any]) -> FoldSettings:
     """The suite's `fold`, checked."""
     from clothbench.experiment.settings import known_words, number, whole, words
 
-    known = {f.name: f.default for f in dataclasses.fields(FoldSettings)}
+    known: dict[str, Any] = {f.name: f.default for f in dataclasses.fields(FoldSettings)}
     known_words("setting of 'suite.fold'", given, set(known))
     numbers = {
         n: number(f"suite.fold.{n}", given.get(n, known[n]), 0.0) for n in ("length", "rise", "first", "friction")

@@ -58,7 +58,7 @@ class IterativeLeastSquares(GeneratorSearch):
         first = int(np.argmin(worst_last(cost)))
         if not np.isfinite(cost[first]):
             return "no start could be simulated"
-        self.here, residual, least = starts[first], evaluation.residual[first], cost[first]  # type: ignore[index]
+        self.here, residual, least = starts[first], evaluation.residual[first], cost[first]
         damping, idle = 1e-3, 0
         while idle < 2:
             away = np.where(self.here + self.difference <= 1.0, self.difference, -self.difference)
