@@ -58,6 +58,13 @@ class LaserProfile:
         """Middle of the line in one image (y, x): (N, 2) px as x, y, sorted along x, then y."""
         import cv2
 
+        # Nothing but what is bright, with room for the filters, has to be looked at.
+        rows, columns = (np.flatnonzero((image > self.contrast).any(axis=a)) for a in (1, 0))
+        if not rows.size:
+            return np.zeros((0, 2))
+        room = int(6 * self.width) + 1
+        top, left = max(rows[0] - room, 0), max(columns[0] - room, 0)
+        image = image[top : rows[-1] + room + 1, left : columns[-1] + room + 1]
         at, strength = ridges(image.astype(np.float64), self.width)
         bright = strength > self.contrast
         count, label, stats, _ = cv2.connectedComponentsWithStats(bright.astype(np.uint8), connectivity=8)
@@ -68,7 +75,7 @@ class LaserProfile:
             return np.zeros((0, 2))
         # Beyond its end a line fades, and its middle is anywhere.
         y, x = np.nonzero(bright & (strength > FADED * np.median(strength[bright])))
-        points = np.stack([x, y], axis=1) + at[y, x]
+        points = np.stack([x + left, y + top], axis=1) + at[y, x]
         return points[np.lexsort((points[:, 1], points[:, 0]))]
 
 
