@@ -131,7 +131,7 @@ def _pieces(profile: np.ndarray, seen: Observation, rows: int) -> list[np.ndarra
 def fold(store: Store, cell: FoldCell, told: Told | None = None) -> str:
     """Fold, estimate and store; `told(steps, estimate)` after each step. Returns the cell's status."""
     plugins = catalogue()
-    hand = _hand(cell, plugins)
+    hand = hand_of(cell, plugins)
     sheet = TestStrip.of(cell.fabric, cell.fold.length, cell.stream)
     optimizer, theta, steps = _optimizer(hand, plugins, hand.space), hand.space.defaults, []
     for number in range(1, cell.fold.steps + 1):
@@ -154,7 +154,8 @@ def fold(store: Store, cell: FoldCell, told: Told | None = None) -> str:
     return _keep(store, hand, sheet, steps)
 
 
-def _hand(cell: FoldCell, plugins: Catalogue) -> Hand:
+def hand_of(cell: FoldCell, plugins: Catalogue) -> Hand:
+    """A cell with its plugins made."""
     if reason := absent(plugins.load("models", cell.model)):
         raise Skipped(reason)
     model = plugins.make("models", cell.model, **cell.option(cell.model))

@@ -129,7 +129,7 @@ class Strip:
         state = self._regraded(self._reach(state, eta_b, ends), self.elements)
         found = self.beside(state, eta_b, ends)
         for sink in HARDER if found is None else ():
-            state = self._solved(state, eta_b, ends, sink) or state
+            state = self._regraded(self._solved(state, eta_b, ends, sink) or state, self.elements)
             found = found or self.beside(state, eta_b, ends)
         if found is None:
             raise ClothbenchError(f"kirchhoff_love: no equilibrium on the final mesh at η_b = {eta_b:g} m⁻⁴·s²")
