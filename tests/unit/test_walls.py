@@ -29,7 +29,7 @@ LAYERS = [
         "hookspecs",
     },
     {"kernels", "protocols", "effects", "curve_simulation", "plugins"},
-    {"datasets", "experiment", "testing", "loop"},
+    {"datasets", "experiment", "testbed", "testing", "loop"},
     {"report", "bench", "timing"},
     {"run_command", "improve_command", "curve_command", "cli", "scaffold", "__main__"},
 ]
