@@ -12,9 +12,10 @@ from clothbench_models.shell import Shell
 from clothbench_models.splines import Spline
 from clothbench_models.strip import Ends, Strip
 
-from clothbench import ClothbenchError, Obstacle
+from clothbench import ClothbenchError, Obstacle, Scene
 from clothbench.testing import scenes
 from clothbench.validation import lifted_strip, references
+from clothbench.validation import scenes as strips
 
 RANDOM = np.random.default_rng(11)
 G = references.G
@@ -271,7 +272,27 @@ def test_bad_options_and_scenes_are_one_line():
     on_a_ball = dataclasses.replace(scenes.hanging(), obstacles=(Obstacle("sphere", radius=0.1),))
     with pytest.raises(ClothbenchError, match="on no disc or sphere"):
         KirchhoffLove().prepare(on_a_ball)
+    with pytest.raises(ClothbenchError, match="lets a folded sheet roll open on smooth ground"):
+        KirchhoffLove().prepare(strips.folded(1e-5, 33))
     with pytest.raises(ClothbenchError, match="loop is 'bow'"):
         strip_trials.hanging_loop(Strip(desk=False), 1e3, "bow")
     with pytest.raises(ClothbenchError, match="height is 2 m"):
         KirchhoffLove().strip(1.0).lift(2, np.array([[1e4, 1e-5, 0.3]]))
+
+
+def test_a_sheet_rests_on_the_ground():
+    """Clamped level a little above the ground, a long sheet lies down on it: nothing below it, the end flat on it."""
+    length, eta = 0.3, 1e4
+    held = np.array([[u, v] for u in (0.0, 0.0125) for v in (0.0, 0.02, 0.04)])
+    at = np.stack([held[:, 0], held[:, 1], np.full(6, 0.03)], axis=1)
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, length, 25), [0.0, 0.04], indexing="ij"))
+    points = np.stack([u, v], axis=1)
+    scene = Scene(
+        width=length, height=0.04, areal_density=0.15, grip_time=np.array([0.0, 0.1]), grip_material=held,
+        grip_position=np.stack([at, at]), times=np.array([0.0]), points=points, resolution=(25, 4),
+        start=np.stack([points[:, 0], points[:, 1], np.full(50, 0.03)], axis=1), obstacles=(Obstacle("plane"),),
+    )  # fmt: skip
+    (line,) = KirchhoffLove().prepare(scene).run(np.array([[eta, 1e-5, 0.0]])).position[:, 0]
+    assert line[:, 2].min() > -1e-9
+    assert line[-16:, 2].max() < 1e-6
+    assert line[0, 2] == pytest.approx(0.03, abs=1e-9)

@@ -19,7 +19,7 @@ from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSp
 from clothbench.parallel import for_each
 from clothbench_models.folding import FoldingStrip
 from clothbench_models.grid_sheet import check_resolution, grid_shape
-from clothbench_models.shell import Shell, ShellState
+from clothbench_models.shell import Shell, ShellState, turned_over
 from clothbench_models.strip import FEW
 
 PETRIK = "Petrík et al., Automatic Material Properties Estimation for the Physics-Based Robotic Garment Folding, eq. 1"
@@ -59,6 +59,8 @@ class KirchhoffLove:
             return "finds rest only, and nothing holds this sheet"
         if len(scene.obstacles) > 1 or any(o.shape != "plane" for o in scene.obstacles):
             return "rests on one plane at most, and on no disc or sphere"
+        if scene.obstacles and turned_over(scene):
+            return "lets a folded sheet roll open on smooth ground, which costs nothing; `strip` folds strips"
         if scene.thickness > 0:
             return "its layers pass through each other, and this scene gives them a thickness"
         return None

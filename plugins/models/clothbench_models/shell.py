@@ -33,6 +33,14 @@ class ShellState:
     iterations: int = 0
 
 
+def turned_over(scene: Scene) -> bool:
+    """Whether a sheet on the ground is first seen with a part of it upside down."""
+    u, v = np.meshgrid(np.linspace(0, scene.width, 65), np.linspace(0, scene.height, 5), indexing="ij")
+    at = initial_shape(scene, np.stack([u.ravel(), v.ravel()], axis=1)).reshape(65, 5, 3)
+    across = np.cross(np.diff(at, axis=0)[:, :-1], np.diff(at, axis=1)[:-1]) @ scene.obstacles[0].normal
+    return bool(across.min() < 0 < across.max())
+
+
 class Shell:
     """The sheet of a scene on cubic splines with `elements` along (u, v); ground: a plane (point, normal) or None.
 
@@ -99,7 +107,7 @@ class Shell:
         return np.einsum("mk,mkc->mc", weights, state.control[numbers]) @ self.turn
 
     def start(self, eta_b: float) -> ShellState:
-        """The scene's own first guess, unstressed."""
+        """The scene's own first guess, with the moments of its shape but no tension."""
         u, v = (a.ravel() for a in np.meshgrid(self.u.greville, self.v.greville, indexing="ij"))
         at = initial_shape(self.scene, np.stack([u, v], axis=1)) @ self.turn.T
         grid = at.reshape(self.u.count, self.v.count, 3)
@@ -109,11 +117,17 @@ class Shell:
         control = np.empty((self.count, 3))
         control[self.numbers(i, j)] = grid
         control[:, 2] = np.maximum(control[:, 2], self.floor)
-        return ShellState(control, np.zeros((len(self.mesh[2]), 6)), np.zeros((len(self.scene.grip_material), 3)))
+        stress = np.zeros((len(self.mesh[2]), 6))
+        kernels.moments(control, *self.mesh[:2], float(eta_b), float(self.poisson), stress)
+        return ShellState(control, stress, np.zeros((len(self.scene.grip_material), 3)))
 
     def equilibrium(self, eta_b: float, grips: np.ndarray, start: ShellState | None = None) -> ShellState | None:
         """Rest with the grips at (G, 3) m, from a start or by way of stiffer cloth; None where it is not found."""
-        state = self.solved(start, eta_b, grips) if start is not None else None
+        known = start
+        if known is None and self.scene.obstacles:
+            # What lies on the ground may be folded, and stiffer cloth would unfold.
+            known = self.solved(self.start(eta_b), eta_b, grips, SINK)
+        state = self.solved(known, eta_b, grips) if known is not None else None
         if state is not None:
             return state
         stiff = min(eta_b, STIFF / self.size**3)

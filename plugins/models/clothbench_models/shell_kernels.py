@@ -141,6 +141,17 @@ def stresses(strain, soft, bend, poisson, out):
 
 
 @_fast
+def moments(c, nodes, shape, bend, poisson, stress):
+    """Set the moments in stress (Q, 6) to those of the shape; of a first guess, in which no tension is meant."""
+    g, normal, strain, gradient = np.empty((VECTORS, 3)), np.empty(3), np.empty(6), np.empty((6, VECTORS, 3))
+    for q in range(nodes.shape[0]):
+        vectors(c, nodes[q], shape[q], g)
+        strains(g, normal, strain, gradient)
+        stresses(strain, 1.0, bend, poisson, stress[q])
+        stress[q, :3] = 0.0
+
+
+@_fast
 def energy(c, nodes, shape, weight, pull, soft, bend, poisson):
     """Π/ρ [m⁴/s²]; pull (n, 3): gravity times the area of each control point."""
     g, normal, strain, gradient = np.empty((VECTORS, 3)), np.empty(3), np.empty(6), np.empty((6, VECTORS, 3))
