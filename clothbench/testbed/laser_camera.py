@@ -13,7 +13,7 @@ EYE, LOOKS_AT = np.array([0.05, -1.25, 0.75]), np.array([0.53, 0.0, 0.17])  # m
 PROJECTOR = np.array([-0.6, 0.0, 1.8])  # m, in the laser's plane y = 0
 WIDTH = 1.4  # px, σ of the line
 BRIGHT, SPECKLE = 150.0, 0.35  # of 255; relative, from grain to grain
-WANDER = 0.35  # px, how far speckle moves the line's middle
+WANDER = 0.2  # px, how far speckle moves the line's middle
 GRAIN = 3  # px
 GROUND, NOISE = 12.0, 2.5  # of 255
 

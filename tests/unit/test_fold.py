@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from clothbench_metrics.profile import Profile
+from clothbench_metrics.profile import Profile, nearest
 from clothbench_models.kirchhoff_love import KirchhoffLove
 from clothbench_optimizers.iterative_least_squares import IterativeLeastSquares
 
@@ -81,6 +81,14 @@ def test_profile_is_half_the_sum_of_squares():
     score = Profile()(seen, Rollout(np.zeros(1), surface[None, None], ("ok",), np.zeros(1, int), 11))
     assert score.value[0] == pytest.approx(0.5 * 2 * 0.003**2)
     assert (score.residual**2).sum() / 2 == pytest.approx(score.value[0])
+
+
+def test_a_fine_surface_may_slide_along_itself():
+    """Points between those of the surface count as lying on it; far ones are not joined."""
+    surface = np.stack([np.linspace(0, 0.01, 11), np.zeros(11), np.zeros(11)], axis=1)
+    points = np.array([[0.0034, 0.0, 0.002], [0.0071, 0.0, -0.001]])
+    assert nearest(surface, points, 2e-3) == pytest.approx(np.array([[0, 0, -0.002], [0, 0, 0.001]]), abs=1e-12)
+    assert nearest(surface, points, 1e-4)[0, 0] == pytest.approx(-0.0004)
 
 
 def test_the_search_goes_on_from_where_it_stood():
