@@ -27,6 +27,7 @@ import numpy as np
 
 from clothbench.curve_rules import LAYOUT, check_curve
 from clothbench.files import whole_file
+from clothbench.laser import LaserImages, read_laser
 from clothbench.recording import Recording, read_recording
 from clothbench.recording_file import FORMAT, VERSION, check_header, kind_of, number, open_file, variable
 
@@ -110,9 +111,10 @@ def write_curve(curve: Curve, path: str | os.PathLike[str]) -> Path:
     return path
 
 
-def read_any(path: str | os.PathLike[str]) -> Recording | Curve:
-    """Read and check one recording of either kind."""
-    return read_curve(path) if kind_of(Path(path)) == "curve" else read_recording(path)
+def read_any(path: str | os.PathLike[str]) -> Recording | Curve | LaserImages:
+    """Read and check one recording of any kind."""
+    kind = kind_of(Path(path))
+    return read_curve(path) if kind == "curve" else read_laser(path) if kind == "laser" else read_recording(path)
 
 
 def _attributes(curve: Curve) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from clothbench.loop.improve import Outcome, improve
 from clothbench.loop.verdict import document, placebo_of
 from clothbench.plugins import Catalogue, absent, catalogue
 from clothbench.recording import find_recordings
+from clothbench.recording_file import kind_of
 from clothbench.report.improve_files import json_text, write_folder
 
 
@@ -57,7 +58,7 @@ def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> CurveProblem:
     for path in find_recordings([settings["recordings"]]):
         recording = read_any(path)
         if not isinstance(recording, Curve):
-            raise ClothbenchError(f"{path}: found kind 'nodes' among curves, expected one kind in a folder")
+            raise ClothbenchError(f"{path}: found kind {kind_of(path)!r} among curves, expected one kind in a folder")
         curves.append(recording)
     return curve_problem(model, curves, splits_of(curves, settings["recordings"], seed), plugins, seed)
 

@@ -77,16 +77,18 @@ class Model(Protocol):
     `skip(scene) -> reason | None`, why it cannot simulate a scene;
     `of_material(material, scene) -> theta (P,)`, its parameters for a textbook material (damping as low as they go),
     or a ClothbenchError that says what it has no parameter for: then `physical_validation` can test it;
-    `curve(stretch (M,), theta (P,)) -> tension (M,)` N/m per width, for the capability "curve".
+    `curve(stretch (M,), theta (P,)) -> tension (M,)` N/m per width, for the capability "curve";
+    `strip(length) -> clothbench.folding.Folding`, for the capability "fold".
     capabilities: "dynamic" (moves), "static" (finds rest), "effects" (takes them), "contact" (keeps out of the
     scene's obstacles), "self_contact" (keeps the scene's `thickness` between its own layers), "curve" (answers
-    force-extension curves; with that alone, `prepare` refuses every scene).
+    force-extension curves; with that alone, `prepare` refuses every scene), "fold" (folds strips on a desk, and says
+    with which forces).
     """
 
     name: ClassVar[str]
     version: ClassVar[int]
     parameters: ParameterSpace
-    capabilities: ClassVar[frozenset[str]]  # of the six above
+    capabilities: ClassVar[frozenset[str]]  # of the seven above
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> Simulation: ...
 

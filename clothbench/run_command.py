@@ -112,7 +112,7 @@ def _conclude(notes: Path, sweep: bool) -> int:
         mine = [n for n in found if n["out"] == out]
         store, keys = Store(out), list(dict.fromkeys(k for n in mine for k in n["cells"]))
         rows = store.rows(keys)
-        print_leaderboard(rows, store.parameters(keys), store.levels(keys))
+        print_leaderboard(rows, store.parameters(keys), store.levels(keys), store.folds(keys))
         _say_where(store, keys)
         code = max(code, int(failed(r["status"] for r in rows)))
     return code

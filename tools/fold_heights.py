@@ -18,12 +18,9 @@ from clothbench.validation.fabrics import FABRICS
 from clothbench.validation.references import G, fold_coefficients
 
 HEIGHTS, ETAS = (np.array([getattr(f, name) for f in FABRICS]) for name in ("height", "eta"))  # m, m⁻⁴·s²
-# The same table's last column, η_b(μ_h ± 2σ_h), in the order of FABRICS: at the lower and at the higher end of h.
-ENDS = ((1.6e4, 5.1e3), (4.2e3, 1.7e3), (2.3e4, 4.5e3), (8.3e3, 3.4e3), (5.7e3, 2.8e3), (6.4e3, 2.7e3), (9.7e3, 4.6e3),
-        (4.1e4, 1.6e4), (1.5e5, 1.8e4), (1.5e4, 8.0e3))  # fmt: skip
 SPREADS = np.array([f.spread for f in FABRICS])
 END_HEIGHTS = np.concatenate([HEIGHTS - SPREADS, HEIGHTS + SPREADS])
-END_ETAS = np.array(ENDS).T.ravel()
+END_ETAS = np.array([[f.eta_high for f in FABRICS], [f.eta_low for f in FABRICS]]).ravel()
 # Heights to 1 mm, and η_b to two digits, a third of whose relative error is the height's.
 DIGIT = 10.0 ** (np.floor(np.log10(ETAS)) - 1)
 ROUNDING = float(np.sqrt(1e-6 / 12 + np.mean((DIGIT / ETAS * HEIGHTS / 3) ** 2) / 12))

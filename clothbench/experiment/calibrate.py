@@ -159,15 +159,24 @@ def intervals(trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray) 
     jacobian = ((residual[1 : count + 1] - residual[count + 1 :]) / (up - down)[:, None]).T
     hessian = jacobian.T @ jacobian
     condition = float(np.linalg.cond(hessian)) if np.isfinite(hessian).all() else float("inf")
-    blind = undetermined(hessian)
+    half = jackknife(jacobian, residual[0], clusters(trials, scores))
+    return space.from_unit(unit - half), space.from_unit(unit + half), condition**0.5
+
+
+def jackknife(jacobian: np.ndarray, residual: np.ndarray, groups: Sequence[np.ndarray]) -> np.ndarray:
+    """Half-width (P,) of the 95 % interval from leaving out each group of rows of J (R, P) and r (R,) in turn.
+
+    Infinite where the data do not determine a parameter.
+    """
+    hessian = jacobian.T @ jacobian
     moved = []
-    for rows in clusters(trials, scores):
+    for rows in groups:
         rest = hessian - jacobian[rows].T @ jacobian[rows]
-        moved.append(np.linalg.lstsq(rest, jacobian[rows].T @ residual[0, rows], rcond=1 / SINGULAR)[0])
+        moved.append(np.linalg.lstsq(rest, jacobian[rows].T @ residual[rows], rcond=1 / SINGULAR)[0])
     count = len(moved)
     half = student.ppf(0.975, count - 1) * np.sqrt((count - 1) / count * np.square(moved).sum(axis=0))
-    half[blind] = np.inf
-    return space.from_unit(unit - half), space.from_unit(unit + half), condition**0.5
+    half[undetermined(hessian)] = np.inf
+    return half
 
 
 def undetermined(hessian: np.ndarray) -> np.ndarray:

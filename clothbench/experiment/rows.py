@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Any
 
 from clothbench.experiment.cell import Cell
+from clothbench.experiment.fold_cell import FoldCell
 from clothbench.experiment.store import Store, now, system_info
 from clothbench.experiment.validation_cell import ValidationCell
 from clothbench.parallel import thread_count
 
-AnyCell = Cell | ValidationCell
+AnyCell = Cell | ValidationCell | FoldCell
 
 
 def keep_failure(

@@ -11,6 +11,8 @@ import numpy as np
 
 from clothbench.experiment.calibrate import Fit, best_rollout, calibrate, error_interval, mean_interval, score_of
 from clothbench.experiment.cell import Bench, Skipped, set_up
+from clothbench.experiment.fold import fold
+from clothbench.experiment.fold_cell import FoldCell
 from clothbench.experiment.rows import AnyCell, about_cell, keep_failure, no_value
 from clothbench.experiment.store import Store
 from clothbench.experiment.validate import validate
@@ -37,6 +39,8 @@ def run_cell(
     try:
         if isinstance(cell, ValidationCell):
             return validate(store, cell, told)
+        if isinstance(cell, FoldCell):
+            return fold(store, cell, told)
         bench = set_up(cell, catalogue())
         optimizer = catalogue().make(
             "optimizers",

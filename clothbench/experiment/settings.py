@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.errors import ClothbenchError
+from clothbench.experiment.fold_cell import chosen_fabrics, fold_settings
 from clothbench.experiment.validation_cell import MESHES, chosen_tests
 from clothbench.plugins import Catalogue
 from clothbench.scene import AIR_DENSITY
@@ -19,7 +20,7 @@ KNOWN = {
     *PRODUCT, "effects", "report", "tracker", "recordings", "recording", "scene", "options", "bounds", "budget",
     "seed", "jobs", "timeout", "out", "data_dir", "suite", "rerun",
 }  # fmt: skip
-SUITE_KEYS = {"name", "version", "title", "recordings", "select", "case", "tests", "meshes"}
+SUITE_KEYS = {"name", "version", "title", "recordings", "select", "case", "tests", "meshes", "fold"}
 # What a suite of tests against mechanics has no use for, beside `scene`.
 CALIBRATION = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds")
 
@@ -42,6 +43,8 @@ def checked(config: Mapping[str, Any], plugins: Catalogue) -> dict[str, Any]:
         out[key] = words(key, out.get(key))
     if out["suite"]["tests"]:
         _nothing_to_fit(out)
+    if out["suite"]["fold"]:
+        _nothing_recorded(out)
     for key in PRODUCT:
         if not out[key] and not out["suite"]["tests"]:
             raise ClothbenchError(f"setting '{key}' is empty; name a plugin (see `clothbench plugins`)")
@@ -60,6 +63,16 @@ def _nothing_to_fit(config: Mapping[str, Any]) -> None:
             raise ClothbenchError(
                 f"setting 'scene.{key}': the tests of this suite bring their own scenes; leave it out"
             )
+
+
+def _nothing_recorded(config: Mapping[str, Any]) -> None:
+    """Refuse what a fold cannot follow: its recordings are made in its course, and its scene is a strip on a desk."""
+    for key in ("recording", "recordings", "report"):
+        if config[key]:
+            raise ClothbenchError(f"setting '{key}': the recordings of this suite are made as it runs; leave it out")
+    for key, value in config["scene"].items():
+        if not (key == "air_density" and value == AIR_DENSITY):
+            raise ClothbenchError(f"setting 'scene.{key}': this suite has a strip on a desk; leave it out")
 
 
 def known_words(what: str, given: Mapping[str, Any], known: set[str]) -> None:
@@ -126,6 +139,9 @@ def suite_settings(suite: Any) -> dict[str, Any]:
     out["tests"] = chosen_tests(words("suite.tests", out.get("tests")))
     out["meshes"] = mesh_sizes(out.get("meshes"))
     out["select"] = words("suite.select", out.get("select")) or ["*"]
+    out["fold"] = None if out.get("fold") is None else fold_settings(mapping("suite.fold", out["fold"]))
+    if out["fold"]:
+        out["select"] = chosen_fabrics(out["select"])
     return out
 
 

@@ -5,6 +5,7 @@ RUNS/cells/KEY/parameters.parquet   best values with intervals and units
 RUNS/cells/KEY/history.parquet      every evaluation
 RUNS/cells/KEY/trace.parquet        error of every recording, frame by frame
 RUNS/cells/KEY/validation.parquet   every simulation of a test against mechanics: mesh, step, value beside reference
+RUNS/cells/KEY/fold.parquet         every step of a fold: pose, estimate beside the reference, friction, errors
 RUNS/cells/KEY/fit.rrd              recording beside rollout, for Rerun
 """
 
@@ -54,7 +55,15 @@ LEVEL = {
     "error": _number, "relative": _number, "order": _number, "status": _text, "reason": _text, "steps": _whole,
     "wall_s": _number, "key": _text,
 }  # fmt: skip
-TABLES = {"rows": {**ROW, **SYSTEM}, "parameters": PARAMETER, "trace": TRACE, "validation": LEVEL}
+FOLD = {
+    "case": _text, "model": _text, "optimizer": _text, "parameter": _text, "step": _whole, "value": _number,
+    "low": _number, "high": _number, "reference": _number, "reference_low": _number, "reference_high": _number,
+    "sheet": _number, "length": _number, "x": _number, "z": _number,
+    "slope": _number, "off": _number, "friction": _number,
+    "slips": pa.bool_(), "profile": _number, "tracker_error": _number, "sigma": _number, "evaluations": _whole,
+    "wall_s": _number, "key": _text,
+}  # fmt: skip
+TABLES = {"rows": {**ROW, **SYSTEM}, "parameters": PARAMETER, "trace": TRACE, "validation": LEVEL, "fold": FOLD}
 TABLES |= {f"improve/{name}": columns for name, columns in IMPROVE_TABLES.items()}
 FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
 
@@ -127,6 +136,10 @@ class Store:
     def levels(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
         """Every simulation of tests against mechanics, from the coarsest mesh of each to the finest."""
         return self._all("validation", keys)
+
+    def folds(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
+        """Every step of folds in the course of which a fabric was estimated."""
+        return self._all("fold", keys)
 
     def _all(self, name: str, keys: Iterable[str] | None) -> list[dict[str, Any]]:
         folders = [self.cell(k) for k in keys] if keys is not None else sorted(self.folder.glob("cells/[0-9a-f]*"))

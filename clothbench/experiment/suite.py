@@ -12,6 +12,7 @@ from typing import Any
 
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.cell import Cell, Source, plugin_versions, rehearse, resplit, uses
+from clothbench.experiment.fold_cell import plan_folds
 from clothbench.experiment.rows import AnyCell
 from clothbench.experiment.settings import PRODUCT, checked, words
 from clothbench.experiment.validation_cell import plan_validation
@@ -36,6 +37,8 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = 
     suite = config["suite"]
     if suite["tests"]:
         return list(plan_validation(config, plugins))
+    if suite["fold"]:
+        return list(plan_folds(config, plugins))
     recordings = read_all(where(config, progress))
     cases = group(recordings, suite.get("case") or "fabric", suite["select"], config["seed"])
     cells: dict[str, Cell] = {}

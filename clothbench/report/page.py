@@ -11,6 +11,7 @@ from clothbench.experiment.store import Store
 from clothbench.files import whole_file
 from clothbench.report.figure_data import model_name
 from clothbench.report.figures import panels
+from clothbench.report.fold_page import fold_section
 from clothbench.report.page_style import CSS, DRAWING, FIGURES, SCRIPT
 from clothbench.report.page_tables import leaderboard, parameters, pill, table, text
 from clothbench.report.tables import failures
@@ -41,7 +42,9 @@ def document(store: Store) -> str:
     rows = store.rows()
     sections = [heading(rows), HINT]
     if rows:
-        found, tests = [r for r in rows if not is_validation(r)], [r for r in rows if is_validation(r)]
+        tests, steps = [r for r in rows if is_validation(r)], store.folds()
+        folded = [r for r in rows if r["key"] in {s["key"] for s in steps}]
+        found = [r for r in rows if not is_validation(r) and r not in folded]
         drawn = figures(store, found)
         sections = [
             heading(rows),
@@ -49,9 +52,10 @@ def document(store: Store) -> str:
             failure_list(rows),
             leaderboards(found),
             drawn,
-            validation_section(tests, store.levels({r["key"] for r in tests}), plotly=not drawn),
+            fold_section(folded, steps, plotly=not drawn),
+            validation_section(tests, store.levels({r["key"] for r in tests}), plotly=not (drawn or folded)),
         ]
-        sections += [fits(found, store.parameters()), machines(rows), MORE]
+        sections += [fits(found + folded, store.parameters()), machines(rows), MORE]
     return whole_page(title(rows), sections)
 
 

@@ -9,6 +9,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
+from clothbench.report.fold_table import fold_table, summary
 from clothbench.report.validation_table import is_validation, validation_table
 
 Rows = Sequence[dict[str, Any]]
@@ -21,16 +22,21 @@ def console() -> Console:
     return out if out.is_terminal else Console(highlight=False, width=120, color_system=None)
 
 
-def print_leaderboard(rows: Rows, parameters: Rows, levels: Rows = ()) -> None:
+def print_leaderboard(rows: Rows, parameters: Rows, levels: Rows = (), folds: Rows = ()) -> None:
     """One table per suite: error with its interval beside the noise floor; then what was fitted, with units.
 
-    levels: the simulations of tests against mechanics, which have a table of their own.
+    levels: the simulations of tests against mechanics, and folds: the steps of folds, which have tables of their own.
     """
     out = console()
     for suite in sorted({r["suite"] for r in rows}):
         if tests := [r for r in rows if r["suite"] == suite and is_validation(r)]:
             out.print(validation_table(suite, tests, levels))
         mine = [r for r in rows if r["suite"] == suite and not is_validation(r)]
+        if folded := [r for r in mine if r["key"] in {s["key"] for s in folds}]:
+            steps = [s for s in folds if s["key"] in {r["key"] for r in folded}]
+            out.print(fold_table(suite, folded, steps))
+            out.print(summary(steps), soft_wrap=True)
+        mine = [r for r in mine if r not in folded]
         if not mine:
             continue
         out.print(error_table(suite, mine))

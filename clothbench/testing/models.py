@@ -28,7 +28,7 @@ from clothbench.testing.rules import (
     takes,
 )
 
-CAPABILITIES = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "curve"})
+CAPABILITIES = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "curve", "fold"})
 STEPS_TO_TRY = 1e-3 * 2.0 ** np.arange(9)  # s, from fine to hopeless
 
 

@@ -12,23 +12,27 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Fabric:
-    """height, spread: m, mean and two standard deviations of the fold's height; eta: η_b [m⁻⁴·s²]."""
+    """height, spread: m, mean and two standard deviations of the fold's height; eta: η_b [m⁻⁴·s²] at the mean,
+    eta_low and eta_high where the fold is two standard deviations higher and lower.
+    """
 
     name: str
     height: float
     spread: float
     eta: float
+    eta_low: float
+    eta_high: float
 
 
 FABRICS = (
-    Fabric("coating", 0.020, 0.0034, 8.5e3),
-    Fabric("chanel", 0.028, 0.0039, 2.6e3),
-    Fabric("twill", 0.019, 0.0046, 8.9e3),
-    Fabric("denim", 0.023, 0.0031, 5.2e3),
-    Fabric("terry cloth", 0.025, 0.0028, 3.9e3),
-    Fabric("plain weave", 0.025, 0.0034, 4.0e3),
-    Fabric("herringbone", 0.021, 0.0025, 6.5e3),
-    Fabric("georgette", 0.015, 0.0017, 2.4e4),
-    Fabric("chiffon", 0.013, 0.0023, 3.5e4),
-    Fabric("wool suiting", 0.018, 0.0018, 1.1e4),
+    Fabric("coating", 0.020, 0.0034, 8.5e3, 5.1e3, 1.6e4),
+    Fabric("chanel", 0.028, 0.0039, 2.6e3, 1.7e3, 4.2e3),
+    Fabric("twill", 0.019, 0.0046, 8.9e3, 4.5e3, 2.3e4),
+    Fabric("denim", 0.023, 0.0031, 5.2e3, 3.4e3, 8.3e3),
+    Fabric("terry cloth", 0.025, 0.0028, 3.9e3, 2.8e3, 5.7e3),
+    Fabric("plain weave", 0.025, 0.0034, 4.0e3, 2.7e3, 6.4e3),
+    Fabric("herringbone", 0.021, 0.0025, 6.5e3, 4.6e3, 9.7e3),
+    Fabric("georgette", 0.015, 0.0017, 2.4e4, 1.6e4, 4.1e4),
+    Fabric("chiffon", 0.013, 0.0023, 3.5e4, 1.8e4, 1.5e5),
+    Fabric("wool suiting", 0.018, 0.0018, 1.1e4, 8.0e3, 1.5e4),
 )

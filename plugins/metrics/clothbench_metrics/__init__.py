@@ -6,6 +6,7 @@ from clothbench.hookspecs import Registration, hookimpl
 @hookimpl
 def clothbench_metrics():
     return [
+        Registration("profile", "clothbench_metrics.profile:Profile", "squared distances to the surface, in m²"),
         Registration("node_error", "clothbench_metrics.node_error:NodeError", "mean distance of the nodes, in mm"),
         Registration(
             "relative_error",

@@ -27,6 +27,11 @@ def clothbench_models():
             "inextensible quadrilaterals, isometric bending, Rayleigh damping; implicit with fast projection",
         ),
         Registration(
+            "kirchhoff_love",
+            "clothbench_models.kirchhoff_love:KirchhoffLove",
+            "isogeometric Kirchhoff-Love shell at rest, with contact; strips that are folded on a desk",
+        ),
+        Registration(
             "linear_stretch",
             "clothbench_models.linear_stretch:LinearStretch",
             "tension in proportion to strain, for force-extension curves only",

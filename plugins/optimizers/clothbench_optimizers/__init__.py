@@ -8,6 +8,11 @@ def clothbench_optimizers():
     return [
         Registration("ga", "clothbench_optimizers.ga:GeneticAlgorithm", "genetic algorithm on 16-bit genes"),
         Registration(
+            "iterative_least_squares",
+            "clothbench_optimizers.iterative_least_squares:IterativeLeastSquares",
+            "Levenberg–Marquardt that goes on from the last estimate with every new measurement",
+        ),
+        Registration(
             "least_squares",
             "clothbench_optimizers.least_squares:LeastSquares",
             "batched finite-difference Levenberg–Marquardt from the best of a spread of starts",

@@ -7,6 +7,11 @@ from clothbench.hookspecs import Registration, hookimpl
 def clothbench_trackers():
     return [
         Registration(
+            "laser_profile",
+            "clothbench_trackers.laser_profile:LaserProfile",
+            "laser line in the images of a calibrated camera → points of the cloth in the laser's plane",
+        ),
+        Registration(
             "markers",
             "clothbench_trackers.markers:Markers",
             "node recordings and marker files (C3D, TRC, CSV), with gaps kept and a rigid frame alignment",

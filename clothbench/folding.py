@@ -1,0 +1,68 @@
+"""Folding a strip that lies on a desk by its last end: what a model with the capability "fold" has to answer.
+
+The strip lies along x on the desk z = 0, its first end at the origin; its last end is held at a pose (x, z, slope).
+Forces are per width and areal density, in m²/s², since nothing else is known of the cloth: friction is a ratio of two.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class FoldState:
+    """A strip held at rest, for B parameter sets. Arrays are read-only.
+
+    pose: (B, 3), x and z [m] and slope [rad] of the held end; profile: (B, M, 2) m, x and z along the strip, evenly;
+    pull: (B,) m²/s², horizontal force of the held end, which friction at the desk bears; press: (B,) m²/s², force with
+    which the desk carries the strip; status: "ok" or "diverged", then everything else is NaN; kept: what the model
+    wants to begin from when it is asked for a state near this one.
+    """
+
+    pose: np.ndarray
+    profile: np.ndarray
+    pull: np.ndarray
+    press: np.ndarray
+    status: tuple[str, ...]
+    kept: Sequence[Any] = ()
+
+    def __post_init__(self) -> None:
+        for name in ("pose", "profile", "pull", "press"):
+            array = np.array(getattr(self, name), dtype=float)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def friction(self) -> np.ndarray:
+        """The coefficient of friction (B,) that keeps the strip from slipping: |pull| over press."""
+        return np.abs(self.pull) / self.press
+
+
+class Folding(Protocol):
+    """A strip of some length, as `model.strip(length)` gives it; theta (B, P) are the model's own parameters."""
+
+    def lift(self, height: float, theta: np.ndarray) -> FoldState:
+        """Phase 1 of a folding path: the end raised to `height` m, x and slope such that no horizontal force is left.
+
+        Petrík et al., Automatic Material Properties Estimation for the Physics-Based Robotic Garment Folding, eq. 2
+        and 3.
+        """
+        ...
+
+    def hold(self, pose: np.ndarray, theta: np.ndarray, near: FoldState) -> FoldState:
+        """The end held at poses (B, 3); `near` has one member, from which to set out."""
+        ...
+
+
+def triangular_path(length: float, height: np.ndarray) -> np.ndarray:
+    """x [m] of the end at `height` m on the way to half the strip, for cloth without stiffness."""
+    return length - height
+
+
+def circular_path(length: float, height: np.ndarray) -> np.ndarray:
+    """x [m] of the end at `height` m if the upper half turned about the middle like a board."""
+    return length / 2 + np.sqrt((length / 2) ** 2 - height**2)

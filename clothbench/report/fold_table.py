@@ -1,0 +1,55 @@
+"""Folds as a table in the terminal: each fabric's estimate, step by step, beside what it is known by."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rich.markup import escape
+from rich.table import Table
+
+Rows = Sequence[dict[str, Any]]
+
+
+def fold_table(suite: str, rows: Rows, steps: Rows) -> Table:
+    """One line per cell: reference with its ±2σ, the estimate of every step, the last one's interval, friction."""
+    table = Table(title=f"{suite}: estimate at every step", title_justify="left", title_style="bold")
+    table.add_column("fabric", overflow="fold")
+    for name in ("reference", "± 2σ"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("steps", overflow="fold")
+    table.add_column("last", justify="right", no_wrap=True)
+    table.add_column("friction", justify="right", no_wrap=True)
+    for key in dict.fromkeys(r["key"] for r in rows):
+        mine = [s for s in steps if s["key"] == key]
+        row = next(r for r in rows if r["key"] == key)
+        table.add_row(*(escape(t) for t in (_line(row, mine) if mine else _failed(row))))
+    return table
+
+
+def _line(row: dict[str, Any], steps: Rows) -> list[str]:
+    first, last = steps[0], steps[-1]
+    between = f"{first['reference_low']:.2g} … {first['reference_high']:.2g}"
+    told = " ".join(f"{s['value']:.2g}" for s in steps)
+    mark = "" if inside(last) else " outside"
+    friction = f"{max(s['friction'] for s in steps):.2f}" + (" slips" if any(s["slips"] for s in steps) else "")
+    return [row["case"], f"{first['reference']:.2g}", between, told, f"{last['value']:.3g}{mark}", friction]
+
+
+def _failed(row: dict[str, Any]) -> list[str]:
+    return [row["case"], "", "", row["status"], "", ""]
+
+
+def inside(step: dict[str, Any]) -> bool:
+    """Whether an estimate lies within two standard deviations of what the fabric is known by."""
+    return step["reference_low"] <= step["value"] <= step["reference_high"]
+
+
+def summary(steps: Rows) -> str:
+    """How many fabrics end within their ±2σ, and the friction that no step exceeds, in a line."""
+    last = list({s["key"]: s for s in steps}.values())
+    slowest = max(sum(s["wall_s"] for s in steps if s["key"] == key) for key in {s["key"] for s in steps})
+    return (
+        f"within ± 2σ at the last step: {sum(map(inside, last))} of {len(last)}; largest friction needed "
+        f"{max(s['friction'] for s in steps):.2f}; estimation takes {slowest:.1f} s a fold at most"
+    )

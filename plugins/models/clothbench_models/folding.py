@@ -1,0 +1,71 @@
+"""The strip that `kirchhoff_love` folds: phase 1 of the folding path, and the strip held at a pose."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from clothbench import ClothbenchError, FoldState
+from clothbench.parallel import for_each
+from clothbench_models import strip_trials
+from clothbench_models.strip import Ends, State, Strip
+
+SAMPLES = 4001  # points of a profile
+NEAR = 3.0  # ratio of η_b up to which Newton's method is tried from another strip's state, on its mesh
+
+
+class FoldingStrip:
+    """A strip `length` m long on a desk, its mesh of `elements`; a strip does not feel the parameter ν."""
+
+    def __init__(self, length: float, elements: int):
+        self.length, self.elements = length, elements
+
+    def lift(self, height: float, theta: np.ndarray) -> FoldState:
+        """The end raised to `height` m without horizontal force; each member on its own, from the flat strip."""
+        if not 0 < height < self.length:
+            raise ClothbenchError(f"fold: height is {height!r} m, expected between 0 and the strip's {self.length:g} m")
+
+        def one(b: int) -> State:
+            return strip_trials.lift(self._strip(theta[b]), theta[b, 0], height)
+
+        return self._all(one, len(theta))
+
+    def hold(self, pose: np.ndarray, theta: np.ndarray, near: FoldState) -> FoldState:
+        """The end at poses (B, 3): x, z [m] and slope [rad]; on the mesh of the one state `near` if it is."""
+        start: State | None = near.kept[0]
+
+        def one(b: int) -> State:
+            strip, ends = self._strip(theta[b]), Ends(0.0, 0.0, 0.0, *map(float, pose[b]))
+            if start is not None and abs(math.log(theta[b, 0] / start.eta_b)) < math.log(NEAR):
+                found = strip.beside(start, theta[b, 0], ends)
+                if found is not None:
+                    return found
+            return strip.equilibrium(theta[b, 0], ends, strip_trials.lift(strip, theta[b, 0], ends.z1))
+
+        return self._all(one, len(theta))
+
+    def _strip(self, theta: np.ndarray) -> Strip:
+        return Strip(self.length, theta[1], self.elements)
+
+    def _all(self, one, members: int) -> FoldState:
+        """The members' states side by side; one that is not found is diverged."""
+        found: list[State | None] = [None] * members
+
+        def work(b: int) -> None:
+            try:
+                found[b] = one(b)
+            except ClothbenchError:
+                found[b] = None
+
+        for_each(work, range(members))
+        u = np.linspace(0.0, self.length, SAMPLES)
+        nowhere = np.full((SAMPLES, 2), np.nan)
+        return FoldState(
+            pose=np.array([(s.ends.x1, s.ends.z1, s.ends.angle1) if s else (math.nan,) * 3 for s in found]),
+            profile=np.array([s.at(u) if s else nowhere for s in found]),
+            pull=np.array([s.pull if s else math.nan for s in found]),
+            press=np.array([s.press if s else math.nan for s in found]),
+            status=tuple("ok" if s else "diverged" for s in found),
+            kept=tuple(found),
+        )

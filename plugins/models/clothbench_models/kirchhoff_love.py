@@ -1,0 +1,128 @@
+"""`kirchhoff_love`: an isogeometric Kirchhoff–Love shell in static equilibrium, on cubic B-splines.
+
+The fabric takes part through three ratios only (Petrík, Smutný, Hlaváč, Automatic Material Properties Estimation for
+the Physics-Based Robotic Garment Folding, eq. 1), with ρ the areal density, h the thickness, E Young's modulus:
+η_m = (1 − ν²) ρ/(hE), η_b = 12 (1 − ν²) ρ/(h³E) = ρ/D, and Poisson's ratio ν. Formulation: Kiendl, Bletzinger,
+Linhard, Wüchner 2009. What is asked of it in a general scene is a sheet (`shell`); a strip that bends in one plane is
+the same shell with one direction left out (`strip`), and much quicker.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
+from clothbench.parallel import for_each
+from clothbench_models.folding import FoldingStrip
+from clothbench_models.grid_sheet import check_resolution, grid_shape
+from clothbench_models.shell import Shell, ShellState, turned_over
+from clothbench_models.strip import FEW
+
+PETRIK = "Petrík et al., Automatic Material Properties Estimation for the Physics-Based Robotic Garment Folding, eq. 1"
+
+PARAMETERS = ParameterSpace(
+    (
+        Parameter("eta_b", "η_b", "m^-4 s^2", (1e2, 1e6), "log", 1e4, "weight over bending stiffness, ρ/D", PETRIK),
+        Parameter("eta_m", "η_m", "m^-2 s^2", (1e-6, 1e-2), "log", 1e-5, "weight over membrane stiffness", PETRIK),
+        Parameter("nu", "ν", "1", (0.0, 0.49), "linear", 0.3, "Poisson's ratio", PETRIK),
+    )
+)
+
+
+class KirchhoffLove:
+    """Thin shell at rest under gravity, held by points, on at most one plane; see the module for equations and sources.
+
+    resolution: of the sheet's mesh, nodes (ends of elements) along (u, v) or one number for the longer side, where the
+    scene does not say; elements: of a strip's mesh (`strip`), at least 64.
+    """
+
+    name = "kirchhoff_love"
+    version = 1
+    kind = "static"
+    parameters = PARAMETERS
+    capabilities: ClassVar[frozenset[str]] = frozenset({"static", "contact", "fold"})
+    repeatability = 1e-6  # m: where Newton's method ends
+
+    def __init__(self, resolution: int | Sequence[int] = 13, elements: int = 200):
+        check_resolution(self.name, resolution)
+        if not isinstance(elements, int) or elements < FEW:
+            raise ClothbenchError(f"kirchhoff_love: elements is {elements!r}, expected a whole number ≥ {FEW}")
+        self.resolution, self.elements = resolution, elements
+
+    def skip(self, scene: Scene) -> str | None:
+        """Why it cannot simulate a scene: what does not rest in it, or is not known to it."""
+        if not len(scene.grip_material):
+            return "finds rest only, and nothing holds this sheet"
+        if len(scene.obstacles) > 1 or any(o.shape != "plane" for o in scene.obstacles):
+            return "rests on one plane at most, and on no disc or sphere"
+        if scene.obstacles and turned_over(scene):
+            return "lets a folded sheet roll open on smooth ground, which costs nothing; `strip` folds strips"
+        if scene.thickness > 0:
+            return "its layers pass through each other, and this scene gives them a thickness"
+        return None
+
+    def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> RestingSheet:
+        if effects:
+            raise ClothbenchError(f"model 'kirchhoff_love' takes no effects, found {effects[0].name!r}; leave it out")
+        if reason := self.skip(scene):
+            raise ClothbenchError(f"model 'kirchhoff_love' {reason}")
+        nu, nv = grid_shape(scene, self.resolution)
+        return RestingSheet(scene, (nu - 1, nv - 1))
+
+    def of_material(self, material: Material, scene: Scene) -> np.ndarray:
+        """η_b, η_m, ν (3,) of a textbook material: no cross contraction (shear: half the tensile stiffness)."""
+        if material.bending <= 0:
+            raise ClothbenchError("kirchhoff_love: bending is 0, and cloth without bending stiffness has no η_b = ρ/D")
+        low, high = PARAMETERS["eta_m"].bounds
+        eta_m = float(np.clip(scene.areal_density / material.stretch, low, high))
+        return np.array([scene.areal_density / material.bending, eta_m, 0.0])
+
+    def strip(self, length: float) -> FoldingStrip:
+        """For the capability "fold": a strip `length` m long that is lifted off a desk."""
+        return FoldingStrip(length, self.elements)
+
+
+@dataclass(frozen=True, eq=False)
+class RestingSheet:
+    """One scene on one mesh, ready for batches of parameter sets."""
+
+    scene: Scene
+    elements: tuple[int, int]
+    threads: ClassVar[bool] = True
+
+    @property
+    def parameters(self) -> ParameterSpace:
+        return PARAMETERS
+
+    def run(self, theta: np.ndarray) -> Rollout:
+        """Rest for theta (B, P), frame by frame: the sheet is always where it would stay if the grips stopped."""
+        theta = self.parameters.check(theta)
+        scene, members = self.scene, len(theta)
+        position = np.full((members, scene.times.size, len(scene.points), 3), np.nan)
+        steps, lost = np.zeros(members, np.int64), [""] * members
+
+        def simulate(b: int) -> None:
+            steps[b], lost[b] = self._follow(theta[b], position[b])
+
+        for_each(simulate, range(members))
+        status = tuple("diverged" if reason else "ok" for reason in lost)
+        nodes = (self.elements[0] + 1) * (self.elements[1] + 1)
+        return Rollout(scene.times, position, status, steps, nodes, tuple(lost))
+
+    def _follow(self, theta: np.ndarray, position: np.ndarray) -> tuple[int, str]:
+        """Fill position (T, N, 3); Newton iterations in all, and why it ended before the last frame."""
+        shell, steps = Shell(self.scene, self.elements, theta[1], theta[2]), 0
+        state: ShellState | None = None
+        before = np.empty(0)
+        for t, grips in enumerate(self.scene.grips_at(self.scene.times)):
+            if state is None or not np.array_equal(grips, before):
+                state = shell.equilibrium(theta[0], grips, state)
+                if state is None:
+                    return steps, f"no equilibrium found at {self.scene.times[t]:g} s"
+                steps += state.iterations
+            position[t], before = shell.positions(state, self.scene.points), grips
+        return steps, ""

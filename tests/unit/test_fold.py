@@ -1,0 +1,159 @@
+"""Folds: the made-up strips, the parts of an estimate, and a suite of one fabric from the command's own parts."""
+
+import numpy as np
+import pytest
+from clothbench_metrics.profile import Profile, nearest
+from clothbench_models.kirchhoff_love import KirchhoffLove
+from clothbench_optimizers.iterative_least_squares import IterativeLeastSquares
+
+from clothbench import ClothbenchError, Observation, Rollout
+from clothbench.experiment.fold import fold, hand_of
+from clothbench.experiment.fold_cell import FoldCell, FoldSettings, chosen_fabrics, fold_settings
+from clothbench.experiment.store import Store, leaderboard_row
+from clothbench.folding import circular_path, triangular_path
+from clothbench.plugins import catalogue
+from clothbench.report.fold_page import fold_section
+from clothbench.report.fold_table import fold_table, summary
+from clothbench.testbed.strip import TestStrip, scattered
+from clothbench.validation.fabrics import FABRICS
+from clothbench.validation.lifted_strip import lift
+
+FIT = ("eta_b", "grip_offset.dx", "grip_offset.dz")
+BOUNDS = {"grip_offset.dx": (-0.01, 0.01), "grip_offset.dz": (-0.01, 0.01)}
+
+
+def cell(steps: int = 3, **changes) -> FoldCell:
+    settings = FoldSettings(steps=steps, friction=0.6, fit=FIT)
+    content = {"suite": "folds", "case": "denim", "model": "kirchhoff_love", "effects": ("grip_offset",),
+               "optimizer": "iterative_least_squares", "metric": "profile", "tracker": "laser_profile",
+               "fold": settings, "bounds": BOUNDS, "evaluations": 120}  # fmt: skip
+    return FoldCell(**{**content, **changes})
+
+
+def test_the_table_of_fabrics_is_in_order():
+    assert len(FABRICS) == 10
+    for fabric in FABRICS:
+        assert fabric.eta_low < fabric.eta < fabric.eta_high
+
+
+@pytest.mark.parametrize("fabric", FABRICS, ids=lambda f: f.name)
+def test_a_strip_is_as_stiff_as_its_fabric_within_its_spread(fabric):
+    stiffness = scattered(fabric, 1.0, 4)(np.linspace(0, 1, 500))
+    assert fabric.eta_low <= stiffness.min() < stiffness.max() <= fabric.eta_high
+
+
+def test_phase_one_lies_between_the_triangular_and_the_circular_path():
+    """The stiffer the cloth, the nearer to the circle; to it, never beyond the triangle (figure 3 of the paper)."""
+    strip, heights = KirchhoffLove().strip(1.0), (0.04, 0.2, 0.4)
+    for height in heights:
+        x = [strip.lift(height, np.array([[eta, 1e-5, 0.3]])).pose[0, 0] for eta in (1e2, 1e3, 1e4, 1e5)]
+        assert (np.diff(x) < 0).all()
+        assert triangular_path(1.0, height) < x[-1]
+        assert x[0] < circular_path(1.0, height) + 1e-3
+
+
+def test_the_strip_that_is_held_where_it_wants_to_be_pulls_at_nothing():
+    strip, theta = KirchhoffLove().strip(1.0), np.array([[5e3, 1e-5, 0.3]])
+    near = strip.lift(0.2, theta)
+    held = strip.hold(near.pose, theta, near)
+    assert np.abs(held.profile - near.profile).max() < 1e-6
+    assert held.friction[0] < 1e-4
+    aside = strip.hold(near.pose + np.array([0.01, 0.0, 0.0]), theta, near)
+    assert aside.pull[0] > 0.01
+
+
+def test_a_sheet_is_not_what_the_model_says_but_near():
+    fabric = next(f for f in FABRICS if f.name == "denim")
+    sheet = TestStrip.of(fabric, 1.0, lambda purpose: 8)
+    free = lift(1.0, sheet.stiffness, 0.2)
+    moved = sheet.move(np.array(free.pose))
+    assert np.hypot(*(np.array(moved.pose[:2]) - free.pose[:2] - sheet.offset)) < 1e-6
+    flat = KirchhoffLove().strip(1.0).lift(0.2, np.array([[fabric.eta, 1e-5, 0.3]]))
+    away = np.abs(flat.profile[0] - free.line(np.linspace(0, 1, flat.profile.shape[1]))).max()
+    assert 1e-4 < away < 2e-2
+
+
+def test_profile_is_half_the_sum_of_squares():
+    """Equation 7: a surface given as points, measured points 3 mm beside two of them."""
+    surface = np.stack([np.linspace(0, 1, 11), np.zeros(11), np.zeros(11)], axis=1)
+    points = np.array([[[0.3, 0.0, 0.003], [0.6, 0.0, -0.003], [np.nan] * 3]])
+    seen = Observation(np.zeros(1), points, np.isfinite(points).all(-1), 1e-4, np.zeros((3, 2)))
+    score = Profile()(seen, Rollout(np.zeros(1), surface[None, None], ("ok",), np.zeros(1, int), 11))
+    assert score.value[0] == pytest.approx(0.5 * 2 * 0.003**2)
+    assert (score.residual**2).sum() / 2 == pytest.approx(score.value[0])
+
+
+def test_a_fine_surface_may_slide_along_itself():
+    """Points between those of the surface count as lying on it; far ones are not joined."""
+    surface = np.stack([np.linspace(0, 0.01, 11), np.zeros(11), np.zeros(11)], axis=1)
+    points = np.array([[0.0034, 0.0, 0.002], [0.0071, 0.0, -0.001]])
+    assert nearest(surface, points, 2e-3) == pytest.approx(np.array([[0, 0, -0.002], [0, 0, 0.001]]), abs=1e-12)
+    assert nearest(surface, points, 1e-4)[0, 0] == pytest.approx(-0.0004)
+
+
+def test_the_search_goes_on_from_where_it_stood():
+    from clothbench.testing.toys import bowl
+
+    problem = bowl()
+    search = IterativeLeastSquares(problem.space, seed=0, budget=60)
+
+    def run() -> int:
+        asked = 0
+        while not search.done:
+            theta = search.ask()
+            asked += len(theta)
+            search.tell(theta, problem.evaluate(theta))
+        return asked
+
+    first = run()
+    stood = search.here.copy()
+    search.renew()
+    assert not search.done
+    assert problem.space.to_unit(search.ask())[0] == pytest.approx(stood)
+    assert run() < first
+
+
+@pytest.mark.slow
+def test_a_fold_ends_near_its_fabric(tmp_path):
+    """Three steps of denim: the rows, the steps, the table and the page; and the same again to the bit."""
+    store = Store(tmp_path)
+    told = []
+    assert fold(store, cell(), lambda step, value: told.append(step)) == "ok"
+    assert told == [1, 2, 3]
+    rows = {r["metric"]: r for r in store.rows()}
+    eta = rows["eta_b"]
+    assert (eta["case"], eta["unit"], eta["reference"], eta["status"]) == ("denim", "m^-4 s^2", 5.2e3, "ok")
+    assert eta["low"] < eta["value"] < eta["high"]
+    assert 3.4e3 <= eta["value"] <= 8.3e3
+    assert rows["friction"]["value"] < rows["friction"]["reference"] == 0.6
+    assert rows["grip_offset_error"]["value"] < 2.0
+    assert rows["tracker_error"]["value"] < 0.6
+    steps = store.folds()
+    assert [s["step"] for s in steps] == [1, 2, 3]
+    assert steps[0]["z"] == pytest.approx(0.04)
+    assert "denim" in fold_section(store.rows(), steps, plotly=False)
+    assert fold_table("folds", store.rows(), steps).row_count == 1
+    assert summary(steps).startswith("within ± 2σ at the last step: 1 of 1")
+    assert leaderboard_row(eta)["recording"] is None
+    other = Store(tmp_path / "again")
+    fold(other, cell())
+    assert [s["value"] for s in other.folds()] == [s["value"] for s in steps]
+
+
+def test_settings_are_checked():
+    assert fold_settings({"steps": 3}).steps == 3
+    with pytest.raises(ClothbenchError, match=r"setting of 'suite\.fold' 'hight' is not known"):
+        fold_settings({"hight": 3})
+    with pytest.raises(ClothbenchError, match=r"30 steps of 0\.04 m reach 1\.2 m"):
+        fold_settings({"steps": 30})
+    with pytest.raises(ClothbenchError, match=r"matches no fabric; there are: coating"):
+        chosen_fabrics(["silk"])
+    hand = hand_of(cell(fold=FoldSettings(first=1.0, fit=FIT)), catalogue())
+    with pytest.raises(ClothbenchError, match=r"'suite\.fold\.first' is 1, expected 100 to 1e"):
+        _ = hand.space
+
+
+def test_a_cell_is_keyed_by_what_it_depends_on():
+    assert cell().key == cell().key
+    assert cell().key != cell(steps=4).key
+    assert cell().stream("fabric") == cell(steps=4).stream("fabric") != cell().stream("gripper")

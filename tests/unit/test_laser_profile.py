@@ -1,0 +1,85 @@
+"""The laser tracker on rendered images whose truth is known, and files of kind "laser"."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from clothbench_trackers.laser_profile import LaserProfile, in_plane
+from scipy.spatial import cKDTree
+
+from clothbench import ClothbenchError, LaserImages, read_laser, write_laser
+from clothbench.curve import read_any
+from clothbench.testbed.laser_camera import rendered
+from clothbench.testing import check_tracker
+
+
+def hook() -> np.ndarray:
+    """A strip that lies flat, rises in a quarter circle of 5 cm and stands straight: (4001, 2) m."""
+    u = np.linspace(0.0, 0.9, 4001)
+    slope = np.clip((u - 0.6) / 0.05, 0.0, np.pi / 2)
+    step = np.diff(u, prepend=0.0)
+    return np.stack([np.cumsum(np.cos(slope) * step), np.cumsum(np.sin(slope) * step)], axis=1)
+
+
+@pytest.fixture(scope="module")
+def images() -> LaserImages:
+    return rendered("hook", hook(), 0.0, 3)
+
+
+def test_points_lie_on_the_sheet(images):
+    seen = LaserProfile().track(images)
+    points = seen.position[0, seen.visible[0]]
+    assert np.abs(points[:, 1]).max() < 1e-9  # in the laser's plane
+    away = cKDTree(hook()).query(points[:, [0, 2]])[0]
+    assert np.sqrt((away**2).mean()) < 0.5e-3
+    assert 0.3 < seen.sigma / np.sqrt((away**2).mean()) < 1.5
+    back = cKDTree(points[:, [0, 2]]).query(hook()[40:-40])[0]
+    assert np.quantile(back, 0.99) < 5e-3  # and the whole of it is seen
+
+
+def test_pixels_are_traced_back_through_the_lens(images):
+    import cv2
+
+    points = np.stack([np.linspace(0, 1, 9), np.zeros(9), np.linspace(0.0, 0.4, 9)], axis=1)
+    turn = cv2.Rodrigues(np.array(images.camera_rotation))[0]
+    pixels = cv2.projectPoints(
+        points, turn, np.array(images.camera_translation), np.array(images.camera_matrix), np.array(images.distortion)
+    )[0][:, 0]
+    assert in_plane(images, pixels) == pytest.approx(points, abs=1e-5)
+
+
+def test_speckle_alone_is_no_line(images):
+    dark = np.random.default_rng(0).integers(0, 20, images.image.shape).astype(np.uint8)
+    with pytest.raises(ClothbenchError, match="found no laser line of contrast 25"):
+        LaserProfile().track(dataclasses.replace(images, image=dark))
+
+
+def test_a_file_gives_what_the_images_gave(images, tmp_path):
+    path = write_laser(images, tmp_path / "hook.nc")
+    again = read_laser(path)
+    assert again.hash == images.hash == read_any(path).hash
+    assert np.array_equal(LaserProfile().track(path).position, LaserProfile().track(images).position, equal_nan=True)
+    check_tracker(LaserProfile, source=path)
+
+
+@pytest.mark.parametrize(
+    ("change", "fault"),
+    [
+        ({"name": ""}, "attribute 'name'"),
+        ({"camera_matrix": np.eye(2)}, r"variable 'camera_matrix': found shape \(2, 2\), expected \(3, 3\)"),
+        ({"image": np.zeros((1, 8, 900), np.uint8)}, "variable 'image': found shape"),
+        ({"camera_rotation": 2 * np.eye(3)}, "variable 'camera_rotation': found no rotation"),
+        ({"laser_plane": np.array([0.0, 2.0, 0.0, 0.0])}, "variable 'laser_plane'"),
+    ],
+    ids=["name", "matrix", "image", "rotation", "plane"],
+)
+def test_bad_images_are_refused_in_one_line(images, change, fault):
+    with pytest.raises(ClothbenchError, match=fault):
+        dataclasses.replace(images, **change)
+
+
+def test_bad_options_are_refused():
+    with pytest.raises(ClothbenchError, match="width is -1, expected a number above 0"):
+        LaserProfile(width=-1)
+    with pytest.raises(ClothbenchError, match="unknown setting 'blur'"):
+        LaserProfile().track(rendered("hook", hook(), 0.0, 3), blur=2)
