@@ -2,7 +2,7 @@
 
 Orthotropic St. Venant–Kirchhoff membrane on constant-strain triangles, discrete-shell hinges calibrated to a
 bending rigidity, Kelvin–Voigt damping of both, mass-proportional damping, quadratic air drag, lumped mass,
-velocity Verlet. There is no contact. World frame, z up, SI units. It uses none of clothbench's models.
+velocity Verlet, or where the membrane's damping is too stiff for it, leapfrog with that damping implicit. No contact. World frame, z up, SI units. It uses none of clothbench's models.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
 
 import numpy as np
-from reference_kernels import Sheet, advance, bending_energy, membrane_energy, total_force
+from reference_kernels import Sheet, advance, advance_damped, bending_energy, membrane_energy, total_force
 from reference_mesh import Mesh, hinges, lumped_mass, slopes
 
 AIR_DENSITY = 1.2  # kg/m³, 20 °C
@@ -38,6 +38,8 @@ class Fabric:
     mass_damping: float = 0.0  # 1/s
     normal_drag: float = 0.0  # C_N
     tangential_drag: float = 0.0  # C_T, both faces together
+    linear_drag: float = 0.0  # k_T, tangential, kg/(m² s)
+    drag_decline: float = 0.0  # k_f, s²/m²
 
 
 @dataclass
@@ -56,6 +58,7 @@ def discretise(fabric: Fabric, mesh: Mesh, gravity: tuple[float, float, float] =
     hinge, shape = hinges(mesh)
     membrane = (fabric.warp_stiffness, fabric.weft_stiffness, fabric.coupling, fabric.shear_stiffness)
     damping = (fabric.stretch_damping, fabric.shear_damping, fabric.bending_damping, fabric.mass_damping)
+    quadratic = 0.5 * AIR_DENSITY * np.array([fabric.normal_drag, fabric.tangential_drag])
     return Sheet(
         triangle=np.ascontiguousarray(mesh.triangle),
         slope=np.ascontiguousarray(slopes(mesh)),
@@ -65,10 +68,15 @@ def discretise(fabric: Fabric, mesh: Mesh, gravity: tuple[float, float, float] =
         mass=lumped_mass(mesh, fabric.areal_density),
         stiffness=np.array(membrane),
         damping=np.array(damping),
-        drag=0.5 * AIR_DENSITY * np.array([fabric.normal_drag, fabric.tangential_drag]),
+        drag=np.array([*quadratic, fabric.linear_drag, fabric.drag_decline]),
         gravity=np.array(gravity),
         wind=np.zeros(3),
     )
+
+
+def implicit_step(fabric: Fabric, mesh: Mesh) -> float:
+    """Time step [s] where the membrane's damping is implicit: that of the same fabric without it."""
+    return stable_step(Fabric(**{**asdict(fabric), "stretch_damping": 0.0, "shear_damping": 0.0}), mesh, 0.6)
 
 
 def stable_step(fabric: Fabric, mesh: Mesh, safety: float = 0.8) -> float:
@@ -80,7 +88,7 @@ def stable_step(fabric: Fabric, mesh: Mesh, safety: float = 0.8) -> float:
     corner = mesh.material[mesh.triangle]
     longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
     lowest = (2.0 * mesh.area / longest).min()
-    stiffest = max(fabric.warp_stiffness, fabric.weft_stiffness) + fabric.coupling
+    stiffest = max(fabric.warp_stiffness, fabric.weft_stiffness, fabric.shear_stiffness) + fabric.coupling
     wave = 2.0 / lowest
     fastest = wave * np.sqrt(np.array([stiffest, fabric.bending_rigidity * wave**2]) / fabric.areal_density)
     sheared = fabric.shear_damping * fabric.shear_stiffness / stiffest
@@ -89,17 +97,21 @@ def stable_step(fabric: Fabric, mesh: Mesh, safety: float = 0.8) -> float:
 
 
 def simulate(
-    sheet: Sheet, state: State, held: np.ndarray, grips: GripPath, times: np.ndarray, step: float
-) -> tuple[np.ndarray, State]:
-    """Positions at `times` (T, N, 3) [m] and the last state; no step is longer than `step` [s]."""
-    now = state.copy()
+    sheet: Sheet, state: State, held: np.ndarray, grips: GripPath, times: np.ndarray, step: float,
+    implicit: bool = False,
+) -> tuple[np.ndarray, State]:  # fmt: skip
+    """Positions at `times` (T, N, 3) [m] and the last state; no step is longer than `step` [s].
+
+    implicit: the membrane's damping, for steps of `implicit_step`.
+    """
+    now, march = state.copy(), advance_damped if implicit else advance
     force = np.empty_like(now.position)
     total_force(sheet, now.position, now.velocity, force)
     frames = [now.position.copy()]
     for start, end in pairwise(times):
         count = int(np.ceil((end - start) / step - 1e-9))
         path = np.ascontiguousarray(grips(np.linspace(start, end, count + 1)))
-        advance(sheet, now.position, now.velocity, force, held, path, (end - start) / count)
+        march(sheet, now.position, now.velocity, force, held, path, (end - start) / count)
         if not np.isfinite(now.position).all():
             raise FloatingPointError(f"diverged before t = {end:g} s; take a shorter step than {step:g} s")
         frames.append(now.position.copy())
