@@ -38,7 +38,10 @@ def responses(image: np.ndarray) -> np.ndarray:
 
 @compiled
 def energy_direction(r, cosine, sine):
-    """C2 and C3 of the oriented energy C1 + C2 cos 2θ + C3 sin 2θ + … (appendix I), from responses r (7, H, W)."""
+    """C2 and C3 of the oriented energy C1 + C2 cos 2θ + C3 sin 2θ + … (appendix I), from responses r (7, H, W).
+
+    θ grows from x to y, which in an image points down; the paper's grows the other way, hence the sign of C3.
+    """
     for y in range(r.shape[1]):
         for x in range(r.shape[2]):
             ga, gb, gc = r[0, y, x], r[1, y, x], r[2, y, x]
@@ -47,9 +50,7 @@ def energy_direction(r, cosine, sine):
                 0.5 * (ga * ga - gc * gc) + 0.46875 * (ha * ha - hd * hd) + 0.28125 * (hb * hb - hc * hc)
                 + 0.1875 * (ha * hc - hb * hd)
             )  # fmt: skip
-            sine[y, x] = (
-                -ga * gb - gb * gc - 0.9375 * (hc * hd + ha * hb) - 1.6875 * hb * hc - 0.1875 * ha * hd
-            )  # fmt: skip
+            sine[y, x] = ga * gb + gb * gc + 0.9375 * (hc * hd + ha * hb) + 1.6875 * hb * hc + 0.1875 * ha * hd
 
 
 def angle_map(image: np.ndarray, blur: float) -> np.ndarray:

@@ -18,6 +18,7 @@ from clothbench.errors import ClothbenchError
 from clothbench.surface import Surface
 
 AMBIENT, LIT, DARK = 0.30, 0.60, 0.03  # grey of the sheet between stripes, what a stripe adds, and the background's
+EDGE = 1e-9  # by which a pixel may lie outside: on a shared edge rounding must not leave it to neither triangle
 NEAR = 1e-3  # m; triangles that come nearer to the lens are not drawn
 compiled = njit(cache=True, nogil=True, error_model="numpy")
 
@@ -48,7 +49,7 @@ def rasterise(pixel, depth, triangle, attribute, nearest, out):
                 p = ((bx - x) * (cy - y) - (by - y) * (cx - x)) / twice
                 q = ((cx - x) * (ay - y) - (cy - y) * (ax - x)) / twice
                 r = 1 - p - q
-                if p < 0 or q < 0 or r < 0:
+                if min(p, q, r) < -EDGE:
                     continue
                 z = 1 / (p * ia + q * ib + r * ic)
                 if z < nearest[y, x]:

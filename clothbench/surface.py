@@ -13,15 +13,17 @@ SLIVER = 0.05  # altitude over longest side below which a triangle only joins po
 
 @dataclass(frozen=True, eq=False)
 class Surface:
-    """material: (M, 2) m, the drawn points; triangle: (F, 3) of them; weight: (M, N), each as a sum of the N nodes."""
+    """material: (M, 2) m, the drawn points; triangle: (F, 3) of them; weight: (M, N), each point as a sum of the N
+    nodes, or None where they are the nodes themselves (then a node that was not seen takes only its triangles along).
+    """
 
     material: np.ndarray
     triangle: np.ndarray
-    weight: np.ndarray
+    weight: np.ndarray | None = None
 
     def __call__(self, position: np.ndarray) -> np.ndarray:
         """Nodes (..., N, 3) m → drawn points (..., M, 3) m."""
-        return np.matmul(self.weight, position)
+        return position if self.weight is None else np.matmul(self.weight, position)
 
 
 def surface_of(material: np.ndarray, refine: int = 1) -> Surface:
@@ -32,17 +34,17 @@ def surface_of(material: np.ndarray, refine: int = 1) -> Surface:
     by Delaunay triangles as they are.
     """
     u, v = (np.unique(material[:, i].round(9)) for i in (0, 1))
-    if len(u) * len(v) == len(material) and min(len(u), len(v)) >= 2:
-        return _lattice(material, u, v, refine)
-    order = np.lexsort(material.T)
-    triangle = order[_delaunay(material[order])]
-    return Surface(material, triangle, np.eye(len(material)))
+    order = np.lexsort(material.round(9).T)  # row by row, whatever order the nodes came in
+    if len(u) * len(v) != len(material) or min(len(u), len(v)) < 2:
+        return Surface(material, order[_delaunay(material[order])])
+    if refine == 1:
+        return Surface(material, order[_cells(len(u), len(v))])
+    return _refined(u, v, order, refine)
 
 
-def _lattice(material: np.ndarray, u: np.ndarray, v: np.ndarray, refine: int) -> Surface:
-    order = np.lexsort(material.T)  # row by row, whatever order the nodes came in
+def _refined(u: np.ndarray, v: np.ndarray, order: np.ndarray, refine: int) -> Surface:
     fine_u, fine_v = _finer(u, refine), _finer(v, refine)
-    weight = np.empty((len(fine_u) * len(fine_v), len(material)))
+    weight = np.empty((len(fine_u) * len(fine_v), len(order)))
     weight[:, order] = np.kron(cubic_weights(v, fine_v), cubic_weights(u, fine_u))
     grid = np.stack(np.meshgrid(fine_u, fine_v), axis=-1).reshape(-1, 2)
     return Surface(grid, _cells(len(fine_u), len(fine_v)), weight)
