@@ -39,10 +39,10 @@ def rasterise(pixel, depth, triangle, attribute, nearest, out):
         twice = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
         if not (abs(twice) > 1e-12 and min(depth[a], depth[b], depth[c]) > NEAR):
             continue
-        left = max(0, int(math.ceil(min(ax, bx, cx))))
-        right = min(width - 1, int(math.floor(max(ax, bx, cx))))
-        top = max(0, int(math.ceil(min(ay, by, cy))))
-        bottom = min(height - 1, int(math.floor(max(ay, by, cy))))
+        left = max(0, int(np.ceil(min(ax, bx, cx))))
+        right = min(width - 1, int(np.floor(max(ax, bx, cx))))
+        top = max(0, int(np.ceil(min(ay, by, cy))))
+        bottom = min(height - 1, int(np.floor(max(ay, by, cy))))
         ia, ib, ic = 1 / depth[a], 1 / depth[b], 1 / depth[c]
         for y in range(top, bottom + 1):
             for x in range(left, right + 1):

@@ -1,13 +1,13 @@
 """Makes the stand-in recordings of the suite `static_dynamic`: `python tools/make_static_dynamic.py [FABRIC…]`.
 
-The protocol is that of Bhat et al. 2003, "Estimating cloth simulation parameters from video": a swatch hangs from its two
-top corners, in `static` trials still at two separations, in `waving` trials with one corner moved; then longer and on a
-skirt-like garment. The true parameters are those the paper found for its fabrics: table 1 (experiment 2) in the static
-trials, table 3 (the experiment it selected) in the others. The paper gives neither masses nor sizes, and the two tables
-disagree about one fabric, as it says itself; so the static and the waving stand-ins of a fabric are two cloths. The truth
-comes from the reference simulation beside this file; a camera and a projector (`clothbench.render`) look at it.
+The protocol is that of Bhat et al. 2003, "Estimating cloth simulation parameters from video": a swatch hangs from its
+two top corners, in `static` trials still at two separations, in `waving` trials with one corner moved; then longer and
+on a skirt-like garment. The true parameters are those the paper found for its fabrics: table 1 (experiment 2) in the
+static trials, table 3 (the experiment it selected) in the others. The paper gives neither masses nor sizes, and the two tables
+disagree about one fabric, as it says itself; so the static and the waving stand-ins of a fabric are two cloths. The
+truth comes from the reference simulation beside this file; a camera and a projector (`clothbench.render`) look at it.
 
-`--convergence TRIAL…` says what a mesh 1.5 times finer in space and time changes. Files come out the same bit for bit on
+`--convergence TRIAL…` says what a mesh twice as fine in space and time changes. Files come out the same bit for bit on
 one machine; on another processor the last digit of the tracker (8 µm) may differ.
 """
 
@@ -18,12 +18,23 @@ import math
 import time
 import zlib
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from reference_mesh import Mesh, build, tracking_weights
-from reference_simulation import AIR_DENSITY, Fabric, State, bowed, discretise, implicit_step, settle, simulate, stable_step
+from reference_mesh import build, tracking_weights
+from reference_simulation import (
+    AIR_DENSITY,
+    Fabric,
+    State,
+    bowed,
+    calmed,
+    discretise,
+    implicit_step,
+    settle,
+    simulate,
+    stable_step,
+)  # fmt: skip
 
 from clothbench.camera import Camera, Projector, Video
 from clothbench.recording import Recording, write_recording
@@ -155,11 +166,11 @@ class Bench:
 
     def __init__(self, fabric: Fabric, skirt: bool = False, finer: float = 1.0) -> None:
         self.size = SKIRT if skirt else (SIDE, SIDE)
-        columns, rows = (56, 24) if skirt else (28, 32)  # nearly equilateral triangles of 10 to 13 mm
-        columns, rows = round(columns * finer), 2 * round(rows * finer / 2)
+        columns, rows = (36, 16) if skirt else (14, 16)  # nearly equilateral triangles of 21 mm
+        columns, rows = 2 * round(columns * finer / 2), 16 * round(rows * finer / 16)
         self.skirt, self.mesh = skirt, build(*self.size, columns, rows)
         self.sheet, self.step = discretise(fabric, self.mesh), implicit_step(fabric, self.mesh)
-        self.calm = replace(fabric, stretch_damping=5e-4, shear_damping=5e-4, bending_damping=1e-3)
+        self.calm = calmed(fabric, self.mesh)
         self.held = np.arange(columns + 1) if skirt else np.array([0, columns])
         self.at_rest: dict[float, np.ndarray] = {}
 
@@ -215,7 +226,7 @@ def rig(skirt: bool) -> tuple[Camera, Projector]:
     size, across, far = ((144, 168), 0.50, 1.4) if skirt else ((120, 128), 0.40, 1.2)
     target = np.array([0.0, 0.0, HEIGHT - 0.16 - 0.02 * skirt])
     camera = Camera.looking_at(target - [0.0, far, 0.0], target, size, across)
-    lens = Camera.looking_at(target + [0.0, -far, 0.7 * far], target, (800, 800), 0.8)
+    lens = Camera.looking_at(target - [0.0, far, -0.7 * far], target, (800, 800), 0.8)
     return camera, Projector(lens, 6.0 * across / size[0] * 1000 * math.cos(math.atan(0.7)))
 
 
@@ -268,12 +279,12 @@ def record(fabric: str, trial: Trial, bench: Bench | None = None) -> Recording:
     )  # fmt: skip
 
 
-def make_all(fabrics: list[str]) -> None:
-    """Write every recording and print one line for each."""
+def make_all(fabrics: list[str], names: list[str] | None = None) -> None:
+    """Write every recording (or those of the trials named) and print one line for each."""
     print(f"{'recording':<20}{'split':<10}{'frames':>7}{'kB':>6}{'s':>6}  hash")
     for fabric in fabrics:
         benches: dict[tuple[str, bool], Bench] = {}
-        for trial in TRIALS:
+        for trial in (trial for trial in TRIALS if names is None or trial.name in names):
             began, kind = time.perf_counter(), (trial.experiment, trial.is_skirt)
             if kind not in benches:
                 benches[kind] = Bench(fabric_of(fabric, trial.experiment)[0], trial.is_skirt)
@@ -285,12 +296,12 @@ def make_all(fabrics: list[str]) -> None:
 
 
 def check_convergence(names: list[str], fabrics: list[str]) -> None:
-    """Named trials on this mesh and on one 1.5 times finer in space and time: change of the markers [mm]."""
+    """Named trials on this mesh and on one twice as fine in space and time: change of the markers [mm]."""
     for fabric in fabrics:
         for trial in (trial for trial in TRIALS if trial.name in names):
             made = fabric_of(fabric, trial.experiment)[0]
             runs = []
-            for bench in (Bench(made, trial.is_skirt, finer) for finer in (1.0, 1.5)):
+            for bench in (Bench(made, trial.is_skirt, finer) for finer in (1.0, 2.0)):
                 weights = tracking_weights(bench.mesh, markers(bench.size))
                 runs.append(np.einsum("mn,tnd->tmd", weights, bench.run(trial, frame_times(trial))))
             change = 1e3 * np.linalg.norm(runs[1] - runs[0], axis=2)
@@ -302,13 +313,14 @@ def check_convergence(names: list[str], fabrics: list[str]) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description="Make the stand-in recordings of the suite static_dynamic.")
     parser.add_argument("fabrics", nargs="*", metavar="FABRIC", help=f"of {', '.join(FABRICS)} (default: all)")
+    parser.add_argument("--trials", nargs="+", metavar="TRIAL", help="only these")
     parser.add_argument("--convergence", nargs="+", metavar="TRIAL", help="check the mesh on these trials")
     options = parser.parse_args()
     fabrics = options.fabrics or list(FABRICS)
     if options.convergence:
         check_convergence(options.convergence, fabrics)
     else:
-        make_all(fabrics)
+        make_all(fabrics, options.trials)
 
 
 if __name__ == "__main__":

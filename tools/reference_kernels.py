@@ -147,8 +147,8 @@ def bending_force(sheet, x, v, force):
 
 @compiled
 def drag_force(sheet, x, v, force):
-    """f = −A (½ρ_air (C_N |v_n| v_n/(1 + k_f |v_n|²) + C_T |v_t| v_t) + k_T v_t), v against the air: quadratic, with the
-    decline and the linear part of Bhat et al. 2003, section 3."""
+    """f = −A (½ρ_air (C_N |v_n| v_n/(1 + k_f |v_n|²) + C_T |v_t| v_t) + k_T v_t), v against the air: quadratic, with
+    the decline and the linear part of Bhat et al. 2003, section 3."""
     normal_drag, tangential_drag, linear_drag, decline = sheet.drag
     for t in range(len(sheet.area)):
         i, j, k = sheet.triangle[t]

@@ -15,7 +15,7 @@ from clothbench.experiment.cell import Cell, Source, plugin_versions, rehearse, 
 from clothbench.experiment.rows import AnyCell
 from clothbench.experiment.settings import PRODUCT, checked, words
 from clothbench.experiment.validation_cell import plan_validation
-from clothbench.plugins import Catalogue
+from clothbench.plugins import Catalogue, PluginBroken
 from clothbench.recording import Recording, find_recordings, read_recording
 
 Told = Callable[[int, int, str], None]
@@ -38,8 +38,12 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = 
         return list(plan_validation(config, plugins))
     recordings = read_all(where(config, progress))
     cases = group(recordings, suite.get("case") or "fabric", suite["select"], config["seed"])
+    if suite.get("fit") == "each":
+        cases = one_by_one(cases)
+    check_fixed(suite["fixed"], config, plugins)
     cells: dict[str, Cell] = {}
     for case, sources in cases.items():
+        analysis = {n: _told(a) for n, a in config["analysis"].items() if _matches(case, a["cases"])}
         for model, optimizer, metric in itertools.product(*(config[key] for key in PRODUCT)):
             cell = Cell(
                 suite=suite.get("name") or "single",
@@ -48,7 +52,10 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = 
                 model=model,
                 optimizer=optimizer,
                 metric=metric,
-                effects=tuple(config["effects"]),
+                effects=tuple(dict.fromkeys([*config["effects"], *suite["effects"].get(model, [])])),
+                fixed={n: v for p, values in suite["fixed"].items() if _matches(case, [p]) for n, v in values.items()},
+                analysis=analysis,
+                rivals=tuple(rivals(sources, cases)) if "confusion" in analysis else (),
                 report=tuple(config["report"]),
                 tracker=str(config["tracker"]),
                 **{key: config[key] for key in ("options", "bounds", "scene", "budget", "seed", "timeout")},
@@ -57,6 +64,49 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = 
             rehearse(cell, plugins, {r.path: r for r in recordings})
             cells[cell.key] = cell
     return list(cells.values())
+
+
+def _matches(case: str, patterns: Sequence[str]) -> bool:
+    return any(fnmatch.fnmatch(case, p) for p in patterns)
+
+
+def _told(options: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in options.items() if key != "cases"}
+
+
+def one_by_one(cases: Mapping[str, Sequence[Source]]) -> dict[str, list[Source]]:
+    """A case of its own for each recording that is fitted, called by its name; the others of its case are held out."""
+    out = {}
+    for sources in cases.values():
+        for fitted in (s for s in sources if s.split == "fit"):
+            split = [dataclasses.replace(s, split="fit" if s is fitted else "held_out") for s in sources]
+            out[fitted.name] = sorted(split, key=lambda s: s.split)
+    return out
+
+
+def rivals(sources: Sequence[Source], cases: Mapping[str, Sequence[Source]]) -> list[Source]:
+    """The recordings of other fabrics ("FABRIC/TRIAL") whose trial is one that this case could have fitted."""
+    known = {s.name: s for mine in cases.values() for s in mine}
+    fitted = {s.name for mine in cases.values() for s in mine if s.split == "fit"}
+    trials = {s.name.partition("/")[2] for s in sources if s.name in fitted}
+    mine = {s.name for s in sources}
+    return [s for name, s in sorted(known.items()) if name.partition("/")[2] in trials and name in fitted - mine]
+
+
+def check_fixed(fixed: Mapping[str, Mapping[str, float]], config: Mapping[str, Any], plugins: Catalogue) -> None:
+    """Refuse a fixed parameter that no model of the product has: it would be left free without a word."""
+    names = {n for values in fixed.values() for n in values}
+    known: set[str] = set()
+    for model in config["model"]:
+        try:
+            known |= set(plugins.load("models", model).parameters.names)
+        except (PluginBroken, AttributeError):  # a factory says what it has only when it is made
+            return
+    for effect in {*config["effects"], *itertools.chain(*config["suite"]["effects"].values())}:
+        known |= set(plugins.make("effects", effect).parameters.prefixed(effect).names)
+    if unknown := sorted(names - known):
+        there = ", ".join(sorted(known))
+        raise ClothbenchError(f"setting 'suite.fixed': {unknown[0]!r} is no parameter; there are: {there}")
 
 
 def where(config: Mapping[str, Any], progress: Told | None = None) -> list[Path]:
@@ -88,6 +138,12 @@ def read_all(paths: Iterable[Path]) -> list[Recording]:
     return [read_recording(path) for path in paths]
 
 
+def _case_of(r: Recording, by: str) -> str:
+    if by == "experiment":  # of one fabric, as the recording's header says
+        return "/".join(filter(None, (r.fabric, r.notes.get("experiment", "")))) or r.name
+    return getattr(r, by) or r.name
+
+
 def group(recordings: Sequence[Recording], by: str, patterns: Sequence[str], seed: int) -> dict[str, list[Source]]:
     """Recordings by case, each with a fit split; a recording's name must match one of `patterns`."""
     chosen = [r for r in recordings if any(fnmatch.fnmatch(r.name, p) for p in patterns)]
@@ -95,7 +151,7 @@ def group(recordings: Sequence[Recording], by: str, patterns: Sequence[str], see
         raise ClothbenchError(f"setting 'suite.select' {list(patterns)} matches none of {len(recordings)} recordings")
     cases: dict[str, list[Source]] = {}
     for r in chosen:
-        case = "all" if by == "all" else r.name if by == "recording" else getattr(r, by) or r.name
+        case = "all" if by == "all" else r.name if by == "recording" else _case_of(r, by)
         cases.setdefault(case, []).append(Source(r.path, r.name, r.hash, r.split))
     out = {case: resplit(sources, seed) for case, sources in sorted(cases.items())}
     for case, sources in out.items():

@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from clothbench.experiment.analysis_schema import ANALYSIS_TABLES
 from clothbench.experiment.store import Store
 from clothbench.files import whole_file
+from clothbench.report.analysis_page import analysis_section
 from clothbench.report.figure_data import model_name
 from clothbench.report.figures import panels
 from clothbench.report.page_style import CSS, DRAWING, FIGURES, SCRIPT
@@ -49,6 +51,7 @@ def document(store: Store) -> str:
             failure_list(rows),
             leaderboards(found),
             drawn,
+            analysis_section(found, {n: store.table(n) for n in ANALYSIS_TABLES}, plotly=not drawn),
             validation_section(tests, store.levels({r["key"] for r in tests}), plotly=not drawn),
         ]
         sections += [fits(found, store.parameters()), machines(rows), MORE]

@@ -59,5 +59,6 @@ def test_folds_are_marked_where_the_angle_changes_and_not_at_the_hem():
 def test_the_filters_answer_best_to_the_stripes_they_are_meant_for():
     """|FT| of G2 peaks at 2 rad per unit of its argument: π/SPACING px from stripe to stripe."""
     best = np.pi / SPACING
-    strength = {w: np.abs(responses(grating(np.pi / 2, w))[2, 20:-20, 20:-20]).max() for w in (0.6 * best, best, 1.8 * best)}
+    waves = (0.6 * best, best, 1.8 * best)
+    strength = {w: np.abs(responses(grating(np.pi / 2, w))[2, 20:-20, 20:-20]).max() for w in waves}
     assert max(strength, key=strength.get) == best

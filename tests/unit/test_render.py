@@ -24,7 +24,7 @@ def hung(uv, depth=0.0):
 def test_points_land_where_opencv_puts_them():
     lens = Camera((640, 480), [[500, 0, 320], [0, 510, 235], [0, 0, 1]], CAMERA.rotation, CAMERA.translation,
                   [0.1, -0.05, 0.002, -0.003, 0.01])  # fmt: skip
-    points = np.random.default_rng(0).uniform(-0.3, 0.3, (40, 3)) + [0, 0, 0.85]
+    points = np.random.default_rng(0).uniform(-0.3, 0.3, (40, 3)) + np.array([0, 0, 0.85])
     turn = cv2.Rodrigues(np.asarray(lens.rotation))[0]
     expected = cv2.projectPoints(points, turn, np.asarray(lens.translation), lens.matrix, lens.distortion)[0][:, 0]
     pixel, depth = lens.project(points)
@@ -59,7 +59,7 @@ def test_depth_of_a_plane_is_that_of_its_rays():
 def test_the_nearer_layer_hides_the_other():
     uv = lattice(5)
     surface = surface_of(uv)
-    front, back = hung(uv), hung(uv) + [0, 0.1, 0]
+    front, back = hung(uv), hung(uv) + np.array([0, 0.1, 0])
     lap = np.where((uv[:, 0] < 0.14)[:, None], front, back)
     depth = depth_images(CAMERA, surface, lap)[0]
     near = depth_images(CAMERA, surface, front)[0]

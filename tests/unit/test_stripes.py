@@ -6,7 +6,17 @@ import numpy as np
 import pytest
 from conftest import swinging_recording
 
-from clothbench import Camera, ClothbenchError, Observation, Projector, Recording, Rollout, Video, read_recording, write_recording
+from clothbench import (
+    Camera,
+    ClothbenchError,
+    Observation,
+    Projector,
+    Recording,
+    Rollout,
+    Video,
+    read_recording,
+    write_recording,
+)
 from clothbench.plugins import catalogue
 from clothbench.render import expose, silhouettes, striped
 from clothbench.surface import surface_of
@@ -65,7 +75,7 @@ def test_a_recording_keeps_its_video(tmp_path):
     ("damage", "found"),
     [
         (lambda d: d.attrs.pop("camera_matrix"), "attribute 'camera_matrix' is missing"),
-        (lambda d: d.attrs.update(camera_matrix="1 2 3"), "attribute 'camera_matrix': found '1 2 3', expected 9 numbers"),
+        (lambda d: d.attrs.update(camera_matrix="1 2 3"), "'camera_matrix': found '1 2 3', expected 9 numbers"),
         (lambda d: d.attrs.update(camera_rotation="2 0 0 0 1 0 0 0 1"), "camera: rotation is no proper rotation"),
         (lambda d: d.attrs.update(stripe_period=-1.0), "projector: period is -1"),
         (lambda d: d["frame"].attrs.update(units="grey"), "variable 'frame': found units 'grey', expected '1'"),

@@ -52,7 +52,8 @@ class Fold:
         angle, fold, weight = view.angle, view.fold, math.sqrt(self.alpha)
 
         def compare(b: int, some: slice) -> None:
-            for t, found, shape in zip(range(some.start, some.stop), *sight.stripes(rollout.position[b], some), strict=True):
+            drawn = zip(*sight.stripes(rollout.position[b], some), strict=True)
+            for t, (found, shape) in enumerate(drawn, some.start):
                 away = turned(found - angle[t])
                 folded, outside = pooled(away, fold[t], shape, view.silhouette[t], residual[b, t])
                 residual[b, t, 1] *= weight

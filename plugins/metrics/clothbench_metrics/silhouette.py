@@ -16,8 +16,8 @@ class Silhouette:
     """The mean over the frames of the pixels in which the silhouettes differ (Bhat et al. 2003, eq. 6), or of what both
     share over what either covers, as 100 (1 − intersection over union), so that lower is better.
 
-    quantity: "mismatch" [px] or "iou" [%]. As in `fold`, the observation's view says what was seen; without one, tracked
-    nodes are drawn on an image `pixels` wide.
+    quantity: "mismatch" [px] or "iou" [%]. As in `fold`, the observation's view says what was seen; without one,
+    tracked nodes are drawn on an image `pixels` wide.
     """
 
     name = "silhouette"

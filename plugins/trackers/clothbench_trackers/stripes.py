@@ -1,4 +1,4 @@
-"""`stripes`: stripes projected on a cloth, filmed by a calibrated camera → silhouette, angle map, folds (Bhat et al. 2003)."""
+"""`stripes`: stripes projected on a filmed cloth → silhouette, angle map and folds (Bhat et al. 2003)."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ class Stripes:
     (Bhat et al. 2003, section 4, eq. 4). The tracked nodes of the recording, if it has any, stay beside the view.
 
     level: share of full grey above which a pixel shows cloth (a dark background is assumed, of which the largest bright
-    part is the cloth); blur: px, of the filters' coefficients; threshold: rad/px, of the angle's gradient in a fold. The
-    paper leaves the last two open.
+    part is the cloth); blur: px, of the filters' coefficients; threshold: rad/px, of the angle's gradient in a fold.
+    The paper leaves the last two open.
     """
 
     name = "stripes"
