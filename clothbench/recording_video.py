@@ -22,7 +22,7 @@ ATTRIBUTES = (*(f"camera_{name}" for name in LENSES), *PROJECTOR)
 
 def video_attributes(video: Video) -> dict[str, Any]:
     """The attributes that state a video's calibration, numbers as text."""
-    out = {f"camera_{name}": _text(getattr(video.camera, name)) for name in LENSES}
+    out: dict[str, Any] = {f"camera_{name}": _text(getattr(video.camera, name)) for name in LENSES}
     if (projector := video.projector) is not None:
         lens = projector.lens
         out |= {f"projector_{name}": _text(getattr(lens, name)) for name in LENSES if name != "distortion"}

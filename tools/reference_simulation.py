@@ -160,7 +160,7 @@ def total_energy(sheet: Sheet, state: State) -> float:
 
 def undamped(fabric: Fabric) -> Fabric:
     """The same fabric in vacuum and without any loss."""
-    losses = [field.name for field in fields(fabric) if field.name.endswith(("damping", "drag"))]
+    losses = [field.name for field in fields(fabric) if field.name.endswith(("damping", "drag", "decline"))]
     return Fabric(**{**asdict(fabric), **dict.fromkeys(losses, 0.0)})
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -19,6 +19,7 @@ from clothbench.recording import read_recording
 from clothbench.rollout import Rollout
 
 Tables = dict[str, list[dict[str, Any]]]
+Options = Mapping[str, Any]
 
 
 def analyse(bench: Bench, fit: Fit, rollouts: Sequence[Rollout]) -> Tables:
@@ -57,12 +58,12 @@ def _whole(bench: Bench, row: dict[str, Any]) -> dict[str, Any]:
     return {**about, **row, **{k: metric.unit for k in ("unit", "error_unit") if k not in row}}
 
 
-def _variability(bench: Bench, fit: Fit, options: dict[str, Any]) -> Tables:
+def _variability(bench: Bench, fit: Fit, options: Options) -> Tables:
     found, behind = variability(bench.of_split("fit"), bench.space, fit.best, options["points"])
     return {"variability": found, "perturbations": behind}
 
 
-def _repeats(bench: Bench, fit: Fit, options: dict[str, Any]) -> Tables:
+def _repeats(bench: Bench, fit: Fit, options: Options) -> Tables:
     cell = bench.cell
     factory = catalogue().load("optimizers", cell.optimizer)
     if "start" not in inspect.signature(factory).parameters:
@@ -78,14 +79,14 @@ def _repeats(bench: Bench, fit: Fit, options: dict[str, Any]) -> Tables:
 
 
 def _sensitivity(method: Callable[..., list[dict[str, Any]]], size: str) -> Callable[..., Tables]:
-    def work(bench: Bench, fit: Fit, options: dict[str, Any]) -> Tables:
+    def work(bench: Bench, fit: Fit, options: Options) -> Tables:
         seed = bench.cell.stream("sensitivity")
         return {"sensitivity": method(bench.of_split("fit"), bench.space, options[size], seed)}
 
     return work
 
 
-def _map(bench: Bench, fit: Fit, options: dict[str, Any]) -> Tables:
+def _map(bench: Bench, fit: Fit, options: Options) -> Tables:
     names = options["parameters"]
     if len(names) != 2 or not set(names) <= set(bench.space.names):
         reason = f"needs two of the parameters {', '.join(bench.space.names)}; asked for {', '.join(names)}"
@@ -93,7 +94,7 @@ def _map(bench: Bench, fit: Fit, options: dict[str, Any]) -> Tables:
     return {"map": error_map(bench.of_split("fit"), bench.space, fit.best, names, options["points"])}
 
 
-def _confusion(bench: Bench, fit: Fit, options: dict[str, Any]) -> Tables:
+def _confusion(bench: Bench, fit: Fit, options: Options) -> Tables:
     """The same parameters, and the mass of their own fabric, in the other fabrics' trials; and in its own."""
     mine = bench.recordings[0]
     density = bench.cell.scene.get("areal_density") if np.isnan(mine.areal_density) else mine.areal_density
@@ -114,7 +115,7 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-ANALYSES: dict[str, Callable[[Bench, Fit, dict[str, Any]], Tables]] = {
+ANALYSES: dict[str, Callable[[Bench, Fit, Options], Tables]] = {
     "variability": _variability,
     "repeats": _repeats,
     "morris": _sensitivity(morris, "trajectories"),

@@ -231,9 +231,12 @@ class Held:
 
 
 def holding(simulation: Simulation, fixed: Mapping[str, float]) -> Simulation:
-    """The simulation with what it knows of `fixed` held at those values; itself if that is nothing."""
+    """The simulation with what it knows of `fixed` held at those values; itself if that is nothing.
+
+    A suite fixes parameters for all the models that it is run with; one that has no such parameter has nothing to fix.
+    """
     mine = {name: value for name, value in fixed.items() if name in simulation.parameters.names}
-    return Held(simulation, mine) if mine else simulation
+    return Held(simulation, mine) if mine else simulation  # type: ignore[return-value]
 
 
 def resplit(sources: list[Source], seed: int) -> list[Source]:

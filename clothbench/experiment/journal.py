@@ -30,7 +30,7 @@ class Journal:
         if not (path := self._path(theta)).is_file():
             return None
         try:
-            with np.load(path, allow_pickle=False) as stored:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
                 return Evaluation(stored["value"], stored.get("residual"))
         except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
             return None
@@ -39,7 +39,7 @@ class Journal:
         self.folder.mkdir(parents=True, exist_ok=True)
         residual = {} if evaluation.residual is None else {"residual": evaluation.residual}
         with whole_file(self._path(theta)) as part, part.open("wb") as file:
-            np.savez(file, value=evaluation.value, **residual)
+            np.savez(file, value=evaluation.value, **residual)  # type: ignore[arg-type]
 
     def forget(self) -> None:
         """All of it; the cell is finished."""

@@ -20,9 +20,9 @@ KNOWN = {
     "seed", "jobs", "timeout", "out", "data_dir", "suite", "rerun", "analysis",
 }  # fmt: skip
 SUITE_KEYS = {
-    "name", "version", "title", "recordings", "select", "case", "fit", "fixed", "effects", "budgets", "tests", "meshes",
+    "name", "version", "title", "recordings", "select", "case", "each", "fixed", "effects", "budgets", "tests",
+    "meshes",
 }  # fmt: skip
-FITS = ("together", "each")
 # What can be asked of a finished fit, with the options of each and their defaults.
 ANALYSES: dict[str, dict[str, Any]] = {
     "variability": {"points": 8},  # perturbations of each parameter, up to ±20 %
@@ -178,8 +178,6 @@ def suite_settings(suite: Any) -> dict[str, Any]:
         raise ClothbenchError(f"setting 'suite' is {suite!r}; choose a suite with +suite=NAME")
     out = mapping("suite", suite)
     known_words("setting of 'suite'", out, SUITE_KEYS)
-    if out.get("fit", "together") not in FITS:
-        raise ClothbenchError(f"setting 'suite.fit' is {out['fit']!r}, expected one of {', '.join(FITS)}")
     for key in ("fixed", "effects", "budgets"):
         out[key] = mapping(f"suite.{key}", out.get(key))
     out["effects"] = {model: words(f"suite.effects.{model}", names) for model, names in out["effects"].items()}
@@ -192,6 +190,7 @@ def suite_settings(suite: Any) -> dict[str, Any]:
     out["tests"] = chosen_tests(words("suite.tests", out.get("tests")))
     out["meshes"] = mesh_sizes(out.get("meshes"))
     out["select"] = words("suite.select", out.get("select")) or ["*"]
+    out["each"] = words("suite.each", out.get("each"))
     return out
 
 

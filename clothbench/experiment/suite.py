@@ -15,7 +15,7 @@ from clothbench.experiment.cell import Cell, Source, plugin_versions, rehearse, 
 from clothbench.experiment.rows import AnyCell
 from clothbench.experiment.settings import PRODUCT, checked, words
 from clothbench.experiment.validation_cell import plan_validation
-from clothbench.plugins import Catalogue, PluginBroken
+from clothbench.plugins import Catalogue
 from clothbench.recording import Recording, find_recordings, read_recording
 
 Told = Callable[[int, int, str], None]
@@ -38,9 +38,8 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = 
         return list(plan_validation(config, plugins))
     recordings = read_all(where(config, progress))
     cases = group(recordings, suite.get("case") or "fabric", suite["select"], config["seed"])
-    if suite.get("fit") == "each":
-        cases = one_by_one(cases)
-    check_fixed(suite["fixed"], config, plugins)
+    if suite["each"]:
+        cases = one_by_one(cases, suite["each"])
     cells: dict[str, Cell] = {}
     for case, sources in cases.items():
         analysis = {n: _told(a) for n, a in config["analysis"].items() if _matches(case, a["cases"])}
@@ -74,13 +73,17 @@ def _told(options: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in options.items() if key != "cases"}
 
 
-def one_by_one(cases: Mapping[str, Sequence[Source]]) -> dict[str, list[Source]]:
-    """A case of its own for each recording that is fitted, called by its name; the others of its case are held out."""
+def one_by_one(cases: Mapping[str, Sequence[Source]], patterns: Sequence[str]) -> dict[str, list[Source]]:
+    """A case of its own for each recording whose name matches, called by that name: it is fitted, the others of its case
+    are held out, whatever split the files state.
+    """
     out = {}
     for sources in cases.values():
-        for fitted in (s for s in sources if s.split == "fit"):
+        for fitted in (s for s in sources if _matches(s.name, patterns)):
             split = [dataclasses.replace(s, split="fit" if s is fitted else "held_out") for s in sources]
             out[fitted.name] = sorted(split, key=lambda s: s.split)
+    if not out:
+        raise ClothbenchError(f"setting 'suite.each' {list(patterns)} matches none of the recordings")
     return out
 
 
@@ -91,22 +94,6 @@ def rivals(sources: Sequence[Source], cases: Mapping[str, Sequence[Source]]) -> 
     trials = {s.name.partition("/")[2] for s in sources if s.name in fitted}
     mine = {s.name for s in sources}
     return [s for name, s in sorted(known.items()) if name.partition("/")[2] in trials and name in fitted - mine]
-
-
-def check_fixed(fixed: Mapping[str, Mapping[str, float]], config: Mapping[str, Any], plugins: Catalogue) -> None:
-    """Refuse a fixed parameter that no model of the product has: it would be left free without a word."""
-    names = {n for values in fixed.values() for n in values}
-    known: set[str] = set()
-    for model in config["model"]:
-        try:
-            known |= set(plugins.load("models", model).parameters.names)
-        except (PluginBroken, AttributeError):  # a factory says what it has only when it is made
-            return
-    for effect in {*config["effects"], *itertools.chain(*config["suite"]["effects"].values())}:
-        known |= set(plugins.make("effects", effect).parameters.prefixed(effect).names)
-    if unknown := sorted(names - known):
-        there = ", ".join(sorted(known))
-        raise ClothbenchError(f"setting 'suite.fixed': {unknown[0]!r} is no parameter; there are: {there}")
 
 
 def where(config: Mapping[str, Any], progress: Told | None = None) -> list[Path]:

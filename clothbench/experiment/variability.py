@@ -61,10 +61,10 @@ def parabola(share: np.ndarray, error: np.ndarray, base: float) -> tuple[float |
     """(percent, slope, curvature, reason) of E(δ) = E₀ + slope δ + ½ curvature δ², through `base` at δ = 0.
 
     percent: 100 δ for the smallest |δ| at which the parabola has moved by 1 % of `base`, infinite if it never does;
-    not known with fewer than three points. Slope and curvature in the error's unit.
+    not known with fewer than two points. Slope and curvature in the error's unit.
     """
-    if len(share) < 3:
-        return None, None, None, "fewer than three perturbations could be simulated within the bounds"
+    if len(share) < 2:
+        return None, None, None, "fewer than two perturbations could be simulated within the bounds"
     columns = np.stack([share, share**2 / 2], axis=1)
     slope, curvature = (float(c) for c in np.linalg.lstsq(columns, error - base, rcond=None)[0])
     roots = [

@@ -169,8 +169,8 @@ def pulled_aside(step_share: float, implicit: bool) -> np.ndarray:
 def test_implicit_damping_converges_to_the_explicit_one():
     truth = pulled_aside(1.0, implicit=False)
     coarse, fine = (abs(pulled_aside(share, implicit=True) - truth).max() for share in (0.5, 0.125))
-    assert fine < 2e-5
-    assert fine < 0.4 * coarse
+    assert fine < 1e-4  # m, of some millimetres
+    assert fine < 0.3 * coarse
 
 
 def test_a_calmed_fabric_differs_in_damping_only():

@@ -29,7 +29,7 @@ class Fold:
     version = 1
     unit = "px"
 
-    def __init__(self, alpha: float = 0.1, pixels: int = 96, blur: float = 2.0, threshold: float = 0.03):
+    def __init__(self, alpha: float = 0.1, pixels: int = 96, blur: float = 2.0, threshold: float = 0.006):
         if not isinstance(alpha, int | float) or isinstance(alpha, bool) or not alpha >= 0:
             raise ClothbenchError(f"fold: alpha is {alpha!r}, expected a number, 0 or above")
         if not isinstance(pixels, int) or pixels < 32:

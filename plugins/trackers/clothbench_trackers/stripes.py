@@ -24,7 +24,7 @@ class Stripes:
     name = "stripes"
     version = 1
 
-    def __init__(self, level: float = 0.12, blur: float = 2.0, threshold: float = 0.03):
+    def __init__(self, level: float = 0.12, blur: float = 2.0, threshold: float = 0.006):
         for what, value, most in (("level", level, 1.0), ("blur", blur, 50.0), ("threshold", threshold, 10.0)):
             if not isinstance(value, int | float) or isinstance(value, bool) or not 0 < value <= most:
                 raise ClothbenchError(f"stripes: {what} is {value!r}, expected a number above 0, at most {most:g}")
