@@ -74,8 +74,8 @@ def _told(options: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def one_by_one(cases: Mapping[str, Sequence[Source]], patterns: Sequence[str]) -> dict[str, list[Source]]:
-    """A case of its own for each recording whose name matches, called by that name: it is fitted, the others of its case
-    are held out, whatever split the files state.
+    """A case of its own for each recording whose name matches, called by that name: it is fitted, the others of its
+    case are held out, whatever split the files state.
     """
     out = {}
     for sources in cases.values():
