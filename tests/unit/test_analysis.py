@@ -330,3 +330,70 @@ def test_numbers_beyond_hundred_percent_are_not_spelt_out():
     assert percent(None) == "–"
     assert spread([1.0, None]) is None
     assert spread([1.0, 3.0]) == pytest.approx(100 * np.sqrt(2) / 2)
+
+
+def all_tables():
+    """One row or more of every analysis, as the store would give them."""
+    about = {"case": "satin/waving-2", "key": "satin2", "symbol": "k", "unit": "N/m", "reason": ""}
+    found = [
+        {"key": key, "fabric": key[:5], "recorded_fabric": seen, "trial": "waving-1", "unit": "px", "value": 10.0}
+        for key in ("satin2", "linen2")
+        for seen in ("satin", "linen")
+    ]
+    vary = [
+        {**about, "name": n, "value": 1.0, "percent": p, "slope": 0.0, "curvature": 0.0}
+        for n, p in (("bend", 9.2), ("damping", np.inf))
+    ]
+    errors = {"error_start": 9.0, "error": 5.0, "error_unit": "px"}
+    again = [{**about, **errors, "name": "bend", "repeat": n, "start": 1.0, "value": 1.0 + n / 10} for n in range(3)]
+    size = {"main": 3.0, "main_half": 0.2, "total": 1.0, "total_half": None}
+    felt = [{**about, **size, "name": "bend", "method": "morris", "evaluations": 40, "lost": 0}]
+    axes = {"x_name": "bend", "x_unit": "N·m", "y_name": "stretch", "y_unit": "N/m"}
+    drawn = [
+        {**about, **axes, "x": x, "y": y, "error": None if x == 1.0 else y, "unit": "px"}
+        for x in (1e-7, 1e-2, 1.0)
+        for y in (5.0, 50.0)
+    ]
+    return {
+        "starts": table_three()[1],
+        "confusion": found,
+        "variability": vary,
+        "perturbations": [],
+        "repeats": again,
+        "sensitivity": felt,
+        "map": drawn,
+    }
+
+
+def test_the_page_shows_every_analysis():
+    import json
+
+    from clothbench.report.analysis_page import analysis_section
+
+    page = analysis_section(table_three()[0], all_tables(), plotly=False)
+    for word in (
+        "292.7 ✓",
+        "Which fabric is it?",
+        "Repeated fits",
+        "> 100 %",
+    ):
+        assert word in page
+    data = page.split('id="analyses">')[1].split("</script>")[0]
+    figures = json.loads(data)
+    assert len(figures) == 4
+    assert page.count("<figure>") == 4
+    (heat,) = (f for f in figures if f["data"][0]["type"] == "heatmap")
+    assert heat["data"][0]["z"] == [[5.0, 5.0, None], [50.0, 50.0, None]]
+    assert heat["layout"]["xaxis"]["type"] == "log"
+    assert analysis_section([], {name: [] for name in all_tables()}, plotly=False) == ""
+
+
+def test_the_terminal_shows_every_analysis(capsys):
+    from clothbench.report.analysis_tables import print_analyses
+
+    print_analyses(table_three()[0], all_tables())
+    said = capsys.readouterr().out
+    for word in ("E1 + E2", "292.7 ✓", "which fabric is it?", "variability", "> 100 %", "repeated fits", "Morris"):
+        assert word in said
+    print_analyses(table_three()[0], {name: [] for name in all_tables()})
+    assert "variability" not in capsys.readouterr().out
