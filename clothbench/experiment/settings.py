@@ -104,6 +104,8 @@ def analysis_settings(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
             elif isinstance(default, list):
                 options[key] = words(f"analysis.{name}.{key}", options[key])
         out[name] = options
+    if (samples := out.get("sobol", {}).get("samples", 2)).bit_count() != 1:
+        raise ClothbenchError(f"setting 'analysis.sobol.samples' is {samples}, expected a power of two")
     return out
 
 

@@ -37,9 +37,10 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = 
     if suite["tests"]:
         return list(plan_validation(config, plugins))
     recordings = read_all(where(config, progress))
-    cases = group(recordings, suite.get("case") or "fabric", suite["select"], config["seed"])
-    if suite["each"]:
-        cases = one_by_one(cases, suite["each"])
+    by, each = suite.get("case") or "fabric", suite["each"]
+    cases = group(recordings, by, suite["select"], config["seed"], fitted=not each)
+    if each:
+        cases = one_by_one(cases, each)
     cells: dict[str, Cell] = {}
     for case, sources in cases.items():
         analysis = {n: _told(a) for n, a in config["analysis"].items() if _matches(case, a["cases"])}
@@ -131,8 +132,10 @@ def _case_of(r: Recording, by: str) -> str:
     return getattr(r, by) or r.name
 
 
-def group(recordings: Sequence[Recording], by: str, patterns: Sequence[str], seed: int) -> dict[str, list[Source]]:
-    """Recordings by case, each with a fit split; a recording's name must match one of `patterns`."""
+def group(
+    recordings: Sequence[Recording], by: str, patterns: Sequence[str], seed: int, fitted: bool = True
+) -> dict[str, list[Source]]:
+    """Recordings by case, each with a fit split if `fitted`; a recording's name must match one of `patterns`."""
     chosen = [r for r in recordings if any(fnmatch.fnmatch(r.name, p) for p in patterns)]
     if not chosen:
         raise ClothbenchError(f"setting 'suite.select' {list(patterns)} matches none of {len(recordings)} recordings")
@@ -142,7 +145,7 @@ def group(recordings: Sequence[Recording], by: str, patterns: Sequence[str], see
         cases.setdefault(case, []).append(Source(r.path, r.name, r.hash, r.split))
     out = {case: resplit(sources, seed) for case, sources in sorted(cases.items())}
     for case, sources in out.items():
-        if not any(s.split == "fit" for s in sources):
+        if fitted and not any(s.split == "fit" for s in sources):
             raise ClothbenchError(
                 f"case {case!r}: found only held-out recordings, expected at least one to fit; see suite.select"
             )

@@ -225,6 +225,7 @@ def test_a_named_budget_brings_its_settings():
         ({"magic": {}}, "analysis 'magic' is not known"),
         ({"map": {"points": 1}}, "'analysis.map.points' is 1, expected a whole number, at least 2"),
         ({"variability": {"count": 3}}, "setting of 'analysis.variability' 'count' is not known"),
+        ({"sobol": {"samples": 12}}, "'analysis.sobol.samples' is 12, expected a power of two"),
         ({"sobol": 5}, "expected analysis.sobol.KEY=VALUE"),
     ],
 )
