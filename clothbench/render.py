@@ -89,7 +89,7 @@ def textured(camera: Camera, surface: Surface, position: np.ndarray, texture: np
     place = (surface.material - low) / size * (np.array(texture.shape[::-1]) - 1)
     depth, at = _drawn(camera, surface, position, lambda _: place)
     printed = np.asarray(texture, dtype=np.float32)
-    u, v = np.float32(np.moveaxis(at, -1, 0))
+    u, v = (np.ascontiguousarray(at[..., i], dtype=np.float32) for i in (0, 1))
     looked_up = [cv2.remap(printed, *pair, cv2.INTER_LINEAR) for pair in zip(u, v, strict=True)]
     return np.where(np.isfinite(depth), np.stack(looked_up), DARK)
 

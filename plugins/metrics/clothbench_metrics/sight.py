@@ -102,7 +102,8 @@ def compared(sight: Sight, rollout: Rollout, compare: Callable[[int, slice], Non
     """
     position, frames = rollout.position, sight.frames
     needed = frames[:, None] & (sight.nodes if sight.nodes is not None else np.ones(position.shape[1:3], bool))
-    lost: np.ndarray = ~np.isfinite(np.where(needed[..., None], position, 0.0)).all(axis=(1, 2, 3))
+    unknown = needed[..., None] & ~np.isfinite(position)
+    lost = np.asarray(unknown.any(axis=(1, 2, 3)))
     starts = range(0, len(frames), CHUNK)
     tasks = [(b, slice(t, min(t + CHUNK, len(frames)))) for b in np.flatnonzero(~lost) for t in starts]
     for_each(lambda task: compare(*task), tasks)
