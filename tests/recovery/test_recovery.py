@@ -1,7 +1,5 @@
 """Plant parameters, find them: truth from a finer mesh or from the reference simulation, with noise."""
 
-import dataclasses
-
 import numpy as np
 import pytest
 
@@ -79,16 +77,14 @@ def test_the_drag_s_interval_holds_a_value_near_the_truth_and_is_no_mere_point(f
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fabric", ["satin", "fleece"])
-def test_stiffness_is_found_in_recordings_of_the_reference_simulation(fabric):
-    """Truth from finite elements on another mesh; the parameters mean the same in both models."""
+def test_bending_and_stretch_are_found_in_a_recording_of_the_reference_simulation():
+    """A still swatch, truth from finite elements on another mesh; the parameters mean the same in both models."""
     config = {
         "model": "baraff_witkin",
         "optimizer": "least_squares",
         "metric": "node_error",
-        "effects": [],
         "tracker": "markers",
-        "budget": 100,
+        "budget": 60,
         "options": {"baraff_witkin": {"dt": 0.004, "tolerance": 0.01}},
         "scene": {"spacing": 0.0375},
         "seed": 0,
@@ -96,15 +92,18 @@ def test_stiffness_is_found_in_recordings_of_the_reference_simulation(fabric):
         "rerun": False,
         "out": "runs",
         "recordings": str(suites_folder() / "embedded" / "static_dynamic"),
-        "suite": {"name": "recovery", "select": f"{fabric}/waving-?"},
-    }
-    cell = dataclasses.replace(plan(config, catalogue())[0])
+        "suite": {
+            "name": "recovery", "select": "fleece/static-*", "each": "fleece/static-2",
+            "fixed": {"*": {"quadratic_drag": 5.0, "linear_drag": 5.0, "drag_decline": 5.0}},
+        },
+    }  # fmt: skip
+    (cell,) = plan(config, catalogue())
     bench = set_up(cell, catalogue())
-    optimizer = catalogue().make("optimizers", "least_squares", bench.space, seed=1, budget=100)
+    optimizer = catalogue().make("optimizers", "least_squares", bench.space, seed=1, budget=60)
     fit = calibrate(bench.of_split("fit"), optimizer, bench.space)
-    truth = {n: float(bench.recordings[0].notes[f"truth_{n}"]) for n in bench.space.names}
     found = dict(zip(bench.space.names, fit.best, strict=True))
-    assert found["stretch"] == pytest.approx(truth["stretch"], rel=0.5)
-    assert found["bend"] == pytest.approx(truth["bend"], rel=1.0)
+    for name, factor in (("bend", 3.0), ("stretch", 2.0)):
+        truth = float(bench.recordings[0].notes[f"truth_{name}"])
+        assert truth / factor < found[name] < truth * factor
     held, _ = evaluate(bench.of_split("held_out"), np.stack([bench.space.defaults, fit.best]))
     assert held.value[1] < held.value[0]
