@@ -64,7 +64,7 @@ def parabola(share: np.ndarray, error: np.ndarray, base: float) -> tuple[float |
     not known with fewer than two points. Slope and curvature in the error's unit.
     """
     if len(share) < 2:
-        return None, None, None, "fewer than two perturbations could be simulated within the bounds"
+        return None, None, None, "fewer than two perturbations"
     columns = np.stack([share, share**2 / 2], axis=1)
     slope, curvature = (float(c) for c in np.linalg.lstsq(columns, error - base, rcond=None)[0])
     roots = [
