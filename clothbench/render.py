@@ -121,6 +121,13 @@ def expose(image: np.ndarray, random: np.random.Generator, noise: float = 2.0) -
     return np.clip(np.round(levels), 0, 255).astype(np.uint8)
 
 
+def measured_depth(depth: np.ndarray, random: np.random.Generator, noise: float = 1e-3) -> np.ndarray:
+    """Depth images [m] as a depth camera gives them: Gaussian noise of `noise` metres, not a number where nothing was."""
+    if noise < 0:
+        raise ClothbenchError(f"render: noise is {noise}, expected metres, 0 or above")
+    return np.where(np.isfinite(depth), depth, np.nan) + random.normal(0.0, noise, depth.shape)
+
+
 def _drawn(
     camera: Camera, surface: Surface, position: np.ndarray, attributes: Callable[[np.ndarray], np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from clothbench import Camera, ClothbenchError, Projector
-from clothbench.render import AMBIENT, DARK, LIT, depth_images, expose, silhouettes, striped, textured
+from clothbench.render import AMBIENT, DARK, LIT, depth_images, expose, measured_depth, silhouettes, striped, textured
 from clothbench.surface import cubic_weights, surface_of
 
 CAMERA = Camera.looking_at((0.3, -1.2, 0.7), (0.02, 0.0, 0.85), (90, 110), 0.42)
@@ -138,6 +138,10 @@ def test_the_sensor_adds_its_noise():
     assert grey.mean() == pytest.approx(127.5, abs=0.1)
     assert grey.std() == pytest.approx(np.hypot(3.0, 1 / np.sqrt(12)), rel=0.02)
     assert (expose(np.full((1, 4, 4), 0.5), np.random.default_rng(3), 0.0) == 128).all()
+    depth = measured_depth(np.where(np.eye(60, dtype=bool), np.inf, 1.2), np.random.default_rng(4), 2e-3)
+    assert (np.isnan(depth) == np.eye(60, dtype=bool)).all()
+    assert np.nanstd(depth) == pytest.approx(2e-3, rel=0.05)
+    assert np.nanmean(depth) == pytest.approx(1.2, abs=2e-4)
     with pytest.raises(ClothbenchError, match="noise is -1"):
         expose(np.zeros((1, 2, 2)), np.random.default_rng(0), -1)
 
