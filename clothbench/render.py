@@ -122,7 +122,7 @@ def expose(image: np.ndarray, random: np.random.Generator, noise: float = 2.0) -
 
 
 def measured_depth(depth: np.ndarray, random: np.random.Generator, noise: float = 1e-3) -> np.ndarray:
-    """Depth images [m] as a depth camera gives them: Gaussian noise of `noise` metres, not a number where nothing was."""
+    """Depth images [m] as a depth camera gives them: Gaussian noise of `noise` m, not a number where nothing is."""
     if noise < 0:
         raise ClothbenchError(f"render: noise is {noise}, expected metres, 0 or above")
     return np.where(np.isfinite(depth), depth, np.nan) + random.normal(0.0, noise, depth.shape)
