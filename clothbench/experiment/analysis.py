@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -16,14 +16,13 @@ from clothbench.parameters import ParameterSpace
 from clothbench.plugins import catalogue
 from clothbench.protocols import Optimizer
 from clothbench.recording import read_recording
-from clothbench.rollout import Rollout
 
 Tables = dict[str, list[dict[str, Any]]]
 Options = Mapping[str, Any]
 
 
-def analyse(bench: Bench, fit: Fit, rollouts: Sequence[Rollout]) -> Tables:
-    """Every analysis that the cell asks for. rollouts: the best parameters on the bench's trials."""
+def analyse(bench: Bench, fit: Fit) -> Tables:
+    """Every analysis that the cell asks for, as tables of the store."""
     tables: Tables = {}
     for name, options in bench.cell.analysis.items():
         for table, rows in ANALYSES[name](bench, fit, options).items():

@@ -75,7 +75,7 @@ def _keep(store: Store, bench: Bench, fit: Fit, attach: Attach | None) -> str:
         rows += _rows_of(bench, fit, metric, scores, rollouts)
         trace += _trace_of(bench, metric, scores)
     tables = {"rows": rows, "parameters": _parameters_of(bench, fit), "history": _history_of(fit), "trace": trace}
-    tables |= {"starts": starts_of(bench, fit)} | analyse(bench, fit, rollouts)
+    tables |= {"starts": starts_of(bench, fit)} | analyse(bench, fit)
     extra = (lambda folder: attach(folder, bench, rollouts)) if attach else None
     store.put(bench.cell.key, tables, extra)
     return fit.status
