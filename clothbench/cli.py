@@ -244,7 +244,7 @@ def leaderboard(options: argparse.Namespace) -> int:
         print_json([leaderboard_row(r) for r in rows])
     elif rows:
         store = Store(options.out)
-        print_leaderboard(rows, store.parameters(), store.levels(), store.folds())
+        print_leaderboard(rows, store.parameters(), store.levels(), store.table("fold"))
     else:
         print(f"no results in {options.out}; make some with: clothbench run +suite=static_dynamic")
     return 0

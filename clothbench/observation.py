@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clothbench.camera import View
 from clothbench.errors import ClothbenchError
 
 
@@ -15,7 +16,7 @@ class Observation:
 
     time: (T,) s; position: (T, N, 3) m, NaN where not known; visible: (T, N) bool, what was measured (a tracker may
     fill a gap with a position, but that stays invisible and never counts); sigma: m, standard deviation
-    of one coordinate (NaN = not known); material: (N, 2) m.
+    of one coordinate (NaN = not known); material: (N, 2) m; view: what was made of a camera's images, or None.
     """
 
     time: np.ndarray
@@ -23,6 +24,7 @@ class Observation:
     visible: np.ndarray
     sigma: float
     material: np.ndarray
+    view: View | None = None
 
     def __post_init__(self) -> None:
         for name in ("time", "position", "visible", "material"):
@@ -40,5 +42,7 @@ class Observation:
                 f"material {self.material.shape}, "
                 f"visible {self.visible.shape}, expected (T, N, 3), (T,), (N, 2), (T, N)"
             )
+        if self.view is not None and len(self.view.silhouette) != frames:
+            raise ClothbenchError(f"observation: found a view of {len(self.view.silhouette)} frames, expected {frames}")
         if not np.isfinite(self.position[self.visible]).all():
             raise ClothbenchError("observation: found a visible node whose position is not finite")

@@ -141,7 +141,9 @@ class Optimizer(Protocol):
     """A search. Made by `factory(space, seed=…, budget=…, **settings)`; it never owns the loop.
 
     The caller alternates `ask` and `tell` until `done`; `stopped` then says why. All points asked lie within the
-    space's bounds. `needs_residual` says that `Evaluation.residual` is wanted.
+    space's bounds. `needs_residual` says that `Evaluation.residual` is wanted. Optional: `start` (P,) or None, where
+    the walk set out from once a first look around was over; and a setting `start="defaults"`, which leaves that look
+    out and begins at the space's defaults (repeated fits need it).
     """
 
     name: ClassVar[str]

@@ -12,10 +12,12 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.camera import Video
 from clothbench.errors import ClothbenchError
 from clothbench.files import whole_file
 from clothbench.recording_file import FORMAT, VERSION, check_header, number, open_file, variable
 from clothbench.recording_rules import LAYOUT, check
+from clothbench.recording_video import ATTRIBUTES, DIMS, UNIT, read_video, video_attributes
 
 NEEDED = ("name", "cloth_width", "cloth_height", "gravity", "noise_sigma")
 NUMBERS = ("cloth_width", "cloth_height", "areal_density", "noise_sigma")
@@ -29,7 +31,8 @@ class Recording:
     time: (T,) s, strictly increasing; material: (N, 2) m, flat rest coordinates (u along the warp, v down);
     position: (T, N, 3) m, NaN where not seen; grip_time: (K,) s, the grips' own clock; grip_material: (G, 2) m;
     grip_position: (K, G, 3) m; cloth_width, cloth_height: m; areal_density: kg/m² (NaN = not known);
-    gravity: (3,) m/s²; noise_sigma: m per coordinate. `path` is where it was read from, not part of its identity.
+    gravity: (3,) m/s²; noise_sigma: m per coordinate; video: what a calibrated camera saw at the same times, or None.
+    `path` is where it was read from, not part of its identity.
     """
 
     name: str
@@ -52,6 +55,7 @@ class Recording:
     motion: str = ""
     split: str = ""
     notes: dict[str, str] = field(default_factory=dict)
+    video: Video | None = None
     path: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
@@ -73,6 +77,8 @@ class Recording:
         digest = hashlib.sha256()
         for name in LAYOUT:
             digest.update(name.encode() + np.ascontiguousarray(getattr(self, name)).tobytes())
+        if self.video is not None:
+            digest.update(b"frame" + np.ascontiguousarray(self.video.frame).tobytes())
         digest.update(repr(sorted(_attributes(self).items())).encode())
         return digest.hexdigest()
 
@@ -84,15 +90,15 @@ def read_recording(path: str | os.PathLike[str]) -> Recording:
     try:
         check_header(dataset.attrs, path, "nodes", NEEDED)
         arrays: dict[str, Any] = {name: variable(dataset, name, *LAYOUT[name], path) for name in LAYOUT}
-        stated = dict(dataset.attrs)
+        stated, video = dict(dataset.attrs), read_video(dataset, path)
     finally:
         dataset.close()
     gravity = _gravity(stated.get("gravity"), path)
-    known = {f.name for f in fields(Recording)} | {"format", "format_version", "kind"}
+    known = {f.name for f in fields(Recording)} | {"format", "format_version", "kind", *ATTRIBUTES}
     content: dict[str, Any] = {name: str(stated.get(name, "")) for name in (*TEXTS, "split")}
     content |= {name: number(stated, name, path) for name in NUMBERS}
     notes = {str(k): str(v) for k, v in sorted(stated.items()) if k not in known}
-    return Recording(**arrays, **content, gravity=gravity, notes=notes, path=str(path))
+    return Recording(**arrays, **content, gravity=gravity, notes=notes, video=video, path=str(path))
 
 
 def write_recording(recording: Recording, path: str | os.PathLike[str]) -> Path:
@@ -103,8 +109,11 @@ def write_recording(recording: Recording, path: str | os.PathLike[str]) -> Path:
     variables = {}
     for name, (dims, unit) in LAYOUT.items():
         variables[name] = xr.Variable(dims, getattr(recording, name), attrs={"units": unit})
+    encoding: dict[str, Any] = {name: {"zlib": True, "_FillValue": None} for name in ("position", "grip_position")}
+    if recording.video is not None:
+        variables["frame"] = xr.Variable(DIMS, recording.video.frame, attrs={"units": UNIT})
+        encoding["frame"] = {"zlib": True, "complevel": 9}
     dataset = xr.Dataset(variables, attrs=_attributes(recording))
-    encoding = {name: {"zlib": True, "_FillValue": None} for name in ("position", "grip_position")}
     with whole_file(path) as part:
         dataset.to_netcdf(part, engine="h5netcdf", encoding=encoding)
     return path
@@ -134,7 +143,8 @@ def _attributes(recording: Recording) -> dict[str, Any]:
     numbers = {n: float(getattr(recording, n)) for n in NUMBERS}
     gravity = " ".join(repr(float(g)) for g in recording.gravity)
     header = {"format": FORMAT, "format_version": VERSION, "kind": "nodes", "gravity": gravity}
-    return {**recording.notes, **header, **stated, **numbers}
+    seen = video_attributes(recording.video) if recording.video is not None else {}
+    return {**recording.notes, **header, **stated, **numbers, **seen}
 
 
 def _gravity(text: Any, path: Path) -> tuple[float, float, float]:

@@ -32,6 +32,7 @@ def check(r: Recording, where: str) -> None:
     _check_clock(r.time, "time", where)
     _check_clock(r.grip_time, "grip_time", where)
     _check_values(r, where)
+    _check_video(r, where)
     _check_cloth(r, where)
     _check_overlap(r, where)
 
@@ -89,6 +90,13 @@ def _check_values(r: Recording, where: str) -> None:
         raise ClothbenchError(f"{where}: variable 'position': found only NaN, expected at least one node seen")
     if not r.visible.any():
         raise ClothbenchError(f"{where}: variable 'position': found no node with all of x, y and z")
+
+
+def _check_video(r: Recording, where: str) -> None:
+    if r.video is not None and len(r.video.frame) != len(r.time):
+        raise ClothbenchError(
+            f"{where}: variable 'frame': found {len(r.video.frame)} frames, expected {len(r.time)}, one for each 'time'"
+        )
 
 
 def _check_cloth(r: Recording, where: str) -> None:

@@ -21,12 +21,14 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from clothbench.errors import ClothbenchError
+from clothbench.experiment.analysis_schema import ANALYSIS_TABLES
 from clothbench.experiment.cell import Bench
 from clothbench.experiment.pool import failed, run_cells
 from clothbench.experiment.settings import KNOWN
 from clothbench.experiment.store import Store
 from clothbench.experiment.suite import plan, suites_folder
 from clothbench.plugins import catalogue, config_groups
+from clothbench.report.analysis_tables import print_analyses
 from clothbench.report.progress import CellProgress, counting
 from clothbench.report.tables import print_leaderboard
 from clothbench.rollout import Rollout
@@ -112,7 +114,8 @@ def _conclude(notes: Path, sweep: bool) -> int:
         mine = [n for n in found if n["out"] == out]
         store, keys = Store(out), list(dict.fromkeys(k for n in mine for k in n["cells"]))
         rows = store.rows(keys)
-        print_leaderboard(rows, store.parameters(keys), store.levels(keys), store.folds(keys))
+        print_leaderboard(rows, store.parameters(keys), store.levels(keys), store.table("fold", keys))
+        print_analyses(rows, {name: store.table(name, keys) for name in ANALYSIS_TABLES})
         _say_where(store, keys)
         code = max(code, int(failed(r["status"] for r in rows)))
     return code

@@ -124,8 +124,12 @@ def scene_of(
     areal_density: float | None = None,
     resolution: tuple[int, int] | None = None,
     air_density: float = AIR_DENSITY,
+    spacing: float | None = None,
 ) -> Scene:
-    """The scene of one recording. `areal_density` [kg/m²] stands in where the recording does not know it."""
+    """The scene of one recording. `areal_density` [kg/m²] stands in where the recording does not know it.
+
+    spacing [m]: of the mesh's nodes, at most, whatever the cloth's size; it takes the place of `resolution`.
+    """
     density = recording.areal_density
     if not math.isfinite(density):
         if areal_density is None:
@@ -134,6 +138,9 @@ def scene_of(
                 "state what to assume with scene.areal_density=VALUE [kg/m²] (improve: areal_density=VALUE)"
             )
         density = areal_density
+    if spacing is not None:
+        nodes = [1 + math.ceil(length / spacing - 1e-6) for length in (recording.cloth_width, recording.cloth_height)]
+        resolution = (max(3, nodes[0]), max(3, nodes[1]))
     seen = np.flatnonzero(recording.visible.any(axis=1))[:3]
     with np.errstate(invalid="ignore"):
         early = np.where(recording.visible[seen, :, None], recording.position[seen], np.nan)

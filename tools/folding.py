@@ -135,7 +135,7 @@ def draw_estimates(runs: Path) -> None:
     """Last estimates beside the references, and every step (figures 8 and 10 of the paper)."""
     import matplotlib.pyplot as plt
 
-    steps = Store(runs).folds()
+    steps = Store(runs).table("fold")
     cells = {s["key"]: [t for t in steps if t["key"] == s["key"]] for s in steps}
     figure, (left, right) = plt.subplots(1, 2, figsize=(10, 4), layout="constrained")
     for n, mine in enumerate(cells.values()):
@@ -154,7 +154,7 @@ def draw_estimates(runs: Path) -> None:
 
 
 def print_estimates(runs: Path) -> None:
-    steps = Store(runs).folds()
+    steps = Store(runs).table("fold")
     count = max(s["step"] for s in steps)
     print("| fabric | table | ± 2σ | " + " | ".join(map(str, range(1, count + 1))) + " | 95 % | friction | time |")
     print("|---|---|---|" + "---|" * (count + 3))

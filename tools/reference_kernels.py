@@ -26,7 +26,7 @@ class Sheet(NamedTuple):
     mass: np.ndarray  # (N,) [kg]
     stiffness: np.ndarray  # (4,) c11, c22, c12, shear [N/m]
     damping: np.ndarray  # (4,) stretch [s], shear [s], bending [s], mass-proportional [1/s]
-    drag: np.ndarray  # (2,) ½ρ_air C_N, ½ρ_air C_T [kg/m³]
+    drag: np.ndarray  # (4,) ½ρ_air C_N, ½ρ_air C_T [kg/m³], linear tangential [kg/(m² s)], decline k_f [s²/m²]
     gravity: np.ndarray  # (3,) [m/s²]
     wind: np.ndarray  # (3,) velocity of the air [m/s]
 
@@ -79,16 +79,19 @@ def membrane_energy(sheet, x):
 
 
 @compiled
-def membrane_force(sheet, x, v, force):
-    """f_a = −A F S ∇N_a, S = C : (E + β Ė), Ė = sym(Fᵀ Ḟ), shear with a β of its own (Kelvin–Voigt)."""
+def membrane_force(sheet, x, v, force, elastic=1.0, viscous=1.0):
+    """f_a = −A F S ∇N_a, S = C : (E + β Ė), Ė = sym(Fᵀ Ḟ), shear with a β of its own (Kelvin–Voigt).
+
+    elastic, viscous: what share of E and of β Ė is taken; the viscous part alone is linear in v.
+    """
     c11, c22, c12, shear = sheet.stiffness
-    beta, shear_beta = sheet.damping[0], sheet.damping[1]
+    beta, shear_beta = viscous * sheet.damping[0], viscous * sheet.damping[1]
     for t in range(len(sheet.area)):
         fu, fv = _tangents(sheet, t, x)
         ru, rv = _tangents(sheet, t, v)
-        e1 = 0.5 * (_dot(fu, fu) - 1.0) + beta * _dot(fu, ru)
-        e2 = 0.5 * (_dot(fv, fv) - 1.0) + beta * _dot(fv, rv)
-        s12 = shear * (_dot(fu, fv) + shear_beta * (_dot(fu, rv) + _dot(ru, fv)))
+        e1 = 0.5 * elastic * (_dot(fu, fu) - 1.0) + beta * _dot(fu, ru)
+        e2 = 0.5 * elastic * (_dot(fv, fv) - 1.0) + beta * _dot(fv, rv)
+        s12 = shear * (elastic * _dot(fu, fv) + shear_beta * (_dot(fu, rv) + _dot(ru, fv)))
         s11, s22, weight = c11 * e1 + c12 * e2, c12 * e1 + c22 * e2, -sheet.area[t]
         along_u, along_v = _mix(weight * s11, fu, weight * s12, fv), _mix(weight * s12, fu, weight * s22, fv)
         s = sheet.slope[t]
@@ -144,9 +147,9 @@ def bending_force(sheet, x, v, force):
 
 @compiled
 def drag_force(sheet, x, v, force):
-    """f = −½ρ_air A (C_N |v_n| v_n + C_T |v_t| v_t): quadratic in both parts of the velocity
-    against the air."""
-    normal_drag, tangential_drag = sheet.drag
+    """f = −A (½ρ_air (C_N |v_n| v_n/(1 + k_f |v_n|²) + C_T |v_t| v_t) + k_T v_t), v against the air: quadratic, with
+    the decline and the linear part of Bhat et al. 2003, section 3."""
+    normal_drag, tangential_drag, linear_drag, decline = sheet.drag
     for t in range(len(sheet.area)):
         i, j, k = sheet.triangle[t]
         twice = _cross(_minus(x, j, i), _minus(x, k, i))
@@ -155,8 +158,9 @@ def drag_force(sheet, x, v, force):
         along = _mix(_dot(mean, twice) / (size * size), twice, 0.0, twice)
         across = _mix(1.0, mean, -1.0, along)
         third = size / 6.0
-        strength_n = -third * normal_drag * math.sqrt(_dot(along, along))
-        strength_t = -third * tangential_drag * math.sqrt(_dot(across, across))
+        square = _dot(along, along)
+        strength_n = -third * normal_drag * math.sqrt(square) / (1.0 + decline * square)
+        strength_t = -third * (tangential_drag * math.sqrt(_dot(across, across)) + linear_drag)
         share = _mix(strength_n, along, strength_t, across)
         _add(force, i, share)
         _add(force, j, share)
@@ -172,11 +176,11 @@ def weight_force(sheet, v, force):
 
 
 @compiled
-def total_force(sheet, x, v, force):
-    """All forces on all nodes [N]; overwrites `force`."""
+def total_force(sheet, x, v, force, viscous=1.0):
+    """All forces on all nodes [N], with that share of the membrane's damping; overwrites `force`."""
     force[:] = 0.0
     weight_force(sheet, v, force)
-    membrane_force(sheet, x, v, force)
+    membrane_force(sheet, x, v, force, 1.0, viscous)
     bending_force(sheet, x, v, force)
     drag_force(sheet, x, v, force)
 
@@ -208,3 +212,76 @@ def advance(sheet, x, v, force, held, path, step):
             for d in range(3):
                 v[held[g], d] = (path[s + 1, g, d] - path[s, g, d]) / step
                 force[held[g], d] = 0.0
+
+
+@compiled
+def _damped(sheet, x, v, step, held, out):
+    """out = (M + Δt D(x)) v, D the membrane's damping; zero at held nodes."""
+    out[:] = 0.0
+    membrane_force(sheet, x, v, out, 0.0, 1.0)
+    for i in range(len(x)):
+        for d in range(3):
+            out[i, d] = sheet.mass[i] * v[i, d] - step * out[i, d]
+    out[held] = 0.0
+
+
+@compiled
+def _weighed(sheet, a, b):
+    """Σ a·b/m over nodes and directions."""
+    total = 0.0
+    for i in range(len(a)):
+        total += (a[i, 0] * b[i, 0] + a[i, 1] * b[i, 1] + a[i, 2] * b[i, 2]) / sheet.mass[i]
+    return total
+
+
+@compiled
+def relax(sheet, x, v, step, held, correction, tolerance=5e-3, most=400):
+    """Backward Euler for the membrane's damping alone: (M + Δt D(x)) v⁺ = M v, by conjugate gradients, v in place.
+
+    `correction` (N, 3), v⁺ − v of the step before, is where the search begins, and is brought up to date. Velocities of
+    held nodes stay. The residual ends below `tolerance` of what the damping does within the step.
+    """
+    residual, product, direction = np.zeros_like(v), np.empty_like(v), np.empty_like(v)
+    membrane_force(sheet, x, v, residual, 0.0, 1.0)
+    residual *= step
+    residual[held] = 0.0
+    enough = tolerance**2 * _weighed(sheet, residual, residual)
+    _damped(sheet, x, correction, step, held, product)
+    residual -= product
+    rho, before, count = _weighed(sheet, residual, residual), 1.0, 0
+    direction[:] = 0.0
+    while rho > enough and count < most:
+        for i in range(len(x)):
+            for d in range(3):
+                direction[i, d] = residual[i, d] / sheet.mass[i] + (rho / before if count else 0.0) * direction[i, d]
+        _damped(sheet, x, direction, step, held, product)
+        alpha = rho / (direction * product).sum()
+        for i in range(len(x)):
+            for d in range(3):
+                correction[i, d] += alpha * direction[i, d]
+                residual[i, d] -= alpha * product[i, d]
+        rho, before, count = _weighed(sheet, residual, residual), rho, count + 1
+    v += correction
+    return count
+
+
+@compiled
+def advance_damped(sheet, x, v, force, held, path, step):
+    """As `advance`, for damping too stiff for explicit steps: it acts by itself after each step, implicitly."""
+    total_force(sheet, x, v, force, 0.0)
+    correction = np.zeros_like(v)
+    for s in range(len(path) - 1):
+        for i in range(len(x)):
+            for d in range(3):
+                v[i, d] += step * force[i, d] / sheet.mass[i]
+        for g in range(len(held)):
+            for d in range(3):
+                v[held[g], d] = (path[s + 1, g, d] - path[s, g, d]) / step
+        relax(sheet, x, v, step, held, correction)
+        for i in range(len(x)):
+            for d in range(3):
+                x[i, d] += step * v[i, d]
+        for g in range(len(held)):
+            for d in range(3):
+                x[held[g], d] = path[s + 1, g, d]
+        total_force(sheet, x, v, force, 0.0)

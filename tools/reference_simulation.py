@@ -1,18 +1,19 @@
 """Reference simulation of a sheet of cloth held at material points; it makes the stand-in recordings.
 
 Orthotropic St. Venant–Kirchhoff membrane on constant-strain triangles, discrete-shell hinges calibrated to a
-bending rigidity, Kelvin–Voigt damping of both, mass-proportional damping, quadratic air drag, lumped mass,
-velocity Verlet. There is no contact. World frame, z up, SI units. It uses none of clothbench's models.
+bending rigidity, Kelvin–Voigt damping of both, mass-proportional damping, air drag, lumped mass, velocity Verlet, or
+where the membrane's damping is too stiff for it, leapfrog with that damping implicit. There is no contact. World frame,
+z up, SI units. It uses none of clothbench's models.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from itertools import pairwise
 
 import numpy as np
-from reference_kernels import Sheet, advance, bending_energy, membrane_energy, total_force
+from reference_kernels import Sheet, advance, advance_damped, bending_energy, membrane_energy, total_force
 from reference_mesh import Mesh, hinges, lumped_mass, slopes
 
 AIR_DENSITY = 1.2  # kg/m³, 20 °C
@@ -38,6 +39,8 @@ class Fabric:
     mass_damping: float = 0.0  # 1/s
     normal_drag: float = 0.0  # C_N
     tangential_drag: float = 0.0  # C_T, both faces together
+    linear_drag: float = 0.0  # k_T, tangential, kg/(m² s)
+    drag_decline: float = 0.0  # k_f, s²/m²
 
 
 @dataclass
@@ -56,6 +59,7 @@ def discretise(fabric: Fabric, mesh: Mesh, gravity: tuple[float, float, float] =
     hinge, shape = hinges(mesh)
     membrane = (fabric.warp_stiffness, fabric.weft_stiffness, fabric.coupling, fabric.shear_stiffness)
     damping = (fabric.stretch_damping, fabric.shear_damping, fabric.bending_damping, fabric.mass_damping)
+    quadratic = 0.5 * AIR_DENSITY * np.array([fabric.normal_drag, fabric.tangential_drag])
     return Sheet(
         triangle=np.ascontiguousarray(mesh.triangle),
         slope=np.ascontiguousarray(slopes(mesh)),
@@ -65,41 +69,65 @@ def discretise(fabric: Fabric, mesh: Mesh, gravity: tuple[float, float, float] =
         mass=lumped_mass(mesh, fabric.areal_density),
         stiffness=np.array(membrane),
         damping=np.array(damping),
-        drag=0.5 * AIR_DENSITY * np.array([fabric.normal_drag, fabric.tangential_drag]),
+        drag=np.array([*quadratic, fabric.linear_drag, fabric.drag_decline]),
         gravity=np.array(gravity),
         wind=np.zeros(3),
     )
 
 
-def stable_step(fabric: Fabric, mesh: Mesh, safety: float = 0.8) -> float:
-    """Time step [s] from the fastest membrane and bending waves the lowest triangle (height h) can carry.
+def fastest_waves(fabric: Fabric, mesh: Mesh) -> np.ndarray:
+    """ω [1/s] of the fastest membrane and bending waves that the lowest triangle (height h) can carry, (2,).
 
-    ω = (2/h) √(c/ρ) and (2/h)² √(D/ρ). The limit of a central difference is 2/ω; damping with the ratio
-    ζ = βω/2 shortens it to (√(1+ζ²) − ζ) 2/ω.
+    (2/h) √(c/ρ) and (2/h)² √(D/ρ).
     """
     corner = mesh.material[mesh.triangle]
     longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
-    lowest = (2.0 * mesh.area / longest).min()
-    stiffest = max(fabric.warp_stiffness, fabric.weft_stiffness) + fabric.coupling
-    wave = 2.0 / lowest
-    fastest = wave * np.sqrt(np.array([stiffest, fabric.bending_rigidity * wave**2]) / fabric.areal_density)
+    wave = 2.0 / (2.0 * mesh.area / longest).min()
+    stiffest = max(fabric.warp_stiffness, fabric.weft_stiffness, fabric.shear_stiffness) + fabric.coupling
+    return wave * np.sqrt(np.array([stiffest, fabric.bending_rigidity * wave**2]) / fabric.areal_density)
+
+
+def stable_step(fabric: Fabric, mesh: Mesh, safety: float = 0.8) -> float:
+    """Time step [s] of explicit steps: the limit of a central difference is 2/ω; damping with the ratio ζ = βω/2
+    shortens it to (√(1+ζ²) − ζ) 2/ω.
+    """
+    fastest = fastest_waves(fabric, mesh)
+    stiffest = max(fabric.warp_stiffness, fabric.weft_stiffness, fabric.shear_stiffness) + fabric.coupling
     sheared = fabric.shear_damping * fabric.shear_stiffness / stiffest
     ratio = 0.5 * fastest * [fabric.stretch_damping + sheared, fabric.bending_damping]
     return safety * float((2.0 / fastest * (np.sqrt(1.0 + ratio**2) - ratio)).min())
 
 
+def implicit_step(fabric: Fabric, mesh: Mesh) -> float:
+    """Time step [s] where the membrane's damping is implicit: that of the same fabric without it."""
+    return stable_step(replace(fabric, stretch_damping=0.0, shear_damping=0.0), mesh, 0.6)
+
+
+def calmed(fabric: Fabric, mesh: Mesh) -> Fabric:
+    """The fabric with no more inner damping than explicit steps bear: it rests in the same shape, and sooner."""
+    most = 1.0 / fastest_waves(fabric, mesh)
+    return replace(
+        fabric, stretch_damping=min(fabric.stretch_damping, most[0]), shear_damping=min(fabric.shear_damping, most[0]),
+        bending_damping=min(fabric.bending_damping, most[1]),
+    )  # fmt: skip
+
+
 def simulate(
-    sheet: Sheet, state: State, held: np.ndarray, grips: GripPath, times: np.ndarray, step: float
-) -> tuple[np.ndarray, State]:
-    """Positions at `times` (T, N, 3) [m] and the last state; no step is longer than `step` [s]."""
-    now = state.copy()
+    sheet: Sheet, state: State, held: np.ndarray, grips: GripPath, times: np.ndarray, step: float,
+    implicit: bool = False,
+) -> tuple[np.ndarray, State]:  # fmt: skip
+    """Positions at `times` (T, N, 3) [m] and the last state; no step is longer than `step` [s].
+
+    implicit: the membrane's damping, for steps of `implicit_step`.
+    """
+    now, march = state.copy(), advance_damped if implicit else advance
     force = np.empty_like(now.position)
     total_force(sheet, now.position, now.velocity, force)
     frames = [now.position.copy()]
     for start, end in pairwise(times):
         count = int(np.ceil((end - start) / step - 1e-9))
         path = np.ascontiguousarray(grips(np.linspace(start, end, count + 1)))
-        advance(sheet, now.position, now.velocity, force, held, path, (end - start) / count)
+        march(sheet, now.position, now.velocity, force, held, path, (end - start) / count)
         if not np.isfinite(now.position).all():
             raise FloatingPointError(f"diverged before t = {end:g} s; take a shorter step than {step:g} s")
         frames.append(now.position.copy())
@@ -132,7 +160,7 @@ def total_energy(sheet: Sheet, state: State) -> float:
 
 def undamped(fabric: Fabric) -> Fabric:
     """The same fabric in vacuum and without any loss."""
-    losses = [field.name for field in fields(fabric) if field.name.endswith(("damping", "drag"))]
+    losses = [field.name for field in fields(fabric) if field.name.endswith(("damping", "drag", "decline"))]
     return Fabric(**{**asdict(fabric), **dict.fromkeys(losses, 0.0)})
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
+from clothbench.experiment.journal import Journal
 from clothbench.observation import Observation
 from clothbench.parallel import side_by_side
 from clothbench.parameters import ParameterSpace
@@ -39,7 +40,8 @@ class Fit:
 
     best: (P,); low, high: (P,), 95 % intervals (NaN where there are none); at_bound: (P,); theta: (E, P) and
     value: (E,), the history; condition: of the scaled Jacobian; status: ok, diverged (nothing could be simulated)
-    or timeout (stopped by the clock, best so far); wall_s: s.
+    or timeout (stopped by the clock, best so far); wall_s: s; start: (P,), where the search set out from after its
+    first look around, if it says so.
     """
 
     space: ParameterSpace
@@ -53,6 +55,7 @@ class Fit:
     status: str
     stopped: str
     wall_s: float
+    start: np.ndarray | None = None
 
     @property
     def evaluations(self) -> int:
@@ -87,11 +90,14 @@ def calibrate(
     *,
     timeout: float | None = None,
     progress: Callable[[int, float], None] | None = None,
+    journal: Journal | None = None,
+    bounded: bool = True,
 ) -> Fit:
     """Run the search to its end (or to `timeout` seconds) on the fit recordings together.
 
     `progress(evaluations, best value)` is called after every batch. A member that diverges is told to the optimizer
-    as NaN and spoils no other.
+    as NaN and spoils no other. What `journal` holds of a run that was stopped is not simulated again. Without `bounded`
+    the parameters get no intervals, which cost 2 P + 1 evaluations.
     """
     began = time.perf_counter()
     thetas: list[np.ndarray] = []
@@ -99,7 +105,10 @@ def calibrate(
     stopped = ""
     while not optimizer.done:
         theta = np.asarray(optimizer.ask(), dtype=float)
-        evaluation, _ = evaluate(trials, theta)
+        if (evaluation := journal.recall(theta) if journal else None) is None:
+            evaluation, _ = evaluate(trials, theta)
+            if journal:
+                journal.keep(theta, evaluation)
         optimizer.tell(theta, evaluation)
         thetas.append(theta)
         values.append(evaluation.value)
@@ -112,7 +121,7 @@ def calibrate(
     simulated = bool(np.isfinite(value).any())
     nothing = np.full(len(space), np.nan)  # no member ran to its end: there is no best
     best = theta[int(np.argmin(np.where(np.isfinite(value), value, np.inf)))] if simulated else nothing
-    low, high, condition = intervals(trials, space, best) if simulated else (nothing, nothing, np.nan)
+    low, high, condition = intervals(trials, space, best) if simulated and bounded else (nothing, nothing, np.nan)
     return Fit(
         space=space,
         best=best,
@@ -125,6 +134,7 @@ def calibrate(
         status="diverged" if not simulated else "timeout" if stopped else "ok",
         stopped=stopped or optimizer.stopped,
         wall_s=time.perf_counter() - began,
+        start=getattr(optimizer, "start", None),
     )
 
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import dataclasses
 import hashlib
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
@@ -15,8 +16,9 @@ from clothbench.errors import ClothbenchError
 from clothbench.experiment.calibrate import Trial
 from clothbench.parameters import ParameterSpace
 from clothbench.plugins import OWN, Catalogue, PluginBroken, absent, library_version
-from clothbench.protocols import Effect, Metric
+from clothbench.protocols import Effect, Metric, Simulation
 from clothbench.recording import Recording, read_recording
+from clothbench.rollout import Rollout
 from clothbench.scene import scene_of
 
 
@@ -35,6 +37,8 @@ class Cell:
     """One calibration to do: these recordings, this model with these effects, this optimizer, this metric.
 
     Plain data: it travels to worker processes, and its key is the hash of everything here except where files lie.
+    fixed: parameters that are not searched for, with their values; analysis: what else is asked of the fit, by name;
+    rivals: other fabrics' recordings of the same trials, which these parameters are held against.
     """
 
     suite: str
@@ -53,6 +57,9 @@ class Cell:
     budget: int = 400
     seed: int = 0
     timeout: float | None = None
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    analysis: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    rivals: tuple[Source, ...] = ()
 
     counts: ClassVar[str] = "evaluations"
     value_word: ClassVar[str] = "best"
@@ -63,6 +70,10 @@ class Cell:
         question = asdict(self)
         question["recordings"] = sorted((s["hash"], s["split"]) for s in question["recordings"])
         question["options"] = {k: v for k, v in question["options"].items() if k in self._plugins()}
+        question["rivals"] = sorted(s["hash"] for s in question["rivals"])
+        for name in ("fixed", "analysis", "rivals"):  # cells that have none keep the key they had before there were any
+            if not question[name]:
+                del question[name]
         return hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:16]
 
     def _plugins(self) -> set[str]:
@@ -126,6 +137,7 @@ class Bench:
     recordings: tuple[Recording, ...]
     trials: tuple[Trial, ...]
     others: tuple[Metric, ...]
+    remake: Callable[[Recording, float | None], Trial]  # (recording, kg/m²) as another trial of this bench
 
     def of_split(self, split: str) -> list[Trial]:
         return [t for t, s in zip(self.trials, self.cell.recordings, strict=True) if s.split == split]
@@ -148,7 +160,7 @@ def rehearse(cell: Cell, plugins: Catalogue, recordings: Mapping[str, Recording]
         effects = [plugins.make("effects", name) for name in cell.effects]
         model = plugins.make("models", cell.model, **cell.option(cell.model))
         try:
-            space = model.prepare(scenes[0], effects).parameters
+            space = holding(model.prepare(scenes[0], effects), cell.fixed).parameters
         except Exception:  # a model may refuse a scene; in a product of several that is its own cell's affair
             return
         space = space.bounded(dict(cell.bounds))
@@ -173,18 +185,58 @@ def set_up(cell: Cell, plugins: Catalogue) -> Bench:
     effects: list[Effect] = [plugins.make("effects", name) for name in cell.effects]
     metric = plugins.make("metrics", cell.metric, **cell.option(cell.metric))
     tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
+
+    def make(recording: Recording, areal_density: float | None = None) -> Trial:
+        scene = scene_of(recording, **cell.scene)
+        if areal_density is not None:
+            scene = dataclasses.replace(scene, areal_density=areal_density)
+        if reason := getattr(model, "skip", lambda _: None)(scene):
+            raise Skipped(reason)
+        simulation = holding(model.prepare(scene, effects), cell.fixed)
+        return Trial(recording.name, tracker.track(recording), simulation, metric)
+
     recordings = tuple(read_recording(s.path) for s in cell.recordings)
     trials = []
     for source, recording in zip(cell.recordings, recordings, strict=True):
         if recording.hash != source.hash:
             raise ClothbenchError(f"{source.path}: changed on disk since the suite was planned; run it again")
-        scene = scene_of(recording, **cell.scene)
-        if reason := getattr(model, "skip", lambda _: None)(scene):
-            raise Skipped(reason)
-        trials.append(Trial(source.name, tracker.track(recording), model.prepare(scene, effects), metric))
+        trials.append(make(recording))
     space = trials[0].simulation.parameters.bounded(dict(cell.bounds))
     others = tuple(plugins.make("metrics", name, **cell.option(name)) for name in cell.report if name != cell.metric)
-    return Bench(cell, space, recordings, tuple(trials), others)
+    return Bench(cell, space, recordings, tuple(trials), others, make)
+
+
+@dataclass(frozen=True, eq=False)
+class Held:
+    """A simulation some of whose parameters are not free: `parameters` are the others, `run` takes those."""
+
+    simulation: Simulation
+    fixed: Mapping[str, float]
+
+    @property
+    def threads(self) -> bool:
+        return getattr(self.simulation, "threads", False)
+
+    @property
+    def parameters(self) -> ParameterSpace:
+        return ParameterSpace(tuple(p for p in self.simulation.parameters if p.name not in self.fixed))
+
+    def run(self, theta: np.ndarray) -> Rollout:
+        free = self.parameters.check(theta)
+        whole = np.empty((len(free), len(self.simulation.parameters)))
+        columns = iter(free.T)
+        for i, name in enumerate(self.simulation.parameters.names):
+            whole[:, i] = self.fixed[name] if name in self.fixed else next(columns)
+        return self.simulation.run(whole)
+
+
+def holding(simulation: Simulation, fixed: Mapping[str, float]) -> Simulation:
+    """The simulation with what it knows of `fixed` held at those values; itself if that is nothing.
+
+    A suite fixes parameters for all the models that it is run with; one that has no such parameter has nothing to fix.
+    """
+    mine = {name: value for name, value in fixed.items() if name in simulation.parameters.names}
+    return Held(simulation, mine) if mine else simulation  # type: ignore[return-value]
 
 
 def resplit(sources: list[Source], seed: int) -> list[Source]:

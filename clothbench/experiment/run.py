@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.experiment.analysis import analyse, starts_of, truth_of
 from clothbench.experiment.calibrate import Fit, best_rollout, calibrate, error_interval, mean_interval, score_of
 from clothbench.experiment.cell import Bench, Skipped, set_up
 from clothbench.experiment.fold import fold
 from clothbench.experiment.fold_cell import FoldCell
+from clothbench.experiment.journal import Journal
 from clothbench.experiment.rows import AnyCell, about_cell, keep_failure, no_value
 from clothbench.experiment.store import Store
 from clothbench.experiment.validate import validate
@@ -50,8 +52,13 @@ def run_cell(
             budget=cell.budget,
             **cell.option(cell.optimizer),
         )
-        fit = calibrate(bench.of_split("fit"), optimizer, bench.space, timeout=cell.timeout, progress=told)
-        return _keep(store, bench, fit, attach)
+        journal = Journal(store.folder / "journal" / cell.key)
+        fit = calibrate(
+            bench.of_split("fit"), optimizer, bench.space, timeout=cell.timeout, progress=told, journal=journal
+        )
+        status = _keep(store, bench, fit, attach)
+        journal.forget()
+        return status
     except Skipped as reason:
         return keep_failure(store, cell, "skipped", str(reason))
     except Exception as fault:
@@ -72,6 +79,7 @@ def _keep(store: Store, bench: Bench, fit: Fit, attach: Attach | None) -> str:
         rows += _rows_of(bench, fit, metric, scores, rollouts)
         trace += _trace_of(bench, metric, scores)
     tables = {"rows": rows, "parameters": _parameters_of(bench, fit), "history": _history_of(fit), "trace": trace}
+    tables |= {"starts": starts_of(bench, fit)} | analyse(bench, fit)
     extra = (lambda folder: attach(folder, bench, rollouts)) if attach else None
     store.put(bench.cell.key, tables, extra)
     return fit.status
@@ -177,6 +185,8 @@ def _parameters_of(bench: Bench, fit: Fit) -> list[dict[str, Any]]:
             "low": _finite(fit.low[i]),
             "high": _finite(fit.high[i]),
             "at_bound": bool(fit.at_bound[i]),
+            "start": None if fit.start is None else _finite(fit.start[i]),
+            "truth": truth_of(bench, p.name),
             "meaning": p.meaning,
             "key": bench.cell.key,
         }

@@ -15,12 +15,24 @@ from clothbench.plugins import Catalogue
 from clothbench.scene import AIR_DENSITY
 
 PRODUCT = ("model", "optimizer", "metric")
-CASES = ("fabric", "motion", "recording", "all")
+CASES = ("fabric", "experiment", "motion", "recording", "all")
 KNOWN = {
     *PRODUCT, "effects", "report", "tracker", "recordings", "recording", "scene", "options", "bounds", "budget",
-    "seed", "jobs", "timeout", "out", "data_dir", "suite", "rerun",
+    "seed", "jobs", "timeout", "out", "data_dir", "suite", "rerun", "analysis",
 }  # fmt: skip
-SUITE_KEYS = {"name", "version", "title", "recordings", "select", "case", "tests", "meshes", "fold"}
+SUITE_KEYS = {
+    "name", "version", "title", "recordings", "select", "case", "each", "fixed", "effects", "budgets", "tests",
+    "meshes", "fold",
+}  # fmt: skip
+# What can be asked of a finished fit, with the options of each and their defaults.
+ANALYSES: dict[str, dict[str, Any]] = {
+    "variability": {"points": 8},  # perturbations of each parameter, up to ±20 %
+    "repeats": {"count": 5},  # further fits from starts within ±5 %
+    "morris": {"trajectories": 8},
+    "sobol": {"samples": 16},  # a power of two
+    "map": {"parameters": ["bend", "stretch"], "points": 9},  # the error over two parameters
+    "confusion": {},  # these parameters beside the other fabrics' recordings of the same trials
+}
 # What a suite of tests against mechanics has no use for, beside `scene`.
 CALIBRATION = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds")
 
@@ -29,16 +41,18 @@ def checked(config: Mapping[str, Any], plugins: Catalogue) -> dict[str, Any]:
     """The settings with their types made sure; refuses what means nothing here."""
     out = dict(config)
     known_words("setting", out, KNOWN)
+    out["suite"] = suite_settings(out.get("suite"))
+    out = named_budget(out)
     for name, least in (("budget", 1), ("seed", 0), ("jobs", 0)):
         out[name] = whole(name, out.get(name), least)
     out["timeout"] = None if out.get("timeout") is None else number("timeout", out["timeout"], above=0.0)
     if not isinstance(out.get("rerun"), bool):
         raise ClothbenchError(f"setting 'rerun' is {out.get('rerun')!r}, expected true or false")
     out["out"] = str(writable(out.get("out")))
-    out["suite"] = suite_settings(out.get("suite"))
     out["scene"] = scene_settings(mapping("scene", out.get("scene")))
     out["bounds"] = {name: pair(f"bounds.{name}", b) for name, b in mapping("bounds", out.get("bounds")).items()}
     out["options"] = option_settings(mapping("options", out.get("options")), plugins)
+    out["analysis"] = analysis_settings(mapping("analysis", out.get("analysis")))
     for key in (*PRODUCT, "effects", "report", "recording", "recordings"):
         out[key] = words(key, out.get(key))
     if out["suite"]["tests"]:
@@ -50,6 +64,51 @@ def checked(config: Mapping[str, Any], plugins: Catalogue) -> dict[str, Any]:
             raise ClothbenchError(f"setting '{key}' is empty; name a plugin (see `clothbench plugins`)")
     if twice := sorted({e for e in out["effects"] if out["effects"].count(e) > 1}):
         raise ClothbenchError(f"setting 'effects': {twice[0]!r} is given twice; name every effect once")
+    return out
+
+
+def named_budget(config: dict[str, Any]) -> dict[str, Any]:
+    """The settings with what a named budget (`budget=paper`) of the suite brings: budget, options, analysis."""
+    name, known = config.get("budget"), config["suite"]["budgets"]
+    if not isinstance(name, str):
+        return config
+    if name not in known:
+        there = ", ".join(sorted(known)) or "none"
+        raise ClothbenchError(f"setting 'budget' is {name!r}, expected a whole number or one of the suite's: {there}")
+    brought = mapping(f"suite.budgets.{name}", known[name])
+    known_words(f"setting of 'suite.budgets.{name}'", brought, {"budget", "options", "analysis"})
+    out = {**config, "budget": brought.get("budget")}
+    for key in ("options", "analysis"):
+        out[key] = deep(mapping(key, config.get(key)), mapping(key, brought.get(key)))
+    return out
+
+
+def deep(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Both nested mappings in one; where both say something, `above` has it."""
+    out = dict(below)
+    for key, value in above.items():
+        both = isinstance(value, Mapping) and isinstance(out.get(key), Mapping)
+        out[key] = deep(out[key], value) if both else value
+    return out
+
+
+def analysis_settings(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """What is asked of a fit beside its errors: each analysis with its options and patterns of the cases it is for."""
+    known_words("analysis", given, set(ANALYSES))
+    out = {}
+    for name, told in given.items():
+        wanted = mapping(f"analysis.{name}", told)
+        known_words(f"setting of 'analysis.{name}'", wanted, {"cases", *ANALYSES[name]})
+        options = {**ANALYSES[name], **wanted}
+        options["cases"] = words(f"analysis.{name}.cases", wanted.get("cases", "*"))
+        for key, default in ANALYSES[name].items():
+            if isinstance(default, int):
+                options[key] = whole(f"analysis.{name}.{key}", options[key], 2)
+            elif isinstance(default, list):
+                options[key] = words(f"analysis.{name}.{key}", options[key])
+        out[name] = options
+    if (samples := out.get("sobol", {}).get("samples", 2)).bit_count() != 1:
+        raise ClothbenchError(f"setting 'analysis.sobol.samples' is {samples}, expected a power of two")
     return out
 
 
@@ -134,6 +193,13 @@ def suite_settings(suite: Any) -> dict[str, Any]:
         raise ClothbenchError(f"setting 'suite' is {suite!r}; choose a suite with +suite=NAME")
     out = mapping("suite", suite)
     known_words("setting of 'suite'", out, SUITE_KEYS)
+    for key in ("fixed", "effects", "budgets"):
+        out[key] = mapping(f"suite.{key}", out.get(key))
+    out["effects"] = {model: words(f"suite.effects.{model}", names) for model, names in out["effects"].items()}
+    out["fixed"] = {
+        pattern: {n: number(f"suite.fixed.{n}", v) for n, v in mapping("suite.fixed", values).items()}
+        for pattern, values in out["fixed"].items()
+    }
     if out.get("case", "fabric") not in CASES:
         raise ClothbenchError(f"setting 'suite.case' is {out['case']!r}, expected one of {', '.join(CASES)}")
     out["tests"] = chosen_tests(words("suite.tests", out.get("tests")))
@@ -142,6 +208,7 @@ def suite_settings(suite: Any) -> dict[str, Any]:
     out["fold"] = None if out.get("fold") is None else fold_settings(mapping("suite.fold", out["fold"]))
     if out["fold"]:
         out["select"] = chosen_fabrics(out["select"])
+    out["each"] = words("suite.each", out.get("each"))
     return out
 
 
@@ -156,9 +223,11 @@ def mesh_sizes(value: Any) -> list[int]:
 
 
 def scene_settings(scene: dict[str, Any]) -> dict[str, Any]:
-    known_words("setting of 'scene'", scene, {"areal_density", "air_density", "resolution"})
+    known_words("setting of 'scene'", scene, {"areal_density", "air_density", "resolution", "spacing"})
     out: dict[str, Any] = {}
-    for name in ("areal_density", "air_density"):
+    if scene.get("spacing") is not None and scene.get("resolution") is not None:
+        raise ClothbenchError("settings 'scene.spacing' and 'scene.resolution' both say how fine the mesh is; give one")
+    for name in ("areal_density", "air_density", "spacing"):
         if scene.get(name) is not None:
             out[name] = number(f"scene.{name}", scene[name], above=0.0)
     if (resolution := scene.get("resolution")) is not None:

@@ -6,6 +6,9 @@ RUNS/cells/KEY/history.parquet      every evaluation
 RUNS/cells/KEY/trace.parquet        error of every recording, frame by frame
 RUNS/cells/KEY/validation.parquet   every simulation of a test against mechanics: mesh, step, value beside reference
 RUNS/cells/KEY/fold.parquet         every step of a fold: pose, estimate beside the reference, friction, errors
+RUNS/cells/KEY/starts.parquet       the error at the search's start beside that of its result
+RUNS/cells/KEY/variability.parquet, repeats, sensitivity, map, confusion: the analyses that were asked for
+RUNS/journal/KEY/                   what an unfinished cell has simulated so far
 RUNS/cells/KEY/fit.rrd              recording beside rollout, for Rerun
 """
 
@@ -25,6 +28,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from clothbench.errors import ClothbenchError
+from clothbench.experiment.analysis_schema import ANALYSIS_TABLES
 from clothbench.experiment.improve_schema import IMPROVE_TABLES
 from clothbench.files import whole_folder
 
@@ -46,7 +50,7 @@ SYSTEM = {
 }  # fmt: skip
 PARAMETER = {
     "name": _text, "symbol": _text, "unit": _text, "value": _number, "low": _number, "high": _number,
-    "at_bound": pa.bool_(), "meaning": _text, "key": _text,
+    "at_bound": pa.bool_(), "start": _number, "truth": _number, "meaning": _text, "key": _text,
 }  # fmt: skip
 TRACE = {"recording": _text, "split": _text, "metric": _text, "time": _number, "value": _number, "unit": _text}
 LEVEL = {
@@ -64,6 +68,7 @@ FOLD = {
     "wall_s": _number, "key": _text,
 }  # fmt: skip
 TABLES = {"rows": {**ROW, **SYSTEM}, "parameters": PARAMETER, "trace": TRACE, "validation": LEVEL, "fold": FOLD}
+TABLES |= ANALYSIS_TABLES
 TABLES |= {f"improve/{name}": columns for name, columns in IMPROVE_TABLES.items()}
 FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
 
@@ -137,9 +142,9 @@ class Store:
         """Every simulation of tests against mechanics, from the coarsest mesh of each to the finest."""
         return self._all("validation", keys)
 
-    def folds(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
-        """Every step of folds in the course of which a fabric was estimated."""
-        return self._all("fold", keys)
+    def table(self, name: str, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
+        """Any table by its file's name, over all cells that have it."""
+        return self._all(name, keys)
 
     def _all(self, name: str, keys: Iterable[str] | None) -> list[dict[str, Any]]:
         folders = [self.cell(k) for k in keys] if keys is not None else sorted(self.folder.glob("cells/[0-9a-f]*"))

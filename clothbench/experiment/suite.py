@@ -40,9 +40,13 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = 
     if suite["fold"]:
         return list(plan_folds(config, plugins))
     recordings = read_all(where(config, progress))
-    cases = group(recordings, suite.get("case") or "fabric", suite["select"], config["seed"])
+    by, each = suite.get("case") or "fabric", suite["each"]
+    cases = group(recordings, by, suite["select"], config["seed"], fitted=not each)
+    if each:
+        cases = one_by_one(cases, each)
     cells: dict[str, Cell] = {}
     for case, sources in cases.items():
+        analysis = {n: _told(a) for n, a in config["analysis"].items() if _matches(case, a["cases"])}
         for model, optimizer, metric in itertools.product(*(config[key] for key in PRODUCT)):
             cell = Cell(
                 suite=suite.get("name") or "single",
@@ -51,7 +55,10 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = 
                 model=model,
                 optimizer=optimizer,
                 metric=metric,
-                effects=tuple(config["effects"]),
+                effects=tuple(dict.fromkeys([*config["effects"], *suite["effects"].get(model, [])])),
+                fixed={n: v for p, values in suite["fixed"].items() if _matches(case, [p]) for n, v in values.items()},
+                analysis=analysis,
+                rivals=tuple(rivals(sources, cases)) if "confusion" in analysis else (),
                 report=tuple(config["report"]),
                 tracker=str(config["tracker"]),
                 **{key: config[key] for key in ("options", "bounds", "scene", "budget", "seed", "timeout")},
@@ -60,6 +67,37 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = 
             rehearse(cell, plugins, {r.path: r for r in recordings})
             cells[cell.key] = cell
     return list(cells.values())
+
+
+def _matches(case: str, patterns: Sequence[str]) -> bool:
+    return any(fnmatch.fnmatch(case, p) for p in patterns)
+
+
+def _told(options: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in options.items() if key != "cases"}
+
+
+def one_by_one(cases: Mapping[str, Sequence[Source]], patterns: Sequence[str]) -> dict[str, list[Source]]:
+    """A case of its own for each recording whose name matches, called by that name: it is fitted, the others of its
+    case are held out, whatever split the files state.
+    """
+    out = {}
+    for sources in cases.values():
+        for fitted in (s for s in sources if _matches(s.name, patterns)):
+            split = [dataclasses.replace(s, split="fit" if s is fitted else "held_out") for s in sources]
+            out[fitted.name] = sorted(split, key=lambda s: s.split)
+    if not out:
+        raise ClothbenchError(f"setting 'suite.each' {list(patterns)} matches none of the recordings")
+    return out
+
+
+def rivals(sources: Sequence[Source], cases: Mapping[str, Sequence[Source]]) -> list[Source]:
+    """The recordings of other fabrics ("FABRIC/TRIAL") whose trial is one that this case could have fitted."""
+    known = {s.name: s for mine in cases.values() for s in mine}
+    fitted = {s.name for mine in cases.values() for s in mine if s.split == "fit"}
+    trials = {s.name.partition("/")[2] for s in sources if s.name in fitted}
+    mine = {s.name for s in sources}
+    return [s for name, s in sorted(known.items()) if name.partition("/")[2] in trials and name in fitted - mine]
 
 
 def where(config: Mapping[str, Any], progress: Told | None = None) -> list[Path]:
@@ -91,18 +129,26 @@ def read_all(paths: Iterable[Path]) -> list[Recording]:
     return [read_recording(path) for path in paths]
 
 
-def group(recordings: Sequence[Recording], by: str, patterns: Sequence[str], seed: int) -> dict[str, list[Source]]:
-    """Recordings by case, each with a fit split; a recording's name must match one of `patterns`."""
+def _case_of(r: Recording, by: str) -> str:
+    if by == "experiment":  # of one fabric, as the recording's header says
+        return "/".join(filter(None, (r.fabric, r.notes.get("experiment", "")))) or r.name
+    return getattr(r, by) or r.name
+
+
+def group(
+    recordings: Sequence[Recording], by: str, patterns: Sequence[str], seed: int, fitted: bool = True
+) -> dict[str, list[Source]]:
+    """Recordings by case, each with a fit split if `fitted`; a recording's name must match one of `patterns`."""
     chosen = [r for r in recordings if any(fnmatch.fnmatch(r.name, p) for p in patterns)]
     if not chosen:
         raise ClothbenchError(f"setting 'suite.select' {list(patterns)} matches none of {len(recordings)} recordings")
     cases: dict[str, list[Source]] = {}
     for r in chosen:
-        case = "all" if by == "all" else r.name if by == "recording" else getattr(r, by) or r.name
+        case = "all" if by == "all" else r.name if by == "recording" else _case_of(r, by)
         cases.setdefault(case, []).append(Source(r.path, r.name, r.hash, r.split))
     out = {case: resplit(sources, seed) for case, sources in sorted(cases.items())}
     for case, sources in out.items():
-        if not any(s.split == "fit" for s in sources):
+        if fitted and not any(s.split == "fit" for s in sources):
             raise ClothbenchError(
                 f"case {case!r}: found only held-out recordings, expected at least one to fit; see suite.select"
             )

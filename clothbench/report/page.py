@@ -7,8 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from clothbench.experiment.analysis_schema import ANALYSIS_TABLES
 from clothbench.experiment.store import Store
 from clothbench.files import whole_file
+from clothbench.report.analysis_page import analysis_section
 from clothbench.report.figure_data import model_name
 from clothbench.report.figures import panels
 from clothbench.report.fold_page import fold_section
@@ -42,7 +44,7 @@ def document(store: Store) -> str:
     rows = store.rows()
     sections = [heading(rows), HINT]
     if rows:
-        tests, steps = [r for r in rows if is_validation(r)], store.folds()
+        tests, steps = [r for r in rows if is_validation(r)], store.table("fold")
         folded = [r for r in rows if r["key"] in {s["key"] for s in steps}]
         found = [r for r in rows if not is_validation(r) and r not in folded]
         drawn = figures(store, found)
@@ -52,6 +54,7 @@ def document(store: Store) -> str:
             failure_list(rows),
             leaderboards(found),
             drawn,
+            analysis_section(found, {n: store.table(n) for n in ANALYSIS_TABLES}, plotly=not drawn),
             fold_section(folded, steps, plotly=not drawn),
             validation_section(tests, store.levels({r["key"] for r in tests}), plotly=not (drawn or folded)),
         ]

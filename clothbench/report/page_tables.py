@@ -111,7 +111,8 @@ def _parameter(p: dict[str, Any]) -> str:
     """Value above its interval; marked on its bound, where the bound chose it and not the data."""
     value = f"{p['value']:.4g}" if p["value"] is not None else "none"
     mark = '<span class="pill note" title="the bound chose this value">▲ at its bound</span> ' if p["at_bound"] else ""
-    return mark + value + _below(interval(p, ".3g"))
+    truth = f"true: {p['truth']:.3g}" if p.get("truth") is not None else ""
+    return mark + value + _below(interval(p, ".3g")) + _below(truth)
 
 
 def table(head: Iterable[str], body: Sequence[Sequence[str]], numeric: set[int]) -> str:

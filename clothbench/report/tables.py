@@ -103,7 +103,8 @@ def overall(rows: Rows) -> list[str]:
 
 def _cells(row: dict[str, Any]) -> list[str]:
     split = {"held_out": "held out"}.get(row["split"] or "", row["split"] or "")
-    name = row["recording"].removeprefix(row["case"]).lstrip("-/") if row["recording"] else f"all, {row['metric']}"
+    short = row["recording"].removeprefix(row["case"]).lstrip("-/") if row["recording"] else f"all, {row['metric']}"
+    name = short or row["recording"]
     if row["value"] is None:
         error, interval = row["status"], ""
     else:
@@ -120,7 +121,8 @@ def parameter_table(rows: Rows, parameters: Rows) -> Table:
     """Best values with intervals; a value on its bound is marked, since the bound chose it and not the data."""
     table = Table(title="parameters, 95 % interval", title_justify="left", title_style="bold")
     table.add_column("parameter", overflow="fold")
-    for name in ("value", "interval"):
+    stated = any(p.get("truth") is not None for p in parameters)
+    for name in ("value", "interval", *(("truth",) if stated else ())):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
     about = {r["key"]: r for r in rows}
@@ -129,7 +131,9 @@ def parameter_table(rows: Rows, parameters: Rows) -> Table:
         for p in (p for p in parameters if p["key"] == key):
             value = f"{p['value']:.4g}" if p["value"] is not None else ""
             mark = " at its bound" if p["at_bound"] else ""
-            texts = (f"  {p['name']} ({p['symbol']})", value, _interval(p["low"], p["high"], ".3g"), p["unit"] + mark)
+            known = (f"{p['truth']:.3g}" if p.get("truth") is not None else "",) if stated else ()
+            texts = (f"  {p['name']} ({p['symbol']})", value, _interval(p["low"], p["high"], ".3g"), *known,
+                     p["unit"] + mark)  # fmt: skip
             table.add_row(*(escape(t) for t in texts))
         table.add_section()
     return table

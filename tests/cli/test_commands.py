@@ -65,7 +65,7 @@ def test_wrong_use_is_one_line_and_exit_2(clothbench, tmp_path, arguments, found
 def test_hydra_s_own_questions_are_answered(clothbench, tmp_path):
     out = clothbench("run", "--cfg", "job", "+suite=static_dynamic")
     assert out.returncode == 0, out.stderr
-    assert "budget: 200" in out.stdout
+    assert "budget: 40" in out.stdout
     assert clothbench("run", "--help").returncode == 0
     assert not list(tmp_path.iterdir())
 

@@ -17,9 +17,12 @@ try:
     from reference_mesh import Mesh, build, tracking_weights
     from reference_simulation import (
         AIR_DENSITY,
+        Fabric,
         State,
         bowed,
+        calmed,
         discretise,
+        implicit_step,
         settle,
         simulate,
         stable_step,
@@ -30,7 +33,7 @@ finally:
     sys.path.remove(str(TOOLS))
 
 GRAVITY = 9.81
-SATIN = maker.FABRICS[0]
+SATIN = Fabric("satin", 0.11, 600.0, 450.0, 80.0, 30.0, 1.2e-5, 1.5e-5, 5e-4, 4e-3, 0.10, 1.0, 0.03, 0.2, 0.5)
 NOTHING_HELD = np.zeros(0, dtype=np.int64)
 
 
@@ -143,6 +146,40 @@ def test_falling_sheet_reaches_the_terminal_speed():
     np.testing.assert_allclose(end.velocity[:, 2], -terminal, rtol=1e-3)
 
 
+def test_drag_declines_and_grows_linearly_along_the_sheet_as_written():
+    """f = −A (k_N v²/(1 + k_f v²) n + k_T v_t) of a flat sheet moved as a whole (Bhat et al. 2003, section 3)."""
+    mesh = build(0.3, 0.3, 6, 7)
+    fabric = replace(undamped(SATIN), normal_drag=2 * 1.5 / AIR_DENSITY, linear_drag=0.8, drag_decline=0.7)
+    v, force = np.array([0.3, -0.4, 2.0]), np.zeros((len(mesh.material), 3))
+    kernels.drag_force(discretise(fabric, mesh), flat(mesh), np.broadcast_to(v, force.shape).copy(), force)
+    expected = -0.09 * np.array([0.8 * 0.3, -0.8 * 0.4, 1.5 * 4.0 / (1 + 0.7 * 4.0)])
+    np.testing.assert_allclose(force.sum(axis=0), expected, rtol=1e-12)
+
+
+def pulled_aside(step_share: float, implicit: bool) -> np.ndarray:
+    """A strongly damped sheet in free flight, stretched at first: where its nodes are after 20 ms, (N, 3) m."""
+    mesh = build(0.3, 0.3, 6, 7)
+    fabric = replace(undamped(SATIN), stretch_damping=0.02, shear_damping=0.05)
+    state = still(hanging(mesh) * [1.05, 1.0, 0.97])
+    step = (implicit_step(fabric, mesh) if implicit else stable_step(fabric, mesh)) * step_share
+    sheet, times = discretise(fabric, mesh), np.array([0.0, 0.02])
+    return simulate(sheet, state, NOTHING_HELD, free, times, step, implicit)[0][1]
+
+
+def test_implicit_damping_converges_to_the_explicit_one():
+    truth = pulled_aside(1.0, implicit=False)
+    coarse, fine = (abs(pulled_aside(share, implicit=True) - truth).max() for share in (0.5, 0.125))
+    assert fine < 1e-4  # m, of some millimetres
+    assert fine < 0.3 * coarse
+
+
+def test_a_calmed_fabric_differs_in_damping_only():
+    mesh = build(0.3, 0.3, 6, 7)
+    calm = calmed(replace(SATIN, stretch_damping=0.5, shear_damping=0.5, bending_damping=0.5), mesh)
+    assert undamped(calm) == undamped(SATIN)
+    assert stable_step(calm, mesh) > 0.3 * stable_step(undamped(SATIN), mesh)
+
+
 def swing(columns: int, rows: int, duration: float) -> tuple[np.ndarray, np.ndarray, float]:
     """Undamped small swing of a hanging sheet: times [s], way [m], energy drift over the energy put in."""
     mesh = build(0.297, 0.297, columns, rows)
@@ -202,7 +239,7 @@ def test_the_bow_has_no_strain_and_the_right_ends():
 
 
 def test_tracked_points_are_read_to_a_fraction_of_the_noise():
-    mesh, radius = build(0.3, 0.3, 28, 32), 0.03
+    mesh, radius = build(0.3, 0.3, 28, 32), 0.03  # the mesh of the check for convergence
     read = tracking_weights(mesh, maker.markers()) @ cylinder(mesh, radius, 0.0)
     u, v = maker.markers().T
     exact = np.column_stack([radius * np.sin(u / radius), radius * np.cos(u / radius), v])
@@ -222,9 +259,26 @@ def test_every_motion_starts_smoothly_and_never_pulls_the_cloth_taut():
     t = np.linspace(0.0, 3.0, 3001)
     for trial in maker.TRIALS:
         offset = trial.offset(t)
-        assert abs(offset[:10]).max() < 1e-6
-        places = maker.hold(trial.separation) + offset
-        assert np.linalg.norm(places[:, 1] - places[:, 0], axis=1).max() < 0.96 * maker.SIDE
+        assert abs(offset[:10]).max() < 1e-5
+        if not trial.is_skirt:
+            places = maker.hold(trial.separation) + offset
+            assert np.linalg.norm(places[:, 1] - places[:, 0], axis=1).max() < 0.96 * maker.SIDE
+
+
+@pytest.mark.parametrize("fabric", maker.FABRICS)
+def test_the_stand_ins_are_the_fabrics_of_the_paper_s_tables(fabric):
+    made, truth = maker.fabric_of(fabric, "waving")
+    assert made.bending_rigidity == truth["bend"] == maker.TABLE_3[fabric][0]
+    assert made.stretch_damping * made.warp_stiffness == pytest.approx(truth["stretch_damping"])
+    assert 0.5 * AIR_DENSITY * made.normal_drag == pytest.approx(truth["quadratic_drag"])
+    assert maker.fabric_of(fabric, "static")[1]["stretch"] == maker.TABLE_1[fabric][1]
+
+
+def test_a_skirt_hangs_from_its_gathered_waist():
+    u = np.linspace(0.0, maker.SKIRT[0], 200)
+    for gathered in (1.0, 0.92):
+        length = np.linalg.norm(np.diff(maker.waist(u, gathered), axis=0), axis=1).sum()
+        assert length == pytest.approx(gathered * maker.SKIRT[0], rel=1e-4)
 
 
 @pytest.mark.slow
@@ -233,7 +287,8 @@ def test_the_recordings_are_what_the_script_makes():
     from clothbench.recording import read_recording
 
     stored = read_recording(maker.FOLDER / "linen-static-1.nc")
-    made = maker.record(maker.FABRICS[1], maker.TRIALS[0], maker.Bench(maker.FABRICS[1]))
+    made = maker.record("linen", maker.TRIALS[0])
     np.testing.assert_allclose(made.position, stored.position, atol=2e-5)
+    assert np.abs(made.video.frame.astype(int) - stored.video.frame).mean() < 0.1
     np.testing.assert_allclose(made.grip_position, stored.grip_position, atol=2e-5)
     assert made.notes == stored.notes

@@ -128,7 +128,7 @@ def test_a_fold_ends_near_its_fabric(tmp_path):
     assert rows["friction"]["value"] < rows["friction"]["reference"] == 0.6
     assert rows["grip_offset_error"]["value"] < 2.0
     assert rows["tracker_error"]["value"] < 0.6
-    steps = store.folds()
+    steps = store.table("fold")
     assert [s["step"] for s in steps] == [1, 2, 3]
     assert steps[0]["z"] == pytest.approx(0.04)
     assert "denim" in fold_section(store.rows(), steps, plotly=False)
@@ -137,7 +137,7 @@ def test_a_fold_ends_near_its_fabric(tmp_path):
     assert leaderboard_row(eta)["recording"] is None
     other = Store(tmp_path / "again")
     fold(other, cell())
-    assert [s["value"] for s in other.folds()] == [s["value"] for s in steps]
+    assert [s["value"] for s in other.table("fold")] == [s["value"] for s in steps]
 
 
 def test_settings_are_checked():

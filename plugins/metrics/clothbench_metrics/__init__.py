@@ -13,4 +13,8 @@ def clothbench_metrics():
             "clothbench_metrics.relative_error:RelativeError",
             "distance over the size of the shape, in percent",
         ),
+        Registration(
+            "fold", "clothbench_metrics.fold:Fold", "orientation of projected stripes along folds, and the silhouette"
+        ),
+        Registration("silhouette", "clothbench_metrics.silhouette:Silhouette", "mismatched pixels of the outline"),
     ]

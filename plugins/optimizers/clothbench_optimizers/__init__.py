@@ -8,6 +8,15 @@ def clothbench_optimizers():
     return [
         Registration("ga", "clothbench_optimizers.ga:GeneticAlgorithm", "genetic algorithm on 16-bit genes"),
         Registration(
+            "annealing",
+            "clothbench_optimizers.annealing:Annealing",
+            "downhill simplex with Metropolis fluctuations, from the best of an exhaustive grid",
+        ),
+        Registration("nelder_mead", "clothbench_optimizers.nelder_mead:NelderMead", "SciPy's simplex, restarted"),
+        Registration(
+            "cma_es", "clothbench_optimizers.cma_es:CmaEs", "covariance matrix adaptation evolution strategy (pycma)"
+        ),
+        Registration(
             "iterative_least_squares",
             "clothbench_optimizers.iterative_least_squares:IterativeLeastSquares",
             "Levenberg–Marquardt that goes on from the last estimate with every new measurement",

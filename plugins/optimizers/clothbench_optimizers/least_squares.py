@@ -38,12 +38,13 @@ class LeastSquares(GeneratorSearch):
     def steps(self) -> Steps:
         # No more than a third of the budget goes into looking around.
         starts = min(self.starts, max(1, self.budget // 3 - 1))
-        spread = qmc.Sobol(len(self.space), rng=self.random).random(2 ** int(np.ceil(np.log2(starts + 1))))
-        points = np.vstack([self.space.to_unit(self.space.defaults)[None], spread[:starts]])
+        sobol = qmc.Sobol(len(self.space), rng=self.random).random(2 ** int(np.ceil(np.log2(starts + 1))))
+        points = np.vstack([self.space.to_unit(self.space.defaults)[None], sobol[:starts]])
         evaluation = yield points
         cost = sums_of_squares(evaluation)
         if not np.isfinite(cost).any():
             return "no start could be simulated"
+        self.start = self.space.from_unit(points[int(np.argmin(cost))])
         for best in np.argsort(cost)[: self.walks]:
             if np.isfinite(cost[best]):
                 yield from self._walk(points[best], evaluation.residual[best], cost[best])

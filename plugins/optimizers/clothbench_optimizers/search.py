@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Generator
 
 import numpy as np
+from scipy.stats import qmc
 
 from clothbench import ClothbenchError, Evaluation, ParameterSpace
 
@@ -14,8 +15,11 @@ Steps = Generator[np.ndarray, Evaluation, str]
 class GeneratorSearch:
     """An optimizer whose `steps()` yields batches in the unit cube (B, P) and returns why it stopped.
 
-    Never asks for more than `budget` evaluations: a batch that would exceed it is cut.
+    Never asks for more than `budget` evaluations: a batch that would exceed it is cut. `start` (P,), in the parameters'
+    units, is where the walk set out from once the look around was over (None until then, or if there is none).
     """
+
+    start: np.ndarray | None = None
 
     def __init__(self, space: ParameterSpace, *, seed: int, budget: int):
         if budget < 1:
@@ -49,3 +53,29 @@ class GeneratorSearch:
 def worst_last(value: np.ndarray) -> np.ndarray:
     """Values (B,) with what could not be computed (NaN) as infinitely bad."""
     return np.where(np.isfinite(value), value, np.inf)
+
+
+STARTS = ("look", "defaults")
+
+
+def check_start(name: str, start: str) -> None:
+    if start not in STARTS:
+        raise ClothbenchError(f"{name}: start is {start!r}, expected one of {', '.join(STARTS)}")
+
+
+def check_between(name: str, what: str, value: float, low: float, high: float) -> None:
+    """Refuse an option that is no number above `low` and below `high`."""
+    if not isinstance(value, int | float) or isinstance(value, bool) or not low < value < high:
+        raise ClothbenchError(f"{name}: {what} is {value!r}, expected a number above {low:g} and below {high:g}")
+
+
+def spread(search: GeneratorSearch, count: int) -> np.ndarray:
+    """The defaults, then points of a scrambled Sobol sequence: (count + 1, P) of the unit cube."""
+    sobol = qmc.Sobol(len(search.space), rng=search.random).random(2 ** int(np.ceil(np.log2(max(count, 1)))))
+    return np.vstack([search.space.to_unit(search.space.defaults)[None], sobol[:count]])
+
+
+def simplex_about(here: np.ndarray, size: float) -> np.ndarray:
+    """A corner at `here` (P,) and one for each axis `size` away, to the side with more room: (P + 1, P)."""
+    away = np.where(here <= 0.5, size, -size)
+    return np.vstack([here, np.clip(here + np.diag(away), 0.0, 1.0)])

@@ -16,4 +16,9 @@ def clothbench_trackers():
             "clothbench_trackers.markers:Markers",
             "node recordings and marker files (C3D, TRC, CSV), with gaps kept and a rigid frame alignment",
         ),
+        Registration(
+            "stripes",
+            "clothbench_trackers.stripes:Stripes",
+            "projected stripes in a calibrated video: silhouette, angle map, folds",
+        ),
     ]

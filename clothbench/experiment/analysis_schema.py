@@ -1,0 +1,44 @@
+"""Columns of what is asked of a fit beside its errors. Errors are in the row's `unit`, `key` is the cell's."""
+
+from __future__ import annotations
+
+import pyarrow as pa
+
+_text, _number, _whole = pa.string(), pa.float64(), pa.int64()
+
+# Error of each fitted recording where the search set out from, and at its result.
+START = {
+    "case": _text, "recording": _text, "metric": _text, "unit": _text, "start": _number, "value": _number, "key": _text,
+}  # fmt: skip
+# percent: the change of the parameter that changes the error by 1 % (infinite where no change does).
+VARIABILITY = {
+    "case": _text, "name": _text, "symbol": _text, "unit": _text, "value": _number, "percent": _number,
+    "slope": _number, "curvature": _number, "reason": _text, "key": _text,
+}  # fmt: skip
+# One row for each perturbation behind it. change: of the parameter, relative; error: in `unit`.
+PERTURBATION = {"case": _text, "name": _text, "change": _number, "error": _number, "unit": _text, "key": _text}
+# repeat 0 is the fit itself. start, value: of the parameter, in `unit`; error_*: in `error_unit`.
+REPEAT = {
+    "case": _text, "repeat": _whole, "name": _text, "symbol": _text, "unit": _text, "start": _number, "value": _number,
+    "error_start": _number, "error": _number, "error_unit": _text, "reason": _text, "key": _text,
+}  # fmt: skip
+# morris: main = μ*, total = σ of the elementary effects, in the error's unit over the whole scaled range;
+# sobol: main = S1, total = ST, shares of the error's variance. half: of the 95 % intervals.
+SENSITIVITY = {
+    "case": _text, "method": _text, "name": _text, "symbol": _text, "unit": _text, "main": _number,
+    "main_half": _number, "total": _number, "total_half": _number, "evaluations": _whole, "lost": _whole,
+    "reason": _text, "key": _text,
+}  # fmt: skip
+MAP = {
+    "case": _text, "x_name": _text, "x_unit": _text, "y_name": _text, "y_unit": _text, "x": _number, "y": _number,
+    "error": _number, "unit": _text, "reason": _text, "key": _text,
+}  # fmt: skip
+# What the parameters of `case` make of `recording`, of whatever fabric.
+CONFUSION = {
+    "case": _text, "fabric": _text, "recording": _text, "recorded_fabric": _text, "trial": _text, "value": _number,
+    "metric": _text, "unit": _text, "key": _text,
+}  # fmt: skip
+ANALYSIS_TABLES = {
+    "starts": START, "variability": VARIABILITY, "perturbations": PERTURBATION, "repeats": REPEAT,
+    "sensitivity": SENSITIVITY, "map": MAP, "confusion": CONFUSION,
+}  # fmt: skip

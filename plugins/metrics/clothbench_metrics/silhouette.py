@@ -1,0 +1,52 @@
+"""`silhouette`: how much of the outline is in the wrong place."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from clothbench import ClothbenchError, Observation, Rollout, Score
+from clothbench_metrics.sight import Sights, check_shape, compared
+
+QUANTITIES = {"mismatch": "px", "iou": "%"}
+
+
+class Silhouette:
+    """The mean over the frames of the pixels in which the silhouettes differ (Bhat et al. 2003, eq. 6), or of what both
+    share over what either covers, as 100 (1 − intersection over union), so that lower is better.
+
+    quantity: "mismatch" [px] or "iou" [%]. As in `fold`, the observation's view says what was seen; without one,
+    tracked nodes are drawn on an image `pixels` wide.
+    """
+
+    name = "silhouette"
+    version = 1
+
+    def __init__(self, quantity: str = "mismatch", pixels: int = 96):
+        if quantity not in QUANTITIES:
+            raise ClothbenchError(f"silhouette: quantity is {quantity!r}, expected one of {', '.join(QUANTITIES)}")
+        self.quantity, self.unit = quantity, QUANTITIES[quantity]
+        self.sights = Sights(pixels, blur=2.0, threshold=0.006)
+
+    def __call__(self, observation: Observation, rollout: Rollout) -> Score:
+        check_shape(observation, rollout)
+        sight = self.sights.of(observation)
+        seen, per_frame = sight.view.silhouette, np.full((len(rollout), len(observation.time)), np.nan)
+        if not sight.frames.any():
+            return Score(np.full(len(rollout), np.nan), self.unit, per_frame)
+
+        def compare(b: int, some: slice) -> None:
+            shape, there = sight.outlines(rollout.position[b], some), sight.frames[some]
+            wrong = np.count_nonzero(shape != seen[some], axis=(1, 2))
+            either = np.count_nonzero(shape | seen[some], axis=(1, 2))
+            value = wrong if self.quantity == "mismatch" else 100 * wrong / np.maximum(either, 1)
+            per_frame[b, some] = np.where(there, value, np.nan)
+
+        lost = compared(sight, rollout, compare)
+        mean = per_frame[:, sight.frames].mean(axis=1)
+        return Score(np.where(lost, np.nan, mean), self.unit, per_frame)
+
+    def floor(self, observation: Observation) -> float:
+        """Not known: what noise does to an outline depends on its length and on the camera's focus."""
+        return math.nan

@@ -1,0 +1,400 @@
+"""Analyses of a fit on toys whose answer is known, the protocol's tables, and searches that go on where they stood."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from conftest import swinging_recording
+from test_calibrate import SPACE, TIME, Toy
+
+from clothbench import ClothbenchError, Observation, Parameter, ParameterSpace, Score, write_recording
+from clothbench.experiment.calibrate import Trial, calibrate, evaluate
+from clothbench.experiment.cell import Held, holding
+from clothbench.experiment.journal import Journal
+from clothbench.experiment.sensitivity import error_map, morris, sobol
+from clothbench.experiment.settings import analysis_settings, named_budget, suite_settings
+from clothbench.experiment.suite import plan
+from clothbench.experiment.variability import parabola, perturbed, repeats, variability
+from clothbench.plugins import catalogue
+from clothbench.report.analysis_tables import percent, spread
+from clothbench.report.protocol import confusions, transfers
+
+BEST = np.array([1.2, 0.3])
+BOX = ParameterSpace(
+    tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.5, "of a toy", "none") for n in ("a", "b", "c"))
+)
+
+
+class Bowl:
+    """Scores 5 + 100 (gain/1.2 − 1)² + (slope/0.3 − 1)²: gain matters ten times as much as slope."""
+
+    name, version, unit = "bowl", 1, "mm"
+
+    def __call__(self, observation, rollout):
+        gain = rollout.position[:, 5, 0, 0]
+        slope = rollout.position[:, 9, 0, 0]
+        return Score(5 + 100 * (gain / 1.2 - 1) ** 2 + (slope / 0.3 - 1) ** 2, "mm")
+
+    def floor(self, observation):
+        return float("nan")
+
+
+class Plain(Toy):
+    """Puts its two parameters straight into two frames."""
+
+    def run(self, theta):
+        rollout = super().run(theta)
+        rollout.position[:, 5, 0, 0], rollout.position[:, 9, 0, 0] = theta[:, 0], theta[:, 1]
+        return rollout
+
+
+def bowl_trial() -> Trial:
+    seen = Observation(TIME, np.zeros((TIME.size, 1, 3)), np.ones((TIME.size, 1), bool), 1e-3, np.zeros((1, 2)))
+    return Trial("toy", seen, Plain(), Bowl())
+
+
+def test_variability_is_the_change_that_changes_the_error_by_one_percent():
+    found, behind = variability([bowl_trial()], SPACE, BEST, 8)
+    # 100 δ² = 0.05 and δ² = 0.05
+    assert found[0]["percent"] == pytest.approx(100 * np.sqrt(0.05 / 100), rel=1e-6)
+    assert found[1]["percent"] == pytest.approx(100 * np.sqrt(0.05), rel=1e-6)
+    assert found[0]["curvature"] == pytest.approx(200.0)
+    assert abs(found[0]["slope"]) < 1e-9
+    assert sorted({round(r["change"], 9) for r in behind}) == [-0.2, -0.15, -0.1, -0.05, 0.05, 0.1, 0.15, 0.2]
+
+
+@pytest.mark.parametrize(
+    ("slope", "curvature", "expected"),
+    [
+        (2.0, 0.0, 2.5),
+        (-2.0, 0.0, 2.5),
+        (0.0, 0.4, 50.0),
+        (0.0, 0.0, np.inf),
+        (-1.0, 10.0, 4.1421),
+    ],
+)
+def test_the_nearest_crossing_of_the_parabola_counts(slope, curvature, expected):
+    """Base 5, so 1 % is 0.05; the last one rises by it on the left sooner than it sinks by it on the right."""
+    share = np.array([-0.2, -0.1, 0.1, 0.2])
+    value, *_ = parabola(share, 5 + slope * share + curvature * share**2 / 2, 5.0)
+    assert value == pytest.approx(expected, rel=1e-3)
+
+
+def test_what_cannot_be_perturbed_is_said():
+    theta, which, share = perturbed(SPACE, np.array([0.11, 0.0]), 8)
+    assert set(which) == {0}
+    assert share.min() > -0.1  # below it lies the bound
+    assert (theta >= SPACE.low).all()
+    found, _ = variability([bowl_trial()], SPACE, np.array([0.1, 0.0]), 2)
+    assert found[0]["percent"] is None
+    assert "fewer than two perturbations" in found[0]["reason"]
+    assert "its value is 0" in found[1]["reason"]
+
+
+def test_repeated_fits_begin_within_five_percent_and_find_the_same():
+    fit = calibrate([bowl_trial()], catalogue().make("optimizers", "nelder_mead", SPACE, seed=1, budget=120), SPACE)
+
+    def make(space, seed):
+        return catalogue().make("optimizers", "nelder_mead", space, seed=seed, budget=80, start="defaults")
+
+    rows = repeats([bowl_trial()], SPACE, fit, 3, 7, make)
+    assert {r["repeat"] for r in rows} == {0, 1, 2, 3}
+    for name, first in zip(SPACE.names, fit.start, strict=True):
+        mine = [r for r in rows if r["name"] == name]
+        assert all(abs(r["start"] - first) <= 0.05 * abs(first) + 1e-12 for r in mine)
+        assert len({r["start"] for r in mine}) == 4
+        assert spread([r["value"] for r in mine]) < 6
+    assert all(r["error"] <= r["error_start"] + 1e-9 for r in rows)
+
+
+class Sum:
+    """x = 4 a + 2 b at the one node; the score is x itself; c does nothing. Members with a > 0.99 are lost."""
+
+    parameters = BOX
+
+    def __init__(self, lost=2.0):
+        self.lost = lost
+
+    def run(self, theta):
+        rollout = Toy().run(np.ones((len(theta), 2)))
+        rollout.position[:, 0, 0, 0] = 4 * theta[:, 0] + 2 * theta[:, 1]
+        status = tuple("diverged" if t > self.lost else "ok" for t in theta[:, 0])
+        return dataclasses.replace(rollout, status=status)
+
+
+class First(Bowl):
+    def __call__(self, observation, rollout):
+        return Score(rollout.position[:, 0, 0, 0], "mm")
+
+
+def sum_trial(lost=2.0) -> Trial:
+    return dataclasses.replace(bowl_trial(), simulation=Sum(lost), metric=First())
+
+
+def test_morris_finds_the_slopes_of_a_plane():
+    rows = {r["name"]: r for r in morris([sum_trial()], BOX, 8, 3)}
+    assert [rows[n]["main"] for n in "abc"] == pytest.approx([4.0, 2.0, 0.0], abs=1e-9)
+    assert [rows[n]["total"] for n in "abc"] == pytest.approx([0.0, 0.0, 0.0], abs=1e-9)
+    assert rows["a"]["evaluations"] == 8 * 4
+
+
+def test_sobol_shares_the_variance_as_a_plane_does():
+    """Variances 16/12 and 4/12: 80 % and 20 %."""
+    rows = {r["name"]: r for r in sobol([sum_trial()], BOX, 256, 3)}
+    assert [rows[n]["main"] for n in "abc"] == pytest.approx([0.8, 0.2, 0.0], abs=0.05)
+    assert [rows[n]["total"] for n in "abc"] == pytest.approx([0.8, 0.2, 0.0], abs=0.05)
+
+
+def test_lost_members_take_their_block_along_and_are_counted():
+    rows = morris([sum_trial(lost=0.9)], BOX, 12, 3)
+    assert 0 < rows[0]["lost"] < rows[0]["evaluations"]
+    assert rows[0]["lost"] % 4 == 0
+    assert {r["name"]: r["main"] for r in rows}["b"] == pytest.approx(2.0)
+    (first, *_) = sobol([sum_trial(lost=-1.0)], BOX, 16, 3)
+    assert first.get("main") is None
+    assert "fewer than four blocks" in first["reason"]
+
+
+def test_the_map_covers_both_ranges():
+    rows = error_map([sum_trial()], BOX, np.array([0.5, 0.5, 0.1]), ["a", "b"], 4)
+    assert len(rows) == 16
+    assert all(r["error"] == pytest.approx(4 * r["x"] + 2 * r["y"]) for r in rows)
+    assert sorted({r["x"] for r in rows}) == pytest.approx([0, 1 / 3, 2 / 3, 1])
+
+
+def test_held_parameters_are_handed_to_the_simulation():
+    held = holding(Sum(), {"a": 0.25, "of another model": 1.0})
+    assert held.parameters.names == ("b", "c")
+    assert held.run(np.array([[0.5, 0.0]])).position[0, 0, 0, 0] == pytest.approx(4 * 0.25 + 2 * 0.5)
+    whole = Sum()
+    assert holding(whole, {"of another model": 1.0}) is whole
+    assert isinstance(held, Held)
+
+
+class Counted:
+    def __init__(self, simulation):
+        self.simulation, self.parameters, self.members = simulation, simulation.parameters, 0
+
+    def run(self, theta):
+        self.members += len(theta)
+        return self.simulation.run(theta)
+
+
+def test_a_stopped_search_goes_on_where_it_stood(tmp_path):
+    def fit(budget_of_time, trial):
+        optimizer = catalogue().make("optimizers", "annealing", SPACE, seed=2, budget=60)
+        return calibrate(
+            [trial], optimizer, SPACE, timeout=budget_of_time, journal=Journal(tmp_path / "j"), bounded=False
+        )
+
+    trials = [dataclasses.replace(bowl_trial(), simulation=Counted(Plain())) for _ in range(3)]
+    stopped = fit(1e-9, trials[0])
+    assert stopped.status == "timeout"
+    done = fit(None, trials[1])
+    assert trials[0].simulation.members > 0
+    assert trials[0].simulation.members + trials[1].simulation.members == 60
+    again = fit(None, trials[2])
+    assert trials[2].simulation.members == 0
+    np.testing.assert_array_equal(again.theta, done.theta)
+    np.testing.assert_array_equal(again.value, done.value)
+    Journal(tmp_path / "j").forget()
+    assert not (tmp_path / "j").exists()
+
+
+def test_a_damaged_journal_is_simulated_anew(tmp_path):
+    journal, theta = Journal(tmp_path), BEST[None]
+    journal.keep(theta, evaluate([bowl_trial()], theta)[0])
+    (file,) = tmp_path.glob("*.npz")
+    file.write_bytes(file.read_bytes()[:40])
+    assert journal.recall(theta) is None
+
+
+def test_a_named_budget_brings_its_settings():
+    suite = suite_settings({"budgets": {"paper": {"budget": 600, "options": {"annealing": {"levels": 5}}}}})
+    config = {"suite": suite, "budget": "paper", "options": {"annealing": {"size": 0.1}}, "analysis": {}}
+    found = named_budget(config)
+    assert found["budget"] == 600
+    assert found["options"] == {"annealing": {"size": 0.1, "levels": 5}}
+    with pytest.raises(ClothbenchError, match="expected a whole number or one of the suite's: paper"):
+        named_budget({**config, "budget": "huge"})
+
+
+@pytest.mark.parametrize(
+    ("given", "found"),
+    [
+        ({"magic": {}}, "analysis 'magic' is not known"),
+        ({"map": {"points": 1}}, "'analysis.map.points' is 1, expected a whole number, at least 2"),
+        ({"variability": {"count": 3}}, "setting of 'analysis.variability' 'count' is not known"),
+        ({"sobol": {"samples": 12}}, "'analysis.sobol.samples' is 12, expected a power of two"),
+        ({"sobol": 5}, "expected analysis.sobol.KEY=VALUE"),
+    ],
+)
+def test_wrong_analyses_are_one_line(given, found):
+    with pytest.raises(ClothbenchError, match=found):
+        analysis_settings(given)
+
+
+def stand_ins(folder):
+    for fabric in ("silk", "wool"):
+        for trial in ("sway-1", "sway-2", "sway-long"):
+            made = swinging_recording(f"{fabric}/{trial}", fabric=fabric, notes={"experiment": "sway"})
+            write_recording(made, folder / f"{fabric}-{trial}.nc")
+    return folder
+
+
+def config(folder, **changes):
+    suite = {"name": "s", "case": "experiment", "each": ["*-1", "*-2"]}
+    base = {
+        "model": "mass_spring", "optimizer": "ga", "metric": "node_error", "effects": [], "report": [],
+        "tracker": "markers", "scene": {}, "options": {}, "bounds": {}, "budget": 10, "seed": 0, "jobs": 1,
+        "timeout": None, "out": "runs", "rerun": False, "analysis": {}, "recordings": str(folder),
+    }  # fmt: skip
+    return {**base, **changes, "suite": {**suite, **changes.get("suite", {})}}
+
+
+def test_each_trial_is_a_case_whose_others_are_held_out(tmp_path):
+    cells = plan(config(stand_ins(tmp_path)), catalogue())
+    assert [c.case for c in cells] == ["silk/sway-1", "silk/sway-2", "wool/sway-1", "wool/sway-2"]
+    assert {s.name: s.split for s in cells[1].recordings} == {
+        "silk/sway-1": "held_out", "silk/sway-2": "fit", "silk/sway-long": "held_out",
+    }  # fmt: skip
+    with pytest.raises(ClothbenchError, match=r"'suite.each' .* matches none"):
+        plan(config(tmp_path, suite={"each": ["velvet"]}), catalogue())
+
+
+def test_rivals_are_the_other_fabrics_same_trials(tmp_path):
+    cells = plan(config(stand_ins(tmp_path), analysis={"confusion": {"cases": ["silk/*"]}}), catalogue())
+    assert {s.name for s in cells[0].rivals} == {"wool/sway-1", "wool/sway-2"}
+    assert cells[2].rivals == ()
+    assert cells[0].key != dataclasses.replace(cells[0], rivals=()).key
+
+
+def test_fixed_parameters_and_effects_follow_case_and_model(tmp_path):
+    suite = {"fixed": {"silk/*": {"zeta": 0.2}}, "effects": {"mass_spring": ["added_mass"]}}
+    cells = plan(config(stand_ins(tmp_path), suite=suite), catalogue())
+    assert [dict(c.fixed) for c in cells] == [{"zeta": 0.2}] * 2 + [{}] * 2
+    assert cells[0].effects == ("added_mass",)
+
+
+def test_one_mesh_spacing_serves_cloth_of_any_size(recording):
+    from clothbench.scene import scene_of
+
+    assert scene_of(recording, spacing=0.05).resolution == (5, 5)
+    assert scene_of(dataclasses.replace(recording, cloth_width=0.4), spacing=0.05).resolution == (9, 5)
+
+
+def row(case, recording, value, split, key):
+    return {"case": case, "recording": recording, "value": value, "split": split, "key": key, "metric": "fold",
+            "objective": "fold", "model": "m", "effects": "", "optimizer": "o", "seed": 0, "unit": "px"}  # fmt: skip
+
+
+def table_three():
+    """The satin example of the paper: experiment 1 gives 106.4 + 272.8, experiment 2 gives 114.1 + 178.6."""
+    rows, starts = [], []
+    for fabric, shift in (("satin", 0.0), ("linen", 5.0)):
+        for n, (mine, other) in {1: (106.4, 272.8), 2: (178.6, 114.1)}.items():
+            key, case = f"{fabric}{n}", f"{fabric}/waving-{n}"
+            rows += [row(case, case, mine + shift, "fit", key),
+                     row(case, f"{fabric}/waving-{3 - n}", other + shift, "held_out", key),
+                     row(case, f"{fabric}/waving-long", 300.0, "held_out", key)]  # fmt: skip
+            starts.append({"key": key, "start": 200.0})
+    return rows, starts
+
+
+def test_the_fit_with_the_least_sum_over_both_trials_is_chosen():
+    moved = {t.case: t for t in transfers(*table_three())}
+    first, second = moved["satin/waving-1"], moved["satin/waving-2"]
+    assert (first.total, second.total) == pytest.approx((379.2, 292.7))
+    assert (first.chosen, second.chosen) == (False, True)
+    assert first.group == "satin/waving"
+    assert first.start == 200.0
+    assert transfers([row("all", "a", 1.0, "fit", "k"), row("all", "b", 1.0, "fit", "k")], []) == []
+
+
+def test_the_matrix_is_of_chosen_fits_and_finds_the_nearest():
+    rows, starts = table_three()
+    found = [
+        {"key": key, "fabric": key[:5], "recorded_fabric": seen, "trial": f"waving-{n}", "unit": "px",
+         "value": 10.0 if key[:5] == seen else 30.0}
+        for key in ("satin1", "satin2", "linen2") for seen in ("satin", "linen") for n in (1, 2)
+    ]  # fmt: skip
+    (matrix,) = confusions(found, rows, starts)
+    assert matrix.error == {"linen": {"satin": 60.0, "linen": 20.0}, "satin": {"satin": 20.0, "linen": 60.0}}
+    assert matrix.right == 2
+    lost = [{**r, "value": None} if (r["key"], r["recorded_fabric"]) == ("satin2", "satin") else r for r in found]
+    assert confusions(lost, rows, starts)[0].nearest("satin") == "linen"
+
+
+def test_numbers_beyond_hundred_percent_are_not_spelt_out():
+    assert percent(250.0) == percent(np.inf) == "> 100 %"
+    assert percent(9.18) == "9.18 %"
+    assert percent(None) == "–"
+    assert spread([1.0, None]) is None
+    assert spread([1.0, 3.0]) == pytest.approx(100 * np.sqrt(2) / 2)
+
+
+def all_tables():
+    """One row or more of every analysis, as the store would give them."""
+    about = {"case": "satin/waving-2", "key": "satin2", "symbol": "k", "unit": "N/m", "reason": ""}
+    found = [
+        {"key": key, "fabric": key[:5], "recorded_fabric": seen, "trial": "waving-1", "unit": "px", "value": 10.0}
+        for key in ("satin2", "linen2")
+        for seen in ("satin", "linen")
+    ]
+    vary = [
+        {**about, "name": n, "value": 1.0, "percent": p, "slope": 0.0, "curvature": 0.0}
+        for n, p in (("bend", 9.2), ("damping", np.inf))
+    ]
+    errors = {"error_start": 9.0, "error": 5.0, "error_unit": "px"}
+    again = [{**about, **errors, "name": "bend", "repeat": n, "start": 1.0, "value": 1.0 + n / 10} for n in range(3)]
+    size = {"main": 3.0, "main_half": 0.2, "total": 1.0, "total_half": None}
+    felt = [{**about, **size, "name": "bend", "method": "morris", "evaluations": 40, "lost": 0}]
+    axes = {"x_name": "bend", "x_unit": "N·m", "y_name": "stretch", "y_unit": "N/m"}
+    drawn = [
+        {**about, **axes, "x": x, "y": y, "error": None if x == 1.0 else y, "unit": "px"}
+        for x in (1e-7, 1e-2, 1.0)
+        for y in (5.0, 50.0)
+    ]
+    return {
+        "starts": table_three()[1],
+        "confusion": found,
+        "variability": vary,
+        "perturbations": [],
+        "repeats": again,
+        "sensitivity": felt,
+        "map": drawn,
+    }
+
+
+def test_the_page_shows_every_analysis():
+    import json
+
+    from clothbench.report.analysis_page import analysis_section
+
+    page = analysis_section(table_three()[0], all_tables(), plotly=False)
+    for word in (
+        "292.7 ✓",
+        "Which fabric is it?",
+        "Repeated fits",
+        "> 100 %",
+    ):
+        assert word in page
+    data = page.split('id="analyses">')[1].split("</script>")[0]
+    figures = json.loads(data)
+    assert len(figures) == 4
+    assert page.count("<figure>") == 4
+    (heat,) = (f for f in figures if f["data"][0]["type"] == "heatmap")
+    assert heat["data"][0]["z"] == [[5.0, 5.0, None], [50.0, 50.0, None]]
+    assert heat["layout"]["xaxis"]["type"] == "log"
+    assert analysis_section([], {name: [] for name in all_tables()}, plotly=False) == ""
+
+
+def test_the_terminal_shows_every_analysis(capsys):
+    from clothbench.report.analysis_tables import print_analyses
+
+    print_analyses(table_three()[0], all_tables())
+    said = capsys.readouterr().out
+    for word in ("E1 + E2", "292.7 ✓", "which fabric is it?", "variability", "> 100 %", "repeated fits", "Morris"):
+        assert word in said
+    print_analyses(table_three()[0], {name: [] for name in all_tables()})
+    assert "variability" not in capsys.readouterr().out

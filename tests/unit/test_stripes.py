@@ -1,0 +1,199 @@
+"""Tracker `stripes` and the metrics on its views: rendered sheets whose shape is known."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from conftest import swinging_recording
+
+from clothbench import (
+    Camera,
+    ClothbenchError,
+    Observation,
+    Projector,
+    Recording,
+    Rollout,
+    Video,
+    read_recording,
+    write_recording,
+)
+from clothbench.plugins import catalogue
+from clothbench.render import expose, silhouettes, striped
+from clothbench.surface import surface_of
+from clothbench.testing import check_tracker
+
+CAMERA = Camera.looking_at((0, -1.2, 0.86), (0, 0, 0.86), (100, 104), 0.40)
+PROJECTOR = Projector(Camera.looking_at((0, -1.2, 1.7), (0, 0, 0.86), (800, 800), 0.8), 20.0)
+U, V = (a.ravel() for a in np.meshgrid(np.linspace(0, 0.3, 9), np.linspace(0, 0.3, 9)))
+LATTICE, TIME = np.stack([U, V], axis=1), np.arange(6) / 30
+
+
+def draped(depth, waves=2.0, sag=0.0):
+    """A sheet (6, 81, 3) m with soft folds `depth` m deep, growing downwards and breathing with time."""
+    breath = np.cos(4 * TIME)[:, None]
+    y = depth * breath * np.sin(2 * np.pi * waves * U / 0.3) * V / 0.3
+    return np.stack([np.broadcast_to(U - 0.15, y.shape), y, np.broadcast_to(1 - V * (1 + sag), y.shape)], axis=-1)
+
+
+def recording(depth=0.02, **changes) -> Recording:
+    fine = np.stack([a.ravel() for a in np.meshgrid(np.linspace(0, 0.3, 33), np.linspace(0, 0.3, 33))], axis=1)
+    y = depth * np.cos(4 * TIME)[:, None] * np.sin(4 * np.pi * fine[:, 0] / 0.3) * fine[:, 1] / 0.3
+    truth = np.stack(np.broadcast_arrays(fine[:, 0] - 0.15, y, 1 - fine[:, 1]), axis=-1)
+    image, _ = striped(CAMERA, PROJECTOR, surface_of(fine), truth)
+    video = Video(expose(image, np.random.default_rng(0), 4.0), CAMERA, PROJECTOR)
+    held = np.array([[0.0, 0.0], [0.3, 0.0]])
+    return swinging_recording(
+        time=TIME, material=LATTICE, position=draped(depth), grip_time=TIME[[0, -1]], grip_material=held,
+        grip_position=np.broadcast_to([[-0.15, 0, 1], [0.15, 0, 1.0]], (2, 2, 3)), cloth_width=0.3, cloth_height=0.3,
+        **{"video": video, **changes},
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def observation() -> Observation:
+    return catalogue().make("trackers", "stripes").track(recording())
+
+
+def rollout(*positions) -> Rollout:
+    return Rollout(TIME, np.stack(positions), ("ok",) * len(positions), np.ones(len(positions), int), 81)
+
+
+def test_a_recording_keeps_its_video(tmp_path):
+    made = recording()
+    path = write_recording(made, tmp_path / "a.nc")
+    back = read_recording(path)
+    np.testing.assert_array_equal(back.video.frame, made.video.frame)
+    np.testing.assert_array_equal(back.video.camera.rotation, CAMERA.rotation)
+    assert back.video.projector.period == 20.0
+    assert back.hash == made.hash
+    other = Video(255 - made.video.frame, CAMERA, PROJECTOR)
+    assert dataclasses.replace(made, video=other).hash != made.hash
+    assert "camera_matrix" not in back.notes
+
+
+@pytest.mark.parametrize(
+    ("damage", "found"),
+    [
+        (lambda d: d.attrs.pop("camera_matrix"), "attribute 'camera_matrix' is missing"),
+        (lambda d: d.attrs.update(camera_matrix="1 2 3"), "'camera_matrix': found '1 2 3', expected 9 numbers"),
+        (lambda d: d.attrs.update(camera_rotation="2 0 0 0 1 0 0 0 1"), "camera: rotation is no proper rotation"),
+        (lambda d: d.attrs.update(stripe_period=-1.0), "projector: period is -1"),
+        (lambda d: d["frame"].attrs.update(units="grey"), "variable 'frame': found units 'grey', expected '1'"),
+        (lambda d: d.update({"frame": d["frame"].astype("float32")}), "variable 'frame': found float32"),
+    ],
+)
+def test_a_broken_video_is_one_line(tmp_path, damage, found):
+    import xarray
+
+    path = write_recording(recording(), tmp_path / "a.nc")
+    with xarray.open_dataset(path, engine="h5netcdf", decode_times=False, mask_and_scale=False) as stored:
+        dataset = stored.load()
+    damage(dataset)
+    dataset.to_netcdf(tmp_path / "b.nc", engine="h5netcdf")
+    with pytest.raises(ClothbenchError, match=found) as caught:
+        read_recording(tmp_path / "b.nc")
+    assert "b.nc" in str(caught.value)
+
+
+def test_frames_and_stamps_must_be_as_many():
+    video = recording().video
+    with pytest.raises(ClothbenchError, match="found 5 frames, expected 6, one for each 'time'"):
+        recording(video=Video(video.frame[:5], CAMERA, PROJECTOR))
+
+
+def test_the_tracker_keeps_the_rules():
+    check_tracker(catalogue().load("trackers", "stripes"), source=recording())
+
+
+def test_the_silhouette_is_found_to_the_pixel(observation):
+    truth = silhouettes(CAMERA, surface_of(LATTICE, 4), draped(0.02))
+    wrong = np.count_nonzero(observation.view.silhouette != truth, axis=(1, 2))
+    outline = 4 * np.sqrt(truth[0].sum())
+    assert wrong.max() < 0.25 * outline  # a median rounds corners, and an edge falls between pixels
+
+
+def test_folds_are_found_on_folds_only(observation):
+    flat = catalogue().make("trackers", "stripes").track(recording(0.0))
+    assert observation.view.fold.mean() > 0.05
+    assert flat.view.fold.mean() < 0.01
+
+
+def test_what_the_tracker_cannot_do_is_one_line():
+    make = catalogue().make
+    with pytest.raises(ClothbenchError, match="no video, which the tracker 'stripes' needs"):
+        make("trackers", "stripes").track(swinging_recording())
+    with pytest.raises(ClothbenchError, match="projector's calibration"):
+        make("trackers", "stripes").track(recording(video=Video(recording().video.frame, CAMERA)))
+    with pytest.raises(ClothbenchError, match="blur is 0, expected a number above 0"):
+        make("trackers", "stripes", blur=0)
+
+
+def test_the_right_shape_is_the_nearest(observation):
+    """Depth of the folds is found through the video alone: the error is least at the truth, and grows on both sides."""
+    metric, depths = catalogue().make("metrics", "fold"), np.array([0.0, 0.01, 0.02, 0.03, 0.04])
+    score = metric(observation, rollout(*(draped(d) for d in depths)))
+    assert np.argmin(score.value) == 2
+    assert (np.diff(score.value) * [-1, -1, 1, 1] > 0).all()
+    assert score.value[2] < 0.15 * score.value[0]
+    np.testing.assert_allclose(score.value, score.per_frame.mean(axis=1))
+    squares = (score.residual**2).sum(axis=1)
+    assert np.argmin(squares) == 2
+
+
+def test_angles_are_compared_modulo_pi(observation):
+    """Level stripes stand at ±90°: were differences not wrapped, a flat sheet would be far from itself."""
+    flat = catalogue().make("trackers", "stripes").track(recording(0.0))
+    everywhere = dataclasses.replace(flat.view, fold=flat.view.silhouette)
+    metric = catalogue().make("metrics", "fold", alpha=0.0)
+    score = metric(dataclasses.replace(flat, view=everywhere), rollout(draped(0.0)))
+    assert score.value[0] / flat.view.silhouette[0].sum() < 0.05
+
+
+def test_the_silhouette_has_its_weight(observation):
+    """A sheet of the right folds that sags by 3 %: the outline's share of the error is α pixels each."""
+    sagging = rollout(draped(0.02, sag=0.03))
+    value = {a: catalogue().make("metrics", "fold", alpha=a)(observation, sagging).value[0] for a in (0.0, 0.1, 1.0)}
+    mismatch = catalogue().make("metrics", "silhouette")(observation, sagging).value[0]
+    assert value[0.1] - value[0.0] == pytest.approx(0.1 * mismatch)
+    assert value[1.0] - value[0.0] == pytest.approx(mismatch)
+    share = catalogue().make("metrics", "silhouette", quantity="iou")(observation, sagging).value[0]
+    assert 100 * mismatch / observation.view.silhouette[0].sum() == pytest.approx(share, rel=0.1)
+
+
+def test_a_diverged_member_has_no_number_and_spoils_no_other(observation):
+    lost = draped(0.03)
+    lost[3:] = np.nan
+    metric = catalogue().make("metrics", "fold")
+    together = metric(observation, rollout(lost, draped(0.03)))
+    assert np.isnan(together.value[0])
+    assert together.value[1] == metric(observation, rollout(draped(0.03))).value[0]
+
+
+def test_nodes_without_a_video_are_drawn_as_a_camera_would_see_them():
+    o = catalogue().make("trackers", "markers").track(recording())
+    score = catalogue().make("metrics", "fold")(o, rollout(*(draped(d) for d in (0.0, 0.02, 0.04))))
+    assert score.value[1] == 0.0
+    assert score.value[0] > 0
+    assert score.value[2] > 0
+
+
+def test_least_squares_can_follow_the_folds(observation):
+    """The pooled residual is smooth enough to be descended: its slope at 0.03 m points back to the truth."""
+    metric = catalogue().make("metrics", "fold")
+    r = metric(observation, rollout(draped(0.029), draped(0.030), draped(0.031))).residual
+    slope = (r[2] - r[0]) / 0.002
+    step = -(slope @ r[1]) / (slope @ slope)
+    assert 0.03 + step == pytest.approx(0.02, abs=0.006)
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "found"),
+    [
+        ("fold", {"alpha": -1}, "alpha is -1"),
+        ("fold", {"pixels": 3}, "pixels is 3"),
+        ("silhouette", {"quantity": "area"}, "quantity is 'area'"),
+    ],
+)
+def test_wrong_options_are_one_line(name, options, found):
+    with pytest.raises(ClothbenchError, match=found):
+        catalogue().make("metrics", name, **options)
