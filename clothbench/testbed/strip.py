@@ -12,6 +12,7 @@ from clothbench.validation.lifted_strip import Lifted, Stiffness, hold, lift
 
 PATCH = 0.1  # m, over which the stiffness of a fabric hangs together
 WAVES = 40
+EXACT = 1e-5  # relative; micrometres, where the camera sees tenths of millimetres
 OFFSET, MOST = 0.0015, 2.0  # m, σ of the gripper's offset along x and z; how many σ it may be off
 
 
@@ -61,8 +62,9 @@ class TestStrip:
         x, z = x + self.offset[0], z + self.offset[1]
         near = self.state
         if near is None or near.pose[1] > z:
-            near = lift(self.length, self.stiffness, z)
+            near = lift(self.length, self.stiffness, z, tolerance=EXACT)
         elif near.pose[1] < z:
-            near = lift(self.length, self.stiffness, z, near)
-        self.state = hold(self.length, self.stiffness, (float(x), float(z), float(slope)), near)
+            near = lift(self.length, self.stiffness, z, near, tolerance=EXACT)
+        goal = (float(x), float(z), float(slope))
+        self.state = hold(self.length, self.stiffness, goal, near, tolerance=EXACT)
         return self.state

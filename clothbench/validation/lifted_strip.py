@@ -20,6 +20,7 @@ Stiffness = Callable[[np.ndarray], np.ndarray]  # η_b [m⁻⁴·s²] at materia
 START = 0.3  # bending lengths: as high as a barely bent strip may be lifted
 GROWTH = 1.6  # of the height, from one solution to the next
 HALVINGS = 8
+TOLERANCE = 1e-7  # relative, of the collocation's residual
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,34 +63,45 @@ class Lifted:
         return np.stack([np.where(s > 0, x, u), np.where(s > 0, z, 0.0)], axis=1)
 
 
-def lift(length: float, stiffness: Stiffness, height: float, start: Lifted | None = None) -> Lifted:
+def lift(
+    length: float, stiffness: Stiffness, height: float, start: Lifted | None = None, *, tolerance: float = TOLERANCE
+) -> Lifted:
     """The last end raised to `height` m without horizontal force or moment: it follows sideways and turns freely."""
     if start is None:
         eta = float(np.mean(stiffness(np.linspace(0, length, 101))))
         first = min(height, START * (G * eta) ** (-1 / 3))
-        start = _solved(length, stiffness, (math.nan, first, math.nan), _barely(length, eta, first))
+        start = _solved(length, stiffness, (math.nan, first, math.nan), _barely(length, eta, first), tolerance)
     while start.pose[1] < height:
         onwards = min(height, GROWTH * start.pose[1])
-        start = _towards(length, stiffness, (math.nan, onwards, math.nan), start)
+        start = _towards(length, stiffness, (math.nan, onwards, math.nan), start, tolerance)
     return start
 
 
-def hold(length: float, stiffness: Stiffness, pose: tuple[float, float, float], start: Lifted) -> Lifted:
+def hold(
+    length: float,
+    stiffness: Stiffness,
+    pose: tuple[float, float, float],
+    start: Lifted,
+    *,
+    tolerance: float = TOLERANCE,
+) -> Lifted:
     """The last end held at a pose x, z [m] and slope [rad], reached from a state near it."""
-    return _towards(length, stiffness, pose, start)
+    return _towards(length, stiffness, pose, start, tolerance)
 
 
-def _towards(length: float, stiffness: Stiffness, pose, start: Lifted, halvings: int = HALVINGS) -> Lifted:
+def _towards(
+    length: float, stiffness: Stiffness, pose, start: Lifted, tolerance: float, halvings: int = HALVINGS
+) -> Lifted:
     """Over half the way where there is no direct one."""
     try:
-        return _solved(length, stiffness, pose, start)
+        return _solved(length, stiffness, pose, start, tolerance)
     except ArithmeticError:
         if halvings == 0:
             raise
     middle = tuple((a + b) / 2 for a, b in zip(start.pose, pose, strict=True))
     middle = (math.nan, middle[1], math.nan) if math.isnan(pose[0]) else middle
-    start = _towards(length, stiffness, middle, start, halvings - 1)
-    return _towards(length, stiffness, pose, start, halvings - 1)
+    start = _towards(length, stiffness, middle, start, tolerance, halvings - 1)
+    return _towards(length, stiffness, pose, start, tolerance, halvings - 1)
 
 
 def _barely(length: float, eta: float, height: float) -> Lifted:
@@ -101,7 +113,7 @@ def _barely(length: float, eta: float, height: float) -> Lifted:
     return Lifted(length, s, slope, G * s * (off - s) / 2, length - off + s, z, 0.0, -G * off / 2)
 
 
-def _solved(length: float, stiffness: Stiffness, pose, start: Lifted) -> Lifted:
+def _solved(length: float, stiffness: Stiffness, pose, start: Lifted, tolerance: float) -> Lifted:
     """Collocation from a first guess; x and slope of the pose NaN: free, and then H = 0 and m = 0 at the end."""
     from scipy.integrate import solve_bvp
 
@@ -120,7 +132,7 @@ def _solved(length: float, stiffness: Stiffness, pose, start: Lifted) -> Lifted:
 
     unknown = [start.off, start.rise] + ([] if free else [start.pull])
     guess = np.stack([start.slope, start.moment, start.x, start.z])
-    found = solve_bvp(balance, ends, start.s / start.off, guess, p=unknown, tol=1e-7, max_nodes=20_000)
+    found = solve_bvp(balance, ends, start.s / start.off, guess, p=unknown, tol=tolerance, max_nodes=20_000)
     if found.status != 0 or not 0 < found.p[0] < length:
         raise ArithmeticError(f"a strip lifted to {pose}: {found.message}")
     pull = 0.0 if free else float(found.p[2])
