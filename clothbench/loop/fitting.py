@@ -79,7 +79,7 @@ def fit(
     """Least squares from the best of `start` (S, P) or (P,), or from the defaults and a spread of others if None."""
     starts, walks = (7, 2) if start is None else (0, 1)
     settings = {"starts": starts, "walks": walks, "difference": PROBE, "tolerance": GAIN} | problem.search
-    key = problem.key("fit", names, None if start is None else np.asarray(start).tolist(), budget, settings)
+    key = problem.key("fitted", names, None if start is None else np.asarray(start).tolist(), budget, settings)
     trials = problem.trials(names, "fit")
     space = trials[0].simulation.parameters
     known = problem.memory.recall(key)
