@@ -73,8 +73,8 @@ def named_budget(config: dict[str, Any]) -> dict[str, Any]:
     if not isinstance(name, str):
         return config
     if name not in known:
-        there = ", ".join(sorted(known)) or "none"
-        raise ClothbenchError(f"setting 'budget' is {name!r}, expected a whole number or one of the suite's: {there}")
+        there = f", or one of the suite's: {', '.join(sorted(known))}" if known else ""
+        raise ClothbenchError(f"setting 'budget' is {name!r}, expected a whole number, at least 1{there}")
     brought = mapping(f"suite.budgets.{name}", known[name])
     known_words(f"setting of 'suite.budgets.{name}'", brought, {"budget", "options", "analysis"})
     out = {**config, "budget": brought.get("budget")}

@@ -78,7 +78,7 @@ def cell_name(row: dict[str, Any]) -> str:
     """A cell in words: case, model with its effects, optimizer, objective; the seed where it is not 0."""
     model = " + ".join([row["model"], *(e for e in (row["effects"] or "").split(",") if e)])
     seed = [f"seed {row['seed']}"] if row["seed"] else []
-    return " · ".join([row["case"], model, row["optimizer"], row["objective"], *seed])
+    return " · ".join([*filter(None, (row["case"], model, row["optimizer"], row["objective"])), *seed])
 
 
 def overall(rows: Rows) -> list[str]:

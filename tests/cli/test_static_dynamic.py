@@ -30,7 +30,7 @@ def test_an_unknown_budget_is_one_line(clothbench):
     out = clothbench("run", "+suite=static_dynamic", "budget=vast")
     assert out.returncode == 2
     assert out.stderr.strip() == (
-        "clothbench: setting 'budget' is 'vast', expected a whole number or one of the suite's: paper"
+        "clothbench: setting 'budget' is 'vast', expected a whole number, at least 1, or one of the suite's: paper"
     )
 
 

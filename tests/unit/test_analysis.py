@@ -215,7 +215,7 @@ def test_a_named_budget_brings_its_settings():
     found = named_budget(config)
     assert found["budget"] == 600
     assert found["options"] == {"annealing": {"size": 0.1, "levels": 5}}
-    with pytest.raises(ClothbenchError, match="expected a whole number or one of the suite's: paper"):
+    with pytest.raises(ClothbenchError, match="expected a whole number, at least 1, or one of the suite's: paper"):
         named_budget({**config, "budget": "huge"})
 
 
