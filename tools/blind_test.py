@@ -42,7 +42,7 @@ class Size:
     words: tuple[str, ...] = ()
 
 
-FULL = Size(20, 3.0, ("fit",) * 4 + ("held_out",) * 2)
+FULL = Size(16, 2.5, ("fit",) * 4 + ("held_out",) * 2)
 
 
 @dataclass

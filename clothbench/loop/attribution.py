@@ -79,8 +79,9 @@ def null_of(effect: Effect) -> np.ndarray:
     return np.array([p.default if p.null is None else p.null for p in effect.parameters], dtype=float)
 
 
-def probes(problem: Problem, fitted: Fitted, name: str) -> list[Probe]:
-    """One candidate beside the fitted model, with its shape parameters where they explain most.
+def probes(problem: Problem, fitted: Fitted, name: str) -> tuple[list[Probe], int]:
+    """One candidate beside the fitted model, with its shape parameters where they explain most; and how many parameter
+    sets that took.
 
     Twice: alone, in some amounts, at all settings of its shape; then, at the best of these, as much of it as would
     change what is left by its own size, with the base moved so that it makes up for what it can. Drag, say, may have
@@ -93,7 +94,7 @@ def probes(problem: Problem, fitted: Fitted, name: str) -> list[Probe]:
     rows = [(phi, i, step) for phi, amounts, steps in settings for i, step in zip(amounts, steps, strict=True)]
     still = np.zeros(len(fitted.theta))
     alone = changes_of(problem, fitted, name, np.array([beside(fitted, still, *row) for row in rows]))
-    count = len(settings[0][1])
+    count, evaluations = len(settings[0][1]), len(rows)
     tangent = [[c[k * count : (k + 1) * count] for c in alone] for k in range(len(settings))]
     chosen = sorted(range(len(settings)), key=lambda k: -share_of(fitted, tangent[k]))
     out = []
@@ -103,11 +104,12 @@ def probes(problem: Problem, fitted: Fitted, name: str) -> list[Probe]:
         exchanges = [exchange(fitted, effect, [c[n] for c in tangent[k]], *row) for n, row in enumerate(rows)]
         theta = [beside(fitted, s, phi, i, step) for (step, s), i in zip(exchanges, amounts, strict=True)]
         exchanged = changes_of(problem, fitted, name, np.array(theta))
+        evaluations += len(theta)
         by, shifts = (np.array(each) for each in zip(*exchanges, strict=True))
         for columns, used, shift in ((tangent[k], steps, 0 * shifts), (exchanged, by, shifts)):
             if all(np.isfinite(c).all() for c in columns):
                 out.append(Probe(name, phi, amounts, used, shift, [c.T for c in columns]))
-    return out
+    return out, evaluations
 
 
 def share_of(fitted: Fitted, change: list[np.ndarray]) -> float:

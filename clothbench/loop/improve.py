@@ -195,10 +195,10 @@ def one_round(
     for k, name in enumerate(candidates):
         budget.stage(f"round {turn + 1}: candidates", k, len(candidates))
         try:
-            more = probes(problem, current, name)
+            more, evaluations = probes(problem, current, name)
         except ClothbenchError:
             continue  # a model may have no room for it; it is listed as not tried
-        budget.count(2 * sum(len(probe.amounts) for probe in more))
+        budget.count(evaluations)
         found += more
     seen = shares(problem.of_split("fit"), current, found, problem.seed)
     screened = screen(candidates, found, seen)
