@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from clothbench.errors import ClothbenchError
-from clothbench.loop.attribution import Probe, moved, outside, probes, ridge
+from clothbench.loop.attribution import Probe, moved, outside, probes, ridge, share_of
 from clothbench.loop.fitting import Fitted, fit, polish, widened
 from clothbench.loop.guard import Shares, shares
 from clothbench.loop.judge import AT_THE_FLOOR, Candidate, choose, judge, needed
@@ -19,6 +19,7 @@ from clothbench.loop.residual import correction, numerical_floor
 
 ALPHA = 0.05
 ROUNDS = 3  # effects that can be named one after the other
+AFRESH = 10  # how many candidates a later round simulates anew: those that explain most by what they changed before
 REFITS, NEAR = 4, 0.3  # how many candidates are fitted in earnest in each round, and from which part of the best share
 # Evaluations of the first fit, of one that begins where another ended, and of one of a single recording.
 FIRST, AGAIN, ALONE = 140, 60, 25
@@ -67,11 +68,14 @@ class Budget:
 
 @dataclass(frozen=True, eq=False)
 class Round:
-    """One turn of the loop: the fit it began with, its floor [m], the candidates, and who was named (or tied)."""
+    """One turn of the loop: the fit it began with, its floor [m], the candidates with what was tried of them, and who
+    was named (or tied).
+    """
 
     before: Fitted
     floor: float
     candidates: tuple[Candidate, ...]
+    probes: tuple[Probe, ...]
     named: tuple[str, ...]
     after: Fitted | None = None
 
@@ -112,11 +116,17 @@ def improve(problem: Problem, candidates: Sequence[str], told: Stage) -> Outcome
         if current.rms <= AT_THE_FLOOR * (floor if turn else noise):
             break
         rest = [c for c in candidates if c not in current.effects]
-        found = one_round(problem, current, floor, needed(current, floor, noise), rest, budget, turn)
+        earlier = outcome.rounds[-1].probes if outcome.rounds else ()
+        found = one_round(problem, current, floor, needed(current, floor, noise), rest, earlier, budget)
         outcome.rounds.append(found)
         if found.after is None:
             break
-        problem, current, floor = corrected(problem, found.after, noise, budget)
+        finer, after, doubt = corrected(problem, found.after, noise, budget)
+        if current.rms**2 - found.after.rms**2 < needed(current, max(floor, doubt), noise):
+            outcome.rounds[-1] = withdrawn(found, doubt)
+            outcome.floor = outcome.rounds[-1].floor
+            break
+        problem, current, floor = finer, after, doubt
         outcome.rounds[-1] = dataclasses.replace(found, after=current)
         outcome.problem, outcome.final, outcome.floor = problem, current, floor
     budget.stop()
@@ -185,15 +195,23 @@ def above(fitted: Fitted, changes: Sequence[np.ndarray]) -> float:
 
 
 def one_round(
-    problem: Problem, current: Fitted, floor: float, gain: float, candidates: Sequence[str], budget: Budget, turn: int
+    problem: Problem,
+    current: Fitted,
+    floor: float,
+    gain: float,
+    candidates: Sequence[str],
+    earlier: Sequence[Probe],
+    budget: Budget,
 ) -> Round:
     """Screen all candidates to first order, fit the best in earnest, and name the one that stands every test.
 
-    gain: m², by how much the mean square has to fall for a name.
+    gain: m², by how much the mean square has to fall for a name; earlier: what was tried in the round before.
     """
-    found: list[Probe] = []
-    for k, name in enumerate(candidates):
-        budget.stage(f"round {turn + 1}: candidates", k, len(candidates))
+    turn = len(current.effects)
+    anew = worth_trying(current, candidates, earlier)
+    found = [probe for probe in earlier if probe.effect in candidates and probe.effect not in anew]
+    for k, name in enumerate(anew):
+        budget.stage(f"round {turn + 1}: candidates", k, len(anew))
         try:
             more, evaluations = probes(problem, current, name)
         except ClothbenchError:
@@ -203,7 +221,7 @@ def one_round(
     seen = shares(problem.of_split("fit"), current, found, problem.seed)
     screened = screen(candidates, found, seen)
     most = max((c.share for c in screened), default=0.0)
-    promising = [c for c in screened if c.p_value < ALPHA and c.share >= NEAR * most]
+    promising = [c for c in screened if c.name in anew and c.p_value < ALPHA and c.share >= NEAR * most]
     promising = sorted(promising, key=lambda c: -c.share)[:REFITS]
     tried = []
     for k, candidate in enumerate(promising):
@@ -218,7 +236,31 @@ def one_round(
         named = choose(current, judged)
     others = [c for c in screened if c.name not in {t.name for t in judged}]
     after = next((c.fitted for c in judged if named and c.name == named[0]), None)
-    return Round(current, floor, tuple([*judged, *others]), named, after)
+    return Round(current, floor, tuple([*judged, *others]), tuple(found), named, after)
+
+
+def withdrawn(found: Round, floor: float) -> Round:
+    """The round without a name: with the effect, noise and mesh may be wrong by `floor` m, and so without it.
+
+    The fits are near each other, and how far a finer mesh changes them is known no better than the two agree.
+    """
+    why = f"what it explains may be the mesh's doing, which with it may be wrong by up to {1e3 * floor:.2g} mm"
+    candidates = [dataclasses.replace(c, why_not=why) if c.name in found.named else c for c in found.candidates]
+    return dataclasses.replace(found, floor=max(found.floor, floor), candidates=tuple(candidates), named=(), after=None)
+
+
+def worth_trying(current: Fitted, candidates: Sequence[str], earlier: Sequence[Probe]) -> list[str]:
+    """All candidates in the first round; later those that would explain most of what is left now by what they changed
+    before the last effect was added, which it leaves much as it was.
+    """
+    if not earlier:
+        return list(candidates)
+    best = {name: -1.0 for name in candidates}
+    for probe in earlier:
+        if probe.effect in best:
+            best[probe.effect] = max(best[probe.effect], share_of(current, [c.T for c in probe.columns]))
+    ahead = sorted(candidates, key=lambda name: -best[name])[:AFRESH]
+    return [name for name in candidates if name in ahead]
 
 
 def contest(

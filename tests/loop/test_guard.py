@@ -8,6 +8,7 @@ import pytest
 from clothbench.loop.attribution import Probe
 from clothbench.loop.fitting import Fitted
 from clothbench.loop.guard import field_of, mirror, scrambled, shares
+from clothbench.loop.improve import AFRESH, worth_trying
 from clothbench.loop.problem import Case
 from clothbench.observation import Observation
 from clothbench.parameters import Parameter, ParameterSpace
@@ -101,3 +102,18 @@ def test_scrambling_keeps_what_a_residual_is_made_of(cases):
     assert np.sum(moved**2) == pytest.approx(np.sum(residual**2), rel=0.6)  # some frames twice, some never
     assert abs(np.corrcoef(moved, residual)[0, 1]) < 0.5
     assert (mirror(MATERIAL)[mirror(MATERIAL)] == np.arange(len(MATERIAL))).all()
+
+
+def test_later_rounds_try_those_anew_that_may_explain_what_is_left_now(candidates):
+    random, names = np.random.default_rng(17), [probe.effect for probe in candidates]
+    residual = left(random)
+    for r in range(RECORDINGS):
+        residual[r] -= 4.0 * candidates[20].columns[r][:, 0]
+    fit = fitted(residual, random)
+    assert worth_trying(fit, names, ()) == names
+    rest = [name for name in names if name != "e3"]  # the one that was named
+    anew = worth_trying(fit, rest, candidates)
+    assert len(anew) == AFRESH
+    assert "e20" in anew
+    assert "e3" not in anew
+    assert anew == [name for name in rest if name in anew]
