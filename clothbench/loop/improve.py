@@ -13,7 +13,7 @@ from clothbench.errors import ClothbenchError
 from clothbench.loop.attribution import Probe, moved, outside, probes, ridge, share_of
 from clothbench.loop.fitting import Fitted, fit, polish, widened
 from clothbench.loop.guard import Shares, shares
-from clothbench.loop.judge import AT_THE_FLOOR, Candidate, choose, judge, needed
+from clothbench.loop.judge import AT_THE_FLOOR, Candidate, choose, judge, needed, unphysical
 from clothbench.loop.problem import Problem
 from clothbench.loop.residual import correction, numerical_floor
 
@@ -122,9 +122,14 @@ def improve(problem: Problem, candidates: Sequence[str], told: Stage) -> Outcome
         if found.after is None:
             break
         finer, after, doubt = corrected(problem, found.after, noise, budget)
-        if current.rms**2 - found.after.rms**2 < needed(current, max(floor, doubt), noise):
-            outcome.rounds[-1] = withdrawn(found, doubt)
-            outcome.floor = outcome.rounds[-1].floor
+        if found.before.rms**2 - found.after.rms**2 < needed(current, max(floor, doubt), noise):
+            # The fits are near each other: how far a finer mesh changes them is known no better than the two agree.
+            outcome.floor = max(floor, doubt)
+            why = f"what it explains may be the mesh's doing, which with it may be wrong by {1e3 * doubt:.2g} mm"
+            outcome.rounds[-1] = withdrawn(found, outcome.floor, why)
+            break
+        if why := unphysical(found.named[0], after):
+            outcome.rounds[-1] = withdrawn(found, floor, f"{why} once the mesh's error is allowed for")
             break
         problem, current, floor = finer, after, doubt
         outcome.rounds[-1] = dataclasses.replace(found, after=current)
@@ -239,14 +244,10 @@ def one_round(
     return Round(current, floor, tuple([*judged, *others]), tuple(found), named, after)
 
 
-def withdrawn(found: Round, floor: float) -> Round:
-    """The round without a name: with the effect, noise and mesh may be wrong by `floor` m, and so without it.
-
-    The fits are near each other, and how far a finer mesh changes them is known no better than the two agree.
-    """
-    why = f"what it explains may be the mesh's doing, which with it may be wrong by up to {1e3 * floor:.2g} mm"
+def withdrawn(found: Round, floor: float, why: str) -> Round:
+    """The round without a name, and the reason at the candidates that had been named."""
     candidates = [dataclasses.replace(c, why_not=why) if c.name in found.named else c for c in found.candidates]
-    return dataclasses.replace(found, floor=max(found.floor, floor), candidates=tuple(candidates), named=(), after=None)
+    return dataclasses.replace(found, floor=floor, candidates=tuple(candidates), named=(), after=None)
 
 
 def worth_trying(current: Fitted, candidates: Sequence[str], earlier: Sequence[Probe]) -> list[str]:

@@ -66,7 +66,7 @@ def judge(current: Fitted, gain: float, tried: Sequence[Candidate]) -> list[Cand
             why = f"explains only {max(candidate.gain, 0) / gain:.0%} of what a name has to"
         elif helped < count - 1:
             why = f"helps in {helped} of {count} recordings only"
-        elif fault := unphysical(candidate):
+        elif candidate.fitted is not None and (fault := unphysical(candidate.name, candidate.fitted)):
             why = fault
         elif wins < count - 1:
             why = f"another is better when a recording is left out ({wins} of {count})"
@@ -74,11 +74,10 @@ def judge(current: Fitted, gain: float, tried: Sequence[Candidate]) -> list[Cand
     return sorted(out, key=lambda c: -c.gain)
 
 
-def unphysical(candidate: Candidate) -> str:
-    """Why the fitted amounts cannot stand, or ""."""
-    assert candidate.fitted is not None
-    space, fitted = candidate.fitted.space, candidate.fitted
-    own = [i for i, n in enumerate(space.names) if n.startswith(f"{candidate.name}.")]
+def unphysical(name: str, fitted: Fitted) -> str:
+    """Why the amounts that were fitted to an effect cannot stand, or ""."""
+    space = fitted.space
+    own = [i for i, n in enumerate(space.names) if n.startswith(f"{name}.")]
     amounts = [i for i in own if space.parameters[i].null is not None]
     null = np.array([space.parameters[i].null for i in amounts])
     far = np.abs(fitted.theta[amounts] - null) > 1e-3 * (space.high - space.low)[amounts]
