@@ -1,4 +1,4 @@
-"""Numbers and figures of docs/folding.md: `python tools/folding.py tables`, `… figures RUNS`, `… speed`.
+"""Numbers and figures of docs/folding.md: `python tools/folding.py tables`, `… figures RUNS`, `… speed`, `… peer`.
 
 RUNS is the folder of a finished `clothbench run +suite=fold_phase_one`.
 """
@@ -112,6 +112,48 @@ def print_speed(count: int = 60) -> None:
         print(f"{name}: median {np.median(times):.1f} ms, 90 % below {np.quantile(times, 0.9):.1f} ms")
 
 
+def print_peer(gamma: float = 100.0, elements: int = 50) -> None:
+    """The same cantilever by PyElastica (`pip install pyelastica`), a general solver of Cosserat rods in time.
+
+    A round rod, slender enough that it neither stretches nor shears (radius 5 mm, length 1 m), damped until it hangs.
+    """
+    import elastica
+
+    class Room(elastica.BaseSystemCollection, elastica.Constraints, elastica.Forcing, elastica.Damping):
+        pass
+
+    radius, density, seconds, damping = 0.005, 1000.0, 8.0, 0.3
+    young = 4 * density * G / (gamma * radius**2)  # Γ = ρ A g L³/(E I), I/A = r²/4
+    step = 0.3 * radius / np.sqrt(young / density)
+
+    def hang(duration: float) -> tuple[np.ndarray, float]:
+        room = Room()
+        rod = elastica.CosseratRod.straight_rod(
+            elements, np.zeros(3), np.array([1.0, 0, 0]), np.array([0, 0, 1.0]), 1.0, radius, density,
+            youngs_modulus=young, shear_modulus=young / 2,
+        )  # fmt: skip
+        room.append(rod)
+        room.constrain(rod).using(elastica.OneEndFixedBC, constrained_position_idx=(0,), constrained_director_idx=(0,))
+        room.add_forcing_to(rod).using(elastica.GravityForces, acc_gravity=np.array([0, 0, -G]))
+        room.dampen(rod).using(elastica.AnalyticalLinearDamper, damping_constant=damping, time_step=step)
+        room.finalize()
+        began = time.process_time()
+        elastica.integrate(elastica.PositionVerlet(), room, duration, round(duration / step), progress_bar=False)
+        return rod.position_collection[[0, 2], -1], time.process_time() - began
+
+    hang(0.01)  # compiles
+    tip, spent = hang(seconds)
+    strip, reference = Strip(1.0, 1e-7, elements, desk=False), references.cantilever(gamma)
+    strip_trials.cantilever(strip, gamma / G)
+    began = time.process_time()
+    ours = [strip_trials.cantilever(strip, gamma / G).control[-1] for _ in range(20)][-1]
+    each = (time.process_time() - began) / 20
+    end = np.array([reference.x[-1], reference.z[-1]])
+    for name, found, cost in (("PyElastica", tip, spent), ("kirchhoff_love", ours, each)):
+        print(f"{name}: tip off by {1e3 * np.hypot(*(found - end)):.2g} mm after {1e3 * cost:.3g} ms of processor time")
+    print(f"ratio of times: {spent / each:.0f}")
+
+
 def draw_paths() -> None:
     """Phase 1 for fabrics of every stiffness, between the triangular and the circular path (figure 3 of the paper)."""
     import matplotlib.pyplot as plt
@@ -169,7 +211,7 @@ def print_estimates(runs: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Numbers and figures of docs/folding.md.")
-    parser.add_argument("what", choices=("tables", "figures", "speed"))
+    parser.add_argument("what", choices=("tables", "figures", "speed", "peer"))
     parser.add_argument("runs", nargs="?", type=Path, help="results of the suite fold_phase_one")
     options = parser.parse_args()
     if options.what == "tables":
@@ -177,6 +219,8 @@ def main() -> None:
         print_refinement()
     elif options.what == "speed":
         print_speed()
+    elif options.what == "peer":
+        print_peer()
     else:
         draw_paths()
     if options.runs:
