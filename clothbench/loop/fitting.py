@@ -18,6 +18,7 @@ from clothbench.protocols import Optimizer
 # these rather than what a parameter does.
 PROBE = 0.1
 GAIN = 0.005  # of the sum of squares; ripples give as much by chance, so that two rounds with less end a search
+DAMPINGS = 4  # sets that a round of `least_squares` tries beside one for each parameter's difference
 MIMIC = 0.2  # amplitude; about a hundred patterns in space and time are independent, of which a parameter makes one
 AROUND, LOOKS = 0.1, 7  # how far around a fit other starts are looked for, of the scaled range, and how many
 
@@ -73,20 +74,23 @@ def fit(
     problem: Problem,
     names: tuple[str, ...],
     start: np.ndarray | None,
-    budget: int,
+    rounds: int,
     told: Told | None = None,
 ) -> Fitted:
-    """Least squares from the best of `start` (S, P) or (P,), or from the defaults and a spread of others if None."""
+    """Least squares from the best of `start` (S, P) or (P,), or from the defaults and a spread of others if None; ended
+    after so many `rounds`, if it does not end before.
+    """
     starts, walks = (7, 2) if start is None else (0, 1)
     settings = {"starts": starts, "walks": walks, "difference": PROBE, "tolerance": GAIN} | problem.search
-    key = problem.key("fitted", names, None if start is None else np.asarray(start).tolist(), budget, settings)
+    key = problem.key("fitted", names, None if start is None else np.asarray(start).tolist(), rounds, settings)
     trials = problem.trials(names, "fit")
     space = trials[0].simulation.parameters
     known = problem.memory.recall(key)
     if known is None:
         begin = space if start is None else started(space, better(trials, space, np.atleast_2d(start)))
+        budget = evaluations(space, rounds) * problem.patience
         optimizer = problem.plugins.make(
-            "optimizers", "least_squares", begin, seed=problem.seed, budget=budget * problem.patience, **settings
+            "optimizers", "least_squares", begin, seed=problem.seed, budget=budget, **settings
         )
         theta, count = search(trials, optimizer, begin, told)
         residual, jacobian, spent = differences(trials, space, theta, problem.probe or PROBE)
@@ -100,7 +104,12 @@ def fit(
     return Fitted(names, space, theta, residual, jacobian, low, high, int(known["count"]))
 
 
-def polish(problem: Problem, fitted: Fitted, budget: int) -> tuple[Fitted, int]:
+def evaluations(space: ParameterSpace, rounds: int) -> int:
+    """How many parameter sets so many rounds of least squares take: more parameters, more of them."""
+    return rounds * (len(space) + DAMPINGS)
+
+
+def polish(problem: Problem, fitted: Fitted, rounds: int) -> tuple[Fitted, int]:
     """The better of this fit and of one more from a good place nearby, and how many sets that took.
 
     Folding cloth leaves ripples in the error, in which a search ends early; two candidates are compared fairly only
@@ -113,7 +122,7 @@ def polish(problem: Problem, fitted: Fitted, budget: int) -> tuple[Fitted, int]:
     value = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value
     if not np.isfinite(value).any():
         return fitted, LOOKS
-    again = fit(problem, fitted.effects, starts[int(np.nanargmin(value))], budget)
+    again = fit(problem, fitted.effects, starts[int(np.nanargmin(value))], rounds)
     return min(fitted, again, key=lambda f: f.rms), LOOKS + again.evaluations
 
 

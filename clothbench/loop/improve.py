@@ -11,7 +11,7 @@ import numpy as np
 
 from clothbench.errors import ClothbenchError
 from clothbench.loop.attribution import Probe, moved, outside, probes, ridge, share_of
-from clothbench.loop.fitting import Fitted, fit, polish, widened
+from clothbench.loop.fitting import Fitted, evaluations, fit, polish, widened
 from clothbench.loop.guard import Shares, shares
 from clothbench.loop.judge import AT_THE_FLOOR, Candidate, choose, judge, needed, unphysical
 from clothbench.loop.problem import Problem
@@ -21,9 +21,9 @@ ALPHA = 0.05
 ROUNDS = 3  # effects that can be named one after the other
 AFRESH = 10  # how many candidates a later round simulates anew: those that explain most by what they changed before
 REFITS, NEAR = 4, 0.3  # how many candidates are fitted in earnest in each round, and from which part of the best share
-# Evaluations of the first fit, of one that begins where another ended, and of one of a single recording.
-FIRST, AGAIN, ALONE = 140, 60, 25
-POLISH = 40  # and to make sure that a candidate's search has not ended early
+# Rounds of the first fit, of one that begins where another ended, and of one of a single recording.
+FIRST, AGAIN, ALONE = 17, 8, 3
+POLISH = 5  # and to make sure that a candidate's search has not ended early
 FINALISTS, CONTEST = 3, 1.5  # how many are made sure of, and what they may leave, times the least (mean squares)
 
 Stage = Callable[[str, int, int], None]
@@ -140,13 +140,13 @@ def improve(problem: Problem, candidates: Sequence[str], told: Stage) -> Outcome
 
 def calibrated(problem: Problem, budget: Budget) -> Fitted:
     """The base model on all fit recordings together."""
-    budget.stage("calibrate", 0, FIRST)
-    done = 0
+    done, planned = 0, evaluations(problem.space(()), FIRST)
+    budget.stage("calibrate", 0, planned)
 
     def told(more: int, _: float) -> None:
         nonlocal done
         done += more
-        budget.stage("calibrate", min(done, FIRST), FIRST)
+        budget.stage("calibrate", min(done, planned), planned)
 
     base = fit(problem, (), None, FIRST, told)
     budget.count(base.evaluations)
@@ -218,10 +218,10 @@ def one_round(
     for k, name in enumerate(anew):
         budget.stage(f"round {turn + 1}: candidates", k, len(anew))
         try:
-            more, evaluations = probes(problem, current, name)
+            more, count = probes(problem, current, name)
         except ClothbenchError:
             continue  # a model may have no room for it; it is listed as not tried
-        budget.count(evaluations)
+        budget.count(count)
         found += more
     seen = shares(problem.of_split("fit"), current, found, problem.seed)
     screened = screen(candidates, found, seen)
