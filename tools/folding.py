@@ -37,7 +37,7 @@ def eta_of_height(height: float, **about: Any) -> float:
 
 
 def fold_rows() -> list[tuple[Fabric, float, float, float]]:
-    """Each fabric with the model's η_b of its height; with another overlap; of cloth 1 mm thick, to its upper side."""
+    """Each fabric with the model's η_b of its height; with a shorter overlap; of cloth 1 mm thick, at its top."""
     return [
         (f, eta_of_height(f.height), eta_of_height(f.height, tip=0.3), eta_of_height(f.height - 1e-3, thickness=1e-3))
         for f in FABRICS
@@ -45,7 +45,7 @@ def fold_rows() -> list[tuple[Fabric, float, float, float]]:
 
 
 def print_folds() -> None:
-    print("| fabric | height | η_b, table | ± 2σ | model | deviation | overlap 30 cm more | 1 mm thick |")
+    print("| fabric | height | η_b, table | ± 2σ | model | deviation | overlap shorter by 15 cm | 1 mm thick |")
     print("|---|---|---|---|---|---|---|---|")
     for f, eta, shorter, thick in fold_rows():
         print(f"| {f.name} | {1e3 * f.height:.0f} mm | {f.eta:.2g} | {f.eta_low:.2g} … {f.eta_high:.2g} | {eta:.3g} | "
