@@ -45,8 +45,9 @@ def document(store: Store) -> str:
     sections = [heading(rows), HINT]
     if rows:
         tests, steps = [r for r in rows if is_validation(r)], store.table("fold")
-        folded = [r for r in rows if r["key"] in {s["key"] for s in steps}]
-        found = [r for r in rows if not is_validation(r) and r not in folded]
+        lifted = {s["key"] for s in steps}
+        folded = [r for r in rows if r["key"] in lifted]
+        found = [r for r in rows if not is_validation(r) and r["key"] not in lifted]
         drawn = figures(store, found)
         sections = [
             heading(rows),

@@ -27,16 +27,17 @@ def print_leaderboard(rows: Rows, parameters: Rows, levels: Rows = (), folds: Ro
 
     levels: the simulations of tests against mechanics, and folds: the steps of folds, which have tables of their own.
     """
-    out = console()
+    out, lifted = console(), {s["key"] for s in folds}
     for suite in sorted({r["suite"] for r in rows}):
         if tests := [r for r in rows if r["suite"] == suite and is_validation(r)]:
             out.print(validation_table(suite, tests, levels))
         mine = [r for r in rows if r["suite"] == suite and not is_validation(r)]
-        if folded := [r for r in mine if r["key"] in {s["key"] for s in folds}]:
-            steps = [s for s in folds if s["key"] in {r["key"] for r in folded}]
+        if folded := [r for r in mine if r["key"] in lifted]:
+            keys = {r["key"] for r in folded}
+            steps = [s for s in folds if s["key"] in keys]
             out.print(fold_table(suite, folded, steps))
             out.print(summary(steps), soft_wrap=True)
-        mine = [r for r in mine if r not in folded]
+        mine = [r for r in mine if r["key"] not in lifted]
         if not mine:
             continue
         out.print(error_table(suite, mine))

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
+from clothbench.camera import Camera
 from clothbench.laser import LaserImages
 
 WIDE, HIGH = 1600, 900  # px
@@ -23,17 +26,15 @@ def rendered(name: str, profile: np.ndarray, time: float, seed: int, fabric: str
 
     Lens distortion, speckle, sensor noise and 8 bits take part.
     """
-    import cv2
-
     matrix = np.array([[FOCAL, 0.0, WIDE / 2 - 7.0], [0.0, FOCAL, HIGH / 2 + 4.0], [0.0, 0.0, 1.0]])
-    rotation = _looking(EYE, LOOKS_AT)
-    translation = -rotation @ EYE
+    straight = Camera.looking_at(EYE, LOOKS_AT, (WIDE, HIGH), across=1.0)
+    camera = dataclasses.replace(straight, matrix=matrix, distortion=DISTORTION)
     points = np.stack([profile[:, 0], 0 * profile[:, 0], profile[:, 1]], axis=1)[upper_side(profile)]
-    pixels = cv2.projectPoints(points, cv2.Rodrigues(rotation)[0], translation, matrix, DISTORTION)[0][:, 0]
-    image = drawn(pixels, np.random.default_rng(seed))
+    image = drawn(camera.project(points)[0], np.random.default_rng(seed))
     return LaserImages(
-        name=name, time=np.array([time]), image=image[None], camera_matrix=matrix, distortion=DISTORTION,
-        camera_rotation=rotation, camera_translation=translation, laser_plane=np.array([0.0, 1.0, 0.0, 0.0]),
+        name=name, time=np.array([time]), image=image[None], camera_matrix=camera.matrix,
+        distortion=camera.distortion, camera_rotation=camera.rotation, camera_translation=camera.translation,
+        laser_plane=np.array([0.0, 1.0, 0.0, 0.0]),
         fabric=fabric, source="clothbench testbed",
     )  # fmt: skip
 
@@ -70,11 +71,3 @@ def drawn(pixels: np.ndarray, random: np.random.Generator) -> np.ndarray:
     image *= 0.25 / (np.sqrt(2 * np.pi) * WIDTH)
     image += cv2.GaussianBlur(random.normal(GROUND, 4 * NOISE, image.shape), (0, 0), 2.0)
     return np.clip(np.round(image + random.normal(0.0, NOISE, image.shape)), 0, 255).astype(np.uint8)
-
-
-def _looking(eye: np.ndarray, at: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) of a camera that looks from `eye` to `at`, y down."""
-    ahead = (at - eye) / np.linalg.norm(at - eye)
-    right = np.cross(ahead, [0.0, 0.0, 1.0])
-    right /= np.linalg.norm(right)
-    return np.stack([right, np.cross(ahead, right), ahead])
