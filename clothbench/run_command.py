@@ -34,6 +34,8 @@ from clothbench.report.tables import print_leaderboard
 from clothbench.rollout import Rollout
 
 NOTES = "CLOTHBENCH_RUN_NOTES"  # folder in which the jobs of one command leave word for it, whatever launched them
+MAIN_SUITE = "static_dynamic"  # what a sweep is over if it names no recordings
+RECORDINGS = ("suite=", "recording=", "recordings=")  # how a command line names some
 
 
 class PluginSearchPath(SearchPathPlugin):
@@ -53,6 +55,10 @@ class PluginSearchPath(SearchPathPlugin):
 
 def run(arguments: Sequence[str]) -> int:
     """Run `clothbench run ARGUMENTS` and return the exit code."""
+    sweep = bool({"-m", "--multirun"} & set(arguments))
+    if sweep and not any(word.lstrip("+").startswith(RECORDINGS) for word in arguments):
+        print(f"clothbench: the sweep names no recordings; it takes +suite={MAIN_SUITE}", file=sys.stderr)
+        arguments = [*arguments, f"+suite={MAIN_SUITE}"]
     Plugins.instance().register(PluginSearchPath)
     notes = Path(tempfile.mkdtemp(prefix="clothbench-"))
     os.environ.update({NOTES: str(notes), "HYDRA_FULL_ERROR": "1"})
@@ -60,7 +66,7 @@ def run(arguments: Sequence[str]) -> int:
     sys.argv = ["clothbench run", *arguments]
     try:
         hydra.main(version_base="1.3", config_path="pkg://clothbench.conf", config_name="run")(job)()
-        return _conclude(notes, sweep=bool({"-m", "--multirun"} & set(arguments)))
+        return _conclude(notes, sweep)
     except (HydraException, OmegaConfBaseException) as fault:
         raise ClothbenchError(_one_line(fault)) from fault
     finally:
