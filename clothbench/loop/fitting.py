@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from scipy.stats import t as student
@@ -18,6 +19,7 @@ from clothbench.protocols import Optimizer
 # these rather than what a parameter does.
 PROBE = 0.1
 GAIN = 0.005  # of the sum of squares; ripples give as much by chance, so that two rounds with less end a search
+PACES = 2  # rounds by whose fall it is judged whether a search can still come to where it matters
 DAMPINGS = 4  # sets that a round of `least_squares` tries beside one for each parameter's difference
 MIMIC = 0.2  # amplitude; about a hundred patterns in space and time are independent, of which a parameter makes one
 AROUND, LOOKS = 0.1, 7  # how far around a fit other starts are looked for, of the scaled range, and how many
@@ -76,13 +78,14 @@ def fit(
     start: np.ndarray | None,
     rounds: int,
     told: Told | None = None,
+    goal: float = np.inf,
 ) -> Fitted:
     """Least squares from the best of `start` (S, P) or (P,), or from the defaults and a spread of others if None; ended
-    after so many `rounds`, if it does not end before.
+    after so many `rounds`, if it does not end before; and once it is plain that its mean square will stay above `goal`.
     """
     starts, walks = (7, 2) if start is None else (0, 1)
     settings = {"starts": starts, "walks": walks, "difference": PROBE, "tolerance": GAIN} | problem.search
-    key = problem.key("fitted", names, None if start is None else np.asarray(start).tolist(), rounds, settings)
+    key = problem.key("fitted", names, None if start is None else np.asarray(start).tolist(), rounds, goal, settings)
     trials = problem.trials(names, "fit")
     space = trials[0].simulation.parameters
     known = problem.memory.recall(key)
@@ -92,7 +95,7 @@ def fit(
         optimizer = problem.plugins.make(
             "optimizers", "least_squares", begin, seed=problem.seed, budget=budget, **settings
         )
-        theta, count = search(trials, optimizer, begin, told)
+        theta, count = search(trials, optimizer, begin, told, partial(hopeless, goal, evaluations(space, 1), budget))
         residual, jacobian, spent = differences(trials, space, theta, problem.probe or PROBE)
         known = {"theta": theta, "count": np.array(count + spent)}
         known |= {f"residual-{k}": r for k, r in enumerate(residual)}
@@ -126,12 +129,30 @@ def polish(problem: Problem, fitted: Fitted, rounds: int) -> tuple[Fitted, int]:
     return min(fitted, again, key=lambda f: f.rms), LOOKS + again.evaluations
 
 
+Trail = list[tuple[int, float]]  # how many sets had been simulated, and the least mean square [m²] among them
+
+
+def hopeless(goal: float, pace: int, budget: int, trail: Trail) -> bool:
+    """Whether a search that goes on falling as in its last `PACES` rounds, of `pace` sets each, ends above the goal."""
+    count, value = trail[-1]
+    before = [(c, v) for c, v in trail if c <= count - PACES * pace]
+    if not before or value <= goal:
+        return False
+    since, higher = before[-1]
+    return value - (higher - value) / (count - since) * (budget - count) > goal
+
+
 def search(
-    trials: list[Trial], optimizer: Optimizer, space: ParameterSpace, told: Told | None = None
+    trials: list[Trial],
+    optimizer: Optimizer,
+    space: ParameterSpace,
+    told: Told | None = None,
+    given_up: Callable[[Trail], bool] = lambda trail: False,
 ) -> tuple[np.ndarray, int]:
     """The best point that the optimizer comes to (P,), and how many it asked for."""
     theta, value, count = space.defaults, np.inf, 0
-    while not optimizer.done:
+    trail: Trail = []
+    while not (optimizer.done or (trail and given_up(trail))):
         asked = np.asarray(optimizer.ask(), dtype=float)
         evaluation, _ = evaluate(trials, asked)
         optimizer.tell(asked, evaluation)
@@ -141,6 +162,7 @@ def search(
         cost = float(np.sum(evaluation.residual[best] ** 2)) if np.isfinite(evaluation.value[best]) else np.inf
         if cost < value:
             theta, value = asked[best], cost
+        trail.append((count, value))
         if told is not None:
             told(len(asked), 1e3 * np.sqrt(value))
     return theta, count

@@ -228,10 +228,11 @@ def one_round(
     most = max((c.share for c in screened), default=0.0)
     promising = [c for c in screened if c.name in anew and c.p_value < ALPHA and c.share >= NEAR * most]
     promising = sorted(promising, key=lambda c: -c.share)[:REFITS]
-    tried = []
+    tried: list[Candidate] = []
     for k, candidate in enumerate(promising):
         budget.stage(f"round {turn + 1}: refits", k, len(promising))
-        tried.append(done := refit(problem, current, candidate, found, seen))
+        goal = min([current.rms**2 - gain / 2, *(CONTEST * c.fitted.rms**2 for c in tried if c.fitted)])
+        tried.append(done := refit(problem, current, candidate, found, seen, goal))
         budget.count(done.fitted.evaluations if done.fitted else 0)
     tried = contest(problem, current, gain, tried, budget, turn)
     judged = judge(current, gain, tried)
@@ -308,11 +309,15 @@ def screen(candidates: Sequence[str], found: Sequence[Probe], seen: Shares) -> l
     return out
 
 
-def refit(problem: Problem, current: Fitted, candidate: Candidate, found: Sequence[Probe], seen: Shares) -> Candidate:
-    """Everything fitted again with the candidate, from its best probe's first-order amount."""
+def refit(
+    problem: Problem, current: Fitted, candidate: Candidate, found: Sequence[Probe], seen: Shares, goal: float
+) -> Candidate:
+    """Everything fitted again with the candidate, from its best probe's first-order amount; given up where it will not
+    come below the goal, above which it can be neither named nor tied.
+    """
     mine = [k for k, probe in enumerate(found) if probe.effect == candidate.name]
     probe = found[max(mine, key=lambda k: seen.share[k])]
-    fitted = fit(problem, (*current.effects, candidate.name), first_order(current, probe), AGAIN)
+    fitted = fit(problem, (*current.effects, candidate.name), first_order(current, probe), AGAIN, goal=goal)
     return dataclasses.replace(candidate, fitted=fitted)
 
 

@@ -175,3 +175,13 @@ def test_a_fit_that_is_remembered_is_not_simulated_again(tmp_path, monkeypatch):
     assert again.evaluations == first.evaluations
     for name in ("theta", "left", "tangent", "low", "high"):
         np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
+
+
+def test_a_fit_is_given_up_once_it_will_not_come_where_it_matters():
+    curves = runs(0, lambda e: 0.05 * (np.exp(9 * e) - 1 - 9 * e))
+    problem = curve_problem("linear_stretch", curves, [c.split for c in curves], catalogue(), 0)
+    whole = fit(problem, ("strain_locking",), np.array([15.0, 1.0, 0.1]), 20)
+    given_up = fit(problem, ("strain_locking",), np.array([15.0, 1.0, 0.1]), 20, goal=0.5 * whole.rms**2)
+    assert given_up.evaluations < whole.evaluations
+    reached = fit(problem, ("strain_locking",), np.array([15.0, 1.0, 0.1]), 20, goal=1.1 * whole.rms**2)
+    assert reached.rms == whole.rms
