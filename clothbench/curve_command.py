@@ -42,7 +42,7 @@ def improved(
     """What the loop found, and the document of its verdict."""
     began = time.perf_counter() if began is None else began
     outcome = improve(problem, candidates, bar.stage if bar is not None else lambda *_: None)
-    placebo = placebo_of(outcome) if outcome.final.effects else None
+    placebo = placebo_of(outcome)
     return outcome, in_newtons(document(outcome, placebo, time.perf_counter() - began))
 
 

@@ -60,7 +60,7 @@ def command(settings: Mapping[str, str], as_json: bool = False) -> int:
     with StageBar() as bar:
         outcome = improve(problem, candidates, bar.stage)
         bar.stage("held-out recordings", 0, 1)
-        placebo = placebo_of(outcome) if outcome.final.effects else None
+        placebo = placebo_of(outcome)
         found = document(outcome, placebo, time.perf_counter() - began) | {"key": key}
         bar.stage("page, tables and Rerun files", 0, 1)
         write_folder(out, outcome, found)

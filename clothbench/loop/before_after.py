@@ -45,11 +45,6 @@ class Pulled:
     after: np.ndarray
 
 
-def standing(outcome: Outcome, verdict: str) -> Fitted:
-    """The fit that the verdict stands by: with what was named, or the calibrated model if nothing was."""
-    return outcome.final if verdict in ("attributed", "tied") else outcome.base
-
-
 def both(outcome: Outcome, after: Fitted) -> list[Seen]:
     """All recordings of node positions before and after, those that were fitted first."""
     out: list[Seen] = []

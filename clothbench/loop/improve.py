@@ -129,7 +129,7 @@ def improve(problem: Problem, candidates: Sequence[str], told: Stage) -> Outcome
             outcome.rounds[-1] = withdrawn(found, outcome.floor, why)
             break
         if why := unphysical(found.named[0], after):
-            outcome.rounds[-1] = withdrawn(found, floor, f"{why} once the mesh's error is allowed for")
+            outcome.rounds[-1] = withdrawn(found, floor, f"{why} once the errors of mesh and model are allowed for")
             break
         problem, current, floor = finer, after, doubt
         outcome.rounds[-1] = dataclasses.replace(found, after=current)

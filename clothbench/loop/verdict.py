@@ -83,30 +83,33 @@ def above_floor(outcome: Outcome) -> bool:
     return outcome.base.rms > AT_THE_FLOOR * (outcome.rounds[0].floor if outcome.rounds else outcome.floor)
 
 
+def standing(outcome: Outcome) -> Fitted:
+    """The fit that the verdict stands by: with what was named, or the calibrated model if nothing was."""
+    return outcome.final if word(outcome) in ("attributed", "tied") else outcome.base
+
+
 def document(outcome: Outcome, placebo: Placebo | None, wall_s: float) -> dict[str, Any]:
     """`verdict.json`. Errors are rms over visible node coordinates, pooled over recordings, in mm."""
-    problem, final, verdict = outcome.problem, outcome.final, word(outcome)
+    problem, final, verdict = outcome.problem, standing(outcome), word(outcome)
     before = held_out_errors(problem, outcome.base)
-    stands = verdict in ("attributed", "tied")
     after = held_out_errors(problem, final) if final.effects else before
     held_out = problem.of_split("held_out")
     return {
         "schema": SCHEMA, "model": problem.model, "base": list(problem.base), "verdict": verdict,
-        "effects": [effect_entry(outcome, n) for n, r in enumerate(outcome.rounds) if r.named] if stands else [],
+        "effects": [effect_entry(outcome, n) for n, r in enumerate(outcome.rounds) if r.named] if final.effects else [],
         "error_mm": {
-            "fit": {"before": 1e3 * outcome.base.rms, "after": 1e3 * (final if stands else outcome.base).rms},
+            "fit": {"before": 1e3 * outcome.base.rms, "after": 1e3 * final.rms},
             "held_out": {
-                "before": pooled(before), "after": pooled(after if stands else before),
-                "ci95": paired_interval(before, after if stands else before),
+                "before": pooled(before), "after": pooled(after), "ci95": paired_interval(before, after),
                 "per_recording": [
-                    {"recording": c.name, "before": number(b), "after": number(a if stands else b)}
+                    {"recording": c.name, "before": number(b), "after": number(a)}
                     for c, b, a in zip(held_out, before, after, strict=True)
                 ],
                 "placebo": placebo and {"name": placebo.name, "after": pooled(placebo.errors)},
             },
             "noise_floor": 1e3 * outcome.floor,
         },
-        "unexplained_mm": 1e3 * max((final if stands else outcome.base).rms ** 2 - outcome.floor**2, 0.0) ** 0.5,
+        "unexplained_mm": 1e3 * max(final.rms**2 - outcome.floor**2, 0.0) ** 0.5,
         "hint": hint(outcome, verdict),
         "candidates": candidate_entries(outcome),
         "evaluations": outcome.evaluations, "wall_s": wall_s, "seed": problem.seed,
@@ -141,13 +144,19 @@ def effect_entry(outcome: Outcome, turn: int) -> dict[str, Any]:
 def candidate_entries(outcome: Outcome) -> list[dict[str, Any]]:
     """Every candidate as the last round that tried it saw it; gain: mm² by which the mean square fell."""
     latest: dict[str, dict[str, Any]] = {}
+    dropped = outcome.final is not standing(outcome)
     for found in outcome.rounds:
         for c in found.candidates:
             latest[c.name] = {
                 "name": c.name, "share": c.share, "gain": number(1e6 * c.gain), "p_value": c.p_value,
-                "why_not": why_not(c, found),
+                "why_not": too_little(outcome) if dropped and c.name in found.named else why_not(c, found),
             }  # fmt: skip
     return sorted(latest.values(), key=lambda c: (-(c["gain"] or 0.0), -c["share"]))
+
+
+def too_little(outcome: Outcome) -> str:
+    """Why what passed every test of its own is no finding after all."""
+    return f"{left_over(outcome):.0%} of what stands above the floor is left, so that something else must be missing"
 
 
 def why_not(candidate: Candidate, of: Round) -> str:
@@ -179,6 +188,9 @@ def hint(outcome: Outcome, verdict: str) -> str:
     force = max(forces, key=lambda c: c.share, default=best)
     if force.name != best.name:
         text += f", {force.name} among forces ({force.share:.0%})"
+    if dropped := outcome.final.effects:
+        fall = 1 - outcome.final.rms / outcome.base.rms
+        text += f"; {' and '.join(dropped)} would lower the error of the fit by {fall:.0%}, too little for a name"
     return f"{text}{where(outcome)}"
 
 
@@ -188,14 +200,14 @@ def where(outcome: Outcome) -> str:
     if not hasattr(cases[0].observation, "position"):
         return ""
     squares: dict[str, list[np.ndarray]] = {"upper": [], "middle": [], "lower": []}
-    for case, residual in zip(cases, outcome.final.residual, strict=True):
+    for case, residual in zip(cases, standing(outcome).residual, strict=True):
         left, seen = field_of(case, residual), case.observation.visible
         third = np.minimum(3 * case.observation.material[:, 1] / case.scene.height, 2).astype(int)
         for k, rows in enumerate(squares.values()):
             rows.append(left[:, third == k][seen[:, third == k]].ravel() ** 2)
     sizes = {name: 1e3 * float(np.sqrt(np.concatenate(rows).mean())) for name, rows in squares.items() if len(rows[0])}
     most = max(sizes, key=lambda name: sizes[name])
-    worst = cases[int(np.argmax(outcome.final.squares))].name
+    worst = cases[int(np.argmax(standing(outcome).squares))].name
     rest = ", ".join(f"{name} {size:.1f} mm" for name, size in sizes.items())
     return f"; most is left in the {most} third ({rest}) and in {worst}"
 
@@ -207,11 +219,13 @@ def number(value: float | None) -> float | None:
 
 def placebo_of(outcome: Outcome) -> Placebo | None:
     """The candidate that spoke least for itself, fitted beside what was named: it must not help on held-out data."""
-    tried = [c for c in outcome.rounds[-1].candidates if c.name not in outcome.final.effects and c.share > 0]
-    if not tried or not outcome.problem.of_split("held_out"):
+    problem, final = outcome.problem, standing(outcome)
+    if not final.effects:
+        return None
+    tried = [c for c in outcome.rounds[-1].candidates if c.name not in final.effects and c.share > 0]
+    if not tried or not problem.of_split("held_out"):
         return None
     name = min(tried, key=lambda c: c.share).name
-    problem, final = outcome.problem, outcome.final
     start = np.concatenate([final.theta, null_of(problem.plugins.make("effects", name))])
     fitted = fit(problem, (*final.effects, name), start, AGAIN)
     return Placebo(name, tuple(held_out_errors(problem, fitted)))

@@ -16,9 +16,10 @@ from typing import Any
 
 from clothbench.experiment.store import write_table
 from clothbench.files import whole_files
-from clothbench.loop.before_after import Seen, both, pulled, standing
+from clothbench.loop.before_after import Seen, both, pulled
 from clothbench.loop.improve import Outcome
 from clothbench.loop.tables import MM, all_rows
+from clothbench.loop.verdict import standing
 from clothbench.report.improve_page import document
 from clothbench.report.improve_rerun import write_recording_file
 
@@ -27,7 +28,7 @@ OLD = ("tables/*.parquet", "rerun/*.rrd")  # of an earlier run, with other recor
 
 def write_folder(out: Path, outcome: Outcome, found: Mapping[str, Any]) -> None:
     """Fill `out`; what an earlier run left there is replaced, other files stay."""
-    after = standing(outcome, found["verdict"])
+    after = standing(outcome)
     seen = both(outcome, after)
     tables = all_rows(outcome, found, after, seen, pulled(outcome, after))
     with whole_files(out, instead_of=OLD) as part:

@@ -96,6 +96,18 @@ def test_a_shape_that_no_candidate_has_is_left_unexplained():
     assert found["unexplained_mm"] is None
 
 
+def test_a_name_that_leaves_most_of_it_is_taken_back_and_only_hinted_at():
+    found = verdict(runs(4, lambda e: 0.02 * (np.exp(9 * e) - 1 - 9 * e) + 0.9 * np.sin(30 * e)))
+    assert (found["verdict"], found["effects"]) == ("unexplained", [])
+    assert "strain_locking would lower the error of the fit by" in found["hint"]
+    (locking,) = (c for c in found["candidates"] if c["name"] == "strain_locking")
+    assert "something else must be missing" in locking["why_not"]
+    # What is reported is the calibrated model throughout, not the fit with the name.
+    assert list(found["parameters"]) == ["stiffness"]
+    assert found["error"]["fit"]["after"] == found["error"]["fit"]["before"]
+    assert found["error"]["held_out"]["placebo"] is None
+
+
 def test_errors_in_mm_are_null_and_those_in_newtons_have_their_shape():
     found = verdict(runs(4, lambda e: 0 * e), "load_offset")
     assert set(found["error"]) == {*found["error_mm"], "unit"}
