@@ -121,7 +121,7 @@ def improve(problem: Problem, candidates: Sequence[str], told: Stage) -> Outcome
         outcome.rounds.append(found)
         if found.after is None:
             break
-        finer, after, doubt = corrected(problem, found.after, noise, budget)
+        finer, after, doubt = corrected(problem, fitted_out(problem, found.after, budget), noise, budget)
         if found.before.rms**2 - found.after.rms**2 < needed(current, max(floor, doubt), noise):
             # The fits are near each other: how far a finer mesh changes them is known no better than the two agree.
             outcome.floor = max(floor, doubt)
@@ -197,6 +197,16 @@ def above(fitted: Fitted, changes: Sequence[np.ndarray]) -> float:
     """What a refit could not take up of the residual with these changes [m]."""
     total = fitted.left + np.concatenate(changes) * fitted.scale
     return float(np.linalg.norm(outside(fitted.tangent, total[:, None])))
+
+
+def fitted_out(problem: Problem, named: Fitted, budget: Budget) -> Fitted:
+    """The fit with what was named, continued: refits of candidates get as many rounds as a comparison needs, and what
+    such a fit has not yet come to must not be taken for another effect.
+    """
+    budget.stage(f"{named.effects[-1]} fitted out", 0, 1)
+    again = fit(problem, named.effects, named.theta, FIRST)
+    budget.count(again.evaluations)
+    return min(named, again, key=lambda f: f.rms)
 
 
 def one_round(
