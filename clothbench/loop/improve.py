@@ -15,6 +15,7 @@ from clothbench.loop.fitting import Fitted, evaluations, fit, polish, widened
 from clothbench.loop.guard import Shares, shares
 from clothbench.loop.judge import AT_THE_FLOOR, Candidate, choose, judge, needed, unphysical
 from clothbench.loop.problem import Problem
+from clothbench.loop.profile import profiled
 from clothbench.loop.residual import correction, numerical_floor
 
 ALPHA = 0.05
@@ -134,6 +135,10 @@ def improve(problem: Problem, candidates: Sequence[str], told: Stage) -> Outcome
         problem, current, floor = finer, after, doubt
         outcome.rounds[-1] = dataclasses.replace(found, after=current)
         outcome.problem, outcome.final, outcome.floor = problem, current, floor
+    if outcome.final.effects:
+        budget.stage("intervals", 0, 1)
+        outcome.final, count = profiled(problem, outcome.final)
+        budget.count(count)
     budget.stop()
     return outcome
 

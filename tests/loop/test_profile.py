@@ -1,0 +1,85 @@
+"""Intervals along valleys of the error, straight and bent, on residuals that are stated in closed form."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clothbench.loop import profile
+from clothbench.loop.fitting import Fitted
+from clothbench.parameters import Parameter, ParameterSpace
+from clothbench.protocols import Evaluation
+
+SPACE = ParameterSpace(
+    tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.5, "one of three", "a test") for n in ("base", "a", "b"))
+)
+BEST = np.array([0.5, 0.2, 0.6])
+
+
+class OneParameterBase:
+    """All that is asked of a problem: the base has one parameter, two belong to the effect."""
+
+    def space(self, names):
+        return SPACE.parameters[: 1 + 2 * len(names)]
+
+    def trials(self, names, split):
+        return []
+
+
+def straight(theta):
+    """a + b is well known, a - b hardly."""
+    return np.array([theta[0] - 0.5, 3 * (theta[1] + theta[2] - 0.8), 0.1 * (theta[1] - theta[2] + 0.4), 0.3])
+
+
+def bent(theta):
+    """a times b is well known, a and b hardly: a hem's weight per area and its width."""
+    return np.array([theta[0] - 0.5, 10 * (theta[1] * theta[2] - 0.12), 0.02 * (theta[1] - 0.2), 0.3])
+
+
+def fitted(law, half) -> Fitted:
+    away = 1e-6
+    jacobian = np.array([(law(BEST + away * e) - law(BEST)) / away for e in np.eye(3)]).T
+    residual = law(BEST)
+    low, high = np.clip(BEST - half, 0, 1), np.clip(BEST + half, 0, 1)
+    return Fitted(("e",), SPACE, BEST, [residual, residual], [jacobian, jacobian], low, high, 0)
+
+
+@pytest.fixture
+def judged(monkeypatch):
+    """A function from a law and the half-widths to first order to the profiled fit."""
+
+    def of(law, half):
+        def evaluate(trials, theta):
+            residual = np.array([np.concatenate([law(t), law(t)]) for t in theta]) / np.sqrt(8)
+            return Evaluation(np.zeros(len(theta)), residual), []
+
+        monkeypatch.setattr(profile, "evaluate", evaluate)
+        before = fitted(law, np.asarray(half, dtype=float))
+        return before, *profile.profiled(OneParameterBase(), before)
+
+    return of
+
+
+def test_a_straight_valley_keeps_its_intervals(judged):
+    before, after, count = judged(straight, [0.01, 0.05, 0.05])
+    assert count > 0
+    assert after.low == pytest.approx(before.low, abs=1e-6)
+    assert after.high == pytest.approx(before.high, abs=1e-6)
+
+
+def test_a_bent_valley_is_followed(judged):
+    """b = 0.12/a: at the end of a's interval, a = 0.12, b is 1, where the tangent ends it at 0.84."""
+    before, after, _ = judged(bent, [0.01, 0.08, 0.24])
+    assert before.high[2] == pytest.approx(0.84)
+    assert after.high[2] > 0.95
+    assert after.low[2] == before.low[2]  # on this side the valley rises sooner, but nothing is made narrower
+    rise = (0.02 * 0.08) ** 2  # of the sum of squares at the end of a's interval
+    for a in (after.low[1], after.high[1]):
+        assert np.sum(bent([0.5, a, 0.12 / a]) ** 2) - 0.09 <= 1.1 * rise
+    assert after.low[0] == before.low[0]  # the base's own intervals are left alone
+
+
+def test_a_parameter_at_its_bound_is_not_led_beyond(judged):
+    _, after, _ = judged(straight, [0.01, 0.5, 0.5])
+    assert (after.low >= 0).all()
+    assert (after.high <= 1).all()
