@@ -279,8 +279,8 @@ class Hung:
 def measured(hung: Hung, name: str, split: str, seconds: float, random: np.random.Generator) -> Recording:
     """One run, seen with noise and dropouts."""
     world = hung.world
-    # Both corners go together, as on a bar, and across the sheet: one that hangs slack or is shaken folds and flaps, and
-    # that is chaos, which no model predicts and which would hide whatever was planted.
+    # Both corners go together, as on a bar, and across the sheet: one that hangs slack or is shaken folds and flaps,
+    # and that is chaos, which no model predicts and which would hide whatever was planted.
     rate, phase = random.uniform(0.5, 1.2, 3), random.uniform(0, 2 * np.pi, 3)
     speed = random.uniform(0.6, 1.0, 3) * [0.03, 0.34, 0.015]  # m/s, the most
     amplitude = random.choice([-1, 1], 3) * speed / (2 * np.pi * rate)
