@@ -24,6 +24,7 @@ AFRESH = 10  # how many candidates a later round simulates anew: those that expl
 REFITS, NEAR = 4, 0.3  # how many candidates are fitted in earnest in each round, and from which part of the best share
 # Rounds of the first fit, of one that begins where another ended, and of one of a single recording.
 FIRST, AGAIN, ALONE = 17, 8, 3
+NEARBY = 0.05  # of the scaled range: how far from a fit the mesh's error is looked at
 POLISH = 5  # and to make sure that a candidate's search has not ended early
 FINALISTS, CONTEST = 3, 1.5  # how many are made sure of, and what they may leave, times the least (mean squares)
 
@@ -129,16 +130,17 @@ def improve(problem: Problem, candidates: Sequence[str], told: Stage) -> Outcome
             why = f"what it explains may be the mesh's doing, which with it may be wrong by {1e3 * doubt:.2g} mm"
             outcome.rounds[-1] = withdrawn(found, outcome.floor, why)
             break
-        if why := unphysical(found.named[0], after):
+        if not (why := unphysical(found.named[0], after)):
+            budget.stage(f"round {turn + 1}: intervals", 0, 1)
+            after, count = profiled(finer, after)
+            budget.count(count)
+            why = unphysical(found.named[0], after)
+        if why:
             outcome.rounds[-1] = withdrawn(found, floor, f"{why} once the errors of mesh and model are allowed for")
             break
         problem, current, floor = finer, after, doubt
         outcome.rounds[-1] = dataclasses.replace(found, after=current)
         outcome.problem, outcome.final, outcome.floor = problem, current, floor
-    if outcome.final.effects:
-        budget.stage("intervals", 0, 1)
-        outcome.final, count = profiled(problem, outcome.final)
-        budget.count(count)
     budget.stop()
     return outcome
 
@@ -184,7 +186,7 @@ def corrected(problem: Problem, fitted: Fitted, noise: float, budget: Budget) ->
     """The problem with the mesh's error taken away at this fit, the fit again, and the floor [m] of noise and mesh."""
     budget.stage("mesh and step refined", 0, 2)
     plain = dataclasses.replace(problem, corrections={})
-    changes = correction(plain, fitted, "fit")
+    changes = correction(plain, beside_fit(problem, fitted), "fit")
     budget.stage("mesh and step refined", 1, 2)
     left = numerical_floor(fitted, changes)
     if above(fitted, changes) >= above(fitted, [0 * c for c in changes]):
@@ -196,6 +198,18 @@ def corrected(problem: Problem, fitted: Fitted, noise: float, budget: Budget) ->
     again = fit(problem, fitted.effects, fitted.theta, AGAIN)
     budget.count(again.evaluations)
     return problem, widened(again, [c / 3 for c in changes], noise), float(np.hypot(noise, left))
+
+
+def beside_fit(problem: Problem, fitted: Fitted) -> Fitted:
+    """The fit with its base moved a little, all ways at random: where the mesh's error is looked at.
+
+    At the fit itself the change would hold the ripples of just this coarse rollout as well; with them taken away no
+    other parameters could fit as well as these, right or wrong.
+    """
+    shift = np.zeros(len(fitted.theta))
+    base = len(problem.space(()))
+    shift[:base] = NEARBY * np.random.default_rng(problem.seed).choice([-1.0, 1.0], base)
+    return dataclasses.replace(fitted, theta=moved(fitted, shift))
 
 
 def above(fitted: Fitted, changes: Sequence[np.ndarray]) -> float:
