@@ -297,8 +297,8 @@ def worth_trying(current: Fitted, candidates: Sequence[str], earlier: Sequence[P
 def contest(
     problem: Problem, current: Fitted, gain: float, tried: Sequence[Candidate], budget: Budget, turn: int
 ) -> list[Candidate]:
-    """The candidates, with those polished that may yet be named where there are several: a search that ended early must
-    not decide between them.
+    """The candidates, with those polished that may yet be named where there are several, each of them also from where
+    the best has left what they share: neither a search that ended early nor a better valley must decide between them.
     """
     fits = [c.fitted for c in tried if c.fitted is not None]
     least = min((f.rms**2 for f in fits), default=0.0)
@@ -306,9 +306,17 @@ def contest(
     within = sorted(within, key=lambda f: f.rms)[:FINALISTS] if len(within) > 1 else []
     better = {}
     for k, fitted in enumerate(within):
-        budget.stage(f"round {turn + 1}: contest", k, len(within))
+        budget.stage(f"round {turn + 1}: contest", k, 2 * len(within))
         better[fitted.effects], count = polish(problem, fitted, POLISH)
         budget.count(count)
+    best, shared = min(better.values(), key=lambda f: f.rms, default=current), len(current.theta)
+    for k, (effects, fitted) in enumerate(better.items()):
+        budget.stage(f"round {turn + 1}: contest", len(within) + k, 2 * len(within))
+        if fitted is not best:
+            start = np.concatenate([best.theta[:shared], fitted.theta[shared:]])
+            again = fit(problem, effects, start, POLISH)
+            budget.count(again.evaluations)
+            better[effects] = min(fitted, again, key=lambda f: f.rms)
     return [
         c if c.fitted is None else dataclasses.replace(c, fitted=better.get(c.fitted.effects, c.fitted)) for c in tried
     ]
