@@ -11,7 +11,9 @@ from numba import njit, types
 from numba.core.errors import NumbaExperimentalFeatureWarning
 
 Sheet = namedtuple(
-    "Sheet", "uv mass area normal triangles gradient face_area patch curvature gravity air_density held grip"
+    "Sheet",
+    "uv mass area normal triangles gradient face_area patch curvature gravity air_density held grip columns "
+    "spacing slots",
 )
 Sheet.__doc__ = """The cloth as an effect sees it; `sheet_of` makes one from any mesh of triangles.
 
@@ -20,7 +22,8 @@ triangles: (F, 3), node numbers; face_area: (F,) m², at rest;
 gradient: (F, 2, 3) 1/m, ∂/∂u and ∂/∂v over a triangle as weights of its corners;
 patch: (F, 6), the corners, then the node beyond the edge opposite to each corner (a corner again at the border);
 curvature: (F, 3, 6) 1/m², ∂²/∂u², ∂²/∂v² and ∂²/∂u∂v as weights of the patch (see `curvature_weights`);
-gravity: (3,) m/s²; air_density: kg/m³; held: (G,), the node on each grip; grip: (3, G) m, where the grips are.
+gravity: (3,) m/s²; air_density: kg/m³; held: (G,), the node on each grip; grip: (3, G) m, where the grips are;
+columns, spacing, slots: for loops over all triangles at once, see `triangle_slots`.
 """
 
 _vector = types.float64[::1]
@@ -41,6 +44,9 @@ SHEET = types.NamedTuple(
         _vector,
         types.float64,
         types.int64[::1],
+        _rows,
+        types.int64,
+        _rows,
         _rows,
     ),
     Sheet,
@@ -184,10 +190,12 @@ def sheet_of(
     """
     gradient, face_area = gradient_weights(uv, triangles)
     patch, curvature = curvature_weights(uv, triangles, gradient, face_area)
+    columns, spacing, slots = triangle_slots(uv, triangles, face_area)
     return Sheet(
         np.ascontiguousarray(uv, dtype=float), np.array(mass, dtype=float), np.array(area, dtype=float),
         np.zeros((3, len(uv))), np.ascontiguousarray(triangles, dtype=np.int64), gradient, face_area, patch, curvature,
         np.array(gravity, dtype=float), float(air_density), np.array(held, dtype=np.int64), np.zeros((3, len(held))),
+        columns, spacing, slots,
     )  # fmt: skip
 
 
@@ -197,6 +205,44 @@ def own_sheet(sheet: Sheet, normals: bool = True) -> Sheet:
     normals: whether anything reads them; else they are NaN, and stay so in a loop that asks `wants_normals`.
     """
     return sheet._replace(normal=np.full_like(sheet.normal, 0.0 if normals else np.nan), grip=np.zeros_like(sheet.grip))
+
+
+def triangle_slots(uv: np.ndarray, triangles: np.ndarray, face_area: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+    """How compiled loops go over all triangles at once: `columns`, `spacing` and `slots` of a sheet.
+
+    columns: nodes in a row if the mesh is `grid_triangles` between straight lines, else 0. Such a grid has a slot per
+    kind of triangle for each node e = j·nu + i up to the last cell, first all (e, e+1, e+nu+1), then all (e, e+nu+1,
+    e+nu): nodes and neighbours of all triangles of a kind lie at constant distances, and no loop needs their numbers.
+    Any other mesh has a slot per triangle.
+    spacing: (2, 3n) 1/m of a grid, 1/h_u and 1/h_v from each node to the next, 0 where there is none, three times over
+    for loops that run through x, y and z; else (2, 0).
+    slots: (4, S), area m², 0 where a row ends; and weights. Of a grid they are what makes ∂²/∂u², ∂²/∂v² and ∂²/∂u∂v
+    as `curvature_weights` sees them of differences of first derivatives, 1/m, 0 where nothing holds the slope; else 1.
+    """
+    columns = _grid_columns(uv, triangles)
+    if columns == 0:
+        return 0, np.zeros((2, 0)), np.vstack([face_area[None], np.ones((3, len(face_area)))])
+    u, v = uv[:columns, 0], uv[::columns, 1]
+    spacing, cells = np.zeros((2, len(v), columns)), np.zeros((4, 2, len(v) - 1, columns))
+    spacing[0, :, :-1], spacing[1, :-1] = 1 / np.diff(u), 1 / np.diff(v)[:, None]
+    cells[0, :, :, :-1] = 0.5 * np.outer(np.diff(v), np.diff(u))
+    cells[1, 0, :, :-2], cells[1, 1, :, 1:] = spacing[0, 1:, :-2], spacing[0, 1:, 1:]
+    cells[2, 0, 1:], cells[2, 1, :-1] = spacing[1, 1:-1], spacing[1, :-2]
+    cells[3] = spacing[1, :-1]
+    slots = cells.reshape(4, 2, -1)[:, :, :-1].reshape(4, -1)
+    return columns, np.tile(spacing.reshape(2, -1), 3), np.ascontiguousarray(slots)
+
+
+def _grid_columns(uv: np.ndarray, triangles: np.ndarray) -> int:
+    """nu of a grid of straight lines u, v that ascend, node number j·nu + i, with the triangles of `grid_triangles`."""
+    columns = int(triangles[0, 2]) - 1 if len(triangles) else 0
+    if columns < 2 or len(uv) % columns or len(uv) < 2 * columns:
+        return 0
+    shape = (columns, len(uv) // columns)
+    lines = uv.reshape(shape[1], columns, 2)
+    straight = (lines[:, :, 0] == lines[0, :, 0]).all() and (lines[:, :, 1] == lines[:, :1, 1]).all()
+    ascending = (np.diff(lines[0, :, 0]) > 0).all() and (np.diff(lines[:, 0, 1]) > 0).all()
+    return columns if straight and ascending and np.array_equal(triangles, grid_triangles(shape)) else 0
 
 
 def gradient_weights(uv: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

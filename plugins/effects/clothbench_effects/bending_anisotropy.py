@@ -5,6 +5,7 @@ it cannot know what rigidity they have: a ratio of an unknown number is none.
 """
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
+from clothbench_effects.deformation import add_linear_bending
 
 
 @effect_kernel
@@ -15,15 +16,7 @@ def straighten(t, dt, x, v, f, sheet, p, state):
     """
     if p[0] == 0.0 and p[1] == 0.0:
         return
-    for face in range(sheet.triangles.shape[0]):
-        for c in range(2):
-            weights, rigidity = sheet.curvature[face, c], p[c] * sheet.face_area[face]
-            for axis in range(3):
-                bend = 0.0
-                for k in range(6):
-                    bend += weights[k] * x[axis, sheet.patch[face, k]]
-                for k in range(6):
-                    f[axis, sheet.patch[face, k]] -= rigidity * bend * weights[k]
+    add_linear_bending(f, x, sheet, p[0], p[1])
 
 
 SOURCE = "Peirce 1930, The handle of cloth as a measurable quantity: flexural rigidity of warp and weft"

@@ -1,7 +1,7 @@
 """`poisson_coupling`: cloth that is pulled along one yarn system narrows along the other."""
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
-from clothbench_effects.sheet_kernels import add_tension, stretch
+from clothbench_effects.deformation import add_tensions, fibres, strains
 
 
 @effect_kernel
@@ -9,10 +9,8 @@ def couple_yarns(t, dt, x, v, f, sheet, p, state):
     """Tensions T_u = C_12 ε_v and T_v = C_12 ε_u, of the energy C_12 ε_u ε_v per area."""
     if p[0] == 0.0:
         return
-    for face in range(sheet.triangles.shape[0]):
-        warp, weft = stretch(x, sheet, face, 0), stretch(x, sheet, face, 1)
-        add_tension(f, x, sheet, face, 0, p[0] * weft)
-        add_tension(f, x, sheet, face, 1, p[0] * warp)
+    fibre = fibres(x, sheet)
+    add_tensions(f, sheet, fibre, p[0] * strains(fibre, sheet)[::-1])
 
 
 class PoissonCoupling:

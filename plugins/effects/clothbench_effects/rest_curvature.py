@@ -4,8 +4,10 @@ Stated as the couple that the curl takes to flatten and not as a curvature: the 
 and D belongs to the model.
 """
 
+import numpy as np
+
 from clothbench import Parameter, ParameterSpace, effect_kernel
-from clothbench_effects.sheet_kernels import add_couples, normal_of
+from clothbench_effects.deformation import add_couples, bent
 
 
 @effect_kernel
@@ -13,8 +15,9 @@ def curl(t, dt, x, v, f, sheet, p, state):
     """f += A (M_u ∂κ_uu/∂x + M_v ∂κ_vv/∂x): minus the gradient of the energy −M_u κ_uu − M_v κ_vv per area."""
     if p[0] == 0.0 and p[1] == 0.0:
         return
-    for face in range(sheet.triangles.shape[0]):
-        add_couples(f, x, sheet, face, normal_of(x, sheet, face), -p[0], -p[1], 0.0)
+    couple = np.zeros((3, sheet.slots.shape[1]))
+    couple[0], couple[1] = -p[0], -p[1]
+    add_couples(f, sheet, bent(x, sheet), couple)
 
 
 SOURCE = "Timoshenko and Woinowsky-Krieger, Theory of Plates and Shells, art. 14: a plate bent by couples alone"

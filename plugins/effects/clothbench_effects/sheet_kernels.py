@@ -1,4 +1,4 @@
-"""What several effects share, compiled: drag of a node, fibres and curvatures of a triangle, parts of a triangle."""
+"""What several effects share, compiled: drag of a node, parts of a triangle."""
 
 from __future__ import annotations
 
@@ -6,8 +6,6 @@ import numpy as np
 from numba import njit
 
 helper = njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
-
-COLLAPSED = 1e-9  # area over rest area below which a triangle has no normal that could be trusted
 
 
 @helper
@@ -22,104 +20,6 @@ def add_drag(f, i, sheet, vx, vy, vz, normal, tangential):
     f[0, i] -= across * nx + friction * tx
     f[1, i] -= across * ny + friction * ty
     f[2, i] -= across * nz + friction * tz
-
-
-@helper
-def fibre(x, sheet, face, c):
-    """∂x/∂u (c = 0, warp) or ∂x/∂v (c = 1, weft) over a triangle: (3 numbers); its length is 1 at rest."""
-    a, b, d = sheet.triangles[face, 0], sheet.triangles[face, 1], sheet.triangles[face, 2]
-    g = sheet.gradient[face, c]
-    return (
-        g[0] * x[0, a] + g[1] * x[0, b] + g[2] * x[0, d],
-        g[0] * x[1, a] + g[1] * x[1, b] + g[2] * x[1, d],
-        g[0] * x[2, a] + g[1] * x[2, b] + g[2] * x[2, d],
-    )
-
-
-@helper
-def stretch(x, sheet, face, c):
-    """Strain ε = |w| − 1 of a triangle's warp or weft fibre w."""
-    wx, wy, wz = fibre(x, sheet, face, c)
-    return np.sqrt(wx * wx + wy * wy + wz * wz) - 1.0
-
-
-@helper
-def add_tension(f, x, sheet, face, c, tension):
-    """f −= A T ∂ε/∂x: a tension T N/m along a triangle's warp (c = 0) or weft (c = 1)."""
-    wx, wy, wz = fibre(x, sheet, face, c)
-    length = np.sqrt(wx * wx + wy * wy + wz * wz)
-    if length == 0.0:
-        return
-    pull = sheet.face_area[face] * tension / length
-    for k in range(3):
-        e, share = sheet.triangles[face, k], pull * sheet.gradient[face, c, k]
-        f[0, e] -= share * wx
-        f[1, e] -= share * wy
-        f[2, e] -= share * wz
-
-
-@helper
-def normal_of(x, sheet, face):
-    """Unit normal of a triangle, along warp × weft, and its area over that at rest; zero where it has collapsed."""
-    ux, uy, uz = fibre(x, sheet, face, 0)
-    vx, vy, vz = fibre(x, sheet, face, 1)
-    nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
-    size = np.sqrt(nx * nx + ny * ny + nz * nz)
-    if size < COLLAPSED:
-        return 0.0, 0.0, 0.0, 0.0
-    over = 1.0 / size
-    return nx * over, ny * over, nz * over, size
-
-
-@helper
-def curvatures(x, sheet, face, normal):
-    """κ_uu, κ_vv, κ_uv 1/m of a triangle: second derivatives along its normal; above 0 it curls towards warp × weft.
-
-    normal: from `normal_of`, here and in `add_couples`.
-    """
-    nx, ny, nz, _ = normal
-    uu, vv, uv = 0.0, 0.0, 0.0
-    for k in range(6):
-        e = sheet.patch[face, k]
-        height = x[0, e] * nx + x[1, e] * ny + x[2, e] * nz
-        uu += sheet.curvature[face, 0, k] * height
-        vv += sheet.curvature[face, 1, k] * height
-        uv += sheet.curvature[face, 2, k] * height
-    return uu, vv, uv
-
-
-@helper
-def add_couples(f, x, sheet, face, normal, uu, vv, uv):
-    """f −= A (M_uu ∂κ_uu + M_vv ∂κ_vv + 2 M_uv ∂κ_uv)/∂x: couples per width M N, which do work on the curvatures.
-
-    κ = c·n, so ∂κ = ∂c·n + c·∂n: the second term vanishes on a sheet that only bends; with it the forces carry no
-    net torque on any sheet.
-    """
-    nx, ny, nz, size = normal
-    if size == 0.0:
-        return
-    area, uv = sheet.face_area[face], 2.0 * uv
-    cx, cy, cz = 0.0, 0.0, 0.0  # c = Σ_k W_k x_k with W = M_uu ∂²/∂u² + M_vv ∂²/∂v² + 2 M_uv ∂²/∂u∂v as weights
-    for k in range(6):
-        e = sheet.patch[face, k]
-        w = uu * sheet.curvature[face, 0, k] + vv * sheet.curvature[face, 1, k] + uv * sheet.curvature[face, 2, k]
-        cx += w * x[0, e]
-        cy += w * x[1, e]
-        cz += w * x[2, e]
-        f[0, e] -= area * w * nx
-        f[1, e] -= area * w * ny
-        f[2, e] -= area * w * nz
-    along = cx * nx + cy * ny + cz * nz
-    over = area / size
-    qx, qy, qz = over * (cx - along * nx), over * (cy - along * ny), over * (cz - along * nz)
-    ux, uy, uz = fibre(x, sheet, face, 0)
-    vx, vy, vz = fibre(x, sheet, face, 1)
-    for k in range(3):
-        e = sheet.triangles[face, k]
-        g, h = sheet.gradient[face, 0, k], sheet.gradient[face, 1, k]
-        f[0, e] -= g * (vy * qz - vz * qy) + h * (qy * uz - qz * uy)
-        f[1, e] -= g * (vz * qx - vx * qz) + h * (qz * ux - qx * uz)
-        f[2, e] -= g * (vx * qy - vy * qx) + h * (qx * uy - qy * ux)
 
 
 @helper

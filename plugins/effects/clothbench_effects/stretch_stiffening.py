@@ -3,7 +3,7 @@
 import numpy as np
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
-from clothbench_effects.sheet_kernels import add_tension, stretch
+from clothbench_effects.deformation import add_tensions, fibres, strains
 
 STRAIGHT = 0.1  # strain at which the yarns are straight: from there on the stiffness stays, so that it has a bound
 
@@ -16,13 +16,15 @@ def pull_tight(t, dt, x, v, f, sheet, p, state):
     """
     if p[0] == 0.0:
         return
-    for face in range(sheet.triangles.shape[0]):
-        for c in range(2):
-            strain = stretch(x, sheet, face, c)
-            if strain > STRAIGHT:
-                add_tension(f, x, sheet, face, c, p[0] * (2.0 * strain - STRAIGHT) * STRAIGHT)
-            elif strain > 0.0:
-                add_tension(f, x, sheet, face, c, p[0] * strain * strain)
+    fibre = fibres(x, sheet)
+    strain = strains(fibre, sheet)
+    for c in range(2):
+        row = strain[c]
+        for e in range(row.shape[0]):
+            pulled = row[e] if row[e] > 0.0 else 0.0
+            crimped = pulled if pulled < STRAIGHT else STRAIGHT
+            row[e] = p[0] * (2.0 * pulled - crimped) * crimped
+    add_tensions(f, sheet, fibre, strain)
 
 
 class StretchStiffening:

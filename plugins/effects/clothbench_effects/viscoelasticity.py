@@ -1,9 +1,20 @@
 """`viscoelasticity`: stress that a deformation causes and that fades while it lasts."""
 
 import numpy as np
+from numba import njit
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
-from clothbench_effects.sheet_kernels import add_couples, add_tension, curvatures, normal_of, stretch
+from clothbench_effects.deformation import add_couples, add_tensions, bent, fibres, strains
+
+
+@njit(cache=True, error_model="numpy", nogil=True)
+def follow(stress, before, now, kept, share):
+    """Take s of all triangles, (k, S), from deformations `before` to `now`, and `before` along."""
+    for c in range(now.shape[0]):
+        s, was, e = stress[c], before[c], now[c]
+        for slot in range(e.shape[0]):
+            s[slot] = kept * s[slot] + share * (e[slot] - was[slot])
+        was[:] = e
 
 
 @effect_kernel
@@ -13,7 +24,7 @@ def relax(t, dt, x, v, f, sheet, p, state):
     e: κ_uu, κ_vv, κ_uv and ε_u, ε_v of each triangle; s: what has not relaxed yet. Exact where e changes evenly over
     a step: s → s exp(−h) + Δe (1 − exp(−h))/h, h = Δt/τ (Simo and Hughes 1998, section 10.3). Where no time passes
     between two calls a model is letting the cloth settle, and that has all the time to relax: s = 0.
-    state: 0 before the first step, the time of the last, then e and s of every triangle, five each.
+    state: 0 before the first step, the time of the last, then e and s of all triangles, five each.
     """
     if p[0] == 0.0 and p[1] == 0.0:
         return
@@ -25,21 +36,16 @@ def relax(t, dt, x, v, f, sheet, p, state):
         h = passed / p[2]
         kept = np.exp(-h)
         share = -np.expm1(-h) / h
-    for face in range(sheet.triangles.shape[0]):
-        memory = state[2 + 10 * face : 12 + 10 * face]
-        if p[0] != 0.0:
-            normal = normal_of(x, sheet, face)
-            now = curvatures(x, sheet, face, normal)
-            for c in range(3):
-                memory[5 + c] = kept * memory[5 + c] + share * (now[c] - memory[c])
-                memory[c] = now[c]
-            add_couples(f, x, sheet, face, normal, p[0] * memory[5], p[0] * memory[6], p[0] * memory[7])
-        if p[1] != 0.0:
-            for c in range(2):
-                strain = stretch(x, sheet, face, c)
-                memory[8 + c] = kept * memory[8 + c] + share * (strain - memory[3 + c])
-                memory[3 + c] = strain
-                add_tension(f, x, sheet, face, c, p[1] * memory[8 + c])
+    slots = sheet.slots.shape[1]
+    memory = state[2 : 2 + 10 * slots].reshape((10, slots))
+    if p[0] != 0.0:
+        shape = bent(x, sheet)
+        follow(memory[5:8], memory[:3], shape.curvature, kept, share)
+        add_couples(f, sheet, shape, p[0] * memory[5:8])
+    if p[1] != 0.0:
+        fibre = fibres(x, sheet)
+        follow(memory[8:], memory[3:5], strains(fibre, sheet), kept, share)
+        add_tensions(f, sheet, fibre, p[1] * memory[8:])
 
 
 SOURCE = "Maxwell 1867; Simo and Hughes 1998, Computational Inelasticity, section 10.3"
@@ -65,7 +71,7 @@ class Viscoelasticity:
     )  # fmt: skip
 
     def state_size(self, sheet):
-        return 2 + 10 * len(sheet.triangles)
+        return 2 + 10 * sheet.slots.shape[1]
 
     def stiffness(self, phi):
         return phi[1], phi[0]
