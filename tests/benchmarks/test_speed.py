@@ -160,7 +160,7 @@ def test_an_implicit_step_costs_far_less_than_the_square_of_the_nodes(name):
     ("effect", "most"), [("bending_hysteresis", 5.0), ("viscoelasticity", 6.0), ("bending_anisotropy", 3.0)]
 )
 def test_an_effect_that_bends_the_sheet_costs_a_few_plain_steps(effect, most):
-    """On a regular grid; triangle by triangle it was about twice as much."""
+    """On a regular grid; triangle by triangle it was two to three times as much."""
     assert step_of(effect) <= most * step_of()
 
 

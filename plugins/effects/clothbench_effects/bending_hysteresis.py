@@ -10,7 +10,7 @@ VANISHED = 32.0  # exponent y from which exp(−y), 1e-14, may stand for 0
 
 @njit(cache=True, error_model="numpy", nogil=True)
 def decay(y):
-    """exp(−y) − 1 for y ≥ 0, within 1e-13 of itself; without branches, so that loops over it use the vector unit.
+    """exp(−y) − 1 for y ≥ 0, within 2e-12 of its value; without branches, so that loops over it use the vector unit.
 
     −2 t/(1 + t) with t = tanh(y/16) from Lambert's continued fraction, doubled three times: e(2y) = e(y) (2 + e(y)).
     """

@@ -327,10 +327,13 @@ def _add_loads(f, sheet, on_fibre, on_second):
     else:
         nu = sheet.columns
         warp, weft, uu, vv, uv = on_fibre[0], on_fibre[1], on_second[0], on_second[1], on_second[2]
-        _take_difference(uu, uu[1:], warp)
-        _take_difference(vv, vv[nu:], weft)
-        _subtract(warp, uv, warp)
-        _take(uv, warp[nu:])
+        ahead = uu[1:]
+        for e in range(ahead.shape[0]):
+            warp[e] += uu[e] - ahead[e] - uv[e]
+        ahead, other = vv[nu:], warp[nu:]
+        for e in range(ahead.shape[0]):
+            weft[e] += vv[e] - ahead[e]
+            other[e] += uv[e]
     _add_fibre_loads(f, sheet, on_fibre)
 
 
@@ -346,37 +349,22 @@ def _add_fibre_loads(f, sheet, load):
                 for k in range(3):
                     f[k, e] -= g * load[0, k * faces + face] + h * load[1, k * faces + face]
         return
-    nu, flat = sheet.columns, f.reshape(f.size)
-    _spread(load[0], sheet.spacing[0], flat, flat[1:])
-    _spread(load[1], sheet.spacing[1], flat, flat[nu:])
+    nu, flat, warp, weft = sheet.columns, f.reshape(f.size), load[0], load[1]
+    over_u, over_v = sheet.spacing[0], sheet.spacing[1]
+    for e in range(flat.shape[0]):
+        warp[e] *= over_u[e]
+        weft[e] *= over_v[e]
+    for e in range(nu):
+        flat[e] += warp[e] + weft[e] - (warp[e - 1] if e > 0 else 0.0)
+    out, here, beside, below, above = flat[nu:], warp[nu:], warp[nu - 1 :], weft[nu:], weft
+    for e in range(out.shape[0]):
+        out[e] += (here[e] - beside[e]) + (below[e] - above[e])
 
 
 @_fast
 def _difference(ahead, behind, weight, out):
     for e in range(out.shape[0]):
         out[e] = (ahead[e] - behind[e]) * weight[e]
-
-
-@_fast
-def _spread(load, weight, behind, ahead):
-    """The transpose of `_difference`: two passes, since one loop over overlapping rows could not be vectorised."""
-    for e in range(load.shape[0]):
-        load[e] *= weight[e]
-        behind[e] += load[e]
-    for e in range(ahead.shape[0]):
-        ahead[e] -= load[e]
-
-
-@_fast
-def _take_difference(behind, ahead, out):
-    for e in range(ahead.shape[0]):
-        out[e] += behind[e] - ahead[e]
-
-
-@_fast
-def _take(load, out):
-    for e in range(out.shape[0]):
-        out[e] += load[e]
 
 
 @_fast
