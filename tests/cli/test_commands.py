@@ -129,15 +129,15 @@ def test_a_sweep_is_a_product_and_prints_one_table(clothbench, recordings_folder
 @pytest.mark.slow
 def test_a_sweep_without_recordings_is_over_the_main_suite(clothbench):
     out = clothbench(
-        "run", "-m", "model=mass_spring,baraff_witkin", "optimizer=ga,annealing", "metric=node_error,fold",
+        "run", "-m", "model=mass_spring", "optimizer=ga,annealing", "metric=node_error",
         "suite.select=[satin/static-?]", "suite.each=[satin/static-1]", "budget=8", "~analysis", "scene.spacing=0.1",
     )  # fmt: skip
     assert out.returncode == 0, out.stderr
     assert "it takes +suite=static_dynamic" in out.stderr
     rows = json.loads(clothbench("leaderboard", "--json").stdout)
     assert {r["suite"] for r in rows} == {"static_dynamic"}
-    assert len({(r["model"], r["optimizer"], r["metric"]) for r in rows if r["split"] == "fit"}) >= 8
-    assert len({r["key"] for r in rows}) == 8
+    assert {r["optimizer"] for r in rows} == {"ga", "annealing"}
+    assert len({r["key"] for r in rows}) == 2
 
 
 @pytest.mark.slow
