@@ -222,14 +222,20 @@ def widened(fitted: Fitted, doubt: list[np.ndarray], noise: float) -> Fitted:
     """
     hessian, gradient = normal_equations(doubt, fitted.jacobian)
     mesh = np.abs(solve(hessian, gradient))
-    count, inverse = len(fitted.residual), np.linalg.pinv(hessian, rcond=1e-10, hermitian=True)
-    discrepancy = MIMIC * np.sqrt(max(fitted.rms**2 - noise**2, 0.0) * count * np.diag(inverse))
+    discrepancy = MIMIC * np.sqrt(max(fitted.rms**2 - noise**2, 0.0) * freedom(hessian, len(fitted.residual)))
     unit, low, high = (fitted.space.to_unit(t) for t in (fitted.theta, fitted.low, fitted.high))
     lower = unit - np.sqrt((unit - low) ** 2 + mesh**2 + discrepancy**2)
     upper = unit + np.sqrt((high - unit) ** 2 + mesh**2 + discrepancy**2)
     return dataclasses.replace(
         fitted, low=fitted.space.from_unit(np.maximum(lower, 0.0)), high=fitted.space.from_unit(np.minimum(upper, 1.0))
     )
+
+
+def freedom(hessian: np.ndarray, recordings: int) -> np.ndarray:
+    """(P,) 1/m²: the square of how far each scaled parameter can go, the others fitted again, over the rise of the mean
+    square [m²] that this makes.
+    """
+    return recordings * np.diag(np.linalg.pinv(hessian, rcond=1e-10, hermitian=True))
 
 
 def normal_equations(residual: list, jacobian: list) -> tuple[np.ndarray, np.ndarray]:

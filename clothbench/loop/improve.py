@@ -183,7 +183,7 @@ def noise_of(problem: Problem) -> float:
 
 
 def corrected(problem: Problem, fitted: Fitted, noise: float, budget: Budget) -> tuple[Problem, Fitted, float]:
-    """The problem with the mesh's error taken away at this fit, the fit again, and the floor [m] of noise and mesh."""
+    """The problem with the mesh's error near this fit taken away, the fit again, the floor [m] of noise and mesh."""
     budget.stage("mesh and step refined", 0, 2)
     plain = dataclasses.replace(problem, corrections={})
     changes = correction(plain, beside_fit(problem, fitted), "fit")
@@ -223,9 +223,7 @@ def fitted_out(problem: Problem, named: Fitted, budget: Budget) -> Fitted:
     such a fit has not yet come to must not be taken for another effect.
     """
     budget.stage(f"{named.effects[-1]} fitted out", 0, 1)
-    again = fit(problem, named.effects, named.theta, FIRST)
-    budget.count(again.evaluations)
-    return min(named, again, key=lambda f: f.rms)
+    return better_of(problem, named, named.theta, FIRST, budget)
 
 
 def one_round(
@@ -314,9 +312,7 @@ def contest(
         budget.stage(f"round {turn + 1}: contest", len(within) + k, 2 * len(within))
         if fitted is not best:
             start = np.concatenate([best.theta[:shared], fitted.theta[shared:]])
-            again = fit(problem, effects, start, POLISH)
-            budget.count(again.evaluations)
-            better[effects] = min(fitted, again, key=lambda f: f.rms)
+            better[effects] = better_of(problem, fitted, start, POLISH, budget)
     return [
         c if c.fitted is None else dataclasses.replace(c, fitted=better.get(c.fitted.effects, c.fitted)) for c in tried
     ]
@@ -326,9 +322,14 @@ def second_thought(problem: Problem, current: Fitted, better: Fitted | None, bud
     """The fit without the effect again, from where the fit with it ended: a gain must not come from a better valley."""
     if better is None:
         return current
-    again = fit(problem, current.effects, better.theta[: len(current.theta)], AGAIN)
+    return better_of(problem, current, better.theta[: len(current.theta)], AGAIN, budget)
+
+
+def better_of(problem: Problem, known: Fitted, start: np.ndarray, rounds: int, budget: Budget) -> Fitted:
+    """The better of a fit that is known and one more of the same effects from `start` (P,)."""
+    again = fit(problem, known.effects, start, rounds)
     budget.count(again.evaluations)
-    return again if again.rms < current.rms else current
+    return min(known, again, key=lambda f: f.rms)
 
 
 def screen(candidates: Sequence[str], found: Sequence[Probe], seen: Shares) -> list[Candidate]:

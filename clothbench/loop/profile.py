@@ -13,7 +13,7 @@ import dataclasses
 import numpy as np
 
 from clothbench.experiment.calibrate import evaluate
-from clothbench.loop.fitting import Fitted, normal_equations, solve
+from clothbench.loop.fitting import Fitted, freedom, normal_equations, solve
 from clothbench.loop.problem import Problem
 
 Known = tuple[np.ndarray, np.ndarray, np.ndarray]  # a point in the unit cube, the residual there, and its Jacobian
@@ -33,18 +33,18 @@ def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
     ends = np.array([fitted.space.to_unit(end) for end in (fitted.low, fitted.high)])
     hessian, _ = normal_equations(fitted.residual, fitted.jacobian)
     count = len(fitted.residual)
-    variance = count * np.diag(np.linalg.pinv(hessian, rcond=1e-10, hermitian=True))
+    free = freedom(hessian, count)
     first = len(problem.space(()))
     walks = [
         (i, ends[side, i] - unit[i])
         for i in range(first, len(unit))
         for side in (0, 1)
-        if 0.0 < ends[side, i] < 1.0 and ends[side, i] != unit[i] and variance[i] > 0
+        if 0.0 < ends[side, i] < 1.0 and ends[side, i] != unit[i] and free[i] > 0
     ]
     if not walks:
         return fitted, 0
     which, half = np.array([i for i, _ in walks]), np.array([h for _, h in walks])
-    rise = half**2 / variance[which]  # of the mean square [m²], at the end of each interval to first order
+    rise = half**2 / free[which]  # of the mean square [m²], at the end of each interval to first order
     direction = np.array([along(hessian, i) for i in which]) * half[:, None]
     reach, evaluations = np.ones(len(walks)), 0
     trials = problem.trials(fitted.effects, "fit")

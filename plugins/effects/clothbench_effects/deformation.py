@@ -3,7 +3,7 @@
 Everything stands in rows and is done in short loops over few of them, without branches and gathers, which is what lets
 the compiler use the vector unit. On a regular grid neighbours share what they are made of: each fibre (∂x/∂u or ∂x/∂v)
 belongs to an edge, each second derivative is a difference of two fibres, and all triangles of a kind find theirs at
-constant distances in the rows (`_places`). On any other mesh each triangle has its own. Only the functions that go from
+constant distances in the rows (`_part`). On any other mesh each triangle has its own. Only the functions that go from
 nodes to these rows and back know what mesh it is.
 """
 
@@ -21,7 +21,7 @@ COLLAPSED = 1e-9  # area over rest area below which a triangle has no normal tha
 Bent = namedtuple("Bent", "fibre second normal curvature")
 Bent.__doc__ = """What `bent` finds out about a sheet, S slots of triangles (`clothbench.kernels.triangle_slots`).
 
-fibre: (2, 3R), from `fibres`; second: (3, 3R), from `_second_derivatives`; normal: (4, S), from `_normals`;
+fibre: (2, 3R), from `fibres`; second: (3, 3R), from `_second_derivatives`; normal: (4, S), from `_find_normals`;
 curvature: (3, S) 1/m, κ_uu, κ_vv and κ_uv: second derivatives along the normal; above 0 it curls towards warp × weft.
 """
 
