@@ -10,7 +10,16 @@ from clothbench.curve import Curve, read_any
 from clothbench.curve_simulation import acts_on_curves
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.settings import writable
-from clothbench.improve_command import StageBar, names, say, sensors_first, splits_of, tell_splits, whole
+from clothbench.improve_command import (
+    StageBar,
+    names,
+    say,
+    sensors_first,
+    splits_of,
+    tell_broken,
+    tell_splits,
+    whole,
+)
 from clothbench.loop.curves import CurveProblem, curve_problem, in_newtons
 from clothbench.loop.improve import Outcome, improve
 from clothbench.loop.verdict import document, placebo_of
@@ -65,7 +74,9 @@ def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> CurveProblem:
 
 def candidates_of(given: str | None, plugins: Catalogue) -> list[str]:
     """All installed effects that act on curves, or those that were named, where the loop tries them: sensors first."""
-    known = [name for name in plugins.names("effects") if acts_on_curves(plugins.make("effects", name))]
+    sound, broken = plugins.made("effects")
+    tell_broken(broken, given)
+    known = [name for name, effect in sound.items() if acts_on_curves(effect)]
     chosen = names(given) if given else known
     for name in chosen:
         plugins.find("effects", name)

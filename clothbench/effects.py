@@ -61,14 +61,17 @@ class BoundEffects:
 
     def kernels(self, slots: int, filler: Callable) -> tuple[tuple[Callable, ...], np.ndarray, int]:
         """Compiled functions for a time loop with `slots` places, their stages (slots,), and how many are used."""
+        from clothbench.kernels import ready  # numba is asked for by those who simulate
+
         found = self._stages()
         if len(found) > slots:
             raise ClothbenchError(
                 f"{len(found)} dynamics terms at once, this model has room for {slots}; name fewer effects"
             )
-        functions = tuple(getattr(e, stage) for e, stage in found) + (filler,) * (slots - len(found))
+        functions = [ready(getattr(e, stage), f"effect {e.name!r}: {stage!r}") for e, stage in found]
+        functions += [ready(filler, "the filler of a slot")] * (slots - len(found))
         stages = [FORCE if stage == "force" else INERTIA for _, stage in found] + [FORCE] * (slots - len(found))
-        return functions, np.array(stages, dtype=np.int64), len(found)
+        return tuple(functions), np.array(stages, dtype=np.int64), len(found)
 
     def kernel_parameters(self, theta: np.ndarray, slots: int) -> np.ndarray:
         """Each slot's parameters (B, slots, width)."""

@@ -140,10 +140,11 @@ def default_base(problem: Problem) -> list[str]:
 
 def candidates_of(given: str | None, plugins: Catalogue, problem: Problem) -> list[str]:
     """All installed effects that the model does not have, or those that were named."""
-    chosen = names(given) if given else [n for n in plugins.names("effects") if _on_sheets(n, plugins)]
+    sound, broken = plugins.made("effects")
+    tell_broken(broken, given)
+    chosen = names(given) if given else [name for name, effect in sound.items() if acts_on_sheets(effect)]
     for name in chosen:
-        plugins.find("effects", name)
-        if not _on_sheets(name, plugins):
+        if not acts_on_sheets(plugins.make("effects", name)):
             raise ClothbenchError(f"effect {name!r} acts on force-extension curves only; take it out of candidates")
     return sensors_first([name for name in chosen if name not in problem.base], plugins)
 
@@ -154,8 +155,11 @@ def sensors_first(effects: Sequence[str], plugins: Catalogue) -> list[str]:
     return sorted(effects, key=lambda name: order.get(plugins.make("effects", name).place, 3))
 
 
-def _on_sheets(name: str, plugins: Catalogue) -> bool:
-    return acts_on_sheets(plugins.make("effects", name))
+def tell_broken(broken: Mapping[str, str], given: str | None) -> None:
+    """What is no candidate because it cannot be used is told where the candidates are all there are."""
+    if not given:
+        for reason in broken.values():
+            print(f"clothbench: no candidate: {reason}", file=sys.stderr)
 
 
 def names(text: str) -> list[str]:

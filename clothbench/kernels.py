@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import textwrap
 import warnings
 from collections import namedtuple
 from collections.abc import Callable
 
 import numpy as np
 from numba import njit, types
-from numba.core.errors import NumbaExperimentalFeatureWarning
+from numba.core.errors import NumbaError, NumbaExperimentalFeatureWarning
+
+from clothbench.errors import ClothbenchError
 
 Sheet = namedtuple(
     "Sheet",
@@ -54,14 +57,29 @@ SHEET = types.NamedTuple(
 SIGNATURE = types.void(types.float64, types.float64, _rows, _rows, _rows, SHEET, _vector, _vector)
 EFFECT = types.FunctionType(SIGNATURE)
 
+_fast = njit(cache=True, error_model="numpy", nogil=True)
+
 
 def effect_kernel(function: Callable) -> Callable:
     """Compile an effect's `force` or `inertia` for the time loops of all models (see `clothbench.Effect`).
 
     `function(t, dt, x, v, f, sheet, p, state)` adds to f in place: forces (3, n), or for `inertia` masses (6, n).
-    Compiled on definition and cached on disk.
+    Compiled when a model first takes it (`ready`), so that nobody waits for effects that he does not use, and cached
+    on disk.
     """
-    return compiled(SIGNATURE)(function)
+    return _fast(function)
+
+
+def ready(kernel: Callable, name: str) -> Callable:
+    """An effect's kernel compiled for the time loops; `name` tells an author which one cannot be."""
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore", NumbaExperimentalFeatureWarning)
+            kernel.compile(SIGNATURE)  # type: ignore[attr-defined]
+    except NumbaError as error:
+        reason = textwrap.shorten(str(error).partition("\n")[2] or str(error), 300)
+        raise ClothbenchError(f"{name} cannot be compiled by numba: {reason}") from error
+    return kernel
 
 
 def compiled(signature) -> Callable[[Callable], Callable]:
@@ -82,9 +100,6 @@ def compiled(signature) -> Callable[[Callable], Callable]:
 @effect_kernel
 def no_effect(t, dt, x, v, f, sheet, p, state):
     """Fills the slots of a time loop that has no effect there."""
-
-
-_fast = njit(cache=True, error_model="numpy", nogil=True)
 
 
 @_fast

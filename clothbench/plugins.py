@@ -77,22 +77,39 @@ class Catalogue:
                 with quiet_output():
                     self._loaded[kind, name] = import_target(plugin.target)
             except (Exception, SystemExit) as fault:
-                raise PluginBroken(
-                    f"{kind[:-1]} {name!r} ({plugin.distribution}) is broken: {one_line(fault)}"
-                ) from fault
+                raise self._broken(plugin, fault) from fault
         return self._loaded[kind, name]
 
     def make(self, kind: str, name: str, *args: Any, **options: Any) -> Any:
-        """Build the plugin's object; an option it does not know is the user's error, in one line."""
+        """Build the plugin's object; an option it does not know is the user's error, in one line, and so is a plugin
+        that cannot be made.
+        """
         factory = self.load(kind, name)
         try:
             return factory(*args, **options)
-        except TypeError as fault:
-            if "argument" not in str(fault):
-                raise
+        except ClothbenchError:
+            raise
+        except Exception as fault:
+            if not (isinstance(fault, TypeError) and "argument" in str(fault)):
+                raise self._broken(self.find(kind, name), fault) from fault
             raise ClothbenchError(
                 f"{kind[:-1]} {name!r}: {one_line(fault)}; see options.{name} and `clothbench plugins`"
             ) from fault
+
+    @staticmethod
+    def _broken(plugin: Plugin, fault: BaseException) -> PluginBroken:
+        what = f"{plugin.kind[:-1]} {plugin.name!r} ({plugin.distribution})"
+        return PluginBroken(f"{what} is broken: {one_line(fault)}")
+
+    def made(self, kind: str) -> tuple[dict[str, Any], dict[str, str]]:
+        """One object of every plugin of a kind, by name; and why there is none of those that cannot be made."""
+        sound, broken = {}, {}
+        for name in self.names(kind):
+            try:
+                sound[name] = self.make(kind, name)
+            except ClothbenchError as fault:
+                broken[name] = str(fault)
+        return sound, broken
 
 
 @functools.cache
@@ -152,6 +169,11 @@ def one_line(fault: BaseException) -> str:
     """An exception as one line for a report: type, and the first line of its message."""
     text = str(fault).strip().splitlines()
     return f"{type(fault).__name__}: {text[0]}" if text else type(fault).__name__
+
+
+def reason_of(fault: BaseException) -> str:
+    """Why something could not be done, in one line: clothbench's own errors say it themselves."""
+    return str(fault) if isinstance(fault, ClothbenchError) else one_line(fault)
 
 
 def _distribution(point: EntryPoint) -> tuple[str, str]:

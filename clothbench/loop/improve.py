@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
-from clothbench.errors import ClothbenchError
 from clothbench.loop.attribution import Probe, moved, outside, probes, ridge, share_of
 from clothbench.loop.fitting import Fitted, evaluations, fit, polish, widened
 from clothbench.loop.guard import Shares, shares
@@ -17,6 +16,7 @@ from clothbench.loop.judge import AT_THE_FLOOR, Candidate, choose, judge, needed
 from clothbench.loop.problem import Problem
 from clothbench.loop.profile import profiled
 from clothbench.loop.residual import correction, numerical_floor
+from clothbench.plugins import reason_of
 
 ALPHA = 0.05
 ROUNDS = 3  # effects that can be named one after the other
@@ -242,16 +242,18 @@ def one_round(
     turn = len(current.effects)
     anew = worth_trying(current, candidates, earlier)
     found = [probe for probe in earlier if probe.effect in candidates and probe.effect not in anew]
+    refused: dict[str, str] = {}
     for k, name in enumerate(anew):
         budget.stage(f"round {turn + 1}: candidates", k, len(anew))
         try:
             more, count = probes(problem, current, name)
-        except ClothbenchError:
-            continue  # a model may have no room for it; it is listed as not tried
+        except Exception as fault:  # a model may have no room for it, a stranger's effect may do anything
+            refused[name] = reason_of(fault)
+            continue
         budget.count(count)
         found += more
     seen = shares(problem.of_split("fit"), current, found, problem.seed)
-    screened = screen(candidates, found, seen)
+    screened = screen(candidates, found, seen, refused)
     most = max((c.share for c in screened), default=0.0)
     promising = [c for c in screened if c.name in anew and c.p_value < ALPHA and c.share >= NEAR * most]
     promising = sorted(promising, key=lambda c: -c.share)[:REFITS]
@@ -332,13 +334,15 @@ def better_of(problem: Problem, known: Fitted, start: np.ndarray, rounds: int, b
     return min(known, again, key=lambda f: f.rms)
 
 
-def screen(candidates: Sequence[str], found: Sequence[Probe], seen: Shares) -> list[Candidate]:
-    """Each candidate at the best setting of its other parameters."""
+def screen(
+    candidates: Sequence[str], found: Sequence[Probe], seen: Shares, refused: Mapping[str, str]
+) -> list[Candidate]:
+    """Each candidate at the best setting of its other parameters; or why it was refused."""
     out = []
     for name in candidates:
         mine = [k for k, probe in enumerate(found) if probe.effect == name]
         if not mine:
-            out.append(Candidate(name, 0.0, 1.0, why_not="could not be simulated with this model"))
+            out.append(Candidate(name, 0.0, 1.0, why_not=refused.get(name, "could not be tried")))
             continue
         best = max(mine, key=lambda k: seen.share[k])
         p_value = seen.p_value(best)

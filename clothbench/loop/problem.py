@@ -168,7 +168,7 @@ class Problem:
             "splits": [c.split for c in self.cases], "more": more, "clothbench": __version__,
             "versions": [getattr(self.plugins.load("models", self.model), "version", 0)],
             "corrections": {name: digest(c) for name, c in self.corrections.items()},
-            "effects": {name: self.plugins.load("effects", name).version for name in self.plugins.names("effects")},
+            "effects": {name: effect.version for name, effect in self.plugins.made("effects")[0].items()},
         }  # fmt: skip
         return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()[:16]
 

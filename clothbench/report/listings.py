@@ -10,7 +10,7 @@ from rich.table import Table
 
 from clothbench.datasets.convert import REPORT
 from clothbench.errors import ClothbenchError
-from clothbench.plugins import Plugin, absent, catalogue, one_line
+from clothbench.plugins import Plugin, absent, catalogue, reason_of
 from clothbench.report.tables import console
 
 
@@ -37,10 +37,8 @@ def _plugin_row(plugin: Plugin) -> dict[str, Any]:
             row["missing"] = absent(loaded)
             row["version"] = getattr(loaded, "version", None)
             row["parameters"] = [_parameter(p) for p in getattr(loaded, "parameters", ())]
-        except ClothbenchError as fault:
-            row["broken"] = str(fault)
         except Exception as fault:  # a stranger's class may do anything when it is looked at
-            row["broken"] = one_line(fault)
+            row["broken"] = reason_of(fault)
     return row
 
 

@@ -9,6 +9,8 @@ import numpy as np
 
 from clothbench.curve_simulation import CURVE_HOOKS, SHEET_HOOKS, acts_on_curves, acts_on_sheets
 from clothbench.effects import PLACES
+from clothbench.errors import ClothbenchError
+from clothbench.kernels import ready
 from clothbench.parameters import ParameterSpace
 from clothbench.protocols import Effect, Model
 from clothbench.testing import curves, probe
@@ -44,8 +46,16 @@ def has_all_members(case: EffectCase) -> None:
     require(one_line, f"summary {effect.summary!r}", "one line for a report")
     for stage in SHEET_HOOKS["dynamics"]:
         function = getattr(effect, stage, None)
-        compiled = function is None or effect.place != "dynamics" or hasattr(function, "py_func")
-        require(compiled, f"{stage!r} that is not compiled", "one decorated with clothbench.effect_kernel")
+        if function is not None and effect.place == "dynamics":
+            require(
+                hasattr(function, "py_func"),
+                f"{stage!r} that is not compiled",
+                "one decorated with clothbench.effect_kernel",
+            )
+            try:
+                ready(function, repr(stage))
+            except ClothbenchError as error:
+                require(False, str(error), "a kernel as clothbench.effect_kernel describes it")
 
 
 def has_null_values_within_its_bounds(case: EffectCase) -> None:

@@ -67,10 +67,4 @@ def acting_values(effect: Effect) -> Iterator[np.ndarray]:
 
 def installed_effects() -> tuple[Effect, ...]:
     """Every effect on sheets in the catalogue that can be made; one that cannot is its own author's concern."""
-    found = []
-    for name in catalogue().names("effects"):
-        try:
-            found.append(catalogue().make("effects", name))
-        except Exception:
-            continue
-    return tuple(effect for effect in found if acts_on_sheets(effect))
+    return tuple(effect for effect in catalogue().made("effects")[0].values() if acts_on_sheets(effect))

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import json
 import textwrap
+from types import SimpleNamespace
 
 import pytest
+
+from clothbench.improve_command import candidates_of
+from clothbench.plugins import Catalogue, Plugin, catalogue
 
 HOOK = """
     from clothbench import Registration, hookimpl
@@ -42,6 +46,36 @@ BROKEN = {
     "unnameable": (HOOK.format(kind="models", name="my model", target="unnameable:A"), "model", "is not an identifier"),
 }  # fmt: skip
 FINE = HOOK.format(kind="metrics", name="fine", target="clothbench_metrics.node_error:NodeError")
+
+# Effects of which one cannot be made, one fails when it is tried, and one cannot be compiled.
+EFFECTS = """
+    import numpy as np
+    from clothbench import Parameter, ParameterSpace, Registration, effect_kernel, hookimpl
+
+    @hookimpl
+    def clothbench_effects():
+        return [Registration(c.name, f"strange:{c.__name__}", "for a test") for c in (Lost, Torn, Mistyped)]
+
+    class Torn:
+        name, version, place, summary = "torn", 1, "sensor", "for a test"
+        parameters = ParameterSpace((Parameter("a", "a", "m", (0.0, 1.0), "linear", 0.1, "none", "none", null=0.0),))
+
+        def positions(self, time, position, points, phi):
+            raise KeyError("seam")
+
+    @effect_kernel
+    def force(t, dt, x, v, f, sheet, p, state):
+        f[0] += sheet.weight
+
+    class Mistyped(Torn):
+        name, place, force, positions = "mistyped", "dynamics", staticmethod(force), None
+
+    class Lost(Torn):
+        name = "lost"
+
+        def __init__(self):
+            raise RuntimeError("out of wool")
+    """
 
 
 @pytest.fixture
@@ -122,3 +156,35 @@ def test_a_plugin_whose_module_is_broken_cannot_be_chosen(clothbench, installed,
     assert done.returncode == 2
     assert "no model named 'crashing'; there are: mass_spring" in done.stderr
     assert len(done.stderr.splitlines()) == 1
+
+
+def test_broken_effects_cost_an_improvement_themselves_only(clothbench, installed, recordings_folder, tmp_path):
+    settings = [f"recordings={recordings_folder}", "model=mass_spring", "resolution=5", "base="]
+    path = installed(strange=EFFECTS)
+    done = clothbench("improve", *settings, "candidates=gravity_tilt,torn,mistyped", PYTHONPATH=path)
+    assert done.returncode == 0, done.stderr
+    found = json.loads((tmp_path / "improve" / "verdict.json").read_text())
+    why = {c["name"]: c["why_not"] for c in found["candidates"]}
+    assert why["torn"] == "KeyError: 'seam'"
+    assert why["mistyped"].startswith("effect 'mistyped': 'force' cannot be compiled by numba: Unknown attribute")
+    assert "KeyError" not in why["gravity_tilt"]
+
+
+def test_an_effect_that_cannot_be_made_is_no_candidate_and_that_is_told(clothbench, installed, recordings_folder):
+    settings = [f"recordings={recordings_folder}", "model=mass_spring", "candidates=lost"]
+    reason = "effect 'lost' (strange) is broken: RuntimeError: out of wool"
+    named = clothbench("improve", *settings, PYTHONPATH=installed(strange=EFFECTS))
+    assert (named.returncode, named.stderr) == (2, f"clothbench: {reason}\n")
+
+
+def test_candidates_are_all_effects_but_the_broken_and_why_is_told(capsys, monkeypatch):
+    def lost(*_, **__):
+        raise RuntimeError("out of wool")
+
+    monkeypatch.setattr("wrong_plugins.Idle.__init__", lost)
+    strange = Plugin("effects", "lost", "wrong_plugins:Idle", "for a test", "strange", "1.0")
+    plugins = Catalogue((*catalogue().plugins, strange))
+    usual = candidates_of(None, catalogue(), SimpleNamespace(base=()))
+    assert candidates_of(None, plugins, SimpleNamespace(base=())) == usual
+    told = capsys.readouterr().err
+    assert told == "clothbench: no candidate: effect 'lost' (strange) is broken: RuntimeError: out of wool\n"

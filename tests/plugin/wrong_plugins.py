@@ -79,6 +79,11 @@ def braking_force(t, dt, x, v, f, sheet, p, state):
         v[0, i] *= 1.0 - p[0]
 
 
+@effect_kernel
+def mistyped_force(t, dt, x, v, f, sheet, p, state):
+    f[0] += sheet.weight
+
+
 class Greedy(HonestEffect):
     place = "dynamics"
     force = staticmethod(greedy_force)
@@ -90,6 +95,10 @@ class Braking(Greedy):
 
 class Uncompiled(Greedy):
     force = staticmethod(greedy_force.py_func)
+
+
+class Mistyped(Greedy):
+    force = staticmethod(mistyped_force)
 
 
 class Jealous(HonestEffect):
@@ -104,6 +113,7 @@ class Jealous(HonestEffect):
 EFFECTS = [
     (Placeless, "has all members", "place 'kitchen'"),
     (Uncompiled, "has all members", "'force' that is not compiled"),
+    (Mistyped, "has all members", "'force' cannot be compiled by numba: Unknown attribute 'weight'"),
     (NullOutside, "has null values within its bounds", "outside its bounds"),
     (NullNowhere, "has null values within its bounds", "no parameter with a null value"),
     (NeverNull, "vanishes at its null values", "another motion at the null values"),
