@@ -22,6 +22,7 @@ ALPHA = 0.05
 ROUNDS = 3  # effects that can be named one after the other
 AFRESH = 10  # how many candidates a later round simulates anew: those that explain most by what they changed before
 REFITS, NEAR = 4, 0.3  # how many candidates are fitted in earnest in each round, and from which part of the best share
+SHORT = 3.0  # how many times less than a refit gains a share to first order may promise (seen: up to twice)
 # Rounds of the first fit, of one that begins where another ended, and of one of a single recording.
 FIRST, AGAIN, ALONE = 17, 8, 3
 NEARBY = 0.05  # of the scaled range: how far from a fit the mesh's error is looked at
@@ -240,7 +241,8 @@ def one_round(
     gain: m², by how much the mean square has to fall for a name; earlier: what was tried in the round before.
     """
     turn = len(current.effects)
-    anew = worth_trying(current, candidates, earlier)
+    promise = gain / SHORT / current.rms**2
+    anew = worth_trying(current, candidates, earlier, promise)
     found = [probe for probe in earlier if probe.effect in candidates and probe.effect not in anew]
     refused: dict[str, str] = {}
     for k, name in enumerate(anew):
@@ -255,7 +257,8 @@ def one_round(
     seen = shares(problem.of_split("fit"), current, found, problem.seed)
     screened = screen(candidates, found, seen, refused)
     most = max((c.share for c in screened), default=0.0)
-    promising = [c for c in screened if c.name in anew and c.p_value < ALPHA and c.share >= NEAR * most]
+    least = max(NEAR * most, promise)
+    promising = [c for c in screened if c.name in anew and c.p_value < ALPHA and c.share >= least]
     promising = sorted(promising, key=lambda c: -c.share)[:REFITS]
     tried: list[Candidate] = []
     for k, candidate in enumerate(promising):
@@ -280,9 +283,9 @@ def withdrawn(found: Round, floor: float, why: str) -> Round:
     return dataclasses.replace(found, floor=floor, candidates=tuple(candidates), named=(), after=None)
 
 
-def worth_trying(current: Fitted, candidates: Sequence[str], earlier: Sequence[Probe]) -> list[str]:
-    """All candidates in the first round; later those that would explain most of what is left now by what they changed
-    before the last effect was added, which it leaves much as it was.
+def worth_trying(current: Fitted, candidates: Sequence[str], earlier: Sequence[Probe], promise: float) -> list[str]:
+    """All candidates in the first round; later those that would explain most of what is left now, and not less than
+    the share `promise`, by what they changed before the last effect was added, which it leaves much as it was.
     """
     if not earlier:
         return list(candidates)
@@ -290,7 +293,7 @@ def worth_trying(current: Fitted, candidates: Sequence[str], earlier: Sequence[P
     for probe in earlier:
         if probe.effect in best:
             best[probe.effect] = max(best[probe.effect], share_of(current, [c.T for c in probe.columns]))
-    ahead = sorted(candidates, key=lambda name: -best[name])[:AFRESH]
+    ahead = sorted((name for name in candidates if best[name] >= promise), key=lambda name: -best[name])[:AFRESH]
     return [name for name in candidates if name in ahead]
 
 

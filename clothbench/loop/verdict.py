@@ -166,7 +166,7 @@ def why_not(candidate: Candidate, of: Round) -> str:
     if candidate.why_not:
         return candidate.why_not
     if candidate.fitted is None:
-        return f"not among the {REFITS} at most that come near the best to first order"
+        return f"promises too little to first order, or is not among the {REFITS} that promise most"
     return "another explains as much or more, with as few parameters"
 
 

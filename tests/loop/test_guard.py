@@ -110,10 +110,11 @@ def test_later_rounds_try_those_anew_that_may_explain_what_is_left_now(candidate
     for r in range(RECORDINGS):
         residual[r] -= 4.0 * candidates[20].columns[r][:, 0]
     fit = fitted(residual, random)
-    assert worth_trying(fit, names, ()) == names
+    assert worth_trying(fit, names, (), 1.0) == names
     rest = [name for name in names if name != "e3"]  # the one that was named
-    anew = worth_trying(fit, rest, candidates)
+    anew = worth_trying(fit, rest, candidates, 0.0)
     assert len(anew) == AFRESH
     assert "e20" in anew
     assert "e3" not in anew
     assert anew == [name for name in rest if name in anew]
+    assert worth_trying(fit, rest, candidates, 0.5) == ["e20"]
