@@ -382,6 +382,30 @@ def summary(rows: Sequence[dict]) -> str:
     )
 
 
+def keep(rows: Sequence[dict]) -> None:
+    """The rows for programs, and a table for people beside them."""
+    RESULTS.write_text(json.dumps({"summary": summary(rows), "cases": rows}, indent=1, ensure_ascii=False) + "\n")
+    lines = [
+        f"`python tools/blind_test.py --out FOLDER --keep`, model `{rows[0]['model']}`: {summary(rows)}.\n",
+        "| case | planted | verdict | named | held out: before | after | floor | p | amounts inside | time |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for row in rows:
+        planted = " and ".join(
+            name + (f" ({', '.join(f'{key} {value:.3g}' for key, value in amounts.items())})" if amounts else "")
+            for name, amounts in row["planted"].items()
+        )
+        cells = [
+            str(row["case"]), planted or "nothing", row["verdict"] + ("" if row["right"] else " (wrong)"),
+            "; ".join(" or ".join(group) for group in row["named"]),
+            *(f"{error:.2f} mm" for error in (*row["held_out_mm"], row["floor_mm"])),
+            "" if row["p_value"] is None else f"{row['p_value']:.3g}",
+            f"{row['amounts_inside']} of {row['amounts']}" if row["amounts"] else "", f"{row['wall_s']:.0f} s",
+        ]  # fmt: skip
+        lines.append(f"| {' | '.join(cells)} |")
+    RESULTS.with_suffix(".md").write_text("\n".join(lines) + "\n")
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Run the loop's blind test.")
     parser.add_argument(
@@ -389,7 +413,7 @@ def main() -> None:
     )
     parser.add_argument("--cases", default=f"0-{UNKNOWN[-1]}", help="FIRST-LAST or N,N,…")
     parser.add_argument("--model", default="mass_spring")
-    parser.add_argument("--keep", action="store_true", help=f"write the table to {RESULTS.name}")
+    parser.add_argument("--keep", action="store_true", help=f"write the table to results/{RESULTS.stem}")
     options = parser.parse_args()
     first, dash, last = options.cases.partition("-")
     cases = range(int(first), int(last) + 1) if dash else [int(word) for word in options.cases.split(",")]
@@ -400,7 +424,7 @@ def main() -> None:
         print(line(rows[-1]), flush=True)
     print(summary(rows))
     if options.keep:
-        RESULTS.write_text(json.dumps({"summary": summary(rows), "cases": rows}, indent=1, ensure_ascii=False) + "\n")
+        keep(rows)
 
 
 if __name__ == "__main__":
