@@ -14,7 +14,7 @@ from clothbench.loop.fitting import Fitted, evaluations, fit, polish, widened
 from clothbench.loop.guard import Shares, shares
 from clothbench.loop.judge import AT_THE_FLOOR, Candidate, choose, judge, needed, unphysical
 from clothbench.loop.problem import Problem
-from clothbench.loop.profile import profiled
+from clothbench.loop.profile import leaped, profiled
 from clothbench.loop.residual import correction, numerical_floor
 from clothbench.plugins import reason_of
 
@@ -264,8 +264,7 @@ def one_round(
     for k, candidate in enumerate(promising):
         budget.stage(f"round {turn + 1}: refits", k, len(promising))
         goal = min([current.rms**2 - gain / 2, *(CONTEST * c.fitted.rms**2 for c in tried if c.fitted)])
-        tried.append(done := refit(problem, current, candidate, found, seen, goal))
-        budget.count(done.fitted.evaluations if done.fitted else 0)
+        tried.append(refit(problem, current, candidate, found, seen, goal, budget))
     tried = contest(problem, current, gain, tried, budget, turn)
     judged = judge(current, gain, tried)
     if named := choose(current, judged):
@@ -355,14 +354,23 @@ def screen(
 
 
 def refit(
-    problem: Problem, current: Fitted, candidate: Candidate, found: Sequence[Probe], seen: Shares, goal: float
+    problem: Problem,
+    current: Fitted,
+    candidate: Candidate,
+    found: Sequence[Probe],
+    seen: Shares,
+    goal: float,
+    budget: Budget,
 ) -> Candidate:
-    """Everything fitted again with the candidate, from its best probe's first-order amount; given up where it will not
-    come below the goal, above which it can be neither named nor tied.
+    """Everything fitted again with the candidate, from its best probe's first-order amount, and beyond the ripple that
+    this may end in; given up where it will not come below the goal, above which it can be neither named nor tied.
     """
     mine = [k for k, probe in enumerate(found) if probe.effect == candidate.name]
     probe = found[max(mine, key=lambda k: seen.share[k])]
     fitted = fit(problem, (*current.effects, candidate.name), first_order(current, probe), AGAIN, goal=goal)
+    budget.count(fitted.evaluations)
+    fitted, count = leaped(problem, fitted)
+    budget.count(count)
     return dataclasses.replace(candidate, fitted=fitted)
 
 

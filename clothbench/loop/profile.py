@@ -1,9 +1,10 @@
-"""Intervals along bent valleys: how far an amount can go if the other parameters make up for it.
+"""Along bent valleys: how far an amount can go if the other parameters make up for it.
 
 A hem twice as heavy and half as wide is nearly the same hem. Where the error has such a valley, the tangent at the fit
-leaves it soon, and intervals to first order end too early. So each amount is set apart and the others are fitted again
-(profile likelihood: Venzon and Moolgavkar 1988, A method for computing profile-likelihood-based confidence intervals),
-with the Jacobian that is known and learns from every step (Broyden 1965).
+leaves it soon: intervals to first order end too early, and a search that creeps along it may stop in a ripple. So each
+amount is set apart and the others are fitted again (profile likelihood: Venzon and Moolgavkar 1988, A method for
+computing profile-likelihood-based confidence intervals), with the Jacobian that is known and learns from every step
+(Broyden 1965).
 """
 
 from __future__ import annotations
@@ -12,14 +13,16 @@ import dataclasses
 
 import numpy as np
 
-from clothbench.experiment.calibrate import evaluate
-from clothbench.loop.fitting import Fitted, freedom, normal_equations, solve
+from clothbench.experiment.calibrate import Trial, evaluate
+from clothbench.loop.fitting import GAIN, Fitted, fit, freedom, normal_equations, solve
 from clothbench.loop.problem import Problem
 
 Known = tuple[np.ndarray, np.ndarray, np.ndarray]  # a point in the unit cube, the residual there, and its Jacobian
 
 AWAY = (2.0, 4.0)  # times the half-width to first order: how far each parameter is set apart, one after the other
 CORRECTIONS = 2  # Gauss-Newton steps of the others at each of these
+LEAP, LEAPS = 2.0, 4  # by which factor an amount is changed at once, and how often at most
+LANDING = 1  # rounds of the search after each
 
 
 def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
@@ -48,23 +51,10 @@ def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
     direction = np.array([along(hessian, i) for i in which]) * half[:, None]
     reach, evaluations = np.ones(len(walks)), 0
     trials = problem.trials(fitted.effects, "fit")
-    level = fitted.left / np.sqrt(count), fitted.tangent / np.sqrt(count)
     going = np.arange(len(walks))
     for away in AWAY:
-        best, found = np.full(len(going), np.inf), np.tile(unit, (len(going), 1))
-        known = [(unit, *level)] * len(going)
-        where = unit + away * direction[going]
-        for correction in range(CORRECTIONS + 1):
-            where = np.clip(where, 0.0, 1.0)
-            residual = evaluate(trials, fitted.space.from_unit(where))[0].residual
-            assert residual is not None
-            evaluations += len(where)
-            square = np.sum(residual**2, axis=1)
-            better = square < best  # false for what could not be simulated
-            best[better], found[better] = square[better], where[better]
-            if correction < CORRECTIONS:
-                known = [learned(*one) for one in zip(known, where, residual, strict=True)]
-                where = np.array([others_fitted(*one, i) for one, i in zip(known, which[going], strict=True)])
+        best, found, asked = refitted(trials, fitted, which[going], unit + away * direction[going])
+        evaluations += asked
         excess = np.sqrt(np.maximum(best - fitted.rms**2, 0.0) / rise[going])
         gone = np.abs((found - unit)[np.arange(len(going)), which[going]] / half[going])
         # Between the fit and here the root of the excess is taken to rise evenly, as it does in a straight valley.
@@ -77,6 +67,65 @@ def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
         ends[int(h > 0), i] = np.clip(unit[i] + far * h, 0.0, 1.0)
     low, high = (fitted.space.from_unit(end) for end in ends)
     return dataclasses.replace(fitted, low=low, high=high), evaluations
+
+
+def leaped(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
+    """The fit, or a better one on the other side of what its search ended in; and how many parameter sets that took.
+
+    Each amount of the last effect is doubled, and halved, with the others fitted again; where that is better, the
+    search goes on from there, and so forth while it pays.
+    """
+    evaluations = 0
+    for _ in range(LEAPS):
+        space, unit = fitted.space, fitted.space.to_unit(fitted.theta)
+        own = [i for i, p in enumerate(space) if p.name.startswith(f"{fitted.effects[-1]}.") and p.null is not None]
+        hessian, _ = normal_equations(fitted.residual, fitted.jacobian)
+        which, where = [], []
+        for i in own:
+            null = space.parameters[i].null
+            for factor in (LEAP, 1 / LEAP):
+                there = fitted.theta.copy()
+                there[i] = np.clip(null + factor * (fitted.theta[i] - null), space.low[i], space.high[i])
+                step = space.to_unit(there)[i] - unit[i]
+                if step:
+                    which.append(i)
+                    where.append(unit + step * along(hessian, i))
+        if not which:
+            break
+        best, found, asked = refitted(problem.trials(fitted.effects, "fit"), fitted, np.array(which), np.array(where))
+        evaluations += asked
+        if best.min() > fitted.rms**2:
+            break
+        again = fit(problem, fitted.effects, space.from_unit(found[int(np.argmin(best))]), LANDING)
+        evaluations += again.evaluations
+        enough = again.rms**2 < (1 - GAIN) * fitted.rms**2
+        fitted = min(fitted, again, key=lambda f: f.rms)
+        if not enough:
+            break
+    return fitted, evaluations
+
+
+def refitted(
+    trials: list[Trial], fitted: Fitted, which: np.ndarray, where: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """At each of `where` (W, P), in the unit cube, parameter `which` (W,) held and the others fitted again: the mean
+    squares (W,) m², infinite where nothing could be simulated, the points (W, P), and how many sets that took.
+    """
+    unit, count = fitted.space.to_unit(fitted.theta), len(fitted.residual)
+    best, found, evaluations = np.full(len(which), np.inf), np.tile(unit, (len(which), 1)), 0
+    known = [(unit, fitted.left / np.sqrt(count), fitted.tangent / np.sqrt(count))] * len(which)
+    for correction in range(CORRECTIONS + 1):
+        where = np.clip(where, 0.0, 1.0)
+        residual = evaluate(trials, fitted.space.from_unit(where))[0].residual
+        assert residual is not None
+        evaluations += len(where)
+        square = np.sum(residual**2, axis=1)
+        better = square < best  # false for what could not be simulated
+        best[better], found[better] = square[better], where[better]
+        if correction < CORRECTIONS:
+            known = [learned(*one) for one in zip(known, where, residual, strict=True)]
+            where = np.array([others_fitted(*one, i) for one, i in zip(known, which, strict=True)])
+    return best, found, evaluations
 
 
 def along(hessian: np.ndarray, i: int) -> np.ndarray:
