@@ -83,3 +83,41 @@ def test_a_parameter_at_its_bound_is_not_led_beyond(judged):
     _, after, _ = judged(straight, [0.01, 0.5, 0.5])
     assert (after.low >= 0).all()
     assert (after.high <= 1).all()
+
+
+HEM = ParameterSpace(
+    (
+        Parameter("base", "base", "1", (0.0, 1.0), "linear", 0.5, "one of three", "a test"),
+        Parameter("hem.a", "a", "1", (0.0, 1.0), "linear", 0.1, "an amount", "a test", null=0.0),
+        Parameter("hem.b", "b", "1", (0.01, 1.0), "log", 0.1, "its shape", "a test"),
+    )
+)
+START = np.array([0.5, 0.1, 0.9])
+
+
+def rippled(theta):
+    """a times b is well known, a hardly, and ripples lie across the valley."""
+    a = theta[1]
+    return np.array([theta[0] - 0.5, 10 * (a * theta[2] - 0.09), 0.1 * (a - 0.7) + 0.004 * np.sin(90 * a), 0.03])
+
+
+@pytest.mark.parametrize(("law", "end"), [(rippled, 0.7), (lambda theta: [*(theta - START), 0.03], 0.1)])
+def test_a_search_that_stopped_in_a_ripple_leaps_along_the_valley(monkeypatch, law, end):
+    def at(problem, effects, theta, rounds):
+        unit = HEM.to_unit(theta)
+        rows = [np.asarray(law(HEM.from_unit(unit + 1e-6 * e))) - law(theta) for e in np.eye(3)]
+        jacobian, residual = np.array(rows).T / 1e-6, np.asarray(law(theta))
+        return Fitted(("hem",), HEM, theta, [residual] * 2, [jacobian] * 2, theta, theta, 1)
+
+    def evaluate(trials, theta):
+        return Evaluation(
+            np.zeros(len(theta)), np.array([np.concatenate([law(t)] * 2) for t in theta]) / np.sqrt(8)
+        ), []
+
+    monkeypatch.setattr(profile, "evaluate", evaluate)
+    monkeypatch.setattr(profile, "fit", at)
+    before = at(None, (), START, 0)
+    after, count = profile.leaped(OneParameterBase(), before)
+    assert after.theta[1] == pytest.approx(end, abs=0.11)
+    assert after.rms <= before.rms
+    assert count <= profile.LEAPS * (2 * (profile.CORRECTIONS + 1) + 1)
