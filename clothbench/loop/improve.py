@@ -133,9 +133,9 @@ def improve(problem: Problem, candidates: Sequence[str], told: Stage) -> Outcome
             break
         if not (why := unphysical(found.named[0], after)):
             budget.stage(f"round {turn + 1}: intervals", 0, 1)
-            after, count = profiled(finer, after)
+            narrow, after, count = profiled(finer, after)
             budget.count(count)
-            why = unphysical(found.named[0], after)
+            why = unphysical(found.named[0], narrow)
         if why:
             outcome.rounds[-1] = withdrawn(found, floor, f"{why} once the errors of mesh and model are allowed for")
             break

@@ -15,58 +15,67 @@ import numpy as np
 
 from clothbench.experiment.calibrate import Trial, evaluate
 from clothbench.loop.fitting import GAIN, Fitted, fit, freedom, normal_equations, solve
+from clothbench.loop.judge import TIED
 from clothbench.loop.problem import Problem
 
 Known = tuple[np.ndarray, np.ndarray, np.ndarray]  # a point in the unit cube, the residual there, and its Jacobian
 
-AWAY = (2.0, 4.0)  # times the half-width to first order: how far each parameter is set apart, one after the other
+AWAY = (1.5, 3.0)  # times the half-width to first order: how far each parameter is set apart, one after the other
 CORRECTIONS = 2  # Gauss-Newton steps of the others at each of these
 LEAP, LEAPS = 2.0, 4  # by which factor an amount is changed at once, and how often at most
 LANDING = 1  # rounds of the search after each
 
 
-def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
-    """The fit with wider intervals of its effects' parameters where their valleys are bent, never narrower ones; and
-    how many parameter sets that took.
+def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, Fitted, int]:
+    """The fit with wider intervals of its effects' parameters where their valleys are bent, never narrower ones; the
+    same with intervals to be reported; and how many parameter sets that took.
 
     An interval to first order is where the mean square has risen by some amount; here that is how far the parameter
-    can go, along its valley, before it really has. Beyond `AWAY[-1]` half-widths nothing is looked at.
+    can go, along its valley, before it really has. What is reported holds every amount that leaves hardly more than the
+    best, as two candidates that do so cannot be told apart either; but not "nothing", if the first interval does not.
     """
-    unit = fitted.space.to_unit(fitted.theta)
-    ends = np.array([fitted.space.to_unit(end) for end in (fitted.low, fitted.high)])
+    space, unit = fitted.space, fitted.space.to_unit(fitted.theta)
+    ends = np.array([space.to_unit(end) for end in (fitted.low, fitted.high)])
     hessian, _ = normal_equations(fitted.residual, fitted.jacobian)
-    count = len(fitted.residual)
-    free = freedom(hessian, count)
+    free = freedom(hessian, len(fitted.residual))
     first = len(problem.space(()))
     walks = [
-        (i, ends[side, i] - unit[i])
+        (i, side)
         for i in range(first, len(unit))
         for side in (0, 1)
         if 0.0 < ends[side, i] < 1.0 and ends[side, i] != unit[i] and free[i] > 0
     ]
     if not walks:
-        return fitted, 0
-    which, half = np.array([i for i, _ in walks]), np.array([h for _, h in walks])
-    rise = half**2 / free[which]  # of the mean square [m²], at the end of each interval to first order
-    direction = np.array([along(hessian, i) for i in which]) * half[:, None]
-    reach, evaluations = np.ones(len(walks)), 0
-    trials = problem.trials(fitted.effects, "fit")
-    going = np.arange(len(walks))
+        return fitted, fitted, 0
+    which, sides = np.array(walks).T
+    sign = np.where(sides == 1, 1.0, -1.0)
+    # Rows: the interval as it is, and the one that is reported; how far each goes, and the rise [m²] that this makes.
+    reach = np.abs(ends[sides, which] - unit[which]) * np.ones((2, 1))
+    reach[1] = np.maximum(reach[1], np.sqrt(TIED * fitted.rms**2 * free[which]))
+    rise = reach**2 / free[which]
+    direction = np.array([along(hessian, i) for i in which]) * (sign * reach[1])[:, None]
+    trials, evaluations, going = problem.trials(fitted.effects, "fit"), 0, np.arange(len(walks))
     for away in AWAY:
         best, found, asked = refitted(trials, fitted, which[going], unit + away * direction[going])
         evaluations += asked
-        excess = np.sqrt(np.maximum(best - fitted.rms**2, 0.0) / rise[going])
-        gone = np.abs((found - unit)[np.arange(len(going)), which[going]] / half[going])
+        excess = np.maximum(best - fitted.rms**2, 1e-300)
+        gone = np.abs((found - unit)[np.arange(len(going)), which[going]])
         # Between the fit and here the root of the excess is taken to rise evenly, as it does in a straight valley.
-        reach[going] = np.maximum(reach[going], gone / np.maximum(excess, 1.0))
+        reach[:, going] = np.maximum(reach[:, going], gone * np.minimum(np.sqrt(rise[:, going] / excess), 1.0))
         direction[going] = (found - unit) / away
-        going = going[excess < 1.0]
+        going = going[excess < rise[1, going]]
         if not len(going):
             break
-    for (i, h), far in zip(walks, reach, strict=True):
-        ends[int(h > 0), i] = np.clip(unit[i] + far * h, 0.0, 1.0)
-    low, high = (fitted.space.from_unit(end) for end in ends)
-    return dataclasses.replace(fitted, low=low, high=high), evaluations
+    null = space.to_unit(np.array([np.nan if p.null is None else p.null for p in space]))[which]
+    from_null = sign * (null - unit[which])  # above 0 where the walk goes towards nothing
+    towards = (from_null > 0) & (reach[0] < from_null)
+    reach[1] = np.where(towards & (reach[1] >= from_null), reach[0], reach[1])
+    out = []
+    for far in reach:
+        ends[sides, which] = np.clip(unit[which] + sign * far, 0.0, 1.0)
+        low, high = (space.from_unit(end) for end in ends)
+        out.append(dataclasses.replace(fitted, low=low, high=high))
+    return out[0], out[1], evaluations
 
 
 def leaped(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+import sys
+
 import numpy as np
 import pytest
 
 from clothbench.loop import profile
 from clothbench.loop.fitting import Fitted
+from clothbench.loop.judge import TIED
 from clothbench.parameters import Parameter, ParameterSpace
 from clothbench.protocols import Evaluation
 
@@ -61,7 +65,7 @@ def judged(monkeypatch):
 
 
 def test_a_straight_valley_keeps_its_intervals(judged):
-    before, after, count = judged(straight, [0.01, 0.05, 0.05])
+    before, after, _, count = judged(straight, [0.01, 0.05, 0.05])
     assert count > 0
     assert after.low == pytest.approx(before.low, abs=1e-6)
     assert after.high == pytest.approx(before.high, abs=1e-6)
@@ -69,7 +73,7 @@ def test_a_straight_valley_keeps_its_intervals(judged):
 
 def test_a_bent_valley_is_followed(judged):
     """b = 0.12/a: at the end of a's interval, a = 0.12, b is 1, where the tangent ends it at 0.84."""
-    before, after, _ = judged(bent, [0.01, 0.08, 0.24])
+    before, after, _, _ = judged(bent, [0.01, 0.08, 0.24])
     assert before.high[2] == pytest.approx(0.84)
     assert after.high[2] > 0.95
     assert after.low[2] == before.low[2]  # on this side the valley rises sooner, but nothing is made narrower
@@ -80,9 +84,29 @@ def test_a_bent_valley_is_followed(judged):
 
 
 def test_a_parameter_at_its_bound_is_not_led_beyond(judged):
-    _, after, _ = judged(straight, [0.01, 0.5, 0.5])
-    assert (after.low >= 0).all()
-    assert (after.high <= 1).all()
+    for after in judged(straight, [0.01, 0.5, 0.5])[1:3]:
+        assert (after.low >= 0).all()
+        assert (after.high <= 1).all()
+
+
+def test_what_is_reported_holds_all_that_leaves_hardly_more(judged):
+    def law(theta):
+        return bent(theta) + np.array([0.0, 0.0, 0.5 * (theta[1] - 0.2), 0.0])
+
+    _, narrow, reported, _ = judged(law, [0.01, 0.02, 0.06])
+    assert (reported.low[1:] < narrow.low[1:]).all()
+    assert (reported.high[1:] > narrow.high[1:]).all()
+    a = reported.high[1]
+    assert np.sum(law([0.5, a, 0.12 / a]) ** 2) - 0.09 == pytest.approx(TIED * 0.09, rel=0.3)
+
+
+def test_what_is_reported_does_not_reach_nothing_if_the_interval_does_not(judged, monkeypatch):
+    own = [dataclasses.replace(p, null=0.0) if p.name == "a" else p for p in SPACE]
+    monkeypatch.setattr(sys.modules[__name__], "SPACE", ParameterSpace(tuple(own)))
+    _, narrow, reported, _ = judged(straight, [0.01, 0.1, 0.1])
+    assert narrow.low[1] == pytest.approx(0.1)
+    assert reported.low[1] == narrow.low[1]
+    assert reported.high[1] > narrow.high[1]
 
 
 HEM = ParameterSpace(
