@@ -32,7 +32,7 @@ def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, Fitted, int]:
 
     An interval to first order is where the mean square has risen by some amount; here that is how far the parameter
     can go, along its valley, before it really has. What is reported holds every amount that leaves hardly more than the
-    best, as two candidates that do so cannot be told apart either; but not "nothing", if the first interval does not.
+    best, as much as tells two candidates apart that correct alike; but not "nothing", if the first interval does not.
     """
     space, unit = fitted.space, fitted.space.to_unit(fitted.theta)
     ends = np.array([space.to_unit(end) for end in (fitted.low, fitted.high)])
@@ -51,7 +51,7 @@ def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, Fitted, int]:
     sign = np.where(sides == 1, 1.0, -1.0)
     # Rows: the interval as it is, and the one that is reported; how far each goes, and the rise [m²] that this makes.
     reach = np.abs(ends[sides, which] - unit[which]) * np.ones((2, 1))
-    reach[1] = np.maximum(reach[1], np.sqrt(TIED * fitted.rms**2 * free[which]))
+    reach[1] = np.maximum(reach[1], np.sqrt(2 * TIED * fitted.rms**2 * free[which]))
     rise = reach**2 / free[which]
     direction = np.array([along(hessian, i) for i in which]) * (sign * reach[1])[:, None]
     trials, evaluations, going = problem.trials(fitted.effects, "fit"), 0, np.arange(len(walks))
