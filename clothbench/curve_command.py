@@ -10,16 +10,7 @@ from clothbench.curve import Curve, read_any
 from clothbench.curve_simulation import acts_on_curves
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.settings import writable
-from clothbench.improve_command import (
-    StageBar,
-    names,
-    say,
-    sensors_first,
-    splits_of,
-    tell_broken,
-    tell_splits,
-    whole,
-)
+from clothbench.improve_command import StageBar, asked_for, say, sensors_first, splits_of, tell_splits, whole
 from clothbench.loop.curves import CurveProblem, curve_problem, in_newtons
 from clothbench.loop.improve import Outcome, improve
 from clothbench.loop.verdict import document, placebo_of
@@ -74,14 +65,11 @@ def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> CurveProblem:
 
 def candidates_of(given: str | None, plugins: Catalogue) -> list[str]:
     """All installed effects that act on curves, or those that were named, where the loop tries them: sensors first."""
-    sound, broken = plugins.made("effects")
-    tell_broken(broken, given)
-    known = [name for name, effect in sound.items() if acts_on_curves(effect)]
-    chosen = names(given) if given else known
-    for name in chosen:
-        plugins.find("effects", name)
-        if name not in known:
-            raise ClothbenchError(
-                f"effect {name!r} does not act on force-extension curves; those that do: {', '.join(known)}"
-            )
-    return sensors_first(chosen, plugins)
+    effects = asked_for(given, plugins)
+    on_curves = {name: effect for name, effect in effects.items() if acts_on_curves(effect)}
+    if given and (stray := next((name for name in effects if name not in on_curves), None)):
+        known = [name for name, effect in plugins.made("effects")[0].items() if acts_on_curves(effect)]
+        raise ClothbenchError(
+            f"effect {stray!r} does not act on force-extension curves; those that do: {', '.join(known)}"
+        )
+    return sensors_first(on_curves)

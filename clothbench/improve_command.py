@@ -25,6 +25,7 @@ from clothbench.loop.memory import Memory
 from clothbench.loop.problem import Case, Problem
 from clothbench.loop.verdict import document, placebo_of
 from clothbench.plugins import Catalogue, absent, catalogue
+from clothbench.protocols import Effect
 from clothbench.recording import Recording, find_recordings, read_recording
 from clothbench.recording_file import kind_of
 from clothbench.report.improve_files import json_text, write_folder
@@ -140,26 +141,27 @@ def default_base(problem: Problem) -> list[str]:
 
 def candidates_of(given: str | None, plugins: Catalogue, problem: Problem) -> list[str]:
     """All installed effects that the model does not have, or those that were named."""
+    effects = asked_for(given, plugins)
+    on_sheets = {name: effect for name, effect in effects.items() if acts_on_sheets(effect)}
+    if given and (stray := next((name for name in effects if name not in on_sheets), None)):
+        raise ClothbenchError(f"effect {stray!r} acts on force-extension curves only; take it out of candidates")
+    return sensors_first({name: effect for name, effect in on_sheets.items() if name not in problem.base})
+
+
+def asked_for(given: str | None, plugins: Catalogue) -> dict[str, Effect]:
+    """The effects that were named; or else all that can be used, and the user is told of the others."""
+    if given:
+        return {name: plugins.make("effects", name) for name in names(given)}
     sound, broken = plugins.made("effects")
-    tell_broken(broken, given)
-    chosen = names(given) if given else [name for name, effect in sound.items() if acts_on_sheets(effect)]
-    for name in chosen:
-        if not acts_on_sheets(plugins.make("effects", name)):
-            raise ClothbenchError(f"effect {name!r} acts on force-extension curves only; take it out of candidates")
-    return sensors_first([name for name in chosen if name not in problem.base], plugins)
+    for reason in broken.values():
+        print(f"clothbench: no candidate: {reason}", file=sys.stderr)
+    return sound
 
 
-def sensors_first(effects: Sequence[str], plugins: Catalogue) -> list[str]:
+def sensors_first(effects: Mapping[str, Effect]) -> list[str]:
     """The order of trying: how the cloth was seen and held may look like physics."""
     order = {"sensor": 0, "boundary": 1, "dynamics": 2}
-    return sorted(effects, key=lambda name: order.get(plugins.make("effects", name).place, 3))
-
-
-def tell_broken(broken: Mapping[str, str], given: str | None) -> None:
-    """What is no candidate because it cannot be used is told where the candidates are all there are."""
-    if not given:
-        for reason in broken.values():
-            print(f"clothbench: no candidate: {reason}", file=sys.stderr)
+    return sorted(effects, key=lambda name: order.get(effects[name].place, 3))
 
 
 def names(text: str) -> list[str]:

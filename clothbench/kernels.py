@@ -73,9 +73,7 @@ def effect_kernel(function: Callable) -> Callable:
 def ready(kernel: Callable, name: str) -> Callable:
     """An effect's kernel compiled for the time loops; `name` tells an author which one cannot be."""
     try:
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore", NumbaExperimentalFeatureWarning)
-            kernel.compile(SIGNATURE)  # type: ignore[attr-defined]
+        kernel.compile(SIGNATURE)  # type: ignore[attr-defined]
     except NumbaError as error:
         reason = textwrap.shorten(str(error).partition("\n")[2] or str(error), 300)
         raise ClothbenchError(f"{name} cannot be compiled by numba: {reason}") from error

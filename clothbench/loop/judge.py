@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clothbench.loop.fitting import Fitted
+from clothbench.parameters import ParameterSpace
 
 AT_THE_FLOOR = 1.15  # times the floor: a residual this small is not worth a name
 MATERIAL = 0.25  # share of the mean square above the floor that an effect has to explain to be worth a name
@@ -76,9 +77,7 @@ def judge(current: Fitted, gain: float, tried: Sequence[Candidate]) -> list[Cand
 
 def unphysical(name: str, fitted: Fitted) -> str:
     """Why the amounts that were fitted to an effect cannot stand, or ""."""
-    space = fitted.space
-    own = [i for i, n in enumerate(space.names) if n.startswith(f"{name}.")]
-    amounts = [i for i in own if space.parameters[i].null is not None]
+    space, amounts = fitted.space, amounts_of(fitted.space, name)
     null = np.array([space.parameters[i].null for i in amounts])
     far = np.abs(fitted.theta[amounts] - null) > 1e-3 * (space.high - space.low)[amounts]
     at_bound = [i for i, away in zip(amounts, far, strict=True) if away and fitted.at_bound[i]]
@@ -90,6 +89,11 @@ def unphysical(name: str, fitted: Fitted) -> str:
     if not (far & ((low > null) | (high < null))).any():
         return "its amount cannot be told from nothing"
     return ""
+
+
+def amounts_of(space: ParameterSpace, effect: str) -> list[int]:
+    """Numbers of the parameters by which an effect vanishes; its others give it its shape."""
+    return [i for i, p in enumerate(space) if p.name.startswith(f"{effect}.") and p.null is not None]
 
 
 def allowances(current: Fitted, tried: Sequence[Candidate]) -> np.ndarray:

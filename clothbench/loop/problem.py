@@ -139,6 +139,11 @@ class Problem:
         except (TypeError, ValueError):
             return False
 
+    @cached_property
+    def versions(self) -> dict[str, int]:
+        """Of every installed effect that can be used."""
+        return {name: effect.version for name, effect in self.plugins.made("effects")[0].items()}
+
     def effects(self, names: Sequence[str]) -> list[Effect]:
         return [self.plugins.make("effects", name) for name in (*self.base, *names)]
 
@@ -168,7 +173,7 @@ class Problem:
             "splits": [c.split for c in self.cases], "more": more, "clothbench": __version__,
             "versions": [getattr(self.plugins.load("models", self.model), "version", 0)],
             "corrections": {name: digest(c) for name, c in self.corrections.items()},
-            "effects": {name: effect.version for name, effect in self.plugins.made("effects")[0].items()},
+            "effects": self.versions,
         }  # fmt: skip
         return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()[:16]
 

@@ -15,12 +15,12 @@ import numpy as np
 
 from clothbench.experiment.calibrate import Trial, evaluate
 from clothbench.loop.fitting import GAIN, Fitted, fit, freedom, normal_equations, solve
-from clothbench.loop.judge import TIED
+from clothbench.loop.judge import TIED, amounts_of
 from clothbench.loop.problem import Problem
 
 Known = tuple[np.ndarray, np.ndarray, np.ndarray]  # a point in the unit cube, the residual there, and its Jacobian
 
-AWAY = (1.5, 3.0)  # times the half-width to first order: how far each parameter is set apart, one after the other
+AWAY = (1.5, 3.0)  # times the half-width to be reported: how far each parameter is set apart, one after the other
 CORRECTIONS = 2  # Gauss-Newton steps of the others at each of these
 LEAP, LEAPS = 2.0, 4  # by which factor an amount is changed at once, and how often at most
 LANDING = 1  # rounds of the search after each
@@ -87,10 +87,9 @@ def leaped(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
     evaluations = 0
     for _ in range(LEAPS):
         space, unit = fitted.space, fitted.space.to_unit(fitted.theta)
-        own = [i for i, p in enumerate(space) if p.name.startswith(f"{fitted.effects[-1]}.") and p.null is not None]
         hessian, _ = normal_equations(fitted.residual, fitted.jacobian)
         which, where = [], []
-        for i in own:
+        for i in amounts_of(space, fitted.effects[-1]):
             null = space.parameters[i].null
             for factor in (LEAP, 1 / LEAP):
                 there = fitted.theta.copy()

@@ -40,12 +40,23 @@ def bent(theta):
     return np.array([theta[0] - 0.5, 10 * (theta[1] * theta[2] - 0.12), 0.02 * (theta[1] - 0.2), 0.3])
 
 
-def fitted(law, half) -> Fitted:
-    away = 1e-6
-    jacobian = np.array([(law(BEST + away * e) - law(BEST)) / away for e in np.eye(3)]).T
-    residual = law(BEST)
-    low, high = np.clip(BEST - half, 0, 1), np.clip(BEST + half, 0, 1)
-    return Fitted(("e",), SPACE, BEST, [residual, residual], [jacobian, jacobian], low, high, 0)
+def fitted(law, space, theta, half=0.0) -> Fitted:
+    """A fit that ended at theta, of one effect to two recordings that are alike."""
+    away, unit, residual = 1e-6, space.to_unit(theta), np.asarray(law(theta))
+    jacobian = np.array([(law(space.from_unit(unit + away * e)) - residual) / away for e in np.eye(3)]).T
+    low, high = np.clip(theta - half, 0, 1), np.clip(theta + half, 0, 1)
+    effect = space.names[1].partition(".")[0]
+    return Fitted((effect,), space, theta, [residual] * 2, [jacobian] * 2, low, high, 1)
+
+
+def simulated_by(law):
+    """What stands in for `evaluate`."""
+
+    def evaluate(trials, theta):
+        residual = np.array([np.concatenate([law(t), law(t)]) for t in theta]) / np.sqrt(8)
+        return Evaluation(np.zeros(len(theta)), residual), []
+
+    return evaluate
 
 
 @pytest.fixture
@@ -53,12 +64,8 @@ def judged(monkeypatch):
     """A function from a law and the half-widths to first order to the profiled fit."""
 
     def of(law, half):
-        def evaluate(trials, theta):
-            residual = np.array([np.concatenate([law(t), law(t)]) for t in theta]) / np.sqrt(8)
-            return Evaluation(np.zeros(len(theta)), residual), []
-
-        monkeypatch.setattr(profile, "evaluate", evaluate)
-        before = fitted(law, np.asarray(half, dtype=float))
+        monkeypatch.setattr(profile, "evaluate", simulated_by(law))
+        before = fitted(law, SPACE, BEST, half)
         return before, *profile.profiled(OneParameterBase(), before)
 
     return of
@@ -127,20 +134,9 @@ def rippled(theta):
 
 @pytest.mark.parametrize(("law", "end"), [(rippled, 0.7), (lambda theta: [*(theta - START), 0.03], 0.1)])
 def test_a_search_that_stopped_in_a_ripple_leaps_along_the_valley(monkeypatch, law, end):
-    def at(problem, effects, theta, rounds):
-        unit = HEM.to_unit(theta)
-        rows = [np.asarray(law(HEM.from_unit(unit + 1e-6 * e))) - law(theta) for e in np.eye(3)]
-        jacobian, residual = np.array(rows).T / 1e-6, np.asarray(law(theta))
-        return Fitted(("hem",), HEM, theta, [residual] * 2, [jacobian] * 2, theta, theta, 1)
-
-    def evaluate(trials, theta):
-        return Evaluation(
-            np.zeros(len(theta)), np.array([np.concatenate([law(t)] * 2) for t in theta]) / np.sqrt(8)
-        ), []
-
-    monkeypatch.setattr(profile, "evaluate", evaluate)
-    monkeypatch.setattr(profile, "fit", at)
-    before = at(None, (), START, 0)
+    monkeypatch.setattr(profile, "evaluate", simulated_by(law))
+    monkeypatch.setattr(profile, "fit", lambda problem, effects, theta, rounds: fitted(law, HEM, theta))
+    before = fitted(law, HEM, START)
     after, count = profile.leaped(OneParameterBase(), before)
     assert after.theta[1] == pytest.approx(end, abs=0.11)
     assert after.rms <= before.rms
