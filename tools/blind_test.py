@@ -1,4 +1,4 @@
-"""The loop's own blind test: `python tools/blind_test.py --out FOLDER [--cases 0-29] [--model NAME]`.
+"""The loop's own blind test: `python tools/blind_test.py --out FOLDER [--cases 0-5,26] [--model NAME]`.
 
 Every case is a piece of cloth that the reference simulation beside this file moves (finite elements on another mesh
 than any model's, explicit steps, noise, dropouts), with something in it that its recordings do not say. `clothbench
@@ -406,20 +406,24 @@ def keep(rows: Sequence[dict]) -> None:
     RESULTS.with_suffix(".md").write_text("\n".join(lines) + "\n")
 
 
+def numbers(words: str) -> list[int]:
+    """What "0-2,5" means: 0, 1, 2 and 5."""
+    ends = [word.partition("-") for word in words.split(",")]
+    return [case for first, _, last in ends for case in range(int(first), int(last or first) + 1)]
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description="Run the loop's blind test.")
     parser.add_argument(
         "--out", type=Path, required=True, help="folder for recordings and verdicts; kept, so resumable"
     )
-    parser.add_argument("--cases", default=f"0-{UNKNOWN[-1]}", help="FIRST-LAST or N,N,…")
+    parser.add_argument("--cases", default=f"0-{UNKNOWN[-1]}", help="FIRST-LAST or N, several of them with commas")
     parser.add_argument("--model", default="mass_spring")
     parser.add_argument("--keep", action="store_true", help=f"write the table to results/{RESULTS.stem}")
     options = parser.parse_args()
-    first, dash, last = options.cases.partition("-")
-    cases = range(int(first), int(last) + 1) if dash else [int(word) for word in options.cases.split(",")]
     options.out.mkdir(parents=True, exist_ok=True)
     rows = []
-    for case in cases:
+    for case in numbers(options.cases):
         rows.append(run(case, options.out, options.model))
         print(line(rows[-1]), flush=True)
     print(summary(rows))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -49,7 +50,7 @@ class SpringOptions:
 
 
 @dataclass(frozen=True, eq=False)
-class SpringSimulation(GridSimulation):
+class SpringSimulation(GridSimulation, ABC):
     """One scene on one grid of springs, ready for batches of parameter sets; a model says what its springs are."""
 
     options: SpringOptions
@@ -69,9 +70,9 @@ class SpringSimulation(GridSimulation):
         for_each(batch.run_block, batch.blocks)
         return batch.rollout()
 
+    @abstractmethod
     def stiffness(self, theta: np.ndarray) -> np.ndarray:
         """The stiffnesses that `families` refers to, (B, K) N/m."""
-        raise NotImplementedError
 
     def dashpots(self, theta: np.ndarray) -> np.ndarray | None:
         """The damping that belongs to each of them, (B, K) N·s/m, or None where springs have none."""
@@ -81,9 +82,9 @@ class SpringSimulation(GridSimulation):
         """Share of the velocity lost per second (B,) 1/s."""
         return np.zeros(len(theta))
 
+    @abstractmethod
     def stable_step(self, theta: np.ndarray) -> np.ndarray:
         """The largest stable step of each parameter set (B,) s."""
-        raise NotImplementedError
 
     def fastest_square(self, theta: np.ndarray) -> np.ndarray:
         """A bound on ω² (B,) 1/s²: that of the flat sheet, whose springs all pull in one plane, and of the effects."""
