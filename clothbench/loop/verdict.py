@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.stats import t as student
 
 from clothbench.loop.attribution import null_of
@@ -183,19 +184,31 @@ def hint(outcome: Outcome, verdict: str) -> str:
     if not tried:
         return "the residual stands above the noise, and no candidate could be tried"
     best = max(tried, key=lambda c: c.share)
-    text = f"a hint, no finding: {best.name} comes nearest ({best.share:.0%} of what only an effect could explain)"
+    text = f"a hint, no finding: {best.name} comes nearest ({told(best)} of what only an effect could explain)"
     forces = [c for c in tried if outcome.problem.plugins.make("effects", c.name).place == "dynamics"]
     force = max(forces, key=lambda c: c.share, default=best)
     if force.name != best.name:
-        text += f", {force.name} among forces ({force.share:.0%})"
+        text += f", {force.name} among forces ({told(force)})"
     if dropped := outcome.final.effects:
         fall = 1 - outcome.final.rms / outcome.base.rms
         text += f"; {' and '.join(dropped)} would lower the error of the fit by {fall:.0%}, too little for a name"
     return f"{text}{where(outcome)}"
 
 
+def told(candidate: Candidate) -> str:
+    """Share of a candidate, and the amounts of it that were fitted, if it was: "with c = 0.3 kg/m²: 45%"."""
+    fitted = candidate.fitted
+    if fitted is None:
+        return f"{candidate.share:.0%}"
+    own = [(p, v) for p, v in zip(fitted.space, fitted.theta, strict=True) if p.name.startswith(f"{candidate.name}.")]
+    amounts = ", ".join(
+        f"{p.name.removeprefix(candidate.name + '.')} = {v:.3g}{f' {p.unit}' * (p.unit != '1')}" for p, v in own
+    )
+    return f"with {amounts}: {candidate.share:.0%}"
+
+
 def where(outcome: Outcome) -> str:
-    """Where on the sheet and in which recording most is left; nothing for curves, which have no sheet."""
+    """Where on the sheet, in which recording and when in it most is left; nothing for curves, which have no sheet."""
     cases = outcome.problem.of_split("fit")
     if not hasattr(cases[0].observation, "position"):
         return ""
@@ -207,9 +220,12 @@ def where(outcome: Outcome) -> str:
             rows.append(left[:, third == k][seen[:, third == k]].ravel() ** 2)
     sizes = {name: 1e3 * float(np.sqrt(np.concatenate(rows).mean())) for name, rows in squares.items() if len(rows[0])}
     most = max(sizes, key=lambda name: sizes[name])
-    worst = cases[int(np.argmax(standing(outcome).squares))].name
+    worst = int(np.argmax(standing(outcome).squares))
+    time, left = cases[worst].observation.time, field_of(cases[worst], standing(outcome).residual[worst])
+    second = max(1, round((len(time) - 1) / float(time[-1] - time[0])))
+    late = time[int(np.argmax(uniform_filter1d((left**2).sum(axis=(1, 2)), second, mode="constant")))]
     rest = ", ".join(f"{name} {size:.1f} mm" for name, size in sizes.items())
-    return f"; most is left in the {most} third ({rest}) and in {worst}"
+    return f"; most is left in the {most} third ({rest}), in {cases[worst].name}, and there around {late:.1f} s"
 
 
 def number(value: float | None) -> float | None:

@@ -1,0 +1,71 @@
+"""What the verdict's hint says of what is left: which candidate, how much of it, where and when."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from clothbench.loop.fitting import Fitted
+from clothbench.loop.improve import Budget, Outcome, Round
+from clothbench.loop.judge import Candidate
+from clothbench.loop.verdict import document
+from clothbench.observation import Observation
+from clothbench.parameters import Parameter, ParameterSpace
+from clothbench.plugins import catalogue
+
+TIME = np.arange(60) / 20.0
+MATERIAL = np.array([[0.0, 0.1], [0.0, 0.5], [0.0, 0.9]])
+STIFFNESS = Parameter("k", "k", "N/m", (1.0, 9.0), "linear", 2.0, "a stiffness", "a test")
+DRAG = Parameter("quadratic_drag.normal", "C_N", "1", (0.0, 4.0), "linear", 1.0, "an amount", "a test", null=0.0)
+
+
+def fitted(residual, effects=(), more=()) -> Fitted:
+    space = ParameterSpace((STIFFNESS, *more))
+    theta = np.full(len(space), 1.5)
+    return Fitted(effects, space, theta, residual, [np.ones((len(r), len(space))) for r in residual], theta, theta, 1)
+
+
+@pytest.fixture
+def outcome():
+    """A loop that named nothing: 1 mm of noise, and 20 mm of the lowest point of the second recording after 2 s."""
+    cases = [
+        SimpleNamespace(
+            name=name,
+            scene=SimpleNamespace(height=1.0),
+            observation=Observation(TIME, np.zeros((60, 3, 3)), np.ones((60, 3), bool), 1e-3, MATERIAL),
+        )
+        for name in ("first", "second")
+    ]
+    left = np.random.default_rng(0).normal(0, 1e-3, (2, 60, 3, 3))
+    left[1, 40:, 2] += 0.02
+    residual = [one.ravel() for one in left]
+    problem = SimpleNamespace(
+        model="mass_spring",
+        base=("linear_drag",),
+        seed=0,
+        plugins=catalogue(),
+        of_split=lambda split: cases if split == "fit" else [],
+    )
+    base = fitted(residual)
+    tried = (
+        Candidate("clock_offset", 0.3, 0.005),
+        Candidate("quadratic_drag", 0.2, 0.005, fitted=fitted(residual, ("quadratic_drag",), [DRAG])),
+    )
+    budget = Budget(lambda *_: None)
+    return Outcome(problem, base, base, 1e-3, 1e-3, budget, [Round(base, 1e-3, tried, (), ())])
+
+
+def test_hint_says_who_comes_nearest_and_where_and_when_most_is_left(outcome, monkeypatch):
+    monkeypatch.setattr("clothbench.loop.verdict.held_out_errors", lambda *_: [])
+    found = document(outcome, None, 1.0)
+    assert found["verdict"] == "unexplained"
+    assert not found["effects"]
+    for said in (
+        "clock_offset comes nearest (30%",
+        "quadratic_drag among forces (with normal = 1.5: 20%)",
+        "left in the lower third (upper 1.0 mm, middle 1.0 mm, lower 8.2 mm)",
+        "in second, and there around 2.5 s",
+    ):
+        assert said in found["hint"]
