@@ -15,7 +15,7 @@ from clothbench.loop.guard import Shares, shares
 from clothbench.loop.judge import AT_THE_FLOOR, Candidate, choose, judge, needed, unphysical
 from clothbench.loop.problem import Problem
 from clothbench.loop.profile import leaped, profiled
-from clothbench.loop.residual import correction, numerical_floor
+from clothbench.loop.residual import correction, noise_of, numerical_floor, repeat_spread
 from clothbench.plugins import reason_of
 
 ALPHA = 0.05
@@ -109,8 +109,8 @@ class Outcome:
 def improve(problem: Problem, candidates: Sequence[str], told: Stage) -> Outcome:
     """Run the loop on the fit recordings; what it finds is judged on the held-out ones afterwards."""
     budget = Budget(told)
-    noise = noise_of(problem)
     base = calibrated(problem, budget)
+    noise = max(noise_of(problem), repeat_spread(problem, base))
     problem, base, floor = corrected(problem, base, noise, budget)
     outcome = Outcome(problem, base, base, noise, floor, budget)
     outcome.alone = each_alone(problem, base, budget)
@@ -169,18 +169,6 @@ def each_alone(problem: Problem, base: Fitted, budget: Budget) -> dict[str, Fitt
         out[case.name] = fit(dataclasses.replace(problem, cases=(case,)), (), base.theta, ALONE)
         budget.count(out[case.name].evaluations // len(cases))
     return out
-
-
-def noise_of(problem: Problem) -> float:
-    """σ of one coordinate [m]: as stated, else from how much neighbouring frames jump."""
-    found = []
-    for case in problem.of_split("fit"):
-        sigma = case.observation.sigma
-        if not np.isfinite(sigma):
-            x = np.where(case.observation.visible[..., None], case.observation.position, np.nan)
-            sigma = 1.4826 * float(np.nanmedian(np.abs(np.diff(x, n=3, axis=0)))) / np.sqrt(20)
-        found.append(sigma)
-    return float(np.sqrt(np.mean(np.square(found))))
 
 
 def corrected(problem: Problem, fitted: Fitted, noise: float, budget: Budget) -> tuple[Problem, Fitted, float]:

@@ -1,0 +1,48 @@
+"""The floor that repeated motions set: how far cloth that is moved alike differs."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from clothbench.loop.problem import Case
+from clothbench.loop.residual import repeat_spread
+from clothbench.observation import Observation
+
+MATERIAL = np.array([[0.0, 0.1], [0.0, 0.5], [0.0, 0.9]])
+SIGMA = 2e-3
+
+
+def swung(name: str, hertz: float, late: float, first: float = 0.0) -> Case:
+    """A grip that starts to swing after `late` seconds; frames from `first` s on, at 25 Hz."""
+    grip_time = np.arange(0, 8, 0.01)
+    path = 0.1 * np.sin(2 * np.pi * hertz * np.maximum(grip_time - late, 0.0))
+    grips = np.stack([path, 0 * path, 0 * path], axis=-1)[:, None]
+    time = np.arange(first, 7.5, 0.04)
+    observation = Observation(time, np.zeros((len(time), 3, 3)), np.ones((len(time), 3), bool), 1e-4, MATERIAL)
+    recording = SimpleNamespace(grip_time=grip_time, grip_position=grips, grip_material=np.zeros((1, 2)))
+    return Case(name, "fit", recording, observation, None)
+
+
+def spread(*cases: Case, late=(0.0, 0.0, 0.0)) -> float:
+    """Of noise on top of a model's error of 10 mm, which follows the motion."""
+    random = np.random.default_rng(5)
+    residual = []
+    for case, shift in zip(cases, late, strict=False):
+        time = case.observation.time - shift
+        error = 0.01 * np.sin(2 * np.pi * 0.8 * time)[:, None, None]
+        residual.append((error + random.normal(0, SIGMA, (len(time), 3, 3))).ravel())
+    problem = SimpleNamespace(of_split=lambda split: list(cases))
+    return repeat_spread(problem, SimpleNamespace(residual=residual))
+
+
+@pytest.mark.parametrize("first", [0.0, 0.038, 0.043])
+def test_repeats_show_the_noise_below_the_error_that_they_share(first):
+    one, other = swung("one", 0.8, 0.3), swung("other", 0.8, 0.7, 0.4 + first)
+    assert spread(one, other, late=(0.0, 0.4)) == pytest.approx(SIGMA, rel=0.1)
+
+
+def test_other_motions_are_no_repeats():
+    assert spread(swung("one", 0.8, 0.3), swung("slower", 0.6, 0.3), swung("far later", 0.8, 4.0)) == 0.0
