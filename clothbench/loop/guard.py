@@ -1,8 +1,8 @@
 """Stage 4: is it more than chance? The recording is the unit of evidence; frames of one recording hang together.
 
 The null distribution comes from the residual itself, with its own autocorrelation, set out of step with the
-candidates: moved round in time within each recording, turned about the vertical and mirrored left to right, each
-recording by its own draw. The share that the best of *all* candidates then explains is what chance gives.
+candidates: moved round in time within each recording, turned about the vertical, mirrored left to right and upside
+down, each recording by its own draw. The share that the best of *all* candidates then explains is what chance gives.
 """
 
 from __future__ import annotations
@@ -75,7 +75,9 @@ def field_of(case: Case, residual: np.ndarray) -> np.ndarray:
 
 
 def scrambled(case: Case, field: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """The residual out of step: moved round in time, turned about the vertical, mirrored or not; (M,)."""
+    """The residual out of step: moved round in time, turned about the vertical, up and down exchanged or not, mirrored
+    left to right or not; (M,).
+    """
     if isinstance(case, CurveCase):
         return case.scrambled(field, random)
     # Round a circle of the motion and its reverse, so that no jump comes in where the end meets the beginning.
@@ -84,7 +86,7 @@ def scrambled(case: Case, field: np.ndarray, random: np.random.Generator) -> np.
     moved = field[np.minimum(at, 2 * frames - 1 - at)]
     angle = random.uniform(0, 2 * np.pi)
     c, s = np.cos(angle), np.sin(angle)
-    turned = moved @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
+    turned = moved @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, random.choice([-1.0, 1.0])]])
     if random.random() < 0.5:
         turned = turned[:, mirror(case.observation.material)]
     return turned[case.observation.visible].ravel()

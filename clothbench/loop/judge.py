@@ -15,7 +15,7 @@ AT_THE_FLOOR = 1.15  # times the floor: a residual this small is not worth a nam
 MATERIAL = 0.25  # share of the mean square above the floor that an effect has to explain to be worth a name
 TIED = 0.1  # two candidates cannot be told apart if what they leave (mean square) differs by less than this share
 ALIKE = 0.9  # correlation of what two candidates correct, from which on they may be one and the same
-EXPLAINED = 0.6  # share of the mean square above the floor that all names together have to explain
+EXPLAINED = 1 - MATERIAL  # and that all names together have to explain: what is left must not be worth another
 COARSE = 0.45  # and of that above the noise, where the mesh alone may stand for the residual
 PER_PARAMETER = 0.05  # and per parameter that one has more than the other
 

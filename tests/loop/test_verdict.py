@@ -57,6 +57,18 @@ def outcome():
     return Outcome(problem, base, base, 1e-3, 1e-3, budget, [Round(base, 1e-3, tried, (), ())])
 
 
+@pytest.mark.parametrize(
+    ("held_out", "verdict", "left"), [([1.2, 1.2], "complete", 0.46), ([1.2, 2.2], "unexplained", 1.46)]
+)
+def test_complete_is_what_carries_over_to_recordings_held_out(outcome, monkeypatch, held_out, verdict, left):
+    monkeypatch.setattr("clothbench.loop.verdict.held_out_errors", lambda *_: held_out)
+    outcome.problem.of_split = lambda split: [SimpleNamespace(name=name) for name in ("third", "fourth")]
+    outcome.base = outcome.final = fitted([np.full(9, 1.1e-3)] * 2)
+    found = document(outcome, None, 1.0)
+    assert found["verdict"] == verdict
+    assert found["unexplained_mm"] == pytest.approx(left, abs=0.01)
+
+
 def test_hint_says_who_comes_nearest_and_where_and_when_most_is_left(outcome, monkeypatch):
     monkeypatch.setattr("clothbench.loop.verdict.held_out_errors", lambda *_: [])
     found = document(outcome, None, 1.0)
