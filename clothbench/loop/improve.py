@@ -256,7 +256,7 @@ def one_round(
     tried = contest(problem, current, gain, tried, budget, turn)
     judged = judge(current, gain, tried)
     if named := choose(current, judged):
-        current = second_thought(problem, current, next(c.fitted for c in judged if c.name == named[0]), budget)
+        current = second_thought(problem, current, next(c.fitted for c in judged if c.name == named[0]), gain, budget)
         judged = judge(current, gain, tried)
         named = choose(current, judged)
     others = [c for c in screened if c.name not in {t.name for t in judged}]
@@ -310,16 +310,21 @@ def contest(
     ]
 
 
-def second_thought(problem: Problem, current: Fitted, better: Fitted | None, budget: Budget) -> Fitted:
-    """The fit without the effect again, from where the fit with it ended: a gain must not come from a better valley."""
+def second_thought(problem: Problem, current: Fitted, better: Fitted | None, gain: float, budget: Budget) -> Fitted:
+    """The fit without the effect again, from where the fit with it ended: a gain must not come from a better valley.
+    Given up where it will not come so near that the gain falls below `gain`.
+    """
     if better is None:
         return current
-    return better_of(problem, current, better.theta[: len(current.theta)], AGAIN, budget)
+    start = better.theta[: len(current.theta)]
+    return better_of(problem, current, start, AGAIN, budget, goal=better.rms**2 + gain)
 
 
-def better_of(problem: Problem, known: Fitted, start: np.ndarray, rounds: int, budget: Budget) -> Fitted:
+def better_of(
+    problem: Problem, known: Fitted, start: np.ndarray, rounds: int, budget: Budget, goal: float = np.inf
+) -> Fitted:
     """The better of a fit that is known and one more of the same effects from `start` (P,)."""
-    again = fit(problem, known.effects, start, rounds)
+    again = fit(problem, known.effects, start, rounds, goal=goal)
     budget.count(again.evaluations)
     return min(known, again, key=lambda f: f.rms)
 

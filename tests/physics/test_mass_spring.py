@@ -174,6 +174,18 @@ def test_a_hanging_strip_stretches_by_its_own_weight():
     assert -0.4 - z == pytest.approx(0.2 * G * 0.16 / (2 * 1.5 * k1), rel=0.03)
 
 
+def test_damping_neither_moves_the_sheet_at_rest_nor_makes_it_settle_longer():
+    """Slack between its corners, so that it has to fall into a fold before it hangs still."""
+    clock, held = np.linspace(0.0, 1e-3, 2), np.array([(0.0, 0.0), (0.3, 0.0)])
+    grips = np.tile([(0.0, 0.0, 0.0), (0.2, 0.0, 0.0)], (2, 1, 1))
+    scene = Scene(0.3, 0.3, 0.2, clock, held, grips, clock, np.array([(0.15, 0.1), (0.15, 0.3)]), gravity=(0, 0, -G))
+    simulation = MassSpring(resolution=9).prepare(scene)
+    gentle, strong = (simulation.run(np.array([[100.0, 5.0, zeta]])) for zeta in (0.05, 0.8))
+    np.testing.assert_allclose(strong.position[0, 0], gentle.position[0, 0], atol=2e-4)
+    stretched = 1e-3 / simulation.stable_step(np.array([[100.0, 5.0, 0.8]]))[0]
+    assert strong.steps[0] <= gentle.steps[0] + 2 * stretched
+
+
 def test_an_undamped_swing_keeps_its_energy():
     times = np.arange(0.0, 10.0, 0.001)  # fine enough to see the speed of the stiff modes as well
     u, v = np.meshgrid(np.linspace(0, 0.1, 5), np.linspace(0, 0.3, 13))

@@ -185,13 +185,18 @@ def write_due(x, v, lane, lanes, now, done, index, weight, held_points, pins_of_
 
 
 @_fast
-def come_to_rest(v, keep, kick, lane, lanes, dt, loss):
-    """End the settling of one lane: no velocity, no artificial damping, and half a kick to start the leapfrog."""
+def come_to_rest(v, keep, kick, step, dashpots, damping, lane, lanes, dt, loss):
+    """End the settling of one lane: no velocity, no artificial damping but the springs' own, and half a kick to start
+    the leapfrog.
+    """
     for e in range(lane, keep.shape[0], lanes):
         keep[e] = 1.0 - loss * dt
         kick[e] = 0.5 * dt
+        step[e] = dt
         for c in range(3):
             v[c, e] = 0.0
+        for family in range(damping.shape[0]):
+            dashpots[family, e] = damping[family, e]
 
 
 def _signature(real):
@@ -199,34 +204,35 @@ def _signature(real):
     double = types.float64
     r2, d1, d2, d3 = real[:, ::1], double[::1], double[:, ::1], double[:, :, ::1]
     i1, i2 = types.int64[::1], types.int64[:, ::1]
-    grid = (i1, r2, r2, r2, double[::1], SHEET)
+    grid = (i1, r2, r2, r2, r2, double[::1], SHEET)
     contact = (d2, LAYERS, double, types.int64)
     effects = (*(EFFECT,) * SLOTS, i1, types.int64, d3, d3)
     grips = (i1, d1, double[:, :, :, :, ::1], i1, i1)
-    settling = (double, d1, double, double, d1)
+    settling = (double, d1, double, double, d1, d1)
     sampling = (i2, d2, d2, double[:, :, :, ::1])
     return types.void(types.int64, r2, *grid, double, *contact, *effects, *grips, *settling, *sampling, i1, i1)
 
 
 def _run_block(
     lanes, x,
-    strides, rest, stiffness, damping, loss, sheet,
+    strides, rest, stiffness, damping, settle_damping, loss, sheet,
     limit,
     obstacles, layers, strain_limit, limited,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7, stages, n_effects,
     effect_parameters, effect_state,
     pins, knots, curves, held_points, pins_of_points,
-    start, settle_time, settle_rate, at_rest, dt,
+    start, settle_time, settle_rate, at_rest, settle_dt, dt,
     index, weight, times, out,
     status, steps,
 ):  # fmt: skip
     """Settle and run `lanes` interleaved parameter sets from the shape x (3, n·lanes), which is changed in place.
 
-    strides (S,); rest m, stiffness N/m, damping N·s/m (S, n·lanes), the last of length (0, 0) where springs have none;
+    strides (S,); rest m, stiffness N/m, damping N·s/m (S, n·lanes), the last of length (0, 0) where springs have none,
+    and settle_damping, the same for the time in which the sheet settles;
     loss (lanes,) 1/s, share of the velocity lost; `sheet` for the effects;
     obstacles (K, 9) and layers: for `keep_out` and `keep_apart`, the latter with one lane only; strain_limit of the
     first `limited` families, infinite for none;
-    settle_time (2,) s, the least and the most; at_rest m/s, the speed that ends it; dt (lanes,) s;
+    settle_time (2,) s, the least and the most; at_rest m/s, the speed that ends it; settle_dt, dt (lanes,) s;
     effect_parameters, effect_state: (lanes, SLOTS, …); curves (1 or lanes, 4, K−1, G, 3); times (lanes, T) s;
     out (lanes, T, N, 3) m, to be filled; status, steps (lanes,).
     """
@@ -239,10 +245,13 @@ def _run_block(
     g, weights = np.empty((3, entries), x.dtype), np.empty((3, entries), x.dtype)
     inverse_mass, step = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
     kick, keep = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
+    settles = pins.shape[0] > 0
+    dt_now = settle_dt.copy() if settles else dt.copy()
+    dashpots = settle_damping.copy() if settles else damping
     for e in range(entries):
         inverse_mass[e] = 1.0 / mass[e // lanes]
-        step[e] = kick[e] = dt[e % lanes]
-        keep[e] = 1.0 - loss[e % lanes] * dt[e % lanes]
+        step[e] = kick[e] = dt_now[e % lanes]
+        keep[e] = 1.0 - loss[e % lanes] * dt_now[e % lanes]
         for c in range(3):
             weights[c, e] = mass[e // lanes] * sheet.gravity[c]
     f[:] = weights
@@ -252,30 +261,31 @@ def _run_block(
     for lane in range(lanes):
         for k in range(pins.shape[0]):
             inverse_mass[pins[k] * lanes + lane] = 0.0
-        if pins.shape[0]:
+        if settles:
             began[lane] = -1
             for e in range(lane, entries, lanes):
-                keep[e] = max(0.0, 1.0 - settle_rate * dt[lane])
+                keep[e] = max(0.0, 1.0 - settle_rate * dt_now[lane])
     segment, done, running, count = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64), lanes, 0
     while running > 0:
         for lane in range(lanes):
-            settled_for = count * dt[lane]
+            settled_for = count * settle_dt[lane]
             if began[lane] < 0 and count % CHECK_EVERY == 0 and settled_for > settle_time[0]:
                 # The cheap question first: looking for the fastest node reads the whole sheet.
                 began[lane] = count if settled_for > settle_time[1] or fastest(v, lane, lanes) < at_rest else -1
             if began[lane] == count:
-                come_to_rest(v, keep, kick, lane, lanes, dt[lane], loss[lane])
+                dt_now[lane] = dt[lane]
+                come_to_rest(v, keep, kick, step, dashpots, damping, lane, lanes, dt[lane], loss[lane])
                 curve = curves[lane % curves.shape[0]]
                 done[lane] = write_due(
                     x, v, lane, lanes, start, 0, index, weight, held_points, pins_of_points, knots, curve,
                     times[lane], out[lane],
                 )  # fmt: skip
-            elif began[lane] == count - 1:
+            elif 0 <= began[lane] == count - 1:
                 for e in range(lane, entries, lanes):
                     kick[e] = dt[lane]
         for family in range(strides.shape[0]):
             if damping.shape[0] > 0:
-                spring_forces(x, v, strides[family], rest[family], stiffness[family], damping[family], g)
+                spring_forces(x, v, strides[family], rest[family], stiffness[family], dashpots[family], g)
             else:
                 elastic_forces(x, strides[family], rest[family], stiffness[family], g)
             add_pairwise(f, g, strides[family])
@@ -288,7 +298,18 @@ def _run_block(
             if normals:
                 grid_normals(xd, strides[1] // lanes, sheet.normal)
             heavier = apply_effects(
-                effects, stages, n_effects, t, dt[0], xd, vd, fd, extra, sheet, effect_parameters[0], effect_state[0]
+                effects,
+                stages,
+                n_effects,
+                t,
+                dt_now[0],
+                xd,
+                vd,
+                fd,
+                extra,
+                sheet,
+                effect_parameters[0],
+                effect_state[0],
             )
             if heavier:
                 bear_inertia(fd, mass, extra)
@@ -297,15 +318,15 @@ def _run_block(
         for lane in range(lanes):
             curve = curves[lane % curves.shape[0]]
             now = start + (count - began[lane]) * dt[lane] if began[lane] >= 0 else start
-            if pins.shape[0]:
+            if settles:
                 segment[lane] = advance_segment(knots, now, segment[lane])
-                hold(x, v, pins, lane, lanes, knots, curve, now, segment[lane], dt[lane])
+                hold(x, v, pins, lane, lanes, knots, curve, now, segment[lane], dt_now[lane])
             if strain_limit < np.inf:
                 limit_strain(
-                    x, v, limited, strides, rest, stiffness, inverse_mass, lane, lanes, strain_limit, dt[lane]
+                    x, v, limited, strides, rest, stiffness, inverse_mass, lane, lanes, strain_limit, dt_now[lane]
                 )  # fmt: skip
             if layers.triangles.shape[0] > 0:
-                keep_apart(x, v, dt[lane], inverse_mass, layers)
+                keep_apart(x, v, dt_now[lane], inverse_mass, layers)
             if obstacles.shape[0] > 0:
                 keep_out(x, v, obstacles, inverse_mass, lane, lanes)
             if steps[lane] > 0:

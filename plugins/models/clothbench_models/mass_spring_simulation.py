@@ -78,6 +78,10 @@ class SpringSimulation(GridSimulation, ABC):
         """The damping that belongs to each of them, (B, K) N·s/m, or None where springs have none."""
         return None
 
+    def calmed(self, theta: np.ndarray) -> np.ndarray:
+        """The parameters (B, P) with which the sheet settles before it is moved: with damping for longer steps, say."""
+        return theta
+
     def loss(self, theta: np.ndarray) -> np.ndarray:
         """Share of the velocity lost per second (B,) 1/s."""
         return np.zeros(len(theta))
@@ -101,8 +105,11 @@ class _Batch(GridBatch):
 
     def __init__(self, simulation: SpringSimulation, theta: np.ndarray):
         options = simulation.options
-        steps = SAFETY * options.step_scale * simulation.stable_step(theta)
-        dt = steps if options.dt is None else np.full(len(theta), options.dt)
+        self.calmed = simulation.calmed(theta)
+        dt = self.settle_dt = np.full(len(theta), options.dt or np.nan)
+        if options.dt is None:
+            scale = SAFETY * options.step_scale
+            dt, self.settle_dt = (scale * simulation.stable_step(values) for values in (theta, self.calmed))
         super().__init__(simulation, theta, dt, SETTLE[1] / simulation.slowest)
         self.blocks = self._blocks(self.members)
         self.obstacles = obstacle_table(simulation.scene)
@@ -119,21 +126,24 @@ class _Batch(GridBatch):
     def run_block(self, members: np.ndarray) -> None:
         simulation, scene, precision = self.simulation, self.simulation.scene, self.simulation.options.precision
         grid, effects, lanes, theta = simulation.grid, simulation.effects, len(members), self.theta[members]
-        stiffness, dashpots = _of_springs(grid, simulation.stiffness(theta)), simulation.dashpots(theta)
         real = REAL[precision]
+        stiffness = _of_springs(grid, simulation.stiffness(theta)).astype(real)
+        damping, settle_damping = (
+            (np.zeros((0, 0)) if dashpots is None else _of_springs(grid, dashpots)).astype(real)
+            for dashpots in (simulation.dashpots(theta), simulation.dashpots(self.calmed[members]))
+        )
         out = np.full((lanes, *self.position.shape[1:]), np.nan)
         status, steps = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64)
         kernels.run_block(precision)(
             lanes, np.repeat(self.shape.T, lanes, axis=1).astype(real), grid.strides * lanes,
-            np.repeat(grid.rest, lanes, axis=1).astype(real), stiffness.astype(real),
-            (np.zeros((0, 0)) if dashpots is None else _of_springs(grid, dashpots)).astype(real),
+            np.repeat(grid.rest, lanes, axis=1).astype(real), stiffness, damping, settle_damping,
             simulation.loss(theta), own_sheet(simulation.sheet, effects.normals), self.bounds(),
             self.obstacles, layers_of(scene, simulation.sheet), self.strain_limit, simulation.limited,
             *self.kernels, self.stages, self.terms, effects.kernel_parameters(theta, loop.SLOTS),
             effects.kernel_state(lanes, loop.SLOTS, simulation.sheet),
             self.pins, self.knots, self.curve(members), self.held_points, self.pins_of_points,
             scene.start_time, SETTLE / simulation.slowest, 2 * simulation.slowest, AT_REST[precision],
-            self.dt[members],
+            self.settle_dt[members], self.dt[members],
             self.interpolator.index, self.interpolator.weight, self.times[members], out, status, steps,
         )  # fmt: skip
         self.position[members], self.status[members], self.steps[members] = out, status, steps
