@@ -19,7 +19,6 @@ from clothbench.loop.problem import Problem, residuals
 from clothbench.loop.residual import correction
 
 SCHEMA = 1
-CARRIED = 1.5  # times the floor: a model that leaves more on held-out recordings lacks something, whatever the fit says
 
 
 @dataclasses.dataclass(frozen=True)
@@ -96,7 +95,7 @@ def document(outcome: Outcome, placebo: Placebo | None, wall_s: float) -> dict[s
     before = held_out_errors(problem, outcome.base)
     after = held_out_errors(problem, final) if final.effects else before
     left, remark, unseen = final.rms, hint(outcome, verdict), 1e-3 * (pooled(before) or 0.0)
-    if verdict == "complete" and unseen > CARRIED * outcome.floor:
+    if verdict == "complete" and unseen > problem.carried * outcome.floor:
         verdict, left = "unexplained", unseen
         remark = (
             f"the fit stands at the floor, but the error on held-out recordings at {unseen / outcome.floor:.1f} times "

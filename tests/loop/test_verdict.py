@@ -45,6 +45,7 @@ def outcome():
         model="mass_spring",
         base=("linear_drag",),
         seed=0,
+        carried=1.5,
         plugins=catalogue(),
         of_split=lambda split: cases if split == "fit" else [],
     )
