@@ -93,7 +93,13 @@ def unphysical(name: str, fitted: Fitted) -> str:
 
 def amounts_of(space: ParameterSpace, effect: str) -> list[int]:
     """Numbers of the parameters by which an effect vanishes; its others give it its shape."""
-    return [i for i, p in enumerate(space) if p.name.startswith(f"{effect}.") and p.null is not None]
+    return [i for i in parameters_of(space, effect).values() if space.parameters[i].null is not None]
+
+
+def parameters_of(space: ParameterSpace, effect: str) -> dict[str, int]:
+    """Numbers of an effect's parameters by their own names, which in the space begin with the effect's."""
+    first = f"{effect}."
+    return {p.name.removeprefix(first): i for i, p in enumerate(space) if p.name.startswith(first)}
 
 
 def allowances(current: Fitted, tried: Sequence[Candidate]) -> np.ndarray:

@@ -80,11 +80,9 @@ def repeated(one: Case, other: Case) -> float | None:
     if isinstance(one, CurveCase):
         return None  # its floor is the spread already
     a, b = one.recording, other.recording
-    if a.grip_position.shape[1] != b.grip_position.shape[1] or not (
-        np.array_equal(a.grip_material, b.grip_material)
-        and np.array_equal(one.observation.material, other.observation.material)
-    ):
-        return None
+    held_alike = len(a.grip_material) and np.array_equal(a.grip_material, b.grip_material)
+    if not (held_alike and np.array_equal(one.observation.material, other.observation.material)):
+        return None  # nor can a sheet that nobody holds be said to be moved alike
     step = float(np.median(np.diff(a.grip_time)))
     late = np.arange(0.0, (1 - TOGETHER) * min(np.ptp(a.grip_time), np.ptp(b.grip_time)), step)
     shifts = np.concatenate([-late[:0:-1], late]) + b.grip_time[0] - a.grip_time[0]

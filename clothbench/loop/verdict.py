@@ -14,7 +14,7 @@ from clothbench.loop.attribution import null_of
 from clothbench.loop.fitting import Fitted, fit
 from clothbench.loop.guard import field_of
 from clothbench.loop.improve import AGAIN, REFITS, Outcome, Round
-from clothbench.loop.judge import AT_THE_FLOOR, COARSE, EXPLAINED, Candidate
+from clothbench.loop.judge import AT_THE_FLOOR, COARSE, EXPLAINED, Candidate, parameters_of
 from clothbench.loop.problem import Problem, residuals
 from clothbench.loop.residual import correction
 
@@ -135,13 +135,13 @@ def effect_entry(outcome: Outcome, turn: int) -> dict[str, Any]:
     name = found.named[0]
     candidate = next(c for c in found.candidates if c.name == name)
     effect = outcome.problem.plugins.make("effects", name)
-    parameters = {}
-    for i, parameter in enumerate(final.space):
-        if parameter.name.startswith(f"{name}."):
-            parameters[parameter.name.removeprefix(f"{name}.")] = {
-                "value": float(final.theta[i]), "low": number(final.low[i]), "high": number(final.high[i]),
-                "unit": parameter.unit,
-            }  # fmt: skip
+    parameters = {
+        own: {
+            "value": float(final.theta[i]), "low": number(final.low[i]), "high": number(final.high[i]),
+            "unit": final.space.parameters[i].unit,
+        }
+        for own, i in parameters_of(final.space, name).items()
+    }  # fmt: skip
     return {
         "name": name, "place": effect.place, "summary": effect.summary, "parameters": parameters,
         "tied_with": list(found.named[1:]), "p_value": candidate.p_value,
@@ -207,11 +207,11 @@ def told(candidate: Candidate) -> str:
     fitted = candidate.fitted
     if fitted is None:
         return f"{candidate.share:.0%}"
-    own = [(p, v) for p, v in zip(fitted.space, fitted.theta, strict=True) if p.name.startswith(f"{candidate.name}.")]
-    amounts = ", ".join(
-        f"{p.name.removeprefix(candidate.name + '.')} = {v:.3g}{f' {p.unit}' * (p.unit != '1')}" for p, v in own
-    )
-    return f"with {amounts}: {candidate.share:.0%}"
+    amounts = []
+    for own, i in parameters_of(fitted.space, candidate.name).items():
+        unit = fitted.space.parameters[i].unit
+        amounts.append(f"{own} = {fitted.theta[i]:.3g}" + ("" if unit == "1" else f" {unit}"))
+    return f"with {', '.join(amounts)}: {candidate.share:.0%}"
 
 
 def where(outcome: Outcome) -> str:

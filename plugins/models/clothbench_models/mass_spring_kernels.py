@@ -298,19 +298,9 @@ def _run_block(
             if normals:
                 grid_normals(xd, strides[1] // lanes, sheet.normal)
             heavier = apply_effects(
-                effects,
-                stages,
-                n_effects,
-                t,
-                dt_now[0],
-                xd,
-                vd,
-                fd,
-                extra,
-                sheet,
-                effect_parameters[0],
-                effect_state[0],
-            )
+                effects, stages, n_effects, t, dt_now[0], xd, vd, fd, extra, sheet,
+                effect_parameters[0], effect_state[0],
+            )  # fmt: skip
             if heavier:
                 bear_inertia(fd, mass, extra)
         kick_and_drift(x, v, f, inverse_mass, weights, kick, step, keep)

@@ -79,7 +79,7 @@ class SpringSimulation(GridSimulation, ABC):
         return None
 
     def calmed(self, theta: np.ndarray) -> np.ndarray:
-        """The parameters (B, P) with which the sheet settles before it is moved: with damping for longer steps, say."""
+        """The parameters (B, P) with which the sheet settles in its grips: where it comes to rest must be the same."""
         return theta
 
     def loss(self, theta: np.ndarray) -> np.ndarray:
@@ -106,8 +106,9 @@ class _Batch(GridBatch):
     def __init__(self, simulation: SpringSimulation, theta: np.ndarray):
         options = simulation.options
         self.calmed = simulation.calmed(theta)
-        dt = self.settle_dt = np.full(len(theta), options.dt or np.nan)
-        if options.dt is None:
+        if options.dt is not None:
+            dt = self.settle_dt = np.full(len(theta), options.dt)
+        else:
             scale = SAFETY * options.step_scale
             dt, self.settle_dt = (scale * simulation.stable_step(values) for values in (theta, self.calmed))
         super().__init__(simulation, theta, dt, SETTLE[1] / simulation.slowest)
