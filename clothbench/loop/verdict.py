@@ -11,11 +11,12 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import t as student
 
 from clothbench.loop.attribution import null_of
+from clothbench.loop.curves import CurveCase
 from clothbench.loop.fitting import Fitted, fit
 from clothbench.loop.guard import field_of
 from clothbench.loop.improve import AGAIN, REFITS, Outcome, Round
-from clothbench.loop.judge import AT_THE_FLOOR, COARSE, EXPLAINED, Candidate, parameters_of
-from clothbench.loop.problem import Problem, residuals
+from clothbench.loop.judge import AT_THE_FLOOR, COARSE, EXPLAINED, Candidate, likeness, parameters_of
+from clothbench.loop.problem import Case, Problem, residuals
 from clothbench.loop.residual import correction
 
 SCHEMA = 1
@@ -185,8 +186,7 @@ def hint(outcome: Outcome, verdict: str) -> str:
     if verdict == "attributed":
         return ""
     if verdict == "tied":
-        names = next(r.named for r in outcome.rounds if len(r.named) > 1)
-        return f"{' and '.join(names)} fit alike on these motions; record one in which they differ"
+        return "; ".join(undecided(outcome, r) for r in outcome.rounds if len(r.named) > 1)
     tried = [c for r in outcome.rounds for c in r.candidates]
     if not tried:
         return "the residual stands above the noise, and no candidate could be tried"
@@ -217,7 +217,7 @@ def told(candidate: Candidate) -> str:
 def where(outcome: Outcome) -> str:
     """Where on the sheet, in which recording and when in it most is left; nothing for curves, which have no sheet."""
     cases = outcome.problem.of_split("fit")
-    if not hasattr(cases[0].observation, "position"):
+    if isinstance(cases[0], CurveCase):
         return ""
     squares: dict[str, list[np.ndarray]] = {"upper": [], "middle": [], "lower": []}
     for case, residual in zip(cases, standing(outcome).residual, strict=True):
@@ -228,11 +228,33 @@ def where(outcome: Outcome) -> str:
     sizes = {name: 1e3 * float(np.sqrt(np.concatenate(rows).mean())) for name, rows in squares.items() if len(rows[0])}
     most = max(sizes, key=lambda name: sizes[name])
     worst = int(np.argmax(standing(outcome).squares))
-    time, left = cases[worst].observation.time, field_of(cases[worst], standing(outcome).residual[worst])
-    second = max(1, round((len(time) - 1) / float(time[-1] - time[0])))
-    late = time[int(np.argmax(uniform_filter1d((left**2).sum(axis=(1, 2)), second, mode="constant")))]
     rest = ", ".join(f"{name} {size:.1f} mm" for name, size in sizes.items())
-    return f"; most is left in the {most} third ({rest}), in {cases[worst].name}, and there around {late:.1f} s"
+    around = peak(cases[worst], standing(outcome).residual[worst])
+    return f"; most is left in the {most} third ({rest}), in {cases[worst].name}, and there around {around}"
+
+
+def peak(case: Case, residual: np.ndarray) -> str:
+    """Where in a recording most of a residual (M,) is: the second, or the stretch."""
+    if isinstance(case, CurveCase):
+        return f"a stretch of {case.observation.stretch[case.observation.visible][np.argmax(np.abs(residual))]:.2f}"
+    time, left = case.observation.time, field_of(case, residual)
+    second = max(1, round((len(time) - 1) / float(time[-1] - time[0])))
+    return f"{time[int(np.argmax(uniform_filter1d((left**2).sum(axis=(1, 2)), second, mode='constant')))]:.1f} s"
+
+
+def undecided(outcome: Outcome, found: Round) -> str:
+    """How much alike a tied pair corrects, where the two differ most in these recordings, and what would decide."""
+    pair = [next(c for c in found.candidates if c.name == name) for name in found.named]
+    one, other = (c.fitted.residual for c in pair if c.fitted is not None)
+    apart = [a - b for a, b in zip(one, other, strict=True)]
+    size = [float(np.sqrt(np.mean(a**2))) for a in apart]
+    case, most = outcome.problem.of_split("fit")[int(np.argmax(size))], max(size)
+    differ = f"{most:.2g} N" if isinstance(case, CurveCase) else f"{1e3 * most:.2g} mm"
+    return (
+        f"{' and '.join(found.named)} fit alike (what they correct correlates with "
+        f"{likeness(found.before, pair)[0, 1]:.2f}); they differ most in {case.name}, by {differ}, around "
+        f"{peak(case, apart[int(np.argmax(size))])}: a recording that goes further there would tell them apart"
+    )
 
 
 def number(value: float | None) -> float | None:

@@ -82,3 +82,20 @@ def test_hint_says_who_comes_nearest_and_where_and_when_most_is_left(outcome, mo
         "in second, and there around 2.5 s",
     ):
         assert said in found["hint"]
+
+
+def test_hint_of_a_tie_says_how_alike_the_two_are_and_where_they_differ(outcome, monkeypatch):
+    monkeypatch.setattr("clothbench.loop.verdict.held_out_errors", lambda *_: [])
+    base, names = outcome.base, ("quadratic_drag", "clock_offset")
+    corrected = [0.05 * r for r in base.residual]
+    otherwise = [corrected[0], corrected[1] + 1e-3 * (np.arange(540) // 9 // 20 == 1)]
+    pair = [
+        Candidate(name, 0.9, 0.005, fitted=fitted(left, (name,), [DRAG]))
+        for name, left in zip(names, (corrected, otherwise), strict=True)
+    ]
+    outcome.final, outcome.noise, outcome.floor = pair[0].fitted, 5e-4, 5e-4
+    outcome.rounds = [Round(base, 5e-4, tuple(pair), (), names, outcome.final)]
+    found = document(outcome, None, 1.0)
+    assert found["verdict"] == "tied"
+    assert "correlates with 1.00" in found["hint"]
+    assert "differ most in second, by 0.58 mm, around 1.5 s" in found["hint"]
