@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -12,8 +11,8 @@ from clothbench.errors import ClothbenchError
 from clothbench.experiment.settings import writable
 from clothbench.improve_command import StageBar, asked_for, say, sensors_first, splits_of, tell_splits, whole
 from clothbench.loop.curves import CurveProblem, curve_problem, in_newtons
-from clothbench.loop.improve import Outcome, improve
-from clothbench.loop.verdict import document, placebo_of
+from clothbench.loop.improve import Outcome, Stage, improve
+from clothbench.loop.verdict import judged
 from clothbench.plugins import Catalogue, absent, catalogue
 from clothbench.recording import find_recordings
 from clothbench.recording_file import kind_of
@@ -22,14 +21,13 @@ from clothbench.report.improve_files import json_text, write_folder
 
 def command(settings: Mapping[str, str], as_json: bool = False) -> int:
     """Run the loop on curves; write verdict, page and tables, print the verdict in words or as the document."""
-    began = time.perf_counter()
     plugins = catalogue()
     out = writable(settings.get("out", "improve"))
     problem = problem_of(settings, plugins)
     candidates = candidates_of(settings.get("candidates"), plugins)
     tell_splits(problem)
     with StageBar() as bar:
-        outcome, found = improved(problem, candidates, bar, began)
+        outcome, found = improved(problem, candidates, bar.stage)
         bar.stage("page and tables", 0, 1)
         write_folder(out, outcome, found)
     print(json_text(found)) if as_json else say(found, out)
@@ -37,13 +35,11 @@ def command(settings: Mapping[str, str], as_json: bool = False) -> int:
 
 
 def improved(
-    problem: CurveProblem, candidates: Sequence[str], bar: StageBar | None = None, began: float | None = None
+    problem: CurveProblem, candidates: Sequence[str], told: Stage = lambda *_: None
 ) -> tuple[Outcome, dict[str, Any]]:
     """What the loop found, and the document of its verdict."""
-    began = time.perf_counter() if began is None else began
-    outcome = improve(problem, candidates, bar.stage if bar is not None else lambda *_: None)
-    placebo = placebo_of(outcome)
-    return outcome, in_newtons(document(outcome, placebo, time.perf_counter() - began))
+    outcome = improve(problem, candidates, told)
+    return outcome, in_newtons(judged(outcome))
 
 
 def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> CurveProblem:
@@ -51,7 +47,7 @@ def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> CurveProblem:
     model, seed = settings["model"], whole("seed", settings.get("seed", "0"))
     if reason := absent(plugins.load("models", model)):
         raise ClothbenchError(f"model {model!r}: {reason}")
-    for key in ("resolution", "base"):
+    for key in ("resolution", "base", "areal_density"):
         if key in settings:
             raise ClothbenchError(f"found {key}=…, which force-extension curves have no use for; leave it out")
     curves = []

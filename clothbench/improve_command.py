@@ -7,7 +7,6 @@ import json
 import math
 import shlex
 import sys
-import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,10 +19,11 @@ from clothbench.curve_simulation import acts_on_sheets
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.cell import Source, resplit
 from clothbench.experiment.settings import writable
+from clothbench.loop.fitting import ENOUGH
 from clothbench.loop.improve import improve
 from clothbench.loop.memory import Memory
 from clothbench.loop.problem import Case, Problem
-from clothbench.loop.verdict import document, placebo_of
+from clothbench.loop.verdict import judged
 from clothbench.plugins import Catalogue, absent, catalogue
 from clothbench.protocols import Effect
 from clothbench.recording import Recording, find_recordings, read_recording
@@ -40,7 +40,6 @@ DAMPING = "linear_drag"  # what every model is given that has no damping of its 
 
 def command(settings: Mapping[str, str], as_json: bool = False) -> int:
     """Run the loop with settings as KEY=VALUE words gave them, and print the verdict: in words, or as the document."""
-    began = time.perf_counter()
     plugins = catalogue()
     for key in ("recordings", "model"):
         if not settings.get(key):
@@ -60,9 +59,7 @@ def command(settings: Mapping[str, str], as_json: bool = False) -> int:
         return 0
     with StageBar() as bar:
         outcome = improve(problem, candidates, bar.stage)
-        bar.stage("held-out recordings", 0, 1)
-        placebo = placebo_of(outcome)
-        found = document(outcome, placebo, time.perf_counter() - began) | {"key": key}
+        found = judged(outcome) | {"key": key}
         bar.stage("page, tables and Rerun files", 0, 1)
         write_folder(out, outcome, found)
         problem.memory.forget()
@@ -82,21 +79,24 @@ def finished(out: Path, key: str) -> dict[str, Any] | None:
 def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> Problem:
     """Everything read and checked before anything is run."""
     model, seed = settings["model"], whole("seed", settings.get("seed", "0"))
-    if reason := absent(plugins.load("models", model)):
+    kind = plugins.load("models", model)
+    if reason := absent(kind):
         raise ClothbenchError(f"model {model!r}: {reason}")
+    if not {"dynamic", "effects"} <= (able := plugins.make("models", model).capabilities):
+        raise ClothbenchError(
+            f"model {model!r}: found the capabilities {', '.join(sorted(able))}, expected one that moves and takes "
+            "effects ('dynamic', 'effects')"
+        )
     recordings = [read_recording(path) for path in find_recordings([settings["recordings"]])]
     splits = splits_of(recordings, settings["recordings"], seed)
     tracker, density = plugins.make("trackers", "markers"), density_of(settings)
+    usual = IMPLICIT_NODES if getattr(kind, "kind", "") == "implicit" else NODES
+    nodes = whole("resolution", settings.get("resolution", str(usual)), 5)
     cases = tuple(
-        Case(r.name, split, r, tracker.track(r), scene_of(r, areal_density=density))
+        Case(r.name, split, r, tracker.track(r), scene_of(r, areal_density=density, resolution=shape_of(r, nodes)))
         for r, split in zip(recordings, splits, strict=True)
     )
-    implicit = getattr(plugins.load("models", model), "kind", "") == "implicit"
-    nodes = whole("resolution", settings.get("resolution", str(IMPLICIT_NODES if implicit else NODES)), 5)
-    scene = cases[0].scene
-    cell = max(scene.width, scene.height) / (nodes - 1)
-    shape = (max(3, round(scene.width / cell) + 1), max(3, round(scene.height / cell) + 1))
-    problem = Problem(model, cases, plugins, resolution=shape, seed=seed)
+    problem = Problem(model, cases, plugins, seed=seed)
     base = names(settings["base"]) if "base" in settings else default_base(problem)
     for name in base:
         plugins.find("effects", name)
@@ -104,7 +104,14 @@ def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> Problem:
 
 
 def splits_of(recordings: Sequence[Recording | Curve], where: str, seed: int) -> list[str]:
-    """ "fit" or "held_out" for each, as it states or, where none does, by seed."""
+    """ "fit" or "held_out" for each, as it states or, where none does, by seed; a name stands for one recording."""
+    files: dict[str, str | Path | None] = {}
+    for r in recordings:
+        if r.name in files:
+            raise ClothbenchError(
+                f"{r.path}: found the name {r.name!r}, which {files[r.name]} has too; give each a name of its own"
+            )
+        files[r.name] = r.path
     sources = resplit([Source(r.path, r.name, r.hash, r.split) for r in recordings], seed)
     if not any(s.split == "fit" for s in sources):
         raise ClothbenchError(f"{where}: found only held-out recordings, expected at least one to fit")
@@ -112,10 +119,21 @@ def splits_of(recordings: Sequence[Recording | Curve], where: str, seed: int) ->
 
 
 def tell_splits(problem: Problem) -> None:
-    """What is held out by seed, since no recording says it, is told to the user: once all else has been checked."""
+    """What is held out by seed, since no recording says it, is told to the user, and that there are too few to name
+    anything: once all else has been checked.
+    """
+    fitted = len(problem.of_split("fit"))
+    if fitted < ENOUGH:
+        print(f"clothbench: {fitted} recordings to fit; an effect can be named from {ENOUGH} on", file=sys.stderr)
     if not any(c.recording.split for c in problem.cases):
         held = ", ".join(c.name for c in problem.cases if c.split == "held_out") or "none"
         print(f"clothbench: no recording states a split; held out by seed {problem.seed}: {held}", file=sys.stderr)
+
+
+def shape_of(recording: Recording, nodes: int) -> tuple[int, int]:
+    """Nodes along (u, v) of cells as nearly square as may be, so many along the longer side."""
+    cell = max(recording.cloth_width, recording.cloth_height) / (nodes - 1)
+    return max(3, round(recording.cloth_width / cell) + 1), max(3, round(recording.cloth_height / cell) + 1)
 
 
 def density_of(settings: Mapping[str, str]) -> float | None:
@@ -145,12 +163,16 @@ def candidates_of(given: str | None, plugins: Catalogue, problem: Problem) -> li
     on_sheets = {name: effect for name, effect in effects.items() if acts_on_sheets(effect)}
     if given and (stray := next((name for name in effects if name not in on_sheets), None)):
         raise ClothbenchError(f"effect {stray!r} acts on force-extension curves only; take it out of candidates")
+    if given is not None and (owned := next((name for name in effects if name in problem.base), None)):
+        raise ClothbenchError(f"effect {owned!r} is in the base already; take it out of candidates, or state base=")
     return sensors_first({name: effect for name, effect in on_sheets.items() if name not in problem.base})
 
 
 def asked_for(given: str | None, plugins: Catalogue) -> dict[str, Effect]:
     """The effects that were named; or else all that can be used, and the user is told of the others."""
-    if given:
+    if given is not None:
+        if not names(given):
+            raise ClothbenchError(f"candidates is {given!r}, expected names of effects; left out, all are tried")
         return {name: plugins.make("effects", name) for name in names(given)}
     sound, broken = plugins.made("effects")
     for reason in broken.values():

@@ -22,6 +22,7 @@ GAIN = 0.005  # of the sum of squares; ripples give as much by chance, so that t
 PACES = 2  # rounds by whose fall it is judged whether a search can still come to where it matters
 DAMPINGS = 4  # sets that a round of `least_squares` tries beside one for each parameter's difference
 MIMIC = 0.2  # amplitude; about a hundred patterns in space and time are independent, of which a parameter makes one
+ENOUGH = 3  # recordings that an interval takes: each is left out once
 AROUND, LOOKS = 0.1, 7  # how far around a fit other starts are looked for, of the scaled range, and how many
 
 
@@ -83,7 +84,7 @@ def fit(
     """Least squares from the best of `start` (S, P) or (P,), or from the defaults and a spread of others if None; ended
     after so many `rounds`, if it does not end before; and once it is plain that its mean square will stay above `goal`.
     """
-    starts, walks = (7, 2) if start is None else (0, 1)
+    starts, walks = (31, 4) if start is None else (0, 1)
     settings = {"starts": starts, "walks": walks, "difference": PROBE, "tolerance": GAIN} | problem.search
     key = problem.key("fitted", names, None if start is None else np.asarray(start).tolist(), rounds, goal, settings)
     trials = problem.trials(names, "fit")
@@ -203,7 +204,7 @@ def interval(space: ParameterSpace, theta: np.ndarray, residual: list, jacobian:
     whole = normal_equations(residual, jacobian)
     count = len(residual)
     unit = space.to_unit(theta)
-    if count < 3:
+    if count < ENOUGH:
         return np.full(len(space), np.nan), np.full(len(space), np.nan)
     parts = [normal_equations(residual[r : r + 1], jacobian[r : r + 1]) for r in range(count)]
     moved = np.array([solve(whole[0] - part[0], whole[1] - part[1]) for part in parts])

@@ -17,7 +17,7 @@ from clothbench.loop.curves import CurveCase
 from clothbench.loop.fitting import Fitted
 from clothbench.loop.problem import Case
 
-DRAWS = 199
+DRAWS, AT_ONCE = 199, 20
 NOTHING = 1e-6  # share of a candidate's squares; less than that is rounding and the error of differences
 
 
@@ -43,11 +43,14 @@ def shares(cases: Sequence[Case], fitted: Fitted, found: Sequence[Probe], seed: 
         spans.append(span_of(columns - base @ (base.T @ columns), np.square(columns).sum()))
     random = np.random.default_rng(seed)
     fields = [field_of(case, r) for case, r in zip(cases, fitted.residual, strict=True)]
-    tried = [np.concatenate(fitted.residual)]
-    for _ in range(DRAWS):
-        tried.append(np.concatenate([scrambled(case, f, random) for case, f in zip(cases, fields, strict=True)]))
-    share = explained(base, spans, np.array(tried) * fitted.scale)
-    return Shares(share[0], share[1:].max(axis=1))
+    chance = []
+    for first in range(0, DRAWS, AT_ONCE):  # of long recordings, all would not fit into memory
+        drawn = [
+            np.concatenate([scrambled(case, f, random) for case, f in zip(cases, fields, strict=True)])
+            for _ in range(first, min(first + AT_ONCE, DRAWS))
+        ]
+        chance.append(explained(base, spans, np.array(drawn) * fitted.scale).max(axis=1, initial=0.0))
+    return Shares(explained(base, spans, fitted.left[None])[0], np.concatenate(chance))
 
 
 def span_of(columns: np.ndarray, of: float | None = None) -> np.ndarray:
@@ -62,7 +65,7 @@ def explained(base: np.ndarray, spans: Sequence[np.ndarray], residuals: np.ndarr
     total = np.square(residuals).sum(axis=1) - np.square(residuals @ base).sum(axis=1)
     # Spans are at right angles to the base, so it need not be taken from the residuals first.
     parts = [np.square(residuals @ span).sum(axis=1) for span in spans]
-    return np.stack(parts, axis=1) / total[:, None]
+    return np.array(parts).reshape(len(spans), len(residuals)).T / total[:, None]
 
 
 def field_of(case: Case, residual: np.ndarray) -> np.ndarray:

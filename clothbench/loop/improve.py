@@ -9,6 +9,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from clothbench.errors import ClothbenchError
 from clothbench.loop.attribution import Probe, moved, outside, probes, ridge, share_of
 from clothbench.loop.fitting import Fitted, evaluations, fit, polish, widened
 from clothbench.loop.guard import Shares, shares
@@ -23,8 +24,9 @@ ROUNDS = 3  # effects that can be named one after the other
 AFRESH = 10  # how many candidates a later round simulates anew: those that explain most by what they changed before
 REFITS, NEAR = 4, 0.3  # how many candidates are fitted in earnest in each round, and from which part of the best share
 SHORT = 3.0  # how many times less than a refit gains a share to first order may promise (seen: up to twice)
-# Rounds of the first fit, of one that begins where another ended, and of one of a single recording.
-FIRST, AGAIN, ALONE = 17, 8, 3
+# Rounds of the first fit (of all its walks together), of one that is to be ended, of one that begins where another
+# ended, and of one of a single recording.
+FIRST, OUT, AGAIN, ALONE = 34, 17, 8, 3
 NEARBY = 0.05  # of the scaled range: how far from a fit the mesh's error is looked at
 POLISH = 5  # and to make sure that a candidate's search has not ended early
 FINALISTS, CONTEST = 3, 1.5  # how many are made sure of, and what they may leave, times the least (mean squares)
@@ -111,6 +113,16 @@ def improve(problem: Problem, candidates: Sequence[str], told: Stage) -> Outcome
     budget = Budget(told)
     base = calibrated(problem, budget)
     noise = max(noise_of(problem), repeat_spread(problem, base))
+    if not np.isfinite(base.rms):
+        raise ClothbenchError(
+            f"model {problem.model!r}: found no parameters with which all recordings to fit can be "
+            "simulated; leave out those that it cannot do, or choose another model"
+        )
+    if not np.isfinite(noise):
+        raise ClothbenchError(
+            "noise_sigma: found NaN in recordings too short to show their noise, expected metres; "
+            "state it in the recordings"
+        )
     problem, base, floor = corrected(problem, base, noise, budget)
     outcome = Outcome(problem, base, base, noise, floor, budget)
     outcome.alone = each_alone(problem, base, budget)
@@ -122,6 +134,9 @@ def improve(problem: Problem, candidates: Sequence[str], told: Stage) -> Outcome
         earlier = outcome.rounds[-1].probes if outcome.rounds else ()
         found = one_round(problem, current, floor, needed(current, floor, noise), rest, earlier, budget)
         outcome.rounds.append(found)
+        if found.before is not current:  # a second thought found a better fit of what there was
+            current = outcome.final = found.before
+            outcome.base = outcome.base if turn else current
         if found.after is None:
             break
         finer, after, doubt = corrected(problem, fitted_out(problem, found.after, budget), noise, budget)
@@ -212,7 +227,7 @@ def fitted_out(problem: Problem, named: Fitted, budget: Budget) -> Fitted:
     such a fit has not yet come to must not be taken for another effect.
     """
     budget.stage(f"{named.effects[-1]} fitted out", 0, 1)
-    return better_of(problem, named, named.theta, FIRST, budget)
+    return better_of(problem, named, named.theta, OUT, budget)
 
 
 def one_round(

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clothbench.loop.fitting import Fitted
+from clothbench.loop.fitting import ENOUGH, Fitted
 from clothbench.parameters import ParameterSpace
 
 AT_THE_FLOOR = 1.15  # times the floor: a residual this small is not worth a name
@@ -50,7 +50,9 @@ def needed(current: Fitted, floor: float, noise: float) -> float:
 
 
 def judge(current: Fitted, gain: float, tried: Sequence[Candidate]) -> list[Candidate]:
-    """What speaks against each of them, if anything; and in how many leave-one-out rounds it is the best."""
+    """What speaks against each of them, if anything; and in how many leave-one-out rounds it is the best and explains
+    enough. What is left out there is a recording's say: nothing is fitted again.
+    """
     count = len(current.squares)
     left = np.array([c.fitted.squares for c in tried if c.fitted is not None]).reshape(-1, count)
     allowed = allowances(current, tried)
@@ -60,7 +62,8 @@ def judge(current: Fitted, gain: float, tried: Sequence[Candidate]) -> list[Cand
         wins = 0
         for left_out in range(count):
             rest = [r for r in range(count) if r != left_out] or [0]
-            wins += bool((left[k, rest].mean() <= allowed[:, k] * left[:, rest].mean(axis=1)).all())
+            best = (left[k, rest].mean() <= allowed[:, k] * left[:, rest].mean(axis=1)).all()
+            wins += bool(best and (current.squares - left[k])[rest].mean() >= gain)
         helped = int((left[k] < current.squares).sum())
         why = ""
         if candidate.gain < gain:
@@ -70,7 +73,7 @@ def judge(current: Fitted, gain: float, tried: Sequence[Candidate]) -> list[Cand
         elif candidate.fitted is not None and (fault := unphysical(candidate.name, candidate.fitted)):
             why = fault
         elif wins < count - 1:
-            why = f"another is better when a recording is left out ({wins} of {count})"
+            why = f"falls short or behind another when a recording is left out (stands in {wins} of {count})"
         out.append(dataclasses.replace(candidate, selected=int(wins), why_not=why))
     return sorted(out, key=lambda c: -c.gain)
 
@@ -79,6 +82,8 @@ def unphysical(name: str, fitted: Fitted) -> str:
     """Why the amounts that were fitted to an effect cannot stand, or ""."""
     space, amounts = fitted.space, amounts_of(fitted.space, name)
     null = np.array([space.parameters[i].null for i in amounts])
+    if np.isnan(fitted.low[amounts]).all():
+        return f"fewer than {ENOUGH} recordings to fit give its amount no interval"
     far = np.abs(fitted.theta[amounts] - null) > 1e-3 * (space.high - space.low)[amounts]
     at_bound = [i for i, away in zip(amounts, far, strict=True) if away and fitted.at_bound[i]]
     if at_bound:

@@ -101,9 +101,8 @@ def residuals(trial: Trial, theta: np.ndarray) -> np.ndarray:
 class Problem:
     """A model, with what belongs to it in any case (`base`), beside recordings.
 
-    base: effects that are part of the model from the start; resolution: nodes (nu, nv); step_scale: of the model's own
-    step, for models that have that option; corrections: by recording, see `CoordinateError`; memory: of what was
-    computed already.
+    base: effects that are part of the model from the start; step_scale: of the model's own step, for models that have
+    that option; corrections: by recording, see `CoordinateError`; memory: of what was computed already.
     """
 
     model: str
@@ -111,7 +110,6 @@ class Problem:
     plugins: Catalogue
     base: tuple[str, ...] = ()
     options: Mapping[str, Any] = field(default_factory=dict)
-    resolution: tuple[int, int] | None = None
     step_scale: float = 1.0
     seed: int = 0
     corrections: Mapping[str, np.ndarray] = field(default_factory=dict)
@@ -128,9 +126,9 @@ class Problem:
 
     def finer(self) -> Problem:
         """The same with half the cell size and half the step."""
-        nu, nv = self.resolution or (0, 0)
         scale = self.step_scale / 2 if self.takes_scale else 1.0
-        return dataclasses.replace(self, resolution=(2 * nu - 1, 2 * nv - 1), step_scale=scale, corrections={})
+        cases = tuple(dataclasses.replace(case, scene=refined(case.scene)) for case in self.cases)
+        return dataclasses.replace(self, cases=cases, step_scale=scale, corrections={})
 
     @cached_property
     def takes_scale(self) -> bool:
@@ -158,8 +156,7 @@ class Problem:
         model, effects = self.plugins.make("models", self.model, **options), self.effects(names)
         out = []
         for case in self.of_split(split):
-            scene = dataclasses.replace(case.scene, resolution=self.resolution)
-            simulation = without_switches(model.prepare(scene, effects), len(model.parameters))
+            simulation = without_switches(model.prepare(case.scene, effects), len(model.parameters))
             metric = CoordinateError(self.corrections.get(case.name, 0.0))
             out.append(Trial(case.name, case.observation, simulation, metric))
         return out
@@ -170,14 +167,22 @@ class Problem:
     def key(self, *more: Any) -> str:
         """16 hexadecimal digits of everything that a result depends on."""
         about = {
-            "model": self.model, "base": self.base, "options": dict(self.options), "resolution": self.resolution,
+            "model": self.model, "base": self.base, "options": dict(self.options),
             "step": self.step_scale, "seed": self.seed, "recordings": [c.recording.hash for c in self.cases],
             "splits": [c.split for c in self.cases], "more": more, "clothbench": __version__,
+            "scenes": [c.scene and (c.scene.areal_density, c.scene.resolution) for c in self.cases],
             "versions": [getattr(self.plugins.load("models", self.model), "version", 0)],
             "corrections": {name: digest(c) for name, c in self.corrections.items()},
             "effects": self.versions,
         }  # fmt: skip
         return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()[:16]
+
+
+def refined(scene: Scene) -> Scene:
+    """The scene with cells of half the size."""
+    assert scene.resolution is not None  # the command has set it
+    nu, nv = scene.resolution
+    return dataclasses.replace(scene, resolution=(2 * nu - 1, 2 * nv - 1))
 
 
 def digest(array: np.ndarray) -> str:

@@ -170,16 +170,14 @@ def curve_rows(curves: Sequence[Pulled]) -> Rows:
 
 
 def stage_rows(outcome: Outcome) -> Rows:
-    """The budget by stage, as far as the loop kept account of it."""
-    stages = getattr(outcome, "stages", [])
-    return [{"stage": name, "wall_s": float(seconds), "evaluations": int(count)} for name, seconds, count in stages]
+    """The budget by stage."""
+    return [{"stage": name, "wall_s": wall_s, "evaluations": count} for name, wall_s, count in outcome.stages]
 
 
 def drift_rows(outcome: Outcome) -> Rows:
     """Each recording's own fit beside the joint one: what lies outside the joint interval drifts."""
     joint, rows = outcome.base, []
-    alone: Mapping[str, Fitted] = getattr(outcome, "alone", {})
-    for recording, fitted in alone.items():
+    for recording, fitted in outcome.alone.items():
         at_bound = fitted.at_bound
         for i, p in enumerate(joint.space):
             value, low, high = float(fitted.theta[i]), number(joint.low[i]), number(joint.high[i])

@@ -10,6 +10,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.stats import t as student
 
+from clothbench.experiment.calibrate import over
 from clothbench.loop.attribution import null_of
 from clothbench.loop.curves import CurveCase
 from clothbench.loop.fitting import Fitted, fit
@@ -36,16 +37,21 @@ def held_out_errors(problem: Problem, fitted: Fitted) -> list[float]:
 
 
 def held_out_residuals(problem: Problem, fitted: Fitted) -> list[np.ndarray]:
-    """Simulated minus seen (M,) m of each held-out recording at its visible coordinates."""
+    """Simulated minus seen (M,) m of each held-out recording at its visible coordinates; remembered."""
+    key = problem.key("held out", fitted.effects, fitted.theta.tolist())
+    if (known := problem.memory.recall(key)) is not None:
+        return [known[str(k)] for k in range(len(known))]
     plain = dataclasses.replace(problem, corrections={})
     if not plain.of_split("held_out"):
         return []
-    judged = plain
+    corrected = plain
     if problem.corrections:
         changes = correction(plain, fitted, "held_out")
         names = [case.name for case in plain.of_split("held_out")]
-        judged = dataclasses.replace(plain, corrections=dict(zip(names, changes, strict=True)))
-    return [residuals(trial, fitted.theta[None])[0] for trial in judged.trials(fitted.effects, "held_out")]
+        corrected = dataclasses.replace(plain, corrections=dict(zip(names, changes, strict=True)))
+    found = over(corrected.trials(fitted.effects, "held_out"), lambda trial: residuals(trial, fitted.theta[None])[0])
+    problem.memory.keep(key, **{str(k): left for k, left in enumerate(found)})
+    return found
 
 
 def pooled(values: Sequence[float]) -> float | None:
@@ -90,13 +96,24 @@ def standing(outcome: Outcome) -> Fitted:
     return outcome.final if word(outcome) in ("attributed", "tied") else outcome.base
 
 
+def judged(outcome: Outcome) -> dict[str, Any]:
+    """The document of the verdict, after the only look at the held-out recordings."""
+    outcome.budget.stage("held-out recordings", 0, 1)
+    placebo = placebo_of(outcome)
+    return document(outcome, placebo, outcome.problem.memory.seconds)
+
+
 def document(outcome: Outcome, placebo: Placebo | None, wall_s: float) -> dict[str, Any]:
     """`verdict.json`. Errors are rms over visible node coordinates, pooled over recordings, in mm."""
     problem, final, verdict = outcome.problem, standing(outcome), word(outcome)
     before = held_out_errors(problem, outcome.base)
     after = held_out_errors(problem, final) if final.effects else before
     left, remark, unseen = final.rms, hint(outcome, verdict), 1e-3 * (pooled(before) or 0.0)
-    if verdict == "complete" and unseen > problem.carried * outcome.floor:
+    stopped = [case.name for case, error in zip(problem.of_split("held_out"), before, strict=True) if np.isnan(error)]
+    if verdict == "complete" and stopped:
+        verdict = "unexplained"
+        remark = f"the fit stands at the floor, but {stopped[0]}, held out, could not be simulated with it"
+    elif verdict == "complete" and unseen > problem.carried * outcome.floor:
         verdict, left = "unexplained", unseen
         remark = (
             f"the fit stands at the floor, but the error on held-out recordings at {unseen / outcome.floor:.1f} times "
@@ -121,6 +138,7 @@ def document(outcome: Outcome, placebo: Placebo | None, wall_s: float) -> dict[s
         "unexplained_mm": 1e3 * max(left**2 - outcome.floor**2, 0.0) ** 0.5,
         "hint": remark,
         "candidates": candidate_entries(outcome),
+        "condition": number(np.linalg.cond(final.tangent)),
         "evaluations": outcome.evaluations, "wall_s": wall_s, "seed": problem.seed,
         "recordings": {split: [c.name for c in problem.of_split(split)] for split in ("fit", "held_out")},
         "parameters": {
@@ -273,4 +291,5 @@ def placebo_of(outcome: Outcome) -> Placebo | None:
     name = min(tried, key=lambda c: c.share).name
     start = np.concatenate([final.theta, null_of(problem.plugins.make("effects", name))])
     fitted = fit(problem, (*final.effects, name), start, AGAIN)
+    outcome.budget.count(fitted.evaluations)
     return Placebo(name, tuple(held_out_errors(problem, fitted)))

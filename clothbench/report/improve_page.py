@@ -44,7 +44,7 @@ def document(found: Mapping[str, Any], tables: Tables) -> str:
         map_section(found, tables["nodes"], blocks),
         direction_section(found, tables["portrait"], blocks),
         against_section(found, tables["against"], blocks),
-        parameter_section(tables["parameters"], bool(found["effects"])),
+        parameter_section(tables["parameters"], bool(found["effects"]), found.get("condition")),
         drift_section(tables["drift"], blocks),
         stage_section(found, tables["stages"], blocks),
         remains_section(found, tables),
@@ -196,7 +196,7 @@ def against_section(found: Mapping[str, Any], bins: Rows, blocks: list[dict[str,
     return "<h2>Against the motion</h2>" + block("against", caption, {"": figures}, blocks)
 
 
-def parameter_section(rows: Rows, changed: bool) -> str:
+def parameter_section(rows: Rows, changed: bool, condition: float | None) -> str:
     """Every parameter before and after, with intervals; on its bound, the bound chose it and not the data."""
     names = group(rows, lambda r: r["name"])
     body = []
@@ -206,8 +206,10 @@ def parameter_section(rows: Rows, changed: bool) -> str:
         p = mine[-1]
         body.append([f"{text(p['symbol'])} <small>{text(name)}</small>", *cells, text(unit(p)), text(p["meaning"])])
     head = ["parameter", *(("before", "after") if changed else ("value",)), "unit", "meaning"]
-    note = '<p class="soft">Below the values, 95 % intervals: a jackknife over recordings.</p>'
-    return f"<h2>Parameters</h2>{note}" + table(head, body, numeric=set(range(1, len(head) - 2)))
+    note = "Below the values, 95 % intervals: a jackknife over recordings, and what mesh and model may be wrong by."
+    if condition is not None:
+        note += f" Condition of the fit: {condition:.2g}; above a thousand some of them move together freely."
+    return f'<h2>Parameters</h2><p class="soft">{note}</p>' + table(head, body, numeric=set(range(1, len(head) - 2)))
 
 
 def amount(p: dict[str, Any] | None) -> str:

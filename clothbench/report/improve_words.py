@@ -63,7 +63,7 @@ def named(effect: Mapping[str, Any]) -> str:
 def remains(found: Mapping[str, Any], tables: Mapping[str, Rows]) -> list[str]:
     """How large what is left is, where, when and in which direction: one HTML sentence each."""
     error = errors_of(found)
-    lines = [f"{size(error['left'], error['unit'])} {error['unit']} above the floor, on the fit recordings."]
+    lines = [f"{size(error['left'], error['unit'])} {error['unit']} above the floor."]
     if found["hint"]:
         lines.append(f"Hint: {text(found['hint'])}.")
     left = [r for r in tables["portrait"] if r["fit"] == "after"]

@@ -19,6 +19,7 @@ from test_commands import only_line
 from clothbench import Recording, write_recording
 from clothbench.experiment.improve_schema import IMPROVE_TABLES
 from clothbench.experiment.store import read_table
+from clothbench.improve_command import problem_of
 from clothbench.plugins import catalogue
 from clothbench.scene import scene_of
 
@@ -175,6 +176,18 @@ def test_a_finished_run_is_not_run_again(place, done):
     assert (done[0] / "verdict.json").stat().st_mtime_ns == stamp
 
 
+def test_what_the_recordings_do_not_say_belongs_to_the_question(tmp_path):
+    unknown = dataclasses.replace(planted(0, "fit"), areal_density=float("nan"))
+    wide = dataclasses.replace(unknown, name="wide", cloth_width=2 * unknown.cloth_width)
+    for recording in (unknown, wide):
+        write_recording(recording, tmp_path / f"{recording.name}.nc")
+    words = {"recordings": str(tmp_path), "model": "mass_spring", "base": "", "resolution": "9"}
+    light, heavy = (problem_of(words | {"areal_density": d}, catalogue()) for d in ("0.1", "0.3"))
+    assert light.key("verdict") != heavy.key("verdict")
+    assert [case.scene.resolution for case in light.cases] == [(9, 9), (9, 5)]
+    assert [case.scene.resolution for case in light.finer().cases] == [(17, 17), (17, 9)]
+
+
 def test_json_is_the_document_and_nothing_else(place):
     ran = improve(place, "recordings=two", *SMALL, "candidates=gravity_tilt", "--json", "out=plain", "seed=3")
     assert ran.returncode == 0, ran.stderr
@@ -197,6 +210,13 @@ def test_json_is_the_document_and_nothing_else(place):
         (("recordings=rec", *SMALL, "seed=x"), "seed is 'x', expected a whole number, at least 0"),
         (("recordings=rec", *SMALL, "resolution=2"), "resolution is '2', expected a whole number, at least 5"),
         (("recordings=rec", *SMALL, "out=file"), "setting 'out': file cannot be written to"),
+        (("recordings=rec", *SMALL, "candidates="), "candidates is '', expected names of effects"),
+        (
+            ("recordings=rec", *SMALL[:2], "base=linear_drag", "candidates=linear_drag"),
+            "'linear_drag' is in the base already",
+        ),
+        (("recordings=rec", "model=kirchhoff_love"), "expected one that moves and takes effects"),
+        (("recordings=twice", *SMALL), "sway-1.nc: found the name 'sway-0', which twice/sway-0.nc has too"),
         (("recordings=bad", *SMALL), "bad.nc: found a file that starts with"),
         (("recordings=rec/sway-3.nc", *SMALL), "found only held-out recordings, expected at least one to fit"),
     ],
@@ -207,6 +227,10 @@ def test_wrong_use_is_one_line_and_exit_2(place, tmp_path, settings, found):
     if "recordings=bad" in settings:
         shutil.copytree(place / "rec", tmp_path / "bad")
         (tmp_path / "bad" / "bad.nc").write_text("no NetCDF")
+    if "recordings=twice" in settings:
+        (tmp_path / "twice").mkdir()
+        for number in range(2):
+            shutil.copy(place / "rec" / "sway-0.nc", tmp_path / "twice" / f"sway-{number}.nc")
     before = sorted(tmp_path.rglob("*"))
     ran = improve(tmp_path, *settings)
     assert ran.returncode == 2, ran.stderr

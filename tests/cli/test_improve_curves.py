@@ -104,7 +104,7 @@ def test_improve_names_what_a_linear_sample_lacks(clothbench, curves, tmp_path):
         (("recordings=rib", "model=mass_spring"), "model 'mass_spring' answers no force-extension curves"),
         (("recordings=rib", "model=linear_stretch", "candidates=lift"), "effect 'lift' does not act on"),
         (("recordings=rib", "model=linear_stretch", "resolution=9"), "found resolution=…, which force-extension"),
-        (("recordings=sway", "model=linear_stretch"), "model 'linear_stretch' answers force-extension curves only"),
+        (("recordings=sway", "model=linear_stretch"), "model 'linear_stretch': found the capabilities curve"),
         (("recordings=sway", "model=mass_spring", "candidates=load_offset"), "acts on force-extension curves only"),
         (("recordings=mixed", "model=linear_stretch"), "mixed"),
         (("recordings=broken", "model=linear_stretch"), "broken/run0.nc: variable 'force'"),

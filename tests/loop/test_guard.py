@@ -87,6 +87,13 @@ def test_it_sees_an_effect_half_as_large_as_what_the_model_leaves(cases, candida
     assert hits >= 20 * least
 
 
+def test_without_candidates_there_is_nothing_to_see(cases):
+    random = np.random.default_rng(7)
+    seen = shares(cases, fitted(left(random), random), [], 0)
+    assert len(seen.share) == 0
+    assert (seen.chance == 0).all()
+
+
 def test_what_the_base_explains_counts_for_no_candidate(cases, candidates):
     random = np.random.default_rng(7)
     fit = fitted(left(random), random)

@@ -15,6 +15,13 @@ def test_arrays_come_back_to_the_bit(tmp_path):
     assert int(known["count"]) == 7
 
 
+def test_the_time_of_stopped_runs_counts(tmp_path):
+    memory = Memory(tmp_path)
+    memory.before = 100.0
+    memory.keep("a" * 16, values=np.zeros(3))
+    assert 100.0 < Memory(tmp_path).seconds < 110.0
+
+
 def test_unknown_and_damaged_are_computed_again(tmp_path):
     memory = Memory(tmp_path)
     assert memory.recall("b" * 16) is None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clothbench.loop.fitting import Fitted
-from clothbench.loop.improve import Budget, Outcome, Round
+from clothbench.loop.improve import Budget, Outcome, Round, improve
 from clothbench.loop.judge import Candidate
 from clothbench.loop.verdict import document
 from clothbench.observation import Observation
@@ -59,14 +59,20 @@ def outcome():
 
 
 @pytest.mark.parametrize(
-    ("held_out", "verdict", "left"), [([1.2, 1.2], "complete", 0.46), ([1.2, 2.2], "unexplained", 1.46)]
+    ("held_out", "verdict", "left", "said"),
+    [
+        ([1.2, 1.2], "complete", 0.46, "nothing is left"),
+        ([1.2, 2.2], "unexplained", 1.46, "at 1.8 times"),
+        ([1.2, np.nan], "unexplained", 0.46, "fourth, held out, could not be simulated"),
+    ],
 )
-def test_complete_is_what_carries_over_to_recordings_held_out(outcome, monkeypatch, held_out, verdict, left):
+def test_complete_is_what_carries_over_to_recordings_held_out(outcome, monkeypatch, held_out, verdict, left, said):
     monkeypatch.setattr("clothbench.loop.verdict.held_out_errors", lambda *_: held_out)
     outcome.problem.of_split = lambda split: [SimpleNamespace(name=name) for name in ("third", "fourth")]
     outcome.base = outcome.final = fitted([np.full(9, 1.1e-3)] * 2)
     found = document(outcome, None, 1.0)
     assert found["verdict"] == verdict
+    assert said in found["hint"]
     assert found["unexplained_mm"] == pytest.approx(left, abs=0.01)
 
 
@@ -82,6 +88,20 @@ def test_hint_says_who_comes_nearest_and_where_and_when_most_is_left(outcome, mo
         "in second, and there around 2.5 s",
     ):
         assert said in found["hint"]
+
+
+def test_a_better_fit_of_the_base_is_kept_whether_anything_is_named_or_not(outcome, monkeypatch):
+    base, better = outcome.base, fitted([0.5 * r for r in outcome.base.residual])
+    turn = Round(better, 1e-3, (), (), ())
+    for name, value in {
+        "calibrated": base, "noise_of": 1e-3, "repeat_spread": 0.0, "corrected": (outcome.problem, base, 1e-3),
+        "each_alone": {}, "one_round": turn,
+    }.items():  # fmt: skip
+        monkeypatch.setattr(f"clothbench.loop.improve.{name}", lambda *_, value=value: value)
+    outcome.problem.rounds = 0
+    found = improve(outcome.problem, ["quadratic_drag"], lambda *_: None)
+    assert found.base is better
+    assert found.final is better
 
 
 def test_hint_of_a_tie_says_how_alike_the_two_are_and_where_they_differ(outcome, monkeypatch):
