@@ -18,10 +18,10 @@ from clothbench.curve import Curve
 from clothbench.curve_simulation import acts_on_sheets
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.cell import Source, resplit
+from clothbench.experiment.memory import Memory
 from clothbench.experiment.settings import writable
 from clothbench.loop.fitting import ENOUGH
 from clothbench.loop.improve import improve
-from clothbench.loop.memory import Memory
 from clothbench.loop.problem import Case, Problem
 from clothbench.loop.verdict import judged
 from clothbench.plugins import Catalogue, absent, catalogue

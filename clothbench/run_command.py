@@ -14,6 +14,7 @@ from typing import Any
 
 import hydra
 from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.hydra_config import HydraConfig
 from hydra.core.plugins import Plugins
 from hydra.errors import HydraException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
@@ -24,7 +25,7 @@ from clothbench.errors import ClothbenchError
 from clothbench.experiment.analysis_schema import ANALYSIS_TABLES
 from clothbench.experiment.cell import Bench
 from clothbench.experiment.pool import failed, run_cells
-from clothbench.experiment.settings import KNOWN
+from clothbench.experiment.settings import KNOWN, last_word
 from clothbench.experiment.store import Store
 from clothbench.experiment.suite import plan, suites_folder
 from clothbench.plugins import catalogue, config_groups
@@ -76,7 +77,8 @@ def run(arguments: Sequence[str]) -> int:
 def job(config: Any) -> None:
     """One Hydra job. Leaves a note of its cells; a user's error is noted too, so that any launcher can carry it."""
     try:
-        note = _run(OmegaConf.to_container(config, resolve=True, throw_on_missing=True))
+        settings = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+        note = _run(last_word(settings, HydraConfig.get().overrides.task))  # type: ignore[arg-type]
     except ClothbenchError as fault:
         note = {"error": str(fault)}
     folder = Path(os.environ[NOTES])

@@ -10,10 +10,11 @@ import numpy as np
 
 from clothbench.experiment.calibrate import Fit, evaluate
 from clothbench.experiment.cell import Bench
+from clothbench.experiment.journal import Journal
 from clothbench.experiment.sensitivity import error_map, morris, sobol
 from clothbench.experiment.variability import repeats, variability
 from clothbench.parameters import ParameterSpace
-from clothbench.plugins import catalogue
+from clothbench.plugins import catalogue, one_line
 from clothbench.protocols import Optimizer
 from clothbench.recording import read_recording
 
@@ -21,11 +22,15 @@ Tables = dict[str, list[dict[str, Any]]]
 Options = Mapping[str, Any]
 
 
-def analyse(bench: Bench, fit: Fit) -> Tables:
-    """Every analysis that the cell asks for, as tables of the store."""
+def analyse(bench: Bench, fit: Fit, journal: Journal) -> Tables:
+    """Every analysis that the cell asks for, as tables of the store; one that fails leaves its reason there."""
     tables: Tables = {}
     for name, options in bench.cell.analysis.items():
-        for table, rows in ANALYSES[name](bench, fit, options).items():
+        try:
+            found = ANALYSES[name](bench, fit, options, journal)
+        except Exception as fault:
+            found = {TABLE_OF.get(name, name): [{"reason": one_line(fault), "unit": None}]}
+        for table, rows in found.items():
             tables.setdefault(table, []).extend(_whole(bench, row) for row in rows)
     return tables
 
@@ -57,43 +62,44 @@ def _whole(bench: Bench, row: dict[str, Any]) -> dict[str, Any]:
     return {**about, **row, **{k: metric.unit for k in ("unit", "error_unit") if k not in row}}
 
 
-def _variability(bench: Bench, fit: Fit, options: Options) -> Tables:
-    found, behind = variability(bench.of_split("fit"), bench.space, fit.best, options["points"])
+def _variability(bench: Bench, fit: Fit, options: Options, journal: Journal) -> Tables:
+    found, behind = variability(bench.of_split("fit"), bench.space, fit.best, options["points"], journal)
     return {"variability": found, "perturbations": behind}
 
 
-def _repeats(bench: Bench, fit: Fit, options: Options) -> Tables:
+def _repeats(bench: Bench, fit: Fit, options: Options, journal: Journal) -> Tables:
     cell = bench.cell
     factory = catalogue().load("optimizers", cell.optimizer)
     if "start" not in inspect.signature(factory).parameters:
         reason = f"optimizer {cell.optimizer!r} cannot begin at a given start"
         return {"repeats": [{"repeat": 0, "reason": reason, "unit": None}]}
     told = {**cell.option(cell.optimizer), "start": "defaults"}
+    budget = max(1, cell.budget - fit.looked)  # as long a walk as the fit's own, which looked around first
 
     def make(space: ParameterSpace, seed: int) -> Optimizer:
-        return catalogue().make("optimizers", cell.optimizer, space, seed=seed, budget=cell.budget, **told)
+        return catalogue().make("optimizers", cell.optimizer, space, seed=seed, budget=budget, **told)
 
     seed = cell.stream("repeats") % 2**32
-    return {"repeats": repeats(bench.of_split("fit"), bench.space, fit, options["count"], seed, make)}
+    return {"repeats": repeats(bench.of_split("fit"), bench.space, fit, options["count"], seed, make, journal)}
 
 
 def _sensitivity(method: Callable[..., list[dict[str, Any]]], size: str) -> Callable[..., Tables]:
-    def work(bench: Bench, fit: Fit, options: Options) -> Tables:
+    def work(bench: Bench, fit: Fit, options: Options, journal: Journal) -> Tables:
         seed = bench.cell.stream("sensitivity")
-        return {"sensitivity": method(bench.of_split("fit"), bench.space, options[size], seed)}
+        return {"sensitivity": method(bench.of_split("fit"), bench.space, options[size], seed, journal)}
 
     return work
 
 
-def _map(bench: Bench, fit: Fit, options: Options) -> Tables:
+def _map(bench: Bench, fit: Fit, options: Options, journal: Journal) -> Tables:
     names = options["parameters"]
     if len(names) != 2 or not set(names) <= set(bench.space.names):
         reason = f"needs two of the parameters {', '.join(bench.space.names)}; asked for {', '.join(names)}"
         return {"map": [{"reason": reason}]}
-    return {"map": error_map(bench.of_split("fit"), bench.space, fit.best, names, options["points"])}
+    return {"map": error_map(bench.of_split("fit"), bench.space, fit.best, names, options["points"], journal)}
 
 
-def _confusion(bench: Bench, fit: Fit, options: Options) -> Tables:
+def _confusion(bench: Bench, fit: Fit, options: Options, journal: Journal) -> Tables:
     """The same parameters, and the mass of their own fabric, in the other fabrics' trials; and in its own."""
     mine = bench.recordings[0]
     density = bench.cell.scene.get("areal_density") if np.isnan(mine.areal_density) else mine.areal_density
@@ -114,7 +120,8 @@ def _finite(value: float) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-ANALYSES: dict[str, Callable[[Bench, Fit, Options], Tables]] = {
+TABLE_OF = {"morris": "sensitivity", "sobol": "sensitivity"}  # the others fill tables of their own names
+ANALYSES: dict[str, Callable[[Bench, Fit, Options, Journal], Tables]] = {
     "variability": _variability,
     "repeats": _repeats,
     "morris": _sensitivity(morris, "trajectories"),

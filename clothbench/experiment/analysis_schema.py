@@ -36,7 +36,7 @@ MAP = {
 # What the parameters of `case` make of `recording`, of whatever fabric.
 CONFUSION = {
     "case": _text, "fabric": _text, "recording": _text, "recorded_fabric": _text, "trial": _text, "value": _number,
-    "metric": _text, "unit": _text, "key": _text,
+    "metric": _text, "unit": _text, "reason": _text, "key": _text,
 }  # fmt: skip
 ANALYSIS_TABLES = {
     "starts": START, "variability": VARIABILITY, "perturbations": PERTURBATION, "repeats": REPEAT,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -40,8 +39,8 @@ class Fit:
 
     best: (P,); low, high: (P,), 95 % intervals (NaN where there are none); at_bound: (P,); theta: (E, P) and
     value: (E,), the history; condition: of the scaled Jacobian; status: ok, diverged (nothing could be simulated)
-    or timeout (stopped by the clock, best so far); wall_s: s; start: (P,), where the search set out from after its
-    first look around, if it says so.
+    or timeout (stopped by the clock, best so far); wall_s: s, with that of stopped runs; start: (P,), where the search
+    set out from after its first look around, if it says so; looked: evaluations that this look took.
     """
 
     space: ParameterSpace
@@ -56,6 +55,7 @@ class Fit:
     stopped: str
     wall_s: float
     start: np.ndarray | None = None
+    looked: int = 0
 
     @property
     def evaluations(self) -> int:
@@ -74,6 +74,16 @@ def evaluate(trials: Sequence[Trial], theta: np.ndarray) -> tuple[Evaluation, li
         return Evaluation(value), scores
     weighted = [r / np.sqrt(max(r.shape[1], 1) * len(scores)) for r in residuals]
     return Evaluation(value, np.concatenate(weighted, axis=1)), scores
+
+
+def remembered(trials: Sequence[Trial], theta: np.ndarray, journal: Journal | None) -> Evaluation:
+    """`evaluate`, unless the journal knows what came of it."""
+    journal = journal or Journal()
+    if (known := journal.recall(theta)) is not None:
+        return known
+    evaluation, _ = evaluate(trials, theta)
+    journal.keep(theta, evaluation)
+    return evaluation
 
 
 def over(trials: Sequence[Trial], work: Callable[[Trial], Any]) -> list[Any]:
@@ -99,22 +109,21 @@ def calibrate(
     as NaN and spoils no other. What `journal` holds of a run that was stopped is not simulated again. Without `bounded`
     the parameters get no intervals, which cost 2 P + 1 evaluations.
     """
-    began = time.perf_counter()
+    journal = journal or Journal()
     thetas: list[np.ndarray] = []
     values: list[np.ndarray] = []
-    stopped = ""
+    stopped, looked = "", 0
     while not optimizer.done:
         theta = np.asarray(optimizer.ask(), dtype=float)
-        if (evaluation := journal.recall(theta) if journal else None) is None:
-            evaluation, _ = evaluate(trials, theta)
-            if journal:
-                journal.keep(theta, evaluation)
+        evaluation = remembered(trials, theta, journal)
         optimizer.tell(theta, evaluation)
         thetas.append(theta)
         values.append(evaluation.value)
+        if not looked and getattr(optimizer, "start", None) is not None:
+            looked = sum(map(len, values))
         if progress is not None:
             progress(sum(map(len, values)), _lowest(np.concatenate(values)))
-        if timeout is not None and not optimizer.done and time.perf_counter() - began > timeout:
+        if timeout is not None and not optimizer.done and journal.seconds > timeout:
             stopped = f"stopped after {timeout:g} s, as asked"
             break
     theta, value = np.concatenate(thetas), np.concatenate(values)
@@ -133,8 +142,9 @@ def calibrate(
         condition=condition,
         status="diverged" if not simulated else "timeout" if stopped else "ok",
         stopped=stopped or optimizer.stopped,
-        wall_s=time.perf_counter() - began,
+        wall_s=journal.seconds,
         start=getattr(optimizer, "start", None),
+        looked=looked,
     )
 
 

@@ -76,6 +76,13 @@ class Cell:
                 del question[name]
         return hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:16]
 
+    @cached_property
+    def settings(self) -> str:
+        """6 hexadecimal digits of how it is run, whatever it is run on."""
+        how = {name: getattr(self, name) for name in ("bounds", "scene", "versions", "budget", "tracker")}
+        how["options"] = {k: dict(v) for k, v in self.options.items() if k in self._plugins()}
+        return hashlib.sha256(json.dumps(how, sort_keys=True).encode()).hexdigest()[:6]
+
     def _plugins(self) -> set[str]:
         return {self.model, self.optimizer, self.metric, self.tracker, *self.effects, *self.report}
 
@@ -143,17 +150,18 @@ class Bench:
         return [t for t, s in zip(self.trials, self.cell.recordings, strict=True) if s.split == split]
 
 
-def rehearse(cell: Cell, plugins: Catalogue, recordings: Mapping[str, Recording]) -> None:
+def rehearse(cell: Cell, plugins: Catalogue, recordings: Mapping[str, Recording]) -> set[str] | None:
     """Make everything once without simulating: what the user got wrong in the settings comes to light before a run.
 
     `recordings` by path. A plugin that is broken, or fails in a way that is not the user's, is left to its own cell's
     error row; so is every stranger's plugin, whose code may take this process down with it, and then all other cells.
+    Returns the names of the parameters that the cell searches; None where they are not known.
     """
     try:
         mine = [recordings[s.path] for s in cell.recordings]
         scenes = [scene_of(recording, **cell.scene) for recording in mine]
         if any(plugins.find(kind, name).distribution != OWN for kind, name in uses(cell)):
-            return
+            return None
         plugins.make("trackers", cell.tracker, **cell.option(cell.tracker)).track(mine[0])
         for name in (cell.metric, *cell.report):
             plugins.make("metrics", name, **cell.option(name))
@@ -162,15 +170,21 @@ def rehearse(cell: Cell, plugins: Catalogue, recordings: Mapping[str, Recording]
         try:
             space = holding(model.prepare(scenes[0], effects), cell.fixed).parameters
         except Exception:  # a model may refuse a scene; in a product of several that is its own cell's affair
-            return
-        space = space.bounded(dict(cell.bounds))
+            return None
+        space = bounded(space, cell.bounds)
         plugins.make("optimizers", cell.optimizer, space, seed=0, budget=cell.budget, **cell.option(cell.optimizer))
+        return set(space.names)
     except PluginBroken:
-        return
+        return None
     except ClothbenchError:
         raise
     except Exception:
-        return
+        return None
+
+
+def bounded(space: ParameterSpace, bounds: Mapping[str, tuple[float, float]]) -> ParameterSpace:
+    """The space with those of the bounds that are of its parameters: others are of other models of the same product."""
+    return space.bounded({name: pair for name, pair in bounds.items() if name in space.names})
 
 
 class Skipped(Exception):
@@ -201,7 +215,7 @@ def set_up(cell: Cell, plugins: Catalogue) -> Bench:
         if recording.hash != source.hash:
             raise ClothbenchError(f"{source.path}: changed on disk since the suite was planned; run it again")
         trials.append(make(recording))
-    space = trials[0].simulation.parameters.bounded(dict(cell.bounds))
+    space = bounded(trials[0].simulation.parameters, cell.bounds)
     others = tuple(plugins.make("metrics", name, **cell.option(name)) for name in cell.report if name != cell.metric)
     return Bench(cell, space, recordings, tuple(trials), others, make)
 

@@ -6,41 +6,39 @@ A search is the same for the same seed and answers, so it asks the same question
 from __future__ import annotations
 
 import hashlib
-import shutil
-import zipfile
 from pathlib import Path
 
 import numpy as np
 
-from clothbench.files import whole_file
+from clothbench.experiment.memory import Memory
 from clothbench.protocols import Evaluation
 
 
 class Journal:
-    """Batches by their parameters, one `.npz` each below a folder of the cell's own."""
+    """Batches by their parameters, below a folder of the cell's own; without a folder nothing is kept."""
 
-    def __init__(self, folder: Path):
-        self.folder = folder
+    def __init__(self, folder: Path | None = None):
+        self.memory = Memory(folder)
 
-    def _path(self, theta: np.ndarray) -> Path:
-        return self.folder / f"{hashlib.sha256(np.ascontiguousarray(theta).tobytes()).hexdigest()[:24]}.npz"
+    @property
+    def seconds(self) -> float:
+        """Wall time since this journal was opened, and that of the stopped runs before it."""
+        return self.memory.seconds
 
     def recall(self, theta: np.ndarray) -> Evaluation | None:
         """What was found for this batch (B, P); None if it was not simulated, or its file cannot be read."""
-        if not (path := self._path(theta)).is_file():
-            return None
-        try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-                return Evaluation(stored["value"], stored.get("residual"))
-        except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile):
-            return None
+        known = self.memory.recall(key_of(theta))
+        return None if known is None or "value" not in known else Evaluation(known["value"], known.get("residual"))
 
     def keep(self, theta: np.ndarray, evaluation: Evaluation) -> None:
-        self.folder.mkdir(parents=True, exist_ok=True)
         residual = {} if evaluation.residual is None else {"residual": evaluation.residual}
-        with whole_file(self._path(theta)) as part, part.open("wb") as file:
-            np.savez(file, value=evaluation.value, **residual)  # type: ignore[arg-type]
+        self.memory.keep(key_of(theta), value=evaluation.value, **residual)
 
     def forget(self) -> None:
         """All of it; the cell is finished."""
-        shutil.rmtree(self.folder, ignore_errors=True)
+        self.memory.forget()
+
+
+def key_of(theta: np.ndarray) -> str:
+    """24 hexadecimal digits of a batch of parameter sets."""
+    return hashlib.sha256(np.ascontiguousarray(theta).tobytes()).hexdigest()[:24]

@@ -37,6 +37,8 @@ def about_cell(cell: AnyCell) -> dict[str, Any]:
         "key": cell.key,
         "plugins": plugins,
         "objective": cell.metric,
+        "budget": cell.budget if isinstance(cell, Cell) else None,
+        "settings": cell.settings if isinstance(cell, Cell) else None,
         "threads": thread_count(),
         "finished": now(),
         **system_info(),

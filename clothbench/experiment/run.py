@@ -56,7 +56,7 @@ def run_cell(
         fit = calibrate(
             bench.of_split("fit"), optimizer, bench.space, timeout=cell.timeout, progress=told, journal=journal
         )
-        status = _keep(store, bench, fit, attach)
+        status = _keep(store, bench, fit, journal, attach)
         journal.forget()
         return status
     except Skipped as reason:
@@ -65,7 +65,7 @@ def run_cell(
         return keep_failure(store, cell, "error", one_line(fault), detail=traceback.format_exc())
 
 
-def _keep(store: Store, bench: Bench, fit: Fit, attach: Attach | None) -> str:
+def _keep(store: Store, bench: Bench, fit: Fit, journal: Journal, attach: Attach | None) -> str:
     """Score the best parameters on every recording and store all tables."""
     if fit.status == "diverged":
         return keep_failure(
@@ -79,7 +79,7 @@ def _keep(store: Store, bench: Bench, fit: Fit, attach: Attach | None) -> str:
         rows += _rows_of(bench, fit, metric, scores, rollouts)
         trace += _trace_of(bench, metric, scores)
     tables = {"rows": rows, "parameters": _parameters_of(bench, fit), "history": _history_of(fit), "trace": trace}
-    tables |= {"starts": starts_of(bench, fit)} | analyse(bench, fit)
+    tables |= {"starts": starts_of(bench, fit)} | analyse(bench, fit, journal)
     extra = (lambda folder: attach(folder, bench, rollouts)) if attach else None
     store.put(bench.cell.key, tables, extra)
     return fit.status

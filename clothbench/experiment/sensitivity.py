@@ -8,13 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.experiment.calibrate import Trial, evaluate
+from clothbench.experiment.calibrate import Trial, remembered
+from clothbench.experiment.journal import Journal
 from clothbench.parameters import ParameterSpace
 
 LEVELS = 4  # of a Morris trajectory
 
 
-def morris(trials: Sequence[Trial], space: ParameterSpace, trajectories: int, seed: int) -> list[dict[str, Any]]:
+def morris(
+    trials: Sequence[Trial], space: ParameterSpace, trajectories: int, seed: int, journal: Journal | None = None
+) -> list[dict[str, Any]]:
     """Elementary effects (Morris 1991) over the scaled ranges: μ* (mean size) and σ, in the error's unit.
 
     A trajectory of which a member could not be simulated is left out.
@@ -24,7 +27,7 @@ def morris(trials: Sequence[Trial], space: ParameterSpace, trajectories: int, se
 
     problem = _problem(space)
     unit = sampling.sample(problem, trajectories, num_levels=LEVELS, seed=seed % 2**32)
-    error, whole = _errors(trials, space, unit, len(space) + 1)
+    error, whole = _errors(trials, space, unit, len(space) + 1, journal)
     if whole.sum() < 2 * (len(space) + 1):
         return _failed(space, "morris", len(unit), "fewer than two trajectories could be simulated")
     found = analysis.analyze(problem, unit[whole], error[whole], num_levels=LEVELS, seed=seed % 2**32)
@@ -32,7 +35,9 @@ def morris(trials: Sequence[Trial], space: ParameterSpace, trajectories: int, se
     return _rows(space, "morris", found["mu_star"], found["mu_star_conf"], spread, None, len(unit), ~whole)
 
 
-def sobol(trials: Sequence[Trial], space: ParameterSpace, samples: int, seed: int) -> list[dict[str, Any]]:
+def sobol(
+    trials: Sequence[Trial], space: ParameterSpace, samples: int, seed: int, journal: Journal | None = None
+) -> list[dict[str, Any]]:
     """First and total shares of the error's variance (Sobol 2001, Saltelli 2010) over the scaled ranges.
 
     samples: a power of two; (P + 2) evaluations each. A block of which a member could not be simulated is left out.
@@ -42,7 +47,7 @@ def sobol(trials: Sequence[Trial], space: ParameterSpace, samples: int, seed: in
 
     problem, block = _problem(space), len(space) + 2
     unit = sampling.sample(problem, samples, calc_second_order=False, seed=seed % 2**32)
-    error, whole = _errors(trials, space, unit, block)
+    error, whole = _errors(trials, space, unit, block, journal)
     if whole.sum() < 4 * block or np.ptp(error[whole]) == 0:
         return _failed(space, "sobol", len(unit), "fewer than four blocks could be simulated, or the error is constant")
     found = analysis.analyze(problem, error[whole], calc_second_order=False, seed=seed % 2**32)
@@ -51,7 +56,12 @@ def sobol(trials: Sequence[Trial], space: ParameterSpace, samples: int, seed: in
 
 
 def error_map(
-    trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray, names: Sequence[str], points: int
+    trials: Sequence[Trial],
+    space: ParameterSpace,
+    best: np.ndarray,
+    names: Sequence[str],
+    points: int,
+    journal: Journal | None = None,
 ) -> list[dict[str, Any]]:
     """The error over the whole scaled ranges of two parameters, the others at their best (figure 3 of Bhat et al.)."""
     first, second = space[names[0]], space[names[1]]
@@ -60,7 +70,7 @@ def error_map(
     line = np.linspace(0.0, 1.0, points)
     unit[:, columns] = np.stack([a.ravel() for a in np.meshgrid(line, line)], axis=1)
     theta = space.from_unit(unit)
-    error = evaluate(trials, theta)[0].value
+    error = remembered(trials, theta, journal).value
     about = {"x_name": first.name, "x_unit": first.unit, "y_name": second.name, "y_unit": second.unit, "reason": ""}
     return [
         {**about, "x": float(t[columns[0]]), "y": float(t[columns[1]]), "error": _known(e)}
@@ -73,10 +83,10 @@ def _problem(space: ParameterSpace) -> dict[str, Any]:
 
 
 def _errors(
-    trials: Sequence[Trial], space: ParameterSpace, unit: np.ndarray, block: int
+    trials: Sequence[Trial], space: ParameterSpace, unit: np.ndarray, block: int, journal: Journal | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Errors (B,) of points of the unit cube, and which belong to a block that was simulated as a whole (B,)."""
-    error = evaluate(trials, space.from_unit(unit))[0].value
+    error = remembered(trials, space.from_unit(unit), journal).value
     known = np.isfinite(error).reshape(-1, block).all(axis=1)
     return error, np.repeat(known, block)
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 import math
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -92,6 +93,24 @@ def deep(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
     return out
 
 
+def last_word(config: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
+    """The settings, with what `overrides` (Hydra's words: KEY=VALUE, +KEY=VALUE, ~KEY) speak of taken out of what the
+    suite's named budgets bring: a budget must not overrule the command line.
+    """
+    out = copy.deepcopy(dict(config))
+    suite = out.get("suite")
+    budgets = suite.get("budgets") if isinstance(suite, dict) else None
+    for word in overrides:
+        path = word.lstrip("+~").partition("=")[0].split(".")
+        for brought in (budgets or {}).values():
+            *above, last = path
+            for key in above:
+                brought = brought.get(key) if isinstance(brought, dict) else None
+            if above and isinstance(brought, dict):
+                brought.pop(last, None)
+    return out
+
+
 def analysis_settings(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
     """What is asked of a fit beside its errors: each analysis with its options and patterns of the cases it is for."""
     known_words("analysis", given, set(ANALYSES))
@@ -107,6 +126,9 @@ def analysis_settings(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
             elif isinstance(default, list):
                 options[key] = words(f"analysis.{name}.{key}", options[key])
         out[name] = options
+    axes = out.get("map", {}).get("parameters", ["x", "y"])
+    if len(set(axes)) != 2:
+        raise ClothbenchError(f"setting 'analysis.map.parameters' is {axes!r}, expected two different parameters")
     if (samples := out.get("sobol", {}).get("samples", 2)).bit_count() != 1:
         raise ClothbenchError(f"setting 'analysis.sobol.samples' is {samples}, expected a power of two")
     return out

@@ -42,9 +42,10 @@ ROW = {
     "floor": _number, "reference": _number, "status": _text, "reason": _text, "evaluations": _whole,
     "wall_s": _number, "seed": _whole, "key": _text,
 }  # fmt: skip
-# What else a row carries: the metric that was minimised, and the system it was computed on.
+# What else a row carries: the metric that was minimised, how long a search was allowed, what all other settings were (a
+# hash, the same for all cases of one run), and the system it was computed on.
 SYSTEM = {
-    "objective": _text, "clothbench": _text, "plugins": _text,
+    "objective": _text, "budget": _whole, "settings": _text, "clothbench": _text, "plugins": _text,
     "python": _text, "numpy": _text, "numba": _text, "platform": _text,
     "cpu": _text, "cores": _whole, "threads": _whole, "finished": _text,
 }  # fmt: skip

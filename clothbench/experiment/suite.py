@@ -45,6 +45,7 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = 
     if each:
         cases = one_by_one(cases, each)
     cells: dict[str, Cell] = {}
+    searched: list[set[str] | None] = []
     for case, sources in cases.items():
         analysis = {n: _told(a) for n, a in config["analysis"].items() if _matches(case, a["cases"])}
         for model, optimizer, metric in itertools.product(*(config[key] for key in PRODUCT)):
@@ -64,9 +65,18 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: Told | None = 
                 **{key: config[key] for key in ("options", "bounds", "scene", "budget", "seed", "timeout")},
             )
             cell = dataclasses.replace(cell, versions=plugin_versions(uses(cell), plugins))
-            rehearse(cell, plugins, {r.path: r for r in recordings})
+            searched.append(rehearse(cell, plugins, {r.path: r for r in recordings}))
             cells[cell.key] = cell
+    refuse_strays(config["bounds"], searched)
     return list(cells.values())
+
+
+def refuse_strays(bounds: Mapping[str, Any], searched: Sequence[set[str] | None]) -> None:
+    """Bounds of what no cell searches for, by the names of each cell's parameters (None: not known)."""
+    known = {name for names in searched for name in names or ()}
+    strays = [name for name in bounds if name not in known]
+    if strays and None not in searched:
+        raise ClothbenchError(f"setting 'bounds': no parameter {strays[0]!r}; there are: {', '.join(sorted(known))}")
 
 
 def _matches(case: str, patterns: Sequence[str]) -> bool:

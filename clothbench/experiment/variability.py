@@ -12,7 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.experiment.calibrate import Fit, Trial, calibrate, evaluate
+from clothbench.experiment.calibrate import Fit, Trial, calibrate, remembered
+from clothbench.experiment.journal import Journal
 from clothbench.parameters import ParameterSpace
 from clothbench.protocols import Optimizer
 
@@ -36,11 +37,11 @@ def perturbed(space: ParameterSpace, best: np.ndarray, points: int) -> tuple[np.
 
 
 def variability(
-    trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray, points: int
+    trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray, points: int, journal: Journal | None = None
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Per parameter the change [%] that changes the error by 1 %, and the perturbations behind it."""
     theta, which, share = perturbed(space, best, points)
-    evaluation, _ = evaluate(trials, np.vstack([best[None], theta]))
+    evaluation = remembered(trials, np.vstack([best[None], theta]), journal)
     base, error = float(evaluation.value[0]), evaluation.value[1:]
     found, behind = [], []
     for i, p in enumerate(space):
@@ -79,7 +80,7 @@ def parabola(share: np.ndarray, error: np.ndarray, base: float) -> tuple[float |
 
 def repeats(
     trials: Sequence[Trial], space: ParameterSpace, fit: Fit, count: int, seed: int,
-    make: Callable[[ParameterSpace, int], Optimizer],
+    make: Callable[[ParameterSpace, int], Optimizer], journal: Journal | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """The fit and `count` more from starts within ±5 % of its own (table 2); make(space, seed) gives each search.
 
@@ -90,8 +91,10 @@ def repeats(
     for n in range(count + 1):
         near = begin * random.uniform(1 - AROUND, 1 + AROUND, len(begin))
         start = begin if n == 0 else np.clip(near, space.low, space.high)
-        found = fit if n == 0 else calibrate(trials, make(moved(space, start), seed + n), space, bounded=False)
-        first = float(evaluate(trials, start[None])[0].value[0])
+        found = fit
+        if n:
+            found = calibrate(trials, make(moved(space, start), seed + n), space, journal=journal, bounded=False)
+        first = float(remembered(trials, start[None], journal).value[0])
         error = float(np.nanmin(found.value)) if np.isfinite(found.value).any() else math.nan
         rows += [
             {"repeat": n, "name": p.name, "symbol": p.symbol, "unit": p.unit, "start": float(start[i]),

@@ -14,7 +14,7 @@ import numpy as np
 
 from clothbench import __version__
 from clothbench.experiment.calibrate import Trial
-from clothbench.loop.memory import Memory
+from clothbench.experiment.memory import Memory
 from clothbench.observation import Observation
 from clothbench.parameters import ParameterSpace
 from clothbench.plugins import Catalogue

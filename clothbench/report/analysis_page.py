@@ -6,7 +6,7 @@ import json
 from collections.abc import Sequence
 from typing import Any
 
-from clothbench.report.analysis_tables import MUCH, percent, spread
+from clothbench.report.analysis_tables import MUCH, percent, spread, unit_of, unmapped
 from clothbench.report.figures import COLOURS
 from clothbench.report.page_style import DRAWING
 from clothbench.report.page_tables import table, text
@@ -31,6 +31,7 @@ def analysis_section(rows: Rows, tables: dict[str, Rows], *, plotly: bool) -> st
     parts += [repeats(tables["repeats"], about)] if tables["repeats"] else []
     shown = [confusion_figure(c) for c in matrices] + variability_figures(tables["variability"], about)
     shown += sensitivity_figures(tables["sensitivity"], about) + map_figures(tables["map"], about)
+    parts += [f'<p class="soft">{text(reason)}</p>' for reason in unmapped(tables["map"], about)]
     if not parts and not shown:
         return ""
     return "<h2>Trial by trial</h2>" + "".join(parts) + (_figures(shown, plotly) if shown else "")
@@ -39,12 +40,12 @@ def analysis_section(rows: Rows, tables: dict[str, Rows], *, plotly: bool) -> st
 def transfer(moved: Sequence[Transfer]) -> str:
     body: list[list[str]] = []
     for way in dict.fromkeys(t.way for t in moved):
-        body.append([text(way)])
+        body.append([text(f"{way} [{unit_of(moved, way)}]")])
         for t in (t for t in moved if t.way == way):
             others = ", ".join(f"{text(n.rpartition('/')[2])} {_number(e)}" for n, e in t.errors.items() if n != t.case)
             total = f"<b>{_number(t.total)} ✓</b>" if t.chosen else _number(t.total)
             body.append([text(t.case), _number(t.start), _number(t.errors[t.case]), others, total])
-    head = ["fitted to", f"start [{moved[0].unit}]", "optimised", "the same parameters elsewhere", "E1 + E2"]
+    head = ["fitted to", "start", "optimised", "the same parameters elsewhere", "E1 + E2"]
     note = (
         '<p class="soft">Error where the search set out from, at its result, and what that result makes of recordings '
     )
@@ -82,7 +83,11 @@ def repeats(rows: Rows, about: dict[str, str]) -> str:
             body.append(
                 [f"{text(name)} [{text(first['unit'])}]", _number(first["start"]), fits, text(percent(spread(values)))]
             )
+        errors = list({r["repeat"]: r["error"] for r in mine}.values())
+        fits, unit = ", ".join(map(_number, errors)), text(mine[0]["error_unit"])
+        body.append([f"error [{unit}]", _number(mine[0]["error_start"]), fits, text(percent(spread(errors)))])
     head = ["parameter", "start", "fits from starts within ±5 %", "spread"]
+    body += [[text(f"{about[r['key']]}: {r['reason']}")] for r in rows if r["reason"]]
     return "<h3>Repeated fits</h3>" + table(head, body, numeric={1, 3}) if body else ""
 
 

@@ -31,6 +31,13 @@ def print_analyses(rows: Rows, tables: dict[str, Rows]) -> None:
             shown.append(make(tables[name], about))
     for table in shown:
         out.print(table)
+    for reason in unmapped(tables["map"], about):
+        out.print(escape(reason))
+
+
+def unmapped(rows: Rows, about: dict[str, str]) -> list[str]:
+    """Why some cells have no map of the error, one line each."""
+    return [f"{about[r['key']]}: no map of the error: {r['reason']}" for r in rows if r["reason"]]
 
 
 def transfer_table(moved: Sequence[Transfer]) -> Table:
@@ -39,7 +46,7 @@ def transfer_table(moved: Sequence[Transfer]) -> Table:
     for name in ("start", "optimised", "elsewhere", "E1 + E2"):
         table.add_column(name, justify="right", overflow="fold")
     for way in dict.fromkeys(t.way for t in moved):
-        table.add_row(f"[bold]{escape(way)}[/]")
+        table.add_row(f"[bold]{escape(way)}[/] [dim]errors in {escape(unit_of(moved, way))}[/]")
         for t in (t for t in moved if t.way == way):
             others = [f"{name.rpartition('-')[2]} {_number(e)}" for name, e in t.errors.items() if name != t.case]
             mark = " ✓" if t.chosen else "  "
@@ -52,8 +59,13 @@ def transfer_table(moved: Sequence[Transfer]) -> Table:
             )
             table.add_row(*(escape(x) for x in texts), style="bold" if t.chosen else "")
         table.add_section()
-    table.caption = f"errors in {moved[0].unit}; ✓: least E1 + E2 of its group, chosen"
+    table.caption = "✓: least E1 + E2 of its group, chosen"
     return table
+
+
+def unit_of(moved: Sequence[Transfer], way: str) -> str:
+    """Of the errors of one way to fit; another metric has another."""
+    return next(t.unit for t in moved if t.way == way)
 
 
 def confusion_table(c: Confusion) -> Table:
@@ -77,6 +89,9 @@ def variability_table(rows: Rows, about: dict[str, str]) -> Table:
     for key, mine in _by_key(rows):
         table.add_row(f"[bold]{escape(about[key])}[/]")
         for r in mine:
+            if r["name"] is None:
+                table.add_row(f"  {escape(r['reason'])}")
+                continue
             said = percent(r["percent"]) if r["percent"] is not None else r["reason"]
             table.add_row(
                 *(escape(x) for x in (f"  {r['name']} ({r['symbol']})", _number(r["value"]), r["unit"], said))
@@ -117,12 +132,11 @@ def sensitivity_table(rows: Rows, about: dict[str, str]) -> Table:
         for method in dict.fromkeys(r["method"] for r in mine):
             some = [r for r in mine if r["method"] == method]
             lost = f", {some[0]['lost']} lost" if some[0]["lost"] else ""
-            table.add_row(
-                f"[bold]{escape(about[key])}[/] [dim]({method}, {some[0]['evaluations']} evaluations{lost})[/]"
-            )
+            size = f" [dim]({method}, {some[0]['evaluations']} evaluations{lost})[/]" if method else ""
+            table.add_row(f"[bold]{escape(about[key])}[/]{size}")
             for r in some:
                 if r["reason"]:
-                    table.add_row(f"  {r['name']}: {escape(r['reason'])}")
+                    table.add_row(f"  {r['name'] or 'all'}: {escape(r['reason'])}")
                     continue
                 pair = (_with_half(r["main"], r["main_half"]), _with_half(r["total"], r["total_half"]))
                 table.add_row(f"  {escape(r['name'])} ({escape(r['symbol'])})", *pair)

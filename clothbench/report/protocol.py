@@ -5,7 +5,7 @@ Bhat et al. 2003, table 3 (start, optimised and cross-trial error; the parameter
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,9 +39,10 @@ def transfers(rows: Rows, starts: Rows) -> list[Transfer]:
             cells.setdefault(r["key"], []).append(r)
     begun = {s["key"]: s["start"] for s in starts}
     single = {k: mine for k, mine in cells.items() if fitted_alone(mine)}
+    ways = way_names({k: mine[0] for k, mine in single.items()})
     groups: dict[tuple[str, ...], list[str]] = {}
     for key, mine in single.items():
-        groups.setdefault((_way(mine[0]), *sorted(r["recording"] for r in mine)), []).append(key)
+        groups.setdefault((ways[key], *sorted(r["recording"] for r in mine)), []).append(key)
     out = []
     for keys in (k for k in groups.values() if len(k) > 1):
         trials = [single[k][0]["case"] for k in keys]
@@ -51,7 +52,7 @@ def transfers(rows: Rows, starts: Rows) -> list[Transfer]:
         for key in keys:
             first = single[key][0]
             errors = {r["recording"]: r["value"] for r in single[key]}
-            out.append(Transfer(key, first["case"], group_name(trials), _way(first), first["unit"], begun.get(key),
+            out.append(Transfer(key, first["case"], group_name(trials), ways[key], first["unit"], begun.get(key),
                                 errors, totals[key], key == best))  # fmt: skip
     return sorted(out, key=lambda t: (t.way, t.case))
 
@@ -77,9 +78,18 @@ def group_name(trials: Sequence[str]) -> str:
     return "".join(letters).rstrip("-_/ ") or trials[0]
 
 
-def _way(row: dict[str, Any]) -> str:
-    seed = f" · seed {row['seed']}" if row["seed"] else ""
-    return f"{model_name(row)} · {row['optimizer']} · {row['objective']}{seed}"
+def way_names(about: Mapping[str, dict[str, Any]]) -> dict[str, str]:
+    """How each cell was fitted, by key; with budget or settings where one folder holds several of them."""
+    names = {}
+    for key, row in about.items():
+        seed = f" · seed {row['seed']}" if row["seed"] else ""
+        names[key] = f"{model_name(row)} · {row['optimizer']} · {row['objective']}{seed}"
+    for mark, word in (("budget", "{} evaluations"), ("settings", "settings {}")):
+        rivals: dict[str, set[Any]] = {}
+        for key, row in about.items():
+            rivals.setdefault(names[key], set()).add(row.get(mark))
+        names = {k: f"{n} · {word.format(about[k].get(mark))}" if len(rivals[n]) > 1 else n for k, n in names.items()}
+    return names
 
 
 @dataclass(frozen=True)
@@ -107,7 +117,7 @@ def confusions(found: Rows, rows: Rows, starts: Rows) -> list[Confusion]:
     chosen = {t.key: t for t in transfers(rows, starts) if t.chosen}
     out = []
     for way in sorted({t.way for t in chosen.values()}):
-        mine = [r for r in found if r["key"] in chosen and chosen[r["key"]].way == way]
+        mine = [r for r in found if r["key"] in chosen and chosen[r["key"]].way == way and not r.get("reason")]
         fabrics = tuple(sorted({r["fabric"] for r in mine}))
         if len(fabrics) < 2:
             continue

@@ -9,9 +9,9 @@ import pytest
 
 from clothbench import ClothbenchError, Curve
 from clothbench.curve_command import candidates_of, improved
+from clothbench.experiment.memory import Memory
 from clothbench.loop.curves import CurveCase, common_steps, curve_problem, loading, observed
 from clothbench.loop.fitting import fit
-from clothbench.loop.memory import Memory
 from clothbench.plugins import catalogue
 
 RUNS, SIGMA, SAMPLES = 6, 0.1, 600

@@ -190,7 +190,11 @@ def test_least_squares_can_follow_the_folds(observation):
     ("name", "options", "found"),
     [
         ("fold", {"alpha": -1}, "alpha is -1"),
+        ("fold", {"alpha": float("inf")}, "alpha is inf"),
         ("fold", {"pixels": 3}, "pixels is 3"),
+        ("fold", {"blur": "abc"}, "blur is 'abc'"),
+        ("fold", {"threshold": -1}, "threshold is -1"),
+        ("silhouette", {"pixels": "x"}, "silhouette: pixels is 'x'"),
         ("silhouette", {"quantity": "area"}, "quantity is 'area'"),
     ],
 )

@@ -9,7 +9,7 @@ from numba import njit
 
 from clothbench import ClothbenchError, Observation, Rollout, Score
 from clothbench.orientation import turned
-from clothbench_metrics.sight import Sights, check_shape, compared
+from clothbench_metrics.sight import Sights, check_shape, compared, require_number
 
 BLOCK = 8  # px; residuals are pooled over squares of this side, or they would be a million
 
@@ -30,11 +30,8 @@ class Fold:
     unit = "px"
 
     def __init__(self, alpha: float = 0.1, pixels: int = 96, blur: float = 2.0, threshold: float = 0.006):
-        if not isinstance(alpha, int | float) or isinstance(alpha, bool) or not alpha >= 0:
-            raise ClothbenchError(f"fold: alpha is {alpha!r}, expected a number, 0 or above")
-        if not isinstance(pixels, int) or pixels < 32:
-            raise ClothbenchError(f"fold: pixels is {pixels!r}, expected a whole number, at least 32")
-        self.alpha, self.sights = float(alpha), Sights(pixels, blur, threshold)
+        require_number(self.name, "alpha", alpha)
+        self.alpha, self.sights = float(alpha), Sights(self.name, pixels, blur, threshold)
 
     def __call__(self, observation: Observation, rollout: Rollout) -> Score:
         check_shape(observation, rollout)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -55,10 +56,20 @@ class Sight:
         return np.stack([angle_map(i, view.blur) for i in image]), silhouette
 
 
+def require_number(metric: str, name: str, value: float) -> None:
+    """Refuse an option of a metric that is no finite number, 0 or above."""
+    if not isinstance(value, int | float) or isinstance(value, bool) or not (math.isfinite(value) and value >= 0):
+        raise ClothbenchError(f"{metric}: {name} is {value!r}, expected a number, 0 or above")
+
+
 class Sights:
     """The sight of each observation, made when it is first asked for and kept as long as the observation is."""
 
-    def __init__(self, pixels: int, blur: float, threshold: float):
+    def __init__(self, metric: str, pixels: int, blur: float, threshold: float):
+        if not isinstance(pixels, int) or isinstance(pixels, bool) or pixels < 32:
+            raise ClothbenchError(f"{metric}: pixels is {pixels!r}, expected a whole number, at least 32")
+        for name, value in (("blur", blur), ("threshold", threshold)):
+            require_number(metric, name, value)
         self.pixels, self.blur, self.threshold = pixels, blur, threshold
         self._known: weakref.WeakKeyDictionary[Observation, Sight] = weakref.WeakKeyDictionary()
 

@@ -27,7 +27,7 @@ class Silhouette:
         if quantity not in QUANTITIES:
             raise ClothbenchError(f"silhouette: quantity is {quantity!r}, expected one of {', '.join(QUANTITIES)}")
         self.quantity, self.unit = quantity, QUANTITIES[quantity]
-        self.sights = Sights(pixels, blur=2.0, threshold=0.006)
+        self.sights = Sights(self.name, pixels, blur=2.0, threshold=0.006)
 
     def __call__(self, observation: Observation, rollout: Rollout) -> Score:
         check_shape(observation, rollout)

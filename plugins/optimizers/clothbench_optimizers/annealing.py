@@ -25,18 +25,20 @@ RESET = 3.0  # the simplex is spanned anew about the best each time the temperat
 class Annealing(GeneratorSearch):
     """Downhill simplex whose corners are judged with thermal fluctuations (Press et al., Numerical Recipes, 10.9), so
     that uphill moves are taken as Metropolis' rule has it, on a temperature that falls geometrically with every
-    evaluation; each time it has fallen by 3, the simplex is spanned anew about the best point, at half its size.
+    evaluation; each time it has fallen by 3, the simplex is spanned anew about the best point, at half its size, but
+    not before it has had as many evaluations to move as it has corners: a small budget must not go into simplices.
 
-    start: "look" begins with an exhaustive grid of `levels` values for each parameter (the paper: 4), "defaults" at the
-    space's defaults. gridded: how many of the leading parameters the grid covers (None: all), the others get one random
-    guess each, as the paper gave its dynamic parameters; share: of the budget, that the grid may take: of a larger
-    one, points spread by a Sobol sequence are taken. temperature: at the start, over the spread of the first simplex;
-    final: temperature at the end of the budget, over that at the start; size: of the first simplex, in units of the
-    scaled ranges. Batched where the method allows it: grid, new simplices, contractions about the best.
+    start: "look" begins with an exhaustive grid of `levels` values for each parameter (the paper: 4, from end to end of
+    the scaled range, as the start values in its table 1 show), "defaults" at the space's defaults. gridded: how many of
+    the leading parameters the grid covers (None: all), the others get one random guess each, as the paper gave its
+    dynamic parameters; share: of the budget, that the grid may take: of a larger one, points spread by a Sobol sequence
+    are taken. temperature: at the start, over the spread of the first simplex; final: temperature at the end of the
+    budget, over that at the start; size: of the first simplex, in units of the scaled ranges. Batched where the method
+    allows it: grid, new simplices, contractions about the best.
     """
 
     name = "annealing"
-    version = 1
+    version = 2
     needs_residual = False
 
     def __init__(
@@ -58,20 +60,20 @@ class Annealing(GeneratorSearch):
         super().__init__(space, seed=seed, budget=budget)
 
     def steps(self) -> Steps:
-        here = self.space.to_unit(self.space.defaults)
+        here, lowest = self.space.to_unit(self.space.defaults), np.inf
         if self.begin == "look":
             points = self._grid(max(1, int(self.share * self.budget)))
             value = worst_last((yield points).value)
-            here = points[int(np.argmin(value))]
+            here, lowest = points[int(np.argmin(value))], float(value.min())
         self.start = self.space.from_unit(here)
-        walk = Walker(self, here)
+        walk = Walker(self, here, lowest)
         yield from walk.anneal(max(self._left, 1))
         return "cooled down"
 
     def _grid(self, most: int) -> np.ndarray:
-        """The grid in the unit cube, or as many of its points as allowed; the middles of equal parts of each range."""
+        """The grid in the unit cube, from end to end of each range, or as many of its points as allowed."""
         count = min(self.gridded, len(self.space))
-        line = (np.arange(self.levels) + 0.5) / self.levels
+        line = np.linspace(0.0, 1.0, self.levels)
         if self.levels**count <= most:
             cells = np.array(list(itertools.product(line, repeat=count)))
         else:
@@ -82,11 +84,11 @@ class Annealing(GeneratorSearch):
 
 
 class Walker:
-    """The simplex on its way: corner (P + 1, P), value (P + 1,), and the best point met so far."""
+    """The simplex on its way: corner (P + 1, P), value (P + 1,), and the best point met so far (P,) with its value."""
 
-    def __init__(self, search: Annealing, here: np.ndarray):
+    def __init__(self, search: Annealing, here: np.ndarray, lowest: float):
         self.random, self.settings = search.random, search
-        self.best, self.lowest = here, np.inf
+        self.best, self.lowest = here, lowest
         self.corner, self.value = here[None], np.array([np.inf])
         self.spent = 0
 
@@ -96,12 +98,13 @@ class Walker:
         yield from self._span(size)
         known = self.value[np.isfinite(self.value)]
         hot = settings.temperature * max(float(np.ptp(known)) if len(known) else 0.0, np.finfo(float).tiny)
-        level = hot
+        level, since = hot, self.spent
         while self.spent < budget:
             now = hot * settings.final ** (self.spent / budget)
-            if now < level / RESET:
-                level, size = level / RESET, size / 2
+            if now < level / RESET and self.spent - since >= len(self.corner):
+                level, size = now, size / 2
                 yield from self._span(size)
+                since = self.spent
                 continue
             yield from self._move(now)
 

@@ -42,7 +42,7 @@ class CmaEs(GeneratorSearch):
             while not strategy.stop():
                 asked = np.clip(strategy.ask(), 0.0, 1.0)
                 evaluation = yield asked
-                strategy.tell(list(asked), ranks(evaluation.value).tolist())
+                strategy.tell(list(asked), finite(evaluation.value).tolist())
                 value = worst_last(evaluation.value)
                 if value.min() < lowest:
                     best, lowest = asked[int(np.argmin(value))], float(value.min())
@@ -61,7 +61,7 @@ class CmaEs(GeneratorSearch):
         return self.random.standard_normal(shape)
 
 
-def ranks(value: np.ndarray) -> np.ndarray:
+def finite(value: np.ndarray) -> np.ndarray:
     """Values (B,); what could not be computed is as bad as the worst that could, and 1 more: finite, as pycma asks."""
     known = value[np.isfinite(value)]
     return np.where(np.isfinite(value), value, (known.max() if len(known) else 0.0) + 1.0)

@@ -1,4 +1,4 @@
-"""What the loop has computed already, kept below a folder until the verdict is written: a stopped run goes on."""
+"""What was computed already, kept below a folder until the result is whole: a stopped run goes on where it stood."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Memory:
         if self.folder is None or not (path := self.folder / f"{key}.npz").is_file():
             return None
         try:
-            with np.load(path, allow_pickle=False) as stored:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
                 return dict(stored)
         except (OSError, ValueError, EOFError, zipfile.BadZipFile):
             return None

@@ -1,8 +1,8 @@
-"""What the loop remembers between a run that was stopped and the one that goes on."""
+"""What is remembered between a run that was stopped and the one that goes on."""
 
 import numpy as np
 
-from clothbench.loop.memory import Memory
+from clothbench.experiment.memory import Memory
 
 
 def test_arrays_come_back_to_the_bit(tmp_path):
