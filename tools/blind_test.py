@@ -351,12 +351,17 @@ def run(case: int, folder: Path, model: str, size: Size = FULL) -> dict[str, obj
     if not planted_file.is_file():
         planted_file.write_text(json.dumps(make(case, recordings, size)))
     planted = json.loads(planted_file.read_text())
-    if not (out / "verdict.json").is_file():
-        words = ["improve", f"recordings={recordings}", f"model={model}", f"out={out}", *size.words]
-        done = subprocess.run([sys.executable, "-m", "clothbench", *words], capture_output=True, text=True)
-        if done.returncode:
-            raise SystemExit(f"case {case}: {done.stderr.strip().splitlines()[-1]}")
+    # A case that was judged before is kept by the command itself.
+    words = ["improve", f"recordings={recordings}", f"model={model}", f"out={out}", *size.words]
+    done = subprocess.run([sys.executable, "-m", "clothbench", *words], capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"case {case}: {done.stderr.strip().splitlines()[-1]}")
     return {"case": case, "model": model} | judged(planted, json.loads((out / "verdict.json").read_text()))
+
+
+def mm(error: float | None) -> str:
+    """To two places; a dash where a recording could not be simulated."""
+    return "–" if error is None else f"{error:.2f}"
 
 
 def line(row: dict) -> str:
@@ -365,7 +370,7 @@ def line(row: dict) -> str:
     mark = "ok" if row["right"] else "FALSE" if row["false_names"] else "missed"
     return (
         f"{row['case']:3d} {'+'.join(row['planted']) or '(nothing)':26s} {row['verdict']:12s} {said:36s} {mark:7s}"
-        f" {before:6.2f} -> {after:6.2f} floor {row['floor_mm']:.2f} mm  {row['wall_s']:4.0f} s"
+        f" {mm(before):>6s} -> {mm(after):>6s} floor {mm(row['floor_mm'])} mm  {row['wall_s']:4.0f} s"
     )
 
 
@@ -398,7 +403,7 @@ def keep(rows: Sequence[dict]) -> None:
         cells = [
             str(row["case"]), planted or "nothing", row["verdict"] + ("" if row["right"] else " (wrong)"),
             "; ".join(" or ".join(group) for group in row["named"]),
-            *(f"{error:.2f} mm" for error in (*row["held_out_mm"], row["floor_mm"])),
+            *(f"{mm(error)} mm" for error in (*row["held_out_mm"], row["floor_mm"])),
             "" if row["p_value"] is None else f"{row['p_value']:.3g}",
             f"{row['amounts_inside']} of {row['amounts']}" if row["amounts"] else "", f"{row['wall_s']:.0f} s",
         ]  # fmt: skip
@@ -421,6 +426,8 @@ def main() -> None:
     parser.add_argument("--model", default="mass_spring")
     parser.add_argument("--keep", action="store_true", help=f"write the table to results/{RESULTS.stem}")
     options = parser.parse_args()
+    if options.keep and numbers(options.cases) != list(range(UNKNOWN[-1] + 1)):
+        parser.error("the table that is kept is of all cases; leave out --cases or --keep")
     options.out.mkdir(parents=True, exist_ok=True)
     rows = []
     for case in numbers(options.cases):
