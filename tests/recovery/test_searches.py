@@ -53,7 +53,7 @@ def test_a_search_may_begin_at_the_defaults(name):
 def test_annealing_begins_with_every_point_of_the_grid():
     _, unit, value, batches = search("annealing", bowl(3), 300)
     assert batches[0] == 4**3
-    assert {tuple(p) for p in (unit[:64] * 3).round(6)} == set(itertools.product(range(4), repeat=3))
+    assert {tuple(p) for p in (unit[:64] * 8).round(6)} == set(itertools.product((1, 3, 5, 7), repeat=3))
     optimizer, unit, value, batches = search("annealing", bowl(6), 100, gridded=2)
     assert batches[0] == 16
     assert (unit[:16, 2:] == unit[0, 2:]).all()  # one guess for what the grid leaves out
@@ -63,8 +63,8 @@ def test_annealing_begins_with_every_point_of_the_grid():
 def test_a_grid_beyond_the_budget_is_thinned():
     _, unit, _, batches = search("annealing", bowl(6), 100)
     assert 30 <= batches[0] <= 40
-    line = (unit[: batches[0]] * 3).round(6)
-    assert set(np.unique(line)) == {0, 1, 2, 3}
+    line = (unit[: batches[0]] * 8).round(6)
+    assert set(np.unique(line)) == {1, 3, 5, 7}
     assert len({tuple(p) for p in line}) == batches[0]
 
 

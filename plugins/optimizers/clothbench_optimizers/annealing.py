@@ -28,13 +28,12 @@ class Annealing(GeneratorSearch):
     evaluation; each time it has fallen by 3, the simplex is spanned anew about the best point, at half its size, but
     not before it has had as many evaluations to move as it has corners: a small budget must not go into simplices.
 
-    start: "look" begins with an exhaustive grid of `levels` values for each parameter (the paper: 4, from end to end of
-    the scaled range, as the start values in its table 1 show), "defaults" at the space's defaults. gridded: how many of
-    the leading parameters the grid covers (None: all), the others get one random guess each, as the paper gave its
-    dynamic parameters; share: of the budget, that the grid may take: of a larger one, points spread by a Sobol sequence
-    are taken. temperature: at the start, over the spread of the first simplex; final: temperature at the end of the
-    budget, over that at the start; size: of the first simplex, in units of the scaled ranges. Batched where the method
-    allows it: grid, new simplices, contractions about the best.
+    start: "look" begins with an exhaustive grid of `levels` values for each parameter (the paper: 4), "defaults" at the
+    space's defaults. gridded: how many of the leading parameters the grid covers (None: all), the others get one random
+    guess each, as the paper gave its dynamic parameters; share: of the budget, that the grid may take: of a larger
+    one, points spread by a Sobol sequence are taken. temperature: at the start, over the spread of the first simplex;
+    final: temperature at the end of the budget, over that at the start; size: of the first simplex, in units of the
+    scaled ranges. Batched where the method allows it: grid, new simplices, contractions about the best.
     """
 
     name = "annealing"
@@ -71,9 +70,12 @@ class Annealing(GeneratorSearch):
         return "cooled down"
 
     def _grid(self, most: int) -> np.ndarray:
-        """The grid in the unit cube, from end to end of each range, or as many of its points as allowed."""
+        """The grid in the unit cube, or as many of its points as allowed; the middles of equal parts of each range.
+
+        The paper's start values lie on the ends of its ranges too; bounds here are wider, so that ends say little.
+        """
         count = min(self.gridded, len(self.space))
-        line = np.linspace(0.0, 1.0, self.levels)
+        line = (np.arange(self.levels) + 0.5) / self.levels
         if self.levels**count <= most:
             cells = np.array(list(itertools.product(line, repeat=count)))
         else:
