@@ -13,7 +13,7 @@ from clothbench.errors import ClothbenchError
 from clothbench.loop.attribution import Probe, moved, outside, probes, ridge, share_of
 from clothbench.loop.fitting import Fitted, evaluations, fit, polish, widened
 from clothbench.loop.guard import Shares, shares
-from clothbench.loop.judge import AT_THE_FLOOR, Candidate, choose, judge, needed, unphysical
+from clothbench.loop.judge import AT_THE_FLOOR, TIED, Candidate, choose, judge, needed, unphysical
 from clothbench.loop.problem import Problem
 from clothbench.loop.profile import leaped, profiled
 from clothbench.loop.residual import correction, noise_of, numerical_floor, repeat_spread
@@ -28,7 +28,7 @@ SHORT = 3.0  # how many times less than a refit gains a share to first order may
 # ended, and of one of a single recording.
 FIRST, OUT, AGAIN, ALONE = 34, 17, 8, 3
 NEARBY = 0.05  # of the scaled range: how far from a fit the mesh's error is looked at
-POLISH = 5  # and to make sure that a candidate's search has not ended early
+POLISH, POLISHES = 5, 4  # and to make sure that a candidate's search has not ended early; how often at most
 FINALISTS, CONTEST = 3, 1.5  # how many are made sure of, and what they may leave, times the least (mean squares)
 
 Stage = Callable[[str, int, int], None]
@@ -312,8 +312,7 @@ def contest(
     better = {}
     for k, fitted in enumerate(within):
         budget.stage(f"round {turn + 1}: contest", k, 2 * len(within))
-        better[fitted.effects], count = polish(problem, fitted, POLISH)
-        budget.count(count)
+        better[fitted.effects] = settled(problem, fitted, budget)
     best, shared = min(better.values(), key=lambda f: f.rms, default=current), len(current.theta)
     for k, (effects, fitted) in enumerate(better.items()):
         budget.stage(f"round {turn + 1}: contest", len(within) + k, 2 * len(within))
@@ -323,6 +322,19 @@ def contest(
     return [
         c if c.fitted is None else dataclasses.replace(c, fitted=better.get(c.fitted.effects, c.fitted)) for c in tried
     ]
+
+
+def settled(problem: Problem, fitted: Fitted, budget: Budget) -> Fitted:
+    """The fit polished as long as that takes off what would decide between two candidates: the more parameters one has,
+    the more often its search ends in a ripple.
+    """
+    for _ in range(POLISHES):
+        before = fitted.rms**2
+        fitted, count = polish(problem, fitted, POLISH)
+        budget.count(count)
+        if fitted.rms**2 > (1 - TIED) * before:
+            break
+    return fitted
 
 
 def second_thought(problem: Problem, current: Fitted, better: Fitted | None, gain: float, budget: Budget) -> Fitted:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from clothbench.loop.fitting import Fitted
-from clothbench.loop.improve import Budget, Outcome, Round, improve
+from clothbench.loop.improve import Budget, Outcome, Round
 from clothbench.loop.judge import Candidate
 from clothbench.loop.verdict import document
 from clothbench.observation import Observation
@@ -88,20 +88,6 @@ def test_hint_says_who_comes_nearest_and_where_and_when_most_is_left(outcome, mo
         "in second, and there around 2.5 s",
     ):
         assert said in found["hint"]
-
-
-def test_a_better_fit_of_the_base_is_kept_whether_anything_is_named_or_not(outcome, monkeypatch):
-    base, better = outcome.base, fitted([0.5 * r for r in outcome.base.residual])
-    turn = Round(better, 1e-3, (), (), ())
-    for name, value in {
-        "calibrated": base, "noise_of": 1e-3, "repeat_spread": 0.0, "corrected": (outcome.problem, base, 1e-3),
-        "each_alone": {}, "one_round": turn,
-    }.items():  # fmt: skip
-        monkeypatch.setattr(f"clothbench.loop.improve.{name}", lambda *_, value=value: value)
-    outcome.problem.rounds = 0
-    found = improve(outcome.problem, ["quadratic_drag"], lambda *_: None)
-    assert found.base is better
-    assert found.final is better
 
 
 def test_hint_of_a_tie_says_how_alike_the_two_are_and_where_they_differ(outcome, monkeypatch):
