@@ -10,8 +10,9 @@ from clothbench.curve_simulation import acts_on_curves
 from clothbench.errors import ClothbenchError
 from clothbench.experiment.settings import writable
 from clothbench.improve_command import StageBar, asked_for, say, sensors_first, splits_of, tell_splits, whole
+from clothbench.loop.budget import Stage
 from clothbench.loop.curves import CurveProblem, curve_problem, in_newtons
-from clothbench.loop.improve import Outcome, Stage, improve
+from clothbench.loop.improve import Outcome, improve
 from clothbench.loop.verdict import judged
 from clothbench.plugins import Catalogue, absent, catalogue
 from clothbench.recording import find_recordings

@@ -163,7 +163,7 @@ def candidates_of(given: str | None, plugins: Catalogue, problem: Problem) -> li
     on_sheets = {name: effect for name, effect in effects.items() if acts_on_sheets(effect)}
     if given and (stray := next((name for name in effects if name not in on_sheets), None)):
         raise ClothbenchError(f"effect {stray!r} acts on force-extension curves only; take it out of candidates")
-    if given is not None and (owned := next((name for name in effects if name in problem.base), None)):
+    if given and (owned := next((name for name in effects if name in problem.base), None)):
         raise ClothbenchError(f"effect {owned!r} is in the base already; take it out of candidates, or state base=")
     return sensors_first({name: effect for name, effect in on_sheets.items() if name not in problem.base})
 

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
-import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from clothbench.errors import ClothbenchError
 from clothbench.loop.attribution import Probe, moved, outside, probes, ridge, share_of
+from clothbench.loop.budget import Budget, Stage
 from clothbench.loop.fitting import Fitted, evaluations, fit, polish, widened
 from clothbench.loop.guard import Shares, shares
 from clothbench.loop.judge import AT_THE_FLOOR, TIED, Candidate, choose, judge, needed, unphysical
@@ -30,45 +30,6 @@ FIRST, OUT, AGAIN, ALONE = 34, 17, 8, 3
 NEARBY = 0.05  # of the scaled range: how far from a fit the mesh's error is looked at
 POLISH, POLISHES = 5, 4  # and to make sure that a candidate's search has not ended early; how often at most
 FINALISTS, CONTEST = 3, 1.5  # how many are made sure of, and what they may leave, times the least (mean squares)
-
-Stage = Callable[[str, int, int], None]
-
-
-class Budget:
-    """Tells the caller which stage the loop is in, and adds up what each one takes: seconds and simulated sets."""
-
-    def __init__(self, told: Stage):
-        self.told = told
-        self.spent: dict[str, list] = {}
-        self.now, self.since = "", time.perf_counter()
-
-    def stage(self, name: str, done: int, planned: int) -> None:
-        self.told(name, done, planned)
-        self.stop()
-        self.now = name
-
-    def stop(self) -> None:
-        """The stage that runs is over, or goes on: its time so far counts."""
-        now = time.perf_counter()
-        if self.now:
-            self._entry()[0] += now - self.since
-        self.since = now
-
-    def count(self, evaluations: int) -> None:
-        """So many parameter sets were simulated in the stage that runs, on all fit recordings each."""
-        self._entry()[1] += evaluations
-
-    def _entry(self) -> list:
-        return self.spent.setdefault(self.now, [0.0, 0])
-
-    @property
-    def table(self) -> list[tuple[str, float, int]]:
-        """(stage, s, evaluations) in the order in which they began."""
-        return [(name, float(seconds), int(count)) for name, (seconds, count) in self.spent.items()]
-
-    @property
-    def evaluations(self) -> int:
-        return sum(count for _, _, count in self.table)
 
 
 @dataclass(frozen=True, eq=False)

@@ -266,12 +266,13 @@ def undecided(outcome: Outcome, found: Round) -> str:
     one, other = (c.fitted.residual for c in pair if c.fitted is not None)
     apart = [a - b for a, b in zip(one, other, strict=True)]
     size = [float(np.sqrt(np.mean(a**2))) for a in apart]
-    case, most = outcome.problem.of_split("fit")[int(np.argmax(size))], max(size)
-    differ = f"{most:.2g} N" if isinstance(case, CurveCase) else f"{1e3 * most:.2g} mm"
+    most = int(np.argmax(size))
+    case = outcome.problem.of_split("fit")[most]
+    differ = f"{size[most]:.2g} N" if isinstance(case, CurveCase) else f"{1e3 * size[most]:.2g} mm"
     return (
         f"{' and '.join(found.named)} fit alike (what they correct correlates with "
         f"{likeness(found.before, pair)[0, 1]:.2f}); they differ most in {case.name}, by {differ}, around "
-        f"{peak(case, apart[int(np.argmax(size))])}: a recording that goes further there would tell them apart"
+        f"{peak(case, apart[most])}: a recording that goes further there would tell them apart"
     )
 
 

@@ -8,8 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from clothbench.loop.budget import Budget
 from clothbench.loop.fitting import Fitted
-from clothbench.loop.improve import POLISHES, Budget, Round, improve, settled
+from clothbench.loop.improve import POLISHES, Round, improve, settled
 from clothbench.parameters import Parameter, ParameterSpace
 
 SPACE = ParameterSpace((Parameter("k", "k", "N/m", (1.0, 9.0), "linear", 2.0, "a stiffness", "a test"),))

@@ -7,8 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
+from clothbench.loop.budget import Budget
 from clothbench.loop.fitting import Fitted
-from clothbench.loop.improve import Budget, Outcome, Round
+from clothbench.loop.improve import Outcome, Round
 from clothbench.loop.judge import Candidate
 from clothbench.loop.verdict import document
 from clothbench.observation import Observation
