@@ -1,5 +1,6 @@
 """`inextensible` against mechanics: it keeps its lengths and angles, and θ, α and β mean what they say on any mesh."""
 
+import dataclasses
 import itertools
 
 import numpy as np
@@ -37,6 +38,7 @@ BARE = (1e-6, 0.0, 0.0)
 def test_lengths_and_angles_stay_within_the_tolerance_while_a_sheet_swings(integrator, tolerance):
     """Beside it, the lines that carry the weight lengthen as those of a sheet of 20 kN/m."""
     scene = scenes.swinging(17, 0.1, 1.0, 0.005)
+    scene = dataclasses.replace(scene, times=np.arange(0.0, scene.times[-1], 0.004))  # at steps, not between them
     x = simulate(Inextensible(tolerance=tolerance, integrator=integrator), scene, *BARE)
     x = x.reshape(len(x), 17, -1, 3)
     assert np.ptp(x[:, -1, 0, 1]) > 0.15
@@ -47,8 +49,9 @@ def test_lengths_and_angles_stay_within_the_tolerance_while_a_sheet_swings(integ
     weight = 1.2 * scene.areal_density * G * scene.height / TAUT
     assert np.abs(strain_u).max() < 1.1 * tolerance
     assert -1.1 * tolerance < strain_v.min() < strain_v.max() < weight + 1.1 * tolerance
-    # Angles are looser: their constraint gives by its own stiffness, and frames lie between steps.
-    assert np.abs((mean_u * mean_v).sum(axis=-1)).max() / (wide * high) < 1.5 * tolerance + 1e-6
+    # What is held is C − cλ; shear carries nothing here, so that its λ is what earlier steps left, cλ up to 0.3 of the
+    # tolerance.
+    assert np.abs((mean_u * mean_v).sum(axis=-1)).max() / (wide * high) < 1.5 * tolerance
 
 
 @pytest.mark.parametrize("along", [9, 17, 33])

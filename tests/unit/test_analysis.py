@@ -1,23 +1,20 @@
-"""Analyses of a fit on toys whose answer is known, the protocol's tables, and searches that go on where they stood."""
+"""Analyses of a fit on toys whose answer is known, their settings, and searches that go on where they stood."""
 
 import dataclasses
 
 import numpy as np
 import pytest
-from conftest import ROOT, swinging_recording
 from test_calibrate import SPACE, TIME, Toy
 
-from clothbench import ClothbenchError, Observation, Parameter, ParameterSpace, Score, write_recording
+from clothbench import ClothbenchError, Observation, Parameter, ParameterSpace, Score
 from clothbench.experiment.calibrate import Trial, calibrate, evaluate
-from clothbench.experiment.cell import Held, holding, set_up
+from clothbench.experiment.cell import Held, holding
 from clothbench.experiment.journal import Journal
 from clothbench.experiment.sensitivity import error_map, morris, sobol
 from clothbench.experiment.settings import analysis_settings, last_word, named_budget, suite_settings
-from clothbench.experiment.suite import plan
 from clothbench.experiment.variability import parabola, perturbed, repeats, variability
 from clothbench.plugins import catalogue
-from clothbench.report.analysis_tables import percent, spread
-from clothbench.report.protocol import confusions, transfers
+from clothbench.report.analysis_tables import spread
 
 BEST = np.array([1.2, 0.3])
 BOX = ParameterSpace(
@@ -243,199 +240,3 @@ def test_a_named_budget_does_not_overrule_the_command_line():
 def test_wrong_analyses_are_one_line(given, found):
     with pytest.raises(ClothbenchError, match=found):
         analysis_settings(given)
-
-
-def stand_ins(folder):
-    for fabric in ("silk", "wool"):
-        for trial in ("sway-1", "sway-2", "sway-long"):
-            made = swinging_recording(f"{fabric}/{trial}", fabric=fabric, notes={"experiment": "sway"})
-            write_recording(made, folder / f"{fabric}-{trial}.nc")
-    return folder
-
-
-def config(folder, **changes):
-    suite = {"name": "s", "case": "experiment", "each": ["*-1", "*-2"]}
-    base = {
-        "model": "mass_spring", "optimizer": "ga", "metric": "node_error", "effects": [], "report": [],
-        "tracker": "markers", "scene": {}, "options": {}, "bounds": {}, "budget": 10, "seed": 0, "jobs": 1,
-        "timeout": None, "out": "runs", "rerun": False, "analysis": {}, "recordings": str(folder),
-    }  # fmt: skip
-    return {**base, **changes, "suite": {**suite, **changes.get("suite", {})}}
-
-
-def test_each_trial_is_a_case_whose_others_are_held_out(tmp_path):
-    cells = plan(config(stand_ins(tmp_path)), catalogue())
-    assert [c.case for c in cells] == ["silk/sway-1", "silk/sway-2", "wool/sway-1", "wool/sway-2"]
-    assert {s.name: s.split for s in cells[1].recordings} == {
-        "silk/sway-1": "held_out", "silk/sway-2": "fit", "silk/sway-long": "held_out",
-    }  # fmt: skip
-    with pytest.raises(ClothbenchError, match=r"'suite.each' .* matches none"):
-        plan(config(tmp_path, suite={"each": ["velvet"]}), catalogue())
-
-
-def test_rivals_are_the_other_fabrics_same_trials(tmp_path):
-    cells = plan(config(stand_ins(tmp_path), analysis={"confusion": {"cases": ["silk/*"]}}), catalogue())
-    assert {s.name for s in cells[0].rivals} == {"wool/sway-1", "wool/sway-2"}
-    assert cells[2].rivals == ()
-    assert cells[0].key != dataclasses.replace(cells[0], rivals=()).key
-
-
-def test_fixed_parameters_and_effects_follow_case_and_model(tmp_path):
-    suite = {"fixed": {"silk/*": {"zeta": 0.2}}, "effects": {"mass_spring": ["added_mass"]}}
-    cells = plan(config(stand_ins(tmp_path), suite=suite), catalogue())
-    assert [dict(c.fixed) for c in cells] == [{"zeta": 0.2}] * 2 + [{}] * 2
-    assert cells[0].effects == ("added_mass",)
-
-
-def test_bounds_may_be_of_parameters_that_only_some_cells_search(tmp_path):
-    suite = {"fixed": {"silk/*": {"zeta": 0.2}}}
-    found = plan(config(stand_ins(tmp_path), suite=suite, bounds={"zeta": [0.1, 0.5]}), catalogue())
-    assert len(found) == 4
-    with pytest.raises(ClothbenchError, match="no parameter 'zta'; there are: k1, k2, zeta"):
-        plan(config(tmp_path, suite=suite, bounds={"zta": [0.1, 0.5]}), catalogue())
-
-
-def test_air_is_not_searched_for_in_sheets_at_rest_whatever_the_model():
-    from omegaconf import OmegaConf
-
-    suite = OmegaConf.to_container(OmegaConf.load(ROOT / "suites" / "suite" / "static_dynamic.yaml"))
-    changes = {k: v for k, v in suite.items() if k != "suite"} | {"model": ["baraff_witkin", "mass_spring"]}
-    cells = plan(config("builtin:static_dynamic", **changes, suite={**suite["suite"], "select": ["satin/*"]}),
-                 catalogue())  # fmt: skip
-    for cell in cells:
-        names = set_up(cell, catalogue()).space.names
-        assert any("drag" in name for name in names) == ("waving" in cell.case), (cell.label, names)
-
-
-def test_one_mesh_spacing_serves_cloth_of_any_size(recording):
-    from clothbench.scene import scene_of
-
-    assert scene_of(recording, spacing=0.05).resolution == (5, 5)
-    assert scene_of(dataclasses.replace(recording, cloth_width=0.4), spacing=0.05).resolution == (9, 5)
-
-
-def row(case, recording, value, split, key):
-    return {"case": case, "recording": recording, "value": value, "split": split, "key": key, "metric": "fold",
-            "objective": "fold", "model": "m", "effects": "", "optimizer": "o", "seed": 0, "unit": "px"}  # fmt: skip
-
-
-def table_three():
-    """The satin example of the paper: experiment 1 gives 106.4 + 272.8, experiment 2 gives 114.1 + 178.6."""
-    rows, starts = [], []
-    for fabric, shift in (("satin", 0.0), ("linen", 5.0)):
-        for n, (mine, other) in {1: (106.4, 272.8), 2: (178.6, 114.1)}.items():
-            key, case = f"{fabric}{n}", f"{fabric}/waving-{n}"
-            rows += [row(case, case, mine + shift, "fit", key),
-                     row(case, f"{fabric}/waving-{3 - n}", other + shift, "held_out", key),
-                     row(case, f"{fabric}/waving-long", 300.0, "held_out", key)]  # fmt: skip
-            starts.append({"key": key, "start": 200.0})
-    return rows, starts
-
-
-def test_the_fit_with_the_least_sum_over_both_trials_is_chosen():
-    moved = {t.case: t for t in transfers(*table_three())}
-    first, second = moved["satin/waving-1"], moved["satin/waving-2"]
-    assert (first.total, second.total) == pytest.approx((379.2, 292.7))
-    assert (first.chosen, second.chosen) == (False, True)
-    assert first.group == "satin/waving"
-    assert first.start == 200.0
-    assert transfers([row("all", "a", 1.0, "fit", "k"), row("all", "b", 1.0, "fit", "k")], []) == []
-
-
-def test_fits_with_other_budgets_or_settings_are_never_summed():
-    rows, starts = table_three()
-    longer = [{**r, "key": r["key"] + "+", "value": r["value"] / 2, "budget": 600} for r in rows]
-    both = transfers([{**r, "budget": 40} for r in rows] + longer, starts)
-    assert {t.way for t in both} == {"m · o · fold · 40 evaluations", "m · o · fold · 600 evaluations"}
-    short = {t.case: t.total for t in both if "40" in t.way}
-    assert short == pytest.approx({t.case: t.total for t in transfers(rows, starts)})
-    assert sum(t.chosen for t in both) == 4
-
-
-def test_the_matrix_is_of_chosen_fits_and_finds_the_nearest():
-    rows, starts = table_three()
-    found = [
-        {"key": key, "fabric": key[:5], "recorded_fabric": seen, "trial": f"waving-{n}", "unit": "px",
-         "value": 10.0 if key[:5] == seen else 30.0}
-        for key in ("satin1", "satin2", "linen2") for seen in ("satin", "linen") for n in (1, 2)
-    ]  # fmt: skip
-    (matrix,) = confusions(found, rows, starts)
-    assert matrix.error == {"linen": {"satin": 60.0, "linen": 20.0}, "satin": {"satin": 20.0, "linen": 60.0}}
-    assert matrix.right == 2
-    lost = [{**r, "value": None} if (r["key"], r["recorded_fabric"]) == ("satin2", "satin") else r for r in found]
-    assert confusions(lost, rows, starts)[0].nearest("satin") == "linen"
-
-
-def test_numbers_beyond_hundred_percent_are_not_spelt_out():
-    assert percent(250.0) == percent(np.inf) == "> 100 %"
-    assert percent(9.18) == "9.18 %"
-    assert percent(None) == "–"
-    assert spread([1.0, None]) is None
-    assert spread([1.0, 3.0]) == pytest.approx(100 * np.sqrt(2) / 2)
-
-
-def all_tables():
-    """One row or more of every analysis, as the store would give them."""
-    about = {"case": "satin/waving-2", "key": "satin2", "symbol": "k", "unit": "N/m", "reason": ""}
-    found = [
-        {"key": key, "fabric": key[:5], "recorded_fabric": seen, "trial": "waving-1", "unit": "px", "value": 10.0}
-        for key in ("satin2", "linen2")
-        for seen in ("satin", "linen")
-    ]
-    vary = [
-        {**about, "name": n, "value": 1.0, "percent": p, "slope": 0.0, "curvature": 0.0}
-        for n, p in (("bend", 9.2), ("damping", np.inf))
-    ]
-    errors = {"error_start": 9.0, "error": 5.0, "error_unit": "px"}
-    again = [{**about, **errors, "name": "bend", "repeat": n, "start": 1.0, "value": 1.0 + n / 10} for n in range(3)]
-    size = {"main": 3.0, "main_half": 0.2, "total": 1.0, "total_half": None}
-    felt = [{**about, **size, "name": "bend", "method": "morris", "evaluations": 40, "lost": 0}]
-    axes = {"x_name": "bend", "x_unit": "N·m", "y_name": "stretch", "y_unit": "N/m"}
-    drawn = [
-        {**about, **axes, "x": x, "y": y, "error": None if x == 1.0 else y, "unit": "px"}
-        for x in (1e-7, 1e-2, 1.0)
-        for y in (5.0, 50.0)
-    ]
-    return {
-        "starts": table_three()[1],
-        "confusion": found,
-        "variability": vary,
-        "perturbations": [],
-        "repeats": again,
-        "sensitivity": felt,
-        "map": drawn,
-    }
-
-
-def test_the_page_shows_every_analysis():
-    import json
-
-    from clothbench.report.analysis_page import analysis_section
-
-    page = analysis_section(table_three()[0], all_tables(), plotly=False)
-    for word in (
-        "292.7 ✓",
-        "Which fabric is it?",
-        "Repeated fits",
-        "> 100 %",
-    ):
-        assert word in page
-    data = page.split('id="analyses">')[1].split("</script>")[0]
-    figures = json.loads(data)
-    assert len(figures) == 4
-    assert page.count("<figure>") == 4
-    (heat,) = (f for f in figures if f["data"][0]["type"] == "heatmap")
-    assert heat["data"][0]["z"] == [[5.0, 5.0, None], [50.0, 50.0, None]]
-    assert heat["layout"]["xaxis"]["type"] == "log"
-    assert analysis_section([], {name: [] for name in all_tables()}, plotly=False) == ""
-
-
-def test_the_terminal_shows_every_analysis(capsys):
-    from clothbench.report.analysis_tables import print_analyses
-
-    print_analyses(table_three()[0], all_tables())
-    said = capsys.readouterr().out
-    for word in ("E1 + E2", "292.7 ✓", "which fabric is it?", "variability", "> 100 %", "repeated fits", "Morris"):
-        assert word in said
-    print_analyses(table_three()[0], {name: [] for name in all_tables()})
-    assert "variability" not in capsys.readouterr().out
