@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from functools import cached_property, partial
 
 import numpy as np
+from scipy.stats import qmc
 from scipy.stats import t as student
 
 from clothbench.experiment.calibrate import Trial, evaluate, over
@@ -22,6 +23,8 @@ GAIN = 0.005  # of the sum of squares; ripples give as much by chance, so that t
 PACES = 2  # rounds by whose fall it is judged whether a search can still come to where it matters
 DAMPINGS = 4  # sets that a round of `least_squares` tries beside one for each parameter's difference
 MIMIC = 0.2  # amplitude; about a hundred patterns in space and time are independent, of which a parameter makes one
+SEVERAL = 2  # shape parameters that make valleys: so many places are looked at, and from so many of them it is fitted
+PLACES, WALKS = 16, 3
 ENOUGH = 3  # recordings that an interval takes: each is left out once
 AROUND, LOOKS = 0.1, 7  # how far around a fit other starts are looked for, of the scaled range, and how many
 
@@ -128,6 +131,27 @@ def polish(problem: Problem, fitted: Fitted, rounds: int) -> tuple[Fitted, int]:
         return fitted, LOOKS
     again = fit(problem, fitted.effects, starts[int(np.nanargmin(value))], rounds)
     return min(fitted, again, key=lambda f: f.rms), LOOKS + again.evaluations
+
+
+def elsewhere(problem: Problem, base: Fitted, fitted: Fitted, rounds: int, goal: float) -> tuple[Fitted, int]:
+    """The fit of an effect beside the base's, or a better one from places spread over all that the effect can be; and
+    how many sets that took.
+
+    An effect with several shape parameters has several valleys (little drag in much wind, much drag in little), and
+    what is left in a wrong one looks like another effect. Each fit is given up where it will not come below the goal
+    [m²], nor below the best so far.
+    """
+    effect = problem.plugins.make("effects", fitted.effects[-1])
+    if sum(p.null is None for p in effect.parameters) < SEVERAL:
+        return fitted, 0
+    points = qmc.Sobol(len(effect.parameters), rng=np.random.default_rng(problem.seed)).random(PLACES)
+    starts = np.hstack([np.tile(base.theta, (PLACES, 1)), effect.parameters.from_unit(points)])
+    value, count = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value, PLACES
+    for k in np.argsort(value)[:WALKS]:  # what could not be simulated comes last
+        if np.isfinite(value[k]):
+            again = fit(problem, fitted.effects, starts[k], rounds, goal=min(goal, fitted.rms**2))
+            fitted, count = min(fitted, again, key=lambda f: f.rms), count + again.evaluations
+    return fitted, count
 
 
 Trail = list[tuple[int, float]]  # how many sets had been simulated, and the least mean square [m²] among them

@@ -11,7 +11,7 @@ import numpy as np
 from clothbench.errors import ClothbenchError
 from clothbench.loop.attribution import Probe, moved, outside, probes, ridge, share_of
 from clothbench.loop.budget import Budget, Stage
-from clothbench.loop.fitting import Fitted, evaluations, fit, polish, widened
+from clothbench.loop.fitting import Fitted, elsewhere, evaluations, fit, polish, widened
 from clothbench.loop.guard import Shares, shares
 from clothbench.loop.judge import AT_THE_FLOOR, TIED, Candidate, choose, judge, needed, unphysical
 from clothbench.loop.problem import Problem
@@ -228,7 +228,7 @@ def one_round(
     for k, candidate in enumerate(promising):
         budget.stage(f"round {turn + 1}: refits", k, len(promising))
         goal = min([current.rms**2 - gain / 2, *(CONTEST * c.fitted.rms**2 for c in tried if c.fitted)])
-        tried.append(refit(problem, current, candidate, found, seen, goal, budget))
+        tried.append(refit(problem, current, candidate, found, seen, floor, goal, budget))
     tried = contest(problem, current, gain, tried, budget, turn)
     judged = judge(current, gain, tried)
     if named := choose(current, judged):
@@ -340,11 +340,13 @@ def refit(
     candidate: Candidate,
     found: Sequence[Probe],
     seen: Shares,
+    floor: float,
     goal: float,
     budget: Budget,
 ) -> Candidate:
-    """Everything fitted again with the candidate, from its best probe's first-order amount, and beyond the ripple that
-    this may end in; given up where it will not come below the goal, above which it can be neither named nor tied.
+    """Everything fitted again with the candidate, from its best probe's first-order amount, and beyond the ripple or,
+    where that leaves more than the floor, the valley that this may end in; given up where it will not come below the
+    goal, above which it can be neither named nor tied.
     """
     mine = [k for k, probe in enumerate(found) if probe.effect == candidate.name]
     probe = found[max(mine, key=lambda k: seen.share[k])]
@@ -352,6 +354,9 @@ def refit(
     budget.count(fitted.evaluations)
     fitted, count = leaped(problem, fitted)
     budget.count(count)
+    if fitted.rms > AT_THE_FLOOR * floor:
+        fitted, count = elsewhere(problem, current, fitted, AGAIN, goal)
+        budget.count(count)
     return dataclasses.replace(candidate, fitted=fitted)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from clothbench.loop.budget import Budget
-from clothbench.loop.fitting import Fitted
+from clothbench.loop.fitting import PLACES, SEVERAL, WALKS, Fitted, elsewhere
 from clothbench.loop.improve import POLISHES, Round, improve, settled
 from clothbench.parameters import Parameter, ParameterSpace
 
@@ -52,3 +52,37 @@ def test_a_finalist_is_polished_as_long_as_that_pays(monkeypatch, falls, polishe
     assert len(asked) == polished
     assert found.rms == pytest.approx(4e-3 * np.prod(falls[:polished]))
     assert budget.evaluations == 7 * polished
+
+
+def wind(shapes: int) -> SimpleNamespace:
+    """An effect of one amount and so many shape parameters."""
+    amount = Parameter("amount", "c", "1", (0.0, 1.0), "linear", 0.5, "how much", "a test", null=0.0)
+    shape = [Parameter(f"w{n}", "w", "1", (-1.0, 1.0), "linear", 0.0, "which way", "a test") for n in range(shapes)]
+    return SimpleNamespace(parameters=ParameterSpace((amount, *shape)))
+
+
+@pytest.mark.parametrize(("shapes", "left"), [(1, 4e-3), (2, 1e-3)])
+def test_an_effect_with_several_shape_parameters_is_sought_in_other_valleys(monkeypatch, shapes, left):
+    """Made-up law: a fit ends at 4 mm where it starts with w0 < 0, at 1 mm where w0 > 0; the first one has w0 < 0."""
+    effect, goals = wind(shapes), []
+    space = ParameterSpace((*SPACE, *effect.parameters))
+    problem = SimpleNamespace(seed=0, plugins=SimpleNamespace(make=lambda *_: effect), trials=lambda names, split: None)
+
+    def ended(start):
+        rms = 1e-3 if start[2] > 0 else 4e-3
+        return Fitted(("wind",), space, start, [np.full(9, rms)] * 2, [np.ones((9, len(space)))] * 2, start, start, 10)
+
+    def fit(problem, names, start, rounds, goal):
+        goals.append(goal)
+        return ended(start)
+
+    monkeypatch.setattr("clothbench.loop.fitting.fit", fit)
+    # From afar the wrong valley looks the better one, but for a corner of the right one.
+    value = lambda theta: np.where(theta[:, 2] > 0.9, 1.0, 2.0 + theta[:, 2])  # noqa: E731
+    monkeypatch.setattr("clothbench.loop.fitting.evaluate", lambda _, t: (SimpleNamespace(value=value(t)), []))
+    first = ended(np.array([2.0, 0.5, *([-0.5] * shapes)]))
+    found, count = elsewhere(problem, fitted(9e-3), first, rounds=8, goal=1.2e-5)
+    assert found.rms == pytest.approx(left)
+    assert found.theta[0] == 2.0
+    assert count == (0 if shapes < SEVERAL else PLACES + 10 * WALKS)
+    assert goals == ([] if shapes < SEVERAL else pytest.approx([1.2e-5, 1e-6, 1e-6]))
