@@ -12,6 +12,7 @@ from clothbench.experiment.calibrate import Fit, evaluate
 from clothbench.experiment.cell import Bench
 from clothbench.experiment.journal import Journal
 from clothbench.experiment.sensitivity import error_map, morris, sobol
+from clothbench.experiment.store import finite
 from clothbench.experiment.variability import repeats, variability
 from clothbench.parameters import ParameterSpace
 from clothbench.plugins import catalogue, one_line
@@ -44,8 +45,7 @@ def starts_of(bench: Bench, fit: Fit) -> list[dict[str, Any]]:
     _, scores = evaluate(trials, theta)
     pairs = zip(trials, scores, strict=True)
     return [
-        _whole(bench, {"recording": t.name, "start": _finite(s.value[0]), "value": _finite(s.value[1])})
-        for t, s in pairs
+        _whole(bench, {"recording": t.name, "start": finite(s.value[0]), "value": finite(s.value[1])}) for t, s in pairs
     ]
 
 
@@ -111,13 +111,9 @@ def _confusion(bench: Bench, fit: Fit, options: Options, journal: Journal) -> Ta
         value = evaluate([trial], fit.best[None])[0].value[0]
         rows.append({
             "fabric": fabric, "recording": recording.name, "recorded_fabric": recording.fabric,
-            "trial": recording.name.partition("/")[2], "value": _finite(value),
+            "trial": recording.name.partition("/")[2], "value": finite(value),
         })  # fmt: skip
     return {"confusion": rows}
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
 
 
 TABLE_OF = {"morris": "sensitivity", "sobol": "sensitivity"}  # the others fill tables of their own names

@@ -16,7 +16,7 @@ from clothbench.experiment.fold import fold
 from clothbench.experiment.fold_cell import FoldCell
 from clothbench.experiment.journal import Journal
 from clothbench.experiment.rows import AnyCell, about_cell, keep_failure, no_value
-from clothbench.experiment.store import Store
+from clothbench.experiment.store import Store, finite
 from clothbench.experiment.validate import validate
 from clothbench.experiment.validation_cell import ValidationCell
 from clothbench.parallel import set_thread_count
@@ -110,10 +110,10 @@ def _rows_of(
                 **about,
                 "recording": source.name,
                 "split": source.split,
-                "value": _finite(score.value[0]),
-                "low": _finite(low),
-                "high": _finite(high),
-                "floor": _finite(metric.floor(trial.observation)),
+                "value": finite(score.value[0]),
+                "low": finite(low),
+                "high": finite(high),
+                "floor": finite(metric.floor(trial.observation)),
                 "status": status,
                 "reason": reason,
             }
@@ -155,10 +155,6 @@ def _total(about: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _finite(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
-
-
 def _trace_of(bench: Bench, metric: Metric, scores: Sequence[Score]) -> list[dict[str, Any]]:
     return [
         {
@@ -166,7 +162,7 @@ def _trace_of(bench: Bench, metric: Metric, scores: Sequence[Score]) -> list[dic
             "split": s.split,
             "metric": metric.name,
             "time": float(t),
-            "value": _finite(v),
+            "value": finite(v),
             "unit": metric.unit,
         }
         for s, trial, score in zip(bench.cell.recordings, bench.trials, scores, strict=True)
@@ -181,11 +177,11 @@ def _parameters_of(bench: Bench, fit: Fit) -> list[dict[str, Any]]:
             "name": p.name,
             "symbol": p.symbol,
             "unit": p.unit,
-            "value": _finite(fit.best[i]),
-            "low": _finite(fit.low[i]),
-            "high": _finite(fit.high[i]),
+            "value": finite(fit.best[i]),
+            "low": finite(fit.low[i]),
+            "high": finite(fit.high[i]),
             "at_bound": bool(fit.at_bound[i]),
-            "start": None if fit.start is None else _finite(fit.start[i]),
+            "start": None if fit.start is None else finite(fit.start[i]),
             "truth": truth_of(bench, p.name),
             "meaning": p.meaning,
             "key": bench.cell.key,

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,6 +9,7 @@ import numpy as np
 
 from clothbench.experiment.calibrate import Trial, remembered
 from clothbench.experiment.journal import Journal
+from clothbench.experiment.store import finite
 from clothbench.parameters import ParameterSpace
 
 LEVELS = 4  # of a Morris trajectory
@@ -73,7 +73,7 @@ def error_map(
     error = remembered(trials, theta, journal).value
     about = {"x_name": first.name, "x_unit": first.unit, "y_name": second.name, "y_unit": second.unit, "reason": ""}
     return [
-        {**about, "x": float(t[columns[0]]), "y": float(t[columns[1]]), "error": _known(e)}
+        {**about, "x": float(t[columns[0]]), "y": float(t[columns[1]]), "error": finite(e)}
         for t, e in zip(theta, error, strict=True)
     ]
 
@@ -92,10 +92,10 @@ def _errors(
 
 
 def _rows(space, method, main, main_half, total, total_half, evaluations, lost) -> list[dict[str, Any]]:
-    half = [None] * len(space) if total_half is None else [_known(h) for h in total_half]
+    half = [None] * len(space) if total_half is None else [finite(h) for h in total_half]
     return [
-        {**_about(p, method, evaluations), "main": _known(main[i]), "main_half": _known(main_half[i]),
-         "total": _known(total[i]), "total_half": half[i], "lost": int(lost.sum()), "reason": ""}
+        {**_about(p, method, evaluations), "main": finite(main[i]), "main_half": finite(main_half[i]),
+         "total": finite(total[i]), "total_half": half[i], "lost": int(lost.sum()), "reason": ""}
         for i, p in enumerate(space)
     ]  # fmt: skip
 
@@ -106,7 +106,3 @@ def _failed(space: ParameterSpace, method: str, evaluations: int, reason: str) -
 
 def _about(p: Any, method: str, evaluations: int) -> dict[str, Any]:
     return {"method": method, "name": p.name, "symbol": p.symbol, "unit": p.unit, "evaluations": evaluations}
-
-
-def _known(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -16,6 +16,7 @@ from __future__ import annotations
 
 import functools
 import json
+import math
 import os
 import platform
 from collections.abc import Callable, Iterable
@@ -72,6 +73,11 @@ TABLES = {"rows": {**ROW, **SYSTEM}, "parameters": PARAMETER, "trace": TRACE, "v
 TABLES |= ANALYSIS_TABLES
 TABLES |= {f"improve/{name}": columns for name, columns in IMPROVE_TABLES.items()}
 FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
+
+
+def finite(value: float | None) -> float | None:
+    """None where there is no number: tables have nulls, JSON has no NaN and no infinity."""
+    return float(value) if value is not None and math.isfinite(value) else None
 
 
 @functools.cache

@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.experiment.store import finite
 from clothbench.loop.before_after import Pulled, Seen
 from clothbench.loop.fitting import Fitted
 from clothbench.loop.guard import field_of
 from clothbench.loop.improve import Outcome
 from clothbench.loop.residual import portrait
-from clothbench.loop.verdict import number, why_not
+from clothbench.loop.verdict import why_not
 
 MM = 1e3
 BINS = 8  # of speed, acceleration and height, with equal numbers of coordinates
@@ -54,7 +55,7 @@ def candidate_rows(outcome: Outcome, found: Mapping[str, Any]) -> Rows:
             effect = outcome.problem.plugins.make("effects", c.name)
             rows.append({
                 "round": turn, "name": c.name, "place": effect.place, "summary": effect.summary, "share": c.share,
-                "p_value": c.p_value, "gain": number(scale**2 * c.gain), "unit": f"{unit}²",
+                "p_value": c.p_value, "gain": finite(scale**2 * c.gain), "unit": f"{unit}²",
                 "selected": c.selected, "of": len(one.before.squares), "why_not": why_not(c, one),
                 "named": c.name in one.named,
             })  # fmt: skip
@@ -66,7 +67,7 @@ def parameter_rows(fit: str, fitted: Fitted) -> Rows:
     return [
         {
             "fit": fit, "name": p.name, "symbol": p.symbol, "unit": p.unit, "value": float(value),
-            "low": number(low), "high": number(high), "at_bound": bool(bound), "meaning": p.meaning,
+            "low": finite(low), "high": finite(high), "at_bound": bool(bound), "meaning": p.meaning,
         }
         for p, value, low, high, bound in values
     ]  # fmt: skip
@@ -82,7 +83,7 @@ def error_rows(found: Mapping[str, Any], outcome: Outcome, after: Fitted) -> Row
     rows += [(r["recording"], "held_out", r["before"], r["after"]) for r in held]
     floor = scale * outcome.floor
     return [
-        {"recording": name, "split": split, "unit": unit, "before": number(a), "after": number(b), "floor": floor}
+        {"recording": name, "split": split, "unit": unit, "before": finite(a), "after": finite(b), "floor": floor}
         for name, split, a, b in rows
     ]
 
@@ -93,9 +94,9 @@ def portrait_rows(seen: Sequence[Seen]) -> Rows:
         for fit, left in (("before", one.left_before), ("after", one.left_after)):
             p = portrait(one.case, left)
             rows.append({
-                "recording": p.recording, "split": one.case.split, "fit": fit, "rms": number(p.rms_mm),
-                "normal": number(p.normal_mm), "warp": number(p.warp_mm), "weft": number(p.weft_mm),
-                "next_frame": number(p.next_frame), "unit": "mm",
+                "recording": p.recording, "split": one.case.split, "fit": fit, "rms": finite(p.rms_mm),
+                "normal": finite(p.normal_mm), "warp": finite(p.warp_mm), "weft": finite(p.weft_mm),
+                "next_frame": finite(p.next_frame), "unit": "mm",
             })  # fmt: skip
     return rows
 
@@ -163,7 +164,7 @@ def curve_rows(curves: Sequence[Pulled]) -> Rows:
     """Force over stretch, as measured and as the model has it."""
     return [
         {"recording": one.case.name, "split": one.case.split, "stretch": float(s), "force": float(f),
-         "before": number(a), "after": number(b), "unit": "N"}
+         "before": finite(a), "after": finite(b), "unit": "N"}
         for one in curves
         for s, f, a, b in zip(one.stretch, one.force, one.before, one.after, strict=True)
     ]  # fmt: skip
@@ -180,7 +181,7 @@ def drift_rows(outcome: Outcome) -> Rows:
     for recording, fitted in outcome.alone.items():
         at_bound = fitted.at_bound
         for i, p in enumerate(joint.space):
-            value, low, high = float(fitted.theta[i]), number(joint.low[i]), number(joint.high[i])
+            value, low, high = float(fitted.theta[i]), finite(joint.low[i]), finite(joint.high[i])
             outside = low is not None and high is not None and not low <= value <= high
             rows.append({
                 "recording": recording, "name": p.name, "symbol": p.symbol, "unit": p.unit, "scale": p.scale,
@@ -206,5 +207,5 @@ def errors_along(one: Seen, axis: int) -> Iterator[dict[str, Any]]:
 def rms(before: np.ndarray, after: np.ndarray) -> dict[str, Any]:
     """Errors [mm] from squared distances (n,) m² of n nodes, three coordinates each; None of no nodes."""
     count = 3 * len(before)
-    value = [number(MM * float(np.sqrt(s.sum() / count))) if count else None for s in (before, after)]
+    value = [finite(MM * float(np.sqrt(s.sum() / count))) if count else None for s in (before, after)]
     return {"coordinates": count, "before": value[0], "after": value[1]}

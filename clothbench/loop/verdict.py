@@ -11,6 +11,7 @@ from scipy.ndimage import uniform_filter1d
 from scipy.stats import t as student
 
 from clothbench.experiment.calibrate import over
+from clothbench.experiment.store import finite
 from clothbench.loop.attribution import null_of
 from clothbench.loop.curves import CurveCase
 from clothbench.loop.fitting import Fitted, fit
@@ -56,7 +57,7 @@ def held_out_residuals(problem: Problem, fitted: Fitted) -> list[np.ndarray]:
 
 def pooled(values: Sequence[float]) -> float | None:
     """Over recordings, each with the same say; None where there are none or one of them could not be simulated."""
-    return number(np.sqrt(np.mean(np.square(values)))) if len(values) else None
+    return finite(np.sqrt(np.mean(np.square(values)))) if len(values) else None
 
 
 def paired_interval(before: Sequence[float], after: Sequence[float]) -> list[float | None]:
@@ -65,7 +66,7 @@ def paired_interval(before: Sequence[float], after: Sequence[float]) -> list[flo
     if len(fall) < 2:
         return [None, None]
     half = student.ppf(0.975, len(fall) - 1) * fall.std(ddof=1) / np.sqrt(len(fall))
-    return [number(fall.mean() - half), number(fall.mean() + half)]
+    return [finite(fall.mean() - half), finite(fall.mean() + half)]
 
 
 def word(outcome: Outcome) -> str:
@@ -128,7 +129,7 @@ def document(outcome: Outcome, placebo: Placebo | None, wall_s: float) -> dict[s
             "held_out": {
                 "before": pooled(before), "after": pooled(after), "ci95": paired_interval(before, after),
                 "per_recording": [
-                    {"recording": c.name, "before": number(b), "after": number(a)}
+                    {"recording": c.name, "before": finite(b), "after": finite(a)}
                     for c, b, a in zip(held_out, before, after, strict=True)
                 ],
                 "placebo": placebo and {"name": placebo.name, "after": pooled(placebo.errors)},
@@ -138,11 +139,11 @@ def document(outcome: Outcome, placebo: Placebo | None, wall_s: float) -> dict[s
         "unexplained_mm": 1e3 * max(left**2 - outcome.floor**2, 0.0) ** 0.5,
         "hint": remark,
         "candidates": candidate_entries(outcome),
-        "condition": number(np.linalg.cond(final.tangent)),
+        "condition": finite(np.linalg.cond(final.tangent)),
         "evaluations": outcome.evaluations, "wall_s": wall_s, "seed": problem.seed,
         "recordings": {split: [c.name for c in problem.of_split(split)] for split in ("fit", "held_out")},
         "parameters": {
-            p.name: {"value": float(v), "low": number(a), "high": number(b), "unit": p.unit}
+            p.name: {"value": float(v), "low": finite(a), "high": finite(b), "unit": p.unit}
             for p, v, a, b in zip(final.space, final.theta, final.low, final.high, strict=True)
         },
     }  # fmt: skip
@@ -156,7 +157,7 @@ def effect_entry(outcome: Outcome, turn: int) -> dict[str, Any]:
     effect = outcome.problem.plugins.make("effects", name)
     parameters = {
         own: {
-            "value": float(final.theta[i]), "low": number(final.low[i]), "high": number(final.high[i]),
+            "value": float(final.theta[i]), "low": finite(final.low[i]), "high": finite(final.high[i]),
             "unit": final.space.parameters[i].unit,
         }
         for own, i in parameters_of(final.space, name).items()
@@ -175,7 +176,7 @@ def candidate_entries(outcome: Outcome) -> list[dict[str, Any]]:
     for found in outcome.rounds:
         for c in found.candidates:
             latest[c.name] = {
-                "name": c.name, "share": c.share, "gain": number(1e6 * c.gain), "p_value": c.p_value,
+                "name": c.name, "share": c.share, "gain": finite(1e6 * c.gain), "p_value": c.p_value,
                 "why_not": too_little(outcome) if dropped and c.name in found.named else why_not(c, found),
             }  # fmt: skip
     return sorted(latest.values(), key=lambda c: (-(c["gain"] or 0.0), -c["share"]))
@@ -274,11 +275,6 @@ def undecided(outcome: Outcome, found: Round) -> str:
         f"{likeness(found.before, pair)[0, 1]:.2f}); they differ most in {case.name}, by {differ}, around "
         f"{peak(case, apart[most])}: a recording that goes further there would tell them apart"
     )
-
-
-def number(value: float | None) -> float | None:
-    """None where there is no number: JSON has no NaN and no infinity, tables have nulls."""
-    return float(value) if value is not None and np.isfinite(value) else None
 
 
 def placebo_of(outcome: Outcome) -> Placebo | None:
