@@ -24,7 +24,7 @@ PACES = 2  # rounds by whose fall it is judged whether a search can still come t
 DAMPINGS = 4  # sets that a round of `least_squares` tries beside one for each parameter's difference
 MIMIC = 0.2  # amplitude; about a hundred patterns in space and time are independent, of which a parameter makes one
 SEVERAL = 2  # shape parameters that make valleys: so many places are looked at, and from so many of them it is fitted
-PLACES, WALKS = 16, 3
+PLACES, WALKS = 16, 2
 ENOUGH = 3  # recordings that an interval takes: each is left out once
 AROUND, LOOKS = 0.1, 7  # how far around a fit other starts are looked for, of the scaled range, and how many
 
@@ -133,13 +133,12 @@ def polish(problem: Problem, fitted: Fitted, rounds: int) -> tuple[Fitted, int]:
     return min(fitted, again, key=lambda f: f.rms), LOOKS + again.evaluations
 
 
-def elsewhere(problem: Problem, base: Fitted, fitted: Fitted, rounds: int, goal: float) -> tuple[Fitted, int]:
+def elsewhere(problem: Problem, base: Fitted, fitted: Fitted, rounds: int) -> tuple[Fitted, int]:
     """The fit of an effect beside the base's, or a better one from places spread over all that the effect can be; and
     how many sets that took.
 
     An effect with several shape parameters has several valleys (little drag in much wind, much drag in little), and
-    what is left in a wrong one looks like another effect. Each fit is given up where it will not come below the goal
-    [m²], nor below the best so far.
+    what is left in a wrong one looks like another effect. A fit is given up where it will not come below the best.
     """
     effect = problem.plugins.make("effects", fitted.effects[-1])
     if sum(p.null is None for p in effect.parameters) < SEVERAL:
@@ -149,7 +148,7 @@ def elsewhere(problem: Problem, base: Fitted, fitted: Fitted, rounds: int, goal:
     value, count = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value, PLACES
     for k in np.argsort(value)[:WALKS]:  # what could not be simulated comes last
         if np.isfinite(value[k]):
-            again = fit(problem, fitted.effects, starts[k], rounds, goal=min(goal, fitted.rms**2))
+            again = fit(problem, fitted.effects, starts[k], rounds, goal=fitted.rms**2)
             fitted, count = min(fitted, again, key=lambda f: f.rms), count + again.evaluations
     return fitted, count
 

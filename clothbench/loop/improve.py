@@ -228,7 +228,7 @@ def one_round(
     for k, candidate in enumerate(promising):
         budget.stage(f"round {turn + 1}: refits", k, len(promising))
         goal = min([current.rms**2 - gain / 2, *(CONTEST * c.fitted.rms**2 for c in tried if c.fitted)])
-        tried.append(refit(problem, current, candidate, found, seen, floor, goal, budget))
+        tried.append(refit(problem, current, candidate, found, seen, goal, budget))
     tried = contest(problem, current, gain, tried, budget, turn)
     judged = judge(current, gain, tried)
     if named := choose(current, judged):
@@ -263,8 +263,9 @@ def worth_trying(current: Fitted, candidates: Sequence[str], earlier: Sequence[P
 def contest(
     problem: Problem, current: Fitted, gain: float, tried: Sequence[Candidate], budget: Budget, turn: int
 ) -> list[Candidate]:
-    """The candidates, with those polished that may yet be named where there are several, each of them also from where
-    the best has left what they share: neither a search that ended early nor a better valley must decide between them.
+    """The candidates, with those sought in other valleys and polished that may yet be named where there are several,
+    each of them also from where the best has left what they share: neither a search that ended early nor a better
+    valley must decide between them.
     """
     fits = [c.fitted for c in tried if c.fitted is not None]
     least = min((f.rms**2 for f in fits), default=0.0)
@@ -273,6 +274,8 @@ def contest(
     better = {}
     for k, fitted in enumerate(within):
         budget.stage(f"round {turn + 1}: contest", k, 2 * len(within))
+        fitted, count = elsewhere(problem, current, fitted, AGAIN)
+        budget.count(count)
         better[fitted.effects] = settled(problem, fitted, budget)
     best, shared = min(better.values(), key=lambda f: f.rms, default=current), len(current.theta)
     for k, (effects, fitted) in enumerate(better.items()):
@@ -340,13 +343,11 @@ def refit(
     candidate: Candidate,
     found: Sequence[Probe],
     seen: Shares,
-    floor: float,
     goal: float,
     budget: Budget,
 ) -> Candidate:
-    """Everything fitted again with the candidate, from its best probe's first-order amount, and beyond the ripple or,
-    where that leaves more than the floor, the valley that this may end in; given up where it will not come below the
-    goal, above which it can be neither named nor tied.
+    """Everything fitted again with the candidate, from its best probe's first-order amount, and beyond the ripple that
+    this may end in; given up where it will not come below the goal, above which it can be neither named nor tied.
     """
     mine = [k for k, probe in enumerate(found) if probe.effect == candidate.name]
     probe = found[max(mine, key=lambda k: seen.share[k])]
@@ -354,9 +355,6 @@ def refit(
     budget.count(fitted.evaluations)
     fitted, count = leaped(problem, fitted)
     budget.count(count)
-    if fitted.rms > AT_THE_FLOOR * floor:
-        fitted, count = elsewhere(problem, current, fitted, AGAIN, goal)
-        budget.count(count)
     return dataclasses.replace(candidate, fitted=fitted)
 
 

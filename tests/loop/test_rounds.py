@@ -81,8 +81,8 @@ def test_an_effect_with_several_shape_parameters_is_sought_in_other_valleys(monk
     value = lambda theta: np.where(theta[:, 2] > 0.9, 1.0, 2.0 + theta[:, 2])  # noqa: E731
     monkeypatch.setattr("clothbench.loop.fitting.evaluate", lambda _, t: (SimpleNamespace(value=value(t)), []))
     first = ended(np.array([2.0, 0.5, *([-0.5] * shapes)]))
-    found, count = elsewhere(problem, fitted(9e-3), first, rounds=8, goal=1.2e-5)
+    found, count = elsewhere(problem, fitted(9e-3), first, rounds=8)
     assert found.rms == pytest.approx(left)
     assert found.theta[0] == 2.0
     assert count == (0 if shapes < SEVERAL else PLACES + 10 * WALKS)
-    assert goals == ([] if shapes < SEVERAL else pytest.approx([1.2e-5, 1e-6, 1e-6]))
+    assert goals == ([] if shapes < SEVERAL else pytest.approx([1.6e-5, 1e-6]))
