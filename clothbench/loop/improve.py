@@ -27,6 +27,7 @@ SHORT = 3.0  # how many times less than a refit gains a share to first order may
 # Rounds of the first fit (of all its walks together), of one that is to be ended, of one that begins where another
 # ended, and of one of a single recording.
 FIRST, OUT, AGAIN, ALONE = 34, 17, 8, 3
+FARTHER = 2  # leaps along the valley of what was named, each followed by a search
 NEARBY = 0.05  # of the scaled range: how far from a fit the mesh's error is looked at
 POLISH, POLISHES = 5, 4  # and to make sure that a candidate's search has not ended early; how often at most
 FINALISTS, CONTEST = 3, 1.5  # how many are made sure of, and what they may leave, times the least (mean squares)
@@ -185,10 +186,14 @@ def above(fitted: Fitted, changes: Sequence[np.ndarray]) -> float:
 
 def fitted_out(problem: Problem, named: Fitted, budget: Budget) -> Fitted:
     """The fit with what was named, continued: refits of candidates get as many rounds as a comparison needs, and what
-    such a fit has not yet come to must not be taken for another effect.
+    such a fit has not yet come to must not be taken for another effect. Leaps along its valley may end in ripples that
+    only a longer search gets out of.
     """
     budget.stage(f"{named.effects[-1]} fitted out", 0, 1)
-    return better_of(problem, named, named.theta, OUT, budget)
+    fitted = better_of(problem, named, named.theta, OUT, budget)
+    fitted, count = leaped(problem, fitted, FARTHER, AGAIN, CONTEST - 1)
+    budget.count(count)
+    return fitted
 
 
 def one_round(

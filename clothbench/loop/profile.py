@@ -23,7 +23,7 @@ Known = tuple[np.ndarray, np.ndarray, np.ndarray]  # a point in the unit cube, t
 AWAY = (1.5, 3.0)  # times the half-width to be reported: how far each parameter is set apart, one after the other
 CORRECTIONS = 2  # Gauss-Newton steps of the others at each of these
 LEAP, LEAPS = 2.0, 4  # by which factor an amount is changed at once, and how often at most
-LANDING = 1  # rounds of the search after each
+LANDING = 1  # rounds of the search after each, where a comparison of candidates is all that it is for
 
 
 def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, Fitted, int]:
@@ -78,14 +78,17 @@ def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, Fitted, int]:
     return out[0], out[1], evaluations
 
 
-def leaped(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
+def leaped(
+    problem: Problem, fitted: Fitted, leaps: int = LEAPS, rounds: int = LANDING, worse: float = 0.0
+) -> tuple[Fitted, int]:
     """The fit, or a better one on the other side of what its search ended in; and how many parameter sets that took.
 
-    Each amount of the last effect is doubled, and halved, with the others fitted again; where that is better, the
-    search goes on from there, and so forth while it pays.
+    Each amount of the last effect is doubled, and halved, with the others fitted again; where that is better, or by
+    no more than the share `worse` of the mean square is not, the search goes on from there for so many `rounds`, if it
+    can still come below the fit; and so forth while it pays, `leaps` times at most.
     """
     evaluations = 0
-    for _ in range(LEAPS):
+    for _ in range(leaps):
         space, unit = fitted.space, fitted.space.to_unit(fitted.theta)
         hessian, _ = normal_equations(fitted.residual, fitted.jacobian)
         which, where = [], []
@@ -102,13 +105,13 @@ def leaped(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
             break
         best, found, asked = refitted(problem.trials(fitted.effects, "fit"), fitted, np.array(which), np.array(where))
         evaluations += asked
-        if best.min() > fitted.rms**2:
-            break
-        again = fit(problem, fitted.effects, space.from_unit(found[int(np.argmin(best))]), LANDING)
-        evaluations += again.evaluations
-        enough = again.rms**2 < (1 - GAIN) * fitted.rms**2
-        fitted = min(fitted, again, key=lambda f: f.rms)
-        if not enough:
+        before = fitted.rms**2
+        for k in np.argsort(best):
+            if best[k] <= (1 + worse) * before:
+                again = fit(problem, fitted.effects, space.from_unit(found[k]), rounds, goal=fitted.rms**2)
+                evaluations += again.evaluations
+                fitted = min(fitted, again, key=lambda f: f.rms)
+        if fitted.rms**2 >= (1 - GAIN) * before:
             break
     return fitted, evaluations
 

@@ -135,9 +135,34 @@ def rippled(theta):
 @pytest.mark.parametrize(("law", "end"), [(rippled, 0.7), (lambda theta: [*(theta - START), 0.03], 0.1)])
 def test_a_search_that_stopped_in_a_ripple_leaps_along_the_valley(monkeypatch, law, end):
     monkeypatch.setattr(profile, "evaluate", simulated_by(law))
-    monkeypatch.setattr(profile, "fit", lambda problem, effects, theta, rounds: fitted(law, HEM, theta))
+    monkeypatch.setattr(profile, "fit", lambda problem, effects, theta, rounds, goal: fitted(law, HEM, theta))
     before = fitted(law, HEM, START)
     after, count = profile.leaped(OneParameterBase(), before)
     assert after.theta[1] == pytest.approx(end, abs=0.11)
     assert after.rms <= before.rms
-    assert count <= profile.LEAPS * (2 * (profile.CORRECTIONS + 1) + 1)
+    assert count <= profile.LEAPS * (2 * (profile.CORRECTIONS + 1) + 2)
+
+
+@pytest.mark.parametrize(("worse", "end"), [(0.0, 0.1), (0.2, 0.8)])
+def test_a_longer_search_may_set_out_from_a_leap_that_landed_in_a_ripple(monkeypatch, worse, end):
+    """Here every leap is a tenth worse than the fit, and only a search of 8 rounds gets from 0.2 to 0.4 and so on."""
+
+    def law(theta):
+        valley = 0.1 * (theta[1] - 0.8)
+        return np.array([theta[0] - 0.5, 10 * (theta[1] * theta[2] - 0.09), valley, 0.03])
+
+    def landed(trials, before, which, where):
+        return np.full(len(where), 1.1 * before.rms**2), np.array(where), len(where)
+
+    def fit(problem, effects, theta, rounds, goal):
+        assert (rounds, goal) == (8, pytest.approx(goals[-1]))
+        again = fitted(law, HEM, np.array([0.5, min(theta[1], 0.8), 0.09 / min(theta[1], 0.8)]))
+        goals.append(min(goals[-1], again.rms**2))
+        return again
+
+    monkeypatch.setattr(profile, "refitted", landed)
+    monkeypatch.setattr(profile, "fit", fit)
+    before = fitted(law, HEM, START)
+    goals = [before.rms**2]
+    after, _ = profile.leaped(OneParameterBase(), before, profile.LEAPS, 8, worse)
+    assert after.theta[1] == pytest.approx(end)
