@@ -27,7 +27,7 @@ SHORT = 3.0  # how many times less than a refit gains a share to first order may
 # Rounds of the first fit (of all its walks together), of one that is to be ended, of one that begins where another
 # ended, and of one of a single recording.
 FIRST, OUT, AGAIN, ALONE = 34, 17, 8, 3
-FARTHER = 2  # leaps along the valley of what was named, each followed by a search
+FARTHER = 1  # leap along the valley of what was named, followed by a whole search: more cost more than they give
 NEARBY = 0.05  # of the scaled range: how far from a fit the mesh's error is looked at
 POLISH, POLISHES = 5, 4  # and to make sure that a candidate's search has not ended early; how often at most
 FINALISTS, CONTEST = 3, 1.5  # how many are made sure of, and what they may leave, times the least (mean squares)
