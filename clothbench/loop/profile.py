@@ -20,7 +20,7 @@ from clothbench.loop.problem import Problem
 
 Known = tuple[np.ndarray, np.ndarray, np.ndarray]  # a point in the unit cube, the residual there, and its Jacobian
 
-AWAY = (1.5, 3.0)  # times the half-width to be reported: how far each parameter is set apart, one after the other
+AWAY = (1.5, 3.0, 6.0, 12.0)  # times the half-width to be reported: how far each parameter is set apart, in turn
 CORRECTIONS = 2  # Gauss-Newton steps of the others at each of these
 LEAP, LEAPS = 2.0, 4  # by which factor an amount is changed at once, and how often at most
 LANDING = 1  # rounds of the search after each, where a comparison of candidates is all that it is for
@@ -55,15 +55,21 @@ def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, Fitted, int]:
     rise = reach**2 / free[which]
     direction = np.array([along(hessian, i) for i in which]) * (sign * reach[1])[:, None]
     trials, evaluations, going = problem.trials(fitted.effects, "fit"), 0, np.arange(len(walks))
+    risen = np.zeros(reach.shape, bool)  # beyond where it has, an end is not looked for
     for away in AWAY:
         best, found, asked = refitted(trials, fitted, which[going], unit + away * direction[going])
         evaluations += asked
         excess = np.maximum(best - fitted.rms**2, 1e-300)
         gone = np.abs((found - unit)[np.arange(len(going)), which[going]])
         # Between the fit and here the root of the excess is taken to rise evenly, as it does in a straight valley.
-        reach[:, going] = np.maximum(reach[:, going], gone * np.minimum(np.sqrt(rise[:, going] / excess), 1.0))
+        end = np.maximum(reach[:, going], gone * np.minimum(np.sqrt(rise[:, going] / excess), 1.0))
+        reach[:, going] = np.where(risen[:, going], reach[:, going], end)
+        risen[:, going] |= excess >= rise[:, going]
         direction[going] = (found - unit) / away
-        going = going[excess < rise[1, going]]
+        # Where one parameter's walk has got to without much of a rise is in the others' intervals too.
+        for point in found[excess <= 2 * TIED * fitted.rms**2]:
+            reach[1] = np.maximum(reach[1], sign * (point - unit)[which])
+        going = going[~risen[1, going]]
         if not len(going):
             break
     null = space.to_unit(np.array([np.nan if p.null is None else p.null for p in space]))[which]

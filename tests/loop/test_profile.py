@@ -107,6 +107,18 @@ def test_what_is_reported_holds_all_that_leaves_hardly_more(judged):
     assert np.sum(law([0.5, a, 0.12 / a]) ** 2) - 0.09 == pytest.approx(2 * TIED * 0.09, rel=0.3)
 
 
+def test_a_long_valley_is_followed_to_its_end_in_all_that_it_bends(judged):
+    """At the fit the error rises as if a could go from 0.2 to 0.33 only; further on it hardly rises any more."""
+
+    def law(theta):
+        return bent(theta) + np.array([0.0, 0.0, 0.1 * np.tanh((theta[1] - 0.2) / 0.1), 0.0])
+
+    _, narrow, reported, _ = judged(law, [0.01, 0.02, 0.06])
+    assert narrow.high[1] < 0.3
+    assert reported.high[1] == pytest.approx(1.0)
+    assert reported.low[2] <= 0.121
+
+
 def test_what_is_reported_does_not_reach_nothing_if_the_interval_does_not(judged, monkeypatch):
     own = [dataclasses.replace(p, null=0.0) if p.name == "a" else p for p in SPACE]
     monkeypatch.setattr(sys.modules[__name__], "SPACE", ParameterSpace(tuple(own)))
