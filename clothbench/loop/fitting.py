@@ -116,6 +116,16 @@ def evaluations(space: ParameterSpace, rounds: int) -> int:
     return rounds * (len(space) + DAMPINGS)
 
 
+def better_of(
+    problem: Problem, known: Fitted, start: np.ndarray, rounds: int, goal: float = np.inf
+) -> tuple[Fitted, int]:
+    """The better of a fit that is known and one more of the same effects from `start` (P,); and how many sets the
+    latter took.
+    """
+    again = fit(problem, known.effects, start, rounds, goal=goal)
+    return min(known, again, key=lambda f: f.rms), again.evaluations
+
+
 def polish(problem: Problem, fitted: Fitted, rounds: int) -> tuple[Fitted, int]:
     """The better of this fit and of one more from a good place nearby, and how many sets that took.
 
@@ -129,8 +139,8 @@ def polish(problem: Problem, fitted: Fitted, rounds: int) -> tuple[Fitted, int]:
     value = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value
     if not np.isfinite(value).any():
         return fitted, LOOKS
-    again = fit(problem, fitted.effects, starts[int(np.nanargmin(value))], rounds)
-    return min(fitted, again, key=lambda f: f.rms), LOOKS + again.evaluations
+    fitted, count = better_of(problem, fitted, starts[int(np.nanargmin(value))], rounds)
+    return fitted, LOOKS + count
 
 
 def elsewhere(problem: Problem, base: Fitted, fitted: Fitted, rounds: int) -> tuple[Fitted, int]:
@@ -148,8 +158,8 @@ def elsewhere(problem: Problem, base: Fitted, fitted: Fitted, rounds: int) -> tu
     value, count = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value, PLACES
     for k in np.argsort(value)[:WALKS]:  # what could not be simulated comes last
         if np.isfinite(value[k]):
-            again = fit(problem, fitted.effects, starts[k], rounds, goal=fitted.rms**2)
-            fitted, count = min(fitted, again, key=lambda f: f.rms), count + again.evaluations
+            fitted, spent = better_of(problem, fitted, starts[k], rounds, goal=fitted.rms**2)
+            count += spent
     return fitted, count
 
 

@@ -11,7 +11,7 @@ import numpy as np
 from clothbench.errors import ClothbenchError
 from clothbench.loop.attribution import Probe, moved, outside, probes, ridge, share_of
 from clothbench.loop.budget import Budget, Stage
-from clothbench.loop.fitting import Fitted, elsewhere, evaluations, fit, polish, widened
+from clothbench.loop.fitting import Fitted, better_of, elsewhere, evaluations, fit, polish, widened
 from clothbench.loop.guard import Shares, shares
 from clothbench.loop.judge import AT_THE_FLOOR, TIED, Candidate, choose, judge, needed, unphysical
 from clothbench.loop.problem import Problem
@@ -190,7 +190,8 @@ def fitted_out(problem: Problem, named: Fitted, budget: Budget) -> Fitted:
     only a longer search gets out of.
     """
     budget.stage(f"{named.effects[-1]} fitted out", 0, 1)
-    fitted = better_of(problem, named, named.theta, OUT, budget)
+    fitted, count = better_of(problem, named, named.theta, OUT)
+    budget.count(count)
     fitted, count = leaped(problem, fitted, FARTHER, AGAIN, CONTEST - 1)
     budget.count(count)
     return fitted
@@ -287,7 +288,8 @@ def contest(
         budget.stage(f"round {turn + 1}: contest", len(within) + k, 2 * len(within))
         if fitted is not best:
             start = np.concatenate([best.theta[:shared], fitted.theta[shared:]])
-            better[effects] = better_of(problem, fitted, start, POLISH, budget)
+            better[effects], count = better_of(problem, fitted, start, POLISH)
+            budget.count(count)
     return [
         c if c.fitted is None else dataclasses.replace(c, fitted=better.get(c.fitted.effects, c.fitted)) for c in tried
     ]
@@ -313,16 +315,9 @@ def second_thought(problem: Problem, current: Fitted, better: Fitted | None, gai
     if better is None:
         return current
     start = better.theta[: len(current.theta)]
-    return better_of(problem, current, start, AGAIN, budget, goal=better.rms**2 + gain)
-
-
-def better_of(
-    problem: Problem, known: Fitted, start: np.ndarray, rounds: int, budget: Budget, goal: float = np.inf
-) -> Fitted:
-    """The better of a fit that is known and one more of the same effects from `start` (P,)."""
-    again = fit(problem, known.effects, start, rounds, goal=goal)
-    budget.count(again.evaluations)
-    return min(known, again, key=lambda f: f.rms)
+    fitted, count = better_of(problem, current, start, AGAIN, goal=better.rms**2 + gain)
+    budget.count(count)
+    return fitted
 
 
 def screen(

@@ -14,7 +14,7 @@ import dataclasses
 import numpy as np
 
 from clothbench.experiment.calibrate import Trial, evaluate
-from clothbench.loop.fitting import GAIN, Fitted, fit, freedom, normal_equations, solve
+from clothbench.loop.fitting import GAIN, Fitted, better_of, freedom, normal_equations, solve
 from clothbench.loop.judge import TIED, amounts_of
 from clothbench.loop.problem import Problem
 
@@ -51,7 +51,8 @@ def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, Fitted, int]:
     sign = np.where(sides == 1, 1.0, -1.0)
     # Rows: the interval as it is, and the one that is reported; how far each goes, and the rise [m²] that this makes.
     reach = np.abs(ends[sides, which] - unit[which]) * np.ones((2, 1))
-    reach[1] = np.maximum(reach[1], np.sqrt(2 * TIED * fitted.rms**2 * free[which]))
+    hardly = 2 * TIED * fitted.rms**2
+    reach[1] = np.maximum(reach[1], np.sqrt(hardly * free[which]))
     rise = reach**2 / free[which]
     direction = np.array([along(hessian, i) for i in which]) * (sign * reach[1])[:, None]
     trials, evaluations, going = problem.trials(fitted.effects, "fit"), 0, np.arange(len(walks))
@@ -67,7 +68,7 @@ def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, Fitted, int]:
         risen[:, going] |= excess >= rise[:, going]
         direction[going] = (found - unit) / away
         # Where one parameter's walk has got to without much of a rise is in the others' intervals too.
-        for point in found[excess <= 2 * TIED * fitted.rms**2]:
+        for point in found[excess <= hardly]:
             reach[1] = np.maximum(reach[1], sign * (point - unit)[which])
         going = going[~risen[1, going]]
         if not len(going):
@@ -114,9 +115,9 @@ def leaped(
         before = fitted.rms**2
         for k in np.argsort(best):
             if best[k] <= (1 + worse) * before:
-                again = fit(problem, fitted.effects, space.from_unit(found[k]), rounds, goal=fitted.rms**2)
-                evaluations += again.evaluations
-                fitted = min(fitted, again, key=lambda f: f.rms)
+                start = space.from_unit(found[k])
+                fitted, count = better_of(problem, fitted, start, rounds, goal=fitted.rms**2)
+                evaluations += count
         if fitted.rms**2 >= (1 - GAIN) * before:
             break
     return fitted, evaluations

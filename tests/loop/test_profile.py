@@ -147,7 +147,9 @@ def rippled(theta):
 @pytest.mark.parametrize(("law", "end"), [(rippled, 0.7), (lambda theta: [*(theta - START), 0.03], 0.1)])
 def test_a_search_that_stopped_in_a_ripple_leaps_along_the_valley(monkeypatch, law, end):
     monkeypatch.setattr(profile, "evaluate", simulated_by(law))
-    monkeypatch.setattr(profile, "fit", lambda problem, effects, theta, rounds, goal: fitted(law, HEM, theta))
+    monkeypatch.setattr(
+        "clothbench.loop.fitting.fit", lambda problem, effects, theta, rounds, goal: fitted(law, HEM, theta)
+    )
     before = fitted(law, HEM, START)
     after, count = profile.leaped(OneParameterBase(), before)
     assert after.theta[1] == pytest.approx(end, abs=0.11)
@@ -173,7 +175,7 @@ def test_a_longer_search_may_set_out_from_a_leap_that_landed_in_a_ripple(monkeyp
         return again
 
     monkeypatch.setattr(profile, "refitted", landed)
-    monkeypatch.setattr(profile, "fit", fit)
+    monkeypatch.setattr("clothbench.loop.fitting.fit", fit)
     before = fitted(law, HEM, START)
     goals = [before.rms**2]
     after, _ = profile.leaped(OneParameterBase(), before, profile.LEAPS, 8, worse)
