@@ -21,8 +21,9 @@ from clothbench.loop.problem import Problem
 Known = tuple[np.ndarray, np.ndarray, np.ndarray]  # a point in the unit cube, the residual there, and its Jacobian
 
 AWAY = (1.5, 3.0, 6.0, 12.0)  # times the half-width to be reported: how far each parameter is set apart, in turn
-CORRECTIONS = 2  # Gauss-Newton steps of the others at each of these
+CORRECTIONS = 5  # Gauss-Newton steps of the others at each of these: too few, and a valley is taken for its wall
 LEAP, LEAPS = 2.0, 4  # by which factor an amount is changed at once, and how often at most
+GLANCES = 2  # such steps where a leap lands, which is searched from if it is worth it
 LANDING = 1  # rounds of the search after each, where a comparison of candidates is all that it is for
 
 
@@ -58,7 +59,7 @@ def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, Fitted, int]:
     trials, evaluations, going = problem.trials(fitted.effects, "fit"), 0, np.arange(len(walks))
     risen = np.zeros(reach.shape, bool)  # beyond where it has, an end is not looked for
     for away in AWAY:
-        best, found, asked = refitted(trials, fitted, which[going], unit + away * direction[going])
+        best, found, asked = refitted(trials, fitted, which[going], unit + away * direction[going], CORRECTIONS)
         evaluations += asked
         excess = np.maximum(best - fitted.rms**2, 1e-300)
         gone = np.abs((found - unit)[np.arange(len(going)), which[going]])
@@ -110,7 +111,8 @@ def leaped(
                     where.append(unit + step * along(hessian, i))
         if not which:
             break
-        best, found, asked = refitted(problem.trials(fitted.effects, "fit"), fitted, np.array(which), np.array(where))
+        trials = problem.trials(fitted.effects, "fit")
+        best, found, asked = refitted(trials, fitted, np.array(which), np.array(where), GLANCES)
         evaluations += asked
         before = fitted.rms**2
         for k in np.argsort(best):
@@ -124,15 +126,16 @@ def leaped(
 
 
 def refitted(
-    trials: list[Trial], fitted: Fitted, which: np.ndarray, where: np.ndarray
+    trials: list[Trial], fitted: Fitted, which: np.ndarray, where: np.ndarray, corrections: int
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """At each of `where` (W, P), in the unit cube, parameter `which` (W,) held and the others fitted again: the mean
-    squares (W,) m², infinite where nothing could be simulated, the points (W, P), and how many sets that took.
+    """At each of `where` (W, P), in the unit cube, parameter `which` (W,) held and the others fitted again, by so many
+    `corrections`: the mean squares (W,) m², infinite where nothing could be simulated, the points (W, P), and how many
+    sets that took.
     """
     unit, count = fitted.space.to_unit(fitted.theta), len(fitted.residual)
     best, found, evaluations = np.full(len(which), np.inf), np.tile(unit, (len(which), 1)), 0
     known = [(unit, fitted.left / np.sqrt(count), fitted.tangent / np.sqrt(count))] * len(which)
-    for correction in range(CORRECTIONS + 1):
+    for correction in range(corrections + 1):
         where = np.clip(where, 0.0, 1.0)
         residual = evaluate(trials, fitted.space.from_unit(where))[0].residual
         assert residual is not None
@@ -140,7 +143,7 @@ def refitted(
         square = np.sum(residual**2, axis=1)
         better = square < best  # false for what could not be simulated
         best[better], found[better] = square[better], where[better]
-        if correction < CORRECTIONS:
+        if correction < corrections:
             known = [learned(*one) for one in zip(known, where, residual, strict=True)]
             where = np.array([others_fitted(*one, i) for one, i in zip(known, which, strict=True)])
     return best, found, evaluations

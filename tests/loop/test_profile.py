@@ -119,6 +119,18 @@ def test_a_long_valley_is_followed_to_its_end_in_all_that_it_bends(judged):
     assert reported.low[2] <= 0.121
 
 
+def test_a_valley_that_curves_hard_is_not_taken_for_its_wall(judged):
+    """b makes up for a down to b = 0, where a is 0.402; beside the tangent it takes many corrections to get there."""
+
+    def law(theta):
+        made_up = np.exp(3 * (theta[2] - 0.6)) + np.exp(3 * (theta[1] - 0.2)) - 2
+        return np.array([theta[0] - 0.5, 10 * made_up, 0.1 * np.tanh((theta[1] - 0.2) / 0.1), 0.3])
+
+    _, _, reported, _ = judged(law, [0.01, 0.02, 0.02])
+    assert reported.high[1] == pytest.approx(0.402, abs=0.002)
+    assert reported.low[2] == pytest.approx(0.0)
+
+
 def test_what_is_reported_does_not_reach_nothing_if_the_interval_does_not(judged, monkeypatch):
     own = [dataclasses.replace(p, null=0.0) if p.name == "a" else p for p in SPACE]
     monkeypatch.setattr(sys.modules[__name__], "SPACE", ParameterSpace(tuple(own)))
@@ -154,7 +166,7 @@ def test_a_search_that_stopped_in_a_ripple_leaps_along_the_valley(monkeypatch, l
     after, count = profile.leaped(OneParameterBase(), before)
     assert after.theta[1] == pytest.approx(end, abs=0.11)
     assert after.rms <= before.rms
-    assert count <= profile.LEAPS * (2 * (profile.CORRECTIONS + 1) + 2)
+    assert count <= profile.LEAPS * (2 * (profile.GLANCES + 1) + 2)
 
 
 @pytest.mark.parametrize(("worse", "end"), [(0.0, 0.1), (0.2, 0.8)])
@@ -165,7 +177,7 @@ def test_a_longer_search_may_set_out_from_a_leap_that_landed_in_a_ripple(monkeyp
         valley = 0.1 * (theta[1] - 0.8)
         return np.array([theta[0] - 0.5, 10 * (theta[1] * theta[2] - 0.09), valley, 0.03])
 
-    def landed(trials, before, which, where):
+    def landed(trials, before, which, where, corrections):
         return np.full(len(where), 1.1 * before.rms**2), np.array(where), len(where)
 
     def fit(problem, effects, theta, rounds, goal):
