@@ -1,0 +1,107 @@
+"""Where data sets come from: pinned addresses, hashes, local copies, and fetching; without the net."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from clothbench.datasets import registry
+from clothbench.errors import ClothbenchError
+
+NAME = "iri_wam_cloth_swing"
+
+
+@pytest.fixture
+def small(monkeypatch):
+    """The real entry cut down to two files with known bytes."""
+    contents = {"Session_A/one_mesh.csv": b"one", "Session_A/two_tcp.csv": b"two"}
+    files = {k: (f"a folder/{k}", hashlib.sha256(v).hexdigest()) for k, v in contents.items()}
+    entry = replace(registry.DATASETS[NAME], files=files)
+    monkeypatch.setattr(registry, "DATASETS", {NAME: entry})
+    return entry, contents
+
+
+def test_addresses_are_pinned_and_quoted():
+    entry = registry.DATASETS[NAME]
+    local = "Session_2021_07_05/range30_rep1_mesh.csv"
+    assert entry.url(local) == (
+        "https://raw.githubusercontent.com/Alados5/tfm_matlab/ea4056cea9b43a12f9a3ba538087f97101767305/"
+        "learn_model/Gathered%20Data/Session_2021_07_05/Converted%20CSV/range30_rep1_mesh.csv"
+    )
+    assert all(len(digest) == 64 for _, digest in entry.files.values())
+    assert entry.importer == "clothbench.datasets.iri_wam_cloth_swing:convert"
+
+
+def test_unknown_data_set_names_the_known_ones():
+    with pytest.raises(ClothbenchError, match="known: iri_wam_cloth_swing"):
+        registry.dataset("nothing")
+
+
+def test_local_copy_is_found_in_or_as_the_folder(tmp_path, monkeypatch):
+    monkeypatch.delenv(registry.ENVIRONMENT, raising=False)
+    assert registry.local_copy(NAME) is None
+    session = tmp_path / "iri-wam-cloth-swing" / "Session_2021_07_06"
+    folder = session.parent
+    session.mkdir(parents=True)
+    (session / "range30_rep1_mesh.csv").touch()
+    assert registry.local_copy(NAME, tmp_path) == folder
+    assert registry.local_copy(NAME, folder) == folder
+    monkeypatch.setenv(registry.ENVIRONMENT, str(tmp_path))
+    assert registry.local_copy(NAME) == folder
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(ClothbenchError, match="found no 'iri-wam-cloth-swing'"):
+        registry.local_copy(NAME, tmp_path / "empty")
+    with pytest.raises(ClothbenchError, match="is not a folder"):
+        registry.local_copy(NAME, tmp_path / "absent")
+
+
+def test_changed_bytes_are_refused_and_unknown_files_named(tmp_path, small):
+    for local, content in {**small[1], "Session_A/more_mesh.csv": b"?"}.items():
+        (tmp_path / local).parent.mkdir(exist_ok=True)
+        (tmp_path / local).write_bytes(content + b"!" * local.startswith("Session_A/two"))
+    check = registry.verify(NAME, tmp_path)
+    assert check.unknown == {"Session_A/more_mesh.csv"}
+    assert check.wrong == {"Session_A/two_tcp.csv"}
+
+
+def stand_in_for_the_net(monkeypatch, served: dict[str, bytes]) -> list[str]:
+    """Let pooch fetch from memory; what was asked for, in order."""
+    import pooch.core
+
+    asked: list[str] = []
+
+    def download(url, output_file, _keeper, **_):
+        asked.append(url)
+        if url not in served:
+            raise OSError("no route to host")
+        Path(output_file).write_bytes(served[url])
+
+    monkeypatch.setattr(pooch.core, "choose_downloader", lambda *_, **__: download)
+    return asked
+
+
+def test_fetch_verifies_and_keeps(tmp_path, small, monkeypatch):
+    entry, contents = small
+    monkeypatch.setenv("CLOTHBENCH_CACHE", str(tmp_path))
+    asked = stand_in_for_the_net(monkeypatch, {entry.url(k): v for k, v in contents.items()})
+    seen = []
+    folder = registry.fetch(NAME, lambda done, planned, local: seen.append((done, planned, local)))
+    assert {local: (folder / local).read_bytes() for local in contents} == contents
+    assert seen[-1] == (2, 2, "Session_A/two_tcp.csv")
+    registry.fetch(NAME)
+    assert len(asked) == 2
+
+
+@pytest.mark.parametrize(("served", "expected"), [(b"forged", "hash"), (None, "give a local copy with data_dir=")])
+def test_fetch_fails_in_one_line(tmp_path, small, monkeypatch, served, expected):
+    entry, contents = small
+    monkeypatch.setenv("CLOTHBENCH_CACHE", str(tmp_path))
+    monkeypatch.setattr("time.sleep", lambda _: None)
+    stand_in_for_the_net(monkeypatch, {} if served is None else {entry.url(k): served for k in contents})
+    with pytest.raises(ClothbenchError, match=expected) as caught:
+        registry.fetch(NAME)
+    assert "\n" not in str(caught.value)
+    assert not list(tmp_path.rglob("*.csv"))
