@@ -15,7 +15,8 @@ import pandas as pd
 from clothbench.datasets.convert import converted
 
 DATASET = "iri_wam_cloth_swing"
-DENSITY = 0.10  # kg/m²: the originals do not say; that of a light cotton
+# As in the suite `iri_swing`. The originals do not say the density: that of a light cotton [kg/m²].
+SETTINGS = ("areal_density=0.10", "resolution=8")
 # Recordings that belong together, by the beginning of their names, and the models that are asked about them.
 SWINGS = (
     ("2021_07_05-n8-range30", "turned to and fro by 30°", ("mass_spring",)),
@@ -61,7 +62,7 @@ def told(group: str, motion: str, model: str, out: Path) -> Story:
     for path in (out / "recordings").glob(f"iri-{group}-*.nc"):
         if not (folder / path.name).exists():
             (folder / path.name).symlink_to(path.resolve())
-    words = [f"recordings={folder}", f"model={model}", f"out={place}", f"areal_density={DENSITY}"]
+    words = [f"recordings={folder}", f"model={model}", f"out={place}", *SETTINGS]
     print(group, model, file=sys.stderr)
     subprocess.run([sys.executable, "-m", "clothbench", "improve", *words], check=True, stdout=subprocess.DEVNULL)
     return Story(motion, model, place, json.loads((place / "verdict.json").read_text()))
