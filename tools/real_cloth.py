@@ -2,7 +2,7 @@
 
     python tools/real_cloth.py knits DATA_DIR    docs/images/knit-curves.svg, docs/images/knit-errors.svg
     python tools/real_cloth.py folds             docs/images/fold-heights.svg
-    python tools/real_cloth.py swings DATA_DIR   docs/images/robot-swings.svg (hours; a stopped run goes on)
+    python tools/real_cloth.py swings DATA_DIR   docs/images/robot-swings.svg (15 minutes; a stopped run goes on)
 
 knits: every run of every swatch is held out once; what `improve` finds on the other four is judged on it.
 folds: ten fabrics, each left out once.

@@ -18,7 +18,7 @@ DATASET = "iri_wam_cloth_swing"
 # As in the suite `iri_swing`. The originals do not say the density: that of a light cotton [kg/m²].
 SETTINGS = ("areal_density=0.10", "resolution=8")
 # Recordings that belong together, by the beginning of their names, and the models that are asked about them.
-SWINGS = (("2021_07_05-n8-range30", "turned to and fro by 30°", ("mass_spring",)),)
+SWINGS = (("2021_07_05-n8-range30", "oscillations, range 30", ("mass_spring",)),)
 
 
 @dataclass(frozen=True)
