@@ -275,7 +275,10 @@ def contest(
     """
     fits = [c.fitted for c in tried if c.fitted is not None]
     least = min((f.rms**2 for f in fits), default=0.0)
-    within = [f for f in fits if f.rms**2 <= CONTEST * least and f.rms**2 <= current.rms**2 - gain / 2]
+    most = current.rms**2 - gain / 2
+    if problem.patience == 1:  # else a fit costs next to nothing, and all that may be named are made sure of
+        most = min(most, CONTEST * least)
+    within = [f for f in fits if f.rms**2 <= most]
     within = sorted(within, key=lambda f: f.rms)[:FINALISTS] if len(within) > 1 else []
     better = {}
     for k, fitted in enumerate(within):
