@@ -78,6 +78,7 @@ class CurveProblem(Problem):
     patience: ClassVar[int] = 20
     probe: ClassVar[float] = 1e-4
     rounds: ClassVar[int] = 1  # a smooth curve has few features: of two or three effects one can make nearly any
+    contest: ClassVar[float] = math.inf  # a fit that ended early is soon made again
     carried: ClassVar[float] = math.inf  # the floor is the spread between runs, of which a run held out is one draw
 
     def finer(self) -> CurveProblem:

@@ -27,10 +27,12 @@ SHORT = 3.0  # how many times less than a refit gains a share to first order may
 # Rounds of the first fit (of all its walks together), of one that is to be ended, of one that begins where another
 # ended, and of one of a single recording.
 FIRST, OUT, AGAIN, ALONE = 34, 17, 8, 3
-FARTHER = 1  # leap along the valley of what was named, followed by a whole search: more cost more than they give
+# Leaps along the valley of what was named, each followed by whole searches from where it is not worse by more than this
+# share: more cost more than they give.
+FARTHER, LANDED = 1, 0.5
 NEARBY = 0.05  # of the scaled range: how far from a fit the mesh's error is looked at
 POLISH, POLISHES = 5, 4  # and to make sure that a candidate's search has not ended early; how often at most
-FINALISTS, CONTEST = 3, 1.5  # how many are made sure of, and what they may leave, times the least (mean squares)
+FINALISTS = 3  # how many are made sure of
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,7 +194,7 @@ def fitted_out(problem: Problem, named: Fitted, budget: Budget) -> Fitted:
     budget.stage(f"{named.effects[-1]} fitted out", 0, 1)
     fitted, count = better_of(problem, named, named.theta, OUT)
     budget.count(count)
-    fitted, count = leaped(problem, fitted, FARTHER, AGAIN, CONTEST - 1)
+    fitted, count = leaped(problem, fitted, FARTHER, AGAIN, LANDED)
     budget.count(count)
     return fitted
 
@@ -233,7 +235,7 @@ def one_round(
     tried: list[Candidate] = []
     for k, candidate in enumerate(promising):
         budget.stage(f"round {turn + 1}: refits", k, len(promising))
-        goal = min([current.rms**2 - gain / 2, *(CONTEST * c.fitted.rms**2 for c in tried if c.fitted)])
+        goal = min([current.rms**2 - gain / 2, *(problem.contest * c.fitted.rms**2 for c in tried if c.fitted)])
         tried.append(refit(problem, current, candidate, found, seen, goal, budget))
     tried = contest(problem, current, gain, tried, budget, turn)
     judged = judge(current, gain, tried)
@@ -275,9 +277,7 @@ def contest(
     """
     fits = [c.fitted for c in tried if c.fitted is not None]
     least = min((f.rms**2 for f in fits), default=0.0)
-    most = current.rms**2 - gain / 2
-    if problem.patience == 1:  # else a fit costs next to nothing, and all that may be named are made sure of
-        most = min(most, CONTEST * least)
+    most = min(current.rms**2 - gain / 2, problem.contest * least)
     within = [f for f in fits if f.rms**2 <= most]
     within = sorted(within, key=lambda f: f.rms)[:FINALISTS] if len(within) > 1 else []
     better = {}

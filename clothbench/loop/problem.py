@@ -121,6 +121,8 @@ class Problem:
     patience: ClassVar[int] = 1
     probe: ClassVar[float] = 0.0
     rounds: ClassVar[int] = 0
+    # Times the least that any leaves (mean squares): a candidate that leaves more after its first fit is given up.
+    contest: ClassVar[float] = 1.5
     # Times the floor: a model that leaves more on held-out recordings lacks something, whatever the fit says.
     carried: ClassVar[float] = 1.5
 

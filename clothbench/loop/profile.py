@@ -22,8 +22,8 @@ Known = tuple[np.ndarray, np.ndarray, np.ndarray]  # a point in the unit cube, t
 
 AWAY = (1.5, 3.0, 6.0, 12.0)  # times the half-width to be reported: how far each parameter is set apart, in turn
 CORRECTIONS = 5  # Gauss-Newton steps of the others at each of these: too few, and a valley is taken for its wall
-LEAP, LEAPS = 2.0, 4  # by which factor an amount is changed at once, and how often at most
 GLANCES = 2  # such steps where a leap lands, which is searched from if it is worth it
+LEAP, LEAPS = 2.0, 4  # by which factor an amount is changed at once, and how often at most
 LANDING = 1  # rounds of the search after each, where a comparison of candidates is all that it is for
 
 

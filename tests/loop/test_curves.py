@@ -57,6 +57,12 @@ def test_planted_locking_is_found_with_its_amount_and_holds_on_other_runs():
         assert rate["high"] - rate["low"] < 4
 
 
+def test_a_pole_is_told_from_an_exponential_that_comes_near():
+    """The first fit of the pole ends early, at more than ten times what the exponential leaves."""
+    found = verdict(runs(1000, lambda e: 3 * (1 / (1 - 1.45 * e) - 1 - 1.45 * e)))
+    assert "limited_extension" in named(found)
+
+
 def test_stiffening_of_straightening_yarns_goes_by_the_name_that_sheets_know():
     found = verdict(runs(1, lambda e: 900 * np.where(e < 0.1, e**2, (2 * e - 0.1) * 0.1), longest=1.12))
     assert "stretch_stiffening" in named(found)
