@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pandas as pd
 
 from clothbench.datasets.convert import converted
@@ -19,6 +20,9 @@ DATASET = "iri_wam_cloth_swing"
 SETTINGS = ("areal_density=0.10", "resolution=8")
 # Recordings that belong together, by the beginning of their names, and the models that are asked about them.
 SWINGS = (("2021_07_05-n8-range30", "oscillations, range 30", ("mass_spring",)),)
+
+RESTS = 1.0  # [s] the arm has not begun to move
+NEAREST = 4  # candidates of each round that are told of
 
 
 @dataclass(frozen=True)
@@ -38,9 +42,8 @@ class Story:
     def named(self) -> str:
         return ", ".join(" or ".join(f"`{n}`" for n in (e["name"], *e["tied_with"])) for e in self.verdict["effects"])
 
-    def frames(self) -> pd.DataFrame:
-        """rms over the cloth [mm] by time, before and after, of every recording."""
-        return pd.read_parquet(self.folder / "tables" / "frames.parquet")
+    def table(self, name: str) -> pd.DataFrame:
+        return pd.read_parquet(self.folder / "tables" / f"{name}.parquet")
 
 
 def stories(data_dir: str, out: Path) -> list[Story]:
@@ -72,6 +75,7 @@ def print_table(found: Sequence[Story]) -> None:
         errors = [f"{value:.1f} mm" for value in (held["before"], held["after"], floor)]
         print(f"| {' | '.join([one.motion, f'`{one.model}`', *errors, said])} |")
     for one in found:
+        print_details(one)
         for effect in one.verdict["effects"]:
             amounts = ", ".join(
                 f"{name} = {p['value']:.3g} ({p['low']:.3g} … {p['high']:.3g}) {p['unit']}"
@@ -80,6 +84,30 @@ def print_table(found: Sequence[Story]) -> None:
             chance = f"p = {effect['p_value']:.3g}, {effect['selected_in']}"
             print(f"{one.motion}, {one.model}: {effect['name']}: {amounts}; {chance}")
         print(f"{one.motion}, {one.model}: {one.verdict['hint']}; {one.verdict['wall_s']:.0f} s")
+
+
+def print_details(one: Story) -> None:
+    """What the calibrated model gets wrong on recordings held out, what it came to, and what was tried beside it."""
+    held = "split == 'held_out'"
+    portrait = one.table("portrait").query(f"{held} and fit == 'before'")
+    parts = ", ".join(f"{name} {pooled(portrait[name]):.1f} mm" for name in ("normal", "warp", "weft"))
+    frames, nodes = one.table("frames").query(held), one.table("nodes").query(held)
+    resting, peak = frames[frames.time < RESTS], frames.groupby("recording").before.max()
+    thirds = nodes.groupby(pd.cut(nodes.v / nodes.v.max(), 3, labels=False)).before.agg(pooled)
+    print(f"{one.motion}, {one.model}: {parts}; correlation with the next frame {portrait.next_frame.mean():.2f}")
+    print(f"  first {RESTS:g} s {pooled(resting.before):.1f} mm, peaks {peak.min():.0f} … {peak.max():.0f} mm; thirds "
+          f"of the cloth from v = 0 on: {', '.join(f'{value:.1f}' for value in thirds)} mm")  # fmt: skip
+    for row in one.table("parameters").query("fit == 'before'").itertuples():
+        end = ", at its bound" * row.at_bound
+        print(f"  {row.symbol} = {row.value:.3g} ({row.low:.3g} … {row.high:.3g}) {row.unit}{end}")
+    for turn, rows in one.table("candidates").groupby("round"):
+        for row in rows.head(NEAREST).itertuples():
+            print(f"  round {turn}: {row.name}: to first order {row.share:.1%}, p = {row.p_value:.3g}, fitted "
+                  f"{row.gain:.3g} {row.unit}, chosen {row.selected} of {row.of}; {row.why_not}")  # fmt: skip
+
+
+def pooled(errors: pd.Series[float]) -> float:
+    return float(np.sqrt(np.mean(errors**2)))
 
 
 def draw_stories(found: Sequence[Story], axes: Sequence[Any], colours: tuple[str, str]) -> None:
@@ -98,7 +126,7 @@ def draw_stories(found: Sequence[Story], axes: Sequence[Any], colours: tuple[str
     left.legend(frameon=False, fontsize=7, ncols=3, loc="lower center", bbox_to_anchor=(0.4, 1.0), columnspacing=0.8)
     one = next(one for one in found if one.verdict["effects"]) if any(o.verdict["effects"] for o in found) else found[0]
     worst = max(one.errors["held_out"]["per_recording"], key=lambda r: r["before"])["recording"]
-    frames = one.frames()
+    frames = one.table("frames")
     frames = frames[frames.recording == worst]
     for when, colour in zip(("before", "after"), colours, strict=True):
         right.plot(frames.time, frames[when], color=colour, lw=1.0)

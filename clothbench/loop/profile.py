@@ -10,6 +10,7 @@ computing profile-likelihood-based confidence intervals), with the Jacobian that
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,11 +21,74 @@ from clothbench.loop.problem import Problem
 
 Known = tuple[np.ndarray, np.ndarray, np.ndarray]  # a point in the unit cube, the residual there, and its Jacobian
 
-AWAY = (1.5, 3.0, 6.0, 12.0)  # times the half-width to be reported: how far each parameter is set apart, in turn
+AWAY, FARTHEST = 1.5, 12.0  # times the half-width to be reported: how far each parameter is set apart at first, at last
+STEEP = 2.0  # times too much: where the root of the error's rise is that high, its end is looked for nearer by
 CORRECTIONS = 5  # Gauss-Newton steps of the others at each of these: too few, and a valley is taken for its wall
 GLANCES = 2  # such steps where a leap lands, which is searched from if it is worth it
 LEAP, LEAPS = 2.0, 4  # by which factor an amount is changed at once, and how often at most
 LANDING = 1  # rounds of the search after each, where a comparison of candidates is all that it is for
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Place:
+    """Where an amount was set apart and the others fitted again.
+
+    far: of that amount from the fit; change: of all parameters (P,); both in the unit cube. rise: root of that of the
+    mean square [m].
+    """
+
+    far: float
+    rise: float
+    change: np.ndarray
+
+
+@dataclasses.dataclass(eq=False)
+class Walk:
+    """One amount on its way up or down a valley; lengths in the unit cube.
+
+    parameter: its place in the space; room: how far its bound is; reach: two intervals' ends to first order, which of
+    them is reported last; top: by how much the root of the mean square rises there [m]; tangent: change of all (P,) for
+    one of it. own: places of this walk; others: of all walks, where the error has hardly risen.
+    """
+
+    parameter: int
+    sign: float
+    room: float
+    reach: np.ndarray
+    top: np.ndarray
+    tangent: np.ndarray
+    own: list[Place] = dataclasses.field(default_factory=list)
+    others: list[Place] = dataclasses.field(default_factory=list)
+
+    def bracket(self, top: float) -> tuple[Place, Place | None]:
+        """The last place where the error has not risen by `top`, and the next beyond it, where it has."""
+        start = Place(0.0, 0.0, np.zeros(len(self.tangent)))
+        within = [start, *(p for p in (*self.own, *self.others) if p.rise < top)]
+        last = max(within, key=lambda p: p.far)
+        return last, min((p for p in self.own if p.far > last.far), key=lambda p: p.far, default=None)
+
+    def ends(self) -> np.ndarray:
+        """(2,) how far the amount can go; between two places the root of the rise is taken to grow evenly."""
+        out = self.reach.copy()
+        for k, top in enumerate(self.top):
+            last, beyond = self.bracket(top)
+            share = (top - last.rise) / (beyond.rise - last.rise) if beyond else 0.0
+            out[k] = max(out[k], last.far + share * ((beyond.far if beyond else 0.0) - last.far))
+        return out
+
+    def next(self) -> np.ndarray | None:
+        """Change (P,) of all parameters at the place to be asked for next; None where the end is known."""
+        last, beyond = self.bracket(self.top[1])
+        half = self.reach[1]
+        if beyond is None:
+            far = min(max(2 * last.far, AWAY * half), self.room)
+            done = last.far >= min(FARTHEST * half, self.room)
+        else:
+            far = (last.far + beyond.far) / 2
+            done = beyond.rise <= STEEP * self.top[1] or beyond.far - last.far <= half
+        if done:
+            return None
+        return far * (last.change / last.far if last.far else self.tangent)
 
 
 def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, Fitted, int]:
@@ -37,53 +101,54 @@ def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, Fitted, int]:
     """
     space, unit = fitted.space, fitted.space.to_unit(fitted.theta)
     ends = np.array([space.to_unit(end) for end in (fitted.low, fitted.high)])
+    null = space.to_unit(np.array([np.nan if p.null is None else p.null for p in space]))
     hessian, _ = normal_equations(fitted.residual, fitted.jacobian)
     free = freedom(hessian, len(fitted.residual))
-    first = len(problem.space(()))
     walks = [
-        (i, side)
-        for i in range(first, len(unit))
+        walk(hessian, i, (2 * side - 1.0), abs(ends[side, i] - unit[i]), abs(side - unit[i]), free[i], fitted.rms)
+        for i in range(len(problem.space(())), len(unit))
         for side in (0, 1)
         if 0.0 < ends[side, i] < 1.0 and ends[side, i] != unit[i] and free[i] > 0
     ]
-    if not walks:
-        return fitted, fitted, 0
-    which, sides = np.array(walks).T
-    sign = np.where(sides == 1, 1.0, -1.0)
-    # Rows: the interval as it is, and the one that is reported; how far each goes, and the rise [m²] that this makes.
-    reach = np.abs(ends[sides, which] - unit[which]) * np.ones((2, 1))
-    hardly = 2 * TIED * fitted.rms**2
-    reach[1] = np.maximum(reach[1], np.sqrt(hardly * free[which]))
-    rise = reach**2 / free[which]
-    direction = np.array([along(hessian, i) for i in which]) * (sign * reach[1])[:, None]
-    trials, evaluations, going = problem.trials(fitted.effects, "fit"), 0, np.arange(len(walks))
-    risen = np.zeros(reach.shape, bool)  # beyond where it has, an end is not looked for
-    for away in AWAY:
-        best, found, asked = refitted(trials, fitted, which[going], unit + away * direction[going], CORRECTIONS)
+    evaluations = walked(problem, fitted, walks)
+    out = [ends, ends.copy()]
+    for one in walks:
+        narrow, reported = one.ends()
+        from_null = one.sign * (null[one.parameter] - unit[one.parameter])  # above 0 where it goes towards nothing
+        if narrow < from_null <= reported:
+            reported = narrow
+        for end, far in zip(out, (narrow, reported), strict=True):
+            end[int(one.sign > 0), one.parameter] = np.clip(unit[one.parameter] + one.sign * far, 0.0, 1.0)
+    narrow, wide = (
+        dataclasses.replace(fitted, low=space.from_unit(low), high=space.from_unit(high)) for low, high in out
+    )
+    return narrow, wide, evaluations
+
+
+def walk(hessian: np.ndarray, i: int, sign: float, reach: float, room: float, free: float, rms: float) -> Walk:
+    """From a fit with this error [m], along the valley of parameter i, whose interval to first order is `reach`."""
+    both = np.array([reach, max(reach, np.sqrt(2 * TIED * rms**2 * free))])
+    return Walk(i, sign, room, both, both / np.sqrt(free), sign * along(hessian, i))
+
+
+def walked(problem: Problem, fitted: Fitted, walks: Sequence[Walk]) -> int:
+    """Let each walk come to its end, all of them at once; how many parameter sets that took."""
+    trials, unit, evaluations = problem.trials(fitted.effects, "fit"), fitted.space.to_unit(fitted.theta), 0
+    while going := [(one, change) for one in walks if (change := one.next()) is not None]:
+        which = np.array([one.parameter for one, _ in going])
+        where = unit + np.array([change for _, change in going])
+        best, found, asked = refitted(trials, fitted, which, where, CORRECTIONS)
         evaluations += asked
-        excess = np.maximum(best - fitted.rms**2, 1e-300)
-        gone = np.abs((found - unit)[np.arange(len(going)), which[going]])
-        # Between the fit and here the root of the excess is taken to rise evenly, as it does in a straight valley.
-        end = np.maximum(reach[:, going], gone * np.minimum(np.sqrt(rise[:, going] / excess), 1.0))
-        reach[:, going] = np.where(risen[:, going], reach[:, going], end)
-        risen[:, going] |= excess >= rise[:, going]
-        direction[going] = (found - unit) / away
-        # Where one parameter's walk has got to without much of a rise is in the others' intervals too.
-        for point in found[excess <= hardly]:
-            reach[1] = np.maximum(reach[1], sign * (point - unit)[which])
-        going = going[~risen[1, going]]
-        if not len(going):
-            break
-    null = space.to_unit(np.array([np.nan if p.null is None else p.null for p in space]))[which]
-    from_null = sign * (null - unit[which])  # above 0 where the walk goes towards nothing
-    towards = (from_null > 0) & (reach[0] < from_null)
-    reach[1] = np.where(towards & (reach[1] >= from_null), reach[0], reach[1])
-    out = []
-    for far in reach:
-        ends[sides, which] = np.clip(unit[which] + sign * far, 0.0, 1.0)
-        low, high = (space.from_unit(end) for end in ends)
-        out.append(dataclasses.replace(fitted, low=low, high=high))
-    return out[0], out[1], evaluations
+        rise = np.sqrt(np.maximum(best - fitted.rms**2, 0.0))
+        for (one, change), high, point in zip(going, rise, found, strict=True):
+            one.own.append(Place(abs(change[one.parameter]), high, point - unit))
+        # Where one walk has got to without much of a rise is in the others' intervals too, and they go on from there.
+        for one in walks:
+            for high, point in zip(rise, found, strict=True):
+                far = one.sign * (point - unit)[one.parameter]
+                if high < one.top[1] and far > 0:
+                    one.others.append(Place(far, high, point - unit))
+    return evaluations
 
 
 def leaped(

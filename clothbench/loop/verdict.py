@@ -206,31 +206,39 @@ def hint(outcome: Outcome, verdict: str) -> str:
         return ""
     if verdict == "tied":
         return "; ".join(undecided(outcome, r) for r in outcome.rounds if len(r.named) > 1)
-    tried = [c for r in outcome.rounds for c in r.candidates]
-    if not tried:
-        return "the residual stands above the noise, and no candidate could be tried"
-    best = max(tried, key=lambda c: c.share)
-    text = f"a hint, no finding: {best.name} comes nearest ({told(best)} of what only an effect could explain)"
-    forces = [c for c in tried if outcome.problem.plugins.make("effects", c.name).place == "dynamics"]
-    force = max(forces, key=lambda c: c.share, default=best)
-    if force.name != best.name:
-        text += f", {force.name} among forces ({told(force)})"
-    if dropped := outcome.final.effects:
+    said, dropped = [], outcome.final.effects
+    if dropped:
         fall = 1 - outcome.final.rms / outcome.base.rms
-        text += f"; {' and '.join(dropped)} would lower the error of the fit by {fall:.0%}, too little for a name"
-    return f"{text}{where(outcome)}"
+        said.append(f"{' and '.join(dropped)} would lower the error of the fit by {fall:.0%}, too little for a name")
+    last = outcome.rounds[-1] if outcome.rounds else None
+    near = {c: explained(c, last) for c in last.candidates if c.name not in dropped} if last else {}
+    if near:
+        best = max(near, key=lambda c: near[c])
+        forces = [c for c in near if outcome.problem.plugins.make("effects", c.name).place == "dynamics"]
+        force = max(forces, key=lambda c: near[c], default=best)
+        beside = " beside that" if dropped else ""
+        among = f", {told(force, near[force])} among forces" if force is not best else ""
+        said.append(f"{told(best, near[best])} comes nearest{beside}{among}")
+    if not said:
+        return "the residual stands above the noise, and no candidate could be tried"
+    return f"a hint, no finding: {'; '.join(said)}{where(outcome)}"
 
 
-def told(candidate: Candidate) -> str:
-    """Share of a candidate, and the amounts of it that were fitted, if it was: "with c = 0.3 kg/m²: 45%"."""
+def explained(candidate: Candidate, tried: Round) -> float:
+    """Share of the mean square a candidate took off when it was fitted, else what it promises to first order."""
+    return candidate.share if candidate.fitted is None else max(0.0, candidate.gain) / tried.before.rms**2
+
+
+def told(candidate: Candidate, share: float) -> str:
+    """A candidate, what it explains and with which amounts: "lift (fitted with c = 1: 9% of the mean square)"."""
     fitted = candidate.fitted
     if fitted is None:
-        return f"{candidate.share:.0%}"
+        return f"{candidate.name} ({share:.0%} of the mean square to first order)"
     amounts = []
     for own, i in parameters_of(fitted.space, candidate.name).items():
         unit = fitted.space.parameters[i].unit
         amounts.append(f"{own} = {fitted.theta[i]:.3g}" + ("" if unit == "1" else f" {unit}"))
-    return f"with {', '.join(amounts)}: {candidate.share:.0%}"
+    return f"{candidate.name} (fitted with {', '.join(amounts)}: {share:.0%} of the mean square)"
 
 
 def where(outcome: Outcome) -> str:

@@ -131,6 +131,17 @@ def test_a_valley_that_curves_hard_is_not_taken_for_its_wall(judged):
     assert reported.low[2] == pytest.approx(0.0)
 
 
+def test_an_end_between_a_valley_and_a_cliff_is_looked_for(judged):
+    """Hardly any rise up to 0.5, where a cliff begins; it has risen too much from 0.529 on."""
+
+    def law(theta):
+        rise = 0.1 * np.tanh((theta[1] - 0.2) / 0.1) + 40 * max(theta[1] - 0.5, 0.0) ** 2
+        return np.array([theta[0] - 0.5, 10 * (theta[1] * theta[2] - 0.12), rise, 0.3])
+
+    _, _, reported, _ = judged(law, [0.01, 0.02, 0.06])
+    assert reported.high[1] == pytest.approx(0.529, abs=0.02)
+
+
 def test_what_is_reported_does_not_reach_nothing_if_the_interval_does_not(judged, monkeypatch):
     own = [dataclasses.replace(p, null=0.0) if p.name == "a" else p for p in SPACE]
     monkeypatch.setattr(sys.modules[__name__], "SPACE", ParameterSpace(tuple(own)))
