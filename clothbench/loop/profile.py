@@ -22,7 +22,7 @@ from clothbench.loop.problem import Problem
 Known = tuple[np.ndarray, np.ndarray, np.ndarray]  # a point in the unit cube, the residual there, and its Jacobian
 
 AWAY, FARTHEST = 1.5, 12.0  # times the half-width to be reported: how far each parameter is set apart at first, at last
-STEEP = 2.0  # times too much: where the root of the error's rise is that high, its end is looked for nearer by
+STEEP = 2.0  # times too much: if the root of the rise is that high at a place, one nearer by is asked for
 CORRECTIONS = 5  # Gauss-Newton steps of the others at each of these: too few, and a valley is taken for its wall
 GLANCES = 2  # such steps where a leap lands, which is searched from if it is worth it
 LEAP, LEAPS = 2.0, 4  # by which factor an amount is changed at once, and how often at most
@@ -73,7 +73,8 @@ class Walk:
         for k, top in enumerate(self.top):
             last, beyond = self.bracket(top)
             share = (top - last.rise) / (beyond.rise - last.rise) if beyond else 0.0
-            out[k] = max(out[k], last.far + share * ((beyond.far if beyond else 0.0) - last.far))
+            gap = beyond.far - last.far if beyond else 0.0
+            out[k] = max(out[k], last.far + share * gap)
         return out
 
     def next(self) -> np.ndarray | None:
