@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import os
+import threading
+import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
@@ -10,6 +13,8 @@ from clothbench.experiment.rows import AnyCell, keep_failure
 from clothbench.experiment.run import Attach, Progress, run_cell
 from clothbench.experiment.store import Store
 from clothbench.parallel import available_cores
+
+WATCH = 0.5  # s between two looks at whether the parent still lives
 
 
 def run_cells(
@@ -88,7 +93,20 @@ def _run_alone(cell: AnyCell, out: Path, attach: Attach | None) -> str:
 def _pool(workers: int):
     from loky import get_reusable_executor
 
-    return get_reusable_executor(max_workers=workers, timeout=300, kill_workers=True)
+    return get_reusable_executor(
+        max_workers=workers, timeout=300, kill_workers=True, initializer=_end_with, initargs=(os.getpid(),)
+    )
+
+
+def _end_with(parent: int) -> None:
+    """In a worker: end as soon as the process that gives it work has been killed, not when its cell is done."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 def failed(statuses: Iterable[str]) -> bool:

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import time
 
+import psutil
 import pytest
 
 CELL = ("model=mass_spring", "optimizer=ga", "metric=node_error", "+options.mass_spring.resolution=5", "rerun=false")
@@ -37,6 +38,26 @@ def test_kill_9_in_mid_sweep_loses_only_the_running_cells(clothbench, recordings
     assert stamps == {key: (tmp_path / "runs" / "cells" / key / "rows.parquet").stat().st_mtime_ns for key in kept}
     rows = json.loads(clothbench("leaderboard", "--json").stdout)
     assert len({r["key"] for r in rows}) == 8
+
+
+@pytest.mark.slow
+def test_workers_do_not_outlive_the_command_that_was_killed(recordings_folder, tmp_path):
+    command = ["run", f"recordings={recordings_folder}", *CELL, "budget=100000", "optimizer=[ga,annealing]"]
+    running = subprocess.Popen(
+        [sys.executable, "-m", "clothbench", *command], cwd=tmp_path, start_new_session=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+    deadline = time.monotonic() + 120
+    while not list(tmp_path.glob("runs/journal/*")) and running.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.05)
+    workers = psutil.Process(running.pid).children(recursive=True)
+    assert len(workers) >= 2
+    running.kill()
+    running.wait()
+    _, alive = psutil.wait_procs(workers, timeout=20)
+    for worker in alive:
+        worker.kill()
+    assert not alive
 
 
 @pytest.mark.slow
