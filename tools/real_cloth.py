@@ -99,10 +99,6 @@ def interval(values: np.ndarray) -> tuple[float, float]:
     return float(values.mean() - half), float(values.mean() + half)
 
 
-def pooled(values: np.ndarray) -> float:
-    return float(np.sqrt(np.mean(values**2)))
-
-
 def print_knits(found: Sequence[Knit]) -> None:
     print("| swatch | k [N] | stretch to | held-out error: linear | with the effect | fall (95 %) | floor | named |")
     print("|---|---|---|---|---|---|---|---|")
@@ -114,8 +110,8 @@ def print_knits(found: Sequence[Knit]) -> None:
         top = common_steps(one.curves)[-1]
         columns = [
             f"{one.name.replace('-', ', along ')}s", f"{one.laws[''].theta[0]:.1f}", f"{top:.2f}",
-            f"{pooled(before):.2f} N", f"{pooled(after):.2f} N", f"{low:.2f} … {high:.2f} N", f"{one.floor:.2f} N",
-            f"{named} ({dict(words)})",
+            f"{swings.pooled(before):.2f} N", f"{swings.pooled(after):.2f} N", f"{low:.2f} … {high:.2f} N",
+            f"{one.floor:.2f} N", f"{named} ({dict(words)})",
         ]  # fmt: skip
         print(f"| {' | '.join(columns)} |")
     print()

@@ -106,7 +106,8 @@ def print_details(one: Story) -> None:
                   f"{row.gain:.3g} {row.unit}, chosen {row.selected} of {row.of}; {row.why_not}")  # fmt: skip
 
 
-def pooled(errors: pd.Series[float]) -> float:
+def pooled(errors: np.ndarray | pd.Series[float]) -> float:
+    """Root-mean-square."""
     return float(np.sqrt(np.mean(errors**2)))
 
 

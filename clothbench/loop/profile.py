@@ -48,7 +48,7 @@ class Walk:
 
     parameter: its place in the space; room: how far its bound is; reach: two intervals' ends to first order, which of
     them is reported last; top: by how much the root of the mean square rises there [m]; tangent: change of all (P,) for
-    one of it. own: places of this walk; others: of all walks, where the error has hardly risen.
+    one of it. own: places of this walk; others: of the other walks, where the error has hardly risen.
     """
 
     parameter: int
@@ -72,9 +72,10 @@ class Walk:
         out = self.reach.copy()
         for k, top in enumerate(self.top):
             last, beyond = self.bracket(top)
-            share = (top - last.rise) / (beyond.rise - last.rise) if beyond else 0.0
-            gap = beyond.far - last.far if beyond else 0.0
-            out[k] = max(out[k], last.far + share * gap)
+            end = last.far
+            if beyond is not None:
+                end += (top - last.rise) / (beyond.rise - last.rise) * (beyond.far - last.far)
+            out[k] = max(out[k], end)
         return out
 
     def next(self) -> np.ndarray | None:
@@ -111,6 +112,8 @@ def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, Fitted, int]:
         for side in (0, 1)
         if 0.0 < ends[side, i] < 1.0 and ends[side, i] != unit[i] and free[i] > 0
     ]
+    if not walks:
+        return fitted, fitted, 0
     evaluations = walked(problem, fitted, walks)
     out = [ends, ends.copy()]
     for one in walks:
@@ -143,12 +146,11 @@ def walked(problem: Problem, fitted: Fitted, walks: Sequence[Walk]) -> int:
         rise = np.sqrt(np.maximum(best - fitted.rms**2, 0.0))
         for (one, change), high, point in zip(going, rise, found, strict=True):
             one.own.append(Place(abs(change[one.parameter]), high, point - unit))
-        # Where one walk has got to without much of a rise is in the others' intervals too, and they go on from there.
-        for one in walks:
-            for high, point in zip(rise, found, strict=True):
-                far = one.sign * (point - unit)[one.parameter]
-                if high < one.top[1] and far > 0:
-                    one.others.append(Place(far, high, point - unit))
+            # Where it has got to without much of a rise is in the others' intervals too, and they go on from there.
+            for other in walks:
+                far = other.sign * (point - unit)[other.parameter]
+                if other is not one and high < other.top[1] and far > 0:
+                    other.others.append(Place(far, high, point - unit))
     return evaluations
 
 

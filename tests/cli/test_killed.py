@@ -17,13 +17,17 @@ def finished(folder) -> set[str]:
     return {p.parent.name for p in folder.glob("runs/cells/[0-9a-f]*/rows.parquet")}
 
 
+def started(command, folder) -> subprocess.Popen:
+    return subprocess.Popen(
+        [sys.executable, "-m", "clothbench", *command], cwd=folder, start_new_session=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )  # fmt: skip
+
+
 @pytest.mark.slow
 def test_kill_9_in_mid_sweep_loses_only_the_running_cells(clothbench, recordings_folder, tmp_path):
     command = ["run", "-m", f"recordings={recordings_folder}", *CELL, "budget=120", "seed=range(0,8)"]
-    running = subprocess.Popen(
-        [sys.executable, "-m", "clothbench", *command], cwd=tmp_path, start_new_session=True,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+    running = started(command, tmp_path)
     deadline = time.monotonic() + 240
     while len(finished(tmp_path)) < 2 and time.monotonic() < deadline:
         time.sleep(0.05)
@@ -43,10 +47,7 @@ def test_kill_9_in_mid_sweep_loses_only_the_running_cells(clothbench, recordings
 @pytest.mark.slow
 def test_workers_do_not_outlive_the_command_that_was_killed(recordings_folder, tmp_path):
     command = ["run", f"recordings={recordings_folder}", *CELL, "budget=100000", "optimizer=[ga,annealing]"]
-    running = subprocess.Popen(
-        [sys.executable, "-m", "clothbench", *command], cwd=tmp_path, start_new_session=True,
-        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-    )  # fmt: skip
+    running = started(command, tmp_path)
     deadline = time.monotonic() + 120
     while not list(tmp_path.glob("runs/journal/*")) and running.poll() is None and time.monotonic() < deadline:
         time.sleep(0.05)
