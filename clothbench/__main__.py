@@ -2,6 +2,6 @@
 
 import sys
 
-from clothbench.cli import main
+from clothbench.cli.commands import main
 
 sys.exit(main())

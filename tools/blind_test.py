@@ -19,11 +19,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from reference_kernels import Sheet
-from reference_mesh import Mesh, build, tracking_weights
-from reference_simulation import Fabric, State, bowed, discretise, settle, simulate, stable_step
 
-from clothbench.recording import Recording, write_recording
+from clothbench.recordings.nodes import Recording, write_recording
+from clothbench.reference.kernels import Sheet
+from clothbench.reference.mesh import Mesh, build, tracking_weights
+from clothbench.reference.simulation import Fabric, State, bowed, discretise, settle, simulate, stable_step
 
 NOISE, GRIP_NOISE, DROPOUT = 1e-3, 1e-4, 0.01
 HEIGHT, RATE = 1.0, 30.0  # m, Hz

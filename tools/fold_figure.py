@@ -14,10 +14,10 @@ import cv2
 import numpy as np
 
 from clothbench import read_recording
-from clothbench.experiment.suite import suites_folder
-from clothbench.orientation import turned
-from clothbench.plugins import catalogue
-from clothbench.scene import scene_of
+from clothbench.engine.suite import suites_folder
+from clothbench.plugins.discovery import catalogue
+from clothbench.recordings.scenes import scene_of
+from clothbench.vision.orientation import turned
 
 FABRICS, FRAME, ZOOM, SPREAD = ("linen", "fleece", "satin", "knit"), 32, 2, 1.2  # SPREAD: rad from black to white
 WHERE = Path(__file__).resolve().parent.parent / "docs" / "images" / "static_dynamic.png"

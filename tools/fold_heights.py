@@ -14,8 +14,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clothbench.validation.fabrics import FABRICS
-from clothbench.validation.references import G, fold_coefficients
+from clothbench.reference.fabrics import FABRICS
+from clothbench.reference.mechanics import G, fold_coefficients
 
 HEIGHTS, ETAS = (np.array([getattr(f, name) for f in FABRICS]) for name in ("height", "eta"))  # m, m⁻⁴·s²
 SPREADS = np.array([f.spread for f in FABRICS])

@@ -17,10 +17,11 @@ from clothbench_models import strip_trials
 from clothbench_models.strip import Strip
 from scipy.optimize import brentq
 
-from clothbench.experiment.store import Store
-from clothbench.folding import circular_path, triangular_path
-from clothbench.validation import lifted_strip, references
-from clothbench.validation.fabrics import FABRICS, Fabric
+from clothbench.core.folding import circular_path, triangular_path
+from clothbench.engine.store import Store
+from clothbench.reference import lifted_strip
+from clothbench.reference import mechanics as references
+from clothbench.reference.fabrics import FABRICS, Fabric
 
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 G = references.G

@@ -11,8 +11,8 @@ from pathlib import Path
 import matplotlib
 import numpy as np
 
-from clothbench.plugins import catalogue
-from clothbench.validation import trials
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.mechanics import trials
 
 matplotlib.use("svg")
 import matplotlib.pyplot as plt

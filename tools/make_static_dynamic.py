@@ -5,7 +5,7 @@ two top corners, in `static` trials still at two separations, in `waving` trials
 on a skirt-like garment. The true parameters are those the paper found for its fabrics: table 1 (experiment 2) in the
 static trials, table 3 (the experiment it selected) in the others. The paper gives neither masses nor sizes, and its two
 tables disagree about a fabric, as it says itself; so the static and the waving stand-ins of one are two cloths. The
-truth comes from the reference simulation beside this file; a camera and a projector (`clothbench.render`) look at it.
+truth comes from the reference simulation (`clothbench.reference`); a camera and a projector look at it.
 
 `--convergence TRIAL…` says what a mesh twice as fine in space and time changes. Files come out the same bit for bit on
 one machine; on another processor the last digit of the tracker (8 µm) may differ.
@@ -22,8 +22,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from reference_mesh import build, tracking_weights
-from reference_simulation import (
+
+from clothbench.core.camera import Camera, Projector, Video
+from clothbench.recordings.nodes import Recording, write_recording
+from clothbench.reference.mesh import build, tracking_weights
+from clothbench.reference.simulation import (
     AIR_DENSITY,
     Fabric,
     State,
@@ -35,11 +38,8 @@ from reference_simulation import (
     simulate,
     stable_step,
 )  # fmt: skip
-
-from clothbench.camera import Camera, Projector, Video
-from clothbench.recording import Recording, write_recording
-from clothbench.render import expose, striped
-from clothbench.surface import surface_of
+from clothbench.vision.render import expose, striped
+from clothbench.vision.surface import surface_of
 
 FOLDER = Path(__file__).resolve().parent.parent / "suites" / "embedded" / "static_dynamic"
 SIDE = 0.30  # m, the swatch is square

@@ -10,11 +10,12 @@ import argparse
 
 import numpy as np
 
-from clothbench.experiment.calibrate import Fit, Trial, calibrate, evaluate
-from clothbench.experiment.suite import suites_folder
-from clothbench.plugins import catalogue
-from clothbench.recording import find_recordings, read_recording
-from clothbench.scene import scene_of
+from clothbench.engine.suite import suites_folder
+from clothbench.estimation.calibrate import Fit, calibrate
+from clothbench.estimation.trials import Trial, evaluate
+from clothbench.plugins.discovery import catalogue
+from clothbench.recordings.nodes import find_recordings, read_recording
+from clothbench.recordings.scenes import scene_of
 
 MESHES = (9, 17, 33)
 EFFECTS = {"mass_spring": ("quadratic_drag",), "mass_spring_verlet": ("quadratic_drag",), "baraff_witkin": (),

@@ -14,10 +14,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from clothbench.curve import Curve
-from clothbench.curve_command import candidates_of, improved
-from clothbench.loop.curves import curve_problem
-from clothbench.plugins import catalogue
+from clothbench.cli.improve_curves import candidates_of, improved
+from clothbench.plugins.discovery import catalogue
+from clothbench.recordings.curve import Curve
+from clothbench.studies.improve.curves import curve_problem
 
 RUNS, HELD_OUT, SAMPLES, LONGEST = 6, 2, 600, 0.6
 STIFFNESS, NOISE, BETWEEN = 20.0, 0.1, 0.02  # N, N, share

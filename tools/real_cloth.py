@@ -26,12 +26,12 @@ import numpy as np
 import robot_swings as swings
 from scipy.stats import t as student
 
-from clothbench.curve import Curve, read_curve
-from clothbench.curve_command import candidates_of, improved
+from clothbench.cli.improve_curves import candidates_of, improved
 from clothbench.datasets.convert import converted
-from clothbench.loop.curves import CurveCase, common_steps, curve_problem, loading, observed
-from clothbench.loop.fitting import Fitted, fit
-from clothbench.plugins import catalogue
+from clothbench.plugins.discovery import catalogue
+from clothbench.recordings.curve import Curve, read_curve
+from clothbench.studies.improve.curves import CurveCase, common_steps, curve_problem, loading, observed
+from clothbench.studies.improve.fitting import Fitted, fit
 
 matplotlib.use("svg")
 import matplotlib.pyplot as plt
@@ -134,7 +134,7 @@ def further(one: Knit) -> tuple[float, float]:
 
 
 def answer(one: Knit, law: str, stretch: np.ndarray) -> np.ndarray:
-    from clothbench.curve_simulation import curve_of
+    from clothbench.modelling.curves import curve_of
 
     plugins = catalogue()
     effects = [plugins.make("effects", law)] if law else []

@@ -6,10 +6,10 @@ import os
 from collections.abc import Callable
 from pathlib import Path
 
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import whole_folder
 from clothbench.datasets.registry import dataset, fetch, local_copy
-from clothbench.errors import ClothbenchError
-from clothbench.files import whole_folder
-from clothbench.plugins import import_target
+from clothbench.plugins.discovery import import_target
 
 REPORT = "import-report.json"
 Progress = Callable[[int, int, str], None]

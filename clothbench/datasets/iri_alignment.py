@@ -19,8 +19,8 @@ import numpy as np
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.datasets.iri_rig import SLOW, Rig, Take, lateness, resting
-from clothbench.errors import ClothbenchError
 
 POSITION_SIGMA = 0.004  # m, how well the mean of an upper row is seen while it moves
 GRAVITY_SIGMA = 0.005  # rad, how far from plumb the mean column of a resting cloth may hang

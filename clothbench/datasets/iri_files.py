@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.datasets.rigid import PosePath, pose_path
-from clothbench.errors import ClothbenchError
 
 NAME = re.compile(r"(?:n(?P<n>\d+)_)?(?P<what>.+)_mesh\.csv")
 RANGE = re.compile(r"(?P<motion>range\d+)_rep(?P<repeat>\d+)")

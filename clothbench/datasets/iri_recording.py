@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.datasets.iri_alignment import capture_times, clock_offset
 from clothbench.datasets.iri_files import read_tool
 from clothbench.datasets.iri_rest import first_rest, settled
 from clothbench.datasets.iri_rig import SLOW, Rig, Take
 from clothbench.datasets.iri_sheets import SIDE, Sheet
 from clothbench.datasets.report import ImportReport
-from clothbench.errors import ClothbenchError
-from clothbench.recording import Recording
+from clothbench.recordings.nodes import Recording
 
 HANGER_SLACK = 0.025  # m; the hanger is rigid, so an upper edge seen further from it belongs to another time or shape
 GRIP_STEP = 0.01  # s; fine enough that linear interpolation between grip samples adds no kicks

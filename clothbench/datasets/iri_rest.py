@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.datasets.iri_rig import Rig, Take, resting
 from clothbench.datasets.iri_sheets import Sheet
-from clothbench.errors import ClothbenchError
 
 SETTLED = 0.006  # m, for the median node; a swing of a centimetre stands out, the noise of one node does not
 

@@ -14,6 +14,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.datasets import registry
 from clothbench.datasets.iri_alignment import fit_rig
 from clothbench.datasets.iri_files import Source, find_sources
@@ -22,8 +23,7 @@ from clothbench.datasets.iri_rest import noise_at_rest
 from clothbench.datasets.iri_rig import Take
 from clothbench.datasets.iri_sheets import Sheet, read_sheet
 from clothbench.datasets.report import ImportReport, write_report
-from clothbench.errors import ClothbenchError
-from clothbench.recording import write_recording
+from clothbench.recordings.nodes import write_recording
 
 NAME = "iri_wam_cloth_swing"
 REPORT = "import-report.json"

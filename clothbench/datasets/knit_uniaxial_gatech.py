@@ -27,10 +27,10 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.curve import Curve, write_curve
+from clothbench.core.errors import ClothbenchError
 from clothbench.datasets import registry
 from clothbench.datasets.report import ImportReport, write_report
-from clothbench.errors import ClothbenchError
+from clothbench.recordings.curve import Curve, write_curve
 
 NAME = "knit_uniaxial_gatech"
 REPORT = "import-report.json"

@@ -14,7 +14,7 @@ from pathlib import Path
 from types import MappingProxyType
 from urllib.parse import quote
 
-from clothbench.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError
 
 ENVIRONMENT = "CLOTHBENCH_DATA"
 RAW = "https://raw.githubusercontent.com"

@@ -10,7 +10,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from clothbench.files import whole_file
+from clothbench.core.files import whole_file
 
 
 @dataclass(frozen=True)

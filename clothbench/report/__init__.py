@@ -1,1 +1,1 @@
-"""What people see: tables, the gate, pages and Rerun files. Reads results; computes none."""
+"""The page over a results folder, and the gate between two of them."""

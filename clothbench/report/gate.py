@@ -9,7 +9,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from clothbench.report.tables import console
+from clothbench.display.terminal import console
 
 Rows = Sequence[dict[str, Any]]
 IDENTITY = ("suite", "case", "recording", "split", "model", "effects", "optimizer", "metric", "seed")

@@ -7,18 +7,19 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from clothbench.experiment.analysis_schema import ANALYSIS_TABLES
-from clothbench.experiment.store import Store
-from clothbench.files import whole_file
-from clothbench.report.analysis_page import analysis_section
-from clothbench.report.figure_data import model_name
-from clothbench.report.figures import panels
-from clothbench.report.fold_page import fold_section
-from clothbench.report.page_style import CSS, DRAWING, FIGURES, SCRIPT
-from clothbench.report.page_tables import leaderboard, parameters, pill, table, text
-from clothbench.report.tables import failures
-from clothbench.report.validation_page import validation_section
-from clothbench.report.validation_table import is_validation
+from clothbench.core.files import whole_file
+from clothbench.display.html import pill, table, text
+from clothbench.display.plotly import model_name
+from clothbench.display.style import CSS, DRAWING, FIGURES, SCRIPT
+from clothbench.engine.store import Store
+from clothbench.studies.calibration.analysis_page import analysis_section
+from clothbench.studies.calibration.figures import panels
+from clothbench.studies.calibration.leaderboard import leaderboard, parameters
+from clothbench.studies.calibration.schema import ANALYSIS_TABLES
+from clothbench.studies.calibration.tables import failures
+from clothbench.studies.folding.page import fold_section
+from clothbench.studies.mechanics.page import validation_section
+from clothbench.studies.mechanics.tables import is_validation
 
 Rows = Sequence[dict[str, Any]]
 MACHINE = ("cpu", "cores", "threads", "platform", "python", "numpy", "numba", "clothbench")

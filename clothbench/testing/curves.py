@@ -6,9 +6,9 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.curve_simulation import CURVE_HOOKS, CurveRollout, curve_of
-from clothbench.parameters import Parameter, ParameterSpace
-from clothbench.protocols import Effect
+from clothbench.core.parameters import Parameter, ParameterSpace
+from clothbench.core.protocols import Effect
+from clothbench.modelling.curves import CURVE_HOOKS, CurveRollout, curve_of
 from clothbench.testing import probe
 from clothbench.testing.rules import require, require_refusal
 

@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 
-from clothbench.kernels import Sheet, grid_triangles, sheet_of
-from clothbench.plugins import catalogue
-from clothbench.protocols import Effect, Model
-from clothbench.rollout import Rollout
+from clothbench.core.protocols import Effect, Model
+from clothbench.core.rollout import Rollout
+from clothbench.modelling.kernels import Sheet, grid_triangles, sheet_of
+from clothbench.plugins.discovery import catalogue
 from clothbench.testing import probe
 from clothbench.testing.model_case import ModelCase
 

@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.curve_simulation import CURVE_HOOKS, SHEET_HOOKS, acts_on_curves, acts_on_sheets
-from clothbench.effects import PLACES
-from clothbench.errors import ClothbenchError
-from clothbench.kernels import ready
-from clothbench.parameters import ParameterSpace
-from clothbench.protocols import Effect, Model
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.parameters import ParameterSpace
+from clothbench.core.protocols import Effect, Model
+from clothbench.modelling.bound_effects import PLACES
+from clothbench.modelling.curves import CURVE_HOOKS, SHEET_HOOKS, acts_on_curves, acts_on_sheets
+from clothbench.modelling.kernels import ready
 from clothbench.testing import curves, probe
 from clothbench.testing.effect_case import EffectCase, first_that_takes_effects, waving_sheet
 from clothbench.testing.model_case import ModelCase, finished, same_bits

@@ -6,8 +6,8 @@ import importlib
 from collections.abc import Iterable
 from typing import Any
 
-from clothbench.errors import ClothbenchError
-from clothbench.plugins import KINDS, catalogue
+from clothbench.core.errors import ClothbenchError
+from clothbench.plugins.discovery import KINDS, catalogue
 from clothbench.testing.rules import Outcome, rule_name
 
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clothbench.observation import Observation
-from clothbench.protocols import Metric, Score
-from clothbench.rollout import Rollout
+from clothbench.core.observation import Observation
+from clothbench.core.protocols import Metric, Score
+from clothbench.core.rollout import Rollout
 
 SIGMA = 1e-3  # m, noise of one coordinate
 

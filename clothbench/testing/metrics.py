@@ -8,8 +8,8 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from clothbench.observation import Observation
-from clothbench.protocols import Metric
+from clothbench.core.observation import Observation
+from clothbench.core.protocols import Metric
 from clothbench.testing.metric_case import SIGMA, MetricCase, rollout_of, waving
 from clothbench.testing.rules import Outcome, choose, made, require, require_members, run_rules
 

@@ -9,11 +9,11 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.curve_simulation import answers_sheets
-from clothbench.errors import ClothbenchError
-from clothbench.protocols import Effect, Model
-from clothbench.rollout import Rollout
-from clothbench.scene import Scene
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.protocols import Effect, Model
+from clothbench.core.rollout import Rollout
+from clothbench.core.scene import Scene
+from clothbench.modelling.curves import answers_sheets
 from clothbench.testing import probe, scenes
 from clothbench.testing.rules import NotApplicable, require
 

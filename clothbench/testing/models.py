@@ -6,13 +6,13 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 
-from clothbench.curve_simulation import answers_curves, answers_sheets
-from clothbench.errors import ClothbenchError
-from clothbench.parameters import ParameterSpace
-from clothbench.plugins import absent
-from clothbench.protocols import Effect, Model
-from clothbench.rollout import Rollout
-from clothbench.scene import Scene
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.parameters import ParameterSpace
+from clothbench.core.protocols import Effect, Model
+from clothbench.core.rollout import Rollout
+from clothbench.core.scene import Scene
+from clothbench.modelling.curves import answers_curves, answers_sheets
+from clothbench.plugins.discovery import absent
 from clothbench.testing import curves, motion, probe
 from clothbench.testing.model_case import ModelCase, finished, same_bits
 from clothbench.testing.rollouts import require_independent, require_whole

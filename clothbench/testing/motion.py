@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from clothbench.rollout import Rollout
-from clothbench.scene import Scene
+from clothbench.core.rollout import Rollout
+from clothbench.core.scene import Scene
 from clothbench.testing import scenes
 from clothbench.testing.model_case import ModelCase, apart, finished, millimetres
 from clothbench.testing.rules import require, takes

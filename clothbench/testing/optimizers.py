@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clothbench.parameters import ParameterSpace
-from clothbench.protocols import Optimizer
+from clothbench.core.parameters import ParameterSpace
+from clothbench.core.protocols import Optimizer
 from clothbench.testing.rules import Outcome, choose, require, require_members, run_rules
 from clothbench.testing.toys import Problem, bowl, cornered, partly_lost, valley, wholly_lost
 

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from clothbench.curve_simulation import acts_on_sheets
-from clothbench.kernels import effect_kernel
-from clothbench.parameters import Parameter, ParameterSpace
-from clothbench.plugins import catalogue
-from clothbench.protocols import Effect
+from clothbench.core.parameters import Parameter, ParameterSpace
+from clothbench.core.protocols import Effect
+from clothbench.modelling.curves import acts_on_sheets
+from clothbench.modelling.kernels import effect_kernel
+from clothbench.plugins.discovery import catalogue
 
 
 @effect_kernel

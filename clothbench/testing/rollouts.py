@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from clothbench.rollout import STATUSES, Rollout
-from clothbench.scene import Scene
+from clothbench.core.rollout import STATUSES, Rollout
+from clothbench.core.scene import Scene
 from clothbench.testing.rules import require
 
 

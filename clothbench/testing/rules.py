@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from clothbench.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError
 
 # A rule looks at one plugin. It raises ConformanceError, or returns why it does not apply, or None if kept.
 Rule = Callable[[Any], str | None]

@@ -10,7 +10,7 @@ import dataclasses
 
 import numpy as np
 
-from clothbench.scene import Scene
+from clothbench.core.scene import Scene
 
 WIDTH, HEIGHT, AREAL_DENSITY = 0.30, 0.25, 0.12  # m, m, kg/m²
 RESOLUTION = (7, 6)

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from clothbench.parameters import Parameter, ParameterSpace
-from clothbench.protocols import Evaluation
+from clothbench.core.parameters import Parameter, ParameterSpace
+from clothbench.core.protocols import Evaluation
 
 BOTTOM = np.array([0.62, 0.31, 0.73, 0.44, 0.17, 0.81])  # of the bowl, in the unit cube; nowhere special
 

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.errors import ClothbenchError
-from clothbench.observation import Observation
-from clothbench.protocols import Tracker
-from clothbench.recording import Recording
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.observation import Observation
+from clothbench.core.protocols import Tracker
+from clothbench.recordings.nodes import Recording
 from clothbench.testing import scenes
 from clothbench.testing.rules import NotApplicable, Outcome, choose, made, require, require_members, run_rules
 

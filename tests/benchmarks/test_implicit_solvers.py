@@ -21,8 +21,8 @@ from clothbench_models.sheet_forces import TRIANGLES
 from scipy import sparse
 from scipy.sparse import linalg
 
-from clothbench import timing
-from clothbench.plugins import catalogue
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.speed import timing
 
 SIDES = (21, 41, 65)
 STEPS = {"2 ms": 2e-3, "8 ms": 8e-3, "1/60 s": 1 / 60}

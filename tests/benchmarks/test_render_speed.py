@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from clothbench import Camera, Observation, Projector, Rollout
-from clothbench.orientation import angle_map
-from clothbench.parallel import set_thread_count
-from clothbench.plugins import catalogue
-from clothbench.render import striped
-from clothbench.surface import surface_of
+from clothbench.core.parallel import set_thread_count
+from clothbench.plugins.discovery import catalogue
+from clothbench.vision.orientation import angle_map
+from clothbench.vision.render import striped
+from clothbench.vision.surface import surface_of
 
 FRAMES = 50
 CAMERA = Camera.looking_at((0, -1.2, 0.84), (0, 0, 0.84), (120, 128), 0.40)

@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from clothbench_models import peers
 
-from clothbench import bench, timing
-from clothbench.plugins import catalogue
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.speed import bench, timing
 
 SIDES = (9, 21, 41, 65)
 NODE_STEPS = 4e6  # in one timed call
@@ -27,8 +27,8 @@ IMPLICIT_STEP, IMPLICIT_SPAN = 2e-3, 0.4  # s
 FIRST_RUN = """
 import sys
 import numpy as np
-from clothbench import timing
-from clothbench.plugins import catalogue
+from clothbench.studies.speed import timing
+from clothbench.plugins.discovery import catalogue
 simulation = catalogue().make("models", sys.argv[1]).prepare(timing.hanging_sheet(21, 0.1))
 assert simulation.run(simulation.parameters.defaults[None]).status == ("ok",)
 """

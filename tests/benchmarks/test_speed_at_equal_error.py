@@ -17,9 +17,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from clothbench import bench, timing
-from clothbench.plugins import Catalogue, Plugin, catalogue
-from clothbench.rollout import Rollout
+from clothbench.core.rollout import Rollout
+from clothbench.plugins.discovery import Catalogue, Plugin, catalogue
+from clothbench.studies.speed import bench, timing
 
 SIDES = (21, 41)
 IMPLICIT = [0.016 * 2 ** (-k / 2) for k in range(8)]  # s, 16 to 1.4 ms

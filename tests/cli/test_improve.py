@@ -17,11 +17,11 @@ from conftest import swinging_recording
 from test_commands import only_line
 
 from clothbench import Recording, write_recording
-from clothbench.experiment.improve_schema import IMPROVE_TABLES
-from clothbench.experiment.store import read_table
-from clothbench.improve_command import problem_of
-from clothbench.plugins import catalogue
-from clothbench.scene import scene_of
+from clothbench.cli.improve import problem_of
+from clothbench.engine.store import read_table
+from clothbench.plugins.discovery import catalogue
+from clothbench.recordings.scenes import scene_of
+from clothbench.studies.improve.schema import IMPROVE_TABLES
 
 DELAY = 0.05  # s, between camera and grips, which the model is not told
 KEYS = {

@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 from clothbench import ClothbenchError, Parameter, ParameterSpace, Rollout, Scene
-from clothbench.experiment.pool import run_cells
-from clothbench.experiment.store import Store
-from clothbench.experiment.suite import plan
-from clothbench.plugins import Catalogue, Plugin
-from clothbench.plugins import catalogue as installed
+from clothbench.engine.pool import run_cells
+from clothbench.engine.store import Store
+from clothbench.engine.suite import plan
+from clothbench.plugins.discovery import Catalogue, Plugin
+from clothbench.plugins.discovery import catalogue as installed
+from clothbench.reference import mechanics as references
 from clothbench.report.gate import compare_rows
 from clothbench.report.page import write_page
-from clothbench.report.tables import print_leaderboard
-from clothbench.validation import references
-from clothbench.validation.checks import CHECKS, NAMES, check_named
+from clothbench.studies.calibration.tables import print_leaderboard
+from clothbench.studies.mechanics.checks import CHECKS, NAMES, check_named
 
 QUICK = ("+suite=physical_validation", "model=[mass_spring]", "suite.meshes=[5,9]", "jobs=1")
 
@@ -115,7 +115,7 @@ def catalogue(monkeypatch) -> Catalogue:
     plugins = [Plugin("models", n, f"{__name__}:{c}", "", "somebody", "1") for n, c in MODELS.items()]
     effects = [p for p in installed().plugins if p.kind == "effects"]
     made = Catalogue((*plugins, *effects))
-    monkeypatch.setattr("clothbench.experiment.validate.catalogue", lambda: made)
+    monkeypatch.setattr("clothbench.studies.mechanics.run.catalogue", lambda: made)
     return made
 
 

@@ -7,11 +7,11 @@ import dataclasses
 import numpy as np
 import pytest
 
-from clothbench.loop.attribution import exchange, moved, settings_of, share_of
-from clothbench.loop.fitting import Fitted, widened
-from clothbench.loop.judge import Candidate, allowances, choose
-from clothbench.parameters import Parameter, ParameterSpace
-from clothbench.plugins import catalogue
+from clothbench.core.parameters import Parameter, ParameterSpace
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.improve.attribution import exchange, moved, settings_of, share_of
+from clothbench.studies.improve.fitting import Fitted, widened
+from clothbench.studies.improve.judge import Candidate, allowances, choose
 
 BASE = ParameterSpace(
     tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.5, "of the base", "a test") for n in ("a", "b"))

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from clothbench import ClothbenchError, Curve
-from clothbench.curve_command import candidates_of, improved
-from clothbench.experiment.memory import Memory
-from clothbench.loop.curves import CurveCase, common_steps, curve_problem, loading, observed
-from clothbench.loop.fitting import fit
-from clothbench.plugins import catalogue
+from clothbench.cli.improve_curves import candidates_of, improved
+from clothbench.engine.memory import Memory
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.improve.curves import CurveCase, common_steps, curve_problem, loading, observed
+from clothbench.studies.improve.fitting import fit
 
 RUNS, SIGMA, SAMPLES = 6, 0.1, 600
 
@@ -187,8 +187,8 @@ def test_a_fit_that_is_remembered_is_not_simulated_again(tmp_path, monkeypatch):
     problem = curve_problem("linear_stretch", curves, [c.split for c in curves], catalogue(), 0)
     problem = replace(problem, memory=Memory(tmp_path))
     first = fit(problem, ("strain_locking",), np.array([15.0, 1.0, 0.1]), 20)
-    monkeypatch.setattr("clothbench.loop.fitting.evaluate", None)
-    monkeypatch.setattr("clothbench.loop.fitting.over", None)
+    monkeypatch.setattr("clothbench.studies.improve.fitting.evaluate", None)
+    monkeypatch.setattr("clothbench.studies.improve.fitting.over", None)
     again = fit(problem, ("strain_locking",), np.array([15.0, 1.0, 0.1]), 20)
     assert again.evaluations == first.evaluations
     for name in ("theta", "left", "tangent", "low", "high"):

@@ -5,13 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clothbench.loop.attribution import Probe
-from clothbench.loop.fitting import Fitted
-from clothbench.loop.guard import field_of, mirror, scrambled, shares
-from clothbench.loop.improve import AFRESH, worth_trying
-from clothbench.loop.problem import Case
-from clothbench.observation import Observation
-from clothbench.parameters import Parameter, ParameterSpace
+from clothbench.core.observation import Observation
+from clothbench.core.parameters import Parameter, ParameterSpace
+from clothbench.studies.improve.attribution import Probe
+from clothbench.studies.improve.fitting import Fitted
+from clothbench.studies.improve.guard import field_of, mirror, scrambled, shares
+from clothbench.studies.improve.problem import Case
+from clothbench.studies.improve.rounds import AFRESH, worth_trying
 
 FRAMES, SIDE, RECORDINGS, CANDIDATES, SIGMA = 50, 3, 5, 25, 1e-3
 MATERIAL = np.stack(np.meshgrid(np.linspace(0, 0.3, SIDE), np.linspace(0, 0.3, SIDE)), axis=-1).reshape(-1, 2)

@@ -8,11 +8,11 @@ import sys
 import numpy as np
 import pytest
 
-from clothbench.loop import profile
-from clothbench.loop.fitting import Fitted
-from clothbench.loop.judge import TIED
-from clothbench.parameters import Parameter, ParameterSpace
-from clothbench.protocols import Evaluation
+from clothbench.core.parameters import Parameter, ParameterSpace
+from clothbench.core.protocols import Evaluation
+from clothbench.studies.improve import profile
+from clothbench.studies.improve.fitting import Fitted
+from clothbench.studies.improve.judge import TIED
 
 SPACE = ParameterSpace(
     tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.5, "one of three", "a test") for n in ("base", "a", "b"))
@@ -171,7 +171,7 @@ def rippled(theta):
 def test_a_search_that_stopped_in_a_ripple_leaps_along_the_valley(monkeypatch, law, end):
     monkeypatch.setattr(profile, "evaluate", simulated_by(law))
     monkeypatch.setattr(
-        "clothbench.loop.fitting.fit", lambda problem, effects, theta, rounds, goal: fitted(law, HEM, theta)
+        "clothbench.studies.improve.fitting.fit", lambda problem, effects, theta, rounds, goal: fitted(law, HEM, theta)
     )
     before = fitted(law, HEM, START)
     after, count = profile.leaped(OneParameterBase(), before)
@@ -198,7 +198,7 @@ def test_a_longer_search_may_set_out_from_a_leap_that_landed_in_a_ripple(monkeyp
         return again
 
     monkeypatch.setattr(profile, "refitted", landed)
-    monkeypatch.setattr("clothbench.loop.fitting.fit", fit)
+    monkeypatch.setattr("clothbench.studies.improve.fitting.fit", fit)
     before = fitted(law, HEM, START)
     goals = [before.rms**2]
     after, _ = profile.leaped(OneParameterBase(), before, profile.LEAPS, 8, worse)

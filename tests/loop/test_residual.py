@@ -7,9 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from clothbench.loop.problem import Case
-from clothbench.loop.residual import repeat_spread
-from clothbench.observation import Observation
+from clothbench.core.observation import Observation
+from clothbench.studies.improve.problem import Case
+from clothbench.studies.improve.residual import repeat_spread
 
 MATERIAL = np.array([[0.0, 0.1], [0.0, 0.5], [0.0, 0.9]])
 SIGMA = 2e-3

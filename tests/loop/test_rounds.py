@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from clothbench.loop.budget import Budget
-from clothbench.loop.fitting import PLACES, SEVERAL, WALKS, Fitted, elsewhere
-from clothbench.loop.improve import POLISHES, Round, improve, settled
-from clothbench.parameters import Parameter, ParameterSpace
+from clothbench.core.parameters import Parameter, ParameterSpace
+from clothbench.studies.improve.budget import Budget
+from clothbench.studies.improve.fitting import PLACES, SEVERAL, WALKS, Fitted, elsewhere
+from clothbench.studies.improve.rounds import POLISHES, Round, improve, settled
 
 SPACE = ParameterSpace((Parameter("k", "k", "N/m", (1.0, 9.0), "linear", 2.0, "a stiffness", "a test"),))
 
@@ -27,7 +27,7 @@ def test_a_better_fit_of_the_base_is_kept_whether_anything_is_named_or_not(monke
         "calibrated": base, "noise_of": 1e-3, "repeat_spread": 0.0, "corrected": (problem, base, 1e-3),
         "each_alone": {}, "one_round": Round(better, 1e-3, (), (), ()),
     }.items():  # fmt: skip
-        monkeypatch.setattr(f"clothbench.loop.improve.{name}", lambda *_, value=value: value)
+        monkeypatch.setattr(f"clothbench.studies.improve.rounds.{name}", lambda *_, value=value: value)
     found = improve(problem, ["quadratic_drag"], lambda *_: None)
     assert found.base is better
     assert found.final is better
@@ -45,7 +45,7 @@ def test_a_finalist_is_polished_as_long_as_that_pays(monkeypatch, falls, polishe
         left = [falls[len(asked) - 1] * r for r in fit.residual]
         return dataclasses.replace(fit, residual=left), 7
 
-    monkeypatch.setattr("clothbench.loop.improve.polish", polish)
+    monkeypatch.setattr("clothbench.studies.improve.rounds.polish", polish)
     budget = Budget(lambda *_: None)
     budget.stage("contest", 0, 1)
     found = settled(None, fitted(4e-3), budget)
@@ -76,10 +76,12 @@ def test_an_effect_with_several_shape_parameters_is_sought_in_other_valleys(monk
         goals.append(goal)
         return ended(start)
 
-    monkeypatch.setattr("clothbench.loop.fitting.fit", fit)
+    monkeypatch.setattr("clothbench.studies.improve.fitting.fit", fit)
     # From afar the wrong valley looks the better one, but for a corner of the right one.
     value = lambda theta: np.where(theta[:, 2] > 0.9, 1.0, 2.0 + theta[:, 2])  # noqa: E731
-    monkeypatch.setattr("clothbench.loop.fitting.evaluate", lambda _, t: (SimpleNamespace(value=value(t)), []))
+    monkeypatch.setattr(
+        "clothbench.studies.improve.fitting.evaluate", lambda _, t: (SimpleNamespace(value=value(t)), [])
+    )
     first = ended(np.array([2.0, 0.5, *([-0.5] * shapes)]))
     found, count = elsewhere(problem, fitted(9e-3), first, rounds=8)
     assert found.rms == pytest.approx(left)

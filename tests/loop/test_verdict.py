@@ -7,14 +7,14 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from clothbench.loop.budget import Budget
-from clothbench.loop.fitting import Fitted
-from clothbench.loop.improve import Outcome, Round
-from clothbench.loop.judge import Candidate
-from clothbench.loop.verdict import document
-from clothbench.observation import Observation
-from clothbench.parameters import Parameter, ParameterSpace
-from clothbench.plugins import catalogue
+from clothbench.core.observation import Observation
+from clothbench.core.parameters import Parameter, ParameterSpace
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.improve.budget import Budget
+from clothbench.studies.improve.fitting import Fitted
+from clothbench.studies.improve.judge import Candidate
+from clothbench.studies.improve.rounds import Outcome, Round
+from clothbench.studies.improve.verdict import document
 
 TIME = np.arange(60) / 20.0
 MATERIAL = np.array([[0.0, 0.1], [0.0, 0.5], [0.0, 0.9]])
@@ -69,7 +69,7 @@ def outcome():
     ],
 )
 def test_complete_is_what_carries_over_to_recordings_held_out(outcome, monkeypatch, held_out, verdict, left, said):
-    monkeypatch.setattr("clothbench.loop.verdict.held_out_errors", lambda *_: held_out)
+    monkeypatch.setattr("clothbench.studies.improve.verdict.held_out_errors", lambda *_: held_out)
     outcome.problem.of_split = lambda split: [SimpleNamespace(name=name) for name in ("third", "fourth")]
     outcome.base = outcome.final = fitted([np.full(9, 1.1e-3)] * 2)
     found = document(outcome, None, 1.0)
@@ -79,7 +79,7 @@ def test_complete_is_what_carries_over_to_recordings_held_out(outcome, monkeypat
 
 
 def test_hint_says_who_comes_nearest_and_where_and_when_most_is_left(outcome, monkeypatch):
-    monkeypatch.setattr("clothbench.loop.verdict.held_out_errors", lambda *_: [])
+    monkeypatch.setattr("clothbench.studies.improve.verdict.held_out_errors", lambda *_: [])
     found = document(outcome, None, 1.0)
     assert found["verdict"] == "unexplained"
     assert not found["effects"]
@@ -93,7 +93,7 @@ def test_hint_says_who_comes_nearest_and_where_and_when_most_is_left(outcome, mo
 
 
 def test_hint_of_a_tie_says_how_alike_the_two_are_and_where_they_differ(outcome, monkeypatch):
-    monkeypatch.setattr("clothbench.loop.verdict.held_out_errors", lambda *_: [])
+    monkeypatch.setattr("clothbench.studies.improve.verdict.held_out_errors", lambda *_: [])
     base, names = outcome.base, ("quadratic_drag", "clock_offset")
     corrected = [0.05 * r for r in base.residual]
     otherwise = [corrected[0], corrected[1] + 1e-3 * (np.arange(540) // 9 // 20 == 1)]

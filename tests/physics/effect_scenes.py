@@ -10,8 +10,8 @@ import pytest
 from scipy.optimize import curve_fit
 
 from clothbench import ClothbenchError, Material, Scene
-from clothbench.plugins import OWN, catalogue
-from clothbench.protocols import Effect, Model
+from clothbench.core.protocols import Effect, Model
+from clothbench.plugins.discovery import OWN, catalogue
 
 G = 9.81
 STRETCH, BENDING = 30.0, 1e-7  # N/m and N·m of the soft, limp strip

@@ -7,10 +7,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from clothbench import Scene
-from clothbench.plugins import catalogue
-from clothbench.protocols import Model
-from clothbench.validation.scenes import LENGTH, first_mode, swinging
-from clothbench.validation.trials import Trial
+from clothbench.core.protocols import Model
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.mechanics.scenes import LENGTH, first_mode, swinging
+from clothbench.studies.mechanics.trials import Trial
 
 G, DENSITY = 9.81, 0.2
 

@@ -22,8 +22,8 @@ from implicit_scenes import (
 )
 
 from clothbench import ClothbenchError, Scene
-from clothbench.protocols import Material
-from clothbench.validation import trials
+from clothbench.core.protocols import Material
+from clothbench.studies.mechanics import trials
 
 NAMES = BaraffWitkin.parameters.names
 CLOTH = dict(zip(NAMES, BaraffWitkin.parameters.defaults, strict=True))

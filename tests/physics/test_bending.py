@@ -6,9 +6,9 @@ from clothbench_models.bending import bending_matrix
 from clothbench_models.sheet_forces import add_diagonals
 from clothbench_models.spring_grid import grid_lines
 
-from clothbench.kernels import grid_triangles, sheet_of
-from clothbench.plugins import catalogue
-from clothbench.validation import trials
+from clothbench.modelling.kernels import grid_triangles, sheet_of
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.mechanics import trials
 
 WIDE, HIGH = 0.2, 0.15  # m
 TURN = np.pi / 6

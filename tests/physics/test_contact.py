@@ -12,8 +12,8 @@ from clothbench_models.mass_spring_verlet import MassSpringVerlet
 from clothbench_models.self_contact import keep_apart, layers_of
 
 from clothbench import Scene
-from clothbench.kernels import grid_triangles, sheet_of
-from clothbench.scene import Obstacle
+from clothbench.core.scene import Obstacle
+from clothbench.modelling.kernels import grid_triangles, sheet_of
 
 G = 9.81
 SOFT = [[100.0, 0.05, 0.05]]

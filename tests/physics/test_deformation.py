@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from clothbench_effects.bending_hysteresis import decay
 
-from clothbench.kernels import grid_triangles, sheet_of
-from clothbench.plugins import catalogue
+from clothbench.modelling.kernels import grid_triangles, sheet_of
+from clothbench.plugins.discovery import catalogue
 
 EFFECTS = {
     "bending_hysteresis": (1e-3, 5.0),

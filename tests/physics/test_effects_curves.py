@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from clothbench import ClothbenchError
-from clothbench.curve_simulation import acts_on_curves, acts_on_sheets, curve_of
-from clothbench.effects import BoundEffects
-from clothbench.plugins import catalogue
+from clothbench.modelling.bound_effects import BoundEffects
+from clothbench.modelling.curves import acts_on_curves, acts_on_sheets, curve_of
+from clothbench.plugins.discovery import catalogue
 
 STRETCH = np.linspace(1.0, 1.5, 51)
 STRAIN = STRETCH - 1

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from clothbench.kernels import grid_triangles, own_sheet, sheet_of, wants_normals
-from clothbench.plugins import catalogue
-from clothbench.protocols import Effect
+from clothbench.core.protocols import Effect
+from clothbench.modelling.kernels import grid_triangles, own_sheet, sheet_of, wants_normals
+from clothbench.plugins.discovery import catalogue
 
 SIZE, SHAPE = (0.2, 0.3), (4, 5)
 DENSITY, AIR = 0.2, 1.2

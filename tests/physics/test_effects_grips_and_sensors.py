@@ -7,7 +7,7 @@ import pytest
 from effect_scenes import STIFF, cloth, effect_named, hanging, on_every_model, run
 from scipy.integrate import solve_ivp
 
-from clothbench.plugins import catalogue
+from clothbench.plugins.discovery import catalogue
 
 TIME = np.cumsum(np.array([0.0, 0.01, 0.03, 0.005, 0.02, 0.04, 0.01, 0.02, 0.015, 0.05]))
 

@@ -17,7 +17,7 @@ from effect_scenes import (
 from scipy.optimize import curve_fit
 
 from clothbench import Scene
-from clothbench.kernels import grid_triangles, sheet_of
+from clothbench.modelling.kernels import grid_triangles, sheet_of
 
 # --- kernels alone, on a strip bent to a cylinder ---------------------------------------------------------------------
 

@@ -23,8 +23,9 @@ from implicit_scenes import (
 )
 
 from clothbench import ClothbenchError, Scene
-from clothbench.protocols import Material
-from clothbench.validation import references, scenes, trials
+from clothbench.core.protocols import Material
+from clothbench.reference import mechanics as references
+from clothbench.studies.mechanics import scenes, trials
 
 CLOTH = (1e-5, 1.5, 2e-7)
 BARE = (1e-6, 0.0, 0.0)

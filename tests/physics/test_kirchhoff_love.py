@@ -13,9 +13,10 @@ from clothbench_models.splines import Spline
 from clothbench_models.strip import Ends, Strip
 
 from clothbench import ClothbenchError, Obstacle, Scene
+from clothbench.reference import lifted_strip
+from clothbench.reference import mechanics as references
+from clothbench.studies.mechanics import scenes as strips
 from clothbench.testing import scenes
-from clothbench.validation import lifted_strip, references
-from clothbench.validation import scenes as strips
 
 RANDOM = np.random.default_rng(11)
 G = references.G

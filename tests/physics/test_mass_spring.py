@@ -11,7 +11,7 @@ from clothbench_models.spring_grid import FAMILIES, SpringGrid
 from scipy.optimize import curve_fit
 
 from clothbench import ClothbenchError, Scene
-from clothbench.protocols import Material
+from clothbench.core.protocols import Material
 
 G = 9.81
 

@@ -9,7 +9,7 @@ from scipy.linalg import eigh
 from scipy.optimize import curve_fit
 
 from clothbench import ClothbenchError, Scene
-from clothbench.protocols import Material
+from clothbench.core.protocols import Material
 
 G = 9.81
 FAMILIES = (

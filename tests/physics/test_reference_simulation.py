@@ -9,26 +9,27 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from clothbench.reference import kernels
+from clothbench.reference.mesh import Mesh, build, tracking_weights
+from clothbench.reference.simulation import (
+    AIR_DENSITY,
+    Fabric,
+    State,
+    bowed,
+    calmed,
+    discretise,
+    implicit_step,
+    settle,
+    simulate,
+    stable_step,
+    total_energy,
+    undamped,
+)
+
 TOOLS = Path(__file__).resolve().parents[2] / "tools"
 sys.path.insert(0, str(TOOLS))
 try:
     import make_static_dynamic as maker
-    import reference_kernels as kernels
-    from reference_mesh import Mesh, build, tracking_weights
-    from reference_simulation import (
-        AIR_DENSITY,
-        Fabric,
-        State,
-        bowed,
-        calmed,
-        discretise,
-        implicit_step,
-        settle,
-        simulate,
-        stable_step,
-        total_energy,
-        undamped,
-    )
 finally:
     sys.path.remove(str(TOOLS))
 
@@ -284,7 +285,7 @@ def test_a_skirt_hangs_from_its_gathered_waist():
 @pytest.mark.slow
 def test_the_recordings_are_what_the_script_makes():
     """One static trial made anew; bit for bit on one machine, to the tracker's resolution on any."""
-    from clothbench.recording import read_recording
+    from clothbench.recordings.nodes import read_recording
 
     stored = read_recording(maker.FOLDER / "linen-static-1.nc")
     made = maker.record("linen", maker.TRIALS[0])

@@ -5,8 +5,9 @@ import pytest
 from scipy.integrate import solve_ivp
 from scipy.optimize import brentq, minimize
 
-from clothbench.validation import measures, references, scenes
-from clothbench.validation.fabrics import FABRICS
+from clothbench.reference import mechanics as references
+from clothbench.reference.fabrics import FABRICS
+from clothbench.studies.mechanics import measures, scenes
 
 # --- heavy elastica -------------------------------------------------------------------------------------------------
 

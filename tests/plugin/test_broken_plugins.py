@@ -8,8 +8,8 @@ from types import SimpleNamespace
 
 import pytest
 
-from clothbench.improve_command import candidates_of
-from clothbench.plugins import Catalogue, Plugin, catalogue
+from clothbench.cli.improve import candidates_of
+from clothbench.plugins.discovery import Catalogue, Plugin, catalogue
 
 HOOK = """
     from clothbench import Registration, hookimpl

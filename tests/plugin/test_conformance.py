@@ -11,7 +11,7 @@ import wrong_models
 import wrong_plugins
 
 from clothbench import ClothbenchError
-from clothbench.plugins import KINDS, OWN, catalogue
+from clothbench.plugins.discovery import KINDS, OWN, catalogue
 from clothbench.testing import (
     ConformanceError,
     check_effect,

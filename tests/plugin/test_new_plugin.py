@@ -11,7 +11,7 @@ from conftest import ROOT
 from fresh_venv import make_venv, wheel_of
 
 from clothbench import ClothbenchError
-from clothbench.scaffold import SUMMARIES, create
+from clothbench.plugins.scaffold import SUMMARIES, create
 
 NAMES = {"model": "veil", "effect": "syrup", "metric": "spread", "optimizer": "climber", "tracker": "sieve"}
 

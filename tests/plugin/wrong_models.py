@@ -7,7 +7,7 @@ import dataclasses
 import numpy as np
 
 from clothbench import ClothbenchError, ParameterSpace
-from clothbench.plugins import catalogue
+from clothbench.plugins.discovery import catalogue
 from clothbench.testing import scenes
 
 

@@ -5,9 +5,10 @@ import numpy as np
 import pytest
 
 from clothbench import Scene
-from clothbench.experiment.calibrate import Fit, Trial, calibrate, evaluate
-from clothbench.observation import Observation
-from clothbench.plugins import catalogue
+from clothbench.core.observation import Observation
+from clothbench.estimation.calibrate import Fit, calibrate
+from clothbench.estimation.trials import Trial, evaluate
+from clothbench.plugins.discovery import catalogue
 
 NOISE = 1e-3  # m
 BEND = 1e-3  # N·m

@@ -4,13 +4,14 @@ import numpy as np
 import pytest
 
 from clothbench import Scene
-from clothbench.experiment.calibrate import Trial, calibrate, evaluate
-from clothbench.experiment.cell import set_up
-from clothbench.experiment.suite import plan, suites_folder
-from clothbench.observation import Observation
-from clothbench.parameters import Parameter, ParameterSpace
-from clothbench.plugins import catalogue
-from clothbench.protocols import Evaluation
+from clothbench.core.observation import Observation
+from clothbench.core.parameters import Parameter, ParameterSpace
+from clothbench.core.protocols import Evaluation
+from clothbench.engine.suite import plan, suites_folder
+from clothbench.estimation.calibrate import calibrate
+from clothbench.estimation.trials import Trial, evaluate
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.calibration.cell import set_up
 
 TRUTH = {"k1": 80.0, "k2": 2.0, "zeta": 0.1, "quadratic_drag.normal": 1.3, "quadratic_drag.tangential": 0.05}
 NOISE = 1e-3  # m

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from clothbench import ClothbenchError
-from clothbench.plugins import catalogue
+from clothbench.plugins.discovery import catalogue
 from clothbench.testing.toys import bowl, cornered, valley
 
 

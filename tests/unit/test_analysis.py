@@ -7,14 +7,16 @@ import pytest
 from test_calibrate import SPACE, TIME, Toy
 
 from clothbench import ClothbenchError, Observation, Parameter, ParameterSpace, Score
-from clothbench.experiment.calibrate import Trial, calibrate, evaluate
-from clothbench.experiment.cell import Held, holding
-from clothbench.experiment.journal import Journal
-from clothbench.experiment.sensitivity import error_map, morris, sobol
-from clothbench.experiment.settings import analysis_settings, last_word, named_budget, suite_settings
-from clothbench.experiment.variability import parabola, perturbed, repeats, variability
-from clothbench.plugins import catalogue
-from clothbench.report.analysis_tables import spread
+from clothbench.engine.journal import Journal
+from clothbench.engine.settings import analysis_settings, last_word, named_budget, suite_settings
+from clothbench.estimation.calibrate import calibrate
+from clothbench.estimation.fixed import Fixed as Held
+from clothbench.estimation.fixed import holding
+from clothbench.estimation.trials import Trial, evaluate
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.calibration.analysis_tables import spread
+from clothbench.studies.calibration.sensitivity import error_map, morris, sobol
+from clothbench.studies.calibration.variability import parabola, perturbed, repeats, variability
 
 BEST = np.array([1.2, 0.3])
 BOX = ParameterSpace(

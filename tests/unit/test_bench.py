@@ -7,8 +7,8 @@ import textwrap
 
 import pytest
 
-from clothbench import bench, timing
-from clothbench.plugins import Catalogue, Plugin
+from clothbench.plugins.discovery import Catalogue, Plugin
+from clothbench.studies.speed import bench, timing
 
 SCHEMA = [
     "model", "kind", "nodes", "threads", "batch", "node_steps_per_s", "realtime_factor", "peer", "ratio",

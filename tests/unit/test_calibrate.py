@@ -4,8 +4,10 @@ import numpy as np
 import pytest
 
 from clothbench import Observation, Parameter, ParameterSpace, Rollout
-from clothbench.experiment.calibrate import Trial, calibrate, error_interval, evaluate, intervals, mean_interval
-from clothbench.plugins import catalogue
+from clothbench.estimation.calibrate import calibrate
+from clothbench.estimation.intervals import error_interval, intervals, mean_interval
+from clothbench.estimation.trials import Trial, evaluate
+from clothbench.plugins.discovery import catalogue
 
 SPACE = ParameterSpace(
     (

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.datasets import registry
-from clothbench.errors import ClothbenchError
 
 NAME = "iri_wam_cloth_swing"
 

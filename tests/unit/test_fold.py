@@ -7,16 +7,16 @@ from clothbench_models.kirchhoff_love import KirchhoffLove
 from clothbench_optimizers.iterative_least_squares import IterativeLeastSquares
 
 from clothbench import ClothbenchError, Observation, Rollout
-from clothbench.experiment.fold import fold, hand_of
-from clothbench.experiment.fold_cell import FoldCell, FoldSettings, chosen_fabrics, fold_settings
-from clothbench.experiment.store import Store, leaderboard_row
-from clothbench.folding import circular_path, triangular_path
-from clothbench.plugins import catalogue
-from clothbench.report.fold_page import fold_section
-from clothbench.report.fold_table import fold_table, summary
-from clothbench.testbed.strip import TestStrip, scattered
-from clothbench.validation.fabrics import FABRICS
-from clothbench.validation.lifted_strip import lift
+from clothbench.core.folding import circular_path, triangular_path
+from clothbench.engine.store import Store, leaderboard_row
+from clothbench.plugins.discovery import catalogue
+from clothbench.reference.fabrics import FABRICS
+from clothbench.reference.lifted_strip import lift
+from clothbench.studies.folding.cell import FoldCell, FoldSettings, chosen_fabrics, fold_settings
+from clothbench.studies.folding.page import fold_section
+from clothbench.studies.folding.run import fold, hand_of
+from clothbench.studies.folding.strip import TestStrip, scattered
+from clothbench.studies.folding.tables import fold_table, summary
 
 FIT = ("eta_b", "grip_offset.dx", "grip_offset.dz")
 BOUNDS = {"grip_offset.dx": (-0.01, 0.01), "grip_offset.dz": (-0.01, 0.01)}

@@ -8,9 +8,9 @@ import re
 import pytest
 from test_page import checked
 
-from clothbench.experiment.improve_schema import IMPROVE_TABLES
-from clothbench.report.improve_page import document, duration
-from clothbench.report.improve_words import remains, sentence
+from clothbench.studies.improve.page import document, duration
+from clothbench.studies.improve.schema import IMPROVE_TABLES
+from clothbench.studies.improve.words import remains, sentence
 
 NOTHING = {name: [] for name in IMPROVE_TABLES}
 EFFECT = {

@@ -14,14 +14,14 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.datasets import lattice, registry
 from clothbench.datasets.iri_files import find_sources
 from clothbench.datasets.iri_wam_cloth_swing import NO_TOOL, convert, split_by_repeat
 from clothbench.datasets.lattice_faults import jumped
 from clothbench.datasets.node_order import put_in_order, symmetries
 from clothbench.datasets.rigid import pose_path
-from clothbench.errors import ClothbenchError
-from clothbench.recording import read_recording
+from clothbench.recordings.nodes import read_recording
 
 # The made-up session bears a date that the real data do not have: the registry knows none of its files.
 NAME = "iri_wam_cloth_swing"

@@ -111,7 +111,7 @@ def a_recording(**changes) -> Recording:
 
 
 def test_it_is_a_tracker_that_the_catalogue_finds():
-    from clothbench.plugins import catalogue
+    from clothbench.plugins.discovery import catalogue
 
     tracker = catalogue().make("trackers", "markers")
     assert isinstance(tracker, Tracker)

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from clothbench.orientation import SPACING, TAPS, angle_map, energy_direction, fold_mask, responses, turned
+from clothbench.vision.orientation import SPACING, TAPS, angle_map, energy_direction, fold_mask, responses, turned
 
 
 def grating(direction, wavelength=6.3, size=64):

@@ -12,10 +12,11 @@ import numpy as np
 import pytest
 from test_rerun_file import small_cell
 
-from clothbench.experiment.run import run_cell
-from clothbench.report.figure_data import best_so_far, thinned
+from clothbench.display.plotly import thinned
 from clothbench.report.page import write_page
-from clothbench.report.page_tables import parameters
+from clothbench.studies.calibration.figure_data import best_so_far
+from clothbench.studies.calibration.leaderboard import parameters
+from clothbench.studies.calibration.run import run_cell
 
 VOID = {"meta", "br", "input"}
 

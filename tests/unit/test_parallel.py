@@ -5,7 +5,7 @@ import time
 
 import pytest
 
-from clothbench.parallel import for_each, set_thread_count, side_by_side
+from clothbench.core.parallel import for_each, set_thread_count, side_by_side
 
 
 @pytest.fixture(autouse=True)

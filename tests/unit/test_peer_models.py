@@ -13,15 +13,15 @@ from clothbench_models.peers.newton_model import Newton, unit_bending
 from conftest import swinging_recording
 
 from clothbench import ClothbenchError, Obstacle, write_recording
-from clothbench.bench import _models
-from clothbench.experiment.cell import Cell, Source, plugin_versions
-from clothbench.experiment.run import run_cell
-from clothbench.experiment.store import Store
-from clothbench.kernels import grid_triangles, sheet_of
-from clothbench.plugins import catalogue
-from clothbench.protocols import Material
-from clothbench.report.listings import plugin_rows, print_plugins
-from clothbench.scene import Scene
+from clothbench.cli.listings import plugin_rows, print_plugins
+from clothbench.core.protocols import Material
+from clothbench.core.scene import Scene
+from clothbench.engine.store import Store
+from clothbench.modelling.kernels import grid_triangles, sheet_of
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.calibration.cell import Cell, Source, plugin_versions
+from clothbench.studies.calibration.run import run_cell
+from clothbench.studies.speed.bench import _models
 from clothbench.testing import check_model, scenes
 
 MODELS = {"mujoco": Mujoco, "newton": Newton}
@@ -230,7 +230,7 @@ def test_a_cell_is_another_one_with_another_version_of_the_library(monkeypatch):
 def test_naming_the_models_imports_neither_library():
     code = """
 import sys
-from clothbench.plugins import catalogue
+from clothbench.plugins.discovery import catalogue
 for name in ("mujoco", "newton"):
     model = catalogue().make("models", name)
     model.parameters, model.skip_reason()
@@ -242,7 +242,7 @@ print({"mujoco", "newton", "warp"} & set(sys.modules))
 
 def test_a_run_prints_nothing_and_leaves_no_file(name, tmp_path):
     code = f"""
-from clothbench.plugins import catalogue
+from clothbench.plugins.discovery import catalogue
 from clothbench.testing import scenes
 model = catalogue().make("models", {name!r}, dt=0.05)
 print(model.prepare(scenes.hanging()).run(model.parameters.defaults).status)

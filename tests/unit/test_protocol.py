@@ -7,11 +7,11 @@ import pytest
 from conftest import ROOT, swinging_recording
 
 from clothbench import ClothbenchError, write_recording
-from clothbench.experiment.cell import set_up
-from clothbench.experiment.suite import plan
-from clothbench.plugins import catalogue
-from clothbench.report.analysis_tables import percent, spread
-from clothbench.report.protocol import confusions, transfers
+from clothbench.engine.suite import plan
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.calibration.analysis_tables import percent, spread
+from clothbench.studies.calibration.cell import set_up
+from clothbench.studies.calibration.transfer import confusions, transfers
 
 
 def stand_ins(folder):
@@ -77,7 +77,7 @@ def test_air_is_not_searched_for_in_sheets_at_rest_whatever_the_model():
 
 
 def test_one_mesh_spacing_serves_cloth_of_any_size(recording):
-    from clothbench.scene import scene_of
+    from clothbench.recordings.scenes import scene_of
 
     assert scene_of(recording, spacing=0.05).resolution == (5, 5)
     assert scene_of(dataclasses.replace(recording, cloth_width=0.4), spacing=0.05).resolution == (9, 5)
@@ -179,7 +179,7 @@ def all_tables():
 def test_the_page_shows_every_analysis():
     import json
 
-    from clothbench.report.analysis_page import analysis_section
+    from clothbench.studies.calibration.analysis_page import analysis_section
 
     page = analysis_section(table_three()[0], all_tables(), plotly=False)
     for word in (
@@ -200,7 +200,7 @@ def test_the_page_shows_every_analysis():
 
 
 def test_the_terminal_shows_every_analysis(capsys):
-    from clothbench.report.analysis_tables import print_analyses
+    from clothbench.studies.calibration.analysis_tables import print_analyses
 
     print_analyses(table_three()[0], all_tables())
     said = capsys.readouterr().out

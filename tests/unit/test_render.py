@@ -5,8 +5,18 @@ import numpy as np
 import pytest
 
 from clothbench import Camera, ClothbenchError, Projector
-from clothbench.render import AMBIENT, DARK, LIT, depth_images, expose, measured_depth, silhouettes, striped, textured
-from clothbench.surface import cubic_weights, surface_of
+from clothbench.vision.render import (
+    AMBIENT,
+    DARK,
+    LIT,
+    depth_images,
+    expose,
+    measured_depth,
+    silhouettes,
+    striped,
+    textured,
+)
+from clothbench.vision.surface import cubic_weights, surface_of
 
 CAMERA = Camera.looking_at((0.3, -1.2, 0.7), (0.02, 0.0, 0.85), (90, 110), 0.42)
 

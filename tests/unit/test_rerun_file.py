@@ -10,14 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from clothbench.errors import ClothbenchError
-from clothbench.experiment.calibrate import best_rollout, calibrate
-from clothbench.experiment.cell import Bench, Cell, Source, set_up
-from clothbench.plugins import catalogue
-from clothbench.recording import Recording, write_recording
-from clothbench.report import rerun_file
-from clothbench.rollout import Rollout
-from clothbench.scene import scene_of
+from clothbench.cli import view
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.rollout import Rollout
+from clothbench.display import rerun as rerun_file
+from clothbench.estimation.calibrate import best_rollout, calibrate
+from clothbench.plugins.discovery import catalogue
+from clothbench.recordings.nodes import Recording, write_recording
+from clothbench.recordings.scenes import scene_of
+from clothbench.studies.calibration import rerun_file as fit_file
+from clothbench.studies.calibration.cell import Bench, Cell, Source, set_up
 
 TRUTH = np.array([[60.0, 1.0, 0.1]])
 
@@ -70,7 +72,7 @@ def printed(path: Path) -> str:
 def test_file_holds_every_recording(fitted, tmp_path):
     bench, rollouts = fitted
     path = tmp_path / "fit.rrd"
-    rerun_file.write_rerun(path, bench, rollouts)
+    fit_file.write_rerun(path, bench, rollouts)
     listed = printed(path)
     for root in ("/fit/swing-1", "/held_out/swing-22"):
         for entity in ("seen", "simulated", "away", "grips", "error/simulated", "error/noise_floor"):
@@ -93,7 +95,7 @@ def test_stopped_rollout_and_unseen_frames_leave_gaps(fitted, tmp_path):
     stopped = dataclasses.replace(rollouts[0], position=position, status=("diverged",))
     nothing = dataclasses.replace(rollouts[1], position=np.full_like(rollouts[1].position, np.nan))
     path = tmp_path / "fit.rrd"
-    rerun_file.write_rerun(path, bench, [stopped, nothing])
+    fit_file.write_rerun(path, bench, [stopped, nothing])
     meshes = [line for line in printed(path).splitlines() if "Mesh3D:vertex_positions" in line]
     assert len(meshes) == 1
     assert "with 5 rows" in meshes[0]
@@ -145,13 +147,13 @@ def test_view_names_what_there_is(tmp_path, cell, expected):
     for key in ("ab12", "ab34", "cd56"):
         (tmp_path / "cells" / key).mkdir(parents=True)
     with pytest.raises(ClothbenchError, match=expected) as fault:
-        rerun_file.open_viewer(tmp_path, cell)
+        view.open_viewer(tmp_path, cell)
     assert "\n" not in str(fault.value)
 
 
 def test_view_of_an_empty_folder_says_what_to_run(tmp_path):
     with pytest.raises(ClothbenchError, match="clothbench run"):
-        rerun_file.open_viewer(tmp_path, "ab")
+        view.open_viewer(tmp_path, "ab")
 
 
 def test_view_opens_the_viewer_and_returns_its_exit_code(tmp_path, monkeypatch):
@@ -164,6 +166,6 @@ def test_view_opens_the_viewer_and_returns_its_exit_code(tmp_path, monkeypatch):
         called.append(command)
         return subprocess.CompletedProcess(command, 3)
 
-    monkeypatch.setattr(rerun_file.subprocess, "run", run)
-    assert rerun_file.open_viewer(tmp_path, "ab") == 3
+    monkeypatch.setattr(view.subprocess, "run", run)
+    assert view.open_viewer(tmp_path, "ab") == 3
     assert called == [[sys.executable, "-m", "rerun", str(file)]]

@@ -5,7 +5,8 @@ import pytest
 from conftest import swinging_recording
 
 from clothbench import ClothbenchError, Scene
-from clothbench.scene import initial_shape, scene_of
+from clothbench.core.scene import initial_shape
+from clothbench.recordings.scenes import scene_of
 
 
 def test_unknown_density_must_be_stated():

@@ -4,7 +4,7 @@ import pandas as pd
 import pytest
 
 from clothbench import ClothbenchError
-from clothbench.experiment.store import ROW, Store, leaderboard_row, load_rows
+from clothbench.engine.store import ROW, Store, leaderboard_row, load_rows
 
 
 def one_row(status="ok", **changes):

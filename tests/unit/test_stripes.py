@@ -17,10 +17,10 @@ from clothbench import (
     read_recording,
     write_recording,
 )
-from clothbench.plugins import catalogue
-from clothbench.render import expose, silhouettes, striped
-from clothbench.surface import surface_of
+from clothbench.plugins.discovery import catalogue
 from clothbench.testing import check_tracker
+from clothbench.vision.render import expose, silhouettes, striped
+from clothbench.vision.surface import surface_of
 
 CAMERA = Camera.looking_at((0, -1.2, 0.86), (0, 0, 0.86), (100, 104), 0.40)
 PROJECTOR = Projector(Camera.looking_at((0, -1.2, 1.7), (0, 0, 0.86), (800, 800), 0.8), 20.0)

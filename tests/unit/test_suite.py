@@ -6,8 +6,8 @@ import pytest
 from conftest import swinging_recording
 
 from clothbench import ClothbenchError, write_recording
-from clothbench.experiment.suite import plan, suites_folder
-from clothbench.plugins import catalogue
+from clothbench.engine.suite import plan, suites_folder
+from clothbench.plugins.discovery import catalogue
 
 BASE = {
     "model": "mass_spring", "optimizer": "ga", "metric": "node_error", "effects": [], "report": [],

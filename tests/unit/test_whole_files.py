@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from clothbench.files import whole_files
+from clothbench.core.files import whole_files
 
 
 def test_files_take_their_place_beside_what_is_there(tmp_path):

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from clothbench.kernels import bear_inertia
-from clothbench.plugins import catalogue
+from clothbench.modelling.kernels import bear_inertia
+from clothbench.plugins.discovery import catalogue
 from clothbench.testing import check_plugin, rule_names, scenes
 from clothbench.testing.effect_case import waving_sheet
 

@@ -19,7 +19,7 @@ _fast = njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
 COLLAPSED = 1e-9  # area over rest area below which a triangle has no normal that could be trusted
 
 Bent = namedtuple("Bent", "fibre second normal curvature")
-Bent.__doc__ = """What `bent` finds out about a sheet, S slots of triangles (`clothbench.kernels.triangle_slots`).
+Bent.__doc__ = """What `bent` finds out about a sheet, S slots of triangles (see `clothbench.Sheet`).
 
 fibre: (2, 3R), from `fibres`; second: (3, 3R), from `_second_derivatives`; normal: (4, S), from `_find_normals`;
 curvature: (3, S) 1/m, κ_uu, κ_vv and κ_uv: second derivatives along the normal; above 0 it curls towards warp × weft.

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 
 from clothbench import ClothbenchError, Observation, Rollout, Score
-from clothbench.orientation import turned
+from clothbench.vision.orientation import turned
 from clothbench_metrics.sight import Sights, check_shape, compared, require_number
 
 BLOCK = 8  # px; residuals are pooled over squares of this side, or they would be a million

@@ -2,7 +2,7 @@
 
 The energy density ½ D (|x_uu|² + |x_vv|² + 2 |x_uv|²) of a sheet whose second derivatives are vectors along its normal
 wherever it does not stretch (isometric bending: Bergou et al. 2006, A quadratic bending model for inextensible
-surfaces). The second derivatives come from the four-triangle patches of `clothbench.kernels.curvature_weights`. Single
+surfaces). The second derivatives come from the four-triangle patches of the sheet (`curvature`). Single
 hinges with 3 l²/(A₁ + A₂) are three to nine times too stiff on these grids, depending on the direction; Bergou's
 Laplacian on edges is the same formula, and one on nodes is blind to twist and saddle (`tests/physics/test_bending.py`
 holds all of them against cylinder, twist and saddle).

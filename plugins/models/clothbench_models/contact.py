@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 
 from clothbench import Scene
-from clothbench.scene import SHAPES
+from clothbench.core.scene import SHAPES
 
 PLANE, DISC, SPHERE = (float(SHAPES.index(shape)) for shape in ("plane", "disc", "sphere"))
 

@@ -11,9 +11,9 @@ from typing import ClassVar
 import numpy as np
 
 from clothbench import ClothbenchError, Interpolator, ParameterSpace, Rollout, Scene, Sheet, sheet_of
-from clothbench.effects import BoundEffects
-from clothbench.kernels import grid_triangles, no_effect
-from clothbench.scene import initial_shape
+from clothbench.core.scene import initial_shape
+from clothbench.modelling.bound_effects import BoundEffects
+from clothbench.modelling.kernels import grid_triangles, no_effect
 from clothbench_models import loop
 from clothbench_models.spring_grid import even_count, grid_lines, tributary
 

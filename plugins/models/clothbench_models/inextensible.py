@@ -15,9 +15,9 @@ from functools import cached_property
 import numpy as np
 
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
-from clothbench.effects import BoundEffects
-from clothbench.kernels import own_sheet
-from clothbench.parallel import for_each
+from clothbench.core.parallel import for_each
+from clothbench.modelling.bound_effects import BoundEffects
+from clothbench.modelling.kernels import own_sheet
 from clothbench_models import baraff_witkin_kernels as triangles
 from clothbench_models import inextensible_kernels as kernels
 from clothbench_models import loop

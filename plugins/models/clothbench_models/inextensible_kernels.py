@@ -12,7 +12,7 @@ import functools
 import numpy as np
 from numba import njit, types
 
-from clothbench.kernels import EFFECT, SHEET, bear_inertia, compiled
+from clothbench.modelling.kernels import EFFECT, SHEET, bear_inertia, compiled
 from clothbench_models.baraff_witkin_kernels import add_outer
 from clothbench_models.contact import keep_out
 from clothbench_models.implicit_grid import hold_back, mass_times, solve

@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit, types
 from numba.extending import overload
 
-from clothbench.effects import FORCE
+from clothbench.modelling.bound_effects import FORCE
 
 SLOTS = 8  # places for dynamics effects in a loop
 OK, DIVERGED = 0, 1

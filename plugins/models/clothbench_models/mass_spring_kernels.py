@@ -14,7 +14,7 @@ import functools
 import numpy as np
 from numba import njit, types
 
-from clothbench.kernels import EFFECT, SHEET, bear_inertia, compiled, grid_normals, wants_normals
+from clothbench.modelling.kernels import EFFECT, SHEET, bear_inertia, compiled, grid_normals, wants_normals
 from clothbench_models.contact import keep_out
 from clothbench_models.loop import (
     DIVERGED,

@@ -11,8 +11,8 @@ from functools import cached_property
 import numpy as np
 
 from clothbench import ClothbenchError, Rollout
-from clothbench.kernels import own_sheet
-from clothbench.parallel import for_each
+from clothbench.core.parallel import for_each
+from clothbench.modelling.kernels import own_sheet
 from clothbench_models import loop
 from clothbench_models import mass_spring_kernels as kernels
 from clothbench_models.contact import obstacle_table

@@ -22,8 +22,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from clothbench import ClothbenchError, Effect, Parameter, ParameterSpace, Scene
-from clothbench.effects import BoundEffects
-from clothbench.protocols import Material
+from clothbench.core.protocols import Material
+from clothbench.modelling.bound_effects import BoundEffects
 from clothbench_models.grid_sheet import grid_shape
 from clothbench_models.mass_spring_simulation import SpringOptions, SpringSimulation
 from clothbench_models.spring_grid import Families

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from clothbench import ClothbenchError, Observation, Recording, View, read_recording
-from clothbench.orientation import angle_map, fold_mask
-from clothbench.parallel import for_each
+from clothbench.core.parallel import for_each
+from clothbench.vision.orientation import angle_map, fold_mask
 
 
 class Stripes:

@@ -5,8 +5,8 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from clothbench.effects import FORCE, INERTIA
-from clothbench.kernels import EFFECT, SHEET, bear_inertia, compiled, grid_normals
+from clothbench.modelling.bound_effects import FORCE, INERTIA
+from clothbench.modelling.kernels import EFFECT, SHEET, bear_inertia, compiled, grid_normals
 from numba import njit, types
 
 SLOTS = 4  # places for dynamics effects

@@ -12,10 +12,10 @@ from dataclasses import dataclass
 
 import numpy as np
 from clothbench import ClothbenchError, Effect, Interpolator, Parameter, ParameterSpace, Rollout, Scene
-from clothbench.effects import BoundEffects
-from clothbench.kernels import grid_triangles, no_effect, own_sheet, sheet_of
-from clothbench.parallel import for_each
-from clothbench.scene import initial_shape
+from clothbench.core.parallel import for_each
+from clothbench.core.scene import initial_shape
+from clothbench.modelling.bound_effects import BoundEffects
+from clothbench.modelling.kernels import grid_triangles, no_effect, own_sheet, sheet_of
 
 from clothbench_xpbd import kernels
 

@@ -16,9 +16,9 @@ from typing import Protocol
 import numpy as np
 
 from clothbench import ClothbenchError, Rollout, Scene
-from clothbench.effects import FORCE, BoundEffects
-from clothbench.kernels import grid_normals, own_sheet
-from clothbench.parallel import for_each
+from clothbench.core.parallel import for_each
+from clothbench.modelling.bound_effects import FORCE, BoundEffects
+from clothbench.modelling.kernels import grid_normals, own_sheet
 from clothbench_models import loop
 from clothbench_models.grid_sheet import GridBatch, GridSimulation
 from clothbench_models.peers import missing

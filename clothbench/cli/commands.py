@@ -1,0 +1,298 @@
+"""The command line. Each command imports what it needs when it runs, so that `--help` answers at once."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import sys
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from clothbench.core.errors import ClothbenchError
+
+DEFAULT_OUT = "runs"
+
+EPILOG = """\
+examples:
+  clothbench run +suite=static_dynamic                 the default benchmark, nothing else needed
+  clothbench run -m +suite=static_dynamic seed=1,2,3   a Hydra sweep over any setting
+  clothbench run recording=swing.nc model=mass_spring optimizer=ga metric=node_error
+  clothbench improve recordings=DIR model=mass_spring  what does the model lack?
+  clothbench import iri_wam_cloth_swing data_dir=DATA  real recordings of a robot
+  clothbench leaderboard --json > results.json
+exit codes: 0 done; 1 some cells failed or the gate is broken; 2 wrong use or bad input"""
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command; returns the exit code. Errors a user can cause are one line on standard error."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    debug = "--debug" in arguments
+    arguments = [a for a in arguments if a != "--debug"]
+    arguments.sort(key=lambda a: a == "--json")  # last: argparse takes no flag between KEY=VALUE words
+    for library in (
+        "OPENBLAS",
+        "MKL",
+        "OMP",
+    ):  # the cores are filled with whole rollouts; more threads only get in the way
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    try:
+        if arguments[:1] == ["run"]:  # Hydra reads the rest
+            from clothbench.cli.run import run
+
+            return run(arguments[1:])
+        options = parser().parse_args(arguments)
+        return options.function(options)
+    except ClothbenchError as fault:
+        if debug:
+            raise
+        print(f"clothbench: {fault}", file=sys.stderr)
+        return 2
+    except BrokenPipeError:  # the reader of our output has gone, as `| head` does
+        sys.stderr.close()
+        return 0
+    except OSError as fault:
+        if debug:
+            raise
+        print(f"clothbench: {fault.filename or 'a file'}: {fault.strerror or fault}", file=sys.stderr)
+        return 2
+    except KeyboardInterrupt:
+        print("clothbench: stopped; finished cells are kept, run the same command again to go on", file=sys.stderr)
+        return 130
+
+
+def parser() -> argparse.ArgumentParser:
+    out = argparse.ArgumentParser(
+        prog="clothbench", epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
+        description="Which cloth model to trust, with which parameters, and what it still gets wrong.",
+    )  # fmt: skip
+    from clothbench import __version__
+
+    out.add_argument("--version", action="version", version=f"clothbench {__version__}")
+    out.add_argument("--debug", action="store_true", help="show the traceback of an error")
+    commands = out.add_subparsers(metavar="COMMAND", required=True)
+    commands.add_parser(
+        "run", help="run a suite, a sweep or one cell (Hydra overrides; `run --help` shows all settings)"
+    )
+    _add(commands, "improve", improve, "find what a calibrated model lacks, and add it", _improve, _json)
+    _add(commands, "plugins", plugins, "every plugin, with parameters and units; broken ones with the reason", _json)
+    _add(commands, "validate", validate, "check recordings; exit 1 if one is bad", _paths, _json)
+    _add(commands, "datasets", datasets, "known public data sets, their licence, and whether they are at hand", _json)
+    _add(commands, "import", import_data, "convert a public data set into recordings", _import)
+    _add(commands, "leaderboard", leaderboard, "all results so far", _store, _json)
+    _add(commands, "compare", compare, "exit 1 if NEW is worse than BASE beyond the noise", _compare, _json)
+    _add(commands, "bench", bench, "speed of every model beside the installed peers", _bench, _json)
+    _add(commands, "report", report, "one self-contained page with figures", _report)
+    _add(commands, "view", view, "open a fit in Rerun, recording beside rollout", _view)
+    _add(commands, "new-plugin", new_plugin, "start a plugin distribution with a passing conformance test", _new)
+    return out
+
+
+def _add(commands: Any, name: str, function: Callable, text: str, *extras: Callable) -> None:
+    sub = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
+    sub.set_defaults(function=function)
+    for extra in extras:
+        extra(sub)
+
+
+def _json(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--json", action="store_true", help="one JSON document on standard output")
+
+
+def _paths(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("paths", nargs="+", metavar="PATH", help="recording (.nc) or folder")
+
+
+def _store(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--out", default=DEFAULT_OUT, help="results folder (default: runs)")
+
+
+def _import(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("name", metavar="NAME", help="a data set that `clothbench datasets` lists")
+    sub.add_argument(
+        "settings",
+        nargs="*",
+        metavar="KEY=VALUE",
+        help="data_dir=FOLDER of the originals, out=FOLDER for the recordings",
+    )
+
+
+def _improve(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "settings", nargs="+", metavar="KEY=VALUE",
+        help="recordings=DIR model=NAME [out=DIR] [candidates=NAME,…] [seed=N] [resolution=NODES] [base=NAME,…] "
+        "[areal_density=KG_PER_M2]",
+    )  # fmt: skip
+
+
+def _compare(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("base", metavar="BASE", help="results folder or leaderboard .json to hold against")
+    sub.add_argument("new", metavar="NEW", help="results folder or leaderboard .json to judge")
+
+
+def _bench(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("--quick", action="store_true", help="the two smaller sheets only")
+
+
+def _report(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="out=FOLDER with the results (default: runs)")
+
+
+def _view(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "cell", metavar="CELL",
+        help="key of a cell, or its beginning, as the leaderboard shows it; of `improve`, a recording's name",
+    )  # fmt: skip
+    _store(sub)
+
+
+def _new(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("kind", choices=("model", "effect", "metric", "optimizer", "tracker"))
+    sub.add_argument("name", metavar="NAME", help="the plugin's name, an identifier")
+    sub.add_argument("--into", default=".", metavar="FOLDER", help="where to put it (default: here)")
+
+
+def key_values(settings: Sequence[str], allowed: Sequence[str]) -> dict[str, str]:
+    """ "key=value" words as a dictionary; anything else is refused."""
+    out = {}
+    for word in settings:
+        key, sign, value = word.partition("=")
+        if not sign or key not in allowed:
+            raise ClothbenchError(f"found {word!r}, expected {' or '.join(f'{a}=VALUE' for a in allowed)}")
+        out[key] = value
+    return out
+
+
+def results_in(folder: str | Path) -> Any:
+    """The store in a folder; a folder that was named and holds no results is the user's error."""
+    from clothbench.engine.store import Store
+
+    if str(folder) != DEFAULT_OUT and not (Path(folder) / "cells").is_dir():
+        raise ClothbenchError(
+            f"{folder}: found no results (no folder 'cells'); make some with clothbench run … out={folder}"
+        )
+    return Store(folder)
+
+
+def print_json(document: Any) -> None:
+    print(json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False))
+
+
+# --- commands -------------------------------------------------------------------------------------------------------
+
+
+def improve(options: argparse.Namespace) -> int:
+    from clothbench.cli.improve import KEYS, command
+
+    return command(key_values(options.settings, KEYS), options.json)
+
+
+def plugins(options: argparse.Namespace) -> int:
+    from clothbench.cli.listings import plugin_rows, print_plugins
+
+    rows = plugin_rows()
+    print_json(rows) if options.json else print_plugins(rows)
+    return 0
+
+
+def validate(options: argparse.Namespace) -> int:
+    from clothbench.recordings.curve import read_any
+    from clothbench.recordings.nodes import find_recordings
+
+    rows = []
+    for path in find_recordings(options.paths):
+        try:
+            recording = read_any(path)
+            rows.append({"file": str(path), "ok": True, "fault": None, "name": recording.name, "hash": recording.hash})
+        except ClothbenchError as fault:
+            rows.append({"file": str(path), "ok": False, "fault": str(fault), "name": None, "hash": None})
+    if options.json:
+        print_json(rows)
+    else:
+        for row in rows:
+            print(f"{row['file']}: ok" if row["ok"] else row["fault"])
+    return 0 if all(row["ok"] for row in rows) else 1
+
+
+def datasets(options: argparse.Namespace) -> int:
+    from clothbench.cli.listings import dataset_rows, print_datasets
+
+    rows = dataset_rows()
+    print_json(rows) if options.json else print_datasets(rows)
+    return 0
+
+
+def import_data(options: argparse.Namespace) -> int:
+    from clothbench.cli.listings import print_import
+    from clothbench.datasets.convert import converted
+    from clothbench.engine.progress import counting
+
+    settings = key_values(options.settings, ("data_dir", "out"))
+    with counting("files") as told:
+        folder = converted(options.name, **settings, again=True, progress=told)
+    print_import(folder)
+    return 0
+
+
+def leaderboard(options: argparse.Namespace) -> int:
+    from clothbench.engine.store import Store, leaderboard_row
+    from clothbench.studies.calibration.tables import print_leaderboard
+
+    rows = results_in(options.out).rows()
+    if options.json:
+        print_json([leaderboard_row(r) for r in rows])
+    elif rows:
+        store = Store(options.out)
+        print_leaderboard(rows, store.parameters(), store.levels(), store.table("fold"))
+    else:
+        print(f"no results in {options.out}; make some with: clothbench run +suite=static_dynamic")
+    return 0
+
+
+def compare(options: argparse.Namespace) -> int:
+    from clothbench.engine.store import load_rows
+    from clothbench.report.gate import compare_rows, print_gate
+
+    verdict = compare_rows(load_rows(options.base), load_rows(options.new))
+    print_json(verdict) if options.json else print_gate(verdict)
+    return 0 if verdict["passed"] else 1
+
+
+def bench(options: argparse.Namespace) -> int:
+    from clothbench.studies.speed.bench import print_table, run_bench
+
+    def told(line: str) -> None:
+        if sys.stderr.isatty():
+            print(line, file=sys.stderr)
+
+    rows = run_bench(sides=(9, 21) if options.quick else (9, 21, 41, 65), progress=told)
+    print_json(rows) if options.json else print_table(rows)
+    return 0
+
+
+def report(options: argparse.Namespace) -> int:
+    from clothbench.report.page import write_page
+
+    folder = Path(key_values(options.settings, ("out",)).get("out", DEFAULT_OUT))
+    results_in(folder)
+    print(f"page: {write_page(folder)}")
+    return 0
+
+
+def view(options: argparse.Namespace) -> int:
+    from clothbench.cli.view import open_viewer
+
+    return open_viewer(Path(options.out), options.cell)
+
+
+def new_plugin(options: argparse.Namespace) -> int:
+    from clothbench.plugins.scaffold import create
+
+    folder = create(options.kind, options.name, Path(options.into))
+    print(f"{folder}: ready; next: pip install -e '{folder}[test]' && pytest {folder}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

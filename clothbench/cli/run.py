@@ -1,0 +1,147 @@
+"""`clothbench run`: Hydra composes the settings, the plan's missing cells are run, and the table is printed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+import tempfile
+import uuid
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import hydra
+from hydra.core.config_search_path import ConfigSearchPath
+from hydra.core.hydra_config import HydraConfig
+from hydra.core.plugins import Plugins
+from hydra.errors import HydraException
+from hydra.plugins.search_path_plugin import SearchPathPlugin
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.rollout import Rollout
+from clothbench.engine.pool import failed, run_cells
+from clothbench.engine.progress import CellProgress, counting
+from clothbench.engine.settings import KNOWN, last_word
+from clothbench.engine.store import Store
+from clothbench.engine.suite import plan, suites_folder
+from clothbench.plugins.discovery import catalogue, config_groups
+from clothbench.studies.calibration.analysis_tables import print_analyses
+from clothbench.studies.calibration.cell import Bench
+from clothbench.studies.calibration.schema import ANALYSIS_TABLES
+from clothbench.studies.calibration.tables import print_leaderboard
+
+NOTES = "CLOTHBENCH_RUN_NOTES"  # folder in which the jobs of one command leave word for it, whatever launched them
+MAIN_SUITE = "static_dynamic"  # what a sweep is over if it names no recordings
+RECORDINGS = ("suite=", "recording=", "recordings=")  # how a command line names some
+
+
+class PluginSearchPath(SearchPathPlugin):
+    """Puts the built-in suites, then every plugin's config package, on Hydra's search path."""
+
+    def manipulate_search_path(self, search_path: ConfigSearchPath) -> None:
+        search_path.append("clothbench-suites", f"file://{suites_folder()}")
+        for place in catalogue().configs:
+            if taken := config_groups(place) & (KNOWN - {"suite"}):
+                print(
+                    f"clothbench: {place}: left out: its folder {min(taken)!r} hides a setting; rename it",
+                    file=sys.stderr,
+                )
+            else:
+                search_path.append("clothbench-plugin", place)
+
+
+def run(arguments: Sequence[str]) -> int:
+    """Run `clothbench run ARGUMENTS` and return the exit code."""
+    sweep = bool({"-m", "--multirun"} & set(arguments))
+    if sweep and not any(word.lstrip("+").startswith(RECORDINGS) for word in arguments):
+        print(f"clothbench: the sweep names no recordings; it takes +suite={MAIN_SUITE}", file=sys.stderr)
+        arguments = [*arguments, f"+suite={MAIN_SUITE}"]
+    Plugins.instance().register(PluginSearchPath)
+    notes = Path(tempfile.mkdtemp(prefix="clothbench-"))
+    os.environ.update({NOTES: str(notes), "HYDRA_FULL_ERROR": "1"})
+    os.environ.setdefault("CLOTHBENCH_SWEEP_DIR", str(notes / "sweep"))
+    sys.argv = ["clothbench run", *arguments]
+    try:
+        hydra.main(version_base="1.3", config_path="pkg://clothbench.conf", config_name="run")(job)()
+        return _conclude(notes, sweep)
+    except (HydraException, OmegaConfBaseException) as fault:
+        raise ClothbenchError(_one_line(fault)) from fault
+    finally:
+        shutil.rmtree(notes, ignore_errors=True)
+
+
+def job(config: Any) -> None:
+    """One Hydra job. Leaves a note of its cells; a user's error is noted too, so that any launcher can carry it."""
+    try:
+        settings = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+        note = _run(last_word(settings, HydraConfig.get().overrides.task))  # type: ignore[arg-type]
+    except ClothbenchError as fault:
+        note = {"error": str(fault)}
+    folder = Path(os.environ[NOTES])
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / f"{uuid.uuid4().hex}.json").write_text(json.dumps(note))
+
+
+def _run(config: Any) -> dict[str, Any]:
+    with counting("files") as told:
+        cells = plan(config, catalogue(), told)
+    out = Path(config["out"])
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as fault:
+        raise ClothbenchError(f"setting 'out': {out} cannot be written to ({fault.strerror})") from fault
+    with CellProgress(cells) as bar:
+        attach = attach_rerun if config["rerun"] else None
+        run_cells(cells, out, jobs=int(config["jobs"]), attach=attach, done=bar.done, progress=bar.tell)
+    return {"out": str(out.absolute()), "cells": [c.key for c in cells]}
+
+
+def attach_rerun(folder: Path, bench: Bench, rollouts: Sequence[Rollout]) -> None:
+    """Put a Rerun file beside a finished cell's tables."""
+    from clothbench.studies.calibration.rerun_file import write_rerun
+
+    write_rerun(folder / "fit.rrd", bench, rollouts)
+
+
+def _conclude(notes: Path, sweep: bool) -> int:
+    """Print the table over all jobs' cells and where things lie; the exit code of the whole command.
+
+    Without a job there is nothing to conclude (`--help`, `--cfg job`), except after a sweep, which always has jobs.
+    """
+    found = [json.loads(p.read_text()) for p in sorted(notes.glob("*.json"))]
+    if errors := [n["error"] for n in found if "error" in n]:
+        raise ClothbenchError(errors[0] + (f" (and {len(errors) - 1} more jobs)" if len(errors) > 1 else ""))
+    if sweep and not found:
+        raise ClothbenchError("no job left word of what it did; give the jobs a folder they share, with TMPDIR")
+    code = 0
+    for out in sorted({n["out"] for n in found}):
+        mine = [n for n in found if n["out"] == out]
+        store, keys = Store(out), list(dict.fromkeys(k for n in mine for k in n["cells"]))
+        rows = store.rows(keys)
+        print_leaderboard(rows, store.parameters(keys), store.levels(keys), store.table("fold", keys))
+        print_analyses(rows, {name: store.table(name, keys) for name in ANALYSIS_TABLES})
+        _say_where(store, keys)
+        code = max(code, int(failed(r["status"] for r in rows)))
+    return code
+
+
+def _say_where(store: Store, keys: Sequence[str]) -> None:
+    from clothbench.report.page import write_page
+
+    shown = Path(os.path.relpath(store.folder)) if store.folder.is_relative_to(Path.cwd()) else store.folder
+    write_page(store.folder)
+    print(f"page:   {shown / 'report.html'}")
+    print(f"tables: {shown / 'cells'}/KEY/*.parquet   (clothbench leaderboard --out {shown})")
+    if any((store.cell(k) / "fit.rrd").is_file() for k in keys):
+        print(f"rerun:  clothbench view {keys[0]} --out {shown}")
+
+
+def _one_line(fault: Exception) -> str:
+    """Hydra's message without its line breaks; what the choices are, where it lists them."""
+    text = str(fault).split("Config search path")[0]
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    return " ".join(lines[:12]) or type(fault).__name__

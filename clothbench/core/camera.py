@@ -1,0 +1,143 @@
+"""Calibrated cameras and projectors: the pinhole with OpenCV's distortion, and what one of them saw of a run.
+
+Camera frame as OpenCV has it: x to the right, y down, z forwards; pixel (0, 0) is the middle of the upper left one.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+
+LENSES = {"matrix": (3, 3), "rotation": (3, 3), "translation": (3,), "distortion": (5,)}
+
+
+@dataclass(frozen=True, eq=False)
+class Camera:
+    """A pinhole with lens distortion; a projector is one, too, run backwards. Arrays are read-only.
+
+    size: (width, height) px; matrix: (3, 3) px, focal lengths and principal point; rotation (3, 3), translation (3,) m:
+    x_camera = R x_world + t; distortion: (5,), OpenCV's k1, k2, p1, p2, k3.
+    """
+
+    size: tuple[int, int]
+    matrix: np.ndarray
+    rotation: np.ndarray
+    translation: np.ndarray
+    distortion: np.ndarray = field(default_factory=lambda: np.zeros(5))
+
+    def __post_init__(self) -> None:
+        for name, shape in LENSES.items():
+            array = np.array(getattr(self, name), dtype=float)
+            if array.shape != shape or not np.isfinite(array).all():
+                raise ClothbenchError(f"camera: {name} has shape {array.shape}, expected {shape} finite numbers")
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        if min(self.size) < 1:
+            raise ClothbenchError(f"camera: size is {self.size}, expected (width, height) in pixels")
+        if np.abs(self.rotation @ self.rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(self.rotation) < 0:
+            raise ClothbenchError("camera: rotation is no proper rotation matrix")
+
+    def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """World points (..., 3) m → pixels (..., 2) and depth along the optical axis (...) m.
+
+        What lies behind the camera has a depth below 0 and pixels that are not a number.
+        """
+        seen = np.asarray(points, dtype=float) @ self.rotation.T + self.translation
+        depth = seen[..., 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            flat = np.where(depth[..., None] > 0, seen[..., :2] / depth[..., None], np.nan)
+        if self.distortion.any():
+            flat = distorted(flat, self.distortion)
+        return flat @ self.matrix[:2, :2].T + self.matrix[:2, 2], depth
+
+    @classmethod
+    def looking_at(
+        cls, position: np.ndarray, target: np.ndarray, size: tuple[int, int], across: float,
+        up: tuple[float, float, float] = (0.0, 0.0, 1.0),
+    ) -> Camera:  # fmt: skip
+        """A camera at `position` (3,) m that sees `across` metres over its image's width at `target` (3,) m."""
+        position, target = np.asarray(position, dtype=float), np.asarray(target, dtype=float)
+        forward = target - position
+        distance = float(np.linalg.norm(forward))
+        right = np.cross(forward, up)
+        if distance == 0 or np.linalg.norm(right) < 1e-9 * distance:
+            raise ClothbenchError("camera: it looks along `up`, or at itself; move it")
+        right = right / np.linalg.norm(right)
+        turn = np.stack([right, np.cross(forward / distance, right), forward / distance])
+        focal, (width, height) = size[0] * distance / across, size
+        matrix = np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
+        return cls(size, matrix, turn, -turn @ position)
+
+
+@dataclass(frozen=True, eq=False)
+class Projector:
+    """Horizontal stripes thrown on a scene: a pinhole run backwards, and the stripes' period in its rows [px]."""
+
+    lens: Camera
+    period: float
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.period) and self.period > 0):
+            raise ClothbenchError(f"projector: period is {self.period}, expected pixels above 0")
+        if self.lens.distortion.any():
+            raise ClothbenchError("projector: a distorted lens is not supported; rectify its pattern")
+
+
+@dataclass(frozen=True, eq=False)
+class Video:
+    """Grey frames (T, H, W), one byte a pixel, of one calibrated camera; the projector whose stripes they show."""
+
+    frame: np.ndarray
+    camera: Camera
+    projector: Projector | None = None
+
+    def __post_init__(self) -> None:
+        frame = np.array(self.frame)
+        frame.flags.writeable = False
+        object.__setattr__(self, "frame", frame)
+        expected = self.camera.size[::-1]
+        if frame.dtype != np.uint8 or frame.ndim != 3 or frame.shape[1:] != expected:
+            raise ClothbenchError(
+                f"video: found frames of {frame.dtype} {frame.shape}, expected uint8 (T, {expected[0]}, {expected[1]})"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """What a tracker made of a video, frame by frame; arrays are read-only.
+
+    silhouette: (T, H, W) bool, the cloth; angle: (T, H, W) rad, modulo π, the dominant orientation of the projected
+    stripes, and fold: (T, H, W) bool, where it changes fast; both None without a projector. blur: standard deviation
+    [px] of the smoothing on the way to the angles, which a simulated view has to repeat.
+    """
+
+    camera: Camera
+    silhouette: np.ndarray
+    projector: Projector | None = None
+    angle: np.ndarray | None = None
+    fold: np.ndarray | None = None
+    blur: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("silhouette", "angle", "fold"):
+            if (array := getattr(self, name)) is not None:
+                array = np.array(array)
+                array.flags.writeable = False
+                object.__setattr__(self, name, array)
+                if array.shape != self.silhouette.shape:
+                    raise ClothbenchError(f"view: {name} has shape {array.shape}, expected {self.silhouette.shape}")
+
+
+def distorted(flat: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
+    """Ideal image coordinates (..., 2) at unit focal length → where the lens puts them (Brown 1966, as in OpenCV)."""
+    k1, k2, p1, p2, k3 = coefficients
+    x, y = flat[..., 0], flat[..., 1]
+    square = x * x + y * y
+    radial = 1 + square * (k1 + square * (k2 + square * k3))
+    across = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)
+    down = y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y
+    return np.stack([across, down], axis=-1)

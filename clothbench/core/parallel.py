@@ -1,0 +1,73 @@
+"""Threads over whole rollouts: compiled loops release the interpreter's lock, so plain threads keep all cores busy."""
+
+from __future__ import annotations
+
+import os
+import threading
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+from clothbench.core.errors import ClothbenchError
+
+_threads = 0
+_places: tuple[int, threading.Semaphore] | None = None
+_lock = threading.Lock()
+
+
+def available_cores() -> int:
+    """Cores this process may run on (macOS and Windows know only how many there are)."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def thread_count() -> int:
+    """How many threads a batch may use: as set, else CLOTHBENCH_THREADS, else all cores this process may run on."""
+    stated = os.environ.get("CLOTHBENCH_THREADS", "0")
+    if not stated.isdecimal():
+        raise ClothbenchError(f"CLOTHBENCH_THREADS is {stated!r}, expected a whole number")
+    return _threads or int(stated) or available_cores()
+
+
+def set_thread_count(count: int) -> None:
+    """Set the number of threads for this process; 0 goes back to the default."""
+    global _threads
+    _threads = count
+
+
+def for_each(work: Callable[[Any], None], items: Sequence[Any]) -> None:
+    """Call `work(item)` for all items on up to `thread_count()` threads; the first exception is raised here."""
+    if (threads := min(thread_count(), len(items))) <= 1:
+        for item in items:
+            with _slots():
+                work(item)
+        return
+
+    def in_turn(item: Any) -> None:
+        with _slots():
+            work(item)
+
+    with ThreadPoolExecutor(threads) as pool:
+        for _ in pool.map(in_turn, items):
+            pass
+
+
+def side_by_side(work: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
+    """[work(item), …] with all items begun at once, for work that itself comes down to `for_each`.
+
+    The cores stay busy where each item alone has too few members for them; what runs at a time is bounded all the
+    same, since calls of `for_each` share `thread_count()` places.
+    """
+    if len(items) <= 1 or thread_count() == 1:
+        return [work(item) for item in items]
+    with ThreadPoolExecutor(min(len(items), 4 * thread_count())) as pool:
+        return list(pool.map(work, items))
+
+
+def _slots() -> threading.Semaphore:
+    """As many places as threads may run; made anew when that number changes."""
+    global _places
+    count = thread_count()
+    with _lock:
+        if _places is None or _places[0] != count:
+            _places = (count, threading.Semaphore(count))
+        return _places[1]

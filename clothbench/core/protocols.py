@@ -1,0 +1,167 @@
+"""What a plugin has to be. Each kind is a small protocol; a plain class that has the members is enough."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+
+from clothbench.core.observation import Observation
+from clothbench.core.parameters import ParameterSpace
+from clothbench.core.rollout import Rollout
+from clothbench.core.scene import Scene
+
+
+@dataclass(frozen=True, eq=False)
+class Score:
+    """How far a batch of B rollouts is from one observation.
+
+    value: (B,) in `unit`, NaN for a member that could not be scored; per_frame: (B, T) and per_node: (B, N), the
+    same quantity's trace and map, NaN where nothing was seen (None where the metric has none);
+    residual: (B, R), signed differences whose squares sum to what least squares should lower, or None.
+    """
+
+    value: np.ndarray
+    unit: str
+    per_frame: np.ndarray | None = None
+    per_node: np.ndarray | None = None
+    residual: np.ndarray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Evaluation:
+    """What an optimizer is told: value (B,), lower is better, NaN = could not be computed; residual (B, R) or None."""
+
+    value: np.ndarray
+    residual: np.ndarray | None = None
+
+
+@runtime_checkable
+class Simulation(Protocol):
+    """A scene made ready: meshes built, kernels compiled.
+
+    `parameters` holds the model's parameters, then those of each effect as `effect.parameter`. Optional: `threads`,
+    true if several simulations may run at the same time in threads of one process.
+    """
+
+    parameters: ParameterSpace
+
+    def run(self, theta: np.ndarray) -> Rollout:
+        """Simulate the parameter sets theta (B, P), each in its parameter's unit, all at once."""
+        ...
+
+
+@dataclass(frozen=True)
+class Material:
+    """An elastic cloth as textbooks state it, for tests that have an analytic answer.
+
+    bending: rigidity D [N·m]; stretch: tensile stiffness [N/m]; shear: shear stiffness [N/m]. No internal friction,
+    no cross contraction.
+    """
+
+    bending: float
+    stretch: float
+    shear: float
+
+
+@runtime_checkable
+class Model(Protocol):
+    """A cloth model. Made by calling the registered attribute with its options as keywords.
+
+    Optional: `skip_reason() -> reason | None`, static: what has to be installed before it can do anything;
+    `built_on`, names of distributions the first installed of which has a version that results depend on;
+    `skip(scene) -> reason | None`, why it cannot simulate a scene;
+    `of_material(material, scene) -> theta (P,)`, its parameters for a textbook material (damping as low as they go),
+    or a ClothbenchError that says what it has no parameter for: then `physical_validation` can test it;
+    `curve(stretch (M,), theta (P,)) -> tension (M,)` N/m per width, for the capability "curve";
+    `strip(length) -> clothbench.core.folding.Folding`, for the capability "fold".
+    capabilities: "dynamic" (moves), "static" (finds rest), "effects" (takes them), "contact" (keeps out of the
+    scene's obstacles), "self_contact" (keeps the scene's `thickness` between its own layers), "curve" (answers
+    force-extension curves; with that alone, `prepare` refuses every scene), "fold" (folds strips on a desk, and says
+    with which forces).
+    """
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+    parameters: ParameterSpace
+    capabilities: ClassVar[frozenset[str]]  # of the seven above
+
+    def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> Simulation: ...
+
+
+@runtime_checkable
+class Effect(Protocol):
+    """Physics a model may lack, in one of three places. At its parameters' null values it vanishes, to the bit.
+
+    place "dynamics": has `force` and/or `inertia`, compiled with `clothbench.effect_kernel`:
+        force(t, dt, x, v, f, sheet, p, state)       adds nodal forces [N] to f (3, n)
+        inertia(t, dt, x, v, mass, sheet, p, state)  adds to each node's mass tensor [kg], mass (6, n) as
+                                                     xx, yy, zz, yz, xz, xy; what it weighs is for `force` to add
+      with x (3, n) m, v (3, n) m/s, `sheet` (clothbench.Sheet), p this effect's parameters in order, and
+      state (S,) kept from step to step, S = `state_size(sheet)` if there is such a method, else 0. A force that makes
+      the cloth stiffer says so with a method `stiffness(phi) -> (in-plane N/m, bending N·m)`, at most: models whose
+      step depends on it then take a shorter one. With `normals = False` it says that its kernels read no
+      `sheet.normal`, which then nobody computes (NaN).
+    place "boundary": has `grips(time (K,), position (K, G, 3), phi (P,)) -> position`.
+    place "sensor": has `times(time (T,), phi) -> time` (when the simulation is looked at for each stamp) and/or
+        `positions(time (T,), position (T, N, 3), points (N, 2) m, phi) -> position` (how it is seen).
+    An effect that takes part in force-extension curves, there only or there too, has one method more, by its place:
+    `curve(stretch (M,), phi) -> tension (M,)` N/m, `clamped(stretch, phi) -> stretch`, or
+    `weighed(stretch, force (M,) N, phi) -> force`; `clothbench.modelling.curves` says what becomes of it.
+    """
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+    place: ClassVar[str]
+    summary: ClassVar[str]
+    parameters: ParameterSpace
+
+
+@runtime_checkable
+class Metric(Protocol):
+    """Compares an observation with a batch of rollouts; lower is better."""
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+    unit: str
+
+    def __call__(self, observation: Observation, rollout: Rollout) -> Score: ...
+
+    def floor(self, observation: Observation) -> float:
+        """The value that noise alone would give a perfect model, in `unit`; NaN if the noise is not known."""
+        ...
+
+
+@runtime_checkable
+class Optimizer(Protocol):
+    """A search. Made by `factory(space, seed=…, budget=…, **settings)`; it never owns the loop.
+
+    The caller alternates `ask` and `tell` until `done`; `stopped` then says why. All points asked lie within the
+    space's bounds. `needs_residual` says that `Evaluation.residual` is wanted. Optional: `start` (P,) or None, where
+    the walk set out from once a first look around was over; and a setting `start="defaults"`, which leaves that look
+    out and begins at the space's defaults (repeated fits need it).
+    """
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+    needs_residual: ClassVar[bool]
+    done: bool
+    stopped: str
+
+    def ask(self) -> np.ndarray:
+        """The next parameter sets (B, P), each in its parameter's unit."""
+        ...
+
+    def tell(self, theta: np.ndarray, evaluation: Evaluation) -> None: ...
+
+
+@runtime_checkable
+class Tracker(Protocol):
+    """Turns raw sensor data into an observation."""
+
+    name: ClassVar[str]
+    version: ClassVar[int]
+
+    def track(self, source: Any, **settings: Any) -> Observation: ...

@@ -1,0 +1,161 @@
+"""The scene: all that a model needs to know to simulate one recorded run."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+
+AIR_DENSITY = 1.2  # kg/m³, dry air at 20 °C
+
+
+SHAPES = ("plane", "disc", "sphere")
+
+
+@dataclass(frozen=True, eq=False)
+class Obstacle:
+    """Something solid that does not move and that the cloth cannot enter.
+
+    shape: "plane" (half-space below `centre`, against `normal`), "disc" (flat, `radius` about `centre`, infinitely
+    thick against `normal`: a pedestal) or "sphere"; centre: (3,) m; normal: (3,), unit, outwards, of plane and disc;
+    radius: m, of disc and sphere; friction: Coulomb's coefficient.
+    """
+
+    shape: str
+    centre: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
+    radius: float = math.inf
+    friction: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.shape not in SHAPES:
+            raise ClothbenchError(f"obstacle: shape is {self.shape!r}, expected one of {', '.join(SHAPES)}")
+        if self.shape != "plane" and not (math.isfinite(self.radius) and self.radius > 0):
+            raise ClothbenchError(f"obstacle: radius of a {self.shape} is {self.radius}, expected metres above 0")
+        if not (math.isfinite(self.friction) and self.friction >= 0):
+            raise ClothbenchError(f"obstacle: friction is {self.friction}, expected 0 or above")
+        length = math.hypot(*self.normal)
+        if not (math.isfinite(length) and length > 0):
+            raise ClothbenchError(f"obstacle: normal is {self.normal}, expected a direction")
+        object.__setattr__(self, "normal", tuple(c / length for c in self.normal))
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """One run to simulate. SI, world frame, z up; arrays are read-only.
+
+    width, height: m; areal_density: kg/m²; grip_time: (K,) s; grip_material: (G, 2) m; grip_position: (K, G, 3) m
+    (G = 0: nothing is held); times: (T,) s and points: (N, 2) m, where and when the rollout is wanted;
+    gravity: (3,) m/s²; air_density: kg/m³; resolution: nodes along (u, v), or None for the model's own choice;
+    start: (N, 3) m, where the points were first seen (NaN = unknown): it tells a model which of several resting
+    shapes the cloth hung in; obstacles: what it cannot enter; thickness: m, how far apart its own layers stay
+    (0: they pass through each other). The cloth rests, settled, in the grips' first pose when the run begins; with
+    no grips it starts from `start`, or flat, at rest.
+    """
+
+    width: float
+    height: float
+    areal_density: float
+    grip_time: np.ndarray
+    grip_material: np.ndarray
+    grip_position: np.ndarray
+    times: np.ndarray
+    points: np.ndarray
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    air_density: float = AIR_DENSITY
+    resolution: tuple[int, int] | None = None
+    start: np.ndarray | None = None
+    obstacles: tuple[Obstacle, ...] = ()
+    thickness: float = 0.0
+
+    def __post_init__(self) -> None:
+        for name in ("grip_time", "grip_material", "grip_position", "times", "points", "start"):
+            if (value := getattr(self, name)) is not None:
+                array = np.array(value, dtype=float)
+                array.flags.writeable = False
+                object.__setattr__(self, name, array)
+        for name in ("width", "height", "areal_density"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ClothbenchError(f"scene: {name} is {value}, expected a number above 0")
+        if self.times.ndim != 1 or self.times.size == 0 or (np.diff(self.times) <= 0).any():
+            raise ClothbenchError("scene: times must be a strictly increasing list of seconds")
+        if not (math.isfinite(self.thickness) and self.thickness >= 0):
+            raise ClothbenchError(f"scene: thickness is {self.thickness}, expected metres, 0 or above")
+        if self.resolution is not None and min(self.resolution) < 3:
+            raise ClothbenchError(f"scene: resolution is {self.resolution}, expected at least 3 nodes each way")
+
+    @property
+    def start_time(self) -> float:
+        """When the settled cloth is let go or begins to be moved [s]."""
+        first = [self.times[0]] + ([self.grip_time[0]] if self.grip_material.size else [])
+        return float(min(first))
+
+    def grip_curve(self, position: np.ndarray | None = None) -> np.ndarray:
+        """Piecewise cubic through the grips' stamps: coefficients (4, K-1, G, 3), highest power first.
+
+        Modified Akima (Akima 1970): local and without overshoot where stamps crowd together, as a robot's do.
+        """
+        from scipy.interpolate import Akima1DInterpolator, PPoly
+
+        position = self.grip_position if position is None else position
+        if self.grip_time.size < 3:
+            slope = np.diff(position, axis=0) / np.diff(self.grip_time)[:, None, None]
+            return np.stack([np.zeros_like(slope), np.zeros_like(slope), slope, position[:-1]])
+        curve: PPoly = Akima1DInterpolator(self.grip_time, position, method="makima")
+        return np.ascontiguousarray(curve.c)
+
+    def grips_at(self, times: np.ndarray) -> np.ndarray:
+        """Where the grips are at `times` (T,) s → (T, G, 3) m; held still before the first and after the last stamp."""
+        times = np.clip(times, self.grip_time[0], self.grip_time[-1])
+        i = np.clip(np.searchsorted(self.grip_time, times, side="right") - 1, 0, self.grip_time.size - 2)
+        s = (times - self.grip_time[i])[:, None, None]
+        c = self.grip_curve()
+        return ((c[0, i] * s + c[1, i]) * s + c[2, i]) * s + c[3, i]
+
+
+def initial_shape(scene: Scene, uv: np.ndarray) -> np.ndarray:
+    """A first guess for material points `uv` (n, 2) m → (n, 3) m, from which a model settles to rest.
+
+    The flat sheet hung from its grips (or lying flat where nothing holds it), bent towards where the points were
+    first seen. Smooth, so that a fine mesh is not shaken by the noise of single nodes.
+    """
+    hung = _hung_flat(scene, uv)
+    if scene.start is None:
+        return hung
+    seen = np.isfinite(scene.start).all(axis=1)
+    if seen.sum() < 6:  # too few to say more about the shape than the grips do
+        return hung
+    from scipy.interpolate import RBFInterpolator
+
+    size = np.array([scene.width, scene.height])
+    away = scene.start[seen] - _hung_flat(scene, scene.points[seen])
+    bend = RBFInterpolator(scene.points[seen] / size, away, smoothing=1e-3, neighbors=min(50, int(seen.sum())))
+    return hung + bend(uv / size)
+
+
+def _hung_flat(scene: Scene, uv: np.ndarray) -> np.ndarray:
+    """The undeformed sheet in the vertical plane through its grips; u along them, v down."""
+    gravity = np.array(scene.gravity)
+    down = gravity / np.linalg.norm(gravity) if np.linalg.norm(gravity) > 0 else np.array([0.0, 0.0, -1.0])
+    held, at = scene.grip_material, scene.grip_position[0] if scene.grip_material.size else np.zeros((0, 3))
+    across = _across(held, at, down)
+    if len(held) == 0:
+        return uv[:, :1] * across + uv[:, 1:] * down
+    centre_uv, centre = held.mean(axis=0), at.mean(axis=0)
+    return centre + (uv[:, :1] - centre_uv[0]) * across + (uv[:, 1:] - centre_uv[1]) * down
+
+
+def _across(held: np.ndarray, at: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """Unit vector (3,) into which the warp direction points: along the grips if two differ in u."""
+    if len(held) >= 2 and np.ptp(held[:, 0]) > 0:
+        left, right = np.argmin(held[:, 0]), np.argmax(held[:, 0])
+        across = at[right] - at[left]
+        if np.linalg.norm(across) > 0:
+            return across / np.linalg.norm(across)
+    helper = np.array([1.0, 0.0, 0.0]) if abs(down[0]) < 0.9 else np.array([0.0, 1.0, 0.0])
+    across = helper - helper @ down * down
+    return across / np.linalg.norm(across)

@@ -1,0 +1,51 @@
+"""Pieces of HTML that every page is made of: tables, statuses, text."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from html import escape
+from typing import Any
+
+Rows = Sequence[dict[str, Any]]
+
+
+def table(head: Iterable[str], body: Sequence[Sequence[str]], numeric: set[int]) -> str:
+    """An HTML table; `head` is text, cells of `body` are HTML already; a line of one cell is a heading.
+
+    Columns whose number is in `numeric` stand to the right.
+    """
+    head, kinds = list(head), {i: ' class="n"' for i in numeric}
+    top = "".join(f'<th scope="col"{kinds.get(i, "")}>{text(h)}</th>' for i, h in enumerate(head))
+    lines = []
+    for line in body:
+        if len(line) == 1:
+            lines.append(f'<tr class="group"><td colspan="{len(head)}">{line[0]}</td></tr>')
+        else:
+            lines.append("<tr>" + "".join(f"<td{kinds.get(i, '')}>{c}</td>" for i, c in enumerate(line)) + "</tr>")
+    inside = f"<thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody>"
+    return f'<div class="scroll"><table>{inside}</table></div>'
+
+
+def below(small: str) -> str:
+    return f"<br><small>{small}</small>" if small else ""
+
+
+def pill(row: dict[str, Any]) -> str:
+    """The status as a coloured word."""
+    kind = {"ok": "ok", "skipped": "note", "timeout": "note"}.get(row["status"], "")
+    return f'<span class="pill {kind}">{text(row["status"])}</span>'
+
+
+def unit(parameter: dict[str, Any]) -> str:
+    return "–" if parameter["unit"] == "1" else parameter["unit"]
+
+
+def group(rows: Rows, by: Callable[[dict[str, Any]], Any]) -> dict[Any, list[dict[str, Any]]]:
+    out: dict[Any, list[dict[str, Any]]] = {}
+    for row in rows:
+        out.setdefault(by(row), []).append(row)
+    return out
+
+
+def text(value: Any) -> str:
+    return escape(str(value)) if value is not None else ""

@@ -1,0 +1,30 @@
+"""What all figures share: colours, and numbers as a page can hold them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+# Mid tones: at least 3:1 against a white and a near-black ground, and apart for the colour-blind.
+COLOURS = ("#0077bb", "#d55e00", "#009e73", "#b8559a", "#a67c00", "#6a6fd0", "#3a93a5", "#b5523b")
+GREY = "#8a8f98"
+
+
+def model_name(row: dict[str, Any]) -> str:
+    return row["model"] + "".join(f"+{e}" for e in (row["effects"] or "").split(",") if e)
+
+
+def thinned(time: np.ndarray, value: np.ndarray, points: int) -> tuple[list[float], list[float | None]]:
+    """A trace of at most `points` points: means of stretches of frames; None where nothing was seen."""
+    stretch = -(-len(time) // points)
+    starts = np.arange(0, len(time), stretch)
+    seen = np.add.reduceat(np.isfinite(value), starts, dtype=float)
+    total = np.add.reduceat(np.nan_to_num(value), starts)
+    middle = np.add.reduceat(time, starts) / np.diff([*starts, len(time)])
+    mean = np.divide(total, seen, out=np.full(len(starts), np.nan), where=seen > 0)
+    return rounded(middle, 5), rounded(mean)
+
+
+def rounded(values: Any, digits: int = 4) -> list[Any]:
+    return [float(f"{v:.{digits}g}") if np.isfinite(v) else None for v in np.asarray(values, dtype=float)]

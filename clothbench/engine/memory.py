@@ -1,0 +1,55 @@
+"""What was computed already, kept below a folder until the result is whole: a stopped run goes on where it stood."""
+
+from __future__ import annotations
+
+import shutil
+import time
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from clothbench.core.files import whole_file
+
+
+class Memory:
+    """Arrays by key, one `.npz` each; without a folder nothing is kept."""
+
+    def __init__(self, folder: Path | None = None):
+        self.folder, self.began = folder, time.perf_counter()
+        known = self.recall("seconds")
+        self.before = 0.0 if known is None else float(known["seconds"])
+
+    @property
+    def seconds(self) -> float:
+        """Wall time since this object was made, and that of the stopped runs before it."""
+        return self.before + time.perf_counter() - self.began
+
+    def recall(self, key: str) -> dict[str, np.ndarray] | None:
+        """What was kept under this key; None if there is nothing, or a file that can no longer be read."""
+        if self.folder is None or not (path := self.folder / f"{key}.npz").is_file():
+            return None
+        try:
+            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+                return dict(stored)
+        except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+            return None
+
+    def keep(self, key: str, **arrays: np.ndarray) -> None:
+        """Each written whole or not at all; and with it the time that it has taken to come here."""
+        if self.folder is None:
+            return
+        self.folder.mkdir(parents=True, exist_ok=True)
+        self._write(key, arrays)
+        self._write("seconds", {"seconds": np.array(self.seconds)})
+
+    def _write(self, key: str, arrays: Mapping[str, np.ndarray]) -> None:
+        assert self.folder is not None
+        with whole_file(self.folder / f"{key}.npz") as part, part.open("wb") as file:
+            np.savez(file, **arrays)  # type: ignore[arg-type]
+
+    def forget(self) -> None:
+        """All of it; the verdict is written."""
+        if self.folder is not None:
+            shutil.rmtree(self.folder, ignore_errors=True)

@@ -1,0 +1,114 @@
+"""Many cells: which are missing, and how they share the cores without sharing their faults."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import FIRST_COMPLETED, Future, wait
+from pathlib import Path
+
+from clothbench.core.parallel import available_cores
+from clothbench.engine.rows import AnyCell, keep_failure
+from clothbench.engine.store import Store
+from clothbench.studies.calibration.run import Attach, Progress, run_cell
+
+WATCH = 0.5  # s between two looks at whether the parent still lives
+
+
+def run_cells(
+    cells: Sequence[AnyCell],
+    out: Path,
+    *,
+    jobs: int = 0,
+    attach: Attach | None = None,
+    done: Callable[[AnyCell, str], None],
+    progress: Progress | None = None,
+) -> None:
+    """Run every cell that the store lacks, `jobs` processes at a time (0: one per core); `done(cell, status)` after.
+
+    A single cell runs in this process with all cores; several run in joblib's process pool with the cores shared out.
+    """
+    store = Store(out)
+    missing = [c for c in cells if not store.has(c.key)]
+    for cell in cells:
+        if cell not in missing:
+            done(cell, "kept")
+    workers = min(jobs or available_cores(), len(missing))
+    if len(missing) == 1 or jobs == 1:
+        for cell in missing:
+            done(cell, run_cell(cell, out, attach=attach, progress=progress))
+    elif missing:
+        _run_in_processes(missing, out, workers, attach, done)
+
+
+def _run_in_processes(
+    cells: Sequence[AnyCell], out: Path, workers: int, attach: Attach | None, done: Callable[[AnyCell, str], None]
+) -> None:
+    """Keep `workers` processes busy.
+
+    If one dies, the cells that were running are tried again, each alone: the one that kills its process a second
+    time is the culprit and becomes an error row.
+    """
+    from loky.process_executor import BrokenProcessPool
+
+    waiting = list(cells)[::-1]
+    running: dict[Future, AnyCell] = {}
+    threads = max(1, available_cores() // workers)
+    executor = _pool(workers)
+    while waiting or running:
+        try:
+            while waiting and len(running) < workers:
+                running[executor.submit(run_cell, waiting[-1], out, threads=threads, attach=attach)] = waiting[-1]
+                waiting.pop()
+            for future in _first(running):
+                status = future.result()
+                done(running.pop(future), status)
+        except BrokenProcessPool:
+            suspects = list(running.values())
+            running.clear()
+            for cell in suspects:
+                done(cell, _run_alone(cell, out, attach))
+            executor = _pool(workers)
+
+
+def _first(running: Iterable[Future]) -> Iterable[Future]:
+    return wait(list(running), return_when=FIRST_COMPLETED).done
+
+
+def _run_alone(cell: AnyCell, out: Path, attach: Attach | None) -> str:
+    from loky.process_executor import BrokenProcessPool
+
+    store = Store(out)
+    if store.has(cell.key):  # it had finished just before its neighbour died
+        return "ok"
+    try:
+        return _pool(1).submit(run_cell, cell, out, attach=attach).result()
+    except BrokenProcessPool as fault:
+        reason = str(fault).strip().splitlines()[0] if str(fault).strip() else "no word from it"
+        return keep_failure(store, cell, "error", f"the process that ran this cell died ({reason})")
+
+
+def _pool(workers: int):
+    from loky import get_reusable_executor
+
+    return get_reusable_executor(
+        max_workers=workers, timeout=300, kill_workers=True, initializer=_end_with, initargs=(os.getpid(),)
+    )
+
+
+def _end_with(parent: int) -> None:
+    """In a worker: end as soon as the process that gives it work has been killed, not when its cell is done."""
+
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(WATCH)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def failed(statuses: Iterable[str]) -> bool:
+    """Whether a run ends with exit code 1: a cell that was skipped for a stated reason is no failure."""
+    return any(s in ("error", "diverged", "timeout") for s in statuses)

@@ -1,0 +1,223 @@
+"""The store: one folder per finished cell, Parquet inside, put in place whole or not at all.
+
+RUNS/cells/KEY/rows.parquet         what the leaderboard shows, with the system each row was computed on
+RUNS/cells/KEY/parameters.parquet   best values with intervals and units
+RUNS/cells/KEY/history.parquet      every evaluation
+RUNS/cells/KEY/trace.parquet        error of every recording, frame by frame
+RUNS/cells/KEY/validation.parquet   every simulation of a test against mechanics: mesh, step, value beside reference
+RUNS/cells/KEY/fold.parquet         every step of a fold: pose, estimate beside the reference, friction, errors
+RUNS/cells/KEY/starts.parquet       the error at the search's start beside that of its result
+RUNS/cells/KEY/variability.parquet, repeats, sensitivity, map, confusion: the analyses that were asked for
+RUNS/journal/KEY/                   what an unfinished cell has simulated so far
+RUNS/cells/KEY/fit.rrd              recording beside rollout, for Rerun
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+import os
+import platform
+from collections.abc import Callable, Iterable
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import whole_folder
+from clothbench.studies.calibration.schema import ANALYSIS_TABLES
+from clothbench.studies.improve.schema import IMPROVE_TABLES
+
+SCHEMA_VERSION = 1
+_text, _number, _whole = pa.string(), pa.float64(), pa.int64()
+
+# The rows of `leaderboard --json`, in this order; what does not apply is null.
+ROW = {
+    "suite": _text, "case": _text, "recording": _text, "split": _text, "model": _text, "effects": _text,
+    "optimizer": _text, "metric": _text, "value": _number, "unit": _text, "low": _number, "high": _number,
+    "floor": _number, "reference": _number, "status": _text, "reason": _text, "evaluations": _whole,
+    "wall_s": _number, "seed": _whole, "key": _text,
+}  # fmt: skip
+# What else a row carries: the metric that was minimised, how long a search was allowed, what all other settings were (a
+# hash, the same for all cases of one run), and the system it was computed on.
+SYSTEM = {
+    "objective": _text, "budget": _whole, "settings": _text, "clothbench": _text, "plugins": _text,
+    "python": _text, "numpy": _text, "numba": _text, "platform": _text,
+    "cpu": _text, "cores": _whole, "threads": _whole, "finished": _text,
+}  # fmt: skip
+PARAMETER = {
+    "name": _text, "symbol": _text, "unit": _text, "value": _number, "low": _number, "high": _number,
+    "at_bound": pa.bool_(), "start": _number, "truth": _number, "meaning": _text, "key": _text,
+}  # fmt: skip
+TRACE = {"recording": _text, "split": _text, "metric": _text, "time": _number, "value": _number, "unit": _text}
+LEVEL = {
+    "case": _text, "model": _text, "metric": _text, "unit": _text, "along": _whole, "nodes": _whole, "size": _number,
+    "step_scale": _number, "load": _number, "load_name": _text, "value": _number, "reference": _number,
+    "error": _number, "relative": _number, "order": _number, "status": _text, "reason": _text, "steps": _whole,
+    "wall_s": _number, "key": _text,
+}  # fmt: skip
+FOLD = {
+    "case": _text, "model": _text, "optimizer": _text, "parameter": _text, "step": _whole, "value": _number,
+    "low": _number, "high": _number, "reference": _number, "reference_low": _number, "reference_high": _number,
+    "sheet": _number, "length": _number, "x": _number, "z": _number,
+    "slope": _number, "off": _number, "friction": _number,
+    "slips": pa.bool_(), "profile": _number, "tracker_error": _number, "sigma": _number, "evaluations": _whole,
+    "wall_s": _number, "key": _text,
+}  # fmt: skip
+TABLES = {"rows": {**ROW, **SYSTEM}, "parameters": PARAMETER, "trace": TRACE, "validation": LEVEL, "fold": FOLD}
+TABLES |= ANALYSIS_TABLES
+TABLES |= {f"improve/{name}": columns for name, columns in IMPROVE_TABLES.items()}
+FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
+
+
+def finite(value: float | None) -> float | None:
+    """None where there is no number: tables have nulls, JSON has no NaN and no infinity."""
+    return float(value) if value is not None and math.isfinite(value) else None
+
+
+@functools.cache
+def system_info() -> dict[str, Any]:
+    """The machine and the versions that a result was computed with."""
+    import numba
+    import numpy
+
+    import clothbench
+    from clothbench.core.parallel import available_cores
+
+    return {
+        "clothbench": clothbench.__version__, "python": platform.python_version(), "numpy": numpy.__version__,
+        "numba": numba.__version__, "platform": platform.platform(terse=True), "cpu": _cpu(),
+        "cores": available_cores(),
+    }  # fmt: skip
+
+
+def _cpu() -> str:
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        return next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor()
+
+
+def now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+class Store:
+    """Finished cells below one folder."""
+
+    def __init__(self, folder: str | os.PathLike[str]):
+        self.folder = Path(folder)
+
+    def cell(self, key: str) -> Path:
+        return self.folder / "cells" / key
+
+    def has(self, key: str) -> bool:
+        """Whether a cell is finished; one that ended in an error is not."""
+        rows = self.cell(key) / "rows.parquet"
+        if not rows.is_file():
+            return False
+        return all(status in FINISHED for status in read_table(rows)["status"].to_pylist())
+
+    def put(
+        self,
+        key: str,
+        tables: dict[str, list[dict[str, Any]] | pd.DataFrame],
+        extra: Callable[[Path], None] | None = None,
+    ) -> Path:
+        """Write a cell: tables, then whatever `extra(folder)` adds; it replaces an older result of the same key."""
+        with whole_folder(self.cell(key)) as part:
+            for name, content in tables.items():
+                write_table(part / f"{name}.parquet", name, content)
+            if extra is not None:
+                extra(part)
+        return self.cell(key)
+
+    def rows(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
+        """Rows of all cells, or of some, sorted by what they are about."""
+        return sorted(self._all("rows", keys), key=row_order)
+
+    def parameters(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
+        return self._all("parameters", keys)
+
+    def levels(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
+        """Every simulation of tests against mechanics, from the coarsest mesh of each to the finest."""
+        return self._all("validation", keys)
+
+    def table(self, name: str, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
+        """Any table by its file's name, over all cells that have it."""
+        return self._all(name, keys)
+
+    def _all(self, name: str, keys: Iterable[str] | None) -> list[dict[str, Any]]:
+        folders = [self.cell(k) for k in keys] if keys is not None else sorted(self.folder.glob("cells/[0-9a-f]*"))
+        out: list[dict[str, Any]] = []
+        for folder in folders:
+            if (path := folder / f"{name}.parquet").is_file():
+                out += read_table(path).to_pylist()
+        return out
+
+
+def write_table(path: Path, name: str, content: list[dict[str, Any]] | pd.DataFrame) -> None:
+    """One Parquet file; a table named in `TABLES` has exactly those columns."""
+    if isinstance(content, pd.DataFrame):
+        table = pa.Table.from_pandas(content, preserve_index=False)
+    else:
+        table = pa.Table.from_pylist(content, schema=pa.schema(list(TABLES[name].items())))
+    pq.write_table(table.replace_schema_metadata({"clothbench_schema": str(SCHEMA_VERSION)}), path)
+
+
+def read_table(path: Path) -> pa.Table:
+    """One Parquet file of this schema version; a damaged or foreign one is refused in one line."""
+    try:
+        table = pq.read_table(path)
+    except (pa.ArrowInvalid, OSError) as fault:
+        raise ClothbenchError(
+            f"{path}: found a damaged table ({str(fault).splitlines()[0]}); delete its folder and run again"
+        ) from fault
+    found = (table.schema.metadata or {}).get(b"clothbench_schema", b"none").decode()
+    if found != str(SCHEMA_VERSION):
+        raise ClothbenchError(
+            f"{path}: found schema {found}, expected {SCHEMA_VERSION}; "
+            "results of another version are set aside: move them"
+        )
+    return table
+
+
+def row_order(row: dict[str, Any]) -> tuple[str, ...]:
+    """Sort key: suite, case, model …; within a cell the fit before the held-out split, totals after recordings."""
+    names = ("suite", "case", "model", "effects", "optimizer", "metric", "split")
+    return (*(row[n] or "" for n in names), "0" if row["recording"] else "1", row["recording"] or "")
+
+
+def leaderboard_row(row: dict[str, Any]) -> dict[str, Any]:
+    """A row as `leaderboard --json` prints it: its keys only, NaN as null."""
+    return {
+        name: None if isinstance(row.get(name), float) and row[name] != row[name] else row.get(name) for name in ROW
+    }
+
+
+def load_rows(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
+    """Rows of a results folder, or of a file that `leaderboard --json` wrote."""
+    path = Path(path)
+    if path.is_dir():
+        return Store(path).rows()
+    try:
+        rows = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise ClothbenchError(f"{path}: no such folder or file; give a results folder or a leaderboard .json") from None
+    except (UnicodeDecodeError, json.JSONDecodeError) as fault:
+        raise ClothbenchError(
+            f"{path}: found no JSON ({fault}), expected the output of `clothbench leaderboard --json`"
+        ) from None
+    if not isinstance(rows, list) or not all(
+        isinstance(r, dict) and {"suite", "status", "value"} <= set(r) for r in rows
+    ):
+        raise ClothbenchError(
+            f"{path}: expected a list of leaderboard rows, as `clothbench leaderboard --json` prints them"
+        )
+    return rows

@@ -1,0 +1,1 @@
+"""Trials, searches and intervals: what every study that fits something shares."""

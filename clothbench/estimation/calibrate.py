@@ -1,0 +1,117 @@
+"""Calibration: an optimizer's questions answered by simulations, and how sure the result is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clothbench.core.parameters import ParameterSpace
+from clothbench.core.protocols import Evaluation, Optimizer
+from clothbench.core.rollout import Rollout
+from clothbench.engine.journal import Journal
+from clothbench.estimation.intervals import intervals
+from clothbench.estimation.search import drive
+from clothbench.estimation.trials import Trial, evaluate
+
+
+@dataclass(frozen=True, eq=False)
+class Fit:
+    """What a calibration found. P parameters, E evaluations.
+
+    best: (P,); low, high: (P,), 95 % intervals (NaN where there are none); at_bound: (P,); theta: (E, P) and
+    value: (E,), the history; condition: of the scaled Jacobian; status: ok, diverged (nothing could be simulated)
+    or timeout (stopped by the clock, best so far); wall_s: s, with that of stopped runs; start: (P,), where the search
+    set out from after its first look around, if it says so; looked: evaluations that this look took.
+    """
+
+    space: ParameterSpace
+    best: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    at_bound: np.ndarray
+    theta: np.ndarray
+    value: np.ndarray
+    condition: float
+    status: str
+    stopped: str
+    wall_s: float
+    start: np.ndarray | None = None
+    looked: int = 0
+
+    @property
+    def evaluations(self) -> int:
+        return len(self.value)
+
+
+def remembered(trials: Sequence[Trial], theta: np.ndarray, journal: Journal | None) -> Evaluation:
+    """`evaluate`, unless the journal knows what came of it."""
+    journal = journal or Journal()
+    if (known := journal.recall(theta)) is not None:
+        return known
+    evaluation, _ = evaluate(trials, theta)
+    journal.keep(theta, evaluation)
+    return evaluation
+
+
+def calibrate(
+    trials: Sequence[Trial],
+    optimizer: Optimizer,
+    space: ParameterSpace,
+    *,
+    timeout: float | None = None,
+    progress: Callable[[int, float], None] | None = None,
+    journal: Journal | None = None,
+    bounded: bool = True,
+) -> Fit:
+    """Run the search to its end (or to `timeout` seconds) on the fit recordings together.
+
+    `progress(evaluations, best value)` is called after every batch. A member that diverges is told to the optimizer
+    as NaN and spoils no other. What `journal` holds of a run that was stopped is not simulated again. Without `bounded`
+    the parameters get no intervals, which cost 2 P + 1 evaluations.
+    """
+    journal = journal or Journal()
+    thetas: list[np.ndarray] = []
+    values: list[np.ndarray] = []
+    stopped, looked = "", 0
+    for theta, evaluation in drive(optimizer, lambda theta: remembered(trials, theta, journal)):
+        thetas.append(theta)
+        values.append(evaluation.value)
+        if not looked and getattr(optimizer, "start", None) is not None:
+            looked = sum(map(len, values))
+        if progress is not None:
+            progress(sum(map(len, values)), _lowest(np.concatenate(values)))
+        if timeout is not None and not optimizer.done and journal.seconds > timeout:
+            stopped = f"stopped after {timeout:g} s, as asked"
+            break
+    theta, value = np.concatenate(thetas), np.concatenate(values)
+    simulated = bool(np.isfinite(value).any())
+    nothing = np.full(len(space), np.nan)  # no member ran to its end: there is no best
+    best = theta[int(np.argmin(np.where(np.isfinite(value), value, np.inf)))] if simulated else nothing
+    low, high, condition = intervals(trials, space, best) if simulated and bounded else (nothing, nothing, np.nan)
+    return Fit(
+        space=space,
+        best=best,
+        low=low,
+        high=high,
+        at_bound=space.at_bound(best) if simulated else np.zeros(len(space), bool),
+        theta=theta,
+        value=value,
+        condition=condition,
+        status="diverged" if not simulated else "timeout" if stopped else "ok",
+        stopped=stopped or optimizer.stopped,
+        wall_s=journal.seconds,
+        start=getattr(optimizer, "start", None),
+        looked=looked,
+    )
+
+
+def _lowest(value: np.ndarray) -> float:
+    finite = value[np.isfinite(value)]
+    return float(finite.min()) if finite.size else float("nan")
+
+
+def best_rollout(trial: Trial, fit: Fit) -> Rollout:
+    """The trial simulated once more with the best parameters."""
+    return trial.simulation.run(fit.best[None])

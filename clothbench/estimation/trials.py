@@ -1,0 +1,53 @@
+"""Trials: recordings made ready to be compared with simulations, and the score of parameter sets on several of them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from clothbench.core.observation import Observation
+from clothbench.core.parallel import side_by_side
+from clothbench.core.protocols import Evaluation, Metric, Score, Simulation
+from clothbench.core.rollout import Rollout
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One recording made ready for calibration: what was seen, and the simulation that should reproduce it."""
+
+    name: str
+    observation: Observation
+    simulation: Simulation
+    metric: Metric
+
+
+def evaluate(trials: Sequence[Trial], theta: np.ndarray) -> tuple[Evaluation, list[Score]]:
+    """Score theta (B, P) on all trials together: the mean of their values, residuals side by side and in σ or m.
+
+    Every recording has the same say, however many frames it has.
+    """
+    scores = over(trials, lambda t: score_of(t, t.metric, t.simulation.run(theta)))
+    value = np.mean([s.value for s in scores], axis=0)
+    residuals = [s.residual for s in scores if s.residual is not None]
+    if len(residuals) < len(scores):
+        return Evaluation(value), scores
+    weighted = [r / np.sqrt(max(r.shape[1], 1) * len(scores)) for r in residuals]
+    return Evaluation(value, np.concatenate(weighted, axis=1)), scores
+
+
+def over(trials: Sequence[Trial], work: Callable[[Trial], Any]) -> list[Any]:
+    """[work(trial), …], side by side if the simulations can."""
+    if all(getattr(trial.simulation, "threads", False) for trial in trials):
+        return side_by_side(work, trials)
+    return [work(trial) for trial in trials]
+
+
+def score_of(trial: Trial, metric: Metric, rollout: Rollout) -> Score:
+    """The metric on this trial; a member that did not run to its end has no value, whatever positions it left."""
+    score = metric(trial.observation, rollout)
+    ok = np.array([status == "ok" for status in rollout.status])
+    return score if ok.all() else dataclasses.replace(score, value=np.where(ok, score.value, np.nan))

@@ -1,1 +1,0 @@
-"""From a suite to stored fits: plan the cells, calibrate each, keep what came out."""

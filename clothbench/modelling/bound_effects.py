@@ -1,0 +1,165 @@
+"""Effects put to work: what a model needs in order to run with any set of them, wherever each one acts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.parameters import ParameterSpace
+from clothbench.core.protocols import Effect
+from clothbench.core.scene import Scene
+from clothbench.modelling.curves import acts_on_sheets
+
+if TYPE_CHECKING:
+    from clothbench.modelling.kernels import Sheet
+
+PLACES = ("dynamics", "boundary", "sensor")
+FORCE, INERTIA = 0, 1
+
+
+@dataclass(frozen=True, eq=False)
+class BoundEffects:
+    """A model's parameters joined with those of its effects, and the effects sorted by where they act."""
+
+    model: ParameterSpace
+    effects: tuple[Effect, ...]
+
+    def __post_init__(self) -> None:
+        names = [e.name for e in self.effects]
+        for effect in self.effects:
+            if effect.place not in PLACES:
+                raise ClothbenchError(
+                    f"effect {effect.name!r}: place is {effect.place!r}, expected one of {', '.join(PLACES)}"
+                )
+            if not acts_on_sheets(effect):
+                raise ClothbenchError(f"effect {effect.name!r} acts on force-extension curves only, not on a sheet")
+            if names.count(effect.name) > 1:
+                raise ClothbenchError(f"effect {effect.name!r} is given twice; name every effect once")
+
+    @cached_property
+    def parameters(self) -> ParameterSpace:
+        return self.model.joined(*(e.parameters.prefixed(e.name) for e in self.effects))
+
+    def at(self, place: str) -> tuple[Effect, ...]:
+        return tuple(e for e in self.effects if e.place == place)
+
+    def of_effect(self, effect: Effect, theta: np.ndarray) -> np.ndarray:
+        """The columns of theta (B, P) that belong to `effect`."""
+        start = len(self.model)
+        for other in self.effects:
+            if other is effect:
+                break
+            start += len(other.parameters)
+        return theta[:, start : start + len(effect.parameters)]
+
+    # --- dynamics -----------------------------------------------------------------------------------------------
+
+    def kernels(self, slots: int, filler: Callable) -> tuple[tuple[Callable, ...], np.ndarray, int]:
+        """Compiled functions for a time loop with `slots` places, their stages (slots,), and how many are used."""
+        from clothbench.modelling.kernels import ready  # numba is asked for by those who simulate
+
+        found = self._stages()
+        if len(found) > slots:
+            raise ClothbenchError(
+                f"{len(found)} dynamics terms at once, this model has room for {slots}; name fewer effects"
+            )
+        functions = [ready(getattr(e, stage), f"effect {e.name!r}: {stage!r}") for e, stage in found]
+        functions += [ready(filler, "the filler of a slot")] * (slots - len(found))
+        stages = [FORCE if stage == "force" else INERTIA for _, stage in found] + [FORCE] * (slots - len(found))
+        return tuple(functions), np.array(stages, dtype=np.int64), len(found)
+
+    def kernel_parameters(self, theta: np.ndarray, slots: int) -> np.ndarray:
+        """Each slot's parameters (B, slots, width)."""
+        width = max([1, *(len(e.parameters) for e in self.at("dynamics"))])
+        out = np.zeros((len(theta), slots, width))
+        for k, (effect, _) in enumerate(self._stages()):
+            out[:, k, : len(effect.parameters)] = self.of_effect(effect, theta)
+        return out
+
+    def kernel_state(self, members: int, slots: int, sheet: Sheet) -> np.ndarray:
+        """Zeroed memory (members, slots, S) for effects that carry something from step to step."""
+        sizes = [e.state_size(sheet) for e, _ in self._stages() if hasattr(e, "state_size")]
+        return np.zeros((members, slots, max([1, *sizes])))
+
+    def stiffness(self, theta: np.ndarray) -> np.ndarray:
+        """What all effects together add at most to in-plane stiffness N/m and bending rigidity N·m, (B, 2)."""
+        out = np.zeros((len(theta), 2))
+        for effect in self.at("dynamics"):
+            if hasattr(effect, "stiffness"):
+                out += [effect.stiffness(phi) for phi in self.of_effect(effect, theta)]
+        return out
+
+    @property
+    def normals(self) -> bool:
+        """Whether any kernel may read `sheet.normal`."""
+        return any(getattr(e, "normals", True) for e in self.at("dynamics"))
+
+    def _stages(self) -> list[tuple[Effect, str]]:
+        """Every force and inertia term, in the order of the effects; an effect that has both appears twice."""
+        found = []
+        for effect in self.at("dynamics"):
+            stages = [s for s in ("force", "inertia") if getattr(effect, s, None) is not None]
+            if not stages:
+                raise ClothbenchError(
+                    f"effect {effect.name!r}: place 'dynamics' needs a 'force' or an 'inertia' kernel"
+                )
+            for stage in stages:
+                if not hasattr(getattr(effect, stage), "py_func"):
+                    raise ClothbenchError(
+                        f"effect {effect.name!r}: '{stage}' is not compiled; decorate it with clothbench.effect_kernel"
+                    )
+                found.append((effect, stage))
+        return found
+
+    # --- boundary and sensor ------------------------------------------------------------------------------------
+
+    def grip_curves(self, scene: Scene, theta: np.ndarray) -> np.ndarray:
+        """Piecewise cubics of the grips: (1, 4, K−1, G, 3) where all members share them, else (B, …)."""
+        if not scene.grip_material.size:
+            return np.zeros((1, 4, 1, 0, 3))
+        if not self.at("boundary"):
+            return scene.grip_curve()[None]
+        return np.stack([scene.grip_curve(self._held(scene, theta[b : b + 1])) for b in range(len(theta))])
+
+    def _held(self, scene: Scene, theta: np.ndarray) -> np.ndarray:
+        position = np.array(scene.grip_position)
+        for effect in self.at("boundary"):
+            position = effect.grips(scene.grip_time, position, self.of_effect(effect, theta)[0])  # type: ignore[attr-defined]
+        return position
+
+    def times(self, scene: Scene, theta: np.ndarray) -> np.ndarray:
+        """When each member is looked at for each stamp of the scene: (B, T) s."""
+        out = np.repeat(scene.times[None], len(theta), axis=0)
+        for effect in self.at("sensor"):
+            if hasattr(effect, "times"):
+                for b, phi in enumerate(self.of_effect(effect, theta)):
+                    out[b] = effect.times(out[b], phi)
+        return out
+
+    def distinct(self, theta: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of members that only the sensor tells apart, looked at at the same `times` (B, T), the first (K,); and for
+        each of all members (B,) the one that moves as it does.
+        """
+        if not self.at("sensor"):
+            return np.arange(len(theta)), np.arange(len(theta))
+        moving = theta.copy()
+        for effect in self.at("sensor"):
+            self.of_effect(effect, moving)[:] = 0.0
+        _, first, alike = np.unique(np.hstack([moving, times]), axis=0, return_index=True, return_inverse=True)
+        return np.sort(first), first[alike.ravel()]
+
+    def seen(self, scene: Scene, theta: np.ndarray, position: np.ndarray) -> np.ndarray:
+        """What the sensor makes of the true positions (B, T, N, 3) m."""
+        with np.errstate(over="ignore", invalid="ignore"):  # a member that diverged may hold anything
+            for effect in self.at("sensor"):
+                if hasattr(effect, "positions"):
+                    phis, points = self.of_effect(effect, theta), scene.points
+                    position = np.stack(
+                        [effect.positions(scene.times, p, points, phi) for p, phi in zip(position, phis, strict=True)]
+                    )
+        return position

@@ -1,0 +1,237 @@
+"""Guarded discovery: every plugin is loaded on its own, and a broken one is listed as broken, never in the way."""
+
+from __future__ import annotations
+
+import contextlib
+import difflib
+import functools
+import importlib
+import sys
+from collections.abc import Iterable
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field
+from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points
+from importlib.metadata import version as version_of
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+import pluggy
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.plugins import hookspecs
+from clothbench.plugins.hookspecs import Registration
+
+KINDS = ("models", "effects", "metrics", "optimizers", "trackers")
+OWN = "clothbench"
+
+
+class PluginBroken(ClothbenchError):
+    """A plugin that is installed but cannot be used; not the fault of who names it."""
+
+
+@dataclass(frozen=True)
+class Plugin:
+    """One registered name, or a whole plugin module that could not be used (then `kind` is "module").
+
+    `reason` says in one line why it is broken; None means that nothing is known against it.
+    """
+
+    kind: str
+    name: str
+    target: str
+    summary: str
+    distribution: str
+    version: str
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
+class Catalogue:
+    """All plugins found, broken ones included, and the config packages they contribute."""
+
+    plugins: tuple[Plugin, ...]
+    configs: tuple[str, ...] = ()
+    _loaded: dict[tuple[str, str], Any] = field(default_factory=dict)
+
+    def names(self, kind: str) -> list[str]:
+        return [p.name for p in self.plugins if p.kind == kind and p.reason is None]
+
+    def find(self, kind: str, name: str) -> Plugin:
+        """The usable plugin of that name; else an error that says what there is, or why it is broken."""
+        found = [p for p in self.plugins if p.kind == kind and p.name == name]
+        usable = [p for p in found if p.reason is None]
+        if usable:
+            return usable[0]
+        if found:
+            raise PluginBroken(f"{kind[:-1]} {name!r} is broken: {found[0].reason}")
+        close = difflib.get_close_matches(name, self.names(kind), n=1)
+        hint = f"did you mean {close[0]!r}? " if close else ""
+        raise ClothbenchError(f"no {kind[:-1]} named {name!r}; {hint}there are: {', '.join(self.names(kind))}")
+
+    def load(self, kind: str, name: str) -> Any:
+        """Import what the plugin registered: a class, a factory, or a module."""
+        if (kind, name) not in self._loaded:
+            plugin = self.find(kind, name)
+            try:
+                with quiet_output():
+                    self._loaded[kind, name] = import_target(plugin.target)
+            except (Exception, SystemExit) as fault:
+                raise self._broken(plugin, fault) from fault
+        return self._loaded[kind, name]
+
+    def make(self, kind: str, name: str, *args: Any, **options: Any) -> Any:
+        """Build the plugin's object; an option it does not know is the user's error, in one line, and so is a plugin
+        that cannot be made.
+        """
+        factory = self.load(kind, name)
+        try:
+            return factory(*args, **options)
+        except ClothbenchError:
+            raise
+        except Exception as fault:
+            if not (isinstance(fault, TypeError) and "argument" in str(fault)):
+                raise self._broken(self.find(kind, name), fault) from fault
+            raise ClothbenchError(
+                f"{kind[:-1]} {name!r}: {one_line(fault)}; see options.{name} and `clothbench plugins`"
+            ) from fault
+
+    @staticmethod
+    def _broken(plugin: Plugin, fault: BaseException) -> PluginBroken:
+        what = f"{plugin.kind[:-1]} {plugin.name!r} ({plugin.distribution})"
+        return PluginBroken(f"{what} is broken: {one_line(fault)}")
+
+    def made(self, kind: str) -> tuple[dict[str, Any], dict[str, str]]:
+        """One object of every plugin of a kind, by name; and why there is none of those that cannot be made."""
+        sound, broken = {}, {}
+        for name in self.names(kind):
+            try:
+                sound[name] = self.make(kind, name)
+            except ClothbenchError as fault:
+                broken[name] = str(fault)
+        return sound, broken
+
+
+@functools.cache
+def catalogue() -> Catalogue:
+    """Discover all plugins, once per process."""
+    return discover(entry_points(group=hookspecs.PROJECT))
+
+
+def discover(points: Iterable[EntryPoint]) -> Catalogue:
+    """Load entry points one by one; the built-in ones come first, then by distribution and name."""
+    found: list[Plugin] = []
+    configs: list[str] = []
+    for point in sorted(points, key=lambda p: (_distribution(p)[0] != OWN, _distribution(p)[0], p.name)):
+        plugins, more = _load(point)
+        found += [_unless_taken(p, found) for p in plugins]
+        configs += more
+    return Catalogue(tuple(found), tuple(configs))
+
+
+def import_target(target: str) -> Any:
+    """ "module:attribute" → the attribute; "module" → the module."""
+    module, _, attribute = target.partition(":")
+    value = importlib.import_module(module)
+    for part in filter(None, attribute.split(".")):
+        value = getattr(value, part)
+    return value
+
+
+def absent(loaded: Any) -> str | None:
+    """Why a plugin that loads cannot be used on this machine ("pip install …"), if it says so: no fault of anybody."""
+    ask = getattr(loaded, "skip_reason", None)
+    return ask() if ask is not None else None
+
+
+def library_version(loaded: Any) -> str:
+    """ "mujoco 4.0.0" of a plugin that is built on a library and says so in `built_on`; else ""."""
+    names = getattr(loaded, "built_on", ())
+    for name in names:
+        with contextlib.suppress(PackageNotFoundError):
+            return f"{name} {version_of(name)}"
+    return f"{names[0]} not installed" if names else ""
+
+
+def config_groups(place: str) -> set[str]:
+    """Folders at the top of a plugin's config package: Hydra's groups. Raises if there is no such package."""
+    if place.startswith("pkg://"):
+        return {entry.name for entry in files(place.removeprefix("pkg://")).iterdir() if entry.is_dir()}
+    return {p.name for p in Path(place.removeprefix("file://")).iterdir() if p.is_dir()}
+
+
+def quiet_output() -> AbstractContextManager[Any]:
+    """What a plugin prints while it is imported goes to standard error: standard output may be a JSON document."""
+    return contextlib.redirect_stdout(sys.stderr)
+
+
+def one_line(fault: BaseException) -> str:
+    """An exception as one line for a report: type, and the first line of its message."""
+    text = str(fault).strip().splitlines()
+    return f"{type(fault).__name__}: {text[0]}" if text else type(fault).__name__
+
+
+def reason_of(fault: BaseException) -> str:
+    """Why something could not be done, in one line: clothbench's own errors say it themselves."""
+    return str(fault) if isinstance(fault, ClothbenchError) else one_line(fault)
+
+
+def _distribution(point: EntryPoint) -> tuple[str, str]:
+    return (point.dist.name, point.dist.version) if point.dist is not None else ("unknown", "0")
+
+
+def _unless_taken(plugin: Plugin, found: list[Plugin]) -> Plugin:
+    """The plugin, marked broken if its name is taken: what a name means must not depend on luck."""
+    for other in found:
+        if (other.kind, other.name) == (plugin.kind, plugin.name) and other.reason is None:
+            reason = f"the name is taken by {other.distribution} ({other.target}); rename one of the two"
+            return Plugin(**{**plugin.__dict__, "reason": plugin.reason or reason})
+    return plugin
+
+
+def _load(point: EntryPoint) -> tuple[list[Plugin], list[str]]:
+    """What one entry point registers: its plugins, or one broken "module"; and its config packages."""
+    distribution, version = _distribution(point)
+
+    def broken(reason: str) -> tuple[list[Plugin], list[str]]:
+        return [Plugin("module", point.name, point.value, "", distribution, version, reason)], []
+
+    manager = pluggy.PluginManager(hookspecs.PROJECT)
+    manager.add_hookspecs(hookspecs)
+    try:
+        with quiet_output():
+            manager.register(point.load(), name=point.name)
+        manager.check_pending()
+        plugins = [p for kind in (*KINDS, "peers") for p in _registered(manager, kind, distribution, version)]
+        configs = [str(path) for paths in manager.hook.clothbench_configs() for path in paths]
+        for place in configs:
+            config_groups(place)
+    except (Exception, SystemExit) as fault:
+        return broken(_explain(fault))
+    if not plugins and not configs:
+        return broken("it implements no clothbench hook; mark one with @clothbench.hookimpl")
+    return plugins, configs
+
+
+def _explain(fault: BaseException) -> str:
+    """The reason for a broken module; a misspelt hook is answered with the right spelling."""
+    text = one_line(fault)
+    hooks = [name for name in vars(hookspecs) if name.startswith("clothbench_")]
+    for word in text.replace("'", " ").replace('"', " ").split():
+        if word.startswith("clothbench_") and word not in hooks:
+            close = difflib.get_close_matches(word, hooks, n=1)
+            return f"unknown hook {word!r}" + (
+                f", did you mean {close[0]!r}?" if close else f"; there are {', '.join(hooks)}"
+            )
+    return text
+
+
+def _registered(manager: pluggy.PluginManager, kind: str, distribution: str, version: str) -> list[Plugin]:
+    out = []
+    for registrations in getattr(manager.hook, f"clothbench_{kind}")():
+        for r in registrations:
+            if not isinstance(r, Registration):
+                raise TypeError(f"clothbench_{kind} gave {type(r).__name__}, expected clothbench.Registration")
+            reason = None if r.name.isidentifier() else f"{r.name!r} is not an identifier"
+            out.append(Plugin(kind, r.name, r.target, r.summary, distribution, version, reason))
+    return out

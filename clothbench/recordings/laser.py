@@ -1,0 +1,131 @@
+"""Recordings of kind "laser": images of a laser line on the cloth, by a calibrated camera, on disk as NetCDF-4.
+
+Same header as kind "nodes" (`clothbench.recordings.nodes`), of which `name` is needed; what differs:
+
+| name | dims | units | meaning |
+|---|---|---|---|
+| `time` | time | s | when each image was taken |
+| `image` | time, y, x | 1 | brightness, 0 to 255 |
+| `camera_matrix` | row, column (3 × 3) | 1 | pinhole camera: focal lengths and principal point in pixels |
+| `distortion` | coefficient (5) | 1 | k1, k2, p1, p2, k3 of Brown's lens model, as OpenCV has them |
+| `camera_rotation` | row, column (3 × 3) | 1 | R of x_camera = R x_world + t; the camera looks along its z, y down |
+| `camera_translation` | space (3) | m | t |
+| `laser_plane` | plane (4) | 1 | unit normal n and distance d [m] of the plane n·x = d that the laser lights |
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import whole_file
+from clothbench.recordings.codec import FORMAT, VERSION, check_header, open_file, variable
+
+LAYOUT: dict[str, tuple[tuple[str, ...], str]] = {
+    "time": (("time",), "s"),
+    "image": (("time", "y", "x"), "1"),
+    "camera_matrix": (("row", "column"), "1"),
+    "distortion": (("coefficient",), "1"),
+    "camera_rotation": (("row", "column"), "1"),
+    "camera_translation": (("space",), "m"),
+    "laser_plane": (("plane",), "1"),
+}
+SHAPES = {"camera_matrix": (3, 3), "distortion": (5,), "camera_rotation": (3, 3), "camera_translation": (3,),
+          "laser_plane": (4,)}  # fmt: skip
+SMALLEST = 16  # pixels
+
+
+@dataclass(frozen=True, eq=False)
+class LaserImages:
+    """Images of a laser line, with the camera's calibration; shapes and units as above. Arrays are read-only."""
+
+    name: str
+    time: np.ndarray
+    image: np.ndarray
+    camera_matrix: np.ndarray
+    distortion: np.ndarray
+    camera_rotation: np.ndarray
+    camera_translation: np.ndarray
+    laser_plane: np.ndarray
+    fabric: str = ""
+    source: str = ""
+    notes: dict[str, str] = field(default_factory=dict)
+    path: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        for name in LAYOUT:
+            array = np.array(getattr(self, name), dtype=np.uint8 if name == "image" else float)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+        _check(self, self.path or self.name)
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 over everything measured and stated."""
+        digest = hashlib.sha256(repr(sorted(_attributes(self).items())).encode())
+        for name in LAYOUT:
+            digest.update(name.encode() + np.ascontiguousarray(getattr(self, name)).tobytes())
+        return digest.hexdigest()
+
+
+def read_laser(path: str | os.PathLike[str]) -> LaserImages:
+    """Read and check one file; a fault raises `ClothbenchError` with file, variable, found, expected."""
+    path = Path(path)
+    dataset = open_file(path)
+    try:
+        check_header(dataset.attrs, path, "laser", ("name",))
+        arrays: dict[str, Any] = {name: variable(dataset, name, *LAYOUT[name], path) for name in LAYOUT}
+        stated = {str(k): str(v) for k, v in dataset.attrs.items()}
+    finally:
+        dataset.close()
+    image = arrays["image"]
+    if not np.array_equal(image, np.clip(np.round(image), 0, 255)):
+        raise ClothbenchError(f"{path}: variable 'image': found other values than whole numbers from 0 to 255")
+    known = {"format", "format_version", "kind", "name", "fabric", "source"}
+    notes = {k: v for k, v in sorted(stated.items()) if k not in known}
+    arrays |= {k: stated.get(k, "") for k in ("name", "fabric", "source")}
+    return LaserImages(**arrays, notes=notes, path=str(path))
+
+
+def write_laser(images: LaserImages, path: str | os.PathLike[str]) -> Path:
+    """Write one file, atomically: it is there whole or not at all."""
+    import xarray as xr
+
+    path = Path(path)
+    variables = {n: xr.Variable(d, getattr(images, n), attrs={"units": u}) for n, (d, u) in LAYOUT.items()}
+    encoding = {"image": {"zlib": True, "_FillValue": None}}
+    with whole_file(path) as part:
+        xr.Dataset(variables, attrs=_attributes(images)).to_netcdf(part, engine="h5netcdf", encoding=encoding)
+    return path
+
+
+def _attributes(images: LaserImages) -> dict[str, Any]:
+    stated = {name: getattr(images, name) for name in ("name", "fabric", "source")}
+    return {**images.notes, "format": FORMAT, "format_version": VERSION, "kind": "laser", **stated}
+
+
+def _check(r: LaserImages, where: str) -> None:
+    if not r.name:
+        raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
+    for name, shape in SHAPES.items():
+        array = getattr(r, name)
+        if array.shape != shape or not np.isfinite(array).all():
+            found = f"found shape {array.shape}, expected {shape}, all finite"
+            raise ClothbenchError(f"{where}: variable '{name}': {found}")
+    if r.image.ndim != 3 or len(r.image) != len(r.time) or len(r.time) == 0 or min(r.image.shape[1:]) < SMALLEST:
+        raise ClothbenchError(
+            f"{where}: variable 'image': found shape {r.image.shape}, expected ({len(r.time)}, y, x), "
+            f"at least {SMALLEST} pixels each way"
+        )
+    if not np.isfinite(r.time).all() or (np.diff(r.time) <= 0).any():
+        raise ClothbenchError(f"{where}: variable 'time': expected strictly increasing seconds")
+    if not np.allclose(r.camera_rotation @ r.camera_rotation.T, np.eye(3), atol=1e-6):
+        raise ClothbenchError(f"{where}: variable 'camera_rotation': found no rotation, expected R Rᵀ = 1")
+    if not np.isclose(np.linalg.norm(r.laser_plane[:3]), 1.0, atol=1e-6):
+        raise ClothbenchError(f"{where}: variable 'laser_plane': expected a normal of length 1 before the distance")

@@ -1,0 +1,1 @@
+"""Parameters fitted to recordings, and what is asked of such a fit."""

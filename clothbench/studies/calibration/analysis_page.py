@@ -1,0 +1,179 @@
+"""The page's section on trial-by-trial fits and their analyses: tables, bars, maps, and which fabric is nearest."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from clothbench.display.html import table, text
+from clothbench.display.plotly import COLOURS
+from clothbench.display.style import DRAWING
+from clothbench.studies.calibration.analysis_tables import MUCH, percent, spread, unit_of, unmapped
+from clothbench.studies.calibration.tables import cell_name
+from clothbench.studies.calibration.transfer import Confusion, Transfer, confusions, transfers
+
+Rows = Sequence[dict[str, Any]]
+SCRIPT = """
+const analyses = JSON.parse(document.getElementById("analyses").textContent);
+const drawAnalyses = () => analyses.forEach((figure, n) => draw("analysis-" + n, figure));
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawAnalyses);
+drawAnalyses();
+"""
+
+
+def analysis_section(rows: Rows, tables: dict[str, Rows], *, plotly: bool) -> str:
+    """Everything about transfer and analyses; `plotly`: whether plotly.js and the drawing still have to be given."""
+    about, moved = {r["key"]: cell_name(r) for r in rows}, transfers(rows, tables["starts"])
+    matrices = confusions(tables["confusion"], rows, tables["starts"])
+    parts = [transfer(moved)] if moved else []
+    parts += [confusion(c) for c in matrices]
+    parts += [repeats(tables["repeats"], about)] if tables["repeats"] else []
+    shown = [confusion_figure(c) for c in matrices] + variability_figures(tables["variability"], about)
+    shown += sensitivity_figures(tables["sensitivity"], about) + map_figures(tables["map"], about)
+    parts += [f'<p class="soft">{text(reason)}</p>' for reason in unmapped(tables["map"], about)]
+    if not parts and not shown:
+        return ""
+    return "<h2>Trial by trial</h2>" + "".join(parts) + (_figures(shown, plotly) if shown else "")
+
+
+def transfer(moved: Sequence[Transfer]) -> str:
+    body: list[list[str]] = []
+    for way in dict.fromkeys(t.way for t in moved):
+        body.append([text(f"{way} [{unit_of(moved, way)}]")])
+        for t in (t for t in moved if t.way == way):
+            others = ", ".join(f"{text(n.rpartition('/')[2])} {_number(e)}" for n, e in t.errors.items() if n != t.case)
+            total = f"<b>{_number(t.total)} ✓</b>" if t.chosen else _number(t.total)
+            body.append([text(t.case), _number(t.start), _number(t.errors[t.case]), others, total])
+    head = ["fitted to", "start", "optimised", "the same parameters elsewhere", "E1 + E2"]
+    note = (
+        '<p class="soft">Error where the search set out from, at its result, and what that result makes of recordings '
+    )
+    note += "it never saw. ✓: the fit with the least sum over the trials of its group.</p>"
+    return note + table(head, body, numeric={1, 2, 4})
+
+
+def confusion(c: Confusion) -> str:
+    head = ["recorded", *(f"as {f}" for f in c.fabrics)]
+    body = []
+    for recorded in c.fabrics:
+        cells = [_number(c.error[s].get(recorded)) for s in c.fabrics]
+        nearest = c.nearest(recorded)
+        body.append(
+            [text(recorded), *(f"<b>{v}</b>" if s == nearest else v for s, v in zip(c.fabrics, cells, strict=True))]
+        )
+    said = (
+        f"{text(c.way)}: errors [{text(c.unit)}] of each fabric's parameters on each fabric's recordings; the nearest "
+    )
+    said += f"is bold. Its own fabric for {c.right} of {len(c.fabrics)}."
+    return f'<h3>Which fabric is it?</h3><p class="soft">{said}</p>' + table(
+        head, body, numeric=set(range(1, len(head)))
+    )
+
+
+def repeats(rows: Rows, about: dict[str, str]) -> str:
+    body: list[list[str]] = []
+    for key in dict.fromkeys(r["key"] for r in rows if not r["reason"]):
+        mine = [r for r in rows if r["key"] == key]
+        body.append([text(about[key])])
+        for name in dict.fromkeys(r["name"] for r in mine):
+            values = [r["value"] for r in mine if r["name"] == name]
+            first = next(r for r in mine if r["name"] == name)
+            fits = ", ".join(map(_number, values))
+            body.append(
+                [f"{text(name)} [{text(first['unit'])}]", _number(first["start"]), fits, text(percent(spread(values)))]
+            )
+        errors = list({r["repeat"]: r["error"] for r in mine}.values())
+        fits, unit = ", ".join(map(_number, errors)), text(mine[0]["error_unit"])
+        body.append([f"error [{unit}]", _number(mine[0]["error_start"]), fits, text(percent(spread(errors)))])
+    head = ["parameter", "start", "fits from starts within ±5 %", "spread"]
+    body += [[text(f"{about[r['key']]}: {r['reason']}")] for r in rows if r["reason"]]
+    return "<h3>Repeated fits</h3>" + table(head, body, numeric={1, 3}) if body else ""
+
+
+def confusion_figure(c: Confusion) -> dict[str, Any]:
+    """A line per recorded fabric over the simulated ones; each should be lowest at its own (figure 14)."""
+    data = []
+    for number, recorded in enumerate(c.fabrics):
+        y = [c.error[s].get(recorded) for s in c.fabrics]
+        line = {"color": COLOURS[number % len(COLOURS)], "width": 2}
+        data.append({"type": "scatter", "mode": "lines+markers+text", "x": list(c.fabrics), "y": y, "line": line,
+                     "text": ["" if s != recorded else recorded for s in c.fabrics], "textposition": "bottom center",
+                     "hovertemplate": f"{recorded} as %{{x}}: %{{y:.4g}} {c.unit}<extra></extra>"})  # fmt: skip
+    layout = _layout("whose parameters", f"error [{c.unit}]", 380)
+    return {"title": f"Which fabric is it? {c.way}", "figure": {"data": data, "layout": layout}}
+
+
+def variability_figures(rows: Rows, about: dict[str, str]) -> list[dict[str, Any]]:
+    """Bars per cell: the change that changes the error by 1 %; low is well determined (figure 11)."""
+    out = []
+    for key in dict.fromkeys(r["key"] for r in rows):
+        mine = [r for r in rows if r["key"] == key and r["percent"] is not None]
+        if mine:
+            heights = [min(r["percent"], MUCH) for r in mine]
+            said = {"text": [percent(r["percent"]) for r in mine], "hovertemplate": "%{x}: %{text}<extra></extra>"}
+            look = {"type": "bar", "marker": {"color": COLOURS[0]}}
+            bars = {**look, "x": [r["name"] for r in mine], "y": heights, **said}
+            layout = _layout("", "change [%] for 1 % of error", 360)
+            out.append({"title": f"Variability: {about[key]}", "figure": {"data": [bars], "layout": layout}})
+    return out
+
+
+def sensitivity_figures(rows: Rows, about: dict[str, str]) -> list[dict[str, Any]]:
+    out = []
+    for key, method in dict.fromkeys((r["key"], r["method"]) for r in rows if r["main"] is not None):
+        mine = [r for r in rows if (r["key"], r["method"]) == (key, method)]
+        names, pair = [r["name"] for r in mine], ("μ*", "σ") if method == "morris" else ("S1", "ST")
+        data = []
+        for column, colour, word in (("main", COLOURS[0], pair[0]), ("total", COLOURS[1], pair[1])):
+            half = [r[f"{column}_half"] or 0.0 for r in mine]
+            data.append({"type": "bar", "x": names, "y": [r[column] for r in mine], "marker": {"color": colour},
+                         "error_y": {"type": "data", "array": half},
+                         "hovertemplate": f"{word} of %{{x}}: %{{y:.3g}}<extra></extra>"})  # fmt: skip
+        layout = {**_layout("", f"{pair[0]} (first bar), {pair[1]}", 360), "barmode": "group"}
+        out.append({"title": f"Sensitivity ({method}): {about[key]}", "figure": {"data": data, "layout": layout}})
+    return out
+
+
+def map_figures(rows: Rows, about: dict[str, str]) -> list[dict[str, Any]]:
+    """The error over two parameters, dark is low (figure 3)."""
+    out = []
+    for key in dict.fromkeys(r["key"] for r in rows if not r["reason"]):
+        mine = [r for r in rows if r["key"] == key]
+        x, y = (sorted({r[n] for r in mine}) for n in ("x", "y"))
+        at = {(r["x"], r["y"]): r["error"] for r in mine}
+        first, scale = mine[0], {"title": {"text": f"error [{mine[0]['unit']}]"}}
+        drawn = {"type": "heatmap", "x": x, "y": y, "z": [[at[a, b] for a in x] for b in y], "colorscale": "Greys",
+                 "reversescale": True, "colorbar": scale}  # fmt: skip
+        layout = _layout(f"{first['x_name']} [{first['x_unit']}]", f"{first['y_name']} [{first['y_unit']}]", 460)
+        for axis, values in (("xaxis", x), ("yaxis", y)):
+            if min(values) > 0 and max(values) > 30 * min(values):
+                layout[axis] |= {"type": "log"}
+        out.append({"title": f"Error over two parameters: {about[key]}", "figure": {"data": [drawn], "layout": layout}})
+    return out
+
+
+def _layout(across: str, up: str, height: int) -> dict[str, Any]:
+    axes = {
+        "xaxis": {"title": {"text": across}, "zeroline": False},
+        "yaxis": {"title": {"text": up}, "zeroline": False},
+    }
+    return {**axes, "height": height, "margin": {"l": 72, "r": 16, "t": 28, "b": 56}}
+
+
+def _figures(shown: Sequence[dict[str, Any]], plotly: bool) -> str:
+    from plotly.offline import get_plotlyjs
+
+    parts = []
+    for n, one in enumerate(shown):
+        parts.append(f'<h3>{text(one["title"])}</h3><figure><div id="analysis-{n}"></div></figure>')
+    content = [one["figure"] for one in shown]
+    data = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    parts.append(f'<script type="application/json" id="analyses">{data}</script>')
+    if plotly:
+        parts.append(f"<script>{get_plotlyjs()}</script><script>{DRAWING}</script>")
+    return "\n".join([*parts, f"<script>{SCRIPT}</script>"])
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.4g}"

@@ -1,0 +1,229 @@
+"""The cell: one point of a suite's product, with a key that says all that its result depends on."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import json
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.parameters import ParameterSpace
+from clothbench.core.protocols import Effect, Metric
+from clothbench.estimation.fixed import holding
+from clothbench.estimation.trials import Trial
+from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken, absent, library_version
+from clothbench.recordings.nodes import Recording, read_recording
+from clothbench.recordings.scenes import scene_of
+
+
+@dataclass(frozen=True)
+class Source:
+    """A recording file as a cell refers to it: where it is, what it is called, its hash and its split."""
+
+    path: str
+    name: str
+    hash: str
+    split: str
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One calibration to do: these recordings, this model with these effects, this optimizer, this metric.
+
+    Plain data: it travels to worker processes, and its key is the hash of everything here except where files lie.
+    fixed: parameters that are not searched for, with their values; analysis: what else is asked of the fit, by name;
+    rivals: other fabrics' recordings of the same trials, which these parameters are held against.
+    """
+
+    suite: str
+    case: str
+    recordings: tuple[Source, ...]
+    model: str
+    effects: tuple[str, ...]
+    optimizer: str
+    metric: str
+    report: tuple[str, ...] = ()
+    tracker: str = "markers"
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    scene: Mapping[str, Any] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    budget: int = 400
+    seed: int = 0
+    timeout: float | None = None
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    analysis: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    rivals: tuple[Source, ...] = ()
+
+    counts: ClassVar[str] = "evaluations"
+    value_word: ClassVar[str] = "best"
+
+    @cached_property
+    def key(self) -> str:
+        """16 hexadecimal digits, the same on every machine for the same question."""
+        question = asdict(self)
+        question["recordings"] = sorted((s["hash"], s["split"]) for s in question["recordings"])
+        question["options"] = {k: v for k, v in question["options"].items() if k in self._plugins()}
+        question["rivals"] = sorted(s["hash"] for s in question["rivals"])
+        for name in ("fixed", "analysis", "rivals"):  # cells that have none keep the key they had before there were any
+            if not question[name]:
+                del question[name]
+        return hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:16]
+
+    @cached_property
+    def settings(self) -> str:
+        """6 hexadecimal digits of how it is run, whatever it is run on."""
+        how = {name: getattr(self, name) for name in ("bounds", "scene", "versions", "budget", "tracker")}
+        how["options"] = {k: dict(v) for k, v in self.options.items() if k in self._plugins()}
+        return hashlib.sha256(json.dumps(how, sort_keys=True).encode()).hexdigest()[:6]
+
+    def _plugins(self) -> set[str]:
+        return {self.model, self.optimizer, self.metric, self.tracker, *self.effects, *self.report}
+
+    @property
+    def cases(self) -> tuple[str, ...]:
+        """The cases of its rows."""
+        return (self.case,)
+
+    @property
+    def label(self) -> str:
+        effects = "".join(f"+{e}" for e in self.effects)
+        return f"{self.case} · {self.model}{effects} · {self.optimizer} · {self.metric}"
+
+    def stream(self, purpose: str) -> int:
+        """A seed of its own for each purpose, hashed from the problem: no generator is shared.
+
+        Versions and further metrics do not count, so that a new release searches the same way as the one before.
+        """
+        names = ("case", "model", "effects", "optimizer", "metric", "seed", "bounds", "budget")
+        problem = {name: getattr(self, name) for name in names}
+        problem["recordings"] = sorted((s.hash, s.split) for s in self.recordings)
+        text = json.dumps([problem, purpose], sort_keys=True)
+        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
+
+    def option(self, name: str) -> dict[str, Any]:
+        return dict(self.options.get(name, {}))
+
+
+def uses(cell: Cell) -> list[tuple[str, str]]:
+    """Every plugin a cell uses, as (kind, name)."""
+    single = [("models", cell.model), ("optimizers", cell.optimizer), ("trackers", cell.tracker)]
+    metrics = [("metrics", name) for name in (cell.metric, *cell.report)]
+    return single + metrics + [("effects", name) for name in cell.effects]
+
+
+def plugin_versions(used: Iterable[tuple[str, str]], plugins: Catalogue) -> dict[str, str]:
+    """ "kind/name" → "distribution version, plugin version" of what a cell uses; "broken" where it cannot load.
+
+    With the version of the library that a plugin is built on: a cell skipped for want of it is another one later.
+    """
+    out = {}
+    for kind, name in used:
+        known = plugins.find(kind, name)
+        try:
+            loaded = plugins.load(kind, name)
+            version = ", ".join(filter(None, (str(getattr(loaded, "version", 0)), library_version(loaded))))
+        except ClothbenchError:
+            version = "broken"
+        out[f"{kind}/{name}"] = f"{known.distribution} {known.version}, {version}"
+    return out
+
+
+@dataclass(frozen=True, eq=False)
+class Bench:
+    """A cell with its plugins made and its recordings read: all that is needed to calibrate and to score."""
+
+    cell: Cell
+    space: ParameterSpace
+    recordings: tuple[Recording, ...]
+    trials: tuple[Trial, ...]
+    others: tuple[Metric, ...]
+    remake: Callable[[Recording, float | None], Trial]  # (recording, kg/m²) as another trial of this bench
+
+    def of_split(self, split: str) -> list[Trial]:
+        return [t for t, s in zip(self.trials, self.cell.recordings, strict=True) if s.split == split]
+
+
+def rehearse(cell: Cell, plugins: Catalogue, recordings: Mapping[str, Recording]) -> set[str] | None:
+    """Make everything once without simulating: what the user got wrong in the settings comes to light before a run.
+
+    `recordings` by path. A plugin that is broken, or fails in a way that is not the user's, is left to its own cell's
+    error row; so is every stranger's plugin, whose code may take this process down with it, and then all other cells.
+    Returns the names of the parameters that the cell searches; None where they are not known.
+    """
+    try:
+        mine = [recordings[s.path] for s in cell.recordings]
+        scenes = [scene_of(recording, **cell.scene) for recording in mine]
+        if any(plugins.find(kind, name).distribution != OWN for kind, name in uses(cell)):
+            return None
+        plugins.make("trackers", cell.tracker, **cell.option(cell.tracker)).track(mine[0])
+        for name in (cell.metric, *cell.report):
+            plugins.make("metrics", name, **cell.option(name))
+        effects = [plugins.make("effects", name) for name in cell.effects]
+        model = plugins.make("models", cell.model, **cell.option(cell.model))
+        try:
+            space = holding(model.prepare(scenes[0], effects), cell.fixed).parameters
+        except Exception:  # a model may refuse a scene; in a product of several that is its own cell's affair
+            return None
+        space = bounded(space, cell.bounds)
+        plugins.make("optimizers", cell.optimizer, space, seed=0, budget=cell.budget, **cell.option(cell.optimizer))
+        return set(space.names)
+    except PluginBroken:
+        return None
+    except ClothbenchError:
+        raise
+    except Exception:
+        return None
+
+
+def bounded(space: ParameterSpace, bounds: Mapping[str, tuple[float, float]]) -> ParameterSpace:
+    """The space with those of the bounds that are of its parameters: others are of other models of the same product."""
+    return space.bounded({name: pair for name, pair in bounds.items() if name in space.names})
+
+
+class Skipped(Exception):
+    """The model says that it cannot do this scene; not a fault."""
+
+
+def set_up(cell: Cell, plugins: Catalogue) -> Bench:
+    """Make the plugins, read and track the recordings, and prepare one simulation for each."""
+    if reason := absent(plugins.load("models", cell.model)):
+        raise Skipped(reason)
+    model = plugins.make("models", cell.model, **cell.option(cell.model))
+    effects: list[Effect] = [plugins.make("effects", name) for name in cell.effects]
+    metric = plugins.make("metrics", cell.metric, **cell.option(cell.metric))
+    tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
+
+    def make(recording: Recording, areal_density: float | None = None) -> Trial:
+        scene = scene_of(recording, **cell.scene)
+        if areal_density is not None:
+            scene = dataclasses.replace(scene, areal_density=areal_density)
+        if reason := getattr(model, "skip", lambda _: None)(scene):
+            raise Skipped(reason)
+        simulation = holding(model.prepare(scene, effects), cell.fixed)
+        return Trial(recording.name, tracker.track(recording), simulation, metric)
+
+    recordings = tuple(read_recording(s.path) for s in cell.recordings)
+    trials = []
+    for source, recording in zip(cell.recordings, recordings, strict=True):
+        if recording.hash != source.hash:
+            raise ClothbenchError(f"{source.path}: changed on disk since the suite was planned; run it again")
+        trials.append(make(recording))
+    space = bounded(trials[0].simulation.parameters, cell.bounds)
+    others = tuple(plugins.make("metrics", name, **cell.option(name)) for name in cell.report if name != cell.metric)
+    return Bench(cell, space, recordings, tuple(trials), others, make)
+
+
+def resplit(sources: list[Source], seed: int) -> list[Source]:
+    """A split by recording where the files state none: a third, at least one of two, is held out. Seeded."""
+    if any(s.split for s in sources) or len(sources) < 2:
+        return [Source(s.path, s.name, s.hash, s.split or "fit") for s in sources]
+    order = np.random.default_rng(seed).permutation(len(sources))
+    held = set(order[: max(1, len(sources) // 3)].tolist())
+    return [Source(s.path, s.name, s.hash, "held_out" if i in held else "fit") for i, s in enumerate(sources)]

@@ -1,0 +1,92 @@
+"""One Rerun file per fit: what was seen beside what the best parameters make of it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import rerun as rr
+import rerun.blueprint as rrb
+
+from clothbench.core.rollout import Rollout
+from clothbench.display.rerun import (
+    HELD,
+    NOISE,
+    grips_at,
+    log_away,
+    log_curve,
+    log_points,
+    log_seen,
+    log_sheet,
+    typical_distance,
+)
+from clothbench.estimation.trials import Trial
+from clothbench.recordings.nodes import Recording
+from clothbench.studies.calibration.cell import Bench
+
+MAXWELL = np.sqrt(8 / np.pi)  # mean length of isotropic noise with σ = 1 per coordinate
+MM = 1e3
+
+
+def write_rerun(path: Path, bench: Bench, rollouts: Sequence[Rollout]) -> None:
+    """Write all recordings of a cell, each below SPLIT/NAME, on the timeline `time` [s] of its own clock.
+
+    rollouts: one per recording, of which the first member (T, N, 3) m is shown: as a mesh, with arrows from
+    its nodes to where they were seen, the seen nodes, the grips, and the mean distance per frame [mm].
+    """
+    cell = bench.cell
+    # The viewer remembers layouts by application: one of its own keeps the tabs of other cells out.
+    stream = rr.RecordingStream(f"clothbench-{cell.key}", recording_id=cell.key, send_properties=False)
+    roots = [rr.new_entity_path([s.split, s.name]) for s in cell.recordings]
+    names = [f"{s.name} ({s.split.replace('_', ' ')})" for s in cell.recordings]
+    stream.save(path, default_blueprint=blueprint(roots, names))
+    try:
+        stream.send_recording_name(cell.label)
+        for root, trial, recording, rollout in zip(roots, bench.trials, bench.recordings, rollouts, strict=True):
+            _log_run(stream, root, trial, recording, rollout.position[0])
+    finally:
+        stream.disconnect()
+
+
+def blueprint(roots: Sequence[str], names: Sequence[str]) -> Any:
+    """One tab per recording, space above error; the last tab holds all error curves together."""
+    tabs: list[Any] = []
+    for root, name in zip(roots, names, strict=True):
+        space = rrb.Spatial3DView(origin=root, contents=["$origin/**", "- $origin/error/**"], name=name)
+        tabs.append(rrb.Vertical(space, _curves(root, "error [mm]"), row_shares=[3, 1], name=name))
+    if len(tabs) > 1:
+        tabs.append(_curves("/", "all errors [mm]", [f"+ {root}/error/simulated" for root in roots]))
+    return rrb.Blueprint(rrb.Tabs(*tabs, active_tab=0), rrb.TimePanel(state="collapsed"), collapse_panels=True)
+
+
+def _curves(origin: str, name: str, contents: str | list[str] = "$origin/error/**") -> Any:
+    return rrb.TimeSeriesView(origin=origin, contents=contents, name=name)
+
+
+def _log_run(stream: Any, root: str, trial: Trial, recording: Recording, simulated: np.ndarray) -> None:
+    """All entities of one recording; `simulated` (T, N, 3) m, NaN where the rollout had stopped."""
+    seen = trial.observation
+    edge = typical_distance(seen.material)
+    there = np.isfinite(simulated).all(axis=(1, 2))
+    stream.log(root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    log_seen(stream, f"{root}/seen", seen.time, seen.position, seen.visible, 0.12 * edge)
+    log_sheet(stream, f"{root}/simulated", seen.time[there], simulated[there], seen.material)
+    log_away(stream, f"{root}/away", seen, simulated, there, 0.04 * edge)
+    if recording.grip_material.size:
+        log_points(stream, f"{root}/grips", seen.time, grips_at(recording, seen.time), HELD, 0.25 * edge)
+    _log_error(stream, f"{root}/error", trial, simulated, there)
+
+
+def _log_error(stream: Any, path: str, trial: Trial, simulated: np.ndarray, there: np.ndarray) -> None:
+    """Mean distance of the seen nodes in each frame [mm], and what the noise alone would give."""
+    seen = trial.observation
+    frames = there & seen.visible.any(axis=1)
+    count = seen.visible[frames].sum(axis=1)
+    distance = np.linalg.norm(np.nan_to_num(seen.position[frames]) - simulated[frames], axis=-1)
+    error = (distance * seen.visible[frames]).sum(axis=1) / count * MM
+    log_curve(stream, f"{path}/simulated", seen.time[frames], error, f"{trial.name} [mm]")
+    if np.isfinite(seen.sigma):
+        floor = np.full(2, MAXWELL * seen.sigma * MM)
+        log_curve(stream, f"{path}/noise_floor", seen.time[[0, -1]], floor, "noise floor [mm]", NOISE)

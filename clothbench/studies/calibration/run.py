@@ -1,0 +1,204 @@
+"""Run the missing cells of a plan: one process each, so that what goes wrong in one stays there."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clothbench.core.parallel import set_thread_count
+from clothbench.core.protocols import Metric, Score
+from clothbench.core.rollout import Rollout
+from clothbench.engine.journal import Journal
+from clothbench.engine.rows import AnyCell, about_cell, keep_failure, no_value
+from clothbench.engine.store import Store, finite
+from clothbench.estimation.calibrate import Fit, best_rollout, calibrate
+from clothbench.estimation.intervals import error_interval, mean_interval
+from clothbench.estimation.trials import score_of
+from clothbench.plugins.discovery import catalogue, one_line
+from clothbench.studies.calibration.analysis import analyse, starts_of, truth_of
+from clothbench.studies.calibration.cell import Bench, Skipped, set_up
+from clothbench.studies.folding.cell import FoldCell
+from clothbench.studies.folding.run import fold
+from clothbench.studies.mechanics.cell import ValidationCell
+from clothbench.studies.mechanics.run import validate
+
+Progress = Callable[[AnyCell, int, float], None]
+Attach = Callable[[Path, Bench, Sequence[Rollout]], None]  # adds files to a finished cell's folder
+
+
+def run_cell(
+    cell: AnyCell, out: Path, *, threads: int = 0, attach: Attach | None = None, progress: Progress | None = None
+) -> str:
+    """Calibrate or validate one cell, store it, and return its status. Whatever fails becomes a row with its reason.
+
+    `attach(folder, bench, rollouts)` may add files to the cell, with one best rollout per recording.
+    """
+    set_thread_count(threads)
+    store = Store(out)
+    told = (lambda n, value: progress(cell, n, value)) if progress else None
+    try:
+        if isinstance(cell, ValidationCell):
+            return validate(store, cell, told)
+        if isinstance(cell, FoldCell):
+            return fold(store, cell, told)
+        bench = set_up(cell, catalogue())
+        optimizer = catalogue().make(
+            "optimizers",
+            cell.optimizer,
+            bench.space,
+            seed=cell.stream("optimizer"),
+            budget=cell.budget,
+            **cell.option(cell.optimizer),
+        )
+        journal = Journal(store.folder / "journal" / cell.key)
+        fit = calibrate(
+            bench.of_split("fit"), optimizer, bench.space, timeout=cell.timeout, progress=told, journal=journal
+        )
+        status = _keep(store, bench, fit, journal, attach)
+        journal.forget()
+        return status
+    except Skipped as reason:
+        return keep_failure(store, cell, "skipped", str(reason))
+    except Exception as fault:
+        return keep_failure(store, cell, "error", one_line(fault), detail=traceback.format_exc())
+
+
+def _keep(store: Store, bench: Bench, fit: Fit, journal: Journal, attach: Attach | None) -> str:
+    """Score the best parameters on every recording and store all tables."""
+    if fit.status == "diverged":
+        return keep_failure(
+            store, bench.cell, "diverged", _why_lost(bench), evaluations=fit.evaluations, wall_s=fit.wall_s
+        )
+    rollouts = [best_rollout(t, fit) for t in bench.trials]
+    metrics = [bench.trials[0].metric, *bench.others]
+    rows, trace = [], []
+    for metric in metrics:
+        scores = [score_of(t, metric, r) for t, r in zip(bench.trials, rollouts, strict=True)]
+        rows += _rows_of(bench, fit, metric, scores, rollouts)
+        trace += _trace_of(bench, metric, scores)
+    tables = {"rows": rows, "parameters": _parameters_of(bench, fit), "history": _history_of(fit), "trace": trace}
+    tables |= {"starts": starts_of(bench, fit)} | analyse(bench, fit, journal)
+    extra = (lambda folder: attach(folder, bench, rollouts)) if attach else None
+    store.put(bench.cell.key, tables, extra)
+    return fit.status
+
+
+def _why_lost(bench: Bench) -> str:
+    """What the model says of its own default parameters, where no parameters that were tried could be simulated."""
+    for trial in bench.of_split("fit"):
+        rollout = trial.simulation.run(bench.space.defaults[None])
+        if rollout.status[0] != "ok":
+            return rollout.reasons[0] if rollout.reasons else rollout.status[0]
+    return "no parameter set that was tried could be simulated"
+
+
+def _rows_of(
+    bench: Bench, fit: Fit, metric: Metric, scores: Sequence[Score], rollouts: Sequence[Rollout]
+) -> list[dict[str, Any]]:
+    """One row per recording, then one per split over its recordings."""
+    cell = bench.cell
+    about = {**about_cell(cell), **no_value(), "metric": metric.name, "unit": metric.unit}
+    about |= {"evaluations": fit.evaluations, "wall_s": fit.wall_s}
+    rows = []
+    for source, trial, score, rollout in zip(cell.recordings, bench.trials, scores, rollouts, strict=True):
+        low, high = error_interval(score, trial.observation, cell.stream(source.hash))
+        status, reason = _status(fit, score, rollout)
+        rows.append(
+            {
+                **about,
+                "recording": source.name,
+                "split": source.split,
+                "value": finite(score.value[0]),
+                "low": finite(low),
+                "high": finite(high),
+                "floor": finite(metric.floor(trial.observation)),
+                "status": status,
+                "reason": reason,
+            }
+        )
+    return rows + [
+        _total(about, [r for r in rows if r["split"] == split])
+        for split in ("fit", "held_out")
+        if bench.of_split(split)
+    ]
+
+
+def _status(fit: Fit, score: Score, rollout: Rollout) -> tuple[str, str]:
+    if rollout.status[0] != "ok":
+        return rollout.status[0], rollout.reasons[0] if rollout.reasons else ""
+    if not np.isfinite(score.value[0]):
+        return "error", "the metric could not be computed on this recording"
+    return fit.status, fit.stopped if fit.status != "ok" else ""
+
+
+def _total(about: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
+    """The mean over the recordings of one split; without a number if one of them has none."""
+    total = {**about, "recording": None, "split": rows[0]["split"]}
+    bad = [r for r in rows if r["value"] is None]
+    if bad:
+        return {**total, "status": bad[0]["status"], "reason": f"{bad[0]['recording']}: {bad[0]['reason']}"}
+    values = [r["value"] for r in rows]
+    known = all(r["low"] is not None for r in rows)
+    low, high = mean_interval(values, [(r["high"] - r["low"]) / 2 for r in rows]) if known else (None, None)
+    floors = [r["floor"] for r in rows]
+    floor = float(np.mean(floors)) if all(f is not None for f in floors) else None
+    return {
+        **total,
+        "value": float(np.mean(values)),
+        "low": low,
+        "high": high,
+        "floor": floor,
+        "status": rows[0]["status"],
+        "reason": rows[0]["reason"],
+    }
+
+
+def _trace_of(bench: Bench, metric: Metric, scores: Sequence[Score]) -> list[dict[str, Any]]:
+    return [
+        {
+            "recording": s.name,
+            "split": s.split,
+            "metric": metric.name,
+            "time": float(t),
+            "value": finite(v),
+            "unit": metric.unit,
+        }
+        for s, trial, score in zip(bench.cell.recordings, bench.trials, scores, strict=True)
+        if score.per_frame is not None
+        for t, v in zip(trial.observation.time, score.per_frame[0], strict=True)
+    ]
+
+
+def _parameters_of(bench: Bench, fit: Fit) -> list[dict[str, Any]]:
+    return [
+        {
+            "name": p.name,
+            "symbol": p.symbol,
+            "unit": p.unit,
+            "value": finite(fit.best[i]),
+            "low": finite(fit.low[i]),
+            "high": finite(fit.high[i]),
+            "at_bound": bool(fit.at_bound[i]),
+            "start": None if fit.start is None else finite(fit.start[i]),
+            "truth": truth_of(bench, p.name),
+            "meaning": p.meaning,
+            "key": bench.cell.key,
+        }
+        for i, p in enumerate(fit.space)
+    ]
+
+
+def _history_of(fit: Fit):
+    import pandas as pd
+
+    return pd.DataFrame(
+        {
+            "evaluation": np.arange(1, fit.evaluations + 1),
+            "value": fit.value,
+            **dict(zip(fit.space.names, fit.theta.T, strict=True)),
+        }
+    )

@@ -1,0 +1,148 @@
+"""Results as tables in the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rich.markup import escape
+from rich.table import Table
+
+from clothbench.display.terminal import console
+from clothbench.studies.folding.tables import fold_table, summary
+from clothbench.studies.mechanics.tables import is_validation, validation_table
+
+Rows = Sequence[dict[str, Any]]
+MANY = 24  # recordings in one cell beyond which only the totals are printed
+
+
+def print_leaderboard(rows: Rows, parameters: Rows, levels: Rows = (), folds: Rows = ()) -> None:
+    """One table per suite: error with its interval beside the noise floor; then what was fitted, with units.
+
+    levels: the simulations of tests against mechanics, and folds: the steps of folds, which have tables of their own.
+    """
+    out, lifted = console(), {s["key"] for s in folds}
+    for suite in sorted({r["suite"] for r in rows}):
+        if tests := [r for r in rows if r["suite"] == suite and is_validation(r)]:
+            out.print(validation_table(suite, tests, levels))
+        mine = [r for r in rows if r["suite"] == suite and not is_validation(r)]
+        if folded := [r for r in mine if r["key"] in lifted]:
+            keys = {r["key"] for r in folded}
+            steps = [s for s in folds if s["key"] in keys]
+            out.print(fold_table(suite, folded, steps))
+            out.print(summary(steps), soft_wrap=True)
+        mine = [r for r in mine if r["key"] not in lifted]
+        if not mine:
+            continue
+        out.print(error_table(suite, mine))
+        for line in overall(mine):
+            out.print(line)
+        keys = {r["key"] for r in mine}
+        fitted = [p for p in parameters if p["key"] in keys]
+        if fitted:
+            out.print(parameter_table(mine, fitted))
+    for row in failures(rows):
+        what, reason = escape(_label(row)), escape(row["reason"] or "")
+        out.print(f"[red]{row['status']}[/]: {what}: {reason}", soft_wrap=True)
+
+
+def error_table(suite: str, rows: Rows) -> Table:
+    """Errors beside their floor. What a row is about stands in one column, so that the table fits 80 characters."""
+    table = Table(title=f"{suite}: error, 95 % interval", title_justify="left", title_style="bold")
+    table.add_column("recording", overflow="fold")
+    for name in ("error", "interval", "floor"):
+        table.add_column(name, justify="right", no_wrap=True)
+    keys = {r["key"] for r in rows}
+    crowded = max((sum(r["key"] == k and bool(r["recording"]) for r in rows) for k in keys), default=0) > MANY
+    for key in dict.fromkeys(r["key"] for r in rows):
+        mine = [r for r in rows if r["key"] == key]
+        effort = f"{mine[0]['evaluations']} evaluations, {mine[0]['wall_s']:.1f} s"
+        table.add_row(f"[bold]{escape(cell_name(mine[0]))}[/] [dim]({effort})[/]")
+        for row in mine:
+            # Single recordings by the metric that was minimised; by the others the totals say enough.
+            single = row["metric"] == row["objective"] and not (crowded and row["split"] == "fit")
+            if not row["recording"] or single:
+                table.add_row(*_cells(row), style="" if row["recording"] else "bold")
+        table.add_section()
+    if crowded:
+        table.caption = "single fit recordings: clothbench leaderboard --json"
+    return table
+
+
+def cell_name(row: dict[str, Any]) -> str:
+    """A cell in words: case, model with its effects, optimizer, objective; the seed where it is not 0."""
+    model = " + ".join([row["model"], *(e for e in (row["effects"] or "").split(",") if e)])
+    seed = [f"seed {row['seed']}"] if row["seed"] else []
+    return " · ".join([*filter(None, (row["case"], model, row["optimizer"], row["objective"])), *seed])
+
+
+def overall(rows: Rows) -> list[str]:
+    """Where a suite has several cases: the mean held-out error over all their recordings, for each way to fit them."""
+    groups: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    for row in rows:
+        if row["recording"] and row["split"] == "held_out" and row["metric"] == row["objective"]:
+            key = (row["model"], row["effects"] or "", row["optimizer"], row["metric"], str(row["seed"]))
+            groups.setdefault(key, []).append(row)
+    out = []
+    for (model, effects, optimizer, metric, seed), mine in groups.items():
+        cases = {r["case"] for r in mine}
+        if len(cases) > 1 and all(r["value"] is not None for r in mine):
+            mean = sum(r["value"] for r in mine) / len(mine)
+            name = " + ".join([model, *(e for e in effects.split(",") if e)])
+            what = f"{escape(name)} · {escape(optimizer)} · {escape(metric)}, seed {seed}"
+            out.append(
+                f"held out, all {len(cases)} cases: {mean:.2f} {mine[0]['unit']} over {len(mine)} recordings ({what})"
+            )
+    return out
+
+
+def _cells(row: dict[str, Any]) -> list[str]:
+    split = {"held_out": "held out"}.get(row["split"] or "", row["split"] or "")
+    short = row["recording"].removeprefix(row["case"]).lstrip("-/") if row["recording"] else f"all, {row['metric']}"
+    name = short or row["recording"]
+    if row["value"] is None:
+        error, interval = row["status"], ""
+    else:
+        error, interval = f"{row['value']:.2f} {row['unit']}", _interval(row["low"], row["high"])
+    floor = f"{row['floor']:.2f} {row['unit']}" if row["floor"] is not None else ""
+    return [escape(text) for text in (f"  {split}: {name}" if split else "  no result", error, interval, floor)]
+
+
+def _interval(low: float | None, high: float | None, digits: str = ".2f") -> str:
+    return f"{low:{digits}} … {high:{digits}}" if low is not None and high is not None else ""
+
+
+def parameter_table(rows: Rows, parameters: Rows) -> Table:
+    """Best values with intervals; a value on its bound is marked, since the bound chose it and not the data."""
+    table = Table(title="parameters, 95 % interval", title_justify="left", title_style="bold")
+    table.add_column("parameter", overflow="fold")
+    stated = any(p.get("truth") is not None for p in parameters)
+    for name in ("value", "interval", *(("truth",) if stated else ())):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    about = {r["key"]: r for r in rows}
+    for key in dict.fromkeys(p["key"] for p in parameters):
+        table.add_row(f"[bold]{escape(cell_name(about[key]))}[/]")
+        for p in (p for p in parameters if p["key"] == key):
+            value = f"{p['value']:.4g}" if p["value"] is not None else ""
+            mark = " at its bound" if p["at_bound"] else ""
+            known = (f"{p['truth']:.3g}" if p.get("truth") is not None else "",) if stated else ()
+            texts = (f"  {p['name']} ({p['symbol']})", value, _interval(p["low"], p["high"], ".3g"), *known,
+                     p["unit"] + mark)  # fmt: skip
+            table.add_row(*(escape(t) for t in texts))
+        table.add_section()
+    return table
+
+
+def failures(rows: Rows) -> list[dict[str, Any]]:
+    """One row for each cell that did not end well."""
+    seen: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        if row["status"] != "ok":
+            seen.setdefault(row["key"], row)
+    return list(seen.values())
+
+
+def _label(row: dict[str, Any]) -> str:
+    parts = (row["case"], row["model"], row["optimizer"], row["metric"], row["recording"])
+    return " · ".join(p for p in parts if p)

@@ -1,0 +1,148 @@
+"""The cells of a suite in which a strip is folded and its stiffness estimated on the way: one for each fabric."""
+
+from __future__ import annotations
+
+import dataclasses
+import hashlib
+import itertools
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.plugins.discovery import Catalogue
+from clothbench.reference.fabrics import FABRICS, Fabric
+from clothbench.studies.calibration.cell import plugin_versions
+
+VERSION = 1  # of the testbed: raised when its numbers change
+
+
+@dataclass(frozen=True)
+class FoldSettings:
+    """How a strip of `length` m is lifted: in `steps` of `rise` m, beginning with `first` for the parameter `fit[0]`.
+
+    fit: names of the parameters that are estimated, the first of them the fabric's; friction: coefficient of the desk.
+    """
+
+    length: float = 1.0
+    steps: int = 10
+    rise: float = 0.04
+    first: float = 100.0
+    friction: float = 0.5
+    fit: tuple[str, ...] = ("eta_b",)
+
+
+@dataclass(frozen=True)
+class FoldCell:
+    """One fabric folded with one model, tracker, metric and optimizer. Plain data with a key and a label."""
+
+    suite: str
+    case: str
+    model: str
+    effects: tuple[str, ...]
+    optimizer: str
+    metric: str
+    tracker: str
+    fold: FoldSettings
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    versions: Mapping[str, str] = field(default_factory=dict)
+    evaluations: int = 200
+    seed: int = 0
+    timeout: float | None = None
+    testbed: int = VERSION
+
+    counts: ClassVar[str] = "steps"
+    value_word: ClassVar[str] = "estimate"
+
+    @property
+    def fabric(self) -> Fabric:
+        return fabric_named(self.case)
+
+    @property
+    def cases(self) -> tuple[str, ...]:
+        return (self.case,)
+
+    @property
+    def budget(self) -> int:
+        """How many steps there are, for whoever waits; `evaluations` is what the optimizer has for each."""
+        return self.fold.steps
+
+    @cached_property
+    def key(self) -> str:
+        """16 hexadecimal digits, the same on every machine for the same question."""
+        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()[:16]
+
+    @property
+    def label(self) -> str:
+        return f"{self.case} · {self.model} · {self.optimizer} · {self.metric}"
+
+    @property
+    def uses(self) -> list[tuple[str, str]]:
+        single = [("models", self.model), ("optimizers", self.optimizer), ("trackers", self.tracker)]
+        return [*single, ("metrics", self.metric), *(("effects", name) for name in self.effects)]
+
+    def option(self, name: str) -> dict[str, Any]:
+        return dict(self.options.get(name, {}))
+
+    def stream(self, purpose: str) -> int:
+        """A seed of its own for each purpose. The sheet is the same for every model and optimizer."""
+        text = json.dumps([self.case, self.fold.length, self.seed, purpose])
+        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
+
+
+def plan_folds(config: Mapping[str, Any], plugins: Catalogue) -> list[FoldCell]:
+    """Every cell of checked settings; an option that a plugin does not have comes to light here."""
+    suite = config["suite"]
+    cells = []
+    product = itertools.product(suite["select"], *(config[key] for key in ("model", "optimizer", "metric")))
+    for fabric, model, optimizer, metric in product:
+        cell = FoldCell(
+            suite.get("name") or "fold", fabric, model, tuple(config["effects"]), optimizer, metric,
+            str(config["tracker"]), suite["fold"], config["options"], config["bounds"],
+            evaluations=config["budget"], seed=config["seed"], timeout=config["timeout"],
+        )  # fmt: skip
+        for kind, name in cell.uses:
+            if kind not in ("optimizers", "effects"):
+                plugins.make(kind, name, **cell.option(name))
+        cells.append(dataclasses.replace(cell, versions=plugin_versions(cell.uses, plugins)))
+    return cells
+
+
+def fold_settings(given: Mapping[str, Any]) -> FoldSettings:
+    """The suite's `fold`, checked."""
+    from clothbench.engine.settings import known_words, number, whole, words
+
+    known: dict[str, Any] = {f.name: f.default for f in dataclasses.fields(FoldSettings)}
+    known_words("setting of 'suite.fold'", given, set(known))
+    numbers = {
+        n: number(f"suite.fold.{n}", given.get(n, known[n]), 0.0) for n in ("length", "rise", "first", "friction")
+    }
+    steps = whole("suite.fold.steps", given.get("steps", known["steps"]), 1)
+    if steps * numbers["rise"] >= numbers["length"]:
+        raise ClothbenchError(
+            f"setting 'suite.fold.rise': {steps} steps of {numbers['rise']:g} m reach {steps * numbers['rise']:g} m, "
+            f"expected less than the strip's {numbers['length']:g} m"
+        )
+    fit = tuple(words("suite.fold.fit", given.get("fit", list(known["fit"]))))
+    if not fit:
+        raise ClothbenchError("setting 'suite.fold.fit' is empty; name the parameters to estimate, the fabric's first")
+    return FoldSettings(steps=steps, fit=fit, **numbers)
+
+
+def chosen_fabrics(patterns: list[str]) -> list[str]:
+    """Names of fabrics in the table's order; "*" means every one."""
+    import fnmatch
+
+    found = [f.name for f in FABRICS if any(fnmatch.fnmatch(f.name, p) for p in patterns)]
+    if not found:
+        raise ClothbenchError(
+            f"setting 'suite.select' {patterns} matches no fabric; there are: {', '.join(f.name for f in FABRICS)}"
+        )
+    return found
+
+
+def fabric_named(name: str) -> Fabric:
+    return next(f for f in FABRICS if f.name == name)

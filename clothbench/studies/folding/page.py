@@ -1,0 +1,136 @@
+"""The page's section on folds: the table of fabrics, and figures of estimates, steps and paths."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from html import escape
+from typing import Any
+
+import numpy as np
+
+from clothbench.core.folding import circular_path, triangular_path
+from clothbench.display.html import pill, table, text
+from clothbench.display.plotly import COLOURS, GREY, rounded
+from clothbench.display.style import DRAWING
+from clothbench.studies.folding.tables import inside, summary
+
+Rows = Sequence[dict[str, Any]]
+INTRO = """<p class="soft">A strip is lifted step by step; after each step its stiffness is estimated from a laser
+profile, and the next step follows the estimate. The reference comes from fold heights that were measured by hand, its
+range from two standard deviations of these.</p>"""
+SCRIPT = """
+const folds = JSON.parse(document.getElementById("folds").textContent);
+function drawFolds() { folds.forEach((figure, n) => draw("fold-" + n, figure)); }
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawFolds);
+drawFolds();
+"""
+
+
+def fold_section(rows: Rows, steps: Rows, *, plotly: bool) -> str:
+    """Everything about folds; `plotly`: whether plotly.js and the drawing still have to be given."""
+    if not rows:
+        return ""
+    suites = ", ".join(sorted({r["suite"] for r in rows}))
+    body = f"<h2>{text(suites)}: estimated while folding</h2>{INTRO}{fabrics(rows, steps)}"
+    if not steps:
+        return body
+    shown = (
+        (last_figure(steps), "Reference with its ± 2σ (grey), and the last step's estimate with its interval."),
+        (step_figure(steps), "The estimate after every step over the reference."),
+        (path_figure(steps), "Where the gripper was sent, between the triangular and the circular path."),
+    )
+    figures = "".join(
+        f'<figure><figcaption>{text(words)}</figcaption><div id="fold-{n}"></div></figure>'
+        for n, (_, words) in enumerate(shown)
+    )
+    data = json.dumps([f for f, _ in shown], ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
+    parts = [body, f'<p>{text(summary(steps))}</p>{figures}<script type="application/json" id="folds">{data}</script>']
+    if plotly:
+        from plotly.offline import get_plotlyjs
+
+        parts.append(f"<script>{get_plotlyjs()}</script><script>{DRAWING}</script>")
+    return "\n".join([*parts, f"<script>{SCRIPT}</script>"])
+
+
+def fabrics(rows: Rows, steps: Rows) -> str:
+    """The table: fabric, reference, its range, the estimate of each step, friction, errors."""
+    count = max((s["step"] for s in steps), default=0)
+    head = ["fabric", "model", "optimizer", "reference", "± 2σ", *map(str, range(1, count + 1)), "95 % interval",
+            "sheet", "friction", "estimation", "status"]  # fmt: skip
+    body = []
+    for key in dict.fromkeys(r["key"] for r in rows):
+        row, mine = next(r for r in rows if r["key"] == key), [s for s in steps if s["key"] == key]
+        names = [text(row[n]) for n in ("case", "model", "optimizer")]
+        if not mine:
+            body.append([*names, *[""] * (count + 6), pill(row) + f"<br><small>{text(row['reason'])}</small>"])
+            continue
+        last = mine[-1]
+        told = [f"{s['value']:.3g}" for s in mine]
+        told[-1] = f"<b>{told[-1]}</b>" + ("" if inside(last) else " outside")
+        known = [f"{last['reference']:.2g}", f"{last['reference_low']:.2g} … {last['reference_high']:.2g}"]
+        sure = [f"{last['low']:.3g} … {last['high']:.3g}", f"{last['sheet']:.3g}"]
+        effort = [f"{max(s['friction'] for s in mine):.2f}", f"{sum(s['wall_s'] for s in mine):.1f} s", pill(row)]
+        body.append([*names, *known, *told, *[""] * (count - len(told)), *sure, *effort])
+    return table(head, body, numeric=set(range(3, count + 9)))
+
+
+def last_figure(steps: Rows) -> dict[str, Any]:
+    """Estimates of the last step beside the references."""
+    last = list({s["key"]: s for s in steps}.values())
+    names = [escape(s["case"]) for s in last]
+    data = []
+    for value, ends, colour, symbol, side, word in (
+        ("reference", ("reference_low", "reference_high"), GREY, "cross", 0.12, "reference"),
+        ("value", ("low", "high"), COLOURS[0], "circle", -0.12, "estimate"),
+    ):
+        middle, low, high = (np.array([s[n] for s in last], dtype=float) for n in (value, *ends))
+        data.append({
+            "type": "scatter", "mode": "markers", "y": [n + side for n in range(len(last))], "x": rounded(middle),
+            "marker": {"color": colour, "symbol": symbol, "size": 9}, "text": names,
+            "error_x": {"type": "data", "symmetric": False, "array": rounded(np.nan_to_num(high - middle)),
+                        "arrayminus": rounded(np.nan_to_num(middle - low)), "color": colour},
+            "hovertemplate": f"%{{text}}, {word}: %{{x:.3g}}<extra></extra>",
+        })  # fmt: skip
+    y = {"tickvals": list(range(len(last))), "ticktext": names, "automargin": True, "zeroline": False}
+    return _figure(data, 120 + 34 * len(last), {"title": {"text": "η_b [m⁻⁴ s²]"}, "type": "log"}, y)
+
+
+def step_figure(steps: Rows) -> dict[str, Any]:
+    """Estimate over reference, step by step."""
+    data = []
+    for n, key in enumerate(dict.fromkeys(s["key"] for s in steps)):
+        mine = [s for s in steps if s["key"] == key]
+        ratio = np.array([s["value"] / s["reference"] for s in mine])
+        data.append(_line([s["step"] for s in mine], rounded(ratio), n, mine[0]["case"], "%{y:.2f} at step %{x}"))
+    y = {"title": {"text": "estimate over reference"}, "type": "log", "zeroline": False}
+    return _figure(data, 380, {"title": {"text": "step"}, "zeroline": False}, y, legend=True)
+
+
+def path_figure(steps: Rows) -> dict[str, Any]:
+    """The gripper's path of every fabric between the two geometrical ones, of a strip of 1 m as x over its length."""
+    data = []
+    length = float(steps[0]["length"])
+    height = np.linspace(0.0, max(s["z"] for s in steps), 60)
+    for path, dash, name in ((triangular_path, "dash", "triangular"), (circular_path, "dot", "circular")):
+        data.append({"type": "scatter", "mode": "lines", "x": rounded(path(length, height)), "y": rounded(height),
+                     "line": {"color": GREY, "dash": dash, "width": 2}, "name": name})  # fmt: skip
+    for n, key in enumerate(dict.fromkeys(s["key"] for s in steps)):
+        mine = [s for s in steps if s["key"] == key]
+        x, z = ([length, *(s["x"] for s in mine)], [0.0, *(s["z"] for s in mine)])
+        data.append(_line(rounded(x), rounded(z), n, mine[0]["case"], "x %{x:.3f} m, z %{y:.3f} m"))
+    y = {"title": {"text": "z [m]"}, "scaleanchor": "x", "zeroline": False}
+    return _figure(data, 520, {"title": {"text": "x [m]"}, "zeroline": False}, y, legend=True)
+
+
+def _line(x: Sequence[Any], y: Sequence[Any], number: int, name: str, hover: str) -> dict[str, Any]:
+    return {
+        "type": "scatter", "mode": "lines+markers", "x": x, "y": y, "name": escape(name),
+        "line": {"color": COLOURS[number % len(COLOURS)], "dash": "solid" if number < len(COLOURS) else "dash"},
+        "hovertemplate": f"{escape(name)}: {hover}<extra></extra>",
+    }  # fmt: skip
+
+
+def _figure(data: list[dict[str, Any]], height: int, x: dict, y: dict, legend: bool = False) -> dict[str, Any]:
+    layout = {"height": height, "xaxis": x, "yaxis": y, "showlegend": legend}
+    return {"data": data, "layout": {**layout, "margin": {"l": 64, "r": 16, "t": 28, "b": 48}}}

@@ -1,0 +1,271 @@
+"""Run one cell of a folding suite: lift the strip step by step, measure, estimate, and lift it further by the estimate.
+
+Petrík et al., Automatic Material Properties Estimation for the Physics-Based Robotic Garment Folding, algorithm 1.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.folding import Folding, FoldState
+from clothbench.core.observation import Observation
+from clothbench.core.parameters import ParameterSpace
+from clothbench.core.protocols import Effect, Evaluation, Metric, Optimizer, Tracker
+from clothbench.core.rollout import Rollout
+from clothbench.engine.rows import about_cell, no_value
+from clothbench.engine.store import Store
+from clothbench.estimation.intervals import jackknife
+from clothbench.estimation.search import drive
+from clothbench.plugins.discovery import Catalogue, absent, catalogue
+from clothbench.reference.lifted_strip import Lifted
+from clothbench.studies.calibration.cell import Skipped
+from clothbench.studies.folding.cell import FoldCell
+from clothbench.studies.folding.laser_camera import rendered
+from clothbench.studies.folding.strip import TestStrip
+
+Told = Callable[[int, float], None]
+PROBE = 1e-3  # of the scaled range, step of the differences for the intervals
+PIECES = 20  # of a profile, which count as independent of each other
+FINE = 20_001  # points of the true profile
+
+
+@dataclass(frozen=True, eq=False)
+class Hand:
+    """What a cell needs to estimate: its plugins, and the parameters that are estimated among all others."""
+
+    cell: FoldCell
+    strip: Folding
+    own: ParameterSpace
+    effects: tuple[Effect, ...]
+    metric: Metric
+    tracker: Tracker
+
+    @cached_property
+    def whole(self) -> ParameterSpace:
+        """The model's parameters and those of its effects, an effect's default being its null value."""
+        names = [
+            ParameterSpace(
+                tuple(dataclasses.replace(p, default=p.default if p.null is None else p.null) for p in e.parameters)
+            )
+            for e in self.effects
+        ]
+        return self.own.joined(*(s.prefixed(e.name) for s, e in zip(names, self.effects, strict=True)))
+
+    @cached_property
+    def space(self) -> ParameterSpace:
+        """What is estimated, in the order of `fit`; the first begins at the first guess."""
+        fit, first = self.cell.fold.fit, self.cell.fold.first
+        found = ParameterSpace(tuple(self.whole[name] for name in fit)).bounded(
+            {k: v for k, v in self.cell.bounds.items() if k in fit}
+        )
+        low, high = found.parameters[0].bounds
+        if not low <= first <= high:
+            raise ClothbenchError(f"setting 'suite.fold.first' is {first:g}, expected {low:g} to {high:g}, as {fit[0]}")
+        return ParameterSpace((dataclasses.replace(found.parameters[0], default=first), *found.parameters[1:]))
+
+    def all_parameters(self, theta: np.ndarray) -> np.ndarray:
+        """(B, P) of the model and its effects from (B, F) of what is estimated."""
+        out = np.repeat(self.whole.defaults[None], len(theta), axis=0)
+        out[:, [self.whole.names.index(name) for name in self.space.names]] = theta
+        return out
+
+    def lift(self, height: float, theta: np.ndarray) -> FoldState:
+        """Where an estimate (F,) would have the gripper at a height [m]: T = P(S₁(z, η_b))."""
+        state = self.strip.lift(height, self.all_parameters(theta[None])[:, : len(self.own)])
+        if state.status[0] != "ok":
+            raise ClothbenchError(f"{self.cell.model}: no state found with the end at {height:g} m")
+        return state
+
+    def hold(self, theta: np.ndarray, near: FoldState) -> FoldState:
+        """S(T T_δ, η_b) for estimates (B, F), the gripper being sent to where `near` has it."""
+        every = self.all_parameters(theta)
+        poses = np.repeat(near.pose, len(theta), axis=0)
+        at = len(self.own)
+        for effect in self.effects:
+            phis = every[:, at : at + len(effect.parameters)]
+            at += len(effect.parameters)
+            for pose, phi in zip(poses, phis, strict=True):
+                held = np.array([[[pose[0], 0.0, pose[1]]]])
+                pose[:2] = effect.grips(np.zeros(1), held, phi)[0, 0, [0, 2]]  # type: ignore[attr-defined]
+        return self.strip.hold(poses, every[:, : len(self.own)], near)
+
+    def evaluate(self, theta: np.ndarray, near: FoldState, seen: Observation) -> Evaluation:
+        """J (B,) of estimates (B, F), and the residuals [m]."""
+        profile = self.hold(theta, near).profile
+        position = np.insert(profile, 1, 0.0, axis=-1)[:, None]
+        status = tuple("ok" if np.isfinite(p).all() else "diverged" for p in profile)
+        score = self.metric(seen, Rollout(seen.time, position, status, np.zeros(len(theta), int), profile.shape[1]))
+        return Evaluation(score.value, score.residual)
+
+    def interval(self, best: np.ndarray, near: FoldState, seen: Observation) -> np.ndarray:
+        """95 % interval (2, F) of an estimate (F,): the jackknife over pieces of the profile; NaN without residuals."""
+        unit = self.space.to_unit(best)
+        up, down = np.minimum(unit + PROBE, 1.0), np.maximum(unit - PROBE, 0.0)
+        points = np.vstack([unit[None], unit + np.diag(up - unit), unit - np.diag(unit - down)])
+        residual = self.evaluate(self.space.from_unit(points), near, seen).residual
+        if residual is None or not np.isfinite(residual).all():
+            return np.full((2, len(unit)), np.nan)
+        count, here = len(unit), self.hold(best[None], near).profile[0]
+        jacobian = ((residual[1 : count + 1] - residual[count + 1 :]) / (up - down)[:, None]).T
+        half = jackknife(jacobian, residual[0], _pieces(here, seen, residual.shape[1]))
+        return np.stack([self.space.from_unit(unit - half), self.space.from_unit(unit + half)])
+
+
+def _pieces(profile: np.ndarray, seen: Observation, rows: int) -> list[np.ndarray]:
+    """Row numbers of a residual of `rows` numbers, by pieces of the profile (M, 2) that its points belong to."""
+    from scipy.spatial import cKDTree
+
+    points = seen.position[seen.visible][:, [0, 2]]
+    order = np.argsort(cKDTree(profile).query(points)[1], kind="stable")
+    each = rows // len(points)
+    return [(part[:, None] * each + np.arange(each)).ravel() for part in np.array_split(order, PIECES)]
+
+
+def fold(store: Store, cell: FoldCell, told: Told | None = None) -> str:
+    """Fold, estimate and store; `told(steps, estimate)` after each step. Returns the cell's status."""
+    plugins = catalogue()
+    hand = hand_of(cell, plugins)
+    sheet = TestStrip.of(cell.fabric, cell.fold.length, cell.stream)
+    optimizer, theta, steps = _optimizer(hand, plugins, hand.space), hand.space.defaults, []
+    for number in range(1, cell.fold.steps + 1):
+        began = time.perf_counter()
+        near = hand.lift(number * cell.fold.rise, theta)
+        planned = time.perf_counter() - began
+        truth = sheet.move(near.pose[0])
+        seen, error = _measure(hand, truth, number)
+        began = time.perf_counter()
+        theta, least, evaluations = _estimate(hand, optimizer, near, seen)
+        spent = planned + time.perf_counter() - began
+        low, high = hand.interval(theta, near, seen)
+        steps.append(_step(cell, sheet, truth, near, number) | {
+            "estimate": theta, "low": low, "high": high, "profile": least, "tracker_error": error,
+            "sigma": seen.sigma, "evaluations": evaluations, "wall_s": spent,
+        })  # fmt: skip
+        if told is not None:
+            told(number, float(theta[0]))
+        optimizer = _next(hand, plugins, optimizer, theta)
+    return _keep(store, hand, sheet, steps)
+
+
+def hand_of(cell: FoldCell, plugins: Catalogue) -> Hand:
+    """A cell with its plugins made."""
+    if reason := absent(plugins.load("models", cell.model)):
+        raise Skipped(reason)
+    model = plugins.make("models", cell.model, **cell.option(cell.model))
+    if "fold" not in model.capabilities:
+        raise Skipped("the model folds no strips on a desk")
+    effects = tuple(plugins.make("effects", name) for name in cell.effects)
+    for effect in effects:
+        if effect.place != "boundary":
+            raise ClothbenchError(f"effect {effect.name!r} does not act on the gripper; only those take part in a fold")
+    strip: Any = model.strip(cell.fold.length)
+    metric = plugins.make("metrics", cell.metric, **cell.option(cell.metric))
+    tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
+    return Hand(cell, strip, model.parameters, effects, metric, tracker)
+
+
+def _optimizer(hand: Hand, plugins: Catalogue, space: ParameterSpace) -> Optimizer:
+    cell = hand.cell
+    return plugins.make(
+        "optimizers", cell.optimizer, space, seed=cell.stream("optimizer"), budget=cell.evaluations,
+        **cell.option(cell.optimizer),
+    )  # fmt: skip
+
+
+def _next(hand: Hand, plugins: Catalogue, optimizer: Any, theta: np.ndarray) -> Optimizer:
+    """The search for the next measurement: the same one told so, or a new one of its kind from the estimate."""
+    if hasattr(optimizer, "renew"):
+        optimizer.renew()
+        return optimizer
+    found = tuple(dataclasses.replace(p, default=float(v)) for p, v in zip(hand.space, theta, strict=True))
+    return _optimizer(hand, plugins, ParameterSpace(found))
+
+
+def _measure(hand: Hand, truth: Lifted, number: int) -> tuple[Observation, float]:
+    """What the tracker makes of an image of the sheet, and how far its points are from it, rms [m]."""
+    from scipy.spatial import cKDTree
+
+    cell = hand.cell
+    line = truth.line(np.linspace(0.0, truth.length, FINE))
+    name = f"{cell.case}-{number:02d}"
+    images: Any = rendered(name, line[::5], float(number), cell.stream(f"camera {number}"), cell.case)
+    seen = hand.tracker.track(images)
+    points = seen.position[seen.visible]
+    away = cKDTree(np.insert(line, 1, 0.0, axis=1)).query(points)[0]
+    return seen, float(np.sqrt((away**2).mean()))
+
+
+def _estimate(hand: Hand, optimizer: Optimizer, near: FoldState, seen: Observation) -> tuple[np.ndarray, float, int]:
+    """argmin of J over what is estimated, J there [m²], and how many evaluations that took."""
+    thetas, values = [], []
+    for theta, evaluation in drive(optimizer, lambda theta: hand.evaluate(theta, near, seen)):
+        thetas.append(theta)
+        values.append(evaluation.value)
+    value = np.concatenate(values)
+    if not np.isfinite(value).any():
+        raise ClothbenchError(f"{hand.cell.model}: nothing that was tried at {near.pose[0, 1]:g} m could be simulated")
+    best = int(np.nanargmin(value))
+    return np.concatenate(thetas)[best], float(value[best]), len(value)
+
+
+def _step(cell: FoldCell, sheet: TestStrip, truth: Lifted, near: FoldState, number: int) -> dict[str, Any]:
+    x, z, slope = near.pose[0]
+    bends = np.linspace(truth.length - truth.off, truth.length, 401)
+    moment = np.interp(bends - bends[0], truth.s, truth.moment**2 * sheet.stiffness(bends[0] + truth.s))
+    local = float(np.exp(np.average(np.log(sheet.stiffness(bends)), weights=moment + 1e-300)))
+    return {
+        "step": number, "length": cell.fold.length, "x": float(x), "z": float(z), "slope": float(slope),
+        "off": truth.off, "sheet": local,
+        "friction": abs(truth.pull) / truth.press, "slips": bool(abs(truth.pull) / truth.press > cell.fold.friction),
+    }  # fmt: skip
+
+
+def _keep(store: Store, hand: Hand, sheet: TestStrip, steps: list[dict[str, Any]]) -> str:
+    cell, last, names = hand.cell, steps[-1], hand.space.names
+    about = {**about_cell(cell), **no_value(), "status": "ok", "reason": ""}
+    about |= {"evaluations": sum(s["evaluations"] for s in steps), "wall_s": sum(s["wall_s"] for s in steps)}
+    first = hand.space.parameters[0]
+    rows = [_row(about, first.name, first.unit, last["estimate"][0], cell.fabric.eta, last["low"][0], last["high"][0])]
+    slips = [str(s["step"]) for s in steps if s["slips"]]
+    friction = _row(about, "friction", "1", max(s["friction"] for s in steps), cell.fold.friction)
+    rows.append(friction | {"reason": f"would slip at step {', '.join(slips)}" if slips else ""})
+    rows.append(_row(about, hand.metric.name, hand.metric.unit, last["profile"], None))
+    rows.append(_row(about, "tracker_error", "mm", 1e3 * max(s["tracker_error"] for s in steps), None))
+    found = dict(zip(names, last["estimate"], strict=True))
+    offset = [found.get(f"grip_offset.d{axis}", 0.0) - true for axis, true in zip("xz", sheet.offset, strict=True)]
+    rows.append(_row(about, "grip_offset_error", "mm", 1e3 * float(np.hypot(*offset)), 0.0))
+    store.put(cell.key, {"rows": rows, "parameters": _parameters(hand, last), "fold": [_table(hand, s) for s in steps]})
+    return "ok"
+
+
+def _row(about: dict[str, Any], metric: str, unit: str, value: float, reference: float | None, low=None, high=None):
+    ends = [None if e is None or not np.isfinite(e) else float(e) for e in (low, high)]
+    return {**about, "metric": metric, "unit": unit, "value": float(value), "reference": reference,
+            "low": ends[0], "high": ends[1]}  # fmt: skip
+
+
+def _parameters(hand: Hand, last: dict[str, Any]) -> list[dict[str, Any]]:
+    bound = hand.space.at_bound(last["estimate"])
+    return [
+        {"name": p.name, "symbol": p.symbol, "unit": p.unit, "value": float(last["estimate"][i]),
+         "low": float(last["low"][i]), "high": float(last["high"][i]), "at_bound": bool(bound[i]), "meaning": p.meaning,
+         "key": hand.cell.key}
+        for i, p in enumerate(hand.space)
+    ]  # fmt: skip
+
+
+def _table(hand: Hand, step: dict[str, Any]) -> dict[str, Any]:
+    cell, fabric = hand.cell, hand.cell.fabric
+    single = {k: v for k, v in step.items() if k not in ("estimate", "low", "high")}
+    about = {"case": cell.case, "model": cell.model, "optimizer": cell.optimizer, "parameter": hand.space.names[0]}
+    ends = {"reference": fabric.eta, "reference_low": fabric.eta_low, "reference_high": fabric.eta_high}
+    told = {"value": float(step["estimate"][0]), "low": float(step["low"][0]), "high": float(step["high"][0])}
+    return {**about, **ends, **told, **single, "key": cell.key}

@@ -1,0 +1,147 @@
+"""What a candidate has to show to be named, and which of several is: the rules of the contest, no simulation."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clothbench.core.parameters import ParameterSpace
+from clothbench.studies.improve.fitting import ENOUGH, Fitted
+
+AT_THE_FLOOR = 1.15  # times the floor: a residual this small is not worth a name
+MATERIAL = 0.25  # share of the mean square above the floor that an effect has to explain to be worth a name
+TIED = 0.1  # two candidates cannot be told apart if what they leave (mean square) differs by less than this share
+ALIKE = 0.9  # correlation of what two candidates correct, from which on they may be one and the same
+EXPLAINED = 1 - MATERIAL  # and that all names together have to explain: what is left must not be worth another
+COARSE = 0.45  # and of that above the noise, where the mesh alone may stand for the residual
+PER_PARAMETER = 0.05  # and per parameter that one has more than the other
+
+
+@dataclass(frozen=True, eq=False)
+class Candidate:
+    """What came of one candidate in one round.
+
+    share: of the residual that only it could explain, to first order; p_value: of that share; gain: m², by which the
+    mean square fell when all was refitted (NaN where it was not); chosen in so many of the leave-one-out rounds.
+    """
+
+    name: str
+    share: float
+    p_value: float
+    gain: float = float("nan")
+    selected: int = 0
+    fitted: Fitted | None = None
+    why_not: str = ""
+
+
+def needed(current: Fitted, floor: float, noise: float) -> float:
+    """How far the mean square has to fall for a name [m²].
+
+    A share of what stands above the floor. Where nothing does, a coarse mesh may stand for all that is left; then only
+    an effect that explains much of it, noise apart, is no doing of the mesh.
+    """
+    square = current.rms**2
+    if current.rms > AT_THE_FLOOR * floor:
+        return MATERIAL * (square - floor**2)
+    return COARSE * max(square - noise**2, 1e-12)
+
+
+def judge(current: Fitted, gain: float, tried: Sequence[Candidate]) -> list[Candidate]:
+    """What speaks against each of them, if anything; and in how many leave-one-out rounds it is the best and explains
+    enough. What is left out there is a recording's say: nothing is fitted again.
+    """
+    count = len(current.squares)
+    left = np.array([c.fitted.squares for c in tried if c.fitted is not None]).reshape(-1, count)
+    allowed = allowances(current, tried)
+    out = []
+    for k, candidate in enumerate(tried):
+        candidate = dataclasses.replace(candidate, gain=float((current.squares - left[k]).mean()))
+        wins = 0
+        for left_out in range(count):
+            rest = [r for r in range(count) if r != left_out] or [0]
+            best = (left[k, rest].mean() <= allowed[:, k] * left[:, rest].mean(axis=1)).all()
+            wins += bool(best and (current.squares - left[k])[rest].mean() >= gain)
+        helped = int((left[k] < current.squares).sum())
+        why = ""
+        if candidate.gain < gain:
+            why = f"explains only {max(candidate.gain, 0) / gain:.0%} of what a name has to"
+        elif helped < count - 1:
+            why = f"helps in {helped} of {count} recordings only"
+        elif candidate.fitted is not None and (fault := unphysical(candidate.name, candidate.fitted)):
+            why = fault
+        elif wins < count - 1:
+            why = f"falls short or behind another when a recording is left out (stands in {wins} of {count})"
+        out.append(dataclasses.replace(candidate, selected=int(wins), why_not=why))
+    return sorted(out, key=lambda c: -c.gain)
+
+
+def unphysical(name: str, fitted: Fitted) -> str:
+    """Why the amounts that were fitted to an effect cannot stand, or ""."""
+    space, amounts = fitted.space, amounts_of(fitted.space, name)
+    null = np.array([space.parameters[i].null for i in amounts])
+    if np.isnan(fitted.low[amounts]).all():
+        return f"fewer than {ENOUGH} recordings to fit give its amount no interval"
+    far = np.abs(fitted.theta[amounts] - null) > 1e-3 * (space.high - space.low)[amounts]
+    at_bound = [i for i, away in zip(amounts, far, strict=True) if away and fitted.at_bound[i]]
+    if at_bound:
+        return f"its {space.names[at_bound[0]]} runs to the bound {fitted.theta[at_bound[0]]:.3g}"
+    if not far.any():
+        return "its amount is fitted to nothing"
+    low, high = fitted.low[amounts], fitted.high[amounts]
+    if not (far & ((low > null) | (high < null))).any():
+        return "its amount cannot be told from nothing"
+    return ""
+
+
+def amounts_of(space: ParameterSpace, effect: str) -> list[int]:
+    """Numbers of the parameters by which an effect vanishes; its others give it its shape."""
+    return [i for i in parameters_of(space, effect).values() if space.parameters[i].null is not None]
+
+
+def parameters_of(space: ParameterSpace, effect: str) -> dict[str, int]:
+    """Numbers of an effect's parameters by their own names, which in the space begin with the effect's."""
+    first = f"{effect}."
+    return {p.name.removeprefix(first): i for i, p in enumerate(space) if p.name.startswith(first)}
+
+
+def allowances(current: Fitted, tried: Sequence[Candidate]) -> np.ndarray:
+    """(K, K): candidate k stands beside j if it leaves at most [j, k] times what j leaves (mean squares).
+
+    Within `TIED` two cannot be told apart, within twice that if what they correct is alike; beyond that every further
+    parameter has to pay for itself.
+    """
+    size = np.array([0 if c.fitted is None else len(c.fitted.theta) for c in tried])
+    more = size[:, None] - size[None, :]
+    alike = (likeness(current, tried) >= ALIKE) & (np.abs(more) <= 1)
+    return 1 + TIED * np.where(alike, 2, 1) + PER_PARAMETER * np.maximum(more, 0)
+
+
+def likeness(current: Fitted, tried: Sequence[Candidate]) -> np.ndarray:
+    """(K, K): correlation of what the candidates take from the residual."""
+    before = np.concatenate(current.residual)
+    taken = [np.zeros_like(before) if c.fitted is None else before - np.concatenate(c.fitted.residual) for c in tried]
+    unit = np.array([t / max(float(np.linalg.norm(t)), 1e-300) for t in taken]).reshape(len(tried), len(before))
+    return unit @ unit.T
+
+
+def choose(current: Fitted, judged: Sequence[Candidate]) -> tuple[str, ...]:
+    """The one that stands; of several as good as each other the one with the fewest parameters, and of these the fewest
+    that only give it its shape; or two as tied: equally simple ones, or one that corrects the same and is hardly less
+    simple.
+    """
+    standing = [c for c in judged if not c.why_not and c.fitted is not None]
+    if not standing:
+        return ()
+    left = np.array([c.fitted.rms**2 for c in standing if c.fitted is not None])
+    size = np.array([len(c.fitted.theta) for c in standing if c.fitted is not None])
+    shapes = [sum(p.null is None for p in c.fitted.space) for c in standing if c.fitted is not None]
+    allowed, alike = allowances(current, standing), likeness(current, standing) >= ALIKE
+    close = [k for k in range(len(standing)) if (left[k] <= allowed[:, k] * left).all()]
+    first = min(close, key=lambda k: (size[k], shapes[k], left[k]))
+    others = [
+        k for k in close if k != first and (size[k] == size[first] or (alike[k, first] and size[k] == size[first] + 1))
+    ]
+    return tuple(standing[k].name for k in [first, *sorted(others, key=lambda k: left[k])][:2])

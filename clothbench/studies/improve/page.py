@@ -1,0 +1,284 @@
+"""The page of `clothbench improve`: the verdict on top, then what it rests on. One self-contained HTML file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from clothbench.display.html import group, table, text, unit
+from clothbench.display.style import DRAWING
+from clothbench.engine.store import system_info
+from clothbench.report.page import whole_page
+from clothbench.studies.calibration.leaderboard import interval
+from clothbench.studies.improve import figures as draw
+from clothbench.studies.improve.style import BLOCKS, STYLE
+from clothbench.studies.improve.words import errors_of, floor_word, remains, sentence, size
+
+Rows = Sequence[dict[str, Any]]
+Tables = Mapping[str, Rows]
+SURE = {"complete": "ok", "attributed": "ok"}
+LEGEND = '<div class="menu top"><div id="legend"></div></div>'
+FOOTER = """<footer>The same as data: <code>verdict.json</code> and the Parquet files in <code>tables</code>. See a
+recording beside the model before and after: <code>clothbench view RECORDING --out FOLDER</code>.</footer>"""
+
+CANDIDATES = """<p class="soft">Share: how much of what the calibrated model leaves only this effect could explain, to
+first order. p: how often chance does as well with the best of all candidates. Those that beat chance were fitted in
+earnest; the gain is by how much the mean square fell. Best in: of as many rounds with one recording left out.</p>"""
+DRIFT = """The calibrated model fitted to each recording alone. Line and band: all together, 95 % interval. Diamonds lie
+outside it: a parameter that drifts from recording to recording is a sign of missing physics."""
+
+
+def document(found: Mapping[str, Any], tables: Tables) -> str:
+    """The whole page as text. found: what `verdict.json` holds; tables: the rows of each table by name."""
+    blocks: list[dict[str, Any]] = []
+    sections = [
+        heading(found),
+        verdict_box(found),
+        tiles(found),
+        LEGEND,
+        error_section(found, tables["errors"], blocks),
+        effect_section(found),
+        candidate_section(tables["candidates"]),
+        curve_section(tables["curves"], bool(found["effects"]), blocks),
+        frame_section(found, tables["frames"], blocks),
+        map_section(found, tables["nodes"], blocks),
+        direction_section(found, tables["portrait"], blocks),
+        against_section(found, tables["against"], blocks),
+        parameter_section(tables["parameters"], bool(found["effects"]), found.get("condition")),
+        drift_section(tables["drift"], blocks),
+        stage_section(found, tables["stages"], blocks),
+        remains_section(found, tables),
+        FOOTER,
+        scripts(found, blocks),
+    ]
+    return whole_page(f"improve {text(found['model'])}", sections, STYLE)
+
+
+def heading(found: Mapping[str, Any]) -> str:
+    about, count = system_info(), {k: len(v) for k, v in found["recordings"].items()}
+    base = "".join(f" + {name}" for name in found.get("base", ()))
+    facts = [
+        f"{count['fit']} recordings fitted, {count['held_out']} held out",
+        f"{found['evaluations']} evaluations in {duration(found['wall_s'])}",
+        f"seed {found['seed']}", f"clothbench {about['clothbench']}", f"{about['cpu']}, {about['cores']} cores",
+    ]  # fmt: skip
+    return f"<h1>What does {text(found['model'] + base)} lack?</h1><p class='soft'>{text(' · '.join(facts))}</p>"
+
+
+def verdict_box(found: Mapping[str, Any]) -> str:
+    pill = f'<span class="pill {SURE.get(found["verdict"], "note")}">{text(found["verdict"])}</span>'
+    hint = f'<p class="soft">Hint: {text(found["hint"])}.</p>' if found["hint"] else ""
+    return f'<div class="verdict">{pill}<p>{sentence(found)}</p>{hint}</div>'
+
+
+def tiles(found: Mapping[str, Any]) -> str:
+    error, changed = errors_of(found), bool(found["effects"])
+    unit, shown = error["unit"], []
+    for split, word in (("held_out", "held out"), ("fit", "fit")):
+        if error[split]["before"] is not None:
+            value = size(error[split]["before"], unit)
+            value += f" → {size(error[split]['after'], unit)}" if changed else ""
+            shown.append((value, f"{unit}, {word}" + (", before → after" if changed else "")))
+    if placebo := error["held_out"].get("placebo"):
+        word = f"{unit}, held out, with the placebo {placebo['name']} added"
+        shown.append((size(placebo["after"], unit), word))
+    shown.append((size(error["noise_floor"], unit), f"{unit}, floor: {floor_word(unit)}"))
+    shown.append((size(error["left"], unit), f"{unit} above the floor remain"))
+    inside = "".join(f'<div class="tile"><b>{text(value)}</b>{text(word)}</div>' for value, word in shown)
+    return f'<div class="tiles">{inside}</div>'
+
+
+def error_section(found: Mapping[str, Any], errors: Rows, blocks: list[dict[str, Any]]) -> str:
+    if not errors:
+        return ""
+    error = errors_of(found)
+    over = "visible node coordinates" if error["unit"] == "mm" else "steps of stretch"
+    caption = f"Root-mean-square over {over}. Dots: recordings that were fitted; diamonds: held out, never used to "
+    caption += f"decide. Grey: the floor, {floor_word(error['unit'])}."
+    fall = error["held_out"]["ci95"]
+    if found["effects"] and fall[0] is not None:
+        low, high = (size(v, error["unit"]) for v in fall)
+        caption += f" The error of a held-out recording falls by {low} … {high} {error['unit']} in the mean (95 %, "
+        caption += "paired over recordings)."
+    if error["held_out"].get("placebo"):
+        caption += " Cross: with one more effect that nothing speaks for; it must be no better."
+    views = {"": [draw.error_figure(errors, error, bool(found["effects"]))]}
+    return "<h2>Error</h2>" + block("errors", caption, views, blocks)
+
+
+def effect_section(found: Mapping[str, Any]) -> str:
+    """What was named: amounts with intervals and units."""
+    if not found["effects"]:
+        return ""
+    body = []
+    for effect in found["effects"]:
+        tied = f" <small>tied with {text(', '.join(effect['tied_with']))}</small>" if effect["tied_with"] else ""
+        sure = f"p = {effect['p_value']:.2g}; best in {text(effect['selected_in'])} leave-one-out rounds"
+        body.append([f"{text(effect['name'])} ({text(effect['place'])}){tied}<br><small>{text(effect.get('summary'))}; "
+                     f"{sure}</small>"])  # fmt: skip
+        for name, p in effect["parameters"].items():
+            body.append([text(name), f"{p['value']:.4g}", interval(p, ".4g") or "–", text(unit(p))])
+    return "<h2>Named</h2>" + table(["effect", "amount", "95 % interval", "unit"], body, numeric={1, 2})
+
+
+def candidate_section(candidates: Rows) -> str:
+    """One table per round; its bars are the share of the residual that only that effect could explain."""
+    if not candidates:
+        return ""
+    rounds = group(candidates, lambda r: r["round"])
+    out = [f"<h2>Candidates</h2>{CANDIDATES}"]
+    for number, rows in rounds.items():
+        gain = f"gain [{rows[0]['unit']}]"
+        head = ["candidate", "place", "share of the residual", "p", gain, "best in", "why not"]
+        shown = table(head, [candidate_row(r) for r in rows], numeric={3, 4, 5})
+        out.append((f"<h3>Round {number}</h3>" if len(rounds) > 1 else "") + shown)
+    return "".join(out)
+
+
+def candidate_row(row: dict[str, Any]) -> list[str]:
+    kind = "named" if row["named"] else "tried" if row["gain"] is not None else ""
+    width = f"{100 * min(max(row['share'], 0.0), 1.0):.1f}"
+    bar = f'<div class="bar {kind}"><i style="width:{width}%"></i><span>{100 * row["share"]:.1f} %</span></div>'
+    name = f'<span title="{text(row["summary"])}">{text(row["name"])}</span>'
+    gain = "–" if row["gain"] is None else f"{round(row['gain'], 9):.3g}"
+    best = "–" if row["gain"] is None else f"{row['selected']}/{row['of']}"
+    why = '<span class="pill ok">named</span>' if row["named"] else text(row["why_not"])
+    return [name, text(row["place"]), bar, f"{row['p_value']:.2g}", gain, best, why]
+
+
+def curve_section(curves: Rows, changed: bool, blocks: list[dict[str, Any]]) -> str:
+    if not curves:
+        return ""
+    caption = "Dots: measured, medians over steps of stretch. Lines: the model."
+    return "<h2>Force over stretch</h2>" + block("curves", caption, draw.curve_figures(curves, changed), blocks)
+
+
+def frame_section(found: Mapping[str, Any], frames: Rows, blocks: list[dict[str, Any]]) -> str:
+    if not frames:
+        return ""
+    views = draw.frame_figures(frames, errors_of(found)["noise_floor"], bool(found["effects"]))
+    return "<h2>Over time</h2>" + block("frames", "Error of each frame.", views, blocks)
+
+
+def map_section(found: Mapping[str, Any], nodes: Rows, blocks: list[dict[str, Any]]) -> str:
+    if not nodes:
+        return ""
+    views = draw.map_figures(nodes, bool(found["effects"]))
+    caption = "Error of each node on the cloth laid flat, over all frames; one scale for both."
+    return "<h2>Over the cloth</h2>" + block("map", caption, views, blocks)
+
+
+def direction_section(found: Mapping[str, Any], portrait: Rows, blocks: list[dict[str, Any]]) -> str:
+    if not portrait:
+        return ""
+    views = draw.direction_figures(portrait, bool(found["effects"]))
+    caption = (
+        "The residual split along the sheet's normal, warp and weft as it was seen; these are distances, so that their "
+    )
+    caption += "squares add up to three times that of a coordinate."
+    body = []
+    for name, rows in draw.by_recording(portrait).items():
+        at = {r["fit"]: r for r in rows}
+        shown = [at["before"], at["after"]] if found["effects"] else [at["before"]]
+        body.append([name, *(" → ".join(format_number(r[n]) for r in shown) for n in ("rms", "next_frame"))])
+    head = ["recording", f"rms [{portrait[0]['unit']}]", "correlation of a frame with the next (noise: 0)"]
+    listed = table(head, body, numeric={1, 2})
+    folded = f"<details><summary>Is it noise? Correlation in time</summary>{listed}</details>"
+    return "<h2>By direction</h2>" + block("directions", caption, views, blocks) + folded
+
+
+def against_section(found: Mapping[str, Any], bins: Rows, blocks: list[dict[str, Any]]) -> str:
+    figures = draw.against_figures(bins, errors_of(found)["noise_floor"], bool(found["effects"]))
+    if not figures:
+        return ""
+    caption = "Error in eight classes of equal size of how fast a node moves, how hard it is accelerated, and how high "
+    caption += "it is above the lowest point reached; all recordings together."
+    return "<h2>Against the motion</h2>" + block("against", caption, {"": figures}, blocks)
+
+
+def parameter_section(rows: Rows, changed: bool, condition: float | None) -> str:
+    """Every parameter before and after, with intervals; on its bound, the bound chose it and not the data."""
+    names = group(rows, lambda r: r["name"])
+    body = []
+    for name, mine in names.items():
+        at = {r["fit"]: r for r in mine}
+        cells = [amount(at.get(fit)) for fit in (("before", "after") if changed else ("before",))]
+        p = mine[-1]
+        body.append([f"{text(p['symbol'])} <small>{text(name)}</small>", *cells, text(unit(p)), text(p["meaning"])])
+    head = ["parameter", *(("before", "after") if changed else ("value",)), "unit", "meaning"]
+    note = "Below the values, 95 % intervals: a jackknife over recordings, and what mesh and model may be wrong by."
+    if condition is not None:
+        note += f" Condition of the fit: {condition:.2g}; above a thousand some of them move together freely."
+    return f'<h2>Parameters</h2><p class="soft">{note}</p>' + table(head, body, numeric=set(range(1, len(head) - 2)))
+
+
+def amount(p: dict[str, Any] | None) -> str:
+    if p is None:
+        return "–"
+    mark = '<span class="pill note" title="the bound chose this value">▲ at its bound</span> ' if p["at_bound"] else ""
+    return f"{mark}{p['value']:.4g}<br><small>{interval(p, '.3g')}</small>"
+
+
+def drift_section(drift: Rows, blocks: list[dict[str, Any]]) -> str:
+    if not drift:
+        return ""
+    outside = sorted({r["name"] for r in drift if r["outside"]})
+    said = f" Outside: {text(', '.join(outside))}." if outside else " None lies outside."
+    views = draw.drift_figures(drift)
+    return f"<h2>Drift from recording to recording</h2>{block('drift', DRIFT + said, views, blocks, 'Parameter')}"
+
+
+def stage_section(found: Mapping[str, Any], stages: Rows, blocks: list[dict[str, Any]]) -> str:
+    if not stages:
+        return ""
+    caption = f"{duration(found['wall_s'])} and {found['evaluations']} evaluations in all."
+    return "<h2>Budget by stage</h2>" + block("stages", caption, {"": [draw.stage_figure(stages)]}, blocks)
+
+
+def remains_section(found: Mapping[str, Any], tables: Tables) -> str:
+    lines = "".join(f"<li>{line}</li>" for line in remains(found, tables))
+    return f"<h2>What remains</h2><ul>{lines}</ul>"
+
+
+def block(
+    name: str, caption: str, views: Mapping[str, list[Any]], blocks: list[dict[str, Any]], menu: str = "Recording"
+) -> str:
+    """Figures with a caption; a menu above them where there are several views. Adds itself to `blocks`.
+
+    `caption` and the names of views are HTML.
+    """
+    blocks.append({"id": name, "views": dict(views)})
+    most = max(len(figures) for figures in views.values())
+    places = "".join(f'<div id="{name}-{n}"></div>' for n in range(most))
+    choice = ""
+    if len(views) > 1:
+        options = "".join(f'<option value="{key}">{key}</option>' for key in views)
+        choice = f'<div class="menu"><label for="{name}-view">{menu}</label>'
+        choice += f'<select id="{name}-view">{options}</select></div>'
+    return f'{choice}<figure><figcaption>{caption}</figcaption><div class="beside">{places}</div></figure>'
+
+
+def scripts(found: Mapping[str, Any], blocks: list[dict[str, Any]]) -> str:
+    """What the figures draw, plotly.js, and how they are drawn: all in the page itself."""
+    from plotly.offline import get_plotlyjs
+
+    looks = [look for _, look in draw.series(bool(found["effects"]))] + [draw.FLOOR]
+    looks += [draw.PLACEBO] if errors_of(found)["held_out"].get("placebo") else []
+    looks += [draw.MEASURED] if found.get("kind") == "curve" else []
+    content = {"legend": [[look["name"], look["colour"], "solid"] for look in looks], "blocks": blocks}
+    data = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    return (
+        f'<script type="application/json" id="found">{data}</script>\n'
+        f"<script>{get_plotlyjs()}</script>\n<script>{DRAWING}{BLOCKS}</script>"
+    )
+
+
+def format_number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
+
+
+def duration(seconds: float) -> str:
+    """ "42 s", "3 min 5 s"."""
+    whole = round(seconds)
+    return f"{whole} s" if whole < 60 else f"{whole // 60} min {whole % 60} s"

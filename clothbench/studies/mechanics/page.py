@@ -1,0 +1,109 @@
+"""The page's section on models against mechanics: a table of errors, the figures, and every test's numbers."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from clothbench.display.html import pill, table, text
+from clothbench.display.style import DRAWING
+from clothbench.studies.mechanics.checks import CHECKS
+from clothbench.studies.mechanics.figures import colours, error_figures, validation_figures
+from clothbench.studies.mechanics.tables import observed_orders, relative_error
+
+Rows = Sequence[dict[str, Any]]
+INTRO = """<p class="soft">Textbook cloth in scenes whose answer is known; nothing is fitted. Error of the value on
+the finest mesh over its reference, which mechanics gives; of energy_drift, what is lost or gained within ten seconds;
+of the convergence tests, the observed order itself.</p>"""
+SCRIPT = """
+const tests = JSON.parse(document.getElementById("tests").textContent);
+function drawTests() {
+  byId("test-legend").replaceChildren(...tests.legend.map((entry) => legendButton(entry, drawTests)));
+  tests.figures.forEach((figure, n) => draw("test-" + n, figure));
+  if (byId("test-error")) draw("test-errors", tests.errors[byId("test-error").value]);
+}
+if (byId("test-error")) {
+  byId("test-error").replaceChildren(...Object.keys(tests.errors).map((n) => new Option(n, n)));
+  byId("test-error").addEventListener("change", drawTests);
+}
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawTests);
+drawTests();
+"""
+
+
+def validation_section(rows: Rows, levels: Rows, *, plotly: bool) -> str:
+    """Everything about models against mechanics; `plotly`: whether plotly.js and the drawing still have to be given."""
+    if not rows:
+        return ""
+    suites = ", ".join(sorted({r["suite"] for r in rows}))
+    body = f"<h2>{text(suites)}: models against references</h2>{INTRO}{errors(rows)}{tests(rows, levels)}"
+    shown = validation_figures(levels)
+    if not shown:
+        return body
+    return body + _figures(shown, error_figures(levels), levels, plotly)
+
+
+def errors(rows: Rows) -> str:
+    """Model × test, the error in %."""
+    cases = list(dict.fromkeys(r["case"] for r in sorted(rows, key=_rank)))
+    models = sorted({r["model"] for r in rows})
+    at = {(r["model"], r["case"]): r for r in rows}
+    body = [[text(case), *(_error(at.get((model, case))) for model in models)] for case in cases]
+    return table(["test", *models], body, numeric=set(range(1, len(models) + 1)))
+
+
+def _rank(row: dict[str, Any]) -> tuple[int, str]:
+    names = [check.name for check in CHECKS]
+    name = row["case"].split(":")[0]
+    return names.index(name) if name in names else len(names), ""
+
+
+def _error(row: dict[str, Any] | None) -> str:
+    if row is None:
+        return "–"
+    error = relative_error(row)
+    if error is None:
+        return f'<span title="{text(row["reason"])}">{pill(row)}</span>'
+    if row["metric"] == "order":
+        return f"{row['value']:.2f} <small>(2)</small>"
+    return f"{error:+.3g} %"
+
+
+def tests(rows: Rows, levels: Rows) -> str:
+    """Each row with what it is compared with; folded, for there are many."""
+    orders = observed_orders(levels)
+    about = {check.name: check.summary for check in CHECKS}
+    head = ["test", "model", "value", "reference", "unit", "order", "status", "what is compared"]
+    body = []
+    for r in sorted(rows, key=lambda r: (*_rank(r), r["case"], r["model"])):
+        numbers = ["" if r[n] is None else f"{r[n]:.6g}" for n in ("value", "reference")]
+        order = orders.get(r["key"])
+        note = text(about.get(r["case"].split(":")[0], ""))
+        note += f"<br><small>{text(r['reason'])}</small>" if r["reason"] else ""
+        body.append([text(r["case"]), text(r["model"]), *numbers, text(r["unit"]),
+                     "" if order is None else f"{order:.2f}", pill(r), note])  # fmt: skip
+    shown = table(head, body, numeric={2, 3, 5})
+    return f"<details><summary>{len(rows)} values beside their references</summary>{shown}</details>"
+
+
+def _figures(shown: list[dict[str, Any]], over_mesh: dict[str, Any], levels: Rows, plotly: bool) -> str:
+    from plotly.offline import get_plotlyjs
+
+    parts = ['<div class="menu"><div id="test-legend"></div></div>']
+    for n, one in enumerate(shown):
+        parts.append(f"<h3>{text(one['title'])}</h3><figure><figcaption>{text(one['caption'])}</figcaption>")
+        parts.append(f'<div id="test-{n}"></div></figure>')
+    if over_mesh:
+        parts.append(
+            '<h3>Error over the mesh</h3><div class="menu"><label for="test-error">Test</label>'
+            '<select id="test-error"></select></div><figure><figcaption>Absolute error against the reference; dotted: '
+            'second order.</figcaption><div id="test-errors"></div></figure>'
+        )
+    legend = [[name, colour, "solid"] for name, colour in colours(levels).items()]
+    content = {"legend": legend, "figures": [one["figure"] for one in shown], "errors": over_mesh}
+    data = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
+    parts.append(f'<script type="application/json" id="tests">{data}</script>')
+    if plotly:
+        parts.append(f"<script>{get_plotlyjs()}</script><script>{DRAWING}</script>")
+    return "\n".join([*parts, f"<script>{SCRIPT}</script>"])

@@ -1,0 +1,1 @@
+"""How fast models step, beside the installed peers."""

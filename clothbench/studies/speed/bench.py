@@ -1,0 +1,314 @@
+"""`clothbench bench`: the speed of every dynamic model beside the installed peers, measured in one run.
+
+A speed means little away from the machine it was measured on; a ratio to a peer in the same run means more. Steps are
+not worth the same either: models that know textbook materials are also timed at equal error, each with the longest
+step that keeps it close to its own converged motion.
+"""
+
+from __future__ import annotations
+
+import inspect
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from typing import Any
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.parallel import thread_count
+from clothbench.plugins.discovery import Plugin, absent, catalogue, library_version, one_line
+from clothbench.studies.speed.timing import (
+    STEP,
+    TOLERABLE,
+    FailedRun,
+    Speed,
+    at_equal_error,
+    on_threads,
+    share_of_processes,
+    swung,
+    time_model,
+    time_peer,
+)
+
+KEYS = (
+    "model", "kind", "nodes", "threads", "batch", "node_steps_per_s", "realtime_factor", "peer", "ratio",
+    "precision", "version", "note", "step_s", "error_m",
+)  # fmt: skip
+SIDES = (9, 21, 41, 65)  # nodes along each side of the square sheet
+EQUAL_SIDES = (21, 41)  # at equal error, where a peer's converged simulation of a fine sheet takes many minutes
+CONVERGED = {"explicit": 0.5}  # of a model's default step, whose motion stands for the exact one; else a quarter
+BATCH = 64
+PEER_STEP = f"step {1e3 * STEP:g} ms"
+PROCESSES = "separate processes"
+
+Row = dict[str, Any]
+Say = Callable[[str], None]
+
+
+def run_bench(sides: Sequence[int] = SIDES, progress: Say | None = None) -> list[Row]:
+    """Measure all dynamic models beside all installed peers; rows have the keys `KEYS`, null if unknown.
+
+    A model's row stands once for each peer measured at its number of nodes, with `ratio` = its speed per
+    thread over the peer's, or once with no peer. A peer has rows of its own; one row a model compares threads
+    with separate processes. What cannot be measured is left out, with a line on standard error. `progress` is
+    told in one line what is measured next. Rows with an `error_m` are those of `equal_error`.
+    """
+    say = progress or (lambda _: None)
+    models, peers, rows = _models(), _peers(), []
+    variants = [v for plugin in models for v in _guarded_variants(plugin)]
+    for side in sides:
+        beside = [row for peer in peers for row in _peer_rows(peer, side, say)]
+        rows += beside
+        rows += [row for variant in variants for row in _model_rows(variant, side, beside, say)]
+    middle = min(sides, key=lambda side: abs(side - 21))
+    for name in dict.fromkeys(v.name for v in variants):
+        say(f"{name}: threads against {PROCESSES}")
+        with _or_skipped(name):
+            rows += two_cores(name, middle)
+    for side in (s for s in sides if s in EQUAL_SIDES):
+        rows += equal_error(models, side, say)
+    return rows
+
+
+def two_cores(name: str, side: int = 21) -> list[Row]:
+    """One row: a batch on all cores, as a share of what as many separate one-thread processes reach together.
+
+    No row where there is only one core.
+    """
+    cores = thread_count()
+    if cores < 2:
+        return []
+    variant = _variants_of(catalogue().find("models", name))[0]
+    speed, share = share_of_processes(variant.plugin.target, variant.options, side, BATCH, cores)
+    count = {2: "two", 3: "three", 4: "four"}.get(cores, cores)
+    row = variant.row(variant.make(), speed, cores, BATCH, f"share of {count} {PROCESSES}")
+    return [row | {"peer": PROCESSES, "ratio": share}]
+
+
+def equal_error(models: Sequence[Plugin], side: int, progress: Say | None = None) -> list[Row]:
+    """Simulated seconds per second of one core, each model with the longest step that errs by 2 mm at most.
+
+    The error is that of a swung sheet of textbook cloth (`timing.swung_sheet`), RMS over nodes and frames, to the same
+    model with its default options and a far shorter step: equations may differ, only what the step spoils counts.
+    A model takes part if it has `of_material` and options `dt` and `step_scale`; its class may list sets of options to
+    try in `equal_error_options`. `ratio` is to the fastest setting of a peer, which is a model with `built_on`.
+    """
+    say, rows = progress or (lambda _: None), []
+    for plugin in models:
+        with _or_skipped(f"{plugin.name} at equal error"):
+            rows += _equal_rows(plugin, side, say)
+    built_on = {p.name for p in models if library_version(catalogue().load("models", p.name))}
+    best = max((r for r in rows if r["model"] in built_on), key=lambda r: r["realtime_factor"], default=None)
+    if best is None:
+        return rows
+    ratios = [{"peer": best["model"], "ratio": r["realtime_factor"] / best["realtime_factor"]} for r in rows]
+    return [r | ratio if r["model"] not in built_on else r for r, ratio in zip(rows, ratios, strict=True)]
+
+
+@dataclass(frozen=True)
+class _Variant:
+    """A model with one set of the options that it wants to be measured with."""
+
+    plugin: Plugin
+    options: dict[str, Any]
+    takes_step: bool
+
+    @property
+    def name(self) -> str:
+        return self.plugin.name
+
+    def make(self, **more: Any) -> Any:
+        return catalogue().make("models", self.name, **self.options, **more)
+
+    def at_step(self, dt: float) -> Any:
+        return self.make(dt=dt)
+
+    def row(self, model: Any, speed: Speed, threads: int, batch: int, note: str | None) -> Row:
+        about = {
+            "kind": getattr(model, "kind", None),
+            "precision": getattr(model, "precision", None),
+            "version": getattr(model, "version", None),
+        }
+        return _row(self.name, speed, threads, batch) | about | {"note": note}
+
+
+def _models() -> list[Plugin]:
+    """The models that are installed; a line on standard error for each that is not, or that is broken."""
+    found = []
+    for plugin in catalogue().plugins:
+        if plugin.kind in ("models", "module") and plugin.reason is not None:
+            _skipped(plugin.name, plugin.reason)
+        elif plugin.kind == "models":
+            with _or_skipped(plugin.name):
+                reason = absent(catalogue().load("models", plugin.name))
+                found += [] if reason else [plugin]
+                if reason is not None:
+                    _skipped(plugin.name, reason)
+    return found
+
+
+def _guarded_variants(plugin: Plugin) -> list[_Variant]:
+    with _or_skipped(plugin.name):
+        return _variants_of(plugin)
+    return []
+
+
+def _variants_of(plugin: Plugin, matrix: str = "bench_options") -> list[_Variant]:
+    """A dynamic model with every set of options that its attribute `matrix` lists."""
+    factory = catalogue().load("models", plugin.name)
+    try:
+        takes_step = "dt" in inspect.signature(factory).parameters
+    except (TypeError, ValueError):  # some compiled callables have none
+        takes_step = False
+    sets: Sequence[dict[str, Any]] = getattr(factory, matrix, ({},))
+    variants = [_Variant(plugin, dict(options), takes_step) for options in sets]
+    return [v for v in variants if "dynamic" in v.make().capabilities]
+
+
+def _model_rows(variant: _Variant, side: int, beside: list[Row], say: Say) -> list[Row]:
+    """One sheet on one thread, a batch on one thread, the batch on all threads; each beside every peer."""
+    rows, cores = [], thread_count()
+    for threads, batch in dict.fromkeys([(1, 1), (1, BATCH), (cores, BATCH)]):
+        options = "".join(f" {k}={v}" for k, v in variant.options.items())
+        say(f"{variant.name}{options}: {side} × {side} nodes, {batch} at once, {threads} thread(s)")
+        with _or_skipped(variant.name):
+            rows += _with_ratios(_measure(variant, side, threads, batch), beside)
+    return rows
+
+
+def _measure(variant: _Variant, side: int, threads: int, batch: int) -> Row:
+    """At the peers' step if the model takes one and is stable there; else at its own."""
+    if variant.takes_step:
+        try:
+            model = variant.make(dt=STEP)
+            speed = time_model(model, side, batch, threads)
+            return variant.row(model, speed, threads, batch, PEER_STEP)
+        except FailedRun:
+            pass
+    model = variant.make()
+    return variant.row(model, time_model(model, side, batch, threads), threads, batch, "own step")
+
+
+def _equal_rows(plugin: Plugin, side: int, say: Say) -> list[Row]:
+    """A row for each set of options with which the model is accurate enough at some step."""
+    variants = [v for v in _variants_of(plugin, "equal_error_options") if v.takes_step]
+    if not variants or not hasattr(catalogue().load("models", plugin.name), "of_material"):
+        return []
+    rows, scale = [], CONVERGED.get(variants[0].make().kind, 0.25)
+    say(f"{plugin.name}: {side} × {side} nodes, converged")
+    with on_threads(1):
+        truth = swung(catalogue().make("models", plugin.name, step_scale=scale), side)[0]
+    for variant in variants:
+        options = ", ".join(f"{k}={v}" for k, v in variant.options.items())
+        say(f"{plugin.name} {options}: {side} × {side} nodes, at equal error")
+        with _or_skipped(f"{plugin.name} {options} at equal error"):
+            found = at_equal_error(variant.at_step, side, truth)
+            row = variant.row(variant.make(), found.speed, 1, 1, options or None)
+            rows.append(row | {"step_s": found.step, "error_m": found.error})
+    return rows
+
+
+def _with_ratios(row: Row, beside: list[Row]) -> list[Row]:
+    """The row once for each peer with as many nodes; as it is where there is none."""
+    rate = row["node_steps_per_s"] / row["threads"]
+    same = [p for p in beside if p["nodes"] == row["nodes"]]
+    return [row | {"peer": p["model"], "ratio": rate / p["node_steps_per_s"]} for p in same] or [row]
+
+
+def _peers() -> list[Plugin]:
+    """The peers that are installed; a line on standard error for each that is not."""
+    found = []
+    for plugin in (p for p in catalogue().plugins if p.kind == "peers"):
+        with _or_skipped(plugin.name):
+            reason = plugin.reason or catalogue().load("peers", plugin.name).skip_reason()
+            found += [plugin] if reason is None else []
+            if reason is not None:
+                _skipped(plugin.name, reason)
+    return found
+
+
+def _peer_rows(plugin: Plugin, side: int, say: Say) -> list[Row]:
+    """One row, or none if it could not be measured."""
+    say(f"{plugin.name}: {side} × {side} nodes")
+    with _or_skipped(plugin.name):
+        speed, version = time_peer(catalogue().load("peers", plugin.name), side)
+        about = {"kind": "explicit", "version": version, "note": plugin.summary}
+        return [_row(plugin.name, speed, 1, 1) | about]
+    return []
+
+
+def _row(name: str, speed: Speed, threads: int, batch: int) -> Row:
+    measured = {
+        "model": name, "nodes": speed.nodes, "threads": threads, "batch": batch,
+        "node_steps_per_s": speed.node_steps_per_s, "realtime_factor": speed.realtime_factor,
+    }  # fmt: skip
+    return dict.fromkeys(KEYS) | measured
+
+
+@contextmanager
+def _or_skipped(name: str) -> Iterator[None]:
+    """Turn a plugin's fault into a line on standard error: one that is broken must not stop the others."""
+    try:
+        yield
+    except ClothbenchError as fault:
+        _skipped(name, str(fault))
+    except Exception as fault:
+        _skipped(name, one_line(fault))
+
+
+def _skipped(name: str, reason: str) -> None:
+    print(f"{name}: skipped: {reason}", file=sys.stderr)
+
+
+# --- the table ----------------------------------------------------------------------------------------------
+
+
+def print_table(rows: Sequence[Row]) -> None:
+    """A line for each measurement, with its ratio to each peer; then the share of separate processes."""
+    from rich.markup import escape
+    from rich.table import Table
+
+    from clothbench.display.terminal import console
+
+    equal, rows = [r for r in rows if r["error_m"] is not None], [r for r in rows if r["error_m"] is None]
+    peers = list(dict.fromkeys(r["peer"] for r in rows if r["peer"] not in (None, PROCESSES)))
+    table = Table(title="speed; × a peer: per core", title_justify="left", title_style="bold")
+    for name in ("model", "kind", "precision", "step"):
+        table.add_column(name, no_wrap=True)
+    beside = [f"× {p}" for p in peers]
+    for name in ("nodes", "threads", "batch", "million node-steps/s", "× real time", *beside):
+        table.add_column(name, justify="right")
+    for cells in _lines([r for r in rows if r["peer"] != PROCESSES], peers):
+        table.add_row(*map(escape, cells))
+    out = console()
+    out.print(table)
+    for row in (r for r in rows if r["peer"] == PROCESSES):
+        what = f"{row['model']}, {row['nodes']} nodes, {row['threads']} threads"
+        out.print(f"{escape(what)}: {row['ratio']:.2f}, {escape(row['note'])}")
+    if not equal:
+        return
+    title = f"one sheet per core, longest step that errs by {1e3 * TOLERABLE:g} mm at most"
+    table = Table("model", "options", title=title, title_justify="left", title_style="bold")
+    for name in ("nodes", "step, ms", "error, mm", "× real time", "× fastest peer"):
+        table.add_column(name, justify="right")
+    for r in equal:
+        ratio = "" if r["ratio"] is None else f"{r['ratio']:.1f} ({r['peer']})"
+        step, error, pace = f"{1e3 * r['step_s']:.3g}", f"{1e3 * r['error_m']:.2g}", f"{r['realtime_factor']:.3g}"
+        table.add_row(*map(escape, (r["model"], r["note"] or "", str(r["nodes"]), step, error, pace, ratio)))
+    out.print(table)
+
+
+def _lines(rows: Sequence[Row], peers: Sequence[str]) -> Iterator[list[str]]:
+    """The cells of the table: rows that differ in their peer alone share a line."""
+    together: dict[tuple, dict[str, str]] = {}
+    about: dict[tuple, Row] = {}
+    for row in rows:
+        key = tuple(v for k, v in row.items() if k not in ("peer", "ratio"))
+        about[key] = row
+        together.setdefault(key, {})[row["peer"]] = f"{row['ratio']:.1f}" if row["ratio"] is not None else ""
+    for key, row in about.items():
+        step = PEER_STEP if row["model"] in peers else row["note"]
+        texts = (row["model"], row["kind"], row["precision"], step)
+        counts = (row["nodes"], row["threads"], row["batch"])
+        speed = (f"{row['node_steps_per_s'] / 1e6:.1f}", f"{row['realtime_factor']:.3g}")
+        yield [*(str(t or "") for t in (*texts, *counts)), *speed, *(together[key].get(p, "") for p in peers)]
