@@ -16,6 +16,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.protocols import Effect
+from clothbench.engine.cells import Source, resplit
 from clothbench.engine.memory import Memory
 from clothbench.engine.settings import writable
 from clothbench.modelling.curves import acts_on_sheets
@@ -24,7 +25,6 @@ from clothbench.recordings.codec import kind_of
 from clothbench.recordings.curve import Curve
 from clothbench.recordings.nodes import Recording, find_recordings, read_recording
 from clothbench.recordings.scenes import scene_of
-from clothbench.studies.calibration.cell import Source, resplit
 from clothbench.studies.improve.files import json_text, write_folder
 from clothbench.studies.improve.fitting import ENOUGH
 from clothbench.studies.improve.problem import Case, Problem

@@ -11,11 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.engine.cells import Source, plugin_versions, resplit
 from clothbench.engine.rows import AnyCell
 from clothbench.engine.settings import PRODUCT, checked, words
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording, find_recordings, read_recording
-from clothbench.studies.calibration.cell import Cell, Source, plugin_versions, rehearse, resplit, uses
+from clothbench.studies.calibration.cell import Cell, rehearse, uses
 from clothbench.studies.folding.cell import plan_folds
 from clothbench.studies.mechanics.cell import plan_validation
 

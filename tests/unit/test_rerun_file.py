@@ -14,12 +14,13 @@ from clothbench.cli import view
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.rollout import Rollout
 from clothbench.display import rerun as rerun_file
+from clothbench.engine.cells import Source
 from clothbench.estimation.calibrate import best_rollout, calibrate
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.nodes import Recording, write_recording
 from clothbench.recordings.scenes import scene_of
 from clothbench.studies.calibration import rerun_file as fit_file
-from clothbench.studies.calibration.cell import Bench, Cell, Source, set_up
+from clothbench.studies.calibration.cell import Bench, Cell, set_up
 
 TRUTH = np.array([[60.0, 1.0, 0.1]])
 

@@ -3,33 +3,20 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
-import json
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
-import numpy as np
-
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Metric
+from clothbench.engine.cells import Skipped, Source, digest, seed_of
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.trials import Trial
-from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken, absent, library_version
+from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken, absent
 from clothbench.recordings.nodes import Recording, read_recording
 from clothbench.recordings.scenes import scene_of
-
-
-@dataclass(frozen=True)
-class Source:
-    """A recording file as a cell refers to it: where it is, what it is called, its hash and its split."""
-
-    path: str
-    name: str
-    hash: str
-    split: str
 
 
 @dataclass(frozen=True)
@@ -74,14 +61,14 @@ class Cell:
         for name in ("fixed", "analysis", "rivals"):  # cells that have none keep the key they had before there were any
             if not question[name]:
                 del question[name]
-        return hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:16]
+        return digest(question)
 
     @cached_property
     def settings(self) -> str:
         """6 hexadecimal digits of how it is run, whatever it is run on."""
         how = {name: getattr(self, name) for name in ("bounds", "scene", "versions", "budget", "tracker")}
         how["options"] = {k: dict(v) for k, v in self.options.items() if k in self._plugins()}
-        return hashlib.sha256(json.dumps(how, sort_keys=True).encode()).hexdigest()[:6]
+        return digest(how, 6)
 
     def _plugins(self) -> set[str]:
         return {self.model, self.optimizer, self.metric, self.tracker, *self.effects, *self.report}
@@ -104,8 +91,7 @@ class Cell:
         names = ("case", "model", "effects", "optimizer", "metric", "seed", "bounds", "budget")
         problem = {name: getattr(self, name) for name in names}
         problem["recordings"] = sorted((s.hash, s.split) for s in self.recordings)
-        text = json.dumps([problem, purpose], sort_keys=True)
-        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
+        return seed_of(problem, purpose)
 
     def option(self, name: str) -> dict[str, Any]:
         return dict(self.options.get(name, {}))
@@ -116,23 +102,6 @@ def uses(cell: Cell) -> list[tuple[str, str]]:
     single = [("models", cell.model), ("optimizers", cell.optimizer), ("trackers", cell.tracker)]
     metrics = [("metrics", name) for name in (cell.metric, *cell.report)]
     return single + metrics + [("effects", name) for name in cell.effects]
-
-
-def plugin_versions(used: Iterable[tuple[str, str]], plugins: Catalogue) -> dict[str, str]:
-    """ "kind/name" → "distribution version, plugin version" of what a cell uses; "broken" where it cannot load.
-
-    With the version of the library that a plugin is built on: a cell skipped for want of it is another one later.
-    """
-    out = {}
-    for kind, name in used:
-        known = plugins.find(kind, name)
-        try:
-            loaded = plugins.load(kind, name)
-            version = ", ".join(filter(None, (str(getattr(loaded, "version", 0)), library_version(loaded))))
-        except ClothbenchError:
-            version = "broken"
-        out[f"{kind}/{name}"] = f"{known.distribution} {known.version}, {version}"
-    return out
 
 
 @dataclass(frozen=True, eq=False)
@@ -187,10 +156,6 @@ def bounded(space: ParameterSpace, bounds: Mapping[str, tuple[float, float]]) ->
     return space.bounded({name: pair for name, pair in bounds.items() if name in space.names})
 
 
-class Skipped(Exception):
-    """The model says that it cannot do this scene; not a fault."""
-
-
 def set_up(cell: Cell, plugins: Catalogue) -> Bench:
     """Make the plugins, read and track the recordings, and prepare one simulation for each."""
     if reason := absent(plugins.load("models", cell.model)):
@@ -218,12 +183,3 @@ def set_up(cell: Cell, plugins: Catalogue) -> Bench:
     space = bounded(trials[0].simulation.parameters, cell.bounds)
     others = tuple(plugins.make("metrics", name, **cell.option(name)) for name in cell.report if name != cell.metric)
     return Bench(cell, space, recordings, tuple(trials), others, make)
-
-
-def resplit(sources: list[Source], seed: int) -> list[Source]:
-    """A split by recording where the files state none: a third, at least one of two, is held out. Seeded."""
-    if any(s.split for s in sources) or len(sources) < 2:
-        return [Source(s.path, s.name, s.hash, s.split or "fit") for s in sources]
-    order = np.random.default_rng(seed).permutation(len(sources))
-    held = set(order[: max(1, len(sources) // 3)].tolist())
-    return [Source(s.path, s.name, s.hash, "held_out" if i in held else "fit") for i, s in enumerate(sources)]

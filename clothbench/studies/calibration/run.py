@@ -12,6 +12,7 @@ import numpy as np
 from clothbench.core.parallel import set_thread_count
 from clothbench.core.protocols import Metric, Score
 from clothbench.core.rollout import Rollout
+from clothbench.engine.cells import Skipped
 from clothbench.engine.journal import Journal
 from clothbench.engine.rows import AnyCell, about_cell, keep_failure, no_value
 from clothbench.engine.store import Store, finite
@@ -20,7 +21,7 @@ from clothbench.estimation.intervals import error_interval, mean_interval
 from clothbench.estimation.trials import score_of
 from clothbench.plugins.discovery import catalogue, one_line
 from clothbench.studies.calibration.analysis import analyse, starts_of, truth_of
-from clothbench.studies.calibration.cell import Bench, Skipped, set_up
+from clothbench.studies.calibration.cell import Bench, set_up
 from clothbench.studies.folding.cell import FoldCell
 from clothbench.studies.folding.run import fold
 from clothbench.studies.mechanics.cell import ValidationCell

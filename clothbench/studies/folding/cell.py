@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
-import hashlib
 import itertools
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.engine.cells import digest, plugin_versions, seed_of
 from clothbench.plugins.discovery import Catalogue
 from clothbench.reference.fabrics import FABRICS, Fabric
-from clothbench.studies.calibration.cell import plugin_versions
 
 VERSION = 1  # of the testbed: raised when its numbers change
 
@@ -73,7 +71,7 @@ class FoldCell:
     @cached_property
     def key(self) -> str:
         """16 hexadecimal digits, the same on every machine for the same question."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()[:16]
+        return digest(asdict(self))
 
     @property
     def label(self) -> str:
@@ -89,8 +87,7 @@ class FoldCell:
 
     def stream(self, purpose: str) -> int:
         """A seed of its own for each purpose. The sheet is the same for every model and optimizer."""
-        text = json.dumps([self.case, self.fold.length, self.seed, purpose])
-        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big")
+        return seed_of(self.case, self.fold.length, self.seed, purpose)
 
 
 def plan_folds(config: Mapping[str, Any], plugins: Catalogue) -> list[FoldCell]:

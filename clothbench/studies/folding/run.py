@@ -20,13 +20,13 @@ from clothbench.core.observation import Observation
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Evaluation, Metric, Optimizer, Tracker
 from clothbench.core.rollout import Rollout
+from clothbench.engine.cells import Skipped
 from clothbench.engine.rows import about_cell, no_value
 from clothbench.engine.store import Store
 from clothbench.estimation.intervals import jackknife
 from clothbench.estimation.search import drive
 from clothbench.plugins.discovery import Catalogue, absent, catalogue
 from clothbench.reference.lifted_strip import Lifted
-from clothbench.studies.calibration.cell import Skipped
 from clothbench.studies.folding.cell import FoldCell
 from clothbench.studies.folding.laser_camera import rendered
 from clothbench.studies.folding.strip import TestStrip

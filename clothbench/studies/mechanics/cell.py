@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
-import hashlib
-import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.engine.cells import digest, plugin_versions
 from clothbench.modelling.curves import answers_sheets
 from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
-from clothbench.studies.calibration.cell import plugin_versions
 from clothbench.studies.mechanics import VERSION
 from clothbench.studies.mechanics.checks import NAMES, Check, check_named
 
@@ -66,7 +64,7 @@ class ValidationCell:
     @cached_property
     def key(self) -> str:
         """16 hexadecimal digits, the same on every machine for the same question."""
-        return hashlib.sha256(json.dumps(asdict(self), sort_keys=True).encode()).hexdigest()[:16]
+        return digest(asdict(self))
 
     @property
     def label(self) -> str:

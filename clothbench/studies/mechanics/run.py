@@ -7,10 +7,10 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from clothbench.engine.cells import Skipped
 from clothbench.engine.rows import about_cell, no_value
 from clothbench.engine.store import Store
 from clothbench.plugins.discovery import absent, catalogue
-from clothbench.studies.calibration.cell import Skipped
 from clothbench.studies.mechanics.cell import ValidationCell
 from clothbench.studies.mechanics.checks import Answer, Check, Level
 from clothbench.studies.mechanics.subject import Subject, with_orders

@@ -1,0 +1,67 @@
+"""What the cells of every study share: recordings as they refer to them, keys, seeds, and versions of plugins.
+
+A cell is plain data that travels to worker processes; its key is the hash of all that its result depends on.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.plugins.discovery import Catalogue, library_version
+
+
+def digest(question: Any, digits: int = 16) -> str:
+    """Hexadecimal digits of plain data, the same on every machine for the same question."""
+    return hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:digits]
+
+
+def seed_of(*problem: Any) -> int:
+    """A seed hashed from what it is for: no generator is shared between purposes."""
+    return int.from_bytes(hashlib.sha256(json.dumps(problem, sort_keys=True).encode()).digest()[:8], "big")
+
+
+class Skipped(Exception):
+    """The model says that it cannot do this scene; not a fault."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A recording file as a cell refers to it: where it is, what it is called, its hash and its split."""
+
+    path: str
+    name: str
+    hash: str
+    split: str
+
+
+def plugin_versions(used: Iterable[tuple[str, str]], plugins: Catalogue) -> dict[str, str]:
+    """ "kind/name" → "distribution version, plugin version" of what a cell uses; "broken" where it cannot load.
+
+    With the version of the library that a plugin is built on: a cell skipped for want of it is another one later.
+    """
+    out = {}
+    for kind, name in used:
+        known = plugins.find(kind, name)
+        try:
+            loaded = plugins.load(kind, name)
+            version = ", ".join(filter(None, (str(getattr(loaded, "version", 0)), library_version(loaded))))
+        except ClothbenchError:
+            version = "broken"
+        out[f"{kind}/{name}"] = f"{known.distribution} {known.version}, {version}"
+    return out
+
+
+def resplit(sources: list[Source], seed: int) -> list[Source]:
+    """A split by recording where the files state none: a third, at least one of two, is held out. Seeded."""
+    if any(s.split for s in sources) or len(sources) < 2:
+        return [Source(s.path, s.name, s.hash, s.split or "fit") for s in sources]
+    order = np.random.default_rng(seed).permutation(len(sources))
+    held = set(order[: max(1, len(sources) // 3)].tolist())
+    return [Source(s.path, s.name, s.hash, "held_out" if i in held else "fit") for i, s in enumerate(sources)]
