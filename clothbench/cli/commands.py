@@ -236,16 +236,13 @@ def import_data(options: argparse.Namespace) -> int:
 
 
 def leaderboard(options: argparse.Namespace) -> int:
-    from clothbench.engine.store import Store, leaderboard_row
-    from clothbench.studies.calibration.tables import print_leaderboard
+    from clothbench.cli.results import print_results
+    from clothbench.engine.store import leaderboard_row
 
-    rows = results_in(options.out).rows()
+    store = results_in(options.out)
     if options.json:
-        print_json([leaderboard_row(r) for r in rows])
-    elif rows:
-        store = Store(options.out)
-        print_leaderboard(rows, store.parameters(), store.levels(), store.table("fold"))
-    else:
+        print_json([leaderboard_row(r) for r in store.rows()])
+    elif not print_results(store):
         print(f"no results in {options.out}; make some with: clothbench run +suite=static_dynamic")
     return 0
 

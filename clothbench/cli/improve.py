@@ -17,7 +17,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.protocols import Effect
 from clothbench.engine.cells import Source, resplit
-from clothbench.engine.memory import Memory
+from clothbench.engine.checkpoint import Checkpoint as Memory
 from clothbench.engine.settings import writable
 from clothbench.modelling.curves import acts_on_sheets
 from clothbench.plugins.discovery import Catalogue, absent, catalogue

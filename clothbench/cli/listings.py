@@ -11,7 +11,7 @@ from rich.table import Table
 from clothbench.core.errors import ClothbenchError
 from clothbench.datasets.convert import REPORT
 from clothbench.display.terminal import console
-from clothbench.plugins.discovery import Plugin, absent, catalogue, reason_of
+from clothbench.plugins.discovery import Plugin, absent, catalogue, reason_of, singular
 
 
 def plugin_rows() -> list[dict[str, Any]]:
@@ -21,7 +21,7 @@ def plugin_rows() -> list[dict[str, Any]]:
 
 def _plugin_row(plugin: Plugin) -> dict[str, Any]:
     row: dict[str, Any] = {
-        "kind": plugin.kind if plugin.kind == "module" else plugin.kind.removesuffix("s"),
+        "kind": plugin.kind if plugin.kind == "module" else singular(plugin.kind),
         "name": plugin.name,
         "version": None,
         "distribution": f"{plugin.distribution} {plugin.version}",

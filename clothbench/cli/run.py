@@ -21,18 +21,15 @@ from hydra.plugins.search_path_plugin import SearchPathPlugin
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from clothbench.cli.results import print_results
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.rollout import Rollout
 from clothbench.engine.pool import failed, run_cells
-from clothbench.engine.progress import CellProgress, counting
+from clothbench.engine.progress import CellBar as CellBar
+from clothbench.engine.progress import counting
 from clothbench.engine.settings import KNOWN, last_word
 from clothbench.engine.store import Store
 from clothbench.engine.suite import plan, suites_folder
 from clothbench.plugins.discovery import catalogue, config_groups
-from clothbench.studies.calibration.analysis_tables import print_analyses
-from clothbench.studies.calibration.cell import Bench
-from clothbench.studies.calibration.schema import ANALYSIS_TABLES
-from clothbench.studies.calibration.tables import print_leaderboard
 
 NOTES = "CLOTHBENCH_RUN_NOTES"  # folder in which the jobs of one command leave word for it, whatever launched them
 MAIN_SUITE = "static_dynamic"  # what a sweep is over if it names no recordings
@@ -94,17 +91,9 @@ def _run(config: Any) -> dict[str, Any]:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as fault:
         raise ClothbenchError(f"setting 'out': {out} cannot be written to ({fault.strerror})") from fault
-    with CellProgress(cells) as bar:
-        attach = attach_rerun if config["rerun"] else None
-        run_cells(cells, out, jobs=int(config["jobs"]), attach=attach, done=bar.done, progress=bar.tell)
+    with CellBar(cells) as bar:
+        run_cells(cells, out, jobs=int(config["jobs"]), rerun=bool(config["rerun"]), done=bar.done, progress=bar.tell)
     return {"out": str(out.absolute()), "cells": [c.key for c in cells]}
-
-
-def attach_rerun(folder: Path, bench: Bench, rollouts: Sequence[Rollout]) -> None:
-    """Put a Rerun file beside a finished cell's tables."""
-    from clothbench.studies.calibration.rerun_file import write_rerun
-
-    write_rerun(folder / "fit.rrd", bench, rollouts)
 
 
 def _conclude(notes: Path, sweep: bool) -> int:
@@ -121,9 +110,7 @@ def _conclude(notes: Path, sweep: bool) -> int:
     for out in sorted({n["out"] for n in found}):
         mine = [n for n in found if n["out"] == out]
         store, keys = Store(out), list(dict.fromkeys(k for n in mine for k in n["cells"]))
-        rows = store.rows(keys)
-        print_leaderboard(rows, store.parameters(keys), store.levels(keys), store.table("fold", keys))
-        print_analyses(rows, {name: store.table(name, keys) for name in ANALYSIS_TABLES})
+        rows = print_results(store, keys)
         _say_where(store, keys)
         code = max(code, int(failed(r["status"] for r in rows)))
     return code

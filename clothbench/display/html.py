@@ -12,7 +12,7 @@ Rows = Sequence[dict[str, Any]]
 def table(head: Iterable[str], body: Sequence[Sequence[str]], numeric: set[int]) -> str:
     """An HTML table; `head` is text, cells of `body` are HTML already; a line of one cell is a heading.
 
-    Columns whose number is in `numeric` stand to the right.
+    Columns whose number is in `numeric` stand to the right. A line that does not fit its heading is a fault of ours.
     """
     head, kinds = list(head), {i: ' class="n"' for i in numeric}
     top = "".join(f'<th scope="col"{kinds.get(i, "")}>{text(h)}</th>' for i, h in enumerate(head))
@@ -20,10 +20,18 @@ def table(head: Iterable[str], body: Sequence[Sequence[str]], numeric: set[int])
     for line in body:
         if len(line) == 1:
             lines.append(f'<tr class="group"><td colspan="{len(head)}">{line[0]}</td></tr>')
+        elif len(line) != len(head):
+            raise ValueError(f"a table's line has {len(line)} cells below a heading of {len(head)}")
         else:
             lines.append("<tr>" + "".join(f"<td{kinds.get(i, '')}>{c}</td>" for i, c in enumerate(line)) + "</tr>")
     inside = f"<thead><tr>{top}</tr></thead><tbody>{''.join(lines)}</tbody>"
     return f'<div class="scroll"><table>{inside}</table></div>'
+
+
+def interval(row: dict[str, Any], digits: str) -> str:
+    if row["low"] is None or row["high"] is None:
+        return ""
+    return f"{row['low']:{digits}} … {row['high']:{digits}}"
 
 
 def below(small: str) -> str:

@@ -11,10 +11,6 @@ COLOURS = ("#0077bb", "#d55e00", "#009e73", "#b8559a", "#a67c00", "#6a6fd0", "#3
 GREY = "#8a8f98"
 
 
-def model_name(row: dict[str, Any]) -> str:
-    return row["model"] + "".join(f"+{e}" for e in (row["effects"] or "").split(",") if e)
-
-
 def thinned(time: np.ndarray, value: np.ndarray, points: int) -> tuple[list[float], list[float | None]]:
     """A trace of at most `points` points: means of stretches of frames; None where nothing was seen."""
     stretch = -(-len(time) // points)

@@ -62,23 +62,6 @@ select { font: inherit; color: inherit; background: var(--card); border: 1px sol
 footer { margin-top: 48px; color: var(--soft); font-size: 13px; }
 """
 
-FIGURES = """
-<h2 id="figures">Figures</h2>
-<div class="menu top"><label for="panel">Show</label><select id="panel"></select><div id="legend"></div></div>
-<h3>Error per recording</h3>
-<figure><figcaption>Mean error with its 95 % interval. Filled dots: recordings that were
-fitted; open diamonds: held out. Grey line: what measurement noise alone would give
-a perfect model.</figcaption>
-<div id="errors"></div></figure>
-<div id="convergence-block"><h3>Convergence</h3>
-<figure><figcaption>Lowest error on the fit recordings so far, over evaluations.</figcaption>
-<div id="convergence"></div></figure></div>
-<div id="trace-block"><h3>Error over time</h3>
-<div class="menu"><label for="recording">Recording</label><select id="recording"></select></div>
-<figure><figcaption>Error of the best fit in each frame; grey line: noise floor.</figcaption>
-<div id="trace"></div></figure></div>
-"""
-
 DRAWING = """
 const byId = (id) => document.getElementById(id);
 const options = (select, names) => select.replaceChildren(...names.map((n) => new Option(n, n)));
@@ -112,29 +95,4 @@ function legendButton([name, colour, dash], redraw) {
   button.addEventListener("click", () => { hidden.delete(name) || hidden.add(name); redraw(); });
   return button;
 }
-"""
-
-SCRIPT = """
-const panels = JSON.parse(document.getElementById("panels").textContent);
-const current = () => panels[byId("panel").selectedIndex];
-function drawTrace() {
-  const figure = current().traces[byId("recording").value];
-  if (figure) draw("trace", figure);
-}
-function drawPanel() {
-  const panel = current(), before = byId("recording").value, names = Object.keys(panel.traces);
-  byId("legend").replaceChildren(...panel.legend.map((entry) => legendButton(entry, drawPanel)));
-  draw("errors", panel.errors);
-  byId("convergence-block").hidden = !panel.convergence;
-  if (panel.convergence) draw("convergence", panel.convergence);
-  byId("trace-block").hidden = names.length === 0;
-  options(byId("recording"), names);
-  if (names.includes(before)) byId("recording").value = before;
-  drawTrace();
-}
-options(byId("panel"), panels.map((p) => p.title));
-byId("panel").addEventListener("change", drawPanel);
-byId("recording").addEventListener("change", drawTrace);
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawPanel);
-drawPanel();
 """

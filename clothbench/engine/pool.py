@@ -10,25 +10,25 @@ from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 
 from clothbench.core.parallel import available_cores
-from clothbench.engine.rows import AnyCell, keep_failure
+from clothbench.engine.run import CellProgress, failed_with, keep, run_cell
 from clothbench.engine.store import Store
-from clothbench.studies.calibration.run import Attach, Progress, run_cell
+from clothbench.engine.study import Cell
 
 WATCH = 0.5  # s between two looks at whether the parent still lives
 
 
 def run_cells(
-    cells: Sequence[AnyCell],
+    cells: Sequence[Cell],
     out: Path,
     *,
     jobs: int = 0,
-    attach: Attach | None = None,
-    done: Callable[[AnyCell, str], None],
-    progress: Progress | None = None,
+    rerun: bool = False,
+    done: Callable[[Cell, str], None],
+    progress: CellProgress | None = None,
 ) -> None:
     """Run every cell that the store lacks, `jobs` processes at a time (0: one per core); `done(cell, status)` after.
 
-    A single cell runs in this process with all cores; several run in joblib's process pool with the cores shared out.
+    A single cell runs in this process with all cores; several run in a pool of processes with the cores shared out.
     """
     store = Store(out)
     missing = [c for c in cells if not store.has(c.key)]
@@ -38,13 +38,13 @@ def run_cells(
     workers = min(jobs or available_cores(), len(missing))
     if len(missing) == 1 or jobs == 1:
         for cell in missing:
-            done(cell, run_cell(cell, out, attach=attach, progress=progress))
+            done(cell, run_cell(cell, out, rerun=rerun, progress=progress))
     elif missing:
-        _run_in_processes(missing, out, workers, attach, done)
+        _run_in_processes(missing, out, workers, rerun, done)
 
 
 def _run_in_processes(
-    cells: Sequence[AnyCell], out: Path, workers: int, attach: Attach | None, done: Callable[[AnyCell, str], None]
+    cells: Sequence[Cell], out: Path, workers: int, rerun: bool, done: Callable[[Cell, str], None]
 ) -> None:
     """Keep `workers` processes busy.
 
@@ -54,13 +54,13 @@ def _run_in_processes(
     from loky.process_executor import BrokenProcessPool
 
     waiting = list(cells)[::-1]
-    running: dict[Future, AnyCell] = {}
+    running: dict[Future, Cell] = {}
     threads = max(1, available_cores() // workers)
     executor = _pool(workers)
     while waiting or running:
         try:
             while waiting and len(running) < workers:
-                running[executor.submit(run_cell, waiting[-1], out, threads=threads, attach=attach)] = waiting[-1]
+                running[executor.submit(run_cell, waiting[-1], out, threads=threads, rerun=rerun)] = waiting[-1]
                 waiting.pop()
             for future in _first(running):
                 status = future.result()
@@ -69,7 +69,7 @@ def _run_in_processes(
             suspects = list(running.values())
             running.clear()
             for cell in suspects:
-                done(cell, _run_alone(cell, out, attach))
+                done(cell, _run_alone(cell, out, rerun))
             executor = _pool(workers)
 
 
@@ -77,17 +77,19 @@ def _first(running: Iterable[Future]) -> Iterable[Future]:
     return wait(list(running), return_when=FIRST_COMPLETED).done
 
 
-def _run_alone(cell: AnyCell, out: Path, attach: Attach | None) -> str:
+def _run_alone(cell: Cell, out: Path, rerun: bool) -> str:
     from loky.process_executor import BrokenProcessPool
 
     store = Store(out)
     if store.has(cell.key):  # it had finished just before its neighbour died
         return "ok"
     try:
-        return _pool(1).submit(run_cell, cell, out, attach=attach).result()
+        return _pool(1).submit(run_cell, cell, out, rerun=rerun).result()
     except BrokenProcessPool as fault:
         reason = str(fault).strip().splitlines()[0] if str(fault).strip() else "no word from it"
-        return keep_failure(store, cell, "error", f"the process that ran this cell died ({reason})")
+        result = failed_with(cell, f"the process that ran this cell died ({reason})")
+        keep(store, cell, result)
+        return result.status
 
 
 def _pool(workers: int):

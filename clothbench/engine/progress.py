@@ -9,13 +9,13 @@ from contextlib import contextmanager
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from clothbench.engine.rows import AnyCell
+from clothbench.engine.study import Cell
 
 
-class CellProgress:
+class CellBar:
     """A bar on standard error; where that is no terminal, one line per finished cell instead."""
 
-    def __init__(self, cells: Sequence[AnyCell]):
+    def __init__(self, cells: Sequence[Cell]):
         self.total, self.count = len(cells), 0
         console = Console(stderr=True)
         self.live = console.is_terminal
@@ -29,14 +29,14 @@ class CellProgress:
         steps = self.single.budget if self.single else self.total
         self.task = self.bar.add_task(self.single.counts if self.single else "cells", total=steps, note="")
 
-    def __enter__(self) -> CellProgress:
+    def __enter__(self) -> CellBar:
         self.bar.start()
         return self
 
     def __exit__(self, *_: object) -> None:
         self.bar.stop()
 
-    def tell(self, cell: AnyCell, evaluations: int, best: float) -> None:
+    def tell(self, cell: Cell, evaluations: int, best: float) -> None:
         """Word from inside a cell: so many evaluations, the best value so far; or simulations, and the last value."""
         note = f"{cell.value_word} {best:.4g}"
         if self.single:
@@ -44,7 +44,7 @@ class CellProgress:
         else:
             self.bar.update(self.task, note=f"{cell.label}: {evaluations} {cell.counts}, {note}")
 
-    def done(self, cell: AnyCell, status: str) -> None:
+    def done(self, cell: Cell, status: str) -> None:
         self.count += 1
         note = f"{status}: {cell.label}"
         self.bar.update(self.task, completed=self.single.budget if self.single else self.count, note=note)

@@ -5,28 +5,21 @@ from __future__ import annotations
 from typing import Any
 
 from clothbench.core.parallel import thread_count
-from clothbench.engine.store import Store, now, system_info
-from clothbench.studies.calibration.cell import Cell
-from clothbench.studies.folding.cell import FoldCell
-from clothbench.studies.mechanics.cell import ValidationCell
-
-AnyCell = Cell | ValidationCell | FoldCell
+from clothbench.engine.store import now, system_info
+from clothbench.engine.study import Cell, Result
 
 
-def keep_failure(
-    store: Store, cell: AnyCell, status: str, reason: str, detail: str = "", evaluations: int = 0, wall_s: float = 0.0
-) -> str:
-    """Store a cell that has no result: one row for each of its cases, with the reason in place of a number."""
+def failure(cell: Cell, status: str, reason: str, evaluations: int = 0, wall_s: float = 0.0) -> Result:
+    """A cell that has no result: one row for each of its cases, with the reason in place of a number."""
     row = {**about_cell(cell), **no_value(), "status": status, "reason": reason, "unit": None}
     row |= {"evaluations": evaluations, "wall_s": wall_s}
-    extra = (lambda folder: (folder / "traceback.txt").write_text(detail)) if detail else None
-    store.put(cell.key, {"rows": [{**row, "case": case} for case in cell.cases]}, extra)
-    return status
+    return Result(status, {"rows": [{**row, "case": case} for case in cell.cases]})
 
 
-def about_cell(cell: AnyCell) -> dict[str, Any]:
+def about_cell(cell: Cell) -> dict[str, Any]:
     plugins = "; ".join(f"{k} ({v})" for k, v in sorted(cell.versions.items()))
     return {
+        "study": cell.study,
         "suite": cell.suite,
         "case": cell.case,
         "model": cell.model,
@@ -37,8 +30,9 @@ def about_cell(cell: AnyCell) -> dict[str, Any]:
         "key": cell.key,
         "plugins": plugins,
         "objective": cell.metric,
-        "budget": cell.budget if isinstance(cell, Cell) else None,
-        "settings": cell.settings if isinstance(cell, Cell) else None,
+        "budget": None,
+        "settings": None,
+        **cell.row_columns,
         "threads": thread_count(),
         "finished": now(),
         **system_info(),

@@ -1,4 +1,7 @@
-"""The settings of a run, checked before anything is read or written: a wrong one is one line, never a guess."""
+"""The settings of a run, checked before anything is read or written: a wrong one is one line, never a guess.
+
+Here is what every study shares; what only one of them knows is checked by its own plan.
+"""
 
 from __future__ import annotations
 
@@ -12,37 +15,22 @@ from typing import Any
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.scene import AIR_DENSITY
 from clothbench.plugins.discovery import Catalogue
-from clothbench.studies.folding.cell import chosen_fabrics, fold_settings
-from clothbench.studies.mechanics.cell import MESHES, chosen_tests
 
-PRODUCT = ("model", "optimizer", "metric")
-CASES = ("fabric", "experiment", "motion", "recording", "all")
+PLUGINS = ("model", "optimizer", "metric", "effects", "report", "recording", "recordings")  # names, or lists of them
 KNOWN = {
-    *PRODUCT, "effects", "report", "tracker", "recordings", "recording", "scene", "options", "bounds", "budget",
-    "seed", "jobs", "timeout", "out", "data_dir", "suite", "rerun", "analysis",
+    *PLUGINS, "study", "tracker", "scene", "options", "bounds", "budget", "seed", "jobs", "timeout", "out", "data_dir",
+    "suite", "rerun", "analysis",
 }  # fmt: skip
-SUITE_KEYS = {
-    "name", "version", "title", "recordings", "select", "case", "each", "fixed", "effects", "budgets", "tests",
-    "meshes", "fold",
-}  # fmt: skip
-# What can be asked of a finished fit, with the options of each and their defaults.
-ANALYSES: dict[str, dict[str, Any]] = {
-    "variability": {"points": 8},  # perturbations of each parameter, up to ±20 %
-    "repeats": {"count": 5},  # further fits from starts within ±5 %
-    "morris": {"trajectories": 8},
-    "sobol": {"samples": 16},  # a power of two
-    "map": {"parameters": ["bend", "stretch"], "points": 9},  # the error over two parameters
-    "confusion": {},  # these parameters beside the other fabrics' recordings of the same trials
-}
-# What a suite of tests against mechanics has no use for, beside `scene`.
-CALIBRATION = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds")
+SUITE_WORDS = {"name", "version", "title", "budgets"}  # of every study; each may know more
 
 
-def checked(config: Mapping[str, Any], plugins: Catalogue) -> dict[str, Any]:
-    """The settings with their types made sure; refuses what means nothing here."""
+def checked(config: Mapping[str, Any], plugins: Catalogue, suite_words: frozenset[str]) -> dict[str, Any]:
+    """The settings with their types made sure; refuses what means nothing here. suite_words: of the study."""
     out = dict(config)
     known_words("setting", out, KNOWN)
-    out["suite"] = suite_settings(out.get("suite"))
+    out["suite"] = mapping("suite", suite_chosen(out.get("suite")))
+    known_words("setting of 'suite'", out["suite"], SUITE_WORDS | suite_words)
+    out["suite"]["budgets"] = mapping("suite.budgets", out["suite"].get("budgets"))
     out = named_budget(out)
     for name, least in (("budget", 1), ("seed", 0), ("jobs", 0)):
         out[name] = whole(name, out.get(name), least)
@@ -53,19 +41,37 @@ def checked(config: Mapping[str, Any], plugins: Catalogue) -> dict[str, Any]:
     out["scene"] = scene_settings(mapping("scene", out.get("scene")))
     out["bounds"] = {name: pair(f"bounds.{name}", b) for name, b in mapping("bounds", out.get("bounds")).items()}
     out["options"] = option_settings(mapping("options", out.get("options")), plugins)
-    out["analysis"] = analysis_settings(mapping("analysis", out.get("analysis")))
-    for key in (*PRODUCT, "effects", "report", "recording", "recordings"):
+    out["analysis"] = mapping("analysis", out.get("analysis"))
+    for key in PLUGINS:
         out[key] = words(key, out.get(key))
-    if out["suite"]["tests"]:
-        _nothing_to_fit(out)
-    if out["suite"]["fold"]:
-        _nothing_recorded(out)
-    for key in PRODUCT:
-        if not out[key] and not out["suite"]["tests"]:
-            raise ClothbenchError(f"setting '{key}' is empty; name a plugin (see `clothbench plugins`)")
     if twice := sorted({e for e in out["effects"] if out["effects"].count(e) > 1}):
         raise ClothbenchError(f"setting 'effects': {twice[0]!r} is given twice; name every effect once")
     return out
+
+
+def suite_chosen(suite: Any) -> Any:
+    if isinstance(suite, str):
+        raise ClothbenchError(f"setting 'suite' is {suite!r}; choose a suite with +suite=NAME")
+    return suite
+
+
+def require_plugins(config: Mapping[str, Any], keys: Sequence[str]) -> None:
+    """Refuse settings that name none where a study needs one."""
+    for key in keys:
+        if not config[key]:
+            raise ClothbenchError(f"setting '{key}' is empty; name a plugin (see `clothbench plugins`)")
+
+
+def refuse(config: Mapping[str, Any], keys: Sequence[str], why: str, scene: str) -> None:
+    """Refuse settings that a study cannot follow, and any of the scene but the usual density of air; `why` and `scene`
+    say so to the user.
+    """
+    for key in keys:
+        if config[key]:
+            raise ClothbenchError(f"setting '{key}': {why}; leave it out")
+    for key, value in config["scene"].items():
+        if not (key == "air_density" and value == AIR_DENSITY):
+            raise ClothbenchError(f"setting 'scene.{key}': {scene}; leave it out")
 
 
 def named_budget(config: dict[str, Any]) -> dict[str, Any]:
@@ -109,51 +115,6 @@ def last_word(config: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, 
             if above and isinstance(brought, dict):
                 brought.pop(last, None)
     return out
-
-
-def analysis_settings(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
-    """What is asked of a fit beside its errors: each analysis with its options and patterns of the cases it is for."""
-    known_words("analysis", given, set(ANALYSES))
-    out = {}
-    for name, told in given.items():
-        wanted = mapping(f"analysis.{name}", told)
-        known_words(f"setting of 'analysis.{name}'", wanted, {"cases", *ANALYSES[name]})
-        options = {**ANALYSES[name], **wanted}
-        options["cases"] = words(f"analysis.{name}.cases", wanted.get("cases", "*"))
-        for key, default in ANALYSES[name].items():
-            if isinstance(default, int):
-                options[key] = whole(f"analysis.{name}.{key}", options[key], 2)
-            elif isinstance(default, list):
-                options[key] = words(f"analysis.{name}.{key}", options[key])
-        out[name] = options
-    axes = out.get("map", {}).get("parameters", ["x", "y"])
-    if len(set(axes)) != 2:
-        raise ClothbenchError(f"setting 'analysis.map.parameters' is {axes!r}, expected two different parameters")
-    if (samples := out.get("sobol", {}).get("samples", 2)).bit_count() != 1:
-        raise ClothbenchError(f"setting 'analysis.sobol.samples' is {samples}, expected a power of two")
-    return out
-
-
-def _nothing_to_fit(config: Mapping[str, Any]) -> None:
-    """Refuse what tests against mechanics cannot follow: they bring their own scenes, effects and parameters."""
-    for key in CALIBRATION:
-        if config[key]:
-            raise ClothbenchError(f"setting '{key}': the tests of this suite are not fitted to anything; leave it out")
-    for key, value in config["scene"].items():
-        if not (key == "air_density" and value == AIR_DENSITY):
-            raise ClothbenchError(
-                f"setting 'scene.{key}': the tests of this suite bring their own scenes; leave it out"
-            )
-
-
-def _nothing_recorded(config: Mapping[str, Any]) -> None:
-    """Refuse what a fold cannot follow: its recordings are made in its course, and its scene is a strip on a desk."""
-    for key in ("recording", "recordings", "report"):
-        if config[key]:
-            raise ClothbenchError(f"setting '{key}': the recordings of this suite are made as it runs; leave it out")
-    for key, value in config["scene"].items():
-        if not (key == "air_density" and value == AIR_DENSITY):
-            raise ClothbenchError(f"setting 'scene.{key}': this suite has a strip on a desk; leave it out")
 
 
 def known_words(what: str, given: Mapping[str, Any], known: set[str]) -> None:
@@ -208,40 +169,6 @@ def writable(value: Any) -> Path:
     if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
         raise ClothbenchError(f"setting 'out': {folder} cannot be written to; give a folder of yours")
     return folder
-
-
-def suite_settings(suite: Any) -> dict[str, Any]:
-    if isinstance(suite, str):
-        raise ClothbenchError(f"setting 'suite' is {suite!r}; choose a suite with +suite=NAME")
-    out = mapping("suite", suite)
-    known_words("setting of 'suite'", out, SUITE_KEYS)
-    for key in ("fixed", "effects", "budgets"):
-        out[key] = mapping(f"suite.{key}", out.get(key))
-    out["effects"] = {model: words(f"suite.effects.{model}", names) for model, names in out["effects"].items()}
-    out["fixed"] = {
-        pattern: {n: number(f"suite.fixed.{n}", v) for n, v in mapping("suite.fixed", values).items()}
-        for pattern, values in out["fixed"].items()
-    }
-    if out.get("case", "fabric") not in CASES:
-        raise ClothbenchError(f"setting 'suite.case' is {out['case']!r}, expected one of {', '.join(CASES)}")
-    out["tests"] = chosen_tests(words("suite.tests", out.get("tests")))
-    out["meshes"] = mesh_sizes(out.get("meshes"))
-    out["select"] = words("suite.select", out.get("select")) or ["*"]
-    out["fold"] = None if out.get("fold") is None else fold_settings(mapping("suite.fold", out["fold"]))
-    if out["fold"]:
-        out["select"] = chosen_fabrics(out["select"])
-    out["each"] = words("suite.each", out.get("each"))
-    return out
-
-
-def mesh_sizes(value: Any) -> list[int]:
-    """Nodes along a strip, from the coarsest mesh to the finest."""
-    if value is None:
-        return list(MESHES)
-    sizes = value if isinstance(value, list | tuple) else [value]
-    if not sizes:
-        raise ClothbenchError("setting 'suite.meshes' is empty; give numbers of nodes, for example [9,17,33]")
-    return sorted({whole("suite.meshes", n, 5) for n in sizes})
 
 
 def scene_settings(scene: dict[str, Any]) -> dict[str, Any]:

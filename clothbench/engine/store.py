@@ -1,15 +1,9 @@
 """The store: one folder per finished cell, Parquet inside, put in place whole or not at all.
 
 RUNS/cells/KEY/rows.parquet         what the leaderboard shows, with the system each row was computed on
-RUNS/cells/KEY/parameters.parquet   best values with intervals and units
-RUNS/cells/KEY/history.parquet      every evaluation
-RUNS/cells/KEY/trace.parquet        error of every recording, frame by frame
-RUNS/cells/KEY/validation.parquet   every simulation of a test against mechanics: mesh, step, value beside reference
-RUNS/cells/KEY/fold.parquet         every step of a fold: pose, estimate beside the reference, friction, errors
-RUNS/cells/KEY/starts.parquet       the error at the search's start beside that of its result
-RUNS/cells/KEY/variability.parquet, repeats, sensitivity, map, confusion: the analyses that were asked for
+RUNS/cells/KEY/TABLE.parquet        what else the cell's study has to tell: each study's `schema` has the columns
+RUNS/cells/KEY/fit.rrd              of a calibration: recording beside rollout, for Rerun
 RUNS/journal/KEY/                   what an unfinished cell has simulated so far
-RUNS/cells/KEY/fit.rrd              recording beside rollout, for Rerun
 """
 
 from __future__ import annotations
@@ -19,7 +13,7 @@ import json
 import math
 import os
 import platform
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -30,10 +24,9 @@ import pyarrow.parquet as pq
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import whole_folder
-from clothbench.studies.calibration.schema import ANALYSIS_TABLES
-from clothbench.studies.improve.schema import IMPROVE_TABLES
 
 SCHEMA_VERSION = 1
+Columns = Mapping[str, pa.DataType]
 _text, _number, _whole = pa.string(), pa.float64(), pa.int64()
 
 # The rows of `leaderboard --json`, in this order; what does not apply is null.
@@ -43,35 +36,15 @@ ROW = {
     "floor": _number, "reference": _number, "status": _text, "reason": _text, "evaluations": _whole,
     "wall_s": _number, "seed": _whole, "key": _text,
 }  # fmt: skip
-# What else a row carries: the metric that was minimised, how long a search was allowed, what all other settings were (a
-# hash, the same for all cases of one run), and the system it was computed on.
+# What else a row carries: the study that it is of (null in rows of earlier versions), the metric that was minimised,
+# how long a search was allowed, what all other settings were (a hash, the same for all cases of one run), and the
+# system it was computed on.
 SYSTEM = {
+    "study": _text,
     "objective": _text, "budget": _whole, "settings": _text, "clothbench": _text, "plugins": _text,
     "python": _text, "numpy": _text, "numba": _text, "platform": _text,
     "cpu": _text, "cores": _whole, "threads": _whole, "finished": _text,
 }  # fmt: skip
-PARAMETER = {
-    "name": _text, "symbol": _text, "unit": _text, "value": _number, "low": _number, "high": _number,
-    "at_bound": pa.bool_(), "start": _number, "truth": _number, "meaning": _text, "key": _text,
-}  # fmt: skip
-TRACE = {"recording": _text, "split": _text, "metric": _text, "time": _number, "value": _number, "unit": _text}
-LEVEL = {
-    "case": _text, "model": _text, "metric": _text, "unit": _text, "along": _whole, "nodes": _whole, "size": _number,
-    "step_scale": _number, "load": _number, "load_name": _text, "value": _number, "reference": _number,
-    "error": _number, "relative": _number, "order": _number, "status": _text, "reason": _text, "steps": _whole,
-    "wall_s": _number, "key": _text,
-}  # fmt: skip
-FOLD = {
-    "case": _text, "model": _text, "optimizer": _text, "parameter": _text, "step": _whole, "value": _number,
-    "low": _number, "high": _number, "reference": _number, "reference_low": _number, "reference_high": _number,
-    "sheet": _number, "length": _number, "x": _number, "z": _number,
-    "slope": _number, "off": _number, "friction": _number,
-    "slips": pa.bool_(), "profile": _number, "tracker_error": _number, "sigma": _number, "evaluations": _whole,
-    "wall_s": _number, "key": _text,
-}  # fmt: skip
-TABLES = {"rows": {**ROW, **SYSTEM}, "parameters": PARAMETER, "trace": TRACE, "validation": LEVEL, "fold": FOLD}
-TABLES |= ANALYSIS_TABLES
-TABLES |= {f"improve/{name}": columns for name, columns in IMPROVE_TABLES.items()}
 FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
 
 
@@ -127,33 +100,33 @@ class Store:
     def put(
         self,
         key: str,
-        tables: dict[str, list[dict[str, Any]] | pd.DataFrame],
+        tables: Mapping[str, list[dict[str, Any]] | pd.DataFrame],
         extra: Callable[[Path], None] | None = None,
+        columns: Mapping[str, Columns] | None = None,
     ) -> Path:
-        """Write a cell: tables, then whatever `extra(folder)` adds; it replaces an older result of the same key."""
+        """Write a cell: tables, then whatever `extra(folder)` adds; it replaces an older result of the same key.
+
+        columns: of the tables beside "rows", by name.
+        """
+        known = {"rows": {**ROW, **SYSTEM}, **(columns or {})}
         with whole_folder(self.cell(key)) as part:
             for name, content in tables.items():
-                write_table(part / f"{name}.parquet", name, content)
+                write_table(part / f"{name}.parquet", content, known.get(name))
             if extra is not None:
                 extra(part)
         return self.cell(key)
 
     def rows(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
         """Rows of all cells, or of some, sorted by what they are about."""
-        return sorted(self._all("rows", keys), key=row_order)
+        rows = [{"study": None, **row} for row in self.table("rows", keys)]
+        return sorted(rows, key=row_order)
 
-    def parameters(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
-        return self._all("parameters", keys)
-
-    def levels(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
-        """Every simulation of tests against mechanics, from the coarsest mesh of each to the finest."""
-        return self._all("validation", keys)
+    def tables_of(self, key: str) -> frozenset[str]:
+        """The names of the tables that a cell has."""
+        return frozenset(path.stem for path in self.cell(key).glob("*.parquet"))
 
     def table(self, name: str, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
-        """Any table by its file's name, over all cells that have it."""
-        return self._all(name, keys)
-
-    def _all(self, name: str, keys: Iterable[str] | None) -> list[dict[str, Any]]:
+        """A table by its name, over all cells that have it, or over some."""
         folders = [self.cell(k) for k in keys] if keys is not None else sorted(self.folder.glob("cells/[0-9a-f]*"))
         out: list[dict[str, Any]] = []
         for folder in folders:
@@ -162,12 +135,12 @@ class Store:
         return out
 
 
-def write_table(path: Path, name: str, content: list[dict[str, Any]] | pd.DataFrame) -> None:
-    """One Parquet file; a table named in `TABLES` has exactly those columns."""
+def write_table(path: Path, content: list[dict[str, Any]] | pd.DataFrame, columns: Columns | None = None) -> None:
+    """One Parquet file; rows become a table of exactly these columns."""
     if isinstance(content, pd.DataFrame):
         table = pa.Table.from_pandas(content, preserve_index=False)
     else:
-        table = pa.Table.from_pylist(content, schema=pa.schema(list(TABLES[name].items())))
+        table = pa.Table.from_pylist(content, schema=pa.schema(list((columns or {}).items())) if columns else None)
     pq.write_table(table.replace_schema_metadata({"clothbench_schema": str(SCHEMA_VERSION)}), path)
 
 

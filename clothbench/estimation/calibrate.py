@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -10,7 +11,7 @@ import numpy as np
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Evaluation, Optimizer
 from clothbench.core.rollout import Rollout
-from clothbench.engine.journal import Journal
+from clothbench.engine.checkpoint import Checkpoint
 from clothbench.estimation.intervals import intervals
 from clothbench.estimation.search import drive
 from clothbench.estimation.trials import Trial, evaluate
@@ -45,14 +46,22 @@ class Fit:
         return len(self.value)
 
 
-def remembered(trials: Sequence[Trial], theta: np.ndarray, journal: Journal | None) -> Evaluation:
-    """`evaluate`, unless the journal knows what came of it."""
-    journal = journal or Journal()
-    if (known := journal.recall(theta)) is not None:
-        return known
+def remembered(trials: Sequence[Trial], theta: np.ndarray, checkpoint: Checkpoint | None) -> Evaluation:
+    """`evaluate`, unless the checkpoint knows what came of this batch (B, P)."""
+    checkpoint = checkpoint or Checkpoint()
+    key = batch_key(theta)
+    known = checkpoint.recall(key)
+    if known is not None and "value" in known:
+        return Evaluation(known["value"], known.get("residual"))
     evaluation, _ = evaluate(trials, theta)
-    journal.keep(theta, evaluation)
+    residual = {} if evaluation.residual is None else {"residual": evaluation.residual}
+    checkpoint.keep(key, value=evaluation.value, **residual)
     return evaluation
+
+
+def batch_key(theta: np.ndarray) -> str:
+    """24 hexadecimal digits of a batch of parameter sets."""
+    return hashlib.sha256(np.ascontiguousarray(theta).tobytes()).hexdigest()[:24]
 
 
 def calibrate(
@@ -62,27 +71,27 @@ def calibrate(
     *,
     timeout: float | None = None,
     progress: Callable[[int, float], None] | None = None,
-    journal: Journal | None = None,
+    checkpoint: Checkpoint | None = None,
     bounded: bool = True,
 ) -> Fit:
     """Run the search to its end (or to `timeout` seconds) on the fit recordings together.
 
     `progress(evaluations, best value)` is called after every batch. A member that diverges is told to the optimizer
-    as NaN and spoils no other. What `journal` holds of a run that was stopped is not simulated again. Without `bounded`
-    the parameters get no intervals, which cost 2 P + 1 evaluations.
+    as NaN and spoils no other. What `checkpoint` holds of a run that was stopped is not simulated again. Without
+    `bounded` the parameters get no intervals, which cost 2 P + 1 evaluations.
     """
-    journal = journal or Journal()
+    checkpoint = checkpoint or Checkpoint()
     thetas: list[np.ndarray] = []
     values: list[np.ndarray] = []
     stopped, looked = "", 0
-    for theta, evaluation in drive(optimizer, lambda theta: remembered(trials, theta, journal)):
+    for theta, evaluation in drive(optimizer, lambda theta: remembered(trials, theta, checkpoint)):
         thetas.append(theta)
         values.append(evaluation.value)
         if not looked and getattr(optimizer, "start", None) is not None:
             looked = sum(map(len, values))
         if progress is not None:
             progress(sum(map(len, values)), _lowest(np.concatenate(values)))
-        if timeout is not None and not optimizer.done and journal.seconds > timeout:
+        if timeout is not None and not optimizer.done and checkpoint.seconds > timeout:
             stopped = f"stopped after {timeout:g} s, as asked"
             break
     theta, value = np.concatenate(thetas), np.concatenate(values)
@@ -101,7 +110,7 @@ def calibrate(
         condition=condition,
         status="diverged" if not simulated else "timeout" if stopped else "ok",
         stopped=stopped or optimizer.stopped,
-        wall_s=journal.seconds,
+        wall_s=checkpoint.seconds,
         start=getattr(optimizer, "start", None),
         looked=looked,
     )

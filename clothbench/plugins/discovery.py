@@ -23,6 +23,7 @@ from clothbench.plugins import hookspecs
 from clothbench.plugins.hookspecs import Registration
 
 KINDS = ("models", "effects", "metrics", "optimizers", "trackers")
+ALL_KINDS = (*KINDS, "peers", "studies")
 OWN = "clothbench"
 
 
@@ -64,10 +65,10 @@ class Catalogue:
         if usable:
             return usable[0]
         if found:
-            raise PluginBroken(f"{kind[:-1]} {name!r} is broken: {found[0].reason}")
+            raise PluginBroken(f"{singular(kind)} {name!r} is broken: {found[0].reason}")
         close = difflib.get_close_matches(name, self.names(kind), n=1)
         hint = f"did you mean {close[0]!r}? " if close else ""
-        raise ClothbenchError(f"no {kind[:-1]} named {name!r}; {hint}there are: {', '.join(self.names(kind))}")
+        raise ClothbenchError(f"no {singular(kind)} named {name!r}; {hint}there are: {', '.join(self.names(kind))}")
 
     def load(self, kind: str, name: str) -> Any:
         """Import what the plugin registered: a class, a factory, or a module."""
@@ -93,12 +94,12 @@ class Catalogue:
             if not (isinstance(fault, TypeError) and "argument" in str(fault)):
                 raise self._broken(self.find(kind, name), fault) from fault
             raise ClothbenchError(
-                f"{kind[:-1]} {name!r}: {one_line(fault)}; see options.{name} and `clothbench plugins`"
+                f"{singular(kind)} {name!r}: {one_line(fault)}; see options.{name} and `clothbench plugins`"
             ) from fault
 
     @staticmethod
     def _broken(plugin: Plugin, fault: BaseException) -> PluginBroken:
-        what = f"{plugin.kind[:-1]} {plugin.name!r} ({plugin.distribution})"
+        what = f"{singular(plugin.kind)} {plugin.name!r} ({plugin.distribution})"
         return PluginBroken(f"{what} is broken: {one_line(fault)}")
 
     def made(self, kind: str) -> tuple[dict[str, Any], dict[str, str]]:
@@ -127,6 +128,11 @@ def discover(points: Iterable[EntryPoint]) -> Catalogue:
         found += [_unless_taken(p, found) for p in plugins]
         configs += more
     return Catalogue(tuple(found), tuple(configs))
+
+
+def singular(kind: str) -> str:
+    """ "models" → "model", "studies" → "study"."""
+    return f"{kind[:-3]}y" if kind.endswith("ies") else kind.removesuffix("s")
 
 
 def import_target(target: str) -> Any:
@@ -202,7 +208,7 @@ def _load(point: EntryPoint) -> tuple[list[Plugin], list[str]]:
         with quiet_output():
             manager.register(point.load(), name=point.name)
         manager.check_pending()
-        plugins = [p for kind in (*KINDS, "peers") for p in _registered(manager, kind, distribution, version)]
+        plugins = [p for kind in ALL_KINDS for p in _registered(manager, kind, distribution, version)]
         configs = [str(path) for paths in manager.hook.clothbench_configs() for path in paths]
         for place in configs:
             config_groups(place)

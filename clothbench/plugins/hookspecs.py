@@ -72,6 +72,14 @@ def clothbench_peers() -> Iterable[Registration]:
 
 
 @hookspec
+def clothbench_studies() -> Iterable[Registration]:
+    """Kinds of study. The target is a module with the members of `clothbench.engine.study.Study`: how settings become
+    cells, how a cell is run, and what terminal and page show of the results.
+    """
+    return ()
+
+
+@hookspec
 def clothbench_configs() -> Iterable[str]:
     """Hydra search-path entries ("pkg://my_package.conf") whose groups (`suite/…`) join the built-in ones.
 

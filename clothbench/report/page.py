@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from clothbench.core.files import whole_file
+from clothbench.display.failures import failures
 from clothbench.display.html import pill, table, text
-from clothbench.display.plotly import model_name
-from clothbench.display.style import CSS, DRAWING, FIGURES, SCRIPT
+from clothbench.display.names import model_name
+from clothbench.display.page import whole_page
+from clothbench.display.section import Section
 from clothbench.engine.store import Store
-from clothbench.studies.calibration.analysis_page import analysis_section
-from clothbench.studies.calibration.figures import panels
-from clothbench.studies.calibration.leaderboard import leaderboard, parameters
-from clothbench.studies.calibration.schema import ANALYSIS_TABLES
-from clothbench.studies.calibration.tables import failures
-from clothbench.studies.folding.page import fold_section
-from clothbench.studies.mechanics.page import validation_section
-from clothbench.studies.mechanics.tables import is_validation
+from clothbench.engine.study import Results, Study, results_by_study
+from clothbench.plugins.discovery import catalogue
 
 Rows = Sequence[dict[str, Any]]
 MACHINE = ("cpu", "cores", "threads", "platform", "python", "numpy", "numba", "clothbench")
 HINT = """<p>There are no results here yet. Run the default benchmark, which needs nothing else:</p>
 <p><code>clothbench run +suite=static_dynamic</code></p>
 <p>and then <code>clothbench report</code> again.</p>"""
-ORDER = """<p class="soft">Mean error over the recordings of a split, with its 95 % interval. Within a case
-and a metric the lowest held-out error comes first; where intervals overlap, that order may be chance.</p>"""
 MORE = """<footer>See a fit beside its recording: <code>clothbench view CELL</code>. The same numbers as data:
 <code>clothbench leaderboard --json</code>, or the Parquet files in <code>cells</code>.</footer>"""
 
@@ -36,54 +29,31 @@ def write_page(folder: Path) -> Path:
     """Write FOLDER/report.html from the store in that folder, whole or not at all; returns its path."""
     page = Path(folder) / "report.html"
     with whole_file(page) as part:
-        part.write_text(document(Store(folder)), encoding="utf-8")
+        part.write_text(page_html(Store(folder)), encoding="utf-8")
     return page
 
 
-def document(store: Store) -> str:
-    """The whole page as text: a list of sections, of which an empty one is left out."""
-    rows = store.rows()
-    sections = [heading(rows), HINT]
-    if rows:
-        tests, steps = [r for r in rows if is_validation(r)], store.table("fold")
-        lifted = {s["key"] for s in steps}
-        folded = [r for r in rows if r["key"] in lifted]
-        found = [r for r in rows if not is_validation(r) and r["key"] not in lifted]
-        drawn = figures(store, found)
-        sections = [
-            heading(rows),
-            overview(rows),
-            failure_list(rows),
-            leaderboards(found),
-            drawn,
-            analysis_section(found, {n: store.table(n) for n in ANALYSIS_TABLES}, plotly=not drawn),
-            fold_section(folded, steps, plotly=not drawn),
-            validation_section(tests, store.levels({r["key"] for r in tests}), plotly=not (drawn or folded)),
-        ]
-        sections += [fits(found + folded, store.parameters()), machines(rows), MORE]
-    return whole_page(title(rows), sections)
-
-
-def whole_page(title: str, sections: Sequence[str], style: str = "") -> str:
-    """A page of HTML sections without the empty ones; `title` is HTML, `style` goes behind the style sheet."""
-    return (
-        '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        '<meta name="color-scheme" content="light dark">'
-        f"<title>clothbench: {title}</title><style>{CSS}{style}</style></head><body><main>\n"
-        + "\n".join(s for s in sections if s)
-        + "\n</main></body></html>\n"
-    )
+def page_html(store: Store) -> str:
+    """The whole page as text: what was run, what failed, then the sections of each study."""
+    found = results_by_study(store, catalogue())
+    rows = [row for _, results in found for row in results.rows]
+    if not rows:
+        return whole_page(title(rows), [Section(heading(found)), Section(HINT)])
+    sections = [Section(heading(found)), Section(overview(rows)), Section(failure_list(rows))]
+    for study, results in found:
+        sections += study.sections(results)
+    return whole_page(title(rows), [*sections, Section(machines(rows)), Section(MORE)])
 
 
 def title(rows: Rows) -> str:
     return text(", ".join(sorted({r["suite"] for r in rows})) or "no results")
 
 
-def heading(rows: Rows) -> str:
+def heading(found: Sequence[tuple[Study, Results]]) -> str:
     """What was run, when and on which machine, in two lines."""
-    kinds = {"mechanics" if is_validation(r) else "recordings" for r in rows} or {"recordings"}
-    top = f"<h1>Cloth models against {' and '.join(sorted(kinds, reverse=True))}: {title(rows)}</h1>"
+    rows = [row for _, results in found for row in results.rows]
+    kinds = dict.fromkeys(study.against for study, _ in found) or {"recordings": None}
+    top = f"<h1>Cloth models against {' and '.join(kinds)}: {title(rows)}</h1>"
     if not rows:
         return top
     finished = [r["finished"] for r in rows]
@@ -104,7 +74,7 @@ def overview(rows: Rows) -> str:
     tiles += [(len(skipped), "skipped", "")] if skipped else []
     tiles.append((len({(r["suite"], r["case"]) for r in rows}), "cases", ""))
     tiles.append((len({(r["suite"], r["case"], r["recording"]) for r in rows if r["recording"]}), "recordings", ""))
-    tiles.append((len({r["model"] if is_validation(r) else model_name(r) for r in rows}), "models", ""))
+    tiles.append((len({r["model"] for r in rows}), "models", ""))
     tiles.append((len({r["optimizer"] for r in rows} - {None}), "optimizers", ""))
     shown = (
         f'<div class="tile {kind}"><b>{n}</b>{word if n != 1 else word.removesuffix("s")}</div>'
@@ -125,35 +95,6 @@ def failure_list(rows: Rows) -> str:
         items.append(f"<li>{pill(r)} {text(' · '.join(p for p in place if p))}: {reason}</li>")
     word = "1 cell has" if len(bad) == 1 else f"{len(bad)} cells have"
     return f'<div class="failures" role="note"><b>{word} no complete result</b><ul>{"".join(items)}</ul></div>'
-
-
-def leaderboards(rows: Rows) -> str:
-    suites = sorted({r["suite"] for r in rows})
-    return "".join(
-        f"<h2>{text(s)}: leaderboard</h2>{ORDER}" + leaderboard([r for r in rows if r["suite"] == s]) for s in suites
-    )
-
-
-def fits(rows: Rows, fitted: Rows) -> str:
-    suites = sorted({r["suite"] for r in rows})
-    note = '<p class="soft">Best values, below them the 95 % interval.</p>'
-    return "".join(
-        f"<h2>{text(s)}: parameters</h2>{note}" + parameters([r for r in rows if r["suite"] == s], fitted)
-        for s in suites
-    )
-
-
-def figures(store: Store, rows: Rows) -> str:
-    """The figures with their menu; plotly.js stands in the page itself, once."""
-    if not (shown := panels(store, rows)):
-        return ""
-    from plotly.offline import get_plotlyjs
-
-    data = json.dumps(shown, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    return (
-        f'{FIGURES}<script type="application/json" id="panels">{data}</script>\n'
-        f"<script>{get_plotlyjs()}</script>\n<script>{DRAWING}{SCRIPT}</script>"
-    )
 
 
 def machines(rows: Rows) -> str:

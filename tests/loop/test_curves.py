@@ -9,7 +9,7 @@ import pytest
 
 from clothbench import ClothbenchError, Curve
 from clothbench.cli.improve_curves import candidates_of, improved
-from clothbench.engine.memory import Memory
+from clothbench.engine.checkpoint import Checkpoint as Memory
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.improve.curves import CurveCase, common_steps, curve_problem, loading, observed
 from clothbench.studies.improve.fitting import fit

@@ -4,11 +4,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from clothbench.engine.journal import Journal
 from test_calibrate import SPACE, TIME, Toy
 
 from clothbench import ClothbenchError, Observation, Parameter, ParameterSpace, Score
-from clothbench.engine.journal import Journal
-from clothbench.engine.settings import analysis_settings, last_word, named_budget, suite_settings
+from clothbench.engine.settings import last_word, named_budget
 from clothbench.estimation.calibrate import calibrate
 from clothbench.estimation.fixed import Fixed as Held
 from clothbench.estimation.fixed import holding
@@ -16,6 +16,7 @@ from clothbench.estimation.trials import Trial, evaluate
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration.analysis_tables import spread
 from clothbench.studies.calibration.sensitivity import error_map, morris, sobol
+from clothbench.studies.calibration.settings import analysis_settings, suite_settings
 from clothbench.studies.calibration.variability import parabola, perturbed, repeats, variability
 
 BEST = np.array([1.2, 0.3])

@@ -12,7 +12,8 @@ from clothbench.engine.store import Store, leaderboard_row
 from clothbench.plugins.discovery import catalogue
 from clothbench.reference.fabrics import FABRICS
 from clothbench.reference.lifted_strip import lift
-from clothbench.studies.folding.cell import FoldCell, FoldSettings, chosen_fabrics, fold_settings
+from clothbench.studies.folding.cell import FoldingCell as FoldCell
+from clothbench.studies.folding.cell import FoldSettings, chosen_fabrics, fold_settings
 from clothbench.studies.folding.page import fold_section
 from clothbench.studies.folding.run import fold, hand_of
 from clothbench.studies.folding.strip import TestStrip, scattered

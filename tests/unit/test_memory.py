@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clothbench.engine.memory import Memory
+from clothbench.engine.checkpoint import Checkpoint as Memory
 
 
 def test_arrays_come_back_to_the_bit(tmp_path):

@@ -13,10 +13,10 @@ import pytest
 from test_rerun_file import small_cell
 
 from clothbench.display.plotly import thinned
+from clothbench.engine.run import run_cell
 from clothbench.report.page import write_page
 from clothbench.studies.calibration.figure_data import best_so_far
 from clothbench.studies.calibration.leaderboard import parameters
-from clothbench.studies.calibration.run import run_cell
 
 VOID = {"meta", "br", "input"}
 

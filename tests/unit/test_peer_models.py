@@ -17,11 +17,11 @@ from clothbench.cli.listings import plugin_rows, print_plugins
 from clothbench.core.protocols import Material
 from clothbench.core.scene import Scene
 from clothbench.engine.cells import Source, plugin_versions
+from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store
 from clothbench.modelling.kernels import grid_triangles, sheet_of
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.calibration.cell import Cell
-from clothbench.studies.calibration.run import run_cell
+from clothbench.studies.calibration.cell import CalibrationCell as Cell
 from clothbench.studies.speed.bench import _models
 from clothbench.testing import check_model, scenes
 

@@ -20,7 +20,8 @@ from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.nodes import Recording, write_recording
 from clothbench.recordings.scenes import scene_of
 from clothbench.studies.calibration import rerun_file as fit_file
-from clothbench.studies.calibration.cell import Bench, Cell, set_up
+from clothbench.studies.calibration.cell import Bench, set_up
+from clothbench.studies.calibration.cell import CalibrationCell as Cell
 
 TRUTH = np.array([[60.0, 1.0, 0.1]])
 

@@ -10,11 +10,11 @@ import numpy as np
 
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Optimizer
-from clothbench.engine.journal import Journal
+from clothbench.engine.checkpoint import Checkpoint
 from clothbench.engine.store import finite
 from clothbench.estimation.calibrate import Fit
 from clothbench.estimation.trials import evaluate
-from clothbench.plugins.discovery import catalogue, one_line
+from clothbench.plugins.discovery import Catalogue, one_line
 from clothbench.recordings.nodes import read_recording
 from clothbench.studies.calibration.cell import Bench
 from clothbench.studies.calibration.sensitivity import error_map, morris, sobol
@@ -24,12 +24,12 @@ Tables = dict[str, list[dict[str, Any]]]
 Options = Mapping[str, Any]
 
 
-def analyse(bench: Bench, fit: Fit, journal: Journal) -> Tables:
+def analyse(bench: Bench, fit: Fit, plugins: Catalogue, checkpoint: Checkpoint) -> Tables:
     """Every analysis that the cell asks for, as tables of the store; one that fails leaves its reason there."""
     tables: Tables = {}
     for name, options in bench.cell.analysis.items():
         try:
-            found = ANALYSES[name](bench, fit, options, journal)
+            found = ANALYSES[name](bench, fit, options, plugins, checkpoint)
         except Exception as fault:
             found = {TABLE_OF.get(name, name): [{"reason": one_line(fault), "unit": None}]}
         for table, rows in found.items():
@@ -63,14 +63,14 @@ def _whole(bench: Bench, row: dict[str, Any]) -> dict[str, Any]:
     return {**about, **row, **{k: metric.unit for k in ("unit", "error_unit") if k not in row}}
 
 
-def _variability(bench: Bench, fit: Fit, options: Options, journal: Journal) -> Tables:
-    found, behind = variability(bench.of_split("fit"), bench.space, fit.best, options["points"], journal)
+def _variability(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, checkpoint: Checkpoint) -> Tables:
+    found, behind = variability(bench.of_split("fit"), bench.space, fit.best, options["points"], checkpoint)
     return {"variability": found, "perturbations": behind}
 
 
-def _repeats(bench: Bench, fit: Fit, options: Options, journal: Journal) -> Tables:
+def _repeats(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, checkpoint: Checkpoint) -> Tables:
     cell = bench.cell
-    factory = catalogue().load("optimizers", cell.optimizer)
+    factory = plugins.load("optimizers", cell.optimizer)
     if "start" not in inspect.signature(factory).parameters:
         reason = f"optimizer {cell.optimizer!r} cannot begin at a given start"
         return {"repeats": [{"repeat": 0, "reason": reason, "unit": None}]}
@@ -78,29 +78,29 @@ def _repeats(bench: Bench, fit: Fit, options: Options, journal: Journal) -> Tabl
     budget = max(1, cell.budget - fit.looked)  # as long a walk as the fit's own, which looked around first
 
     def make(space: ParameterSpace, seed: int) -> Optimizer:
-        return catalogue().make("optimizers", cell.optimizer, space, seed=seed, budget=budget, **told)
+        return plugins.make("optimizers", cell.optimizer, space, seed=seed, budget=budget, **told)
 
     seed = cell.stream("repeats") % 2**32
-    return {"repeats": repeats(bench.of_split("fit"), bench.space, fit, options["count"], seed, make, journal)}
+    return {"repeats": repeats(bench.of_split("fit"), bench.space, fit, options["count"], seed, make, checkpoint)}
 
 
 def _sensitivity(method: Callable[..., list[dict[str, Any]]], size: str) -> Callable[..., Tables]:
-    def work(bench: Bench, fit: Fit, options: Options, journal: Journal) -> Tables:
+    def work(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, checkpoint: Checkpoint) -> Tables:
         seed = bench.cell.stream("sensitivity")
-        return {"sensitivity": method(bench.of_split("fit"), bench.space, options[size], seed, journal)}
+        return {"sensitivity": method(bench.of_split("fit"), bench.space, options[size], seed, checkpoint)}
 
     return work
 
 
-def _map(bench: Bench, fit: Fit, options: Options, journal: Journal) -> Tables:
+def _map(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, checkpoint: Checkpoint) -> Tables:
     names = options["parameters"]
     if len(names) != 2 or not set(names) <= set(bench.space.names):
         reason = f"needs two of the parameters {', '.join(bench.space.names)}; asked for {', '.join(names)}"
         return {"map": [{"reason": reason}]}
-    return {"map": error_map(bench.of_split("fit"), bench.space, fit.best, names, options["points"], journal)}
+    return {"map": error_map(bench.of_split("fit"), bench.space, fit.best, names, options["points"], checkpoint)}
 
 
-def _confusion(bench: Bench, fit: Fit, options: Options, journal: Journal) -> Tables:
+def _confusion(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, checkpoint: Checkpoint) -> Tables:
     """The same parameters, and the mass of their own fabric, in the other fabrics' trials; and in its own."""
     mine = bench.recordings[0]
     density = bench.cell.scene.get("areal_density") if np.isnan(mine.areal_density) else mine.areal_density
@@ -118,7 +118,7 @@ def _confusion(bench: Bench, fit: Fit, options: Options, journal: Journal) -> Ta
 
 
 TABLE_OF = {"morris": "sensitivity", "sobol": "sensitivity"}  # the others fill tables of their own names
-ANALYSES: dict[str, Callable[[Bench, Fit, Options, Journal], Tables]] = {
+ANALYSES: dict[str, Callable[[Bench, Fit, Options, Catalogue, Checkpoint], Tables]] = {
     "variability": _variability,
     "repeats": _repeats,
     "morris": _sensitivity(morris, "trajectories"),

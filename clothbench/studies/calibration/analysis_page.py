@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from typing import Any
 
 from clothbench.display.html import table, text
+from clothbench.display.names import cell_name
 from clothbench.display.plotly import COLOURS
-from clothbench.display.style import DRAWING
+from clothbench.display.section import Section
 from clothbench.studies.calibration.analysis_tables import MUCH, percent, spread, unit_of, unmapped
-from clothbench.studies.calibration.tables import cell_name
 from clothbench.studies.calibration.transfer import Confusion, Transfer, confusions, transfers
 
 Rows = Sequence[dict[str, Any]]
@@ -22,8 +21,8 @@ drawAnalyses();
 """
 
 
-def analysis_section(rows: Rows, tables: dict[str, Rows], *, plotly: bool) -> str:
-    """Everything about transfer and analyses; `plotly`: whether plotly.js and the drawing still have to be given."""
+def analysis_section(rows: Rows, tables: dict[str, Rows]) -> Section | None:
+    """Everything about transfer and analyses; None where there is nothing."""
     about, moved = {r["key"]: cell_name(r) for r in rows}, transfers(rows, tables["starts"])
     matrices = confusions(tables["confusion"], rows, tables["starts"])
     parts = [transfer(moved)] if moved else []
@@ -33,8 +32,12 @@ def analysis_section(rows: Rows, tables: dict[str, Rows], *, plotly: bool) -> st
     shown += sensitivity_figures(tables["sensitivity"], about) + map_figures(tables["map"], about)
     parts += [f'<p class="soft">{text(reason)}</p>' for reason in unmapped(tables["map"], about)]
     if not parts and not shown:
-        return ""
-    return "<h2>Trial by trial</h2>" + "".join(parts) + (_figures(shown, plotly) if shown else "")
+        return None
+    parts += [
+        f'<h3>{text(one["title"])}</h3><figure><div id="analysis-{n}"></div></figure>' for n, one in enumerate(shown)
+    ]
+    html = "<h2>Trial by trial</h2>" + "".join(parts)
+    return Section(html, {"analyses": [one["figure"] for one in shown]}, SCRIPT) if shown else Section(html)
 
 
 def transfer(moved: Sequence[Transfer]) -> str:
@@ -159,20 +162,6 @@ def _layout(across: str, up: str, height: int) -> dict[str, Any]:
         "yaxis": {"title": {"text": up}, "zeroline": False},
     }
     return {**axes, "height": height, "margin": {"l": 72, "r": 16, "t": 28, "b": 56}}
-
-
-def _figures(shown: Sequence[dict[str, Any]], plotly: bool) -> str:
-    from plotly.offline import get_plotlyjs
-
-    parts = []
-    for n, one in enumerate(shown):
-        parts.append(f'<h3>{text(one["title"])}</h3><figure><div id="analysis-{n}"></div></figure>')
-    content = [one["figure"] for one in shown]
-    data = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    parts.append(f'<script type="application/json" id="analyses">{data}</script>')
-    if plotly:
-        parts.append(f"<script>{get_plotlyjs()}</script><script>{DRAWING}</script>")
-    return "\n".join([*parts, f"<script>{SCRIPT}</script>"])
 
 
 def _number(value: float | None) -> str:

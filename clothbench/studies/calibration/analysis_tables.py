@@ -9,19 +9,18 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from clothbench.display.terminal import console
-from clothbench.studies.calibration.tables import cell_name
+from clothbench.display.names import cell_name
 from clothbench.studies.calibration.transfer import Confusion, Transfer, confusions, transfers
 
 Rows = Sequence[dict[str, Any]]
 MUCH = 100.0  # %: beyond it a parameter is not determined, and the number says no more
 
 
-def print_analyses(rows: Rows, tables: dict[str, Rows]) -> None:
+def analyses(rows: Rows, tables: dict[str, Rows]) -> list[Any]:
     """Every table for which there is something; nothing otherwise."""
-    out, about = console(), {r["key"]: cell_name(r) for r in rows}
+    about = {r["key"]: cell_name(r) for r in rows}
     moved = transfers(rows, tables["starts"])
-    shown = [transfer_table(moved)] if moved else []
+    shown: list[Any] = [transfer_table(moved)] if moved else []
     shown += [confusion_table(c) for c in confusions(tables["confusion"], rows, tables["starts"])]
     for name, make in (
         ("variability", variability_table),
@@ -30,10 +29,7 @@ def print_analyses(rows: Rows, tables: dict[str, Rows]) -> None:
     ):
         if tables[name]:
             shown.append(make(tables[name], about))
-    for table in shown:
-        out.print(table)
-    for reason in unmapped(tables["map"], about):
-        out.print(escape(reason))
+    return shown + [escape(reason) for reason in unmapped(tables["map"], about)]
 
 
 def unmapped(rows: Rows, about: dict[str, str]) -> list[str]:

@@ -20,7 +20,7 @@ from clothbench.recordings.scenes import scene_of
 
 
 @dataclass(frozen=True)
-class Cell:
+class CalibrationCell:
     """One calibration to do: these recordings, this model with these effects, this optimizer, this metric.
 
     Plain data: it travels to worker processes, and its key is the hash of everything here except where files lie.
@@ -35,8 +35,8 @@ class Cell:
     effects: tuple[str, ...]
     optimizer: str
     metric: str
+    tracker: str
     report: tuple[str, ...] = ()
-    tracker: str = "markers"
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     scene: Mapping[str, Any] = field(default_factory=dict)
@@ -48,6 +48,7 @@ class Cell:
     analysis: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     rivals: tuple[Source, ...] = ()
 
+    study: ClassVar[str] = "calibration"
     counts: ClassVar[str] = "evaluations"
     value_word: ClassVar[str] = "best"
 
@@ -69,6 +70,10 @@ class Cell:
         how = {name: getattr(self, name) for name in ("bounds", "scene", "versions", "budget", "tracker")}
         how["options"] = {k: dict(v) for k, v in self.options.items() if k in self._plugins()}
         return digest(how, 6)
+
+    @property
+    def row_columns(self) -> Mapping[str, Any]:
+        return {"budget": self.budget, "settings": self.settings}
 
     def _plugins(self) -> set[str]:
         return {self.model, self.optimizer, self.metric, self.tracker, *self.effects, *self.report}
@@ -97,7 +102,7 @@ class Cell:
         return dict(self.options.get(name, {}))
 
 
-def uses(cell: Cell) -> list[tuple[str, str]]:
+def uses(cell: CalibrationCell) -> list[tuple[str, str]]:
     """Every plugin a cell uses, as (kind, name)."""
     single = [("models", cell.model), ("optimizers", cell.optimizer), ("trackers", cell.tracker)]
     metrics = [("metrics", name) for name in (cell.metric, *cell.report)]
@@ -108,7 +113,7 @@ def uses(cell: Cell) -> list[tuple[str, str]]:
 class Bench:
     """A cell with its plugins made and its recordings read: all that is needed to calibrate and to score."""
 
-    cell: Cell
+    cell: CalibrationCell
     space: ParameterSpace
     recordings: tuple[Recording, ...]
     trials: tuple[Trial, ...]
@@ -119,7 +124,7 @@ class Bench:
         return [t for t, s in zip(self.trials, self.cell.recordings, strict=True) if s.split == split]
 
 
-def rehearse(cell: Cell, plugins: Catalogue, recordings: Mapping[str, Recording]) -> set[str] | None:
+def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str, Recording]) -> set[str] | None:
     """Make everything once without simulating: what the user got wrong in the settings comes to light before a run.
 
     `recordings` by path. A plugin that is broken, or fails in a way that is not the user's, is left to its own cell's
@@ -156,7 +161,7 @@ def bounded(space: ParameterSpace, bounds: Mapping[str, tuple[float, float]]) ->
     return space.bounded({name: pair for name, pair in bounds.items() if name in space.names})
 
 
-def set_up(cell: Cell, plugins: Catalogue) -> Bench:
+def set_up(cell: CalibrationCell, plugins: Catalogue) -> Bench:
     """Make the plugins, read and track the recordings, and prepare one simulation for each."""
     if reason := absent(plugins.load("models", cell.model)):
         raise Skipped(reason)

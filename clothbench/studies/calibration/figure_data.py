@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.display.plotly import model_name, rounded, thinned
+from clothbench.display.names import model_name
+from clothbench.display.plotly import rounded, thinned
 from clothbench.engine.store import read_table
 
 Rows = Sequence[dict[str, Any]]

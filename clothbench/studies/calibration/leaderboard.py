@@ -1,12 +1,12 @@
-"""The page's tables of fits: the leaderboard of each suite, and the fitted parameters."""
+"""The page's leaderboard of each suite, and the errors of single recordings behind it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from typing import Any
 
-from clothbench.display.html import below, group, pill, table, text, unit
-from clothbench.display.plotly import model_name
+from clothbench.display.html import below, group, interval, pill, table, text
+from clothbench.display.names import model_name
 
 Rows = Sequence[dict[str, Any]]
 SPLITS = ("fit", "held_out")
@@ -79,42 +79,6 @@ def single_recordings(rows: Rows) -> str:
     return f"<details><summary>{len(rows)} errors of single recordings</summary>{shown}</details>"
 
 
-def parameters(rows: Rows, fitted: Rows) -> str:
-    """One table per model: a line per cell, a column per parameter; then what the symbols mean."""
-    keys = {r["key"] for r in rows}
-    cells = group([p for p in fitted if p["key"] in keys], lambda p: p["key"])
-    about = {r["key"]: r for r in rows if r["key"] in cells}
-    if not cells:
-        return '<p class="soft">Nothing was fitted.</p>'
-    out, meanings = [], {}
-    for model, mine in sorted(group(list(about.values()), model_name).items()):
-        first = cells[mine[0]["key"]]
-        head = [f"{p['symbol']} [{unit(p)}]" for p in first]
-        lines = sorted(mine, key=lambda r: (r["case"], r["optimizer"], r["seed"], r["key"]))
-        body = [_parameter_row(r, cells[r["key"]]) for r in lines]
-        head = ["case", "optimizer", "seed", *head, "cell"]
-        out.append(f"<h3>{text(model)}</h3>" + table(head, body, numeric=set(range(2, len(head) - 1))))
-        meanings.update({p["symbol"]: p for p in first})
-    terms = (
-        f"<dt>{text(s)}</dt><dd>{text(p['name'])} [{text(unit(p))}]: {text(p['meaning'])}</dd>"
-        for s, p in meanings.items()
-    )
-    return "".join(out) + f"<dl>{''.join(terms)}</dl>"
-
-
-def _parameter_row(row: dict[str, Any], values: Rows) -> list[str]:
-    names = [text(row["case"]), text(row["optimizer"]), text(row["seed"])]
-    return [*names, *map(_parameter, values), f"<code>{text(row['key'][:8])}</code>"]
-
-
-def _parameter(p: dict[str, Any]) -> str:
-    """Value above its interval; marked on its bound, where the bound chose it and not the data."""
-    value = f"{p['value']:.4g}" if p["value"] is not None else "none"
-    mark = '<span class="pill note" title="the bound chose this value">▲ at its bound</span> ' if p["at_bound"] else ""
-    truth = f"true: {p['truth']:.3g}" if p.get("truth") is not None else ""
-    return mark + value + below(interval(p, ".3g")) + below(truth)
-
-
 def error(row: dict[str, Any] | None, best: bool = False) -> str:
     """ "3.68 mm", below it the interval; a status where there is no number."""
     if row is None or row["value"] is None:
@@ -125,9 +89,3 @@ def error(row: dict[str, Any] | None, best: bool = False) -> str:
 
 def floor(row: dict[str, Any]) -> str:
     return f"{row['floor']:.2f} {text(row['unit'])}" if row["floor"] is not None else ""
-
-
-def interval(row: dict[str, Any], digits: str) -> str:
-    if row["low"] is None or row["high"] is None:
-        return ""
-    return f"{row['low']:{digits}} … {row['high']:{digits}}"

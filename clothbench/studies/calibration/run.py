@@ -1,91 +1,58 @@
-"""Run the missing cells of a plan: one process each, so that what goes wrong in one stays there."""
+"""Run a calibration: fit the parameters, score them on every recording, and ask what else is asked of the fit."""
 
 from __future__ import annotations
 
-import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from clothbench.core.parallel import set_thread_count
 from clothbench.core.protocols import Metric, Score
 from clothbench.core.rollout import Rollout
-from clothbench.engine.cells import Skipped
-from clothbench.engine.journal import Journal
-from clothbench.engine.rows import AnyCell, about_cell, keep_failure, no_value
-from clothbench.engine.store import Store, finite
+from clothbench.engine.rows import about_cell, failure, no_value
+from clothbench.engine.store import finite
+from clothbench.engine.study import Context, Result
 from clothbench.estimation.calibrate import Fit, best_rollout, calibrate
 from clothbench.estimation.intervals import error_interval, mean_interval
 from clothbench.estimation.trials import score_of
-from clothbench.plugins.discovery import catalogue, one_line
 from clothbench.studies.calibration.analysis import analyse, starts_of, truth_of
-from clothbench.studies.calibration.cell import Bench, set_up
-from clothbench.studies.folding.cell import FoldCell
-from clothbench.studies.folding.run import fold
-from clothbench.studies.mechanics.cell import ValidationCell
-from clothbench.studies.mechanics.run import validate
-
-Progress = Callable[[AnyCell, int, float], None]
-Attach = Callable[[Path, Bench, Sequence[Rollout]], None]  # adds files to a finished cell's folder
+from clothbench.studies.calibration.cell import Bench, CalibrationCell, set_up
 
 
-def run_cell(
-    cell: AnyCell, out: Path, *, threads: int = 0, attach: Attach | None = None, progress: Progress | None = None
-) -> str:
-    """Calibrate or validate one cell, store it, and return its status. Whatever fails becomes a row with its reason.
-
-    `attach(folder, bench, rollouts)` may add files to the cell, with one best rollout per recording.
-    """
-    set_thread_count(threads)
-    store = Store(out)
-    told = (lambda n, value: progress(cell, n, value)) if progress else None
-    try:
-        if isinstance(cell, ValidationCell):
-            return validate(store, cell, told)
-        if isinstance(cell, FoldCell):
-            return fold(store, cell, told)
-        bench = set_up(cell, catalogue())
-        optimizer = catalogue().make(
-            "optimizers",
-            cell.optimizer,
-            bench.space,
-            seed=cell.stream("optimizer"),
-            budget=cell.budget,
-            **cell.option(cell.optimizer),
-        )
-        journal = Journal(store.folder / "journal" / cell.key)
-        fit = calibrate(
-            bench.of_split("fit"), optimizer, bench.space, timeout=cell.timeout, progress=told, journal=journal
-        )
-        status = _keep(store, bench, fit, journal, attach)
-        journal.forget()
-        return status
-    except Skipped as reason:
-        return keep_failure(store, cell, "skipped", str(reason))
-    except Exception as fault:
-        return keep_failure(store, cell, "error", one_line(fault), detail=traceback.format_exc())
-
-
-def _keep(store: Store, bench: Bench, fit: Fit, journal: Journal, attach: Attach | None) -> str:
-    """Score the best parameters on every recording and store all tables."""
+def run(cell: CalibrationCell, context: Context) -> Result:
+    """Search, on the fit recordings together, and score what was found on all of them."""
+    bench = set_up(cell, context.plugins)
+    optimizer = context.plugins.make(
+        "optimizers", cell.optimizer, bench.space, seed=cell.stream("optimizer"), budget=cell.budget,
+        **cell.option(cell.optimizer),
+    )  # fmt: skip
+    fit = calibrate(
+        bench.of_split("fit"), optimizer, bench.space, timeout=cell.timeout, progress=context.progress,
+        checkpoint=context.checkpoint,
+    )  # fmt: skip
     if fit.status == "diverged":
-        return keep_failure(
-            store, bench.cell, "diverged", _why_lost(bench), evaluations=fit.evaluations, wall_s=fit.wall_s
-        )
+        return failure(cell, "diverged", _why_lost(bench), evaluations=fit.evaluations, wall_s=fit.wall_s)
+    return _scored(bench, fit, context)
+
+
+def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
+    """All tables of the best parameters."""
     rollouts = [best_rollout(t, fit) for t in bench.trials]
-    metrics = [bench.trials[0].metric, *bench.others]
     rows, trace = [], []
-    for metric in metrics:
+    for metric in [bench.trials[0].metric, *bench.others]:
         scores = [score_of(t, metric, r) for t, r in zip(bench.trials, rollouts, strict=True)]
         rows += _rows_of(bench, fit, metric, scores, rollouts)
         trace += _trace_of(bench, metric, scores)
     tables = {"rows": rows, "parameters": _parameters_of(bench, fit), "history": _history_of(fit), "trace": trace}
-    tables |= {"starts": starts_of(bench, fit)} | analyse(bench, fit, journal)
-    extra = (lambda folder: attach(folder, bench, rollouts)) if attach else None
-    store.put(bench.cell.key, tables, extra)
-    return fit.status
+    tables |= {"starts": starts_of(bench, fit)} | analyse(bench, fit, context.plugins, context.checkpoint)
+
+    def attach(folder: Path) -> None:
+        from clothbench.studies.calibration.rerun_file import write_rerun
+
+        write_rerun(folder / "fit.rrd", bench, rollouts)
+
+    return Result(fit.status, tables, attach if context.rerun else None)
 
 
 def _why_lost(bench: Bench) -> str:

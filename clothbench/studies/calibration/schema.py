@@ -1,4 +1,4 @@
-"""Columns of what is asked of a fit beside its errors. Errors are in the row's `unit`, `key` is the cell's."""
+"""Columns of the tables of a calibration beside its rows. Errors are in the row's `unit`, `key` is the cell's."""
 
 from __future__ import annotations
 
@@ -6,6 +6,13 @@ import pyarrow as pa
 
 _text, _number, _whole = pa.string(), pa.float64(), pa.int64()
 
+# Best values with intervals. start: where the search set out from; truth: what stand-in recordings state.
+PARAMETER = {
+    "name": _text, "symbol": _text, "unit": _text, "value": _number, "low": _number, "high": _number,
+    "at_bound": pa.bool_(), "start": _number, "truth": _number, "meaning": _text, "key": _text,
+}  # fmt: skip
+# Error of every recording, frame by frame.
+TRACE = {"recording": _text, "split": _text, "metric": _text, "time": _number, "value": _number, "unit": _text}
 # Error of each fitted recording where the search set out from, and at its result.
 START = {
     "case": _text, "recording": _text, "metric": _text, "unit": _text, "start": _number, "value": _number, "key": _text,
@@ -42,3 +49,4 @@ ANALYSIS_TABLES = {
     "starts": START, "variability": VARIABILITY, "perturbations": PERTURBATION, "repeats": REPEAT,
     "sensitivity": SENSITIVITY, "map": MAP, "confusion": CONFUSION,
 }  # fmt: skip
+TABLES = {"parameters": PARAMETER, "trace": TRACE, **ANALYSIS_TABLES}

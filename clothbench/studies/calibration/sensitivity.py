@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.parameters import ParameterSpace
-from clothbench.engine.journal import Journal
+from clothbench.engine.checkpoint import Checkpoint
 from clothbench.engine.store import finite
 from clothbench.estimation.calibrate import remembered
 from clothbench.estimation.trials import Trial
@@ -17,7 +17,7 @@ LEVELS = 4  # of a Morris trajectory
 
 
 def morris(
-    trials: Sequence[Trial], space: ParameterSpace, trajectories: int, seed: int, journal: Journal | None = None
+    trials: Sequence[Trial], space: ParameterSpace, trajectories: int, seed: int, checkpoint: Checkpoint | None = None
 ) -> list[dict[str, Any]]:
     """Elementary effects (Morris 1991) over the scaled ranges: μ* (mean size) and σ, in the error's unit.
 
@@ -28,7 +28,7 @@ def morris(
 
     problem = _problem(space)
     unit = sampling.sample(problem, trajectories, num_levels=LEVELS, seed=seed % 2**32)
-    error, whole = _errors(trials, space, unit, len(space) + 1, journal)
+    error, whole = _errors(trials, space, unit, len(space) + 1, checkpoint)
     if whole.sum() < 2 * (len(space) + 1):
         return _failed(space, "morris", len(unit), "fewer than two trajectories could be simulated")
     found = analysis.analyze(problem, unit[whole], error[whole], num_levels=LEVELS, seed=seed % 2**32)
@@ -37,7 +37,7 @@ def morris(
 
 
 def sobol(
-    trials: Sequence[Trial], space: ParameterSpace, samples: int, seed: int, journal: Journal | None = None
+    trials: Sequence[Trial], space: ParameterSpace, samples: int, seed: int, checkpoint: Checkpoint | None = None
 ) -> list[dict[str, Any]]:
     """First and total shares of the error's variance (Sobol 2001, Saltelli 2010) over the scaled ranges.
 
@@ -48,7 +48,7 @@ def sobol(
 
     problem, block = _problem(space), len(space) + 2
     unit = sampling.sample(problem, samples, calc_second_order=False, seed=seed % 2**32)
-    error, whole = _errors(trials, space, unit, block, journal)
+    error, whole = _errors(trials, space, unit, block, checkpoint)
     if whole.sum() < 4 * block or np.ptp(error[whole]) == 0:
         return _failed(space, "sobol", len(unit), "fewer than four blocks could be simulated, or the error is constant")
     found = analysis.analyze(problem, error[whole], calc_second_order=False, seed=seed % 2**32)
@@ -62,7 +62,7 @@ def error_map(
     best: np.ndarray,
     names: Sequence[str],
     points: int,
-    journal: Journal | None = None,
+    checkpoint: Checkpoint | None = None,
 ) -> list[dict[str, Any]]:
     """The error over the whole scaled ranges of two parameters, the others at their best (figure 3 of Bhat et al.)."""
     first, second = space[names[0]], space[names[1]]
@@ -71,7 +71,7 @@ def error_map(
     line = np.linspace(0.0, 1.0, points)
     unit[:, columns] = np.stack([a.ravel() for a in np.meshgrid(line, line)], axis=1)
     theta = space.from_unit(unit)
-    error = remembered(trials, theta, journal).value
+    error = remembered(trials, theta, checkpoint).value
     about = {"x_name": first.name, "x_unit": first.unit, "y_name": second.name, "y_unit": second.unit, "reason": ""}
     return [
         {**about, "x": float(t[columns[0]]), "y": float(t[columns[1]]), "error": finite(e)}
@@ -84,10 +84,10 @@ def _problem(space: ParameterSpace) -> dict[str, Any]:
 
 
 def _errors(
-    trials: Sequence[Trial], space: ParameterSpace, unit: np.ndarray, block: int, journal: Journal | None
+    trials: Sequence[Trial], space: ParameterSpace, unit: np.ndarray, block: int, checkpoint: Checkpoint | None
 ) -> tuple[np.ndarray, np.ndarray]:
     """Errors (B,) of points of the unit cube, and which belong to a block that was simulated as a whole (B,)."""
-    error = remembered(trials, space.from_unit(unit), journal).value
+    error = remembered(trials, space.from_unit(unit), checkpoint).value
     known = np.isfinite(error).reshape(-1, block).all(axis=1)
     return error, np.repeat(known, block)
 

@@ -1,4 +1,4 @@
-"""Results as tables in the terminal."""
+"""Calibrations as tables in the terminal."""
 
 from __future__ import annotations
 
@@ -8,42 +8,28 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from clothbench.display.terminal import console
-from clothbench.studies.folding.tables import fold_table, summary
-from clothbench.studies.mechanics.tables import is_validation, validation_table
+from clothbench.display.names import cell_name
+from clothbench.engine.study import Results
+from clothbench.studies.calibration.analysis_tables import analyses
+from clothbench.studies.calibration.schema import ANALYSIS_TABLES
 
 Rows = Sequence[dict[str, Any]]
 MANY = 24  # recordings in one cell beyond which only the totals are printed
 
 
-def print_leaderboard(rows: Rows, parameters: Rows, levels: Rows = (), folds: Rows = ()) -> None:
-    """One table per suite: error with its interval beside the noise floor; then what was fitted, with units.
-
-    levels: the simulations of tests against mechanics, and folds: the steps of folds, which have tables of their own.
+def show(results: Results) -> list[Any]:
+    """One table per suite: error with its interval beside the noise floor; then what was fitted, with units; then what
+    else was asked of the fits.
     """
-    out, lifted = console(), {s["key"] for s in folds}
-    for suite in sorted({r["suite"] for r in rows}):
-        if tests := [r for r in rows if r["suite"] == suite and is_validation(r)]:
-            out.print(validation_table(suite, tests, levels))
-        mine = [r for r in rows if r["suite"] == suite and not is_validation(r)]
-        if folded := [r for r in mine if r["key"] in lifted]:
-            keys = {r["key"] for r in folded}
-            steps = [s for s in folds if s["key"] in keys]
-            out.print(fold_table(suite, folded, steps))
-            out.print(summary(steps), soft_wrap=True)
-        mine = [r for r in mine if r["key"] not in lifted]
-        if not mine:
-            continue
-        out.print(error_table(suite, mine))
-        for line in overall(mine):
-            out.print(line)
+    out: list[Any] = []
+    parameters = results.table("parameters")
+    for suite in sorted({r["suite"] for r in results.rows}):
+        mine = [r for r in results.rows if r["suite"] == suite]
         keys = {r["key"] for r in mine}
-        fitted = [p for p in parameters if p["key"] in keys]
-        if fitted:
-            out.print(parameter_table(mine, fitted))
-    for row in failures(rows):
-        what, reason = escape(_label(row)), escape(row["reason"] or "")
-        out.print(f"[red]{row['status']}[/]: {what}: {reason}", soft_wrap=True)
+        out += [error_table(suite, mine), *overall(mine)]
+        if fitted := [p for p in parameters if p["key"] in keys]:
+            out.append(parameter_table(mine, fitted))
+    return out + analyses(results.rows, {name: results.table(name) for name in ANALYSIS_TABLES})
 
 
 def error_table(suite: str, rows: Rows) -> Table:
@@ -67,13 +53,6 @@ def error_table(suite: str, rows: Rows) -> Table:
     if crowded:
         table.caption = "single fit recordings: clothbench leaderboard --json"
     return table
-
-
-def cell_name(row: dict[str, Any]) -> str:
-    """A cell in words: case, model with its effects, optimizer, objective; the seed where it is not 0."""
-    model = " + ".join([row["model"], *(e for e in (row["effects"] or "").split(",") if e)])
-    seed = [f"seed {row['seed']}"] if row["seed"] else []
-    return " · ".join([*filter(None, (row["case"], model, row["optimizer"], row["objective"])), *seed])
 
 
 def overall(rows: Rows) -> list[str]:
@@ -132,17 +111,3 @@ def parameter_table(rows: Rows, parameters: Rows) -> Table:
             table.add_row(*(escape(t) for t in texts))
         table.add_section()
     return table
-
-
-def failures(rows: Rows) -> list[dict[str, Any]]:
-    """One row for each cell that did not end well."""
-    seen: dict[str, dict[str, Any]] = {}
-    for row in rows:
-        if row["status"] != "ok":
-            seen.setdefault(row["key"], row)
-    return list(seen.values())
-
-
-def _label(row: dict[str, Any]) -> str:
-    parts = (row["case"], row["model"], row["optimizer"], row["metric"], row["recording"])
-    return " · ".join(p for p in parts if p)

@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from clothbench.display.plotly import model_name
+from clothbench.display.names import model_name
 
 Rows = Sequence[dict[str, Any]]
 

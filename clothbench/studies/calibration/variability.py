@@ -14,7 +14,7 @@ import numpy as np
 
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Optimizer
-from clothbench.engine.journal import Journal
+from clothbench.engine.checkpoint import Checkpoint
 from clothbench.estimation.calibrate import Fit, calibrate, remembered
 from clothbench.estimation.trials import Trial
 
@@ -38,11 +38,11 @@ def perturbed(space: ParameterSpace, best: np.ndarray, points: int) -> tuple[np.
 
 
 def variability(
-    trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray, points: int, journal: Journal | None = None
+    trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray, points: int, checkpoint: Checkpoint | None = None
 ) -> tuple[list[dict[str, Any]], list[dict[str, Any]]]:
     """Per parameter the change [%] that changes the error by 1 %, and the perturbations behind it."""
     theta, which, share = perturbed(space, best, points)
-    evaluation = remembered(trials, np.vstack([best[None], theta]), journal)
+    evaluation = remembered(trials, np.vstack([best[None], theta]), checkpoint)
     base, error = float(evaluation.value[0]), evaluation.value[1:]
     found, behind = [], []
     for i, p in enumerate(space):
@@ -81,7 +81,7 @@ def parabola(share: np.ndarray, error: np.ndarray, base: float) -> tuple[float |
 
 def repeats(
     trials: Sequence[Trial], space: ParameterSpace, fit: Fit, count: int, seed: int,
-    make: Callable[[ParameterSpace, int], Optimizer], journal: Journal | None = None,
+    make: Callable[[ParameterSpace, int], Optimizer], checkpoint: Checkpoint | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
     """The fit and `count` more from starts within ±5 % of its own (table 2); make(space, seed) gives each search.
 
@@ -94,8 +94,8 @@ def repeats(
         start = begin if n == 0 else np.clip(near, space.low, space.high)
         found = fit
         if n:
-            found = calibrate(trials, make(moved(space, start), seed + n), space, journal=journal, bounded=False)
-        first = float(remembered(trials, start[None], journal).value[0])
+            found = calibrate(trials, make(moved(space, start), seed + n), space, checkpoint=checkpoint, bounded=False)
+        first = float(remembered(trials, start[None], checkpoint).value[0])
         error = float(np.nanmin(found.value)) if np.isfinite(found.value).any() else math.nan
         rows += [
             {"repeat": n, "name": p.name, "symbol": p.symbol, "unit": p.unit, "start": float(start[i]),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import fnmatch
 import itertools
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -11,9 +12,13 @@ from typing import Any, ClassVar
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.cells import digest, plugin_versions, seed_of
+from clothbench.engine.settings import known_words, mapping, number, refuse, require_plugins, whole, words
+from clothbench.engine.study import FileProgress
 from clothbench.plugins.discovery import Catalogue
 from clothbench.reference.fabrics import FABRICS, Fabric
 
+SUITE_WORDS = frozenset({"fold", "select"})
+NOT_RECORDED = ("recording", "recordings", "report", "analysis")
 VERSION = 1  # of the testbed: raised when its numbers change
 
 
@@ -33,7 +38,7 @@ class FoldSettings:
 
 
 @dataclass(frozen=True)
-class FoldCell:
+class FoldingCell:
     """One fabric folded with one model, tracker, metric and optimizer. Plain data with a key and a label."""
 
     suite: str
@@ -52,12 +57,17 @@ class FoldCell:
     timeout: float | None = None
     testbed: int = VERSION
 
+    study: ClassVar[str] = "folding"
     counts: ClassVar[str] = "steps"
     value_word: ClassVar[str] = "estimate"
 
     @property
     def fabric(self) -> Fabric:
         return fabric_named(self.case)
+
+    @property
+    def row_columns(self) -> Mapping[str, Any]:
+        return {}
 
     @property
     def cases(self) -> tuple[str, ...]:
@@ -90,16 +100,19 @@ class FoldCell:
         return seed_of(self.case, self.fold.length, self.seed, purpose)
 
 
-def plan_folds(config: Mapping[str, Any], plugins: Catalogue) -> list[FoldCell]:
+def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[FoldingCell]:
     """Every cell of checked settings; an option that a plugin does not have comes to light here."""
-    suite = config["suite"]
-    cells = []
-    product = itertools.product(suite["select"], *(config[key] for key in ("model", "optimizer", "metric")))
+    made = "the recordings of this suite are made as it runs"
+    refuse(settings, NOT_RECORDED, made, "this suite has a strip on a desk")
+    require_plugins(settings, ("model", "optimizer", "metric"))
+    suite, cells = settings["suite"], []
+    lifted, fabrics = fold_settings(mapping("suite.fold", suite.get("fold"))), chosen_fabrics(selected(suite))
+    product = itertools.product(fabrics, *(settings[key] for key in ("model", "optimizer", "metric")))
     for fabric, model, optimizer, metric in product:
-        cell = FoldCell(
-            suite.get("name") or "fold", fabric, model, tuple(config["effects"]), optimizer, metric,
-            str(config["tracker"]), suite["fold"], config["options"], config["bounds"],
-            evaluations=config["budget"], seed=config["seed"], timeout=config["timeout"],
+        cell = FoldingCell(
+            suite.get("name") or "folding", fabric, model, tuple(settings["effects"]), optimizer, metric,
+            str(settings["tracker"]), lifted, settings["options"], settings["bounds"],
+            evaluations=settings["budget"], seed=settings["seed"], timeout=settings["timeout"],
         )  # fmt: skip
         for kind, name in cell.uses:
             if kind not in ("optimizers", "effects"):
@@ -110,8 +123,6 @@ def plan_folds(config: Mapping[str, Any], plugins: Catalogue) -> list[FoldCell]:
 
 def fold_settings(given: Mapping[str, Any]) -> FoldSettings:
     """The suite's `fold`, checked."""
-    from clothbench.engine.settings import known_words, number, whole, words
-
     known: dict[str, Any] = {f.name: f.default for f in dataclasses.fields(FoldSettings)}
     known_words("setting of 'suite.fold'", given, set(known))
     numbers = {
@@ -129,10 +140,13 @@ def fold_settings(given: Mapping[str, Any]) -> FoldSettings:
     return FoldSettings(steps=steps, fit=fit, **numbers)
 
 
+def selected(suite: Mapping[str, Any]) -> list[str]:
+    """Patterns of fabrics' names; all if there are none."""
+    return words("suite.select", suite.get("select")) or ["*"]
+
+
 def chosen_fabrics(patterns: list[str]) -> list[str]:
     """Names of fabrics in the table's order; "*" means every one."""
-    import fnmatch
-
     found = [f.name for f in FABRICS if any(fnmatch.fnmatch(f.name, p) for p in patterns)]
     if not found:
         raise ClothbenchError(

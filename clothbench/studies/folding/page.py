@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from html import escape
 from typing import Any
@@ -11,8 +10,10 @@ import numpy as np
 
 from clothbench.core.folding import circular_path, triangular_path
 from clothbench.display.html import pill, table, text
+from clothbench.display.parameters import parameters
 from clothbench.display.plotly import COLOURS, GREY, rounded
-from clothbench.display.style import DRAWING
+from clothbench.display.section import Section
+from clothbench.engine.study import Results
 from clothbench.studies.folding.tables import inside, summary
 
 Rows = Sequence[dict[str, Any]]
@@ -27,14 +28,18 @@ drawFolds();
 """
 
 
-def fold_section(rows: Rows, steps: Rows, *, plotly: bool) -> str:
-    """Everything about folds; `plotly`: whether plotly.js and the drawing still have to be given."""
-    if not rows:
-        return ""
+def sections(results: Results) -> list[Section]:
+    """Everything about folds, and the parameters of the last steps."""
+    rows, steps = results.rows, results.table("fold")
+    fitted = "<h3>Parameters</h3>" + parameters(rows, results.table("parameters"))
+    return [fold_section(rows, steps), Section(fitted)]
+
+
+def fold_section(rows: Rows, steps: Rows) -> Section:
     suites = ", ".join(sorted({r["suite"] for r in rows}))
     body = f"<h2>{text(suites)}: estimated while folding</h2>{INTRO}{fabrics(rows, steps)}"
     if not steps:
-        return body
+        return Section(body)
     shown = (
         (last_figure(steps), "Reference with its ± 2σ (grey), and the last step's estimate with its interval."),
         (step_figure(steps), "The estimate after every step over the reference."),
@@ -44,13 +49,8 @@ def fold_section(rows: Rows, steps: Rows, *, plotly: bool) -> str:
         f'<figure><figcaption>{text(words)}</figcaption><div id="fold-{n}"></div></figure>'
         for n, (_, words) in enumerate(shown)
     )
-    data = json.dumps([f for f, _ in shown], ensure_ascii=False, allow_nan=False).replace("<", "\\u003c")
-    parts = [body, f'<p>{text(summary(steps))}</p>{figures}<script type="application/json" id="folds">{data}</script>']
-    if plotly:
-        from plotly.offline import get_plotlyjs
-
-        parts.append(f"<script>{get_plotlyjs()}</script><script>{DRAWING}</script>")
-    return "\n".join([*parts, f"<script>{SCRIPT}</script>"])
+    html = f"{body}<p>{text(summary(steps))}</p>{figures}"
+    return Section(html, {"folds": [figure for figure, _ in shown]}, SCRIPT)
 
 
 def fabrics(rows: Rows, steps: Rows) -> str:

@@ -1,4 +1,4 @@
-"""Run one cell of a folding suite: lift the strip step by step, measure, estimate, and lift it further by the estimate.
+"""Run a fold: lift the strip step by step, measure, estimate, and lift it further by the estimate.
 
 Petrík et al., Automatic Material Properties Estimation for the Physics-Based Robotic Garment Folding, algorithm 1.
 """
@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import dataclasses
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,16 +21,15 @@ from clothbench.core.protocols import Effect, Evaluation, Metric, Optimizer, Tra
 from clothbench.core.rollout import Rollout
 from clothbench.engine.cells import Skipped
 from clothbench.engine.rows import about_cell, no_value
-from clothbench.engine.store import Store
+from clothbench.engine.study import Context, Result
 from clothbench.estimation.intervals import jackknife
 from clothbench.estimation.search import drive
-from clothbench.plugins.discovery import Catalogue, absent, catalogue
+from clothbench.plugins.discovery import Catalogue, absent
 from clothbench.reference.lifted_strip import Lifted
-from clothbench.studies.folding.cell import FoldCell
+from clothbench.studies.folding.cell import FoldingCell
 from clothbench.studies.folding.laser_camera import rendered
 from clothbench.studies.folding.strip import TestStrip
 
-Told = Callable[[int, float], None]
 PROBE = 1e-3  # of the scaled range, step of the differences for the intervals
 PIECES = 20  # of a profile, which count as independent of each other
 FINE = 20_001  # points of the true profile
@@ -41,7 +39,7 @@ FINE = 20_001  # points of the true profile
 class Hand:
     """What a cell needs to estimate: its plugins, and the parameters that are estimated among all others."""
 
-    cell: FoldCell
+    cell: FoldingCell
     strip: Folding
     own: ParameterSpace
     effects: tuple[Effect, ...]
@@ -87,7 +85,11 @@ class Hand:
     def hold(self, theta: np.ndarray, near: FoldState) -> FoldState:
         """S(T T_δ, η_b) for estimates (B, F), the gripper being sent to where `near` has it."""
         every = self.all_parameters(theta)
-        poses = np.repeat(near.pose, len(theta), axis=0)
+        return self.strip.hold(self.gripped(near.pose, every), every[:, : len(self.own)], near)
+
+    def gripped(self, pose: np.ndarray, every: np.ndarray) -> np.ndarray:
+        """Poses (B, 3) of the end where the gripper is sent to `pose` (1, 3), for all parameters (B, P)."""
+        poses = np.repeat(pose, len(every), axis=0)
         at = len(self.own)
         for effect in self.effects:
             phis = every[:, at : at + len(effect.parameters)]
@@ -95,7 +97,11 @@ class Hand:
             for pose, phi in zip(poses, phis, strict=True):
                 held = np.array([[[pose[0], 0.0, pose[1]]]])
                 pose[:2] = effect.grips(np.zeros(1), held, phi)[0, 0, [0, 2]]  # type: ignore[attr-defined]
-        return self.strip.hold(poses, every[:, : len(self.own)], near)
+        return poses
+
+    def grip_offset(self, theta: np.ndarray) -> np.ndarray:
+        """By how much (2,) m, in x and z, an estimate (F,) has the end away from where the gripper is sent."""
+        return self.gripped(np.zeros((1, 3)), self.all_parameters(theta[None]))[0, :2]
 
     def evaluate(self, theta: np.ndarray, near: FoldState, seen: Observation) -> Evaluation:
         """J (B,) of estimates (B, F), and the residuals [m]."""
@@ -129,9 +135,9 @@ def _pieces(profile: np.ndarray, seen: Observation, rows: int) -> list[np.ndarra
     return [(part[:, None] * each + np.arange(each)).ravel() for part in np.array_split(order, PIECES)]
 
 
-def fold(store: Store, cell: FoldCell, told: Told | None = None) -> str:
-    """Fold, estimate and store; `told(steps, estimate)` after each step. Returns the cell's status."""
-    plugins = catalogue()
+def run(cell: FoldingCell, context: Context) -> Result:
+    """Lift and estimate in turn; the progress counts steps, with the estimate after each."""
+    plugins = context.plugins
     hand = hand_of(cell, plugins)
     sheet = TestStrip.of(cell.fabric, cell.fold.length, cell.stream)
     optimizer, theta, steps = _optimizer(hand, plugins, hand.space), hand.space.defaults, []
@@ -149,13 +155,12 @@ def fold(store: Store, cell: FoldCell, told: Told | None = None) -> str:
             "estimate": theta, "low": low, "high": high, "profile": least, "tracker_error": error,
             "sigma": seen.sigma, "evaluations": evaluations, "wall_s": spent,
         })  # fmt: skip
-        if told is not None:
-            told(number, float(theta[0]))
+        context.progress(number, float(theta[0]))
         optimizer = _next(hand, plugins, optimizer, theta)
-    return _keep(store, hand, sheet, steps)
+    return _result(hand, sheet, steps)
 
 
-def hand_of(cell: FoldCell, plugins: Catalogue) -> Hand:
+def hand_of(cell: FoldingCell, plugins: Catalogue) -> Hand:
     """A cell with its plugins made."""
     if reason := absent(plugins.load("models", cell.model)):
         raise Skipped(reason)
@@ -216,7 +221,7 @@ def _estimate(hand: Hand, optimizer: Optimizer, near: FoldState, seen: Observati
     return np.concatenate(thetas)[best], float(value[best]), len(value)
 
 
-def _step(cell: FoldCell, sheet: TestStrip, truth: Lifted, near: FoldState, number: int) -> dict[str, Any]:
+def _step(cell: FoldingCell, sheet: TestStrip, truth: Lifted, near: FoldState, number: int) -> dict[str, Any]:
     x, z, slope = near.pose[0]
     bends = np.linspace(truth.length - truth.off, truth.length, 401)
     moment = np.interp(bends - bends[0], truth.s, truth.moment**2 * sheet.stiffness(bends[0] + truth.s))
@@ -228,8 +233,8 @@ def _step(cell: FoldCell, sheet: TestStrip, truth: Lifted, near: FoldState, numb
     }  # fmt: skip
 
 
-def _keep(store: Store, hand: Hand, sheet: TestStrip, steps: list[dict[str, Any]]) -> str:
-    cell, last, names = hand.cell, steps[-1], hand.space.names
+def _result(hand: Hand, sheet: TestStrip, steps: list[dict[str, Any]]) -> Result:
+    cell, last = hand.cell, steps[-1]
     about = {**about_cell(cell), **no_value(), "status": "ok", "reason": ""}
     about |= {"evaluations": sum(s["evaluations"] for s in steps), "wall_s": sum(s["wall_s"] for s in steps)}
     first = hand.space.parameters[0]
@@ -239,11 +244,10 @@ def _keep(store: Store, hand: Hand, sheet: TestStrip, steps: list[dict[str, Any]
     rows.append(friction | {"reason": f"would slip at step {', '.join(slips)}" if slips else ""})
     rows.append(_row(about, hand.metric.name, hand.metric.unit, last["profile"], None))
     rows.append(_row(about, "tracker_error", "mm", 1e3 * max(s["tracker_error"] for s in steps), None))
-    found = dict(zip(names, last["estimate"], strict=True))
-    offset = [found.get(f"grip_offset.d{axis}", 0.0) - true for axis, true in zip("xz", sheet.offset, strict=True)]
+    offset = hand.grip_offset(last["estimate"]) - sheet.offset
     rows.append(_row(about, "grip_offset_error", "mm", 1e3 * float(np.hypot(*offset)), 0.0))
-    store.put(cell.key, {"rows": rows, "parameters": _parameters(hand, last), "fold": [_table(hand, s) for s in steps]})
-    return "ok"
+    table = [_table(hand, s) for s in steps]
+    return Result("ok", {"rows": rows, "parameters": _parameters(hand, last), "fold": table})
 
 
 def _row(about: dict[str, Any], metric: str, unit: str, value: float, reference: float | None, low=None, high=None):

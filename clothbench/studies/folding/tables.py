@@ -8,7 +8,21 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
+from clothbench.engine.study import Results
+
 Rows = Sequence[dict[str, Any]]
+
+
+def show(results: Results) -> list[Any]:
+    """One table per suite, and what its folds say together."""
+    out: list[Any] = []
+    steps = results.table("fold")
+    for suite in sorted({r["suite"] for r in results.rows}):
+        mine = [r for r in results.rows if r["suite"] == suite]
+        keys = {r["key"] for r in mine}
+        lifted = [s for s in steps if s["key"] in keys]
+        out += [fold_table(suite, mine, lifted), *([summary(lifted)] if lifted else [])]
+    return out
 
 
 def fold_table(suite: str, rows: Rows, steps: Rows) -> Table:

@@ -20,6 +20,7 @@ from clothbench.studies.improve.before_after import Seen, both, pulled
 from clothbench.studies.improve.page import document
 from clothbench.studies.improve.rerun_file import write_recording_file
 from clothbench.studies.improve.rounds import Outcome
+from clothbench.studies.improve.schema import IMPROVE_TABLES
 from clothbench.studies.improve.tables import MM, all_rows
 from clothbench.studies.improve.verdict import standing
 
@@ -35,7 +36,7 @@ def write_folder(out: Path, outcome: Outcome, found: Mapping[str, Any]) -> None:
         (part / "verdict.json").write_text(json_text(found) + "\n", encoding="utf-8")
         (part / "tables").mkdir()
         for name, rows in tables.items():
-            write_table(part / "tables" / f"{name}.parquet", f"improve/{name}", rows)
+            write_table(part / "tables" / f"{name}.parquet", rows, IMPROVE_TABLES[name])
         (part / "rerun").mkdir()
         for name, one in zip(file_names(seen), seen, strict=True):
             write_recording_file(part / "rerun" / f"{name}.rrd", one, label(found), MM * outcome.floor)

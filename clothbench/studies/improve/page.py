@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from clothbench.display.html import group, table, text, unit
-from clothbench.display.style import DRAWING
+from clothbench.display.html import group, interval, table, text, unit
+from clothbench.display.page import whole_page
+from clothbench.display.section import Section
 from clothbench.engine.store import system_info
-from clothbench.report.page import whole_page
-from clothbench.studies.calibration.leaderboard import interval
 from clothbench.studies.improve import figures as draw
 from clothbench.studies.improve.style import BLOCKS, STYLE
 from clothbench.studies.improve.words import errors_of, floor_word, remains, sentence, size
@@ -49,10 +47,9 @@ def document(found: Mapping[str, Any], tables: Tables) -> str:
         drift_section(tables["drift"], blocks),
         stage_section(found, tables["stages"], blocks),
         remains_section(found, tables),
-        FOOTER,
-        scripts(found, blocks),
     ]
-    return whole_page(f"improve {text(found['model'])}", sections, STYLE)
+    drawn = Section(FOOTER, {"found": {"legend": legend(found), "blocks": blocks}}, BLOCKS)
+    return whole_page(f"improve {text(found['model'])}", [*map(Section, sections), drawn], STYLE)
 
 
 def heading(found: Mapping[str, Any]) -> str:
@@ -259,19 +256,12 @@ def block(
     return f'{choice}<figure><figcaption>{caption}</figcaption><div class="beside">{places}</div></figure>'
 
 
-def scripts(found: Mapping[str, Any], blocks: list[dict[str, Any]]) -> str:
-    """What the figures draw, plotly.js, and how they are drawn: all in the page itself."""
-    from plotly.offline import get_plotlyjs
-
+def legend(found: Mapping[str, Any]) -> list[list[str]]:
+    """[name, colour, dash] of what the figures draw."""
     looks = [look for _, look in draw.series(bool(found["effects"]))] + [draw.FLOOR]
     looks += [draw.PLACEBO] if errors_of(found)["held_out"].get("placebo") else []
     looks += [draw.MEASURED] if found.get("kind") == "curve" else []
-    content = {"legend": [[look["name"], look["colour"], "solid"] for look in looks], "blocks": blocks}
-    data = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    return (
-        f'<script type="application/json" id="found">{data}</script>\n'
-        f"<script>{get_plotlyjs()}</script>\n<script>{DRAWING}{BLOCKS}</script>"
-    )
+    return [[look["name"], look["colour"], "solid"] for look in looks]
 
 
 def format_number(value: float | None) -> str:

@@ -18,7 +18,7 @@ from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Score, Simulation
 from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
-from clothbench.engine.memory import Memory
+from clothbench.engine.checkpoint import Checkpoint as Memory
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.trials import Trial
 from clothbench.plugins.discovery import Catalogue

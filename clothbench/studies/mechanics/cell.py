@@ -11,19 +11,24 @@ from typing import Any, ClassVar
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.cells import digest, plugin_versions
+from clothbench.engine.settings import mapping, refuse, whole, words
+from clothbench.engine.study import FileProgress
 from clothbench.modelling.curves import answers_sheets
 from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
 from clothbench.studies.mechanics import VERSION
 from clothbench.studies.mechanics.checks import NAMES, Check, check_named
 
 MESHES = (9, 17, 33)
+SUITE_WORDS = frozenset({"tests", "meshes", "effects"})
+NOT_FITTED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis")
 
 
 @dataclass(frozen=True)
-class ValidationCell:
+class MechanicsCell:
     """One model in one test, on several meshes. Plain data with a key, a label and a count of its simulations.
 
-    As no search takes part, optimizer and seed are None; what is counted as its budget are simulations.
+    As no search takes part, optimizer and seed are None; what is counted as its budget are simulations. stand_for: the
+    effects by name that stand for what the test asks for.
     """
 
     suite: str
@@ -34,7 +39,9 @@ class ValidationCell:
     versions: Mapping[str, str] = field(default_factory=dict)
     timeout: float | None = None
     validation: int = VERSION
+    stand_for: Mapping[str, str] = field(default_factory=dict)
 
+    study: ClassVar[str] = "mechanics"
     optimizer: ClassVar[None] = None
     seed: ClassVar[None] = None
     counts: ClassVar[str] = "simulations"
@@ -50,7 +57,11 @@ class ValidationCell:
 
     @property
     def effects(self) -> tuple[str, ...]:
-        return tuple(self.check.effects)
+        return tuple(self.stand_for[wanted] for wanted in self.check.effects)
+
+    @property
+    def row_columns(self) -> Mapping[str, Any]:
+        return {}
 
     @property
     def metric(self) -> str:
@@ -64,7 +75,10 @@ class ValidationCell:
     @cached_property
     def key(self) -> str:
         """16 hexadecimal digits, the same on every machine for the same question."""
-        return digest(asdict(self))
+        question = asdict(self)
+        if not self.stand_for:  # tests that ask for no effect keep the key they had before there were any
+            del question["stand_for"]
+        return digest(question)
 
     @property
     def label(self) -> str:
@@ -75,20 +89,43 @@ class ValidationCell:
         return [("models", self.model), *(("effects", name) for name in self.effects)]
 
 
-def plan_validation(config: Mapping[str, Any], plugins: Catalogue) -> list[ValidationCell]:
+def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[MechanicsCell]:
     """Every cell of checked settings; what the user got wrong in a model's options comes to light here."""
-    suite = config["suite"]
-    cells = []
-    for model in dict.fromkeys(config["model"] or _of_sheets(plugins)):
-        options = config["options"].get(model, {})
+    fitted = "the tests of this suite are not fitted to anything"
+    refuse(settings, NOT_FITTED, fitted, "the tests of this suite bring their own scenes")
+    suite, cells = settings["suite"], []
+    tests, meshes = chosen_tests(words("suite.tests", suite.get("tests"))), mesh_sizes(suite.get("meshes"))
+    effects = mapping("suite.effects", suite.get("effects"))
+    for model in dict.fromkeys(settings["model"] or _of_sheets(plugins)):
+        options = settings["options"].get(model, {})
         _rehearse(model, options, plugins)
-        for test in suite["tests"]:
-            cell = ValidationCell(
-                suite.get("name") or "physical_validation", test, model, tuple(suite["meshes"]), options,
-                timeout=config["timeout"],
+        for test in tests:
+            cell = MechanicsCell(
+                suite.get("name") or "mechanics", test, model, tuple(meshes), options,
+                timeout=settings["timeout"], stand_for=_standing_for(test, effects),
             )  # fmt: skip
             cells.append(dataclasses.replace(cell, versions=plugin_versions(cell.uses, plugins)))
     return cells
+
+
+def _standing_for(test: str, effects: Mapping[str, Any]) -> dict[str, str]:
+    """The effects by name that stand for what a test asks for."""
+    for wanted in check_named(test).effects:
+        if wanted not in effects:
+            raise ClothbenchError(
+                f"setting 'suite.effects' has no {wanted!r}, which the test {test!r} asks for; name an effect for it"
+            )
+    return {wanted: str(effects[wanted]) for wanted in check_named(test).effects}
+
+
+def mesh_sizes(value: Any) -> list[int]:
+    """Nodes along a strip, from the coarsest mesh to the finest."""
+    if value is None:
+        return list(MESHES)
+    sizes = value if isinstance(value, list | tuple) else [value]
+    if not sizes:
+        raise ClothbenchError("setting 'suite.meshes' is empty; give numbers of nodes, for example [9,17,33]")
+    return sorted({whole("suite.meshes", n, 5) for n in sizes})
 
 
 def _of_sheets(plugins: Catalogue) -> list[str]:
@@ -118,6 +155,8 @@ def _rehearse(model: str, options: Mapping[str, Any], plugins: Catalogue) -> Non
 
 def chosen_tests(given: list[str]) -> list[str]:
     """Names of tests, in the order of the suite; "all" means every one."""
+    if not given:
+        raise ClothbenchError(f"setting 'suite.tests' is empty; give all, or some of {', '.join(NAMES)}")
     if given == ["all"]:
         return list(NAMES)
     for name in given:

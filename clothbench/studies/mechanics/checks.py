@@ -51,7 +51,8 @@ class Answer:
 class Check:
     """A test: name, what is measured in which unit, what the model must be able to do, and how to make its trials.
 
-    effects: effect → parameter → value; limp: bending takes no part, and a model that knows none may do without;
+    effects: what else acts → parameter → value, where the suite says which effect stands for it;
+    limp: bending takes no part, and a model that knows none may do without;
     textbook: needs the model's parameters for a textbook material, else its defaults will do; headline: the load
     whose value stands in the leaderboard; halved: also run on the coarsest mesh with half and a quarter of the step;
     order: what stands in the leaderboard is the observed order of convergence, which shows best on a mesh finer than
@@ -154,7 +155,7 @@ CHECKS = (
     Check("catenary", "middle_sag", "m", "strip between two supports: elastic catenary (Irvine 1981)",
           trials.catenary, limp=True),
     Check("terminal_speed", "speed", "m/s", "sheet falling flat with quadratic drag, √(2ρg/(ρ_air C_N))",
-          trials.terminal, TAKES, {"quadratic_drag": {"normal": trials.COEFFICIENT, "tangential": 0.0}}, **FREE),
+          trials.terminal, TAKES, {"drag": {"normal": trials.COEFFICIENT, "tangential": 0.0}}, **FREE),
     Check("energy_drift", "energy_drift", "%", "undamped swing: energy gone within 10 s", trials.drift, MOVES, **FREE),
     Check("convergence_sag", "tip_sag", "m", "observed order of convergence of a cantilever's sag, Γ = 10",
           lambda along: [trials.sag(along, 10.0)], halved=True, order=True),

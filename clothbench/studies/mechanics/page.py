@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from typing import Any
 
 from clothbench.display.html import pill, table, text
-from clothbench.display.style import DRAWING
+from clothbench.display.section import Section
+from clothbench.engine.study import Results
 from clothbench.studies.mechanics.checks import CHECKS
 from clothbench.studies.mechanics.figures import colours, error_figures, validation_figures
 from clothbench.studies.mechanics.tables import observed_orders, relative_error
@@ -32,16 +32,13 @@ drawTests();
 """
 
 
-def validation_section(rows: Rows, levels: Rows, *, plotly: bool) -> str:
-    """Everything about models against mechanics; `plotly`: whether plotly.js and the drawing still have to be given."""
-    if not rows:
-        return ""
+def sections(results: Results) -> list[Section]:
+    """Everything about models against mechanics."""
+    rows, levels = results.rows, results.table("validation")
     suites = ", ".join(sorted({r["suite"] for r in rows}))
     body = f"<h2>{text(suites)}: models against references</h2>{INTRO}{errors(rows)}{tests(rows, levels)}"
     shown = validation_figures(levels)
-    if not shown:
-        return body
-    return body + _figures(shown, error_figures(levels), levels, plotly)
+    return [_drawn(body, shown, error_figures(levels), levels) if shown else Section(body)]
 
 
 def errors(rows: Rows) -> str:
@@ -87,10 +84,8 @@ def tests(rows: Rows, levels: Rows) -> str:
     return f"<details><summary>{len(rows)} values beside their references</summary>{shown}</details>"
 
 
-def _figures(shown: list[dict[str, Any]], over_mesh: dict[str, Any], levels: Rows, plotly: bool) -> str:
-    from plotly.offline import get_plotlyjs
-
-    parts = ['<div class="menu"><div id="test-legend"></div></div>']
+def _drawn(body: str, shown: list[dict[str, Any]], over_mesh: dict[str, Any], levels: Rows) -> Section:
+    parts = [body, '<div class="menu"><div id="test-legend"></div></div>']
     for n, one in enumerate(shown):
         parts.append(f"<h3>{text(one['title'])}</h3><figure><figcaption>{text(one['caption'])}</figcaption>")
         parts.append(f'<div id="test-{n}"></div></figure>')
@@ -102,8 +97,4 @@ def _figures(shown: list[dict[str, Any]], over_mesh: dict[str, Any], levels: Row
         )
     legend = [[name, colour, "solid"] for name, colour in colours(levels).items()]
     content = {"legend": legend, "figures": [one["figure"] for one in shown], "errors": over_mesh}
-    data = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
-    parts.append(f'<script type="application/json" id="tests">{data}</script>')
-    if plotly:
-        parts.append(f"<script>{get_plotlyjs()}</script><script>{DRAWING}</script>")
-    return "\n".join([*parts, f"<script>{SCRIPT}</script>"])
+    return Section("\n".join(parts), {"tests": content}, SCRIPT)

@@ -1,37 +1,36 @@
-"""Run one cell of a validation suite: a model in one test, mesh by mesh, beside what mechanics says."""
+"""Run a model in one test, mesh by mesh, beside what mechanics says."""
 
 from __future__ import annotations
 
 import functools
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 from clothbench.engine.cells import Skipped
 from clothbench.engine.rows import about_cell, no_value
-from clothbench.engine.store import Store
-from clothbench.plugins.discovery import absent, catalogue
-from clothbench.studies.mechanics.cell import ValidationCell
+from clothbench.engine.study import Context, Result
+from clothbench.plugins.discovery import absent
+from clothbench.studies.mechanics.cell import MechanicsCell
 from clothbench.studies.mechanics.checks import Answer, Check, Level
 from clothbench.studies.mechanics.subject import Subject, with_orders
 
-Told = Callable[[int, float], None]
 
-
-def validate(store: Store, cell: ValidationCell, told: Told | None = None) -> str:
-    """Simulate, measure and store; `told(simulations, value)` after each. Returns the cell's status."""
-    plugins, check, began = catalogue(), cell.check, time.perf_counter()
+def run(cell: MechanicsCell, context: Context) -> Result:
+    """Simulate and measure; the progress counts simulations, with the last value."""
+    plugins, check, began = context.plugins, cell.check, time.perf_counter()
     factory = plugins.load("models", cell.model)
     if reason := absent(factory):
         raise Skipped(reason)
     make = functools.partial(plugins.make, "models", cell.model, **cell.options)
-    subject = Subject.of(factory, make, [plugins.make("effects", name) for name in cell.effects])
+    subject = Subject.of(
+        factory, make, {wanted: plugins.make("effects", name) for wanted, name in cell.stand_for.items()}
+    )
     levels: list[Level] = []
     late = False
     for level in subject.levels(check, cell.meshes):
         levels.append(level)
-        if told is not None:
-            told(len(levels), level.value if level.value is not None else float("nan"))
+        context.progress(len(levels), level.value if level.value is not None else float("nan"))
         late = cell.timeout is not None and time.perf_counter() - began > cell.timeout
         if late or level.status == "skipped":
             break
@@ -39,7 +38,7 @@ def validate(store: Store, cell: ValidationCell, told: Told | None = None) -> st
     answers = check.answers(levels)
     if late and len(levels) < check.count(cell.meshes, subject.takes_scale):
         answers = [_late(a, levels) for a in answers]
-    return _keep(store, cell, levels, answers, time.perf_counter() - began)
+    return _result(cell, levels, answers, time.perf_counter() - began)
 
 
 def _late(answer: Answer, levels: Sequence[Level]) -> Answer:
@@ -47,18 +46,17 @@ def _late(answer: Answer, levels: Sequence[Level]) -> Answer:
     return Answer(answer.case, answer.value, answer.reference, "timeout", reason)
 
 
-def _keep(store: Store, cell: ValidationCell, levels: Sequence[Level], answers: Sequence[Answer], wall: float) -> str:
+def _result(cell: MechanicsCell, levels: Sequence[Level], answers: Sequence[Answer], wall: float) -> Result:
     shared = {**about_cell(cell), **no_value(), "evaluations": len(levels), "wall_s": wall, "unit": cell.check.row_unit}
     rows = [
         {**shared, "case": a.case, "value": _number(a.value), "reference": a.reference, "status": a.status,
          "reason": a.reason}
         for a in answers
     ]  # fmt: skip
-    store.put(cell.key, {"rows": rows, "validation": [_level(cell, cell.check, v) for v in levels]})
-    return answers[0].status
+    return Result(answers[0].status, {"rows": rows, "validation": [_level(cell, cell.check, v) for v in levels]})
 
 
-def _level(cell: ValidationCell, check: Check, v: Level) -> dict[str, Any]:
+def _level(cell: MechanicsCell, check: Check, v: Level) -> dict[str, Any]:
     error = v.value - v.reference if v.value is not None else None
     return {
         "case": cell.case, "model": cell.model, "metric": check.metric, "unit": check.unit, "along": v.along,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import inspect
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,14 +25,14 @@ class CannotDo(Exception):
 
 @dataclass(frozen=True)
 class Subject:
-    """A model as `make(**options)` gives it, with the effects that a check wants, by name."""
+    """A model as `make(**options)` gives it, with the effects that stand for what a check wants, by that."""
 
     make: Callable[..., Model]
-    effects: Sequence[Effect]
+    effects: Mapping[str, Effect]
     takes_scale: bool
 
     @classmethod
-    def of(cls, factory: Any, make: Callable[..., Model], effects: Sequence[Effect]) -> Subject:
+    def of(cls, factory: Any, make: Callable[..., Model], effects: Mapping[str, Effect]) -> Subject:
         try:
             takes_scale = "step_scale" in inspect.signature(factory).parameters
         except (TypeError, ValueError):  # some compiled callables have none
@@ -74,14 +74,14 @@ class Subject:
             raise CannotDo(reason)
         own, note = parameters_for(model, check, trial)
         try:
-            simulation = model.prepare(trial.scene, self.effects)
+            simulation = model.prepare(trial.scene, tuple(self.effects.values()))
         except ClothbenchError as fault:
             raise CannotDo(str(fault)) from fault
         theta = simulation.parameters.defaults
         theta[: len(own)] = own
-        for effect, values in check.effects.items():
+        for wanted, values in check.effects.items():
             for name, value in values.items():
-                theta[simulation.parameters.names.index(f"{effect}.{name}")] = value
+                theta[simulation.parameters.names.index(f"{self.effects[wanted].name}.{name}")] = value
         rollout = simulation.run(theta[None])
         about = {"nodes": int(rollout.nodes), "steps": int(rollout.steps[0]), "status": rollout.status[0]}
         if rollout.status[0] != "ok":

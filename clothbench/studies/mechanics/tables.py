@@ -8,14 +8,19 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
+from clothbench.engine.study import Results
 from clothbench.studies.mechanics.checks import CHECKS
 
 Rows = Sequence[dict[str, Any]]
 
 
-def is_validation(row: dict[str, Any]) -> bool:
-    """Whether a row holds a model against mechanics: no optimizer took part."""
-    return row["optimizer"] is None
+def show(results: Results) -> list[Any]:
+    """One table per suite."""
+    levels = results.table("validation")
+    return [
+        validation_table(suite, [r for r in results.rows if r["suite"] == suite], levels)
+        for suite in sorted({r["suite"] for r in results.rows})
+    ]
 
 
 def relative_error(row: dict[str, Any]) -> float | None:

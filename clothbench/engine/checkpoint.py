@@ -1,4 +1,7 @@
-"""What was computed already, kept below a folder until the result is whole: a stopped run goes on where it stood."""
+"""What was computed of an unfinished cell, kept until the result is whole: a stopped run goes on from it.
+
+A search is the same for the same seed and answers, so it asks the same questions again, and the checkpoint answers.
+"""
 
 from __future__ import annotations
 
@@ -13,7 +16,7 @@ import numpy as np
 from clothbench.core.files import whole_file
 
 
-class Memory:
+class Checkpoint:
     """Arrays by key, one `.npz` each; without a folder nothing is kept."""
 
     def __init__(self, folder: Path | None = None):

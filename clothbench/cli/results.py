@@ -1,0 +1,24 @@
+"""What the terminal shows of results: every study's own tables, then what failed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+from clothbench.display.failures import failure_line, failures
+from clothbench.display.terminal import console
+from clothbench.engine.store import Store
+from clothbench.engine.study import results_by_study
+from clothbench.plugins.discovery import catalogue
+
+
+def print_results(store: Store, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
+    """Print what the store holds, or some cells of it; returns the rows."""
+    out, rows = console(), []
+    for study, results in results_by_study(store, catalogue(), keys):
+        rows += results.rows
+        for shown in study.show(results):
+            out.print(shown, soft_wrap=isinstance(shown, str))
+    for row in failures(rows):
+        out.print(failure_line(row), soft_wrap=True)
+    return rows

@@ -1,0 +1,29 @@
+"""Cells that did not end well, whatever they were of."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from rich.markup import escape
+
+Rows = Sequence[dict[str, Any]]
+
+
+def failures(rows: Rows) -> list[dict[str, Any]]:
+    """One row for each cell that did not end well."""
+    seen: dict[str, dict[str, Any]] = {}
+    for row in rows:
+        if row["status"] != "ok":
+            seen.setdefault(row["key"], row)
+    return list(seen.values())
+
+
+def failure_line(row: dict[str, Any]) -> str:
+    """A cell that failed, and why, for the terminal."""
+    return f"[red]{row['status']}[/]: {escape(_label(row))}: {escape(row['reason'] or '')}"
+
+
+def _label(row: dict[str, Any]) -> str:
+    parts = (row["case"], row["model"], row["optimizer"], row["metric"], row["recording"])
+    return " · ".join(p for p in parts if p)

@@ -1,0 +1,17 @@
+"""What cells and models are called in tables and figures."""
+
+from __future__ import annotations
+
+from typing import Any
+
+
+def model_name(row: dict[str, Any]) -> str:
+    """The model with its effects."""
+    return row["model"] + "".join(f"+{e}" for e in (row["effects"] or "").split(",") if e)
+
+
+def cell_name(row: dict[str, Any]) -> str:
+    """A cell in words: case, model with its effects, optimizer, objective; the seed where it is not 0."""
+    model = " + ".join([row["model"], *(e for e in (row["effects"] or "").split(",") if e)])
+    seed = [f"seed {row['seed']}"] if row["seed"] else []
+    return " · ".join([*filter(None, (row["case"], model, row["optimizer"], row["objective"])), *seed])

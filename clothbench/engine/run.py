@@ -1,0 +1,56 @@
+"""One cell: whatever goes wrong in it is its own row, with the reason."""
+
+from __future__ import annotations
+
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+
+from clothbench.core.parallel import set_thread_count
+from clothbench.engine.cells import Skipped
+from clothbench.engine.rows import failure
+from clothbench.engine.store import Store
+from clothbench.engine.study import Cell, Context, Result, Study
+from clothbench.plugins.discovery import catalogue, one_line
+
+CellProgress = Callable[[Cell, int, float], None]
+
+
+def run_cell(
+    cell: Cell, out: Path, *, threads: int = 0, rerun: bool = False, progress: CellProgress | None = None
+) -> str:
+    """Let its study run one cell, store the result, and return its status."""
+    set_thread_count(threads)
+    store, plugins = Store(out), catalogue()
+
+    def told(steps: int, value: float) -> None:
+        if progress is not None:
+            progress(cell, steps, value)
+
+    context = Context(plugins, store.folder / "journal" / cell.key, told, rerun)
+    try:
+        study: Study = plugins.load("studies", cell.study)
+        result = study.run(cell, context)
+        keep(store, cell, result, study)
+        context.checkpoint.forget()
+    except Skipped as reason:
+        result = failure(cell, "skipped", str(reason))
+        keep(store, cell, result)
+    except Exception as fault:
+        result = failed_with(cell, one_line(fault), traceback.format_exc())
+        keep(store, cell, result)
+    return result.status
+
+
+def failed_with(cell: Cell, reason: str, detail: str = "") -> Result:
+    """An error's row, with its traceback beside it."""
+    found = failure(cell, "error", reason)
+    return Result("error", found.tables, lambda folder: _write(folder, detail)) if detail else found
+
+
+def _write(folder: Path, detail: str) -> None:
+    (folder / "traceback.txt").write_text(detail)
+
+
+def keep(store: Store, cell: Cell, result: Result, study: Study | None = None) -> None:
+    store.put(cell.key, result.tables, result.attach, study.tables if study else {})

@@ -1,0 +1,164 @@
+"""What a kind of study is, and what the engine has to know of a cell: settings → plan → cells → run → store → sections.
+
+A study is a module with the members of `Study`, registered by the hook `clothbench_studies`. Rows carry the name of
+their study, and whatever shows them asks that study.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Protocol
+
+from clothbench.display.section import Section
+from clothbench.engine.checkpoint import Checkpoint
+from clothbench.engine.store import Store
+from clothbench.plugins.discovery import Catalogue
+
+Rows = list[dict[str, Any]]
+Settings = Mapping[str, Any]
+Progress = Callable[[int, float], None]  # steps done so far, and the value that they have come to
+FileProgress = Callable[[int, int, str], None]  # files done, files planned, and the file that is dealt with
+
+
+class Cell(Protocol):
+    """One point of a plan: frozen plain data that travels to worker processes.
+
+    study: name of the study that runs it; cases: of its rows; key: 16 hexadecimal digits of all that its result depends
+    on; budget: how many steps there are at most, of what `counts` says; value_word: what the value that it reports on
+    the way is called; versions: "kind/name" → version of every plugin that it uses. What does not apply is None.
+    """
+
+    @property
+    def study(self) -> str: ...
+    @property
+    def suite(self) -> str: ...
+    @property
+    def case(self) -> str: ...
+    @property
+    def cases(self) -> tuple[str, ...]: ...
+    @property
+    def model(self) -> str: ...
+    @property
+    def effects(self) -> tuple[str, ...]: ...
+    @property
+    def optimizer(self) -> str | None: ...
+    @property
+    def metric(self) -> str | None: ...
+    @property
+    def seed(self) -> int | None: ...
+    @property
+    def versions(self) -> Mapping[str, str]: ...
+    @property
+    def row_columns(self) -> Mapping[str, Any]: ...
+    @property
+    def key(self) -> str: ...
+    @property
+    def label(self) -> str: ...
+    @property
+    def budget(self) -> int: ...
+    @property
+    def counts(self) -> str: ...
+    @property
+    def value_word(self) -> str: ...
+
+
+@dataclass(frozen=True)
+class Context:
+    """What a cell is run with. unfinished: folder for what has been computed of it; rerun: whether files for Rerun are
+    wanted.
+    """
+
+    plugins: Catalogue
+    unfinished: Path
+    progress: Progress = lambda steps, value: None
+    rerun: bool = False
+
+    @cached_property
+    def checkpoint(self) -> Checkpoint:
+        """What an earlier run that was stopped has left of the cell; its clock starts when it is first asked for."""
+        return Checkpoint(self.unfinished)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What came of a cell. tables: rows by the table's name, among them "rows", those of the leaderboard; attach adds
+    further files to the cell's folder.
+    """
+
+    status: str
+    tables: Mapping[str, Any]
+    attach: Callable[[Path], None] | None = None
+
+
+@dataclass(frozen=True)
+class Results:
+    """All that a store holds of one study, or of some of its cells. rows: of the leaderboard, in their order."""
+
+    store: Store
+    rows: Rows
+    keys: tuple[str, ...] = field(default=())
+
+    def table(self, name: str) -> Rows:
+        """A table by its name, over all cells that have it."""
+        return self.store.table(name, self.keys)
+
+
+class Study(Protocol):
+    """A kind of study; a module with these members is one.
+
+    name: as settings and rows have it; against: what its models are held against, in a word for the page's heading;
+    suite_words: what it knows under `suite` beside the words that all know; tables: columns of every table that it
+    fills, but for "rows".
+    """
+
+    name: str
+    against: str
+    suite_words: frozenset[str]
+    tables: Mapping[str, Mapping[str, Any]]
+
+    def plan(
+        self, settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None
+    ) -> Sequence[Cell]:
+        """Every cell of the settings; what means nothing to this study is refused here, before anything is begun."""
+        ...
+
+    def run(self, cell: Any, context: Context) -> Result:
+        """Do what a cell asks for. Whatever is raised becomes the cell's row, with the reason."""
+        ...
+
+    def show(self, results: Results) -> Iterable[Any]:
+        """What the terminal prints of its results: things that rich can print."""
+        ...
+
+    def sections(self, results: Results) -> Sequence[Section]:
+        """What the page shows of them."""
+        ...
+
+    def claims(self, row: Mapping[str, Any], tables: frozenset[str]) -> bool:
+        """Whether a row is its own that was written before rows carried their study; tables: those of its cell."""
+        ...
+
+
+def studies(plugins: Catalogue) -> dict[str, Study]:
+    """Every registered study by name, in the order of registration."""
+    return {name: plugins.load("studies", name) for name in plugins.names("studies")}
+
+
+def results_by_study(
+    store: Store, plugins: Catalogue, keys: Iterable[str] | None = None
+) -> list[tuple[Study, Results]]:
+    """What the store holds, or of some cells of it, by study; studies without any are left out."""
+    known, found = studies(plugins), store.rows(keys)
+    by_name: dict[str, Rows] = {}
+    for row in found:
+        if not row["study"]:
+            tables = store.tables_of(row["key"])
+            row["study"] = next(name for name, study in known.items() if study.claims(row, tables))
+        by_name.setdefault(row["study"], []).append(row)
+    return [
+        (plugins.load("studies", name), Results(store, rows, tuple(dict.fromkeys(r["key"] for r in rows))))
+        for name, rows in sorted(by_name.items(), key=lambda item: list(known).index(item[0]))
+    ]

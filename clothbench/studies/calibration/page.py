@@ -1,0 +1,90 @@
+"""The page's sections on calibrations: leaderboards, figures with a menu, what was asked of the fits, parameters."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from clothbench.display.html import text
+from clothbench.display.parameters import parameters
+from clothbench.display.section import Section
+from clothbench.engine.study import Results
+from clothbench.studies.calibration.analysis_page import analysis_section
+from clothbench.studies.calibration.figures import panels
+from clothbench.studies.calibration.leaderboard import leaderboard
+from clothbench.studies.calibration.schema import ANALYSIS_TABLES
+
+Rows = Sequence[dict[str, Any]]
+ORDER = """<p class="soft">Mean error over the recordings of a split, with its 95 % interval. Within a case
+and a metric the lowest held-out error comes first; where intervals overlap, that order may be chance.</p>"""
+FIGURES = """
+<h2 id="figures">Figures</h2>
+<div class="menu top"><label for="panel">Show</label><select id="panel"></select><div id="legend"></div></div>
+<h3>Error per recording</h3>
+<figure><figcaption>Mean error with its 95 % interval. Filled dots: recordings that were
+fitted; open diamonds: held out. Grey line: what measurement noise alone would give
+a perfect model.</figcaption>
+<div id="errors"></div></figure>
+<div id="convergence-block"><h3>Convergence</h3>
+<figure><figcaption>Lowest error on the fit recordings so far, over evaluations.</figcaption>
+<div id="convergence"></div></figure></div>
+<div id="trace-block"><h3>Error over time</h3>
+<div class="menu"><label for="recording">Recording</label><select id="recording"></select></div>
+<figure><figcaption>Error of the best fit in each frame; grey line: noise floor.</figcaption>
+<div id="trace"></div></figure></div>
+"""
+
+SCRIPT = """
+const panels = JSON.parse(document.getElementById("panels").textContent);
+const current = () => panels[byId("panel").selectedIndex];
+function drawTrace() {
+  const figure = current().traces[byId("recording").value];
+  if (figure) draw("trace", figure);
+}
+function drawPanel() {
+  const panel = current(), before = byId("recording").value, names = Object.keys(panel.traces);
+  byId("legend").replaceChildren(...panel.legend.map((entry) => legendButton(entry, drawPanel)));
+  draw("errors", panel.errors);
+  byId("convergence-block").hidden = !panel.convergence;
+  if (panel.convergence) draw("convergence", panel.convergence);
+  byId("trace-block").hidden = names.length === 0;
+  options(byId("recording"), names);
+  if (names.includes(before)) byId("recording").value = before;
+  drawTrace();
+}
+options(byId("panel"), panels.map((p) => p.title));
+byId("panel").addEventListener("change", drawPanel);
+byId("recording").addEventListener("change", drawTrace);
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawPanel);
+drawPanel();
+"""
+
+
+def sections(results: Results) -> list[Section]:
+    """What the page shows of calibrations."""
+    analyses = analysis_section(results.rows, {name: results.table(name) for name in ANALYSIS_TABLES})
+    found = [leaderboards(results.rows), figures(results), analyses, fits(results.rows, results.table("parameters"))]
+    return [section for section in found if section is not None]
+
+
+def leaderboards(rows: Rows) -> Section:
+    suites = sorted({r["suite"] for r in rows})
+    return Section("".join(
+        f"<h2>{text(s)}: leaderboard</h2>{ORDER}" + leaderboard([r for r in rows if r["suite"] == s]) for s in suites
+    ))  # fmt: skip
+
+
+def figures(results: Results) -> Section | None:
+    """The figures with their menu."""
+    shown = panels(results.store, results.rows)
+    return Section(FIGURES, {"panels": shown}, SCRIPT) if shown else None
+
+
+def fits(rows: Rows, fitted: Rows) -> Section:
+    """The parameters of each suite's cells."""
+    suites = sorted({r["suite"] for r in rows})
+    note = '<p class="soft">Best values, below them the 95 % interval.</p>'
+    return Section("".join(
+        f"<h2>{text(s)}: parameters</h2>{note}" + parameters([r for r in rows if r["suite"] == s], fitted)
+        for s in suites
+    ))  # fmt: skip

@@ -1,0 +1,132 @@
+"""From settings to cells: which recordings × models × optimizers × metrics, case by case."""
+
+from __future__ import annotations
+
+import dataclasses
+import fnmatch
+import itertools
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.engine.cells import Source, plugin_versions, resplit
+from clothbench.engine.settings import require_plugins
+from clothbench.engine.study import FileProgress
+from clothbench.engine.suite import where
+from clothbench.plugins.discovery import Catalogue
+from clothbench.recordings.nodes import Recording, read_recording
+from clothbench.studies.calibration.cell import CalibrationCell, rehearse, uses
+from clothbench.studies.calibration.settings import analysis_settings, suite_settings
+
+PRODUCT = ("model", "optimizer", "metric")
+
+
+def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[CalibrationCell]:
+    """Every cell of checked settings; all recordings are read and all plugins made once before any is run."""
+    suite, analyses = suite_settings(settings["suite"]), analysis_settings(settings["analysis"])
+    require_plugins(settings, PRODUCT)
+    recordings = read_all(where({**settings, "suite": suite}, progress))
+    by, each = suite.get("case") or "fabric", suite["each"]
+    cases = group(recordings, by, suite["select"], settings["seed"], fitted=not each)
+    if each:
+        cases = one_by_one(cases, each)
+    cells: dict[str, CalibrationCell] = {}
+    searched: list[set[str] | None] = []
+    for case, sources in cases.items():
+        analysis = {n: _told(a) for n, a in analyses.items() if _matches(case, a["cases"])}
+        for model, optimizer, metric in itertools.product(*(settings[key] for key in PRODUCT)):
+            cell = CalibrationCell(
+                suite=suite.get("name") or "single",
+                case=case,
+                recordings=tuple(sources),
+                model=model,
+                optimizer=optimizer,
+                metric=metric,
+                effects=tuple(dict.fromkeys([*settings["effects"], *suite["effects"].get(model, [])])),
+                fixed={n: v for p, values in suite["fixed"].items() if _matches(case, [p]) for n, v in values.items()},
+                analysis=analysis,
+                rivals=tuple(rivals(sources, cases)) if "confusion" in analysis else (),
+                report=tuple(settings["report"]),
+                tracker=str(settings["tracker"]),
+                **{key: settings[key] for key in ("options", "bounds", "scene", "budget", "seed", "timeout")},
+            )
+            cell = dataclasses.replace(cell, versions=plugin_versions(uses(cell), plugins))
+            searched.append(rehearse(cell, plugins, {r.path: r for r in recordings}))
+            cells[cell.key] = cell
+    refuse_strays(settings["bounds"], searched)
+    return list(cells.values())
+
+
+def refuse_strays(bounds: Mapping[str, Any], searched: Sequence[set[str] | None]) -> None:
+    """Bounds of what no cell searches for, by the names of each cell's parameters (None: not known)."""
+    known = {name for names in searched for name in names or ()}
+    strays = [name for name in bounds if name not in known]
+    if strays and None not in searched:
+        raise ClothbenchError(f"setting 'bounds': no parameter {strays[0]!r}; there are: {', '.join(sorted(known))}")
+
+
+def _matches(case: str, patterns: Sequence[str]) -> bool:
+    return any(fnmatch.fnmatch(case, p) for p in patterns)
+
+
+def _told(options: Mapping[str, Any]) -> dict[str, Any]:
+    return {key: value for key, value in options.items() if key != "cases"}
+
+
+def one_by_one(cases: Mapping[str, Sequence[Source]], patterns: Sequence[str]) -> dict[str, list[Source]]:
+    """A case of its own for each recording whose name matches, called by that name: it is fitted, the others of its
+    case are held out, whatever split the files state.
+    """
+    out = {}
+    for sources in cases.values():
+        for fitted in (s for s in sources if _matches(s.name, patterns)):
+            split = [dataclasses.replace(s, split="fit" if s is fitted else "held_out") for s in sources]
+            out[fitted.name] = sorted(split, key=lambda s: s.split)
+    if not out:
+        raise ClothbenchError(f"setting 'suite.each' {list(patterns)} matches none of the recordings")
+    return out
+
+
+def rivals(sources: Sequence[Source], cases: Mapping[str, Sequence[Source]]) -> list[Source]:
+    """The recordings of other fabrics ("FABRIC/TRIAL") whose trial is one that this case could have fitted."""
+    known = {s.name: s for mine in cases.values() for s in mine}
+    fitted = {s.name for mine in cases.values() for s in mine if s.split == "fit"}
+    trials = {s.name.partition("/")[2] for s in sources if s.name in fitted}
+    mine = {s.name for s in sources}
+    return [s for name, s in sorted(known.items()) if name.partition("/")[2] in trials and name in fitted - mine]
+
+
+def read_all(paths: Iterable[Path]) -> list[Recording]:
+    return [read_recording(path) for path in paths]
+
+
+def _case_of(r: Recording, by: str) -> str:
+    if by == "experiment":  # of one fabric, as the recording's header says
+        return "/".join(filter(None, (r.fabric, r.notes.get("experiment", "")))) or r.name
+    return getattr(r, by) or r.name
+
+
+def group(
+    recordings: Sequence[Recording], by: str, patterns: Sequence[str], seed: int, fitted: bool = True
+) -> dict[str, list[Source]]:
+    """Recordings by case, each with a fit split if `fitted`; a recording's name must match one of `patterns`."""
+    chosen = [r for r in recordings if any(fnmatch.fnmatch(r.name, p) for p in patterns)]
+    if not chosen:
+        raise ClothbenchError(f"setting 'suite.select' {list(patterns)} matches none of {len(recordings)} recordings")
+    cases: dict[str, list[Source]] = {}
+    for r in chosen:
+        case = "all" if by == "all" else r.name if by == "recording" else _case_of(r, by)
+        cases.setdefault(case, []).append(Source(r.path, r.name, r.hash, r.split))
+    out = {case: resplit(sources, seed) for case, sources in sorted(cases.items())}
+    for case, sources in out.items():
+        if fitted and not any(s.split == "fit" for s in sources):
+            raise ClothbenchError(
+                f"case {case!r}: found only held-out recordings, expected at least one to fit; see suite.select"
+            )
+        names = [s.name for s in sources]
+        if twice := sorted({n for n in names if names.count(n) > 1}):
+            raise ClothbenchError(
+                f"case {case!r}: two recordings are named {twice[0]!r}; names must differ within a case"
+            )
+    return out

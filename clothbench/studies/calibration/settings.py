@@ -1,0 +1,60 @@
+"""What a calibration knows under `suite` and `analysis`, checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.engine.settings import known_words, mapping, number, whole, words
+
+SUITE_WORDS = frozenset({"recordings", "select", "case", "each", "fixed", "effects"})
+CASES = ("fabric", "experiment", "motion", "recording", "all")
+# What can be asked of a finished fit, with the options of each and their defaults.
+ANALYSES: dict[str, dict[str, Any]] = {
+    "variability": {"points": 8},  # perturbations of each parameter, up to ±20 %
+    "repeats": {"count": 5},  # further fits from starts within ±5 %
+    "morris": {"trajectories": 8},
+    "sobol": {"samples": 16},  # a power of two
+    "map": {"parameters": ["bend", "stretch"], "points": 9},  # the error over two parameters
+    "confusion": {},  # these parameters beside the other fabrics' recordings of the same trials
+}
+
+
+def suite_settings(suite: Mapping[str, Any]) -> dict[str, Any]:
+    out = dict(suite)
+    for key in ("fixed", "effects"):
+        out[key] = mapping(f"suite.{key}", out.get(key))
+    out["effects"] = {model: words(f"suite.effects.{model}", names) for model, names in out["effects"].items()}
+    out["fixed"] = {
+        pattern: {n: number(f"suite.fixed.{n}", v) for n, v in mapping("suite.fixed", values).items()}
+        for pattern, values in out["fixed"].items()
+    }
+    if out.get("case", "fabric") not in CASES:
+        raise ClothbenchError(f"setting 'suite.case' is {out['case']!r}, expected one of {', '.join(CASES)}")
+    out["select"] = words("suite.select", out.get("select")) or ["*"]
+    out["each"] = words("suite.each", out.get("each"))
+    return out
+
+
+def analysis_settings(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """What is asked of a fit beside its errors: each analysis with its options and patterns of the cases it is for."""
+    known_words("analysis", given, set(ANALYSES))
+    out = {}
+    for name, told in given.items():
+        wanted = mapping(f"analysis.{name}", told)
+        known_words(f"setting of 'analysis.{name}'", wanted, {"cases", *ANALYSES[name]})
+        options = {**ANALYSES[name], **wanted}
+        options["cases"] = words(f"analysis.{name}.cases", wanted.get("cases", "*"))
+        for key, default in ANALYSES[name].items():
+            if isinstance(default, int):
+                options[key] = whole(f"analysis.{name}.{key}", options[key], 2)
+            elif isinstance(default, list):
+                options[key] = words(f"analysis.{name}.{key}", options[key])
+        out[name] = options
+    axes = out.get("map", {}).get("parameters", ["x", "y"])
+    if len(set(axes)) != 2:
+        raise ClothbenchError(f"setting 'analysis.map.parameters' is {axes!r}, expected two different parameters")
+    if (samples := out.get("sobol", {}).get("samples", 2)).bit_count() != 1:
+        raise ClothbenchError(f"setting 'analysis.sobol.samples' is {samples}, expected a power of two")
+    return out
