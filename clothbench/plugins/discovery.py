@@ -18,8 +18,8 @@ from typing import Any
 
 import pluggy
 
+import clothbench.plugins.hookspecs as hookspecs
 from clothbench.core.errors import ClothbenchError
-from clothbench.plugins import hookspecs
 from clothbench.plugins.hookspecs import Registration
 
 KINDS = ("models", "effects", "metrics", "optimizers", "trackers")

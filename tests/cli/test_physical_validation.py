@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from clothbench import ClothbenchError, Parameter, ParameterSpace, Rollout, Scene
+from clothbench.cli.results import print_results
 from clothbench.engine.pool import run_cells
 from clothbench.engine.store import Store
 from clothbench.engine.suite import plan
@@ -18,7 +19,6 @@ from clothbench.plugins.discovery import catalogue as installed
 from clothbench.reference import mechanics as references
 from clothbench.report.gate import compare_rows
 from clothbench.report.page import write_page
-from clothbench.studies.calibration.tables import print_leaderboard
 from clothbench.studies.mechanics.checks import CHECKS, NAMES, check_named
 
 QUICK = ("+suite=physical_validation", "model=[mass_spring]", "suite.meshes=[5,9]", "jobs=1")
@@ -103,7 +103,9 @@ class CrashAt(FallerAt):
 
 
 MODELS = {"strip": "Strip", "faller": "Faller", "crash": "Crash"}
+STAND_FOR = {"added_mass": "added_mass", "drag": "quadratic_drag"}
 SETTINGS = {
+    "study": "mechanics",
     "tracker": "markers", "scene": {"air_density": 1.2}, "options": {}, "bounds": {}, "budget": 10, "seed": 0,
     "jobs": 1, "timeout": None, "out": "runs", "rerun": False, "recording": None, "recordings": None,
     "optimizer": None, "metric": None, "effects": [], "report": [], "data_dir": None,
@@ -113,14 +115,15 @@ SETTINGS = {
 @pytest.fixture
 def catalogue(monkeypatch) -> Catalogue:
     plugins = [Plugin("models", n, f"{__name__}:{c}", "", "somebody", "1") for n, c in MODELS.items()]
-    effects = [p for p in installed().plugins if p.kind == "effects"]
-    made = Catalogue((*plugins, *effects))
-    monkeypatch.setattr("clothbench.studies.mechanics.run.catalogue", lambda: made)
+    others = [p for p in installed().plugins if p.kind in ("effects", "studies")]
+    made = Catalogue((*plugins, *others))
+    for user in ("engine.run", "report.page", "cli.results"):
+        monkeypatch.setattr(f"clothbench.{user}.catalogue", lambda: made)
     return made
 
 
 def settings(model, tests, meshes=(9, 17, 33), **changes):
-    suite = {"name": "physical_validation", "tests": list(tests), "meshes": list(meshes)}
+    suite = {"name": "physical_validation", "tests": list(tests), "meshes": list(meshes), "effects": STAND_FOR}
     return {**SETTINGS, "model": model, "suite": suite, **changes}
 
 
@@ -141,7 +144,7 @@ def test_values_stand_beside_their_references(catalogue, tmp_path):
     assert (order["value"], order["reference"], order["metric"]) == (pytest.approx(2.0, abs=1e-3), 2.0, "order")
     assert (fall["value"], fall["status"]) == (None, "skipped")
     assert "needs motion" in fall["reason"]
-    levels = [v for v in store.levels() if v["case"] == "cantilever_small"]
+    levels = [v for v in store.table("validation") if v["case"] == "cantilever_small"]
     assert [v["along"] for v in levels] == [9, 17, 33]
     assert [v["relative"] for v in levels] == pytest.approx([-1 / 7.5**2, -1 / 15.5**2, -1 / 31.5**2], rel=1e-4)
     assert levels[-1]["order"] == pytest.approx(2.0, abs=1e-3)
@@ -162,7 +165,7 @@ def test_a_mesh_that_diverges_leaves_no_number(catalogue, tmp_path):
     store, rows, said = ran(catalogue, tmp_path, "crash", ["free_fall"], (5, 9))
     assert said == ["diverged"]
     assert (rows[0]["value"], rows[0]["reason"]) == (None, "it blew up")
-    assert [v["status"] for v in store.levels()] == ["ok", "diverged"]
+    assert [v["status"] for v in store.table("validation")] == ["ok", "diverged"]
 
 
 def test_a_time_limit_keeps_the_finest_mesh_that_was_reached(catalogue, tmp_path):
@@ -193,8 +196,8 @@ def test_the_table_of_fabrics_is_one_row_each(catalogue, tmp_path):
 
 def test_page_and_table_show_every_model_and_test(catalogue, tmp_path, capsys):
     tests = ["free_fall", "cantilever_small", "cantilever", "convergence_sag"]
-    store, rows, _ = ran(catalogue, tmp_path, ["strip", "faller"], tests)
-    print_leaderboard(rows, [], store.levels())
+    store, _, _ = ran(catalogue, tmp_path, ["strip", "faller"], tests)
+    print_results(store)
     table = capsys.readouterr().out
     for word in ("strip", "faller", "cantilever_small", "error %", "order", "skipped", "no of_material"):
         assert word in table

@@ -86,6 +86,7 @@ def test_bending_and_stretch_are_found_in_a_recording_of_the_reference_simulatio
         "model": "baraff_witkin",
         "optimizer": "least_squares",
         "metric": "node_error",
+        "study": "calibration",
         "tracker": "markers",
         "budget": 60,
         "options": {"baraff_witkin": {"dt": 0.004, "tolerance": 0.01}},

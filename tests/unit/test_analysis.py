@@ -4,15 +4,15 @@ import dataclasses
 
 import numpy as np
 import pytest
-from clothbench.engine.journal import Journal
 from test_calibrate import SPACE, TIME, Toy
 
 from clothbench import ClothbenchError, Observation, Parameter, ParameterSpace, Score
+from clothbench.engine.checkpoint import Checkpoint
 from clothbench.engine.settings import last_word, named_budget
-from clothbench.estimation.calibrate import calibrate
+from clothbench.estimation.calibrate import calibrate, remembered
 from clothbench.estimation.fixed import Fixed as Held
 from clothbench.estimation.fixed import holding
-from clothbench.estimation.trials import Trial, evaluate
+from clothbench.estimation.trials import Trial
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration.analysis_tables import spread
 from clothbench.studies.calibration.sensitivity import error_map, morris, sobol
@@ -184,7 +184,7 @@ def test_a_stopped_search_goes_on_where_it_stood(tmp_path):
     def fit(budget_of_time, trial):
         optimizer = catalogue().make("optimizers", "annealing", SPACE, seed=2, budget=60)
         return calibrate(
-            [trial], optimizer, SPACE, timeout=budget_of_time, journal=Journal(tmp_path / "j"), bounded=False
+            [trial], optimizer, SPACE, timeout=budget_of_time, checkpoint=Checkpoint(tmp_path / "j"), bounded=False
         )
 
     trials = [dataclasses.replace(bowl_trial(), simulation=Counted(Plain())) for _ in range(3)]
@@ -198,16 +198,19 @@ def test_a_stopped_search_goes_on_where_it_stood(tmp_path):
     assert trials[2].simulation.members == 0
     np.testing.assert_array_equal(again.theta, done.theta)
     np.testing.assert_array_equal(again.value, done.value)
-    Journal(tmp_path / "j").forget()
+    Checkpoint(tmp_path / "j").forget()
     assert not (tmp_path / "j").exists()
 
 
-def test_a_damaged_journal_is_simulated_anew(tmp_path):
-    journal, theta = Journal(tmp_path), BEST[None]
-    journal.keep(theta, evaluate([bowl_trial()], theta)[0])
+def test_a_damaged_checkpoint_is_simulated_anew(tmp_path):
+    checkpoint, trial = Checkpoint(tmp_path), dataclasses.replace(bowl_trial(), simulation=Counted(Plain()))
+    for _ in range(2):
+        remembered([trial], BEST[None], checkpoint)
+    assert trial.simulation.members == 1
     (file,) = tmp_path.glob("[0-9a-f]*.npz")
     file.write_bytes(file.read_bytes()[:40])
-    assert journal.recall(theta) is None
+    remembered([trial], BEST[None], checkpoint)
+    assert trial.simulation.members == 2
 
 
 def test_a_named_budget_brings_its_settings():

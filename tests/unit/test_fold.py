@@ -8,6 +8,7 @@ from clothbench_optimizers.iterative_least_squares import IterativeLeastSquares
 
 from clothbench import ClothbenchError, Observation, Rollout
 from clothbench.core.folding import circular_path, triangular_path
+from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store, leaderboard_row
 from clothbench.plugins.discovery import catalogue
 from clothbench.reference.fabrics import FABRICS
@@ -15,7 +16,7 @@ from clothbench.reference.lifted_strip import lift
 from clothbench.studies.folding.cell import FoldingCell as FoldCell
 from clothbench.studies.folding.cell import FoldSettings, chosen_fabrics, fold_settings
 from clothbench.studies.folding.page import fold_section
-from clothbench.studies.folding.run import fold, hand_of
+from clothbench.studies.folding.run import hand_of
 from clothbench.studies.folding.strip import TestStrip, scattered
 from clothbench.studies.folding.tables import fold_table, summary
 
@@ -119,7 +120,7 @@ def test_a_fold_ends_near_its_fabric(tmp_path):
     """Three steps of denim: the rows, the steps, the table and the page; and the same again to the bit."""
     store = Store(tmp_path)
     told = []
-    assert fold(store, cell(), lambda step, value: told.append(step)) == "ok"
+    assert run_cell(cell(), tmp_path, progress=lambda _, step, value: told.append(step)) == "ok"
     assert told == [1, 2, 3]
     rows = {r["metric"]: r for r in store.rows()}
     eta = rows["eta_b"]
@@ -132,12 +133,12 @@ def test_a_fold_ends_near_its_fabric(tmp_path):
     steps = store.table("fold")
     assert [s["step"] for s in steps] == [1, 2, 3]
     assert steps[0]["z"] == pytest.approx(0.04)
-    assert "denim" in fold_section(store.rows(), steps, plotly=False)
+    assert "denim" in fold_section(store.rows(), steps).whole
     assert fold_table("folds", store.rows(), steps).row_count == 1
     assert summary(steps).startswith("within ± 2σ at the last step: 1 of 1")
     assert leaderboard_row(eta)["recording"] is None
     other = Store(tmp_path / "again")
-    fold(other, cell())
+    run_cell(cell(), other.folder)
     assert [s["value"] for s in other.table("fold")] == [s["value"] for s in steps]
 
 

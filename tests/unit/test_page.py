@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 from test_rerun_file import small_cell
 
+from clothbench.display.html import table
+from clothbench.display.parameters import parameters
 from clothbench.display.plotly import thinned
 from clothbench.engine.run import run_cell
 from clothbench.report.page import write_page
 from clothbench.studies.calibration.figure_data import best_so_far
-from clothbench.studies.calibration.leaderboard import parameters
 
 VOID = {"meta", "br", "input"}
 
@@ -124,6 +125,29 @@ def test_a_bound_that_was_hit_is_marked():
         assert word in shown
 
 
+def test_every_parameter_stands_below_its_own_heading():
+    """Cells of one model may have different parameters: a suite fixes some of them in some of its cases."""
+    about = {"effects": "", "model": "m", "optimizer": "ga", "seed": 0}
+    rows = [{**about, "key": "ab", "case": "a"}, {**about, "key": "cd", "case": "b"}]
+    p = {"unit": "N/m", "meaning": "stiffness", "low": None, "high": None, "at_bound": False}
+    fitted = [
+        {**p, "key": "ab", "name": "k", "symbol": "k", "value": 2.0},
+        {**p, "key": "cd", "name": "k", "symbol": "k", "value": 3.0},
+        {**p, "key": "cd", "name": "d", "symbol": "d", "value": 7.0},
+    ]
+    shown = parameters(rows, fitted)
+    head = re.findall(r"<th [^>]*>(.*?)</th>", shown)
+    assert head == ["case", "optimizer", "seed", "k [N/m]", "d [N/m]", "cell"]
+    lines = [re.findall(r"<td[^>]*>(.*?)</td>", line) for line in re.findall(r"<tr>(<td.*?)</tr>", shown)]
+    assert [line[3:5] for line in lines] == [["2", "–"], ["3", "7"]]
+
+
+def test_a_line_that_does_not_fit_its_heading_is_no_table():
+    assert "<td>1</td>" in table(["a", "b"], [["1", "2"], ["a heading across all"]], set())
+    with pytest.raises(ValueError, match="3 cells below a heading of 2"):
+        table(["a", "b"], [["1", "2", "3"]], set())
+
+
 def test_empty_store_says_what_to_run(tmp_path):
     text, checker = checked(write_page(tmp_path / "nothing"))
     assert "clothbench run +suite=static_dynamic" in text
@@ -141,7 +165,7 @@ def test_only_failed_cells_make_a_page_without_figures(tmp_path):
 
 def test_failed_page_leaves_the_old_one(results, monkeypatch):
     before = write_page(results).read_bytes()
-    monkeypatch.setattr("clothbench.report.page.document", lambda _: 1 / 0)
+    monkeypatch.setattr("clothbench.report.page.page_html", lambda _: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_page(results)
     assert (results / "report.html").read_bytes() == before

@@ -192,7 +192,7 @@ def test_an_absent_library_skips_the_cell_and_names_the_remedy(name, absent, tmp
     recording = swinging_recording()
     write_recording(recording, path)
     source = Source(str(path), "swing", recording.hash, "fit")
-    cell = Cell("small", "paper", (source,), name, (), "ga", "node_error", budget=4)
+    cell = Cell("small", "paper", (source,), name, (), "ga", "node_error", "markers", budget=4)
     assert run_cell(cell, tmp_path / "out") == "skipped"
     (row,) = Store(tmp_path / "out").rows()
     assert (row["status"], row["reason"]) == ("skipped", INSTALL[name])

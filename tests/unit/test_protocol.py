@@ -26,6 +26,7 @@ def config(folder, **changes):
     suite = {"name": "s", "case": "experiment", "each": ["*-1", "*-2"]}
     base = {
         "model": "mass_spring", "optimizer": "ga", "metric": "node_error", "effects": [], "report": [],
+        "study": "calibration",
         "tracker": "markers", "scene": {}, "options": {}, "bounds": {}, "budget": 10, "seed": 0, "jobs": 1,
         "timeout": None, "out": "runs", "rerun": False, "analysis": {}, "recordings": str(folder),
     }  # fmt: skip
@@ -181,7 +182,7 @@ def test_the_page_shows_every_analysis():
 
     from clothbench.studies.calibration.analysis_page import analysis_section
 
-    page = analysis_section(table_three()[0], all_tables(), plotly=False)
+    page = analysis_section(table_three()[0], all_tables()).whole
     for word in (
         "292.7 ✓",
         "Which fabric is it?",
@@ -196,15 +197,17 @@ def test_the_page_shows_every_analysis():
     (heat,) = (f for f in figures if f["data"][0]["type"] == "heatmap")
     assert heat["data"][0]["z"] == [[5.0, 5.0, None], [50.0, 50.0, None]]
     assert heat["layout"]["xaxis"]["type"] == "log"
-    assert analysis_section([], {name: [] for name in all_tables()}, plotly=False) == ""
+    assert analysis_section([], {name: [] for name in all_tables()}) is None
 
 
 def test_the_terminal_shows_every_analysis(capsys):
-    from clothbench.studies.calibration.analysis_tables import print_analyses
+    from clothbench.display.terminal import console
+    from clothbench.studies.calibration.analysis_tables import analyses
 
-    print_analyses(table_three()[0], all_tables())
+    for shown in analyses(table_three()[0], all_tables()):
+        console().print(shown)
     said = capsys.readouterr().out
     for word in ("E1 + E2", "292.7 ✓", "which fabric is it?", "variability", "> 100 %", "repeated fits", "Morris"):
         assert word in said
-    print_analyses(table_three()[0], {name: [] for name in all_tables()})
-    assert "variability" not in capsys.readouterr().out
+    shown = analyses(table_three()[0], {name: [] for name in all_tables()})
+    assert not any("variability" in str(one.title) for one in shown)

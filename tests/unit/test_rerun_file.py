@@ -51,7 +51,8 @@ def small_cell(folder: Path) -> Cell:
     sources = tuple(Source(r.path, r.name, r.hash, r.split) for r in recordings)
     return Cell(
         suite="small", case="cotton <b>", recordings=sources, model="mass_spring", effects=(),
-        optimizer="ga", metric="node_error", report=("relative_error",), budget=10,
+        optimizer="ga", metric="node_error",
+        tracker="markers", report=("relative_error",), budget=10,
         options={"mass_spring": {"resolution": 5}},
     )  # fmt: skip
 

@@ -10,8 +10,8 @@ from clothbench.engine.suite import plan, suites_folder
 from clothbench.plugins.discovery import catalogue
 
 BASE = {
-    "model": "mass_spring", "optimizer": "ga", "metric": "node_error", "effects": [], "report": [],
-    "tracker": "markers", "scene": {}, "options": {}, "bounds": {}, "budget": 10, "seed": 0, "jobs": 1,
+    "study": "calibration", "model": "mass_spring", "optimizer": "ga", "metric": "node_error", "effects": [],
+    "report": [], "tracker": "markers", "scene": {}, "options": {}, "bounds": {}, "budget": 10, "seed": 0, "jobs": 1,
     "timeout": None, "out": "runs", "rerun": False,
 }  # fmt: skip
 

@@ -1,41 +1,32 @@
-"""The walls of the house: who may import whom, and how light the door is."""
+"""The walls of the house: who may import whom, and how light the door is. Imports inside functions count too."""
+
+from __future__ import annotations
 
 import ast
 import subprocess
 import sys
+from functools import cache
 from pathlib import Path
 
+import pytest
 from conftest import ROOT
 
 FRAME = ROOT / "clothbench"
 PLUGINS = ROOT / "plugins"
-# What stands lower may not import what stands higher.
-LAYERS = [
-    {
-        "errors",
-        "parameters",
-        "files",
-        "recording",
-        "recording_rules",
-        "recording_file",
-        "recording_video",
-        "camera",
-        "surface",
-        "curve",
-        "curve_rules",
-        "laser",
-        "scene",
-        "observation",
-        "rollout",
-        "folding",
-        "parallel",
-        "hookspecs",
-    },
-    {"kernels", "render", "orientation", "protocols", "effects", "curve_simulation", "plugins"},
-    {"datasets", "experiment", "testbed", "testing", "loop"},
-    {"report", "bench", "timing"},
-    {"run_command", "improve_command", "curve_command", "cli", "scaffold", "__main__"},
-]
+EXAMPLES = ROOT / "examples"
+# The floors, from the ground up: a room imports from its own floor's own room, and from the floors below.
+FLOORS = (
+    ("core",),
+    ("recordings", "vision", "plugins"),
+    ("modelling", "reference", "datasets"),
+    ("display",),
+    ("engine",),
+    ("estimation",),
+    ("studies",),
+    ("report", "testing"),
+    ("cli",),
+)
+FACES = {"__init__", "__main__", "conf"}  # the package's own face and door
 
 
 def imports_of(path: Path) -> set[str]:
@@ -49,47 +40,58 @@ def imports_of(path: Path) -> set[str]:
     return found
 
 
-def top_imports_of(path: Path) -> set[str]:
-    """Modules imported when the file is, leaving out what functions import when they run."""
-    body = [n for n in ast.parse(path.read_text()).body if isinstance(n, ast.Import | ast.ImportFrom)]
-    names = {a.name for n in body if isinstance(n, ast.Import) for a in n.names}
-    return names | {n.module for n in body if isinstance(n, ast.ImportFrom) and n.module}
-
-
 def room(name: str) -> str | None:
     parts = name.split(".")
     return parts[1] if parts[0] == "clothbench" and len(parts) > 1 else None
 
 
-def test_the_frame_knows_no_plugin_package():
+@cache
+def modules() -> dict[str, Path]:
+    """Every module of the package by its dotted name."""
+    found = {}
     for path in FRAME.rglob("*.py"):
-        strangers = {n for n in imports_of(path) if n.startswith("clothbench_")}
-        assert not strangers, f"{path.relative_to(ROOT)} imports {strangers}"
+        parts = path.relative_to(FRAME).with_suffix("").parts
+        found[".".join(("clothbench", *(p for p in parts if p != "__init__")))] = path
+    return found
 
 
-def test_plugins_use_no_experiment_report_or_command():
-    allowed = LAYERS[0] | LAYERS[1] | {"__init__"}
-    names = {p.stem for p in FRAME.glob("*.py")} | {p.name for p in FRAME.iterdir() if p.is_dir()}
-    for path in PLUGINS.rglob("*.py"):
-        inside = {room(n) for n in imports_of(path)} & names
-        assert inside <= allowed, f"{path.relative_to(ROOT)} imports {inside - allowed}"
+def test_every_room_has_a_floor():
+    rooms = {p.name for p in FRAME.iterdir() if p.is_dir() and p.name != "__pycache__"} - FACES
+    assert rooms == {name for floor in FLOORS for name in floor}
+    assert {p.stem for p in FRAME.glob("*.py")} == FACES - {"conf"}
 
 
 def test_imports_point_downwards():
-    level = {name: i for i, layer in enumerate(LAYERS) for name in layer}
+    level = {name: i for i, floor in enumerate(FLOORS) for name in floor}
     for path in FRAME.rglob("*.py"):
         mine = path.relative_to(FRAME).parts[0].removesuffix(".py")
-        if mine in ("__init__", "conf", "templates"):
+        if mine in FACES:
             continue
         for name in imports_of(path):
             other = room(name)
-            if other in level:
-                assert level[other] <= level[mine], f"{path.relative_to(ROOT)} imports {name}"
+            if other in level and other != mine:
+                assert level[other] < level[mine], f"{path.relative_to(ROOT)} imports {name}"
+
+
+def test_a_study_knows_no_other_study():
+    for folder in (p for p in (FRAME / "studies").iterdir() if p.is_dir()):
+        for path in folder.rglob("*.py"):
+            for name in imports_of(path):
+                if name.startswith("clothbench.studies.") and len(name.split(".")) > 3:
+                    assert name.split(".")[2] == folder.name, f"{path.relative_to(ROOT)} imports {name}"
+
+
+@pytest.mark.parametrize("floor", ["engine", "report", "estimation", "display"])
+def test_nobody_below_knows_a_study_by_name(floor):
+    names = {p.name for p in (FRAME / "studies").iterdir() if p.is_dir() and p.name != "__pycache__"}
+    for path in (FRAME / floor).rglob("*.py"):
+        texts = {n.value for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Constant)}
+        found = {t for t in texts if isinstance(t, str)} & names
+        assert not found, f"{path.relative_to(ROOT)} names {found}"
 
 
 def test_there_is_no_import_cycle():
-    modules = {f"clothbench.{'.'.join(p.relative_to(FRAME).with_suffix('').parts)}": p for p in FRAME.rglob("*.py")}
-    graph = {name: top_imports_of(path) & set(modules) for name, path in modules.items()}
+    graph = {name: imports_of(path) & (set(modules()) - {"clothbench", name}) for name, path in modules().items()}
     done: set[str] = set()
 
     def visit(name: str, path: tuple[str, ...]) -> None:
@@ -103,9 +105,15 @@ def test_there_is_no_import_cycle():
         visit(name, ())
 
 
+def test_the_frame_knows_no_plugin_package():
+    for path in FRAME.rglob("*.py"):
+        strangers = {n for n in imports_of(path) if n.startswith("clothbench_")}
+        assert not strangers, f"{path.relative_to(ROOT)} imports {strangers}"
+
+
 def test_importing_the_package_loads_nothing_heavy():
     heavy = ("numpy", "numba", "pandas", "scipy", "hydra", "rerun", "xarray", "plotly", "cv2", "rich")
-    code = f"import sys, clothbench, clothbench.cli.commands; print([m for m in {heavy} if m in sys.modules])"
+    code = f"import sys, clothbench, clothbench.cli; print([m for m in {heavy} if m in sys.modules])"
     out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert out.stdout.strip() == "[]"
 
