@@ -19,7 +19,8 @@ from clothbench.core.scene import Scene
 from clothbench.engine.cells import Source, plugin_versions
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store
-from clothbench.modelling.kernels import grid_triangles, sheet_of
+from clothbench.modelling.mesh import grid_triangles
+from clothbench.modelling.sheet import sheet_of
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration.cell import CalibrationCell
 from clothbench.studies.speed.bench import _models
