@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from numba import njit
+from numba.core.caching import IndexDataCacheFile
 from numba.core.errors import NumbaExperimentalFeatureWarning
 
 OTHERS = {*sys.stdlib_module_names, "numpy", "scipy", "numba", "llvmlite"}  # numba's own key knows their versions
@@ -48,19 +49,33 @@ def kernel(function: Callable | None = None, /, *, signature: Any = None, **opti
 fast_kernel = functools.partial(kernel, fastmath={"contract", "reassoc", "nsz", "arcp"})
 
 
+class _Index(IndexDataCacheFile):
+    """numba's index of machine code on disk; one that an earlier version wrote, of classes that lie elsewhere now, is
+    as good as none.
+    """
+
+    def _load_index(self) -> dict:
+        try:
+            return super()._load_index()
+        except Exception:
+            return {}
+
+
 def keep_on_disk(compiled: Any) -> None:
-    """Let numba cache a function, under the digest of its sources; where its cache has no place for that, not at all:
-    slow, but never wrong.
+    """Let numba cache a function under the digest of its sources; where this numba keeps its cache otherwise, not at
+    all: slow, but never wrong.
     """
     stamp = digest_of(compiled.py_func.__module__)
     if stamp is None:  # typed in somewhere: there is no file to go by
         return
     compiled.enable_caching()
-    file: Any = getattr(compiled._cache, "_cache_file", None)
-    if hasattr(file, "_source_stamp"):
-        file._source_stamp = stamp
-    else:
-        compiled._cache.disable()
+    cache = compiled._cache
+    try:
+        base = cache._impl.filename_base
+        assert isinstance(cache._cache_file, IndexDataCacheFile)
+        cache._cache_file = _Index(cache_path=cache.cache_path, filename_base=base, source_stamp=stamp)
+    except (AttributeError, AssertionError, TypeError):
+        cache.disable()
         warnings.warn("this numba keeps its cache otherwise; kernels are compiled anew in every process", stacklevel=4)
 
 
