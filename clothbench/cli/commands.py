@@ -197,7 +197,7 @@ def plugins(options: argparse.Namespace) -> int:
 
 
 def validate(options: argparse.Namespace) -> int:
-    from clothbench.recordings.curve import read_any
+    from clothbench.recordings.kinds import read_any
     from clothbench.recordings.nodes import find_recordings
 
     rows = []

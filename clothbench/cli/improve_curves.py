@@ -11,7 +11,8 @@ from clothbench.engine.settings import writable
 from clothbench.modelling.curves import acts_on_curves
 from clothbench.plugins.discovery import Catalogue, absent, catalogue
 from clothbench.recordings.codec import kind_of
-from clothbench.recordings.curve import Curve, read_any
+from clothbench.recordings.curve import Curve
+from clothbench.recordings.kinds import read_any
 from clothbench.recordings.nodes import find_recordings
 from clothbench.studies.improve.budget import Stage
 from clothbench.studies.improve.curves import CurveProblem, curve_problem, in_newtons

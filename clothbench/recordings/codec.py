@@ -1,18 +1,104 @@
-"""Recording files of every kind: the header they share, and variables read with their dimensions and units checked."""
+"""Recording files of every kind: read, written and hashed from the tables that state a kind's layout.
+
+A file is NetCDF-4 (HDF5). Its header, the same for all kinds, are the global attributes `format`
+("clothbench-recording"), `format_version` (1) and `kind`; the other attributes and the variables are the kind's own.
+Each variable states its unit in an attribute `units`. An attribute that a kind does not know is kept as a note.
+"""
 
 from __future__ import annotations
 
+import hashlib
 import math
-from collections.abc import Mapping, Sequence
+import os
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import whole_file
+from clothbench.recordings.layout import Layout, Stated, Variable
 
 FORMAT, VERSION = "clothbench-recording", 1
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
+
+Record = TypeVar("Record")
+
+
+def freeze(record: Any, layout: Layout) -> None:
+    """Give a frozen record arrays of its own that are read-only, of the layout's types."""
+    for name, of in layout.variables.items():
+        array: np.ndarray = np.array(getattr(record, name), dtype=of.dtype, order="C")
+        array.flags.writeable = False
+        object.__setattr__(record, name, array)
+
+
+def hash_of(record: Any, layout: Layout) -> str:
+    """SHA-256 over everything measured and stated, whatever the file's encoding and wherever it lies."""
+    arrays, stated = _content(record, layout)
+    text = repr(sorted(stated.items())).encode()
+    digest = hashlib.sha256(text if layout.stated_first else b"")
+    for name, array in arrays.items():
+        digest.update(name.encode() + np.ascontiguousarray(array).tobytes())
+    digest.update(b"" if layout.stated_first else text)
+    return digest.hexdigest()
+
+
+def read(path: str | os.PathLike[str], layout: Layout, make: Callable[..., Record]) -> Record:
+    """Read one file and make its record, which checks it; faults raise `ClothbenchError`: file, field, found, expected.
+
+    make: the record's class, called with all its fields by name.
+    """
+    path = Path(path)
+    dataset = open_file(path)
+    try:
+        stated = dict(dataset.attrs)
+        check_header(stated, path, layout.kind, layout.needed)
+        content: dict[str, Any] = {name: variable(dataset, name, of, path) for name, of in layout.variables.items()}
+        for name, part in layout.parts.items():
+            there = {n: variable(dataset, n, of, path) for n, of in part.variables.items() if n in dataset.variables}
+            content[name] = part.unpack(there, stated, path)
+    finally:
+        dataset.close()
+    content |= {name: _vector(stated.get(name), name, what, path) for name, what in layout.vectors.items()}
+    content |= {name: str(stated.get(name, "")) for name in layout.texts}
+    content |= {name: number(stated, name, path) for name in layout.numbers}
+    notes = {str(k): str(v) for k, v in sorted(stated.items()) if k not in layout.known}
+    return make(**content, notes=notes, path=str(path))
+
+
+def write(record: Any, path: str | os.PathLike[str], layout: Layout) -> Path:
+    """Write one file, atomically: it is there whole or not at all."""
+    import xarray as xr
+
+    path = Path(path)
+    arrays, stated = _content(record, layout)
+    tables = {**layout.variables, **{name: of for part in layout.parts.values() for name, of in part.variables.items()}}
+    variables = {n: xr.Variable(tables[n].dims, array, attrs={"units": tables[n].unit}) for n, array in arrays.items()}
+    encoding = {
+        n: {"zlib": True, "complevel": tables[n].level, "_FillValue": None}
+        for n in arrays
+        if tables[n].level is not None
+    }
+    with whole_file(path) as part:
+        xr.Dataset(variables, attrs=stated).to_netcdf(part, engine="h5netcdf", encoding=encoding)
+    return path
+
+
+def _content(record: Any, layout: Layout) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """A record's arrays and attributes as they stand in its file, the parts' last."""
+    arrays = {name: getattr(record, name) for name in layout.variables}
+    stated = {**record.notes, "format": FORMAT, "format_version": VERSION, "kind": layout.kind}
+    stated |= {name: " ".join(repr(float(v)) for v in getattr(record, name)) for name in layout.vectors}
+    stated |= {name: getattr(record, name) for name in layout.texts}
+    stated |= {name: float(getattr(record, name)) for name in layout.numbers}
+    for name, part in layout.parts.items():
+        if (value := getattr(record, name)) is not None:
+            more, said = part.pack(value)
+            arrays |= more
+            stated |= said
+    return arrays, stated
 
 
 def open_file(path: Path):
@@ -46,7 +132,7 @@ def kind_of(path: Path) -> str:
         dataset.close()
 
 
-def check_header(stated: Mapping[str, Any], path: Path, kind: str, needed: Sequence[str]) -> None:
+def check_header(stated: Stated, path: Path, kind: str, needed: Sequence[str]) -> None:
     """Format, version and kind are as expected, and no attribute in `needed` is missing."""
     if stated.get("format") != FORMAT:
         raise ClothbenchError(f"{path}: attribute 'format': found {stated.get('format')!r}, expected {FORMAT!r}")
@@ -64,26 +150,46 @@ def check_header(stated: Mapping[str, Any], path: Path, kind: str, needed: Seque
             raise ClothbenchError(f"{path}: attribute {name!r} is missing; add it to the file's header")
 
 
-def variable(dataset, name: str, dims: tuple[str, ...], unit: str, path: Path) -> np.ndarray:
-    """One variable as float64, its dimensions and unit as the format has them."""
+def variable(dataset, name: str, of: Variable, path: Path) -> np.ndarray:
+    """One variable of an open file, its dimensions, unit and values as the layout has them."""
+    dims = ", ".join(of.dims)
     if name not in dataset.variables:
-        raise ClothbenchError(f"{path}: variable '{name}' is missing, expected {name}({', '.join(dims)}) in {unit}")
+        raise ClothbenchError(f"{path}: variable '{name}' is missing, expected {name}({dims}) in {of.unit}")
     found = dataset.variables[name]
-    if tuple(found.dims) != dims or not np.issubdtype(found.dtype, np.number):
+    fits = found.dtype == of.dtype if of.exact else np.issubdtype(found.dtype, np.number)
+    if tuple(found.dims) != of.dims or not fits:
         what = f"{found.dtype} with dimensions ({', '.join(map(str, found.dims))})"
-        raise ClothbenchError(f"{path}: variable '{name}': found {what}, expected numbers ({', '.join(dims)})")
-    found_unit = found.attrs.get("units")
-    if found_unit != unit:
-        raise ClothbenchError(
-            f"{path}: variable '{name}': found units {found_unit!r}, expected {unit!r}; "
-            "convert the values and the attribute"
-        )
-    return np.asarray(found.values, dtype=float)
+        wanted = np.dtype(of.dtype).name if of.exact else "numbers"
+        raise ClothbenchError(f"{path}: variable '{name}': found {what}, expected {wanted} ({dims})")
+    unit = found.attrs.get("units")
+    if unit != of.unit:
+        hint = "" if of.exact else "; convert the values and the attribute"
+        raise ClothbenchError(f"{path}: variable '{name}': found units {unit!r}, expected {of.unit!r}{hint}")
+    return _converted(np.asarray(found.values), name, of, path)
 
 
-def number(stated: Mapping[str, Any], name: str, path: Path) -> float:
+def _converted(values: np.ndarray, name: str, of: Variable, path: Path) -> np.ndarray:
+    """Numbers as the layout's type; whole numbers must be whole and within its range, nothing is rounded or clipped."""
+    if np.issubdtype(of.dtype, np.integer) and values.dtype != of.dtype:
+        least, most = np.iinfo(of.dtype).min, np.iinfo(of.dtype).max
+        if not np.array_equal(values, np.clip(np.round(values), least, most)):
+            raise ClothbenchError(
+                f"{path}: variable '{name}': found other values than whole numbers from {least} to {most}"
+            )
+    return np.asarray(values, dtype=of.dtype)
+
+
+def number(stated: Stated, name: str, path: Path) -> float:
     """An attribute that is a number; NaN where it is not stated."""
     try:
         return float(stated.get(name, math.nan))
     except (TypeError, ValueError):
         raise ClothbenchError(f"{path}: attribute '{name}': found {stated[name]!r}, expected a number") from None
+
+
+def _vector(text: Any, name: str, expected: str, path: Path) -> tuple[float, float, float]:
+    try:
+        x, y, z = (float(part) for part in str(text).split())
+    except ValueError:
+        raise ClothbenchError(f"{path}: attribute '{name}': found {text!r}, expected {expected}") from None
+    return x, y, z

@@ -16,24 +16,31 @@ where a video has no scale: the ratio `stretch` needs none], `sensor`, `source`,
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from clothbench.core.files import whole_file
-from clothbench.recordings.codec import FORMAT, VERSION, check_header, kind_of, number, open_file, variable
-from clothbench.recordings.curve_rules import LAYOUT, check_curve
-from clothbench.recordings.laser import LaserImages, read_laser
-from clothbench.recordings.nodes import Recording, read_recording
+from clothbench.core.errors import ClothbenchError
+from clothbench.recordings.codec import freeze, hash_of, read, write
+from clothbench.recordings.layout import SPLITS, Layout, Variable
 
-NEEDED = ("name", "direction", "noise_sigma")
-NUMBERS = ("noise_sigma", "sample_width", "sample_length")
-TEXTS = ("name", "fabric", "direction", "sensor", "source", "licence", "declared_effects", "motion", "split")
+LAYOUT = Layout(
+    kind="curve",
+    variables={
+        "stretch": Variable(("sample",), "1", level=4),
+        "force": Variable(("sample",), "N", level=4),
+    },
+    texts=("name", "fabric", "direction", "sensor", "source", "licence", "declared_effects", "motion", "split"),
+    numbers=("noise_sigma", "sample_width", "sample_length"),
+    needed=("name", "direction", "noise_sigma"),
+)
+DIRECTIONS = ("warp", "weft", "course", "wale", "")
+FEWEST = 8  # samples; fewer make no curve
+BEGINS = (0.8, 1.5)  # where the smallest stretch lies: a ratio to the unloaded distance, no strain and no millimetres
+LONGEST = 20.0  # the stretch that no cloth survives
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,61 +70,87 @@ class Curve:
     path: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        for name in LAYOUT:
-            array = np.array(getattr(self, name), dtype=float)
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
-        check_curve(self, self.path or self.name)
+        freeze(self, LAYOUT)
+        _check(self, self.path or self.name)
 
     @property
     def hash(self) -> str:
         """SHA-256 over everything measured and stated, whatever the file's encoding."""
-        digest = hashlib.sha256()
-        for name in LAYOUT:
-            digest.update(name.encode() + np.ascontiguousarray(getattr(self, name)).tobytes())
-        digest.update(repr(sorted(_attributes(self).items())).encode())
-        return digest.hexdigest()
+        return hash_of(self, LAYOUT)
 
 
 def read_curve(path: str | os.PathLike[str]) -> Curve:
     """Read and check one file; a fault raises `ClothbenchError` with file, variable, found, expected."""
-    path = Path(path)
-    dataset = open_file(path)
-    try:
-        check_header(dataset.attrs, path, "curve", NEEDED)
-        arrays: dict[str, Any] = {name: variable(dataset, name, *LAYOUT[name], path) for name in LAYOUT}
-        stated = dict(dataset.attrs)
-    finally:
-        dataset.close()
-    known = {f.name for f in fields(Curve)} | {"format", "format_version", "kind"}
-    content: dict[str, Any] = {name: str(stated.get(name, "")) for name in TEXTS}
-    content |= {name: number(stated, name, path) for name in NUMBERS}
-    notes = {str(k): str(v) for k, v in sorted(stated.items()) if k not in known}
-    return Curve(**arrays, **content, notes=notes, path=str(path))
+    return read(path, LAYOUT, Curve)
 
 
 def write_curve(curve: Curve, path: str | os.PathLike[str]) -> Path:
     """Write one file, atomically: it is there whole or not at all."""
-    import xarray as xr
-
-    path = Path(path)
-    variables = {
-        name: xr.Variable(dims, getattr(curve, name), attrs={"units": unit}) for name, (dims, unit) in LAYOUT.items()
-    }
-    dataset = xr.Dataset(variables, attrs=_attributes(curve))
-    encoding = {name: {"zlib": True, "_FillValue": None} for name in LAYOUT}
-    with whole_file(path) as part:
-        dataset.to_netcdf(part, engine="h5netcdf", encoding=encoding)
-    return path
+    return write(curve, path, LAYOUT)
 
 
-def read_any(path: str | os.PathLike[str]) -> Recording | Curve | LaserImages:
-    """Read and check one recording of any kind."""
-    kind = kind_of(Path(path))
-    return read_curve(path) if kind == "curve" else read_laser(path) if kind == "laser" else read_recording(path)
+def _check(c: Curve, where: str) -> None:
+    """Every rule of the kind, in the order in which a reader would trip over it."""
+    _check_shapes(c, where)
+    _check_values(c, where)
+    _check_stretch(c.stretch, where)
+    _check_stated(c, where)
 
 
-def _attributes(curve: Curve) -> dict[str, Any]:
-    header = {"format": FORMAT, "format_version": VERSION, "kind": "curve"}
-    stated = {name: getattr(curve, name) for name in TEXTS}
-    return {**curve.notes, **header, **stated, **{name: float(getattr(curve, name)) for name in NUMBERS}}
+def _check_shapes(c: Curve, where: str) -> None:
+    for name in LAYOUT.variables:
+        shape = getattr(c, name).shape
+        if len(shape) != 1:
+            raise ClothbenchError(f"{where}: variable '{name}': found shape {shape}, expected (sample)")
+    if len(c.force) != len(c.stretch):
+        raise ClothbenchError(
+            f"{where}: variable 'force': found {len(c.force)} along 'sample', expected {len(c.stretch)} as in 'stretch'"
+        )
+    if len(c.stretch) < FEWEST:
+        raise ClothbenchError(
+            f"{where}: variable 'stretch': found {len(c.stretch)} samples, expected at least {FEWEST}"
+        )
+
+
+def _check_values(c: Curve, where: str) -> None:
+    for name, of in LAYOUT.variables.items():
+        bad = np.flatnonzero(~np.isfinite(getattr(c, name)))
+        if bad.size:
+            what = "newtons" if of.unit == "N" else "the ratio of distances"
+            raise ClothbenchError(
+                f"{where}: variable '{name}': found {len(bad)} values that are not finite, "
+                f"the first at sample {bad[0]}, expected {what}; drop these samples"
+            )
+    if not np.ptp(c.force) > 0:
+        raise ClothbenchError(f"{where}: variable 'force': found {c.force[0]:g} N in every sample, expected a curve")
+
+
+def _check_stretch(stretch: np.ndarray, where: str) -> None:
+    least, most = float(stretch.min()), float(stretch.max())
+    if not BEGINS[0] <= least <= BEGINS[1] or most > LONGEST:
+        raise ClothbenchError(
+            f"{where}: variable 'stretch': found {least:g} to {most:g}, expected the ratio to the unloaded distance, "
+            f"about 1 at the start and below {LONGEST:g}; divide distances by the unloaded one, add 1 to a strain"
+        )
+    if most - least < 1e-3:
+        raise ClothbenchError(
+            f"{where}: variable 'stretch': found {least:g} to {most:g}, expected it to change by 0.001 at least"
+        )
+
+
+def _check_stated(c: Curve, where: str) -> None:
+    if not c.name:
+        raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
+    if c.direction not in DIRECTIONS:
+        known = ", ".join(repr(d) for d in DIRECTIONS)
+        raise ClothbenchError(f"{where}: attribute 'direction': found {c.direction!r}, expected one of {known}")
+    if c.noise_sigma < 0 or math.isinf(c.noise_sigma):
+        raise ClothbenchError(
+            f"{where}: attribute 'noise_sigma': found {c.noise_sigma}, expected newtons, 0 or above, or NaN"
+        )
+    for name in ("sample_width", "sample_length"):
+        value = getattr(c, name)
+        if value <= 0 or math.isinf(value):
+            raise ClothbenchError(f"{where}: attribute '{name}': found {value}, expected metres above 0, or NaN")
+    if c.split not in SPLITS:
+        raise ClothbenchError(f"{where}: attribute 'split': found {c.split!r}, expected 'fit', 'held_out' or ''")

@@ -15,27 +15,30 @@ Same header as kind "nodes" (`clothbench.recordings.nodes`), of which `name` is 
 
 from __future__ import annotations
 
-import hashlib
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import whole_file
-from clothbench.recordings.codec import FORMAT, VERSION, check_header, open_file, variable
+from clothbench.recordings.codec import freeze, hash_of, read, write
+from clothbench.recordings.layout import Layout, Variable
 
-LAYOUT: dict[str, tuple[tuple[str, ...], str]] = {
-    "time": (("time",), "s"),
-    "image": (("time", "y", "x"), "1"),
-    "camera_matrix": (("row", "column"), "1"),
-    "distortion": (("coefficient",), "1"),
-    "camera_rotation": (("row", "column"), "1"),
-    "camera_translation": (("space",), "m"),
-    "laser_plane": (("plane",), "1"),
-}
+LAYOUT = Layout(
+    kind="laser",
+    variables={
+        "time": Variable(("time",), "s"),
+        "image": Variable(("time", "y", "x"), "1", np.uint8, level=4),
+        "camera_matrix": Variable(("row", "column"), "1"),
+        "distortion": Variable(("coefficient",), "1"),
+        "camera_rotation": Variable(("row", "column"), "1"),
+        "camera_translation": Variable(("space",), "m"),
+        "laser_plane": Variable(("plane",), "1"),
+    },
+    texts=("name", "fabric", "source"),
+    stated_first=True,
+)
 SHAPES = {"camera_matrix": (3, 3), "distortion": (5,), "camera_rotation": (3, 3), "camera_translation": (3,),
           "laser_plane": (4,)}  # fmt: skip
 SMALLEST = 16  # pixels
@@ -59,55 +62,23 @@ class LaserImages:
     path: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        for name in LAYOUT:
-            array = np.array(getattr(self, name), dtype=np.uint8 if name == "image" else float)
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
+        freeze(self, LAYOUT)
         _check(self, self.path or self.name)
 
     @property
     def hash(self) -> str:
         """SHA-256 over everything measured and stated."""
-        digest = hashlib.sha256(repr(sorted(_attributes(self).items())).encode())
-        for name in LAYOUT:
-            digest.update(name.encode() + np.ascontiguousarray(getattr(self, name)).tobytes())
-        return digest.hexdigest()
+        return hash_of(self, LAYOUT)
 
 
 def read_laser(path: str | os.PathLike[str]) -> LaserImages:
     """Read and check one file; a fault raises `ClothbenchError` with file, variable, found, expected."""
-    path = Path(path)
-    dataset = open_file(path)
-    try:
-        check_header(dataset.attrs, path, "laser", ("name",))
-        arrays: dict[str, Any] = {name: variable(dataset, name, *LAYOUT[name], path) for name in LAYOUT}
-        stated = {str(k): str(v) for k, v in dataset.attrs.items()}
-    finally:
-        dataset.close()
-    image = arrays["image"]
-    if not np.array_equal(image, np.clip(np.round(image), 0, 255)):
-        raise ClothbenchError(f"{path}: variable 'image': found other values than whole numbers from 0 to 255")
-    known = {"format", "format_version", "kind", "name", "fabric", "source"}
-    notes = {k: v for k, v in sorted(stated.items()) if k not in known}
-    arrays |= {k: stated.get(k, "") for k in ("name", "fabric", "source")}
-    return LaserImages(**arrays, notes=notes, path=str(path))
+    return read(path, LAYOUT, LaserImages)
 
 
 def write_laser(images: LaserImages, path: str | os.PathLike[str]) -> Path:
     """Write one file, atomically: it is there whole or not at all."""
-    import xarray as xr
-
-    path = Path(path)
-    variables = {n: xr.Variable(d, getattr(images, n), attrs={"units": u}) for n, (d, u) in LAYOUT.items()}
-    encoding = {"image": {"zlib": True, "_FillValue": None}}
-    with whole_file(path) as part:
-        xr.Dataset(variables, attrs=_attributes(images)).to_netcdf(part, engine="h5netcdf", encoding=encoding)
-    return path
-
-
-def _attributes(images: LaserImages) -> dict[str, Any]:
-    stated = {name: getattr(images, name) for name in ("name", "fabric", "source")}
-    return {**images.notes, "format": FORMAT, "format_version": VERSION, "kind": "laser", **stated}
+    return write(images, path, LAYOUT)
 
 
 def _check(r: LaserImages, where: str) -> None:

@@ -1,27 +1,53 @@
-"""The recording: one physical run as measured, on disk as NetCDF-4 (format `clothbench-recording`, version 1)."""
+"""Recordings of kind "nodes": one physical run as measured, on disk as NetCDF-4 (`clothbench-recording`, version 1).
+
+| name | dims | units | meaning |
+|---|---|---|---|
+| `time` | time | s | when each frame was taken, strictly increasing |
+| `material` | node, uv | m | flat rest coordinates of the tracked points (u along the warp, v down) |
+| `position` | time, node, space | m | where they were, world frame, z up; NaN = not seen |
+| `grip_time` | grip_time | s | the grips' own clock, on the same origin as `time`, of which it covers nine tenths |
+| `grip_material` | grip, uv | m | material points that are held |
+| `grip_position` | grip_time, grip, space | m | where they were held |
+| `frame` | time, y, x | 1 | optional, uint8: what a calibrated camera saw (`clothbench.recordings.video`) |
+
+Attributes: `format`, `format_version`, `kind`, `name`, `fabric`, `cloth_width`, `cloth_height` [m], `areal_density`
+[kg/m²; NaN = not known], `gravity` [m/s², three numbers as text], `noise_sigma` [m per coordinate; NaN = not known],
+`sensor`, `source`, `licence`, `declared_effects`, `motion`, `split` ("fit", "held_out" or "").
+"""
 
 from __future__ import annotations
 
-import hashlib
 import math
 import os
 from collections.abc import Iterable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from clothbench.core.camera import Video
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import whole_file
-from clothbench.recordings.codec import FORMAT, VERSION, check_header, number, open_file, variable
-from clothbench.recordings.nodes_rules import LAYOUT, check
-from clothbench.recordings.video import ATTRIBUTES, DIMS, UNIT, read_video, video_attributes
+from clothbench.recordings.codec import freeze, hash_of, read, write
+from clothbench.recordings.layout import SPLITS, Layout, Variable
+from clothbench.recordings.nodes_rules import check_clock, check_overlap, check_points, check_shapes, check_values
+from clothbench.recordings.video import VIDEO
 
-NEEDED = ("name", "cloth_width", "cloth_height", "gravity", "noise_sigma")
-NUMBERS = ("cloth_width", "cloth_height", "areal_density", "noise_sigma")
-TEXTS = ("name", "fabric", "sensor", "source", "licence", "declared_effects", "motion")
+LAYOUT = Layout(
+    kind="nodes",
+    variables={
+        "time": Variable(("time",), "s"),
+        "material": Variable(("node", "uv"), "m"),
+        "position": Variable(("time", "node", "space"), "m", level=4),
+        "grip_time": Variable(("grip_time",), "s"),
+        "grip_material": Variable(("grip", "uv"), "m"),
+        "grip_position": Variable(("grip_time", "grip", "space"), "m", level=4),
+    },
+    texts=("name", "fabric", "sensor", "source", "licence", "declared_effects", "motion", "split"),
+    numbers=("cloth_width", "cloth_height", "areal_density", "noise_sigma"),
+    needed=("name", "cloth_width", "cloth_height", "gravity", "noise_sigma"),
+    vectors={"gravity": "three numbers like '0 0 -9.81' [m/s²]"},
+    parts={"video": VIDEO},
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,12 +85,8 @@ class Recording:
     path: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        for name in LAYOUT:
-            array = np.ascontiguousarray(getattr(self, name), dtype=float)
-            array = array.copy() if array is getattr(self, name) else array
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
-        check(self, self.path or self.name)
+        freeze(self, LAYOUT)
+        _check(self, self.path or self.name)
 
     @property
     def visible(self) -> np.ndarray:
@@ -74,49 +96,17 @@ class Recording:
     @property
     def hash(self) -> str:
         """SHA-256 over everything measured and stated, whatever the file's encoding."""
-        digest = hashlib.sha256()
-        for name in LAYOUT:
-            digest.update(name.encode() + np.ascontiguousarray(getattr(self, name)).tobytes())
-        if self.video is not None:
-            digest.update(b"frame" + np.ascontiguousarray(self.video.frame).tobytes())
-        digest.update(repr(sorted(_attributes(self).items())).encode())
-        return digest.hexdigest()
+        return hash_of(self, LAYOUT)
 
 
 def read_recording(path: str | os.PathLike[str]) -> Recording:
     """Read and check one file; a fault raises `ClothbenchError` with file, variable, found, expected."""
-    path = Path(path)
-    dataset = open_file(path)
-    try:
-        check_header(dataset.attrs, path, "nodes", NEEDED)
-        arrays: dict[str, Any] = {name: variable(dataset, name, *LAYOUT[name], path) for name in LAYOUT}
-        stated, video = dict(dataset.attrs), read_video(dataset, path)
-    finally:
-        dataset.close()
-    gravity = _gravity(stated.get("gravity"), path)
-    known = {f.name for f in fields(Recording)} | {"format", "format_version", "kind", *ATTRIBUTES}
-    content: dict[str, Any] = {name: str(stated.get(name, "")) for name in (*TEXTS, "split")}
-    content |= {name: number(stated, name, path) for name in NUMBERS}
-    notes = {str(k): str(v) for k, v in sorted(stated.items()) if k not in known}
-    return Recording(**arrays, **content, gravity=gravity, notes=notes, video=video, path=str(path))
+    return read(path, LAYOUT, Recording)
 
 
 def write_recording(recording: Recording, path: str | os.PathLike[str]) -> Path:
     """Write one file, atomically: it is there whole or not at all."""
-    import xarray as xr
-
-    path = Path(path)
-    variables = {}
-    for name, (dims, unit) in LAYOUT.items():
-        variables[name] = xr.Variable(dims, getattr(recording, name), attrs={"units": unit})
-    encoding: dict[str, Any] = {name: {"zlib": True, "_FillValue": None} for name in ("position", "grip_position")}
-    if recording.video is not None:
-        variables["frame"] = xr.Variable(DIMS, recording.video.frame, attrs={"units": UNIT})
-        encoding["frame"] = {"zlib": True, "complevel": 9}
-    dataset = xr.Dataset(variables, attrs=_attributes(recording))
-    with whole_file(path) as part:
-        dataset.to_netcdf(part, engine="h5netcdf", encoding=encoding)
-    return path
+    return write(recording, path, LAYOUT)
 
 
 def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
@@ -138,20 +128,42 @@ def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
     return found
 
 
-def _attributes(recording: Recording) -> dict[str, Any]:
-    stated = {name: getattr(recording, name) for name in (*TEXTS, "split")}
-    numbers = {n: float(getattr(recording, n)) for n in NUMBERS}
-    gravity = " ".join(repr(float(g)) for g in recording.gravity)
-    header = {"format": FORMAT, "format_version": VERSION, "kind": "nodes", "gravity": gravity}
-    seen = video_attributes(recording.video) if recording.video is not None else {}
-    return {**recording.notes, **header, **stated, **numbers, **seen}
+def _check(r: Recording, where: str) -> None:
+    """Every rule of the kind, in the order in which a reader would trip over it."""
+    arrays = {name: getattr(r, name) for name in LAYOUT.variables}
+    check_shapes(arrays, LAYOUT, where)
+    check_clock(r.time, "time", where)
+    check_clock(r.grip_time, "grip_time", where)
+    check_values(arrays, where)
+    _check_video(r, where)
+    _check_stated(r, where)
+    size = np.array([r.cloth_width, r.cloth_height])
+    for name in ("material", "grip_material"):
+        check_points(arrays[name], name, size, where)
+    check_overlap(r.time, r.grip_time, where)
 
 
-def _gravity(text: Any, path: Path) -> tuple[float, float, float]:
-    try:
-        x, y, z = (float(part) for part in str(text).split())
-    except ValueError:
+def _check_video(r: Recording, where: str) -> None:
+    if r.video is not None and len(r.video.frame) != len(r.time):
         raise ClothbenchError(
-            f"{path}: attribute 'gravity': found {text!r}, expected three numbers like '0 0 -9.81' [m/s²]"
-        ) from None
-    return x, y, z
+            f"{where}: variable 'frame': found {len(r.video.frame)} frames, expected {len(r.time)}, one for each 'time'"
+        )
+
+
+def _check_stated(r: Recording, where: str) -> None:
+    if not r.name:
+        raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
+    if not all(map(math.isfinite, r.gravity)):
+        raise ClothbenchError(f"{where}: attribute 'gravity': found {r.gravity}, expected three finite numbers [m/s²]")
+    for name in ("cloth_width", "cloth_height"):
+        value = getattr(r, name)
+        if not (math.isfinite(value) and value > 0):
+            raise ClothbenchError(f"{where}: attribute '{name}': found {value}, expected metres above 0")
+    if r.areal_density <= 0 or math.isinf(r.areal_density):
+        raise ClothbenchError(
+            f"{where}: attribute 'areal_density': found {r.areal_density}, expected kg/m² above 0, or NaN"
+        )
+    if r.noise_sigma < 0 or math.isinf(r.noise_sigma):
+        raise ClothbenchError(f"{where}: attribute 'noise_sigma': found {r.noise_sigma}, expected metres, 0 or above")
+    if r.split not in SPLITS:
+        raise ClothbenchError(f"{where}: attribute 'split': found {r.split!r}, expected 'fit', 'held_out' or ''")

@@ -6,7 +6,6 @@ projector_size [px], projector_matrix, projector_rotation, projector_translation
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -14,35 +13,29 @@ import numpy as np
 
 from clothbench.core.camera import LENSES, Camera, Projector, Video
 from clothbench.core.errors import ClothbenchError
+from clothbench.recordings.layout import Arrays, Part, Stated, Variable
 
-DIMS, UNIT = ("time", "y", "x"), "1"
+FRAME = Variable(("time", "y", "x"), "1", np.uint8, level=9, exact=True)
 PROJECTOR = ("projector_size", *(f"projector_{n}" for n in LENSES if n != "distortion"), "stripe_period")
 ATTRIBUTES = (*(f"camera_{name}" for name in LENSES), *PROJECTOR)
 
 
-def video_attributes(video: Video) -> dict[str, Any]:
-    """The attributes that state a video's calibration, numbers as text."""
+def _pack(video: Video) -> tuple[Arrays, Stated]:
+    """The frames, and the attributes that state their calibration, numbers as text."""
     out: dict[str, Any] = {f"camera_{name}": _text(getattr(video.camera, name)) for name in LENSES}
     if (projector := video.projector) is not None:
         lens = projector.lens
         out |= {f"projector_{name}": _text(getattr(lens, name)) for name in LENSES if name != "distortion"}
         out |= {"projector_size": _text(lens.size), "stripe_period": float(projector.period)}
-    return out
+    return {"frame": video.frame}, out
 
 
-def read_video(dataset: Any, path: Path) -> Video | None:
-    """The video of an open file; None where it has none."""
-    if "frame" not in dataset.variables:
+def _unpack(arrays: Arrays, stated: Stated, path: Path) -> Video | None:
+    """The video of a file; None where it has none."""
+    if "frame" not in arrays:
         return None
-    found = dataset.variables["frame"]
-    if tuple(found.dims) != DIMS or found.dtype != np.uint8:
-        what = f"{found.dtype} with dimensions ({', '.join(map(str, found.dims))})"
-        raise ClothbenchError(f"{path}: variable 'frame': found {what}, expected uint8 ({', '.join(DIMS)})")
-    if found.attrs.get("units") != UNIT:
-        raise ClothbenchError(f"{path}: variable 'frame': found units {found.attrs.get('units')!r}, expected {UNIT!r}")
-    stated, frame = dict(dataset.attrs), np.asarray(found.values)
-    size = (frame.shape[2], frame.shape[1])
-    camera = _lens(stated, "camera", size, path)
+    frame = arrays["frame"]
+    camera = _lens(stated, "camera", (frame.shape[2], frame.shape[1]), path)
     projector = None
     if any(name in stated for name in PROJECTOR):
         width, height = _numbers(stated, "projector_size", (2,), path)
@@ -51,7 +44,7 @@ def read_video(dataset: Any, path: Path) -> Video | None:
     return Video(frame, camera, projector)
 
 
-def _lens(stated: Mapping[str, Any], prefix: str, size: tuple[int, int], path: Path) -> Camera:
+def _lens(stated: Stated, prefix: str, size: tuple[int, int], path: Path) -> Camera:
     names = [name for name in LENSES if not (prefix == "projector" and name == "distortion")]
     given = {name: _numbers(stated, f"{prefix}_{name}", LENSES[name], path) for name in names}
     return _said(path, lambda: Camera(size, **given))
@@ -65,7 +58,7 @@ def _said(path: Path, make: Any) -> Any:
         raise ClothbenchError(f"{path}: {fault}") from fault
 
 
-def _numbers(stated: Mapping[str, Any], name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
+def _numbers(stated: Stated, name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
     if name not in stated:
         raise ClothbenchError(f"{path}: attribute {name!r} is missing; a recording with 'frame' needs it")
     try:
@@ -77,3 +70,6 @@ def _numbers(stated: Mapping[str, Any], name: str, shape: tuple[int, ...], path:
 
 def _text(values: Any) -> str:
     return " ".join(repr(float(v)) for v in np.ravel(values))
+
+
+VIDEO = Part({"frame": FRAME}, ATTRIBUTES, _pack, _unpack)

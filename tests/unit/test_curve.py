@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from clothbench import ClothbenchError, Curve, read_curve, read_recording, write_curve
-from clothbench.recordings.curve import read_any
+from clothbench.recordings.kinds import read_any
 
 
 def pulled(name: str = "pull", **changes) -> Curve:

@@ -8,7 +8,7 @@ from clothbench_trackers.laser_profile import LaserProfile, in_plane
 from scipy.spatial import cKDTree
 
 from clothbench import ClothbenchError, LaserImages, read_laser, write_laser
-from clothbench.recordings.curve import read_any
+from clothbench.recordings.kinds import read_any
 from clothbench.studies.folding.laser_camera import rendered
 from clothbench.testing import check_tracker
 

@@ -1,0 +1,40 @@
+"""Recordings of any kind: which reader stands for the kind that a file states. A new kind is a file and a line here."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from importlib import import_module
+from pathlib import Path
+from typing import Any, Protocol
+
+from clothbench.recordings.codec import kind_of
+
+# kind: (module in clothbench.recordings, its reader)
+READERS = {
+    "nodes": ("nodes", "read_recording"),
+    "curve": ("curve", "read_curve"),
+    "laser": ("laser", "read_laser"),
+}
+
+
+class AnyRecording(Protocol):
+    """What records of every kind have: a name, the file they were read from, and a hash of all they hold."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def path(self) -> str: ...
+    @property
+    def hash(self) -> str: ...
+
+
+def reader_of(kind: str) -> Callable[[str | os.PathLike[str]], Any]:
+    """The function that reads files of a kind; that of "nodes" for kinds not known, which it refuses in words."""
+    module, name = READERS.get(kind, READERS["nodes"])
+    return getattr(import_module(f"clothbench.recordings.{module}"), name)
+
+
+def read_any(path: str | os.PathLike[str]) -> AnyRecording:
+    """Read and check one recording of any kind."""
+    return reader_of(kind_of(Path(path)))(path)
