@@ -7,9 +7,13 @@ import subprocess
 import sys
 from functools import cache
 from pathlib import Path
+from string import Template
 
 import pytest
 from conftest import ROOT
+
+import clothbench
+from clothbench.plugins.scaffold import substitutes
 
 FRAME = ROOT / "clothbench"
 PLUGINS = ROOT / "plugins"
@@ -109,6 +113,39 @@ def test_the_frame_knows_no_plugin_package():
     for path in FRAME.rglob("*.py"):
         strangers = {n for n in imports_of(path) if n.startswith("clothbench_")}
         assert not strangers, f"{path.relative_to(ROOT)} imports {strangers}"
+
+
+def frame_modules(source: str) -> set[str]:
+    """Modules of the frame that a source imports, or imports from, anywhere."""
+    found: set[str] = set()
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            found.add(node.module)
+            if node.module in ("clothbench", "clothbench.modelling"):  # a module is no public name of theirs
+                found |= {f"{node.module}.{alias.name}" for alias in node.names} & set(modules())
+    return {name for name in found if name.split(".")[0] == "clothbench"}
+
+
+def test_plugins_import_the_public_names_only():
+    """Functions' imports count too; the templates are what `clothbench new-plugin` begins with."""
+    sources = {p: p.read_text() for folder in (PLUGINS, EXAMPLES) for p in folder.rglob("*.py")}
+    words = substitutes("model", "sheet")
+    for path in (FRAME / "plugins" / "templates").glob("*.py.txt"):
+        sources[path] = Template(path.read_text()).substitute(words)
+    assert len(sources) > 50
+    for path, source in sources.items():
+        public = {"clothbench", "clothbench.modelling"}
+        if path.name.startswith("test_"):
+            public.add("clothbench.testing")
+        deep = frame_modules(source) - public
+        assert not deep, f"{path.relative_to(ROOT)} imports {deep}"
+
+
+def test_every_public_name_is_there():
+    for name in clothbench.__all__:
+        assert getattr(clothbench, name) is not None
 
 
 def test_importing_the_package_loads_nothing_heavy():

@@ -2,10 +2,9 @@
 
 import numpy as np
 import pytest
-from clothbench.modelling.sheet import bear_inertia
-from clothbench.plugins.discovery import catalogue
-from clothbench.testing import check_plugin, rule_names, scenes
-from clothbench.testing.effect_case import waving_sheet
+from clothbench import catalogue
+from clothbench.modelling import bear_inertia
+from clothbench.testing import check_plugin, effect_case, rule_names, scenes
 
 from clothbench_xpbd.hem import Hem
 from clothbench_xpbd.sheet import Xpbd
@@ -37,7 +36,7 @@ def test_it_comes_to_hang_as_explicit_springs_do():
 
 def test_the_hem_weighs_its_length():
     """The added weight is λ g times the border of a 0.2 m sheet."""
-    sheet, x, v = waving_sheet()
+    sheet, x, v = effect_case.waving_sheet()
     force = np.zeros((3, x.shape[1]))
     Hem.force(0.0, 1e-3, x, v, force, sheet, np.array([0.01]), np.zeros(0))
     assert force.sum(axis=1) == pytest.approx([0.0, 0.0, -0.01 * 0.8 * 9.81])
@@ -45,7 +44,7 @@ def test_the_hem_weighs_its_length():
 
 def test_a_hem_falls_as_fast_as_the_cloth():
     """Under gravity alone an added mass changes no acceleration, wherever it sits."""
-    sheet, x, v = waving_sheet()
+    sheet, x, v = effect_case.waving_sheet()
     force, extra = sheet.gravity[:, None] * sheet.mass, np.zeros((6, 25))
     Hem.force(0.0, 1e-3, x, v, force, sheet, np.array([0.01]), np.zeros(0))
     Hem.inertia(0.0, 1e-3, x, v, extra, sheet, np.array([0.01]), np.zeros(0))

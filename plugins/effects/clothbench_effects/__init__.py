@@ -1,6 +1,6 @@
 """The built-in effects: registration only, each is imported when it is used."""
 
-from clothbench.plugins.hookspecs import Registration, hookimpl
+from clothbench import Registration, hookimpl
 
 # Module (which is the name), class and one line, in the order of the physics: air, material, mass, grips, sensor.
 EFFECTS = (

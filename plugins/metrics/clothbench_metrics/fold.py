@@ -8,7 +8,6 @@ import numpy as np
 
 from clothbench import ClothbenchError, Observation, Rollout, Score
 from clothbench.modelling import kernel
-from clothbench.vision.orientation import turned
 from clothbench_metrics.sight import Sights, check_shape, compared, require_number
 
 BLOCK = 8  # px; residuals are pooled over squares of this side, or they would be a million
@@ -66,6 +65,11 @@ class Fold:
     def floor(self, observation: Observation) -> float:
         """Not known: what the camera's noise does to an angle depends on the stripes' contrast at every pixel."""
         return math.nan
+
+
+def turned(angle: np.ndarray) -> np.ndarray:
+    """Differences of orientations [rad], which are the same modulo π, as −π/2 … π/2."""
+    return angle - np.pi * np.round(angle / np.pi)
 
 
 @kernel

@@ -9,11 +9,21 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clothbench import Camera, ClothbenchError, Observation, Projector, Rollout, View
-from clothbench.core.parallel import for_each
-from clothbench.vision.orientation import angle_map, fold_mask
-from clothbench.vision.render import silhouettes, striped
-from clothbench.vision.surface import Surface, surface_of
+from clothbench import (
+    Camera,
+    ClothbenchError,
+    Observation,
+    Projector,
+    Rollout,
+    Surface,
+    View,
+    angle_map,
+    fold_mask,
+    for_each,
+    silhouettes,
+    striped,
+    surface_of,
+)
 
 REFINE = 4  # cells of a lattice are drawn as so many in each direction
 STRIPE = 6.0  # px from stripe to stripe, where the filters answer best

@@ -17,21 +17,21 @@ from functools import cached_property
 import numpy as np
 
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
-from clothbench.core.parallel import for_each
 from clothbench.modelling import (
     OK,
     SLOTS,
+    BoundEffects,
     GridBatch,
     GridSimulation,
     check_number,
     check_resolution,
+    for_each,
     grid_shape,
     layers_of,
     obstacle_table,
+    own_sheet,
     tributary,
 )
-from clothbench.modelling.bound_effects import BoundEffects
-from clothbench.modelling.sheet import own_sheet
 from clothbench_models import baraff_witkin_kernels as kernels
 from clothbench_models.bending import Diagonals, bending_matrix
 from clothbench_models.sheet_forces import TRIANGLES

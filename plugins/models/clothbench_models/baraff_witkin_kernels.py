@@ -9,19 +9,22 @@ from numba import types
 
 from clothbench.modelling import (
     DIVERGED,
+    EFFECT,
     LAYERS,
+    SHEET,
     SLOTS,
     advance_segment,
     apply_effects,
+    bear_inertia,
+    grid_normals,
     grip_point,
     grip_speed,
     is_lost,
     keep_out,
     kernel,
+    wants_normals,
     write_frames,
 )
-from clothbench.modelling.kernels import EFFECT
-from clothbench.modelling.sheet import SHEET, bear_inertia, grid_normals, wants_normals
 from clothbench_models.implicit_grid import hold_back, mass_times, multiply, solve
 from clothbench_models.resting_contact import FREE, STICKS, judge, part_layers, stop_reversed, touching
 from clothbench_models.sheet_forces import (

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from clothbench import ClothbenchError, FoldState
-from clothbench.core.parallel import for_each
+from clothbench.modelling import for_each
 from clothbench_models import strip_trials
 from clothbench_models.strip import Ends, State, Strip
 

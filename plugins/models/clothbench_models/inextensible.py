@@ -15,21 +15,21 @@ from functools import cached_property
 import numpy as np
 
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
-from clothbench.core.parallel import for_each
 from clothbench.modelling import (
     OK,
     SLOTS,
+    BoundEffects,
     GridBatch,
     GridSimulation,
     check_number,
     check_resolution,
+    for_each,
     grid_shape,
     layers_of,
     obstacle_table,
+    own_sheet,
     tributary,
 )
-from clothbench.modelling.bound_effects import BoundEffects
-from clothbench.modelling.sheet import own_sheet
 from clothbench_models import baraff_witkin_kernels as triangles
 from clothbench_models import inextensible_kernels as kernels
 from clothbench_models.baraff_witkin import padded, triangle_edges

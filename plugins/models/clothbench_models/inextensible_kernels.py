@@ -14,9 +14,12 @@ from numba import types
 
 from clothbench.modelling import (
     DIVERGED,
+    EFFECT,
     LAYERS,
+    SHEET,
     SLOTS,
     advance_segment,
+    bear_inertia,
     fast_kernel,
     grip_point,
     is_lost,
@@ -24,8 +27,6 @@ from clothbench.modelling import (
     kernel,
     write_frames,
 )
-from clothbench.modelling.kernels import EFFECT
-from clothbench.modelling.sheet import SHEET, bear_inertia
 from clothbench_models.baraff_witkin_kernels import add_outer
 from clothbench_models.implicit_grid import hold_back, mass_times, solve
 from clothbench_models.resting_contact import FREE, STICKS, judge, part_layers, stop_reversed, touching

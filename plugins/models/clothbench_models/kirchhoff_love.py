@@ -16,8 +16,7 @@ from typing import ClassVar
 import numpy as np
 
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
-from clothbench.core.parallel import for_each
-from clothbench.modelling import check_resolution, grid_shape
+from clothbench.modelling import check_resolution, for_each, grid_shape
 from clothbench_models.folding import FoldingStrip
 from clothbench_models.shell import Shell, ShellState, turned_over
 from clothbench_models.strip import FEW

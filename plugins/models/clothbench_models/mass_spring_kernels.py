@@ -16,21 +16,24 @@ from numba import types
 
 from clothbench.modelling import (
     DIVERGED,
+    EFFECT,
     LAYERS,
     OK,
+    SHEET,
     SLOTS,
     advance_segment,
     apply_effects,
     as_double,
+    bear_inertia,
     fastest,
+    grid_normals,
     grip_point,
     is_lost,
     keep_apart,
     keep_out,
     kernel,
+    wants_normals,
 )
-from clothbench.modelling.kernels import EFFECT
-from clothbench.modelling.sheet import SHEET, bear_inertia, grid_normals, wants_normals
 
 __all__ = ["DIVERGED", "OK", "SLOTS", "run_block"]
 

@@ -11,17 +11,17 @@ from functools import cached_property
 import numpy as np
 
 from clothbench import ClothbenchError, Rollout
-from clothbench.core.parallel import for_each
 from clothbench.modelling import (
     SLOTS,
     GridBatch,
     GridSimulation,
     check_number,
     check_resolution,
+    for_each,
     layers_of,
     obstacle_table,
+    own_sheet,
 )
-from clothbench.modelling.sheet import own_sheet
 from clothbench_models import mass_spring_kernels as kernels
 from clothbench_models.spring_grid import FAMILIES, SpringGrid
 

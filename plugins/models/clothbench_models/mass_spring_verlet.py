@@ -21,10 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clothbench import ClothbenchError, Effect, Parameter, ParameterSpace, Scene
-from clothbench.core.protocols import Material
-from clothbench.modelling import grid_shape
-from clothbench.modelling.bound_effects import BoundEffects
+from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene
+from clothbench.modelling import BoundEffects, grid_shape
 from clothbench_models.mass_spring_simulation import SpringOptions, SpringSimulation
 from clothbench_models.spring_grid import Families
 

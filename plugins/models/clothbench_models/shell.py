@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from clothbench import Scene
-from clothbench.core.scene import initial_shape
+from clothbench.modelling import initial_shape
 from clothbench_models import shell_kernels as kernels
 from clothbench_models.splines import SUPPORT, Spline
 

@@ -1,6 +1,6 @@
 """The built-in optimizers: registration only, each is imported when it is used."""
 
-from clothbench.plugins.hookspecs import Registration, hookimpl
+from clothbench import Registration, hookimpl
 
 
 @hookimpl

@@ -7,9 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from clothbench import ClothbenchError, Observation, Recording, View, read_recording
-from clothbench.core.parallel import for_each
-from clothbench.vision.orientation import angle_map, fold_mask
+from clothbench import ClothbenchError, Observation, Recording, View, angle_map, fold_mask, for_each, read_recording
 
 
 class Stripes:

@@ -5,10 +5,7 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from clothbench.modelling import kernel
-from clothbench.modelling.bound_effects import FORCE, INERTIA
-from clothbench.modelling.kernels import EFFECT
-from clothbench.modelling.sheet import SHEET, bear_inertia, grid_normals
+from clothbench.modelling import EFFECT, FORCE, INERTIA, SHEET, bear_inertia, grid_normals, kernel
 from numba import types
 
 SLOTS = 4  # places for dynamics effects

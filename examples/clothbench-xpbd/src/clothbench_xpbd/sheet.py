@@ -12,12 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from clothbench import ClothbenchError, Effect, Interpolator, Parameter, ParameterSpace, Rollout, Scene
-from clothbench.core.parallel import for_each
-from clothbench.core.scene import initial_shape
-from clothbench.modelling.bound_effects import BoundEffects
-from clothbench.modelling.kernels import no_effect
-from clothbench.modelling.mesh import grid_triangles
-from clothbench.modelling.sheet import own_sheet, sheet_of
+from clothbench.modelling import BoundEffects, for_each, grid_triangles, initial_shape, no_effect, own_sheet, sheet_of
 
 from clothbench_xpbd import kernels
 

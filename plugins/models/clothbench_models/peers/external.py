@@ -16,10 +16,17 @@ from typing import Protocol
 import numpy as np
 
 from clothbench import ClothbenchError, Rollout, Scene
-from clothbench.core.parallel import for_each
-from clothbench.modelling import DIVERGED, SLOTS, GridBatch, GridSimulation
-from clothbench.modelling.bound_effects import FORCE, BoundEffects
-from clothbench.modelling.sheet import grid_normals, own_sheet
+from clothbench.modelling import (
+    DIVERGED,
+    FORCE,
+    SLOTS,
+    BoundEffects,
+    GridBatch,
+    GridSimulation,
+    for_each,
+    grid_normals,
+    own_sheet,
+)
 from clothbench_models.peers import missing
 
 SETTLE = np.array([8.0, 60.0])  # least and most settling time in units of 1/ω₁

@@ -23,10 +23,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clothbench import ClothbenchError, Effect, Parameter, ParameterSpace, Scene, Sheet
-from clothbench.core.protocols import Material
-from clothbench.modelling import GridSimulation, check_number, check_resolution, grid_shape
-from clothbench.modelling.bound_effects import BoundEffects
+from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene, Sheet
+from clothbench.modelling import BoundEffects, GridSimulation, check_number, check_resolution, grid_shape
 from clothbench_models.peers import missing
 from clothbench_models.peers.external import ExternalSimulation, reason_to_skip, refuse_mass
 
