@@ -1,0 +1,48 @@
+"""The pages: what they link to and show is there."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+PAGES = (ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md")))
+FENCE = re.compile(r"^```.*?^```", re.MULTILINE | re.DOTALL)
+LINK = re.compile(r"!?\[[^\]]*\]\(([^)\s]+)\)")
+ELSEWHERE = ("http://", "https://", "mailto:")
+SOURCE = re.compile(r"`((?:clothbench|tools|tests|results|suites|examples|docs|plugins)/[\w./-]+)`")
+
+
+def prose(page: Path) -> str:
+    return FENCE.sub("", page.read_text())
+
+
+def anchors(page: Path) -> set[str]:
+    """The fragments by which the page's headings are linked to, as GitHub makes them."""
+    heads = re.findall(r"^#+ (.+)$", prose(page), re.MULTILINE)
+    return {re.sub(r"[^\w\- ]", "", head.lower()).replace(" ", "-") for head in heads}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_links_and_images_resolve(page):
+    for link in LINK.findall(prose(page)):
+        if link.startswith(ELSEWHERE):
+            continue
+        path, _, anchor = link.partition("#")
+        target = page.parent / path if path else page
+        assert target.exists(), f"{page.name} links to {link}"
+        assert target.resolve().is_relative_to(ROOT), f"{page.name} links to {link}, outside of the project"
+        assert not anchor or anchor in anchors(target), f"{page.name} links to {link}, no such heading"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+def test_files_that_are_named_are_there(page):
+    for name in SOURCE.findall(prose(page)):
+        assert (ROOT / name).exists(), f"{page.name} names {name}"
+
+
+def test_every_page_is_linked_from_the_first():
+    linked = {link.partition("#")[0] for link in LINK.findall(prose(ROOT / "README.md"))}
+    assert {f"docs/{page.name}" for page in PAGES[2:]} <= linked

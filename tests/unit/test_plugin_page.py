@@ -1,0 +1,104 @@
+"""The first plugins of `docs/plugins.md` are taken from the page and do what the page says."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from types import ModuleType
+
+import numpy as np
+import pytest
+from conftest import ROOT
+
+import clothbench.modelling
+from clothbench.engine.store import Store
+from clothbench.engine.study import Context, Results
+from clothbench.plugins import hookspecs
+from clothbench.plugins.discovery import catalogue
+from clothbench.testing import check_effect, check_metric, check_model, check_optimizer, check_tracker, scenes
+
+PAGE = (ROOT / "docs" / "plugins.md").read_text()
+BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+
+
+def section(heading: str) -> str:
+    """What stands below a heading of the page, up to the next one."""
+    return re.split(rf"^#+ {re.escape(heading)}$", PAGE, flags=re.MULTILINE)[1].split("\n#")[0]
+
+
+@pytest.fixture
+def module_of(tmp_path, monkeypatch):
+    """A section's code as a module on disk: kernels are compiled from files."""
+
+    def build(heading: str) -> ModuleType:
+        (code,) = BLOCK.findall(section(heading))
+        name = f"page_{heading.lower().replace(' ', '_')}"
+        path = tmp_path / f"{name}.py"
+        path.write_text(code)
+        spec = importlib.util.spec_from_file_location(name, path)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        monkeypatch.setitem(sys.modules, name, module)
+        spec.loader.exec_module(module)
+        return module
+
+    return build
+
+
+CHECKS = {
+    "effect": ("An effect", "Draught", check_effect),
+    "metric": ("A metric", "MeanDistance", check_metric),
+    "optimizer": ("An optimizer", "Shrinking", check_optimizer),
+    "tracker": ("A tracker", "EverySecond", check_tracker),
+    "model": ("A model", "Plumb", check_model),
+}
+
+
+@pytest.mark.parametrize("kind", CHECKS)
+def test_a_first_plugin_keeps_every_rule(module_of, kind):
+    heading, name, check = CHECKS[kind]
+    check(getattr(module_of(heading), name))
+
+
+def test_the_first_model_says_what_its_formula_says(module_of):
+    model, scene = module_of("A model").Plumb(), scenes.still(scenes.hanging())
+    rollout = model.prepare(scene).run(np.array([[50.0], [200.0]]))
+    lowest = scene.points[:, 1].argmax()
+    v, g = scene.points[lowest, 1], 9.81
+    longer = scene.areal_density * g * (scene.height * v - v**2 / 2) / np.array([50.0, 200.0])
+    fallen = scene.grip_position[0, 0, 2] - rollout.position[:, 0, lowest, 2]
+    assert fallen == pytest.approx(v + longer, rel=1e-12)
+
+
+def test_the_first_study_is_planned_run_and_shown(module_of, tmp_path):
+    study, plugins = module_of("A study"), catalogue()
+    cells = study.plan({"model": ["mass_spring", "linear_stretch"]}, plugins)
+    store = Store(tmp_path)
+    for cell in cells:
+        result = study.run(cell, Context(plugins, tmp_path / cell.key))
+        store.put(cell.key, result.tables, columns=study.tables)
+    results = Results(store, store.rows(), tuple(cell.key for cell in cells))
+    expected = [f"{name}: {len(plugins.make('models', name).parameters)} parameters" for name in
+                ("linear_stretch", "mass_spring")]  # fmt: skip
+    assert study.show(results) == expected
+    (section,) = study.sections(results)
+    assert "<h2>Census</h2>" in section.html
+    members = {"name", "against", "suite_words", "tables", "plan", "run", "show", "sections", "claims"}
+    assert members <= set(vars(study))
+
+
+def test_registrations_on_the_page_are_found(module_of, monkeypatch):
+    module = module_of("Registration")
+    (model,) = module.clothbench_models()
+    (effect,) = module.clothbench_effects()
+    assert (model.name, effect.name) == ("plumb", "draught")
+    hooks = set(re.findall(r"`(clothbench_\w+)` \|", section("Registration")))
+    assert hooks == {name for name in vars(hookspecs) if name.startswith("clothbench_")}
+
+
+def test_the_page_names_all_of_modelling():
+    """What the package offers for model authors stands on the page, and what stands there is offered."""
+    named = set(re.findall(r"`(\w+)`", section("`clothbench.modelling`").split("A model with effects")[0]))
+    assert named <= set(clothbench.modelling.__all__)
