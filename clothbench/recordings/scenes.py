@@ -1,0 +1,62 @@
+"""From a recording to the scene that a model is asked to simulate."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.scene import AIR_DENSITY, Scene
+from clothbench.recordings.nodes import Recording
+
+
+def scene_of(
+    recording: Recording,
+    *,
+    areal_density: float | None = None,
+    resolution: tuple[int, int] | None = None,
+    air_density: float = AIR_DENSITY,
+    spacing: float | None = None,
+) -> Scene:
+    """The scene of one recording. `areal_density` [kg/m²] stands in where the recording does not know it.
+
+    spacing [m]: of the mesh's nodes, at most, whatever the cloth's size; it takes the place of `resolution`.
+    """
+    density = recording.areal_density
+    if not math.isfinite(density):
+        if areal_density is None:
+            raise ClothbenchError(
+                f"{recording.path or recording.name}: attribute 'areal_density' is not known; "
+                "state what to assume with scene.areal_density=VALUE [kg/m²] (improve: areal_density=VALUE)"
+            )
+        density = areal_density
+    if spacing is not None:
+        nodes = [1 + math.ceil(length / spacing - 1e-6) for length in (recording.cloth_width, recording.cloth_height)]
+        resolution = (max(3, nodes[0]), max(3, nodes[1]))
+    seen = np.flatnonzero(recording.visible.any(axis=1))[:3]
+    with np.errstate(invalid="ignore"):
+        early = np.where(recording.visible[seen, :, None], recording.position[seen], np.nan)
+    return Scene(
+        width=recording.cloth_width,
+        height=recording.cloth_height,
+        areal_density=density,
+        grip_time=recording.grip_time,
+        grip_material=recording.grip_material,
+        grip_position=recording.grip_position,
+        times=recording.time,
+        points=recording.material,
+        gravity=recording.gravity,
+        air_density=air_density,
+        resolution=resolution,
+        start=_first_seen(early),
+    )
+
+
+def _first_seen(early: np.ndarray) -> np.ndarray:
+    """Position of each node in the first of a few frames (F, N, 3) in which it was seen → (N, 3)."""
+    start = np.full(early.shape[1:], np.nan)
+    for frame in early[::-1]:
+        seen = np.isfinite(frame).all(axis=-1)
+        start[seen] = frame[seen]
+    return start
