@@ -25,11 +25,11 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.recordings.curve_rules import LAYOUT, check_curve
 from clothbench.core.files import whole_file
+from clothbench.recordings.codec import FORMAT, VERSION, check_header, kind_of, number, open_file, variable
+from clothbench.recordings.curve_rules import LAYOUT, check_curve
 from clothbench.recordings.laser import LaserImages, read_laser
 from clothbench.recordings.nodes import Recording, read_recording
-from clothbench.recordings.codec import FORMAT, VERSION, check_header, kind_of, number, open_file, variable
 
 NEEDED = ("name", "direction", "noise_sigma")
 NUMBERS = ("noise_sigma", "sample_width", "sample_length")

@@ -27,7 +27,7 @@ DRIFT = """The calibrated model fitted to each recording alone. Line and band: a
 outside it: a parameter that drifts from recording to recording is a sign of missing physics."""
 
 
-def document(found: Mapping[str, Any], tables: Tables) -> str:
+def page_html(found: Mapping[str, Any], tables: Tables) -> str:
     """The whole page as text. found: what `verdict.json` holds; tables: the rows of each table by name."""
     blocks: list[dict[str, Any]] = []
     sections = [
@@ -81,7 +81,7 @@ def tiles(found: Mapping[str, Any]) -> str:
         word = f"{unit}, held out, with the placebo {placebo['name']} added"
         shown.append((size(placebo["after"], unit), word))
     shown.append((size(error["noise_floor"], unit), f"{unit}, floor: {floor_word(unit)}"))
-    shown.append((size(error["left"], unit), f"{unit} above the floor remain"))
+    shown.append((size(error["unexplained"], unit), f"{unit} above the floor remain"))
     inside = "".join(f'<div class="tile"><b>{text(value)}</b>{text(word)}</div>' for value, word in shown)
     return f'<div class="tiles">{inside}</div>'
 
