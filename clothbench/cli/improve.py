@@ -64,10 +64,10 @@ def settings_of(words: Sequence[str]) -> dict[str, Any]:
             settings[key] = value
             continue
         try:
-            told: Any = OmegaConf.to_container(OmegaConf.from_dotlist([word]))
+            given: Any = OmegaConf.to_container(OmegaConf.from_dotlist([word]))
         except OmegaConfBaseException as fault:
             raise ClothbenchError(f"found {word!r}: {str(fault).splitlines()[0]}") from fault
-        settings = merged(settings, told)
+        settings = merged(settings, given)
     return settings
 
 

@@ -10,7 +10,7 @@ from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.studies.improve.attribution import Probe
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.permutation import permutation_test
-from clothbench.studies.improve.rounds import to_be_rescreened
+from clothbench.studies.improve.rounds import rescreened
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.sheets import SheetCase, mirror
 
@@ -118,11 +118,11 @@ def test_later_rounds_try_those_anew_that_may_explain_what_is_left_now(candidate
     for r in range(RECORDINGS):
         residual[r] -= 4.0 * candidates[20].columns[r][:, 0]
     fit = fitted(residual, random)
-    assert to_be_rescreened(fit, names, (), 1.0) == names
+    assert rescreened(fit, names, (), 1.0) == names
     rest = [name for name in names if name != "e3"]  # the one that was named
-    anew = to_be_rescreened(fit, rest, candidates, 0.0)
+    anew = rescreened(fit, rest, candidates, 0.0)
     assert len(anew) == LOOP.rescreened
     assert "e20" in anew
     assert "e3" not in anew
     assert anew == [name for name in rest if name in anew]
-    assert to_be_rescreened(fit, rest, candidates, 0.5) == ["e20"]
+    assert rescreened(fit, rest, candidates, 0.5) == ["e20"]

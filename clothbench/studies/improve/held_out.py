@@ -57,7 +57,7 @@ def placebo_of(problem: Problem, final: Fitted, rounds: Sequence[Round]) -> tupl
     return Placebo(name, tuple(held_out_errors(problem, fitted))), fitted.evaluations
 
 
-def compared(problem: Problem, before: Fitted, after: Fitted) -> tuple[Comparison, ...]:
+def comparisons_of(problem: Problem, before: Fitted, after: Fitted) -> tuple[Comparison, ...]:
     """All recordings of which something was seen, beside both fits; those that were fitted first."""
     out: list[Comparison] = []
     fits = (before,) if after is before else (before, after)

@@ -14,7 +14,7 @@ from clothbench.studies.improve.account import Account, StageProgress
 from clothbench.studies.improve.finding import Finding, Note
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import better_of, fit, planned_evaluations
-from clothbench.studies.improve.held_out import compared, held_out_errors, placebo_of
+from clothbench.studies.improve.held_out import comparisons_of, held_out_errors, placebo_of
 from clothbench.studies.improve.jumps import jump_along_valley
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.profile import profile_intervals
@@ -42,7 +42,7 @@ def all_rounds(
     problem: Problem, candidates: Sequence[str], account: Account, timeout: float | None = None
 ) -> tuple[State, bool]:
     """Stages 1 to 5: where the loop stands at the end, and whether it ran out of time."""
-    state = begun(problem, account)
+    state = initial_state(problem, account)
     for turn in range(problem.evidence.search.rounds):
         if state.final.rms <= LOOP.floor_factor * (state.floor if turn else state.noise):
             break
@@ -54,7 +54,7 @@ def all_rounds(
     return state, False
 
 
-def begun(problem: Problem, account: Account) -> State:
+def initial_state(problem: Problem, account: Account) -> State:
     """The base calibrated, on all recordings and on each alone; noise and floor."""
     base = calibrated(problem, account)
     noise = max(problem.evidence.noise(), problem.evidence.repeat_spread(base.residual))
@@ -65,8 +65,8 @@ def begun(problem: Problem, account: Account) -> State:
         )
     if not np.isfinite(noise):
         raise ClothbenchError(
-            "noise_sigma: found NaN in recordings too short to show their noise, expected metres; "
-            "state it in the recordings"
+            "noise_sigma: found NaN in recordings too short to show their noise, expected "
+            f"{problem.evidence.unit.base}; state it in the recordings"
         )
     problem, base, floor = corrected(problem, base, noise, account)
     return State(problem, base, base, noise, floor, alone=each_alone(problem, base, account))
@@ -157,7 +157,7 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
     placebo, spent = placebo_of(problem, end.fit, state.rounds)
     account.count(spent)
     after = held_out_errors(problem, end.fit) if end.fit.effects else before
-    comparisons = compared(problem, base, end.fit)
+    comparisons = comparisons_of(problem, base, end.fit)
     account.stop()
     return Finding(
         key=problem.question, model=problem.model, base=problem.base, seed=problem.seed, evidence=problem.evidence,

@@ -181,8 +181,8 @@ def direction_section(found: Mapping[str, Any], portrait: Rows, blocks: list[dic
         body.append([name, *(" → ".join(format_number(r[n]) for r in shown) for n in ("rms", "next_frame"))])
     head = ["recording", f"rms [{portrait[0]['unit']}]", "correlation of a frame with the next (noise: 0)"]
     listed = table(head, body, numeric={1, 2})
-    folded = f"<details><summary>Is it noise? Correlation in time</summary>{listed}</details>"
-    return "<h2>By direction</h2>" + block("directions", caption, views, blocks) + folded
+    collapsed = f"<details><summary>Is it noise? Correlation in time</summary>{listed}</details>"
+    return "<h2>By direction</h2>" + block("directions", caption, views, blocks) + collapsed
 
 
 def against_section(found: Mapping[str, Any], bins: Rows, blocks: list[dict[str, Any]]) -> str:

@@ -14,7 +14,7 @@ from clothbench.engine.settings import mapping, option_settings, pair
 from clothbench.modelling.curves import answers_curves
 from clothbench.plugins.discovery import Catalogue, absent
 from clothbench.recordings.codec import kind_of
-from clothbench.recordings.curve import Curve, read_any
+from clothbench.recordings.curve import Curve, read_curve
 from clothbench.recordings.nodes import Recording, find_recordings, read_recording
 from clothbench.studies.improve.candidates import candidates_of, names
 from clothbench.studies.improve.cell import ImproveCell
@@ -94,10 +94,9 @@ def read_kind(path: Path, kind: str) -> Recording | Curve:
     """A recording of the kind that all of them have to be of."""
     if kind == "nodes":
         return read_recording(path)
-    recording = read_any(path)
-    if not isinstance(recording, Curve):
-        raise ClothbenchError(f"{path}: found kind {kind_of(path)!r} among curves, expected one kind in a folder")
-    return recording
+    if (stated := kind_of(path)) != kind:
+        raise ClothbenchError(f"{path}: found kind {stated!r} among curves, expected one kind in a folder")
+    return read_curve(path)
 
 
 def splits_of(recordings: Sequence[Recording | Curve], where: str, seed: int) -> list[Source]:

@@ -41,7 +41,7 @@ def one_round(
     """
     turn = len(current.effects)
     promise = fall / LOOP.first_order_optimism / current.rms**2
-    anew = to_be_rescreened(current, candidates, earlier, promise)
+    anew = rescreened(current, candidates, earlier, promise)
     found = [probe for probe in earlier if probe.effect in candidates and probe.effect not in anew]
     refused: dict[str, str] = {}
     for k, name in enumerate(anew):
@@ -62,10 +62,10 @@ def one_round(
         rivals = [problem.evidence.search.contention * c.fitted.rms**2 for c in tried if c.fitted]
         goal = min([current.rms**2 - fall / 2, *rivals])
         tried.append(refit(problem, current, candidate, found, test, goal, account))
-    tried = fits_made_sure(problem, current, fall, tried, account, turn)
+    tried = refine_finalists(problem, current, fall, tried, account, turn)
     assessed = assess(current, fall, tried)
     if named := choose(current, assessed):
-        current = refit_without(problem, current, next(c.fitted for c in assessed if c.name == named[0]), fall, account)
+        current = refit_null(problem, current, next(c.fitted for c in assessed if c.name == named[0]), fall, account)
         assessed = assess(current, fall, tried)
         named = choose(current, assessed)
     others = [c for c in screened if c.name not in {t.name for t in assessed}]
@@ -79,7 +79,7 @@ def withdrawn(found: Round, floor: float, why: str) -> Round:
     return dataclasses.replace(found, floor=floor, candidates=tuple(candidates), named=(), after=None)
 
 
-def to_be_rescreened(current: Fitted, candidates: Sequence[str], earlier: Sequence[Probe], promise: float) -> list[str]:
+def rescreened(current: Fitted, candidates: Sequence[str], earlier: Sequence[Probe], promise: float) -> list[str]:
     """All candidates in the first round; later those that would explain most of what is left now, and not less than
     the share `promise`, by what they changed before the last effect was added, which it leaves much as it was.
     """
@@ -161,7 +161,7 @@ def first_order_starts(current: Fitted, probe: Probe) -> np.ndarray:
     return np.array(starts)
 
 
-def fits_made_sure(
+def refine_finalists(
     problem: Problem, current: Fitted, fall: float, tried: Sequence[Candidate], account: Account, turn: int
 ) -> list[Candidate]:
     """The candidates, with those that may yet be named sought in other valleys and polished where there are several,
@@ -204,7 +204,7 @@ def polished(problem: Problem, fitted: Fitted, account: Account) -> Fitted:
     return fitted
 
 
-def refit_without(problem: Problem, current: Fitted, better: Fitted | None, fall: float, account: Account) -> Fitted:
+def refit_null(problem: Problem, current: Fitted, better: Fitted | None, fall: float, account: Account) -> Fitted:
     """The fit without the effect again, from where the fit with it ended: a gain must not come from a better valley.
     Given up where it will not come so near that the gain is less than `fall`.
     """
