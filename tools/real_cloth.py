@@ -30,7 +30,8 @@ from clothbench.datasets.convert import converted
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.curve import Curve, read_curve
 from clothbench.studies.improve.candidates import candidates_of
-from clothbench.studies.improve.curves import CurveCase, common_steps, curve_evidence, loading, observed
+from clothbench.studies.improve.curve_steps import common_steps, loading, observed
+from clothbench.studies.improve.curves import CurveCase, curve_evidence
 from clothbench.studies.improve.document import verdict_document
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import fit

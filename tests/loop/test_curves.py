@@ -11,7 +11,8 @@ from clothbench import ClothbenchError, Curve
 from clothbench.engine.checkpoint import Checkpoint
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.improve.candidates import candidates_of
-from clothbench.studies.improve.curves import CurveCase, common_steps, curve_evidence, loading, observed
+from clothbench.studies.improve.curve_steps import common_steps, loading, observed
+from clothbench.studies.improve.curves import CurveCase, curve_evidence
 from clothbench.studies.improve.document import verdict_document
 from clothbench.studies.improve.fitting import fit
 from clothbench.studies.improve.loop import improve
