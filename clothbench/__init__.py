@@ -44,8 +44,8 @@ _HOME = {
     "hookimpl": "plugins.hookspecs",
     "catalogue": "plugins.discovery",
     "effect_kernel": "modelling.kernels",
-    "Sheet": "modelling.kernels",
-    "sheet_of": "modelling.kernels",
+    "Sheet": "modelling.sheet",
+    "sheet_of": "modelling.sheet",
 }
 
 __all__ = ["__version__", *_HOME]

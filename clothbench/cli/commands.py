@@ -257,14 +257,20 @@ def compare(options: argparse.Namespace) -> int:
 
 
 def bench(options: argparse.Namespace) -> int:
-    from clothbench.studies.speed.bench import print_table, run_bench
+    from clothbench.display.terminal import console
+    from clothbench.studies.speed.bench import run_bench
+    from clothbench.studies.speed.tables import speed_tables
 
     def told(line: str) -> None:
         if sys.stderr.isatty():
             print(line, file=sys.stderr)
 
     rows = run_bench(sides=(9, 21) if options.quick else (9, 21, 41, 65), progress=told)
-    print_json(rows) if options.json else print_table(rows)
+    if options.json:
+        print_json(rows)
+        return 0
+    for shown in speed_tables(rows):
+        console().print(shown)
     return 0
 
 

@@ -24,8 +24,7 @@ from omegaconf.errors import OmegaConfBaseException
 from clothbench.cli.results import print_results
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.pool import failed, run_cells
-from clothbench.engine.progress import CellBar as CellBar
-from clothbench.engine.progress import counting
+from clothbench.engine.progress import CellBar, counting
 from clothbench.engine.settings import KNOWN, last_word
 from clothbench.engine.store import Store
 from clothbench.engine.suite import plan, suites_folder

@@ -10,15 +10,16 @@ from clothbench.core.parallel import set_thread_count
 from clothbench.engine.cells import Skipped
 from clothbench.engine.rows import failure
 from clothbench.engine.store import Store
-from clothbench.engine.study import Cell, Context, Result, Study
+from clothbench.engine.study import Cell, Context, Result, StageProgress, Study
 from clothbench.plugins.discovery import catalogue, one_line
 
 CellProgress = Callable[[Cell, int, float], None]
 
 
 def run_cell(
-    cell: Cell, out: Path, *, threads: int = 0, rerun: bool = False, progress: CellProgress | None = None
-) -> str:
+    cell: Cell, out: Path, *, threads: int = 0, rerun: bool = False, progress: CellProgress | None = None,
+    stage: StageProgress = lambda name, done, planned: None,
+) -> str:  # fmt: skip
     """Let its study run one cell, store the result, and return its status."""
     set_thread_count(threads)
     store, plugins = Store(out), catalogue()
@@ -27,7 +28,7 @@ def run_cell(
         if progress is not None:
             progress(cell, steps, value)
 
-    context = Context(plugins, store.folder / "journal" / cell.key, told, rerun)
+    context = Context(plugins, store.folder / "journal" / cell.key, told, stage, rerun)
     try:
         study: Study = plugins.load("studies", cell.study)
         result = study.run(cell, context)

@@ -20,6 +20,7 @@ from clothbench.plugins.discovery import Catalogue
 Rows = list[dict[str, Any]]
 Settings = Mapping[str, Any]
 Progress = Callable[[int, float], None]  # steps done so far, and the value that they have come to
+StageProgress = Callable[[str, int, int], None]  # the stage that runs, how much of it is done, and of how much
 FileProgress = Callable[[int, int, str], None]  # files done, files planned, and the file that is dealt with
 
 
@@ -67,13 +68,14 @@ class Cell(Protocol):
 
 @dataclass(frozen=True)
 class Context:
-    """What a cell is run with. unfinished: folder for what has been computed of it; rerun: whether files for Rerun are
-    wanted.
+    """What a cell is run with. unfinished: folder for what has been computed of it; progress: told after every step;
+    stage: told where work of several stages stands; rerun: whether files for Rerun are wanted.
     """
 
     plugins: Catalogue
     unfinished: Path
     progress: Progress = lambda steps, value: None
+    stage: StageProgress = lambda name, done, planned: None
     rerun: bool = False
 
     @cached_property

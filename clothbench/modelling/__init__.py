@@ -1,1 +1,116 @@
-"""For authors of models and effects: the sheet, its mesh, compiled kernels, and effects made ready for a time loop."""
+"""For authors of models and effects: what the built-in ones share, public and documented.
+
+compiled code, cached by the content of its sources: kernel, fast_kernel, effect_kernel
+the sheet as compiled code sees it: Sheet, SHEET (its numba type), sheet_of, own_sheet, grid_normals, wants_normals,
+    bear_inertia
+meshes: grid_triangles, gradient_weights, curvature_weights, triangle_slots
+a grid over a scene, and a batch of parameter sets on it: grid_shape, grid_lines, even_count, tributary, GridSimulation,
+    GridBatch, check_resolution, check_number
+effects in a time loop: BoundEffects, EFFECT (their numba type), SLOTS, FORCE, INERTIA, no_effect, ready, apply_effects
+grips, sampling and the end of a time loop: grip_point, grip_speed, advance_segment, write_frames, fastest, is_lost,
+    as_double, OK, DIVERGED
+contact: obstacle_table, keep_out, inside, layers_of, keep_apart, LAYERS
+force-extension curves: curve_of, CurveSimulation
+threads over members, and the shape to settle from: for_each, initial_shape
+"""
+
+from clothbench.core.kernels import fast_kernel, kernel
+from clothbench.core.parallel import for_each
+from clothbench.core.scene import initial_shape
+from clothbench.modelling.batch import GridBatch, GridSimulation
+from clothbench.modelling.bound_effects import FORCE, INERTIA, PLACES, BoundEffects
+from clothbench.modelling.contact import DISC, PLANE, SPHERE, inside, keep_out, obstacle_table
+from clothbench.modelling.curves import (
+    CURVE_HOOKS,
+    SHEET_HOOKS,
+    CurveRollout,
+    CurveSimulation,
+    acts_on_curves,
+    acts_on_sheets,
+    answers_curves,
+    answers_sheets,
+    curve_of,
+)
+from clothbench.modelling.grid import check_number, check_resolution, even_count, grid_lines, grid_shape, tributary
+from clothbench.modelling.kernels import EFFECT, SIGNATURE, effect_kernel, no_effect, ready
+from clothbench.modelling.mesh import curvature_weights, gradient_weights, grid_triangles, triangle_slots
+from clothbench.modelling.self_contact import LAYERS, Layers, keep_apart, layers_of
+from clothbench.modelling.sheet import SHEET, Sheet, bear_inertia, grid_normals, own_sheet, sheet_of, wants_normals
+from clothbench.modelling.time_loop import (
+    DIVERGED,
+    OK,
+    SLOTS,
+    advance_segment,
+    apply_effects,
+    as_double,
+    fastest,
+    grip_point,
+    grip_speed,
+    is_lost,
+    write_frames,
+)
+
+__all__ = [
+    "CURVE_HOOKS",
+    "DISC",
+    "DIVERGED",
+    "EFFECT",
+    "FORCE",
+    "INERTIA",
+    "LAYERS",
+    "OK",
+    "PLACES",
+    "PLANE",
+    "SHEET",
+    "SHEET_HOOKS",
+    "SIGNATURE",
+    "SLOTS",
+    "SPHERE",
+    "BoundEffects",
+    "CurveRollout",
+    "CurveSimulation",
+    "GridBatch",
+    "GridSimulation",
+    "Layers",
+    "Sheet",
+    "acts_on_curves",
+    "acts_on_sheets",
+    "advance_segment",
+    "answers_curves",
+    "answers_sheets",
+    "apply_effects",
+    "as_double",
+    "bear_inertia",
+    "check_number",
+    "check_resolution",
+    "curvature_weights",
+    "curve_of",
+    "effect_kernel",
+    "even_count",
+    "fast_kernel",
+    "fastest",
+    "for_each",
+    "gradient_weights",
+    "grid_lines",
+    "grid_normals",
+    "grid_shape",
+    "grid_triangles",
+    "grip_point",
+    "grip_speed",
+    "initial_shape",
+    "inside",
+    "is_lost",
+    "keep_apart",
+    "keep_out",
+    "kernel",
+    "layers_of",
+    "no_effect",
+    "obstacle_table",
+    "own_sheet",
+    "ready",
+    "sheet_of",
+    "triangle_slots",
+    "tributary",
+    "wants_normals",
+    "write_frames",
+]

@@ -16,7 +16,7 @@ from clothbench.core.scene import Scene
 from clothbench.modelling.curves import acts_on_sheets
 
 if TYPE_CHECKING:
-    from clothbench.modelling.kernels import Sheet
+    from clothbench.modelling.sheet import Sheet
 
 PLACES = ("dynamics", "boundary", "sensor")
 FORCE, INERTIA = 0, 1

@@ -10,9 +10,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
-compiled = njit(cache=True, error_model="numpy")
+from clothbench.core.kernels import kernel
 
 
 class Sheet(NamedTuple):
@@ -31,34 +30,34 @@ class Sheet(NamedTuple):
     wind: np.ndarray  # (3,) velocity of the air [m/s]
 
 
-@compiled
+@kernel
 def _minus(x, i, j):
     return x[i, 0] - x[j, 0], x[i, 1] - x[j, 1], x[i, 2] - x[j, 2]
 
 
-@compiled
+@kernel
 def _dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@compiled
+@kernel
 def _cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@compiled
+@kernel
 def _mix(p, a, q, b):
     return p * a[0] + q * b[0], p * a[1] + q * b[1], p * a[2] + q * b[2]
 
 
-@compiled
+@kernel
 def _add(force, i, a):
     force[i, 0] += a[0]
     force[i, 1] += a[1]
     force[i, 2] += a[2]
 
 
-@compiled
+@kernel
 def _tangents(sheet, t, x):
     """∂x/∂u and ∂x/∂v in triangle t (of positions), or their rates (of velocities)."""
     i, j, k = sheet.triangle[t]
@@ -66,7 +65,7 @@ def _tangents(sheet, t, x):
     return _mix(s[0, 0], first, s[1, 0], second), _mix(s[0, 1], first, s[1, 1], second)
 
 
-@compiled
+@kernel
 def membrane_energy(sheet, x):
     """∫ ½(c11 E11² + c22 E22²) + c12 E11 E22 + ½ G (2 E12)² [J], E = ½(FᵀF − 1) (St. Venant–Kirchhoff)."""
     c11, c22, c12, shear = sheet.stiffness
@@ -78,7 +77,7 @@ def membrane_energy(sheet, x):
     return total
 
 
-@compiled
+@kernel
 def membrane_force(sheet, x, v, force, elastic=1.0, viscous=1.0):
     """f_a = −A F S ∇N_a, S = C : (E + β Ė), Ė = sym(Fᵀ Ḟ), shear with a β of its own (Kelvin–Voigt).
 
@@ -102,7 +101,7 @@ def membrane_force(sheet, x, v, force, elastic=1.0, viscous=1.0):
         _add(force, sheet.triangle[t, 0], _mix(-1.0, first, -1.0, second))
 
 
-@compiled
+@kernel
 def _hinge(sheet, h, x):
     """Angle between the normals of a hinge's two triangles [rad], its gradient for the four nodes [rad/m].
 
@@ -121,7 +120,7 @@ def _hinge(sheet, h, x):
     return angle, gp, gq, ga, gb
 
 
-@compiled
+@kernel
 def bending_energy(sheet, x):
     """Σ ½ k θ² over the hinges [J]; k = D l²/(A₁+A₂) is set by the mesh (see `reference_mesh.hinges`)."""
     total = 0.0
@@ -130,7 +129,7 @@ def bending_energy(sheet, x):
     return total
 
 
-@compiled
+@kernel
 def bending_force(sheet, x, v, force):
     """f = −k (θ + β θ̇) ∇θ: discrete-shell hinges (Grinspun et al., SCA 2003) with Kelvin–Voigt damping."""
     beta = sheet.damping[2]
@@ -145,7 +144,7 @@ def bending_force(sheet, x, v, force):
         _add(force, b, _mix(moment, gb, 0.0, gb))
 
 
-@compiled
+@kernel
 def drag_force(sheet, x, v, force):
     """f = −A (½ρ_air (C_N |v_n| v_n/(1 + k_f |v_n|²) + C_T |v_t| v_t) + k_T v_t), v against the air: quadratic, with
     the decline and the linear part of Bhat et al. 2003, section 3."""
@@ -167,7 +166,7 @@ def drag_force(sheet, x, v, force):
         _add(force, k, share)
 
 
-@compiled
+@kernel
 def weight_force(sheet, v, force):
     """f = m (g − α v): gravity and mass-proportional damping."""
     for i in range(len(sheet.mass)):
@@ -175,7 +174,7 @@ def weight_force(sheet, v, force):
             force[i, d] += sheet.mass[i] * (sheet.gravity[d] - sheet.damping[3] * v[i, d])
 
 
-@compiled
+@kernel
 def total_force(sheet, x, v, force, viscous=1.0):
     """All forces on all nodes [N], with that share of the membrane's damping; overwrites `force`."""
     force[:] = 0.0
@@ -185,7 +184,7 @@ def total_force(sheet, x, v, force, viscous=1.0):
     drag_force(sheet, x, v, force)
 
 
-@compiled
+@kernel
 def advance(sheet, x, v, force, held, path, step):
     """Velocity Verlet; the nodes `held` follow `path` (steps + 1, G, 3) [m], one row per `step` [s].
 
@@ -214,7 +213,7 @@ def advance(sheet, x, v, force, held, path, step):
                 force[held[g], d] = 0.0
 
 
-@compiled
+@kernel
 def _damped(sheet, x, v, step, held, out):
     """out = (M + Δt D(x)) v, D the membrane's damping; zero at held nodes."""
     out[:] = 0.0
@@ -225,7 +224,7 @@ def _damped(sheet, x, v, step, held, out):
     out[held] = 0.0
 
 
-@compiled
+@kernel
 def _weighed(sheet, a, b):
     """Σ a·b/m over nodes and directions."""
     total = 0.0
@@ -234,7 +233,7 @@ def _weighed(sheet, a, b):
     return total
 
 
-@compiled
+@kernel
 def relax(sheet, x, v, step, held, correction, tolerance=5e-3, most=400):
     """Backward Euler for the membrane's damping alone: (M + Δt D(x)) v⁺ = M v, by conjugate gradients, v in place.
 
@@ -265,7 +264,7 @@ def relax(sheet, x, v, step, held, correction, tolerance=5e-3, most=400):
     return count
 
 
-@compiled
+@kernel
 def advance_damped(sheet, x, v, force, held, path, step):
     """As `advance`, for damping too stiff for explicit steps: it acts by itself after each step, implicitly."""
     total_force(sheet, x, v, force, 0.0)

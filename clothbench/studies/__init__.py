@@ -15,4 +15,5 @@ def clothbench_studies():
         Registration(
             "folding", "clothbench.studies.folding.study", "a strip lifted step by step, its stiffness estimated"
         ),
+        Registration("speed", "clothbench.studies.speed.study", "how fast models step beside the installed peers"),
     ]

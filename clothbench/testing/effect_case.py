@@ -10,7 +10,8 @@ import numpy as np
 
 from clothbench.core.protocols import Effect, Model
 from clothbench.core.rollout import Rollout
-from clothbench.modelling.kernels import Sheet, grid_triangles, sheet_of
+from clothbench.modelling.mesh import grid_triangles
+from clothbench.modelling.sheet import Sheet, sheet_of
 from clothbench.plugins.discovery import catalogue
 from clothbench.testing import probe
 from clothbench.testing.model_case import ModelCase

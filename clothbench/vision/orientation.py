@@ -10,10 +10,11 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numba import njit
+
+from clothbench.core.kernels import kernel
 
 TAPS, SPACING = 12, 0.5  # kernel size; distance of its taps, at which it answers best to stripes 6.3 px apart
-compiled = njit(cache=True, nogil=True, error_model="numpy", fastmath=True)
+loose_kernel = functools.partial(kernel, fastmath=True)
 
 
 @functools.cache
@@ -36,7 +37,7 @@ def responses(image: np.ndarray) -> np.ndarray:
     return np.stack([cv2.sepFilter2D(grey, cv2.CV_32F, x, y, borderType=cv2.BORDER_REFLECT) for x, y in filter_bank()])
 
 
-@compiled
+@loose_kernel
 def energy_direction(r, cosine, sine):
     """C2 and C3 of the oriented energy C1 + C2 cos 2θ + C3 sin 2θ + … (appendix I), from responses r (7, H, W).
 

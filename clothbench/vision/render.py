@@ -11,19 +11,18 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from numba import njit
 
 from clothbench.core.camera import Camera, Projector
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.kernels import kernel
 from clothbench.vision.surface import Surface
 
 AMBIENT, LIT, DARK = 0.30, 0.60, 0.03  # grey of the sheet between stripes, what a stripe adds, and the background's
 EDGE = 1e-9  # by which a pixel may lie outside: on a shared edge rounding must not leave it to neither triangle
 NEAR = 1e-3  # m; triangles that come nearer to the lens are not drawn
-compiled = njit(cache=True, nogil=True, error_model="numpy")
 
 
-@compiled
+@kernel
 def rasterise(pixel, depth, triangle, attribute, nearest, out):
     """Draw triangles (F, 3) over an image: the nearest point at the middle of every pixel.
 
@@ -59,7 +58,7 @@ def rasterise(pixel, depth, triangle, attribute, nearest, out):
                         out[y, x, k] = p * attribute[a, k] + q * attribute[b, k] + r * attribute[c, k]
 
 
-@compiled
+@kernel
 def paint_stripes(nearest, place, period, image):
     """Grey of every pixel: stripes by the projector's row, place (H, W, 2) = (row · w, w); overwrites image (H, W)."""
     for y in range(image.shape[0]):

@@ -18,8 +18,10 @@ import numpy as np
 import pytest
 
 from clothbench.core.rollout import Rollout
+from clothbench.display.terminal import console
 from clothbench.plugins.discovery import Catalogue, Plugin, catalogue
 from clothbench.studies.speed import bench, timing
+from clothbench.studies.speed.tables import speed_tables
 
 SIDES = (21, 41)
 IMPLICIT = [0.016 * 2 ** (-k / 2) for k in range(8)]  # s, 16 to 1.4 ms
@@ -163,7 +165,8 @@ def test_rows_at_equal_error_stand_beside_the_fastest_peer(toys, capsys):
     assert (peer["peer"], peer["ratio"]) == (None, None)
     assert own["step_s"] in timing.LADDER
     assert own["error_m"] <= timing.TOLERABLE
-    bench.print_table([own, peer])
+    for shown in speed_tables([own, peer]):
+        console().print(shown)
     assert "fastest peer" in capsys.readouterr().out
 
 

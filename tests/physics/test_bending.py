@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 from clothbench_models.bending import bending_matrix
 from clothbench_models.sheet_forces import add_diagonals
-from clothbench_models.spring_grid import grid_lines
 
-from clothbench.modelling.kernels import grid_triangles, sheet_of
+from clothbench.modelling import grid_lines
+from clothbench.modelling.mesh import grid_triangles
+from clothbench.modelling.sheet import sheet_of
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.mechanics import trials
 

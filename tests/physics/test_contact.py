@@ -5,15 +5,15 @@ from functools import partial
 import numpy as np
 import pytest
 from clothbench_models.baraff_witkin import BaraffWitkin
-from clothbench_models.contact import keep_out, obstacle_table
 from clothbench_models.inextensible import Inextensible
 from clothbench_models.mass_spring import MassSpring
 from clothbench_models.mass_spring_verlet import MassSpringVerlet
-from clothbench_models.self_contact import keep_apart, layers_of
 
 from clothbench import Scene
 from clothbench.core.scene import Obstacle
-from clothbench.modelling.kernels import grid_triangles, sheet_of
+from clothbench.modelling import keep_apart, keep_out, layers_of, obstacle_table
+from clothbench.modelling.mesh import grid_triangles
+from clothbench.modelling.sheet import sheet_of
 
 G = 9.81
 SOFT = [[100.0, 0.05, 0.05]]

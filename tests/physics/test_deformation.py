@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from clothbench_effects.bending_hysteresis import decay
 
-from clothbench.modelling.kernels import grid_triangles, sheet_of
+from clothbench.modelling.mesh import grid_triangles
+from clothbench.modelling.sheet import sheet_of
 from clothbench.plugins.discovery import catalogue
 
 EFFECTS = {

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from clothbench.core.protocols import Effect
-from clothbench.modelling.kernels import grid_triangles, own_sheet, sheet_of, wants_normals
+from clothbench.modelling.mesh import grid_triangles
+from clothbench.modelling.sheet import own_sheet, sheet_of, wants_normals
 from clothbench.plugins.discovery import catalogue
 
 SIZE, SHAPE = (0.2, 0.3), (4, 5)

@@ -17,7 +17,8 @@ from effect_scenes import (
 from scipy.optimize import curve_fit
 
 from clothbench import Scene
-from clothbench.modelling.kernels import grid_triangles, sheet_of
+from clothbench.modelling.mesh import grid_triangles
+from clothbench.modelling.sheet import sheet_of
 
 # --- kernels alone, on a strip bent to a cylinder ---------------------------------------------------------------------
 

@@ -10,7 +10,8 @@ from clothbench_models.implicit_grid import hold_back, invert_blocks, multiply, 
 from clothbench_models.resting_contact import FREE, SLIDES, STICKS
 from clothbench_models.sheet_forces import CELLS, TRIANGLES
 
-from clothbench.modelling.kernels import grid_triangles, sheet_of
+from clothbench.modelling.mesh import grid_triangles
+from clothbench.modelling.sheet import sheet_of
 
 LINES = np.array([0.0, 0.03, 0.1, 0.14, 0.2]), np.array([0.0, 0.05, 0.09, 0.16, 0.2, 0.26])  # m
 NU, NV = len(LINES[0]), len(LINES[1])

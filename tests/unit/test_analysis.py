@@ -10,8 +10,7 @@ from clothbench import ClothbenchError, Observation, Parameter, ParameterSpace, 
 from clothbench.engine.checkpoint import Checkpoint
 from clothbench.engine.settings import last_word, named_budget
 from clothbench.estimation.calibrate import calibrate, remembered
-from clothbench.estimation.fixed import Fixed as Held
-from clothbench.estimation.fixed import holding
+from clothbench.estimation.fixed import Fixed, holding
 from clothbench.estimation.trials import Trial
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration.analysis_tables import spread
@@ -168,7 +167,7 @@ def test_held_parameters_are_handed_to_the_simulation():
     assert held.run(np.array([[0.5, 0.0]])).position[0, 0, 0, 0] == pytest.approx(4 * 0.25 + 2 * 0.5)
     whole = Sum()
     assert holding(whole, {"of another model": 1.0}) is whole
-    assert isinstance(held, Held)
+    assert isinstance(held, Fixed)
 
 
 class Counted:

@@ -7,8 +7,11 @@ import textwrap
 
 import pytest
 
+from clothbench import ClothbenchError
+from clothbench.display.terminal import console
 from clothbench.plugins.discovery import Catalogue, Plugin
 from clothbench.studies.speed import bench, timing
+from clothbench.studies.speed.tables import speed_tables
 
 SCHEMA = [
     "model", "kind", "nodes", "threads", "batch", "node_steps_per_s", "realtime_factor", "peer", "ratio",
@@ -244,9 +247,35 @@ def test_the_table_has_a_line_for_each_measurement(install, one_core, capsys):
     install("Toy", peers=("toys",))
     rows = bench.run_bench(sides=(5,))
     rows.append(rows[-1] | {"peer": bench.PROCESSES, "ratio": 0.97, "note": "share of two processes"})
-    bench.print_table(rows)
+    for shown in speed_tables(rows):
+        console().print(shown)
     out = capsys.readouterr().out
     assert "node-steps/s" in out
     assert "× toys" in out
     assert sum("toy " in line and "│" in line for line in out.splitlines()) == 4
     assert "0.97, share of two processes" in out
+
+
+def test_speeds_are_kept_and_shown_as_a_study(tmp_path, monkeypatch):
+    """One cell; every measurement a row, lower is better; the table and the page show them."""
+    from clothbench.cli.results import print_results
+    from clothbench.engine.run import run_cell
+    from clothbench.engine.store import Store
+    from clothbench.plugins.discovery import catalogue
+    from clothbench.report.page import write_page
+    from clothbench.studies.speed.cell import plan
+
+    blank = dict.fromkeys(bench.KEYS)
+    measured = {**blank, "model": "mass_spring", "nodes": 81, "threads": 1, "batch": 1, "node_steps_per_s": 5e7,
+                "realtime_factor": 9.0, "version": 2}  # fmt: skip
+    rows = [measured | {"peer": p, "ratio": r} for p, r in (("one", 2.0), ("other", 4.0))]
+    monkeypatch.setattr("clothbench.studies.speed.run.run_bench", lambda sides, chosen: rows)
+    nothing = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis")
+    settings = {**dict.fromkeys(nothing, ()), "scene": {}, "suite": {"sides": [9]}, "model": ["mass_spring"]}
+    (cell,) = plan(settings, catalogue())
+    assert run_cell(cell, tmp_path) == "ok"
+    (row,) = print_results(Store(tmp_path))
+    assert (row["study"], row["value"], row["unit"]) == ("speed", pytest.approx(0.02), "s")
+    assert "mass_spring" in write_page(tmp_path).read_text()
+    with pytest.raises(ClothbenchError, match="setting 'optimizer': speed is measured"):
+        plan({**settings, "optimizer": ["ga"]}, catalogue())

@@ -13,8 +13,7 @@ from clothbench.engine.store import Store, leaderboard_row
 from clothbench.plugins.discovery import catalogue
 from clothbench.reference.fabrics import FABRICS
 from clothbench.reference.lifted_strip import lift
-from clothbench.studies.folding.cell import FoldingCell as FoldCell
-from clothbench.studies.folding.cell import FoldSettings, chosen_fabrics, fold_settings
+from clothbench.studies.folding.cell import FoldingCell, FoldSettings, chosen_fabrics, fold_settings
 from clothbench.studies.folding.page import fold_section
 from clothbench.studies.folding.run import hand_of
 from clothbench.studies.folding.strip import TestStrip, scattered
@@ -24,12 +23,12 @@ FIT = ("eta_b", "grip_offset.dx", "grip_offset.dz")
 BOUNDS = {"grip_offset.dx": (-0.01, 0.01), "grip_offset.dz": (-0.01, 0.01)}
 
 
-def cell(steps: int = 3, **changes) -> FoldCell:
+def cell(steps: int = 3, **changes) -> FoldingCell:
     settings = FoldSettings(steps=steps, friction=0.6, fit=FIT)
     content = {"suite": "folds", "case": "denim", "model": "kirchhoff_love", "effects": ("grip_offset",),
                "optimizer": "iterative_least_squares", "metric": "profile", "tracker": "laser_profile",
                "fold": settings, "bounds": BOUNDS, "evaluations": 120}  # fmt: skip
-    return FoldCell(**{**content, **changes})
+    return FoldingCell(**{**content, **changes})
 
 
 def test_the_table_of_fabrics_is_in_order():

@@ -19,9 +19,10 @@ from clothbench.core.scene import Scene
 from clothbench.engine.cells import Source, plugin_versions
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store
-from clothbench.modelling.kernels import grid_triangles, sheet_of
+from clothbench.modelling.mesh import grid_triangles
+from clothbench.modelling.sheet import sheet_of
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.calibration.cell import CalibrationCell as Cell
+from clothbench.studies.calibration.cell import CalibrationCell
 from clothbench.studies.speed.bench import _models
 from clothbench.testing import check_model, scenes
 
@@ -192,7 +193,7 @@ def test_an_absent_library_skips_the_cell_and_names_the_remedy(name, absent, tmp
     recording = swinging_recording()
     write_recording(recording, path)
     source = Source(str(path), "swing", recording.hash, "fit")
-    cell = Cell("small", "paper", (source,), name, (), "ga", "node_error", "markers", budget=4)
+    cell = CalibrationCell("small", "paper", (source,), name, (), "ga", "node_error", "markers", budget=4)
     assert run_cell(cell, tmp_path / "out") == "skipped"
     (row,) = Store(tmp_path / "out").rows()
     assert (row["status"], row["reason"]) == ("skipped", INSTALL[name])

@@ -20,8 +20,7 @@ from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.nodes import Recording, write_recording
 from clothbench.recordings.scenes import scene_of
 from clothbench.studies.calibration import rerun_file as fit_file
-from clothbench.studies.calibration.cell import Bench, set_up
-from clothbench.studies.calibration.cell import CalibrationCell as Cell
+from clothbench.studies.calibration.cell import Bench, CalibrationCell, set_up
 
 TRUTH = np.array([[60.0, 1.0, 0.1]])
 
@@ -46,10 +45,10 @@ def swing(folder: Path, name: str, split: str) -> Recording:
     return dataclasses.replace(recording, path=str(write_recording(recording, folder / f"{name}.nc")))
 
 
-def small_cell(folder: Path) -> Cell:
+def small_cell(folder: Path) -> CalibrationCell:
     recordings = [swing(folder, "swing-1", "fit"), swing(folder, "swing-22", "held_out")]
     sources = tuple(Source(r.path, r.name, r.hash, r.split) for r in recordings)
-    return Cell(
+    return CalibrationCell(
         suite="small", case="cotton <b>", recordings=sources, model="mass_spring", effects=(),
         optimizer="ga", metric="node_error",
         tracker="markers", report=("relative_error",), budget=10,

@@ -19,7 +19,6 @@ from clothbench.core.parallel import thread_count
 from clothbench.plugins.discovery import Plugin, absent, catalogue, library_version, one_line
 from clothbench.studies.speed.timing import (
     STEP,
-    TOLERABLE,
     FailedRun,
     Speed,
     at_equal_error,
@@ -45,8 +44,9 @@ Row = dict[str, Any]
 Say = Callable[[str], None]
 
 
-def run_bench(sides: Sequence[int] = SIDES, progress: Say | None = None) -> list[Row]:
-    """Measure all dynamic models beside all installed peers; rows have the keys `KEYS`, null if unknown.
+def run_bench(sides: Sequence[int] = SIDES, progress: Say | None = None, chosen: Sequence[str] = ()) -> list[Row]:
+    """Measure all dynamic models, or those chosen, beside all installed peers; rows have the keys `KEYS`, null if
+    unknown.
 
     A model's row stands once for each peer measured at its number of nodes, with `ratio` = its speed per
     thread over the peer's, or once with no peer. A peer has rows of its own; one row a model compares threads
@@ -54,7 +54,7 @@ def run_bench(sides: Sequence[int] = SIDES, progress: Say | None = None) -> list
     told in one line what is measured next. Rows with an `error_m` are those of `equal_error`.
     """
     say = progress or (lambda _: None)
-    models, peers, rows = _models(), _peers(), []
+    models, peers, rows = [m for m in _models() if not chosen or m.name in chosen], _peers(), []
     variants = [v for plugin in models for v in _guarded_variants(plugin)]
     for side in sides:
         beside = [row for peer in peers for row in _peer_rows(peer, side, say)]
@@ -126,7 +126,7 @@ class _Variant:
     def row(self, model: Any, speed: Speed, threads: int, batch: int, note: str | None) -> Row:
         about = {
             "kind": getattr(model, "kind", None),
-            "precision": getattr(model, "precision", None),
+            "precision": getattr(model, "precision", None) or self.options.get("precision"),
             "version": getattr(model, "version", None),
         }
         return _row(self.name, speed, threads, batch) | about | {"note": note}
@@ -258,57 +258,3 @@ def _or_skipped(name: str) -> Iterator[None]:
 
 def _skipped(name: str, reason: str) -> None:
     print(f"{name}: skipped: {reason}", file=sys.stderr)
-
-
-# --- the table ----------------------------------------------------------------------------------------------
-
-
-def print_table(rows: Sequence[Row]) -> None:
-    """A line for each measurement, with its ratio to each peer; then the share of separate processes."""
-    from rich.markup import escape
-    from rich.table import Table
-
-    from clothbench.display.terminal import console
-
-    equal, rows = [r for r in rows if r["error_m"] is not None], [r for r in rows if r["error_m"] is None]
-    peers = list(dict.fromkeys(r["peer"] for r in rows if r["peer"] not in (None, PROCESSES)))
-    table = Table(title="speed; × a peer: per core", title_justify="left", title_style="bold")
-    for name in ("model", "kind", "precision", "step"):
-        table.add_column(name, no_wrap=True)
-    beside = [f"× {p}" for p in peers]
-    for name in ("nodes", "threads", "batch", "million node-steps/s", "× real time", *beside):
-        table.add_column(name, justify="right")
-    for cells in _lines([r for r in rows if r["peer"] != PROCESSES], peers):
-        table.add_row(*map(escape, cells))
-    out = console()
-    out.print(table)
-    for row in (r for r in rows if r["peer"] == PROCESSES):
-        what = f"{row['model']}, {row['nodes']} nodes, {row['threads']} threads"
-        out.print(f"{escape(what)}: {row['ratio']:.2f}, {escape(row['note'])}")
-    if not equal:
-        return
-    title = f"one sheet per core, longest step that errs by {1e3 * TOLERABLE:g} mm at most"
-    table = Table("model", "options", title=title, title_justify="left", title_style="bold")
-    for name in ("nodes", "step, ms", "error, mm", "× real time", "× fastest peer"):
-        table.add_column(name, justify="right")
-    for r in equal:
-        ratio = "" if r["ratio"] is None else f"{r['ratio']:.1f} ({r['peer']})"
-        step, error, pace = f"{1e3 * r['step_s']:.3g}", f"{1e3 * r['error_m']:.2g}", f"{r['realtime_factor']:.3g}"
-        table.add_row(*map(escape, (r["model"], r["note"] or "", str(r["nodes"]), step, error, pace, ratio)))
-    out.print(table)
-
-
-def _lines(rows: Sequence[Row], peers: Sequence[str]) -> Iterator[list[str]]:
-    """The cells of the table: rows that differ in their peer alone share a line."""
-    together: dict[tuple, dict[str, str]] = {}
-    about: dict[tuple, Row] = {}
-    for row in rows:
-        key = tuple(v for k, v in row.items() if k not in ("peer", "ratio"))
-        about[key] = row
-        together.setdefault(key, {})[row["peer"]] = f"{row['ratio']:.1f}" if row["ratio"] is not None else ""
-    for key, row in about.items():
-        step = PEER_STEP if row["model"] in peers else row["note"]
-        texts = (row["model"], row["kind"], row["precision"], step)
-        counts = (row["nodes"], row["threads"], row["batch"])
-        speed = (f"{row['node_steps_per_s'] / 1e6:.1f}", f"{row['realtime_factor']:.3g}")
-        yield [*(str(t or "") for t in (*texts, *counts)), *speed, *(together[key].get(p, "") for p in peers)]

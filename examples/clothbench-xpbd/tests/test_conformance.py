@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from clothbench.modelling.kernels import bear_inertia
+from clothbench.modelling.sheet import bear_inertia
 from clothbench.plugins.discovery import catalogue
 from clothbench.testing import check_plugin, rule_names, scenes
 from clothbench.testing.effect_case import waving_sheet

@@ -1,14 +1,13 @@
 """`bending_hysteresis`: yarns rub against each other when cloth bends, so it does not bend back quite the same way."""
 
-from numba import njit
-
 from clothbench import Parameter, ParameterSpace, effect_kernel
+from clothbench.modelling import kernel
 from clothbench_effects.deformation import add_couples, bent
 
 VANISHED = 32.0  # exponent y from which exp(−y), 1e-14, may stand for 0
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def decay(y):
     """exp(−y) − 1 for y ≥ 0, within 2e-12 of its value; without branches, so that loops over it use the vector unit.
 
@@ -23,7 +22,7 @@ def decay(y):
     return e * (2.0 + e)
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def follow(couple, before, now, limit, scale):
     """Take couples (S,) from curvatures `before` to `now`, and `before` along."""
     rate = 1.0 / scale

@@ -9,12 +9,14 @@ nodes to these rows and back know what mesh it is.
 
 from __future__ import annotations
 
+import functools
 from collections import namedtuple
 
 import numpy as np
-from numba import njit
 
-_fast = njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+from clothbench.modelling import kernel
+
+_fast = functools.partial(kernel, forceinline=True)
 
 COLLAPSED = 1e-9  # area over rest area below which a triangle has no normal that could be trusted
 

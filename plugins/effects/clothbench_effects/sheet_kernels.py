@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
-from numba import njit
+import functools
 
-helper = njit(cache=True, error_model="numpy", nogil=True, forceinline=True)
+import numpy as np
+
+from clothbench.modelling import kernel
+
+helper = functools.partial(kernel, forceinline=True)
 
 
 @helper

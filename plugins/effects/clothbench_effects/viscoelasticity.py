@@ -1,13 +1,13 @@
 """`viscoelasticity`: stress that a deformation causes and that fades while it lasts."""
 
 import numpy as np
-from numba import njit
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
+from clothbench.modelling import kernel
 from clothbench_effects.deformation import add_couples, add_tensions, bent, fibres, strains
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def follow(stress, before, now, kept, share):
     """Take s of all triangles, (k, S), from deformations `before` to `now`, and `before` along."""
     for c in range(now.shape[0]):

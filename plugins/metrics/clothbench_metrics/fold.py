@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from clothbench import ClothbenchError, Observation, Rollout, Score
+from clothbench.modelling import kernel
 from clothbench.vision.orientation import turned
 from clothbench_metrics.sight import Sights, check_shape, compared, require_number
 
@@ -68,7 +68,7 @@ class Fold:
         return math.nan
 
 
-@njit(cache=True, nogil=True)
+@kernel
 def pooled(away, fold, shape, seen, out):
     """Σ M away² over shared pixels, and mismatched pixels; out (2, h, w): signed sums per square over √(its pixels)."""
     folded, outside = 0.0, 0

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-_fast = njit(cache=True, error_model="numpy", nogil=True)
-_faster = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
+from clothbench.modelling import fast_kernel, kernel
 
 
-@_fast
+@kernel
 def keep_out(band, held):
     """Put ones on the diagonal and zeros beside it for unknowns that are `held` (N,)."""
     count, wide = band.shape
@@ -23,7 +21,7 @@ def keep_out(band, held):
                     band[j, k] = 0.0
 
 
-@_faster
+@fast_kernel
 def factor(band):
     """In place; false where the matrix is not positive definite."""
     count, wide = band.shape
@@ -44,7 +42,7 @@ def factor(band):
     return True
 
 
-@_faster
+@fast_kernel
 def substitute(band, x):
     """Solve with the factor, in place."""
     count, wide = band.shape
@@ -62,7 +60,7 @@ def substitute(band, x):
         x[j] = (x[j] - s) / band[j, 0]
 
 
-@_faster
+@fast_kernel
 def times(band, x, out):
     """out = A x."""
     count, wide = band.shape

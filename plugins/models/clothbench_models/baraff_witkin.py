@@ -18,16 +18,23 @@ import numpy as np
 
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
 from clothbench.core.parallel import for_each
+from clothbench.modelling import (
+    OK,
+    SLOTS,
+    GridBatch,
+    GridSimulation,
+    check_number,
+    check_resolution,
+    grid_shape,
+    layers_of,
+    obstacle_table,
+    tributary,
+)
 from clothbench.modelling.bound_effects import BoundEffects
-from clothbench.modelling.kernels import own_sheet
+from clothbench.modelling.sheet import own_sheet
 from clothbench_models import baraff_witkin_kernels as kernels
-from clothbench_models import loop
 from clothbench_models.bending import Diagonals, bending_matrix
-from clothbench_models.contact import obstacle_table
-from clothbench_models.grid_sheet import GridBatch, GridSimulation, check_number, check_resolution, grid_shape
-from clothbench_models.self_contact import layers_of
 from clothbench_models.sheet_forces import TRIANGLES
-from clothbench_models.spring_grid import tributary
 
 SCHEMES = {"implicit_euler": kernels.EULER, "bdf2": kernels.BDF2, "rk45": kernels.RK45}
 STEP = {"implicit_euler": 1e-3, "bdf2": 2e-3, "rk45": 5e-3}
@@ -137,8 +144,8 @@ class BaraffWitkinSimulation(GridSimulation):
                 lengths, over, shares * np.array([[stretch], [stretch], [shear]]),
                 shares * np.array([[stretch_damping], [stretch_damping], [shear_damping]]),
                 self.bending.offsets, self.bending.values, bend, stiffer, bend_damping, theta[0, 6:9].copy(),
-                *batch.kernels, batch.stages, batch.terms, self.effects.kernel_parameters(theta, loop.SLOTS)[0],
-                self.effects.kernel_state(1, loop.SLOTS, self.sheet)[0],
+                *batch.kernels, batch.stages, batch.terms, self.effects.kernel_parameters(theta, SLOTS)[0],
+                self.effects.kernel_state(1, SLOTS, self.sheet)[0],
                 batch.knots, batch.curve(np.array([b]))[0], batch.held_points, batch.pins_of_points,
                 obstacle_table(scene), layers_of(scene, self.sheet),
                 scene.start_time, batch.dt[b], tolerance, max(scene.width, scene.height), batch.bounds(),
@@ -147,7 +154,7 @@ class BaraffWitkinSimulation(GridSimulation):
 
         if self.scheme == kernels.RK45 and len(scene.grip_material):  # the implicit loop settles for all
             march(kernels.BDF2, TOLERANCE["bdf2"], np.zeros(0))
-        if result[0] == loop.OK:
+        if result[0] == OK:
             march(self.scheme, self.tolerance, batch.times[b])
         return int(result[0]), int(result[1])
 

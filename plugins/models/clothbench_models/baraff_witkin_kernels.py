@@ -5,23 +5,25 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
-from clothbench.modelling.kernels import EFFECT, SHEET, bear_inertia, compiled, grid_normals, wants_normals
-from clothbench_models.contact import keep_out
-from clothbench_models.implicit_grid import hold_back, mass_times, multiply, solve
-from clothbench_models.loop import (
+from clothbench.modelling import (
     DIVERGED,
+    LAYERS,
     SLOTS,
     advance_segment,
     apply_effects,
     grip_point,
     grip_speed,
     is_lost,
+    keep_out,
+    kernel,
     write_frames,
 )
+from clothbench.modelling.kernels import EFFECT
+from clothbench.modelling.sheet import SHEET, bear_inertia, grid_normals, wants_normals
+from clothbench_models.implicit_grid import hold_back, mass_times, multiply, solve
 from clothbench_models.resting_contact import FREE, STICKS, judge, part_layers, stop_reversed, touching
-from clothbench_models.self_contact import LAYERS
 from clothbench_models.sheet_forces import (
     CELLS,
     add_diagonals,
@@ -38,10 +40,7 @@ ROUGH = 1e-2  # what settling leaves of a step's residual: the next step mends i
 AT_REST = 2e-8  # m that a node still moves in a settling step as long as a second
 
 
-_fast = njit(cache=True, error_model="numpy", nogil=True)
-
-
-@_fast
+@kernel
 def elastic(
     x, v, f, nu, lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, stiffer, k_scale, c_scale,
     edges, shear, work,
@@ -80,7 +79,7 @@ def elastic(
         add_diagonals(offsets, bending, v, -bend_damping, f)
 
 
-@_fast
+@kernel
 def add_air(v, f, normal, area, quadratic, tangential, falloff):
     """f −= a (k_N |v_N|²/(1 + k_f |v_N|²) v_N/|v_N| + k_T v_T) (Bhat et al. 2003, section 3, eq. 4)."""
     for i in range(v.shape[1]):
@@ -93,7 +92,7 @@ def add_air(v, f, normal, area, quadratic, tangential, falloff):
         f[2, i] -= push * nz + rub * (v[2, i] - along * nz)
 
 
-@_fast
+@kernel
 def add_outer(
     t, dt, x, v, f, nu, air, sheet, effects, stages, n_effects, parameters, state, extra, knots, curve, segment
 ):
@@ -115,7 +114,7 @@ def add_outer(
     return apply_effects(effects, stages, n_effects, t, dt, x, v, f, extra, sheet, parameters, state)
 
 
-@_fast
+@kernel
 def largest(delta):
     """Largest length of a column of delta (3, n)."""
     top = 0.0
@@ -422,4 +421,4 @@ _SIGNATURE = types.void(
 @functools.cache
 def march(scheme):
     """The compiled loop of a scheme; compiling takes seconds once, then it lies on disk."""
-    return compiled(_SIGNATURE)(_march_adaptive if scheme == RK45 else _march_implicit)
+    return kernel(_march_adaptive if scheme == RK45 else _march_implicit, signature=_SIGNATURE)

@@ -7,8 +7,7 @@ and only of solves to 1e-4: those to 1e-2 stay quicker up to 1/60 s.
 
 from __future__ import annotations
 
-from numba import njit
-
+from clothbench.modelling import fast_kernel, kernel
 from clothbench_models.resting_contact import SLIDES, STICKS
 from clothbench_models.sheet_forces import (
     CELLS,
@@ -20,11 +19,8 @@ from clothbench_models.sheet_forces import (
     edge_differences,
 )
 
-_fast = njit(cache=True, error_model="numpy", nogil=True)
-_faster = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
 
-
-@_fast
+@kernel
 def hold_back(r, touch, normal):
     """Remove from r (3, n) what a node cannot follow: all of it where it sticks, the normal part where it slides."""
     for i in range(r.shape[1]):
@@ -36,7 +32,7 @@ def hold_back(r, touch, normal):
                 r[c, i] -= s * normal[c, i]
 
 
-@_faster
+@fast_kernel
 def mass_times(mass, extra, heavier, p, out):
     """out = M p with scalar masses (n,) kg, plus the tensors `extra` (6, n) if there are any."""
     for c in range(3):
@@ -50,7 +46,7 @@ def mass_times(mass, extra, heavier, p, out):
             out[2, e] += extra[4, e] * p[0, e] + extra[3, e] * p[1, e] + extra[2, e] * p[2, e]
 
 
-@_fast
+@kernel
 def multiply(p, nu, mass, extra, heavier, edges, shear, offsets, bending, bend_scale, out, work):
     """out = (M + C + K) p, from what the force routines kept.
 
@@ -70,7 +66,7 @@ def multiply(p, nu, mass, extra, heavier, edges, shear, offsets, bending, bend_s
     add_diagonals(offsets, bending, p, bend_scale, out)
 
 
-@_fast
+@kernel
 def invert_blocks(nu, mass, extra, heavier, edges, shear, bending, bend_scale, touch, inverse):
     """The 3 × 3 blocks of M + C + K on the diagonal, inverted: inverse (6, n) as xx, yy, zz, yz, xz, xy."""
     n, pad = mass.shape[0], nu + 1
@@ -121,7 +117,7 @@ def invert_blocks(nu, mass, extra, heavier, edges, shear, bending, bend_scale, t
         inverse[3, i], inverse[4, i], inverse[5, i] = ayz * scale, axz * scale, axy * scale
 
 
-@_faster
+@fast_kernel
 def precondition(inverse, r, z):
     """z = blocks · r; returns r·z."""
     total = 0.0
@@ -135,7 +131,7 @@ def precondition(inverse, r, z):
     return total
 
 
-@_faster
+@fast_kernel
 def dot(a, b):
     total = 0.0
     for c in range(3):
@@ -145,7 +141,7 @@ def dot(a, b):
     return total
 
 
-@_faster
+@fast_kernel
 def advance(delta, r, p, q, alpha):
     """δ += α p, r −= α q."""
     for c in range(3):
@@ -155,7 +151,7 @@ def advance(delta, r, p, q, alpha):
             rc[e] -= alpha * qc[e]
 
 
-@_faster
+@fast_kernel
 def turn(p, z, beta):
     """p ← z + β p."""
     for c in range(3):
@@ -164,7 +160,7 @@ def turn(p, z, beta):
             pc[e] = zc[e] + beta * pc[e]
 
 
-@_fast
+@kernel
 def solve(
     delta, r, nu, mass, extra, heavier, edges, shear, offsets, bending, bend_scale, touch, normal, tolerance, most,
     inverse, z, p, q, work,

@@ -16,18 +16,25 @@ import numpy as np
 
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
 from clothbench.core.parallel import for_each
+from clothbench.modelling import (
+    OK,
+    SLOTS,
+    GridBatch,
+    GridSimulation,
+    check_number,
+    check_resolution,
+    grid_shape,
+    layers_of,
+    obstacle_table,
+    tributary,
+)
 from clothbench.modelling.bound_effects import BoundEffects
-from clothbench.modelling.kernels import own_sheet
+from clothbench.modelling.sheet import own_sheet
 from clothbench_models import baraff_witkin_kernels as triangles
 from clothbench_models import inextensible_kernels as kernels
-from clothbench_models import loop
 from clothbench_models.baraff_witkin import padded, triangle_edges
 from clothbench_models.bending import Diagonals, bending_matrix
-from clothbench_models.contact import obstacle_table
-from clothbench_models.grid_sheet import GridBatch, GridSimulation, check_number, check_resolution, grid_shape
-from clothbench_models.self_contact import layers_of
 from clothbench_models.sheet_forces import CELLS
-from clothbench_models.spring_grid import tributary
 
 SCHEMES = {"implicit_euler": kernels.EULER, "bdf2": kernels.BDF2}
 STEP = {"implicit_euler": 1e-3, "bdf2": 2e-3}
@@ -140,8 +147,8 @@ class InextensibleSimulation(GridSimulation):
         shape, result = np.ascontiguousarray(batch.shape.T), np.zeros(3, np.int64)
         about_bending = (self.bending.offsets, self.bending.values, bend, self.effects.stiffness(theta)[0])
         effects = (
-            *batch.kernels, batch.stages, batch.terms, self.effects.kernel_parameters(theta, loop.SLOTS)[0],
-            self.effects.kernel_state(1, loop.SLOTS, self.sheet)[0],
+            *batch.kernels, batch.stages, batch.terms, self.effects.kernel_parameters(theta, SLOTS)[0],
+            self.effects.kernel_state(1, SLOTS, self.sheet)[0],
         )  # fmt: skip
         about_scene = (
             batch.knots, batch.curve(np.array([b]))[0], batch.held_points, batch.pins_of_points,
@@ -157,7 +164,7 @@ class InextensibleSimulation(GridSimulation):
                 *effects, *about_scene, 1e-4, max(scene.width, scene.height), batch.bounds(), *sampling,
                 np.zeros(0), batch.position[b], result,
             )  # fmt: skip
-        if result[0] == loop.OK:
+        if result[0] == OK:
             kernels.march()(
                 self.scheme, shape, self.shape[0], own_sheet(self.sheet, self.effects.normals),
                 lengths, share, give, *about_bending, alpha, beta,

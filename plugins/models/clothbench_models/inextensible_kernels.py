@@ -10,26 +10,34 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
-from clothbench.modelling.kernels import EFFECT, SHEET, bear_inertia, compiled
+from clothbench.modelling import (
+    DIVERGED,
+    LAYERS,
+    SLOTS,
+    advance_segment,
+    fast_kernel,
+    grip_point,
+    is_lost,
+    keep_out,
+    kernel,
+    write_frames,
+)
+from clothbench.modelling.kernels import EFFECT
+from clothbench.modelling.sheet import SHEET, bear_inertia
 from clothbench_models.baraff_witkin_kernels import add_outer
-from clothbench_models.contact import keep_out
 from clothbench_models.implicit_grid import hold_back, mass_times, solve
-from clothbench_models.loop import DIVERGED, SLOTS, advance_segment, grip_point, is_lost, write_frames
 from clothbench_models.resting_contact import FREE, STICKS, judge, part_layers, stop_reversed, touching
-from clothbench_models.self_contact import LAYERS
 from clothbench_models.sheet_forces import add_diagonals, add_fluxes, edge_differences
 
 EULER, BDF2 = 0, 1
 PROJECTIONS = 12  # rounds of the fast projection in one step, at most
 CRUMPLED = 0.1  # strain that is left when projecting has failed
 SOLVED = 0.01  # of the residual is left by each round's solver; the next round deals with it
-_fast = njit(cache=True, error_model="numpy", nogil=True)
-_faster = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
 
 
-@_faster
+@fast_kernel
 def violations(nu, du, dv, lengths, share, c):
     """C (3, P) m from the edge differences du, dv (3, P) m; share (3, P): 1/L, 1/L and 1/√(h_u h_v), 0 outside."""
     for e in range(share.shape[1]):
@@ -44,7 +52,7 @@ def violations(nu, du, dv, lengths, share, c):
         c[2, e] = 0.25 * share[2, e] * total
 
 
-@_faster
+@fast_kernel
 def pull(nu, du, dv, share, tension, fu, fv):
     """Fluxes (3, P) N of the constraint forces −∂Cᵀλ, tension λ (3, P) N."""
     for k in range(3):
@@ -63,7 +71,7 @@ def pull(nu, du, dv, share, tension, fu, fv):
             b[e + 1] += 0.25 * tension[2, e] * share[2, e] * (uk[e] + uk[e + nu])
 
 
-@_faster
+@fast_kernel
 def rates(nu, du, dv, share, pu, pv, out):
     """∂C·p (3, P) for the edge differences pu, pv of p."""
     for e in range(share.shape[1]):
@@ -77,7 +85,7 @@ def rates(nu, du, dv, share, pu, pv, out):
         out[2, e] = 0.25 * share[2, e] * total
 
 
-@_fast
+@kernel
 def yield_to(f, mass, extra, heavier, touch, normal):
     """f (3, n) N becomes accelerations of what can move, in place."""
     hold_back(f, touch, normal)
@@ -89,7 +97,7 @@ def yield_to(f, mass, extra, heavier, touch, normal):
     hold_back(f, touch, normal)
 
 
-@_fast
+@kernel
 def schur_diagonal(nu, du, dv, share, weight, give, square, out):
     """The diagonal (3, P) of c/γ² + ∂C W ∂Cᵀ for inverse masses `weight` (P,) padded like the edges, 0 where held."""
     for e in range(share.shape[1] - 1 - nu):
@@ -114,7 +122,7 @@ def schur_diagonal(nu, du, dv, share, weight, give, square, out):
                 out[k, e] = 1.0
 
 
-@_fast
+@kernel
 def factor_lines(nu, du, dv, share, weight, diagonal, off):
     """Turn the diagonal (3, P) into the pivots D of L D Lᵀ for all mesh lines' own blocks; off (2, P): their L.
 
@@ -133,7 +141,7 @@ def factor_lines(nu, du, dv, share, weight, diagonal, off):
         diagonal[1, e] -= off[1, e] * off[1, e] * diagonal[1, f]
 
 
-@_faster
+@fast_kernel
 def times(a, b, out):
     """out = a b for small matrices (l, m), (m, n)."""
     for i in range(a.shape[0]):
@@ -145,7 +153,7 @@ def times(a, b, out):
                 row[j] += w * other[j]
 
 
-@_fast
+@kernel
 def solve_lines(nu, diagonal, off, waves_u, waves_v, damped, plane, r, z):
     """The preconditioner: z = (L D Lᵀ)⁻¹ r for the mesh lines, and the flat sheet's inverse for the cells.
 
@@ -187,7 +195,7 @@ def solve_lines(nu, diagonal, off, waves_u, waves_v, damped, plane, r, z):
             z[2, pad + j * nu + i] = one[j, i]
 
 
-@_fast
+@kernel
 def damp_waves(mass, give, square, nu, damped):
     """Inverse eigenvalues (nv − 1, nu − 1) of the flat sheet's cells, for a typical inner mass and compliance."""
     nv = damped.shape[0] + 1
@@ -199,7 +207,7 @@ def damp_waves(mass, give, square, nu, damped):
             damped[j, i] = 1.0 / (softness + typical * (2.0 - 2.0 * wave))
 
 
-@_fast
+@kernel
 def sines(count):
     """The orthogonal, symmetric matrix (count, count) of the discrete sine transform."""
     out = np.empty((count, count))
@@ -209,7 +217,7 @@ def sines(count):
     return out
 
 
-@_faster
+@fast_kernel
 def _sum(a, b):
     total = 0.0
     for k in range(3):
@@ -219,7 +227,7 @@ def _sum(a, b):
     return total
 
 
-@_fast
+@kernel
 def schur_times(nu, du, dv, share, give, square, p, mass, extra, heavier, touch, normal, f, out, work):
     """out = (c/γ² + ∂C W ∂Cᵀ) p for multipliers p (3, P); work[6:12] and work[12:18] are overwritten."""
     fu, fv, pu, pv = work[6:9], work[9:12], work[12:15], work[15:18]
@@ -234,7 +242,7 @@ def schur_times(nu, du, dv, share, give, square, p, mass, extra, heavier, touch,
             out[k, e] = give[k, e] / square * p[k, e] - out[k, e]
 
 
-@_fast
+@kernel
 def tighten(
     x, gamma, tension, nu, lengths, share, give, mass, extra, heavier, touch, normal, weight, tolerance, rows, work, f,
     waves_u, waves_v, damped, plane,
@@ -490,4 +498,4 @@ _SIGNATURE = types.void(
 @functools.cache
 def march():
     """The compiled loop; compiling takes seconds once, then it lies on disk."""
-    return compiled(_SIGNATURE)(_march)
+    return kernel(_march, signature=_SIGNATURE)

@@ -17,8 +17,8 @@ import numpy as np
 
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
 from clothbench.core.parallel import for_each
+from clothbench.modelling import check_resolution, grid_shape
 from clothbench_models.folding import FoldingStrip
-from clothbench_models.grid_sheet import check_resolution, grid_shape
 from clothbench_models.shell import Shell, ShellState, turned_over
 from clothbench_models.strip import FEW
 

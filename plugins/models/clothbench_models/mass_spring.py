@@ -16,8 +16,8 @@ import numpy as np
 
 from clothbench import ClothbenchError, Effect, Parameter, ParameterSpace, Scene
 from clothbench.core.protocols import Material
+from clothbench.modelling import grid_shape
 from clothbench.modelling.bound_effects import BoundEffects
-from clothbench_models.grid_sheet import grid_shape
 from clothbench_models.mass_spring_simulation import SpringOptions, SpringSimulation
 
 CALM = 0.05  # damping ratio with which a sheet settles, if its own is larger: more only asks for shorter steps

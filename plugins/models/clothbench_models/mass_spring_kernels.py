@@ -12,12 +12,11 @@ from __future__ import annotations
 import functools
 
 import numpy as np
-from numba import njit, types
+from numba import types
 
-from clothbench.modelling.kernels import EFFECT, SHEET, bear_inertia, compiled, grid_normals, wants_normals
-from clothbench_models.contact import keep_out
-from clothbench_models.loop import (
+from clothbench.modelling import (
     DIVERGED,
+    LAYERS,
     OK,
     SLOTS,
     advance_segment,
@@ -26,8 +25,12 @@ from clothbench_models.loop import (
     fastest,
     grip_point,
     is_lost,
+    keep_apart,
+    keep_out,
+    kernel,
 )
-from clothbench_models.self_contact import LAYERS, keep_apart
+from clothbench.modelling.kernels import EFFECT
+from clothbench.modelling.sheet import SHEET, bear_inertia, grid_normals, wants_normals
 
 __all__ = ["DIVERGED", "OK", "SLOTS", "run_block"]
 
@@ -36,10 +39,8 @@ CHECK_EVERY = 64  # steps between two looks for rest and for divergence
 SWEEPS = 30  # at most, over all limited springs after one step
 SLACK = 0.001  # of a spring's length; strain beyond the limit that needs no further sweep
 
-_fast = njit(cache=True, error_model="numpy", nogil=True)
 
-
-@_fast
+@kernel
 def spring_forces(x, v, stride, rest, stiffness, damping, g):
     """Force of one family of springs on its first nodes, g (3, n − stride) N:
 
@@ -63,7 +64,7 @@ def spring_forces(x, v, stride, rest, stiffness, damping, g):
         gz[e] = q * dz
 
 
-@_fast
+@kernel
 def elastic_forces(x, stride, rest, stiffness, g):
     """`spring_forces` without dashpots: g = k (1 − L/l) d."""
     n = x.shape[1] - stride
@@ -79,7 +80,7 @@ def elastic_forces(x, stride, rest, stiffness, g):
         gz[e] = q * dz
 
 
-@_fast
+@kernel
 def add_pairwise(f, g, stride):
     """f_a += g, f_b −= g: two passes, since one loop over overlapping rows could not be vectorised."""
     n = f.shape[1] - stride
@@ -91,7 +92,7 @@ def add_pairwise(f, g, stride):
             second[e] -= force[e]
 
 
-@_fast
+@kernel
 def kick_and_drift(x, v, f, inverse_mass, weight, kick, dt, keep):
     """v ← keep·v + kick·f/m, x ← x + dt·v, then f ← weight for the next step (symplectic Euler).
 
@@ -106,7 +107,7 @@ def kick_and_drift(x, v, f, inverse_mass, weight, kick, dt, keep):
             fc[e] = wc[e]
 
 
-@_fast
+@kernel
 def hold(x, v, pins, lane, lanes, knots, curve, t, segment, dt):
     """Put the held nodes of one lane where the grips are at time t; their velocity is what brought them there."""
     for g in range(pins.shape[0]):
@@ -117,7 +118,7 @@ def hold(x, v, pins, lane, lanes, knots, curve, t, segment, dt):
             x[c, e] = p
 
 
-@_fast
+@kernel
 def limit_strain(x, v, limited, strides, rest, stiffness, free, lane, lanes, limit, dt):
     """Shorten springs of the first `limited` families of one lane that are longer than (1 + limit) L to that length.
 
@@ -140,7 +141,7 @@ def limit_strain(x, v, limited, strides, rest, stiffness, free, lane, lanes, lim
             break
 
 
-@_fast
+@kernel
 def _shorten(x, v, a, b, rest, free, limit, dt):
     """Bring the ends of one spring back to (1 + limit) rest; returns by how much of its rest length it was too long."""
     dx, dy, dz = x[0, b] - x[0, a], x[1, b] - x[1, a], x[2, b] - x[2, a]
@@ -159,7 +160,7 @@ def _shorten(x, v, a, b, rest, free, limit, dt):
     return (length - longest) / rest
 
 
-@_fast
+@kernel
 def write_due(x, v, lane, lanes, now, done, index, weight, held_points, pins_of_points, knots, curve, times, out):
     """Write the frames that fall due up to `now`; returns how many of this lane are written.
 
@@ -184,7 +185,7 @@ def write_due(x, v, lane, lanes, now, done, index, weight, held_points, pins_of_
     return done
 
 
-@_fast
+@kernel
 def come_to_rest(v, keep, kick, step, dashpots, damping, lane, lanes, dt, loss):
     """End the settling of one lane: no velocity, no artificial damping but the springs' own, and half a kick to start
     the leapfrog.
@@ -336,4 +337,4 @@ def _run_block(
 @functools.cache
 def run_block(precision):
     """The compiled loop in "double" or "single" precision; compiling takes seconds once, then it lies on disk."""
-    return compiled(_signature(types.float64 if precision == "double" else types.float32))(_run_block)
+    return kernel(_run_block, signature=_signature(types.float64 if precision == "double" else types.float32))

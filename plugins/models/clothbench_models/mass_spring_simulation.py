@@ -12,12 +12,17 @@ import numpy as np
 
 from clothbench import ClothbenchError, Rollout
 from clothbench.core.parallel import for_each
-from clothbench.modelling.kernels import own_sheet
-from clothbench_models import loop
+from clothbench.modelling import (
+    SLOTS,
+    GridBatch,
+    GridSimulation,
+    check_number,
+    check_resolution,
+    layers_of,
+    obstacle_table,
+)
+from clothbench.modelling.sheet import own_sheet
 from clothbench_models import mass_spring_kernels as kernels
-from clothbench_models.contact import obstacle_table
-from clothbench_models.grid_sheet import GridBatch, GridSimulation, check_number, check_resolution
-from clothbench_models.self_contact import layers_of
 from clothbench_models.spring_grid import FAMILIES, SpringGrid
 
 SAFETY = 0.8  # share of the largest stable step that is used
@@ -140,8 +145,8 @@ class _Batch(GridBatch):
             np.repeat(grid.rest, lanes, axis=1).astype(real), stiffness, damping, settle_damping,
             simulation.loss(theta), own_sheet(simulation.sheet, effects.normals), self.bounds(),
             self.obstacles, layers_of(scene, simulation.sheet), self.strain_limit, simulation.limited,
-            *self.kernels, self.stages, self.terms, effects.kernel_parameters(theta, loop.SLOTS),
-            effects.kernel_state(lanes, loop.SLOTS, simulation.sheet),
+            *self.kernels, self.stages, self.terms, effects.kernel_parameters(theta, SLOTS),
+            effects.kernel_state(lanes, SLOTS, simulation.sheet),
             self.pins, self.knots, self.curve(members), self.held_points, self.pins_of_points,
             scene.start_time, SETTLE / simulation.slowest, 2 * simulation.slowest, AT_REST[precision],
             self.settle_dt[members], self.dt[members],

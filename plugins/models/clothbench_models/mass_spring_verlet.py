@@ -23,8 +23,8 @@ import numpy as np
 
 from clothbench import ClothbenchError, Effect, Parameter, ParameterSpace, Scene
 from clothbench.core.protocols import Material
+from clothbench.modelling import grid_shape
 from clothbench.modelling.bound_effects import BoundEffects
-from clothbench_models.grid_sheet import grid_shape
 from clothbench_models.mass_spring_simulation import SpringOptions, SpringSimulation
 from clothbench_models.spring_grid import Families
 

@@ -10,18 +10,14 @@ reaction; one that comes to a stop sticks again.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from clothbench_models.contact import DISC, SPHERE, _inside
-from clothbench_models.self_contact import keep_apart
+from clothbench.modelling import DISC, SPHERE, inside, keep_apart, kernel
 
 FREE, SLIDES, STICKS = 0, 1, 2  # what a node may do where it touches an obstacle; held nodes stick
 SKIN = 2e-9  # m; as near as this is touching
 
-_fast = njit(cache=True, error_model="numpy", nogil=True)
 
-
-@_fast
+@kernel
 def touching(x, obstacles, free, touch, normal, friction):
     """Find the nodes of x (3, n) m on an obstacle: their outward normal (3, n) and friction (n,).
 
@@ -45,7 +41,7 @@ def touching(x, obstacles, free, touch, normal, friction):
                     rx, ry, rz = dx - height * ax, dy - height * ay, dz - height * az
                     away = np.sqrt(rx * rx + ry * ry + rz * rz) + 1e-300
                     sx, sy, sz = sx + rx / away, sy + ry / away, sz + rz / away
-            depth, nx, ny, nz = _inside(
+            depth, nx, ny, nz = inside(
                 kind, obstacles, k, x[0, i] - SKIN * sx, x[1, i] - SKIN * sy, x[2, i] - SKIN * sz
             )
             if depth > 0.0:
@@ -59,7 +55,7 @@ def touching(x, obstacles, free, touch, normal, friction):
             touch[i] = STICKS if friction[i] > 0.0 else SLIDES
 
 
-@_fast
+@kernel
 def judge(reaction, moved, free, touch, normal, friction, rub):
     """What touching nodes do next, from the obstacle's reaction (3, n) N and how they moved (3, n), in any unit.
 
@@ -95,7 +91,7 @@ def judge(reaction, moved, free, touch, normal, friction, rub):
         rub[0, i], rub[1, i], rub[2, i] = most * tx / size, most * ty / size, most * tz / size
 
 
-@_fast
+@kernel
 def stop_reversed(moved, touch, rub):
     """A sliding node that friction has turned round has come to a stop: it sticks in the next step."""
     for i in range(moved.shape[1]):
@@ -103,7 +99,7 @@ def stop_reversed(moved, touch, rub):
             touch[i] = STICKS
 
 
-@_fast
+@kernel
 def part_layers(x, v, before, dt, free, layers, path, kept):
     """`keep_apart` after a step of any scheme from `before` to x: its way in a straight line, v changed by as much."""
     for c in range(3):

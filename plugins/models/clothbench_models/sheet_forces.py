@@ -9,15 +9,14 @@ compiler turns into vector code. An array of edges has `nu + 1` zeros before and
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-_fast = njit(cache=True, error_model="numpy", nogil=True)
-_faster = njit(cache=True, error_model="numpy", nogil=True, fastmath={"contract", "reassoc", "nsz", "arcp"})
+from clothbench.modelling import fast_kernel, kernel
+
 TINY = 1e-30  # m²
 TRIANGLES, CELLS = 13, 7  # rows that shear keeps: two triangles a cell, or whole cells
 
 
-@_fast
+@kernel
 def edge_differences(x, nu, du, dv):
     """Differences along u-edges and v-edges into du, dv (3, pad + n + pad)."""
     n, pad = x.shape[1], nu + 1
@@ -31,7 +30,7 @@ def edge_differences(x, nu, du, dv):
             out[e] = b[e] - a[e]
 
 
-@_fast
+@kernel
 def add_fluxes(fu, fv, nu, out, sign):
     """out_a += sign·flux, out_b −= sign·flux for every edge a → b."""
     n, pad = out.shape[1], nu + 1
@@ -43,7 +42,7 @@ def add_fluxes(fu, fv, nu, out, sign):
             oc[e] += sign * ((here[e] - left[e]) + (down[e] - up[e]))
 
 
-@_fast
+@kernel
 def stretch_fluxes(d, rate, rest, stiffness, damping, flux, unit, along, across, k_scale, c_scale):
     """Stretch of one family of edges: E = ½ k (|d| − L)², and its dashpot (Baraff and Witkin 1998, eq. 10 and 11).
 
@@ -68,7 +67,7 @@ def stretch_fluxes(d, rate, rest, stiffness, damping, flux, unit, along, across,
         along[e] = k_scale * stiffness[e] + c_scale * damping[e] - tension
 
 
-@_fast
+@kernel
 def shear_fluxes(nu, du, dv, ru, rv, over_u, over_v, stiffness, damping, fu, fv, pl, ql, pu, qu):
     """Shear C = w_u·w_v of both triangles of every cell, E = ½ k A C² and −c A Ċ ∂C (Baraff and Witkin 1998, 4.3).
 
@@ -100,7 +99,7 @@ def shear_fluxes(nu, du, dv, ru, rv, over_u, over_v, stiffness, damping, fu, fv,
             fv[k, e] += tu * qu[k, e]
 
 
-@_fast
+@kernel
 def add_diagonals(offsets, values, x, scale, out):
     """out += scale · (K x) for the symmetric K given by its diagonals, row by row of x (3, n)."""
     n = x.shape[1]
@@ -117,7 +116,7 @@ def add_diagonals(offsets, values, x, scale, out):
                     high[e] += scale * w[e] * first[e]
 
 
-@_faster
+@fast_kernel
 def _stretch_times(p, unit, along, across, out):
     for e in range(along.shape[0]):
         s = along[e] * (unit[0, e] * p[0, e] + unit[1, e] * p[1, e] + unit[2, e] * p[2, e])
@@ -126,7 +125,7 @@ def _stretch_times(p, unit, along, across, out):
         out[2, e] = s * unit[2, e] + across[e] * p[2, e]
 
 
-@_faster
+@fast_kernel
 def _shear_times(nu, weight, p, q, pl, ql, pu, qu, yl, yu, fu, fv):
     """Fluxes of the shear term for differences p along u-edges and q along v-edges."""
     m = weight.shape[0] - 1 - nu
@@ -155,7 +154,7 @@ def _shear_times(nu, weight, p, q, pl, ql, pu, qu, yl, yu, fu, fv):
             b2[e] += yu[e] * uq[e]
 
 
-@_fast
+@kernel
 def cell_shear_fluxes(nu, du, dv, ru, rv, over_u, over_v, stiffness, damping, fu, fv, p, q):
     """Shear of whole cells, C = w_u·w_v from the means of a cell's opposite edges, E = ½ k A C²: as `shear_fluxes`, for
     quadrilaterals. stiffness, damping (P,): k A and c A of a cell; keeps ∂C by either u-edge in p, either v-edge in q.
@@ -177,7 +176,7 @@ def cell_shear_fluxes(nu, du, dv, ru, rv, over_u, over_v, stiffness, damping, fu
             fv[k, b] += t * q[k, e]
 
 
-@_faster
+@fast_kernel
 def _cell_shear_times(nu, weight, a, b, p, q, y, fu, fv):
     """Fluxes of `cell_shear_fluxes` for differences a along u-edges and b along v-edges."""
     m = weight.shape[0] - 1 - nu

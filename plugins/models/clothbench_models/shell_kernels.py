@@ -9,23 +9,21 @@ in `strip_kernels`. At each quadrature point everything is a function of five ve
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from clothbench.modelling import kernel
 from clothbench_models.banded import times
 from clothbench_models.strip_kernels import CONVERGED, ENDLESS, LOST, advance, farthest, touches
 
 SUPPORT = 16  # functions that do not vanish on an element
 VECTORS = 5
 
-_fast = njit(cache=True, error_model="numpy", nogil=True)
 
-
-@_fast
+@kernel
 def cross(a, b, out):
     out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@_fast
+@kernel
 def turned(g, vector, which, out):
     """out (3,) = Pᵀ vector, with P the derivative of x,_1 × x,_2 by x,_1 (which = 0) or x,_2 (1)."""
     if which == 0:
@@ -34,7 +32,7 @@ def turned(g, vector, which, out):
         cross(vector, g[0], out)
 
 
-@_fast
+@kernel
 def vectors(c, nodes, shape, g):
     """The five vectors g (5, 3) at a quadrature point from its functions' derivatives shape (5, 16)."""
     for p in range(VECTORS):
@@ -45,7 +43,7 @@ def vectors(c, nodes, shape, g):
             g[p, i] = s
 
 
-@_fast
+@kernel
 def strains(g, normal, strain, gradient):
     """Normal (3,), the six strains (ε11, ε22, 2ε12, κ11, κ22, 2κ12) and their derivatives by g, (6, 5, 3).
 
@@ -77,7 +75,7 @@ def strains(g, normal, strain, gradient):
     return area
 
 
-@_fast
+@kernel
 def geometric(g, normal, area, stress, out):
     """Σ stress · second derivatives of the strains by g, into out (5, 3, 5, 3).
 
@@ -131,7 +129,7 @@ def geometric(g, normal, area, stress, out):
                 out[1, j, 0, i] = out[0, i, 1, j]
 
 
-@_fast
+@kernel
 def stresses(strain, soft, bend, poisson, out):
     """C ε/η_m and C κ/η_b, (6,)."""
     for half, ratio in ((0, soft), (3, bend)):
@@ -140,7 +138,7 @@ def stresses(strain, soft, bend, poisson, out):
         out[half + 2] = 0.5 * (1.0 - poisson) * strain[half + 2] / ratio
 
 
-@_fast
+@kernel
 def moments(c, nodes, shape, bend, poisson, stress):
     """Set the moments in stress (Q, 6) to those of the shape; of a first guess, in which no tension is meant."""
     g, normal, strain, gradient = np.empty((VECTORS, 3)), np.empty(3), np.empty(6), np.empty((6, VECTORS, 3))
@@ -151,7 +149,7 @@ def moments(c, nodes, shape, bend, poisson, stress):
         stress[q, :3] = 0.0
 
 
-@_fast
+@kernel
 def energy(c, nodes, shape, weight, pull, soft, bend, poisson):
     """Π/ρ [m⁴/s²]; pull (n, 3): gravity times the area of each control point."""
     g, normal, strain, gradient = np.empty((VECTORS, 3)), np.empty(3), np.empty(6), np.empty((6, VECTORS, 3))
@@ -168,7 +166,7 @@ def energy(c, nodes, shape, weight, pull, soft, bend, poisson):
     return total
 
 
-@_fast
+@kernel
 def assemble(c, nodes, shape, weight, pull, soft, bend, poisson, stress, force, band):
     """force (3n,) and the stiffness' lower band (3n, w), its geometric part from the stresses (Q, 6) as known."""
     g, normal, strain, gradient = np.empty((VECTORS, 3)), np.empty(3), np.empty(6), np.empty((6, VECTORS, 3))
@@ -226,7 +224,7 @@ def assemble(c, nodes, shape, weight, pull, soft, bend, poisson, stress, force, 
                         band[column + j, down + i - j] += total
 
 
-@_fast
+@kernel
 def update(c, step, share, nodes, shape, soft, bend, poisson, stress):
     """Move the control points by share · step, and the stresses by what the linearised strains say."""
     g, normal, strain, gradient = np.empty((VECTORS, 3)), np.empty(3), np.empty(6), np.empty((6, VECTORS, 3))
@@ -245,7 +243,7 @@ def update(c, step, share, nodes, shape, soft, bend, poisson, stress):
     c += share * step
 
 
-@_fast
+@kernel
 def equilibrium(
     c, stress, lines, grips, goal, holding, stiff, floor, springs, nodes, shape, weight, pull, soft, bend, poisson,
     reach, tolerance, most, wide,
@@ -294,7 +292,7 @@ def equilibrium(
     return ENDLESS, most
 
 
-@_fast
+@kernel
 def hold(c, lines, grips, goal, holding, stiff, force, band):
     """Add the grips' forces and stiffness."""
     for h in range(lines.shape[0]):
@@ -312,7 +310,7 @@ def hold(c, lines, grips, goal, holding, stiff, force, band):
                         band[3 * lines[h, k] + i, down] += stiff * grips[h, k] * grips[h, m]
 
 
-@_fast
+@kernel
 def pulled(c, lines, grips, goal, holding, stiff):
     """Renew the grips' forces; returns how far a held point is from its place [m]."""
     most = 0.0

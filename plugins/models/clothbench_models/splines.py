@@ -10,7 +10,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numba import njit
+
+from clothbench.modelling import kernel
 
 DEGREE = 3
 SUPPORT = DEGREE + 1  # functions that do not vanish on an element
@@ -96,7 +97,7 @@ class Spline:
         return make_interp_spline(at, values, k=DEGREE, t=self.knots).c
 
 
-@njit(cache=True, error_model="numpy", nogil=True)
+@kernel
 def _functions(knots, at, element, derivative, out):
     """Cox–de Boor: functions of degree 3 − d from those of degree 0 up, then d times the differences of neighbours."""
     low = np.empty(SUPPORT)

@@ -11,37 +11,11 @@ from functools import cached_property
 
 import numpy as np
 
-from clothbench import ClothbenchError
+from clothbench.modelling import tributary
 
 Families = tuple[tuple[int, int, int], ...]  # (Δi, Δj, which of the model's stiffnesses) of each family of springs
 # Provot's: structural, shear, flexion
 FAMILIES: Families = ((1, 0, 0), (0, 1, 0), (1, 1, 0), (-1, 1, 0), (2, 0, 1), (0, 2, 1))
-
-
-def even_count(asked: int, length: float, held: np.ndarray) -> int:
-    """How many evenly spaced lines over [0, length] m to use: the number nearest to `asked` (within 5) for which
-    every held coordinate lies on a line, so that no line has to be moved; `asked` if there is none."""
-    for count in sorted(range(max(3, asked - 5), asked + 6), key=lambda n: (abs(n - asked), n)):
-        at = held / length * (count - 1)
-        if np.abs(at - np.round(at)).max(initial=0.0) < 1e-6:
-            return count
-    return asked
-
-
-def grid_lines(length: float, count: int, held: np.ndarray) -> np.ndarray:
-    """`count` lines over [0, length] m, even except that the nearest line to each held coordinate lies on it."""
-    even = np.linspace(0.0, length, count)
-    held = np.unique(np.round(held, 9))
-    nearest = np.abs(even[:, None] - held[None]).argmin(axis=0)
-    if len(set(nearest)) < len(nearest):
-        raise ClothbenchError(
-            f"grips {length / (count - 1):.3g} m or less apart on a grid of {count} nodes over {length:g} m; "
-            "raise the resolution"
-        )
-    anchors = dict(zip(nearest.tolist(), held.tolist(), strict=True))
-    anchors = {0: 0.0, count - 1: length} | anchors
-    at = sorted(anchors)
-    return np.interp(np.arange(count), at, [anchors[i] for i in at])
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,12 +90,6 @@ class SpringGrid:
         for row, more in zip(rows, weight, strict=True):
             np.add.at(row, first, more)
             np.add.at(row, first + stride, more)
-
-
-def tributary(lines: np.ndarray, length: float) -> np.ndarray:
-    """The length of cloth that each grid line stands for [m]."""
-    edges = np.concatenate([[0.0], (lines[1:] + lines[:-1]) / 2, [length]])
-    return np.diff(edges)
 
 
 def _family(u, v, wide, high, di: int, dj: int) -> tuple[np.ndarray, np.ndarray]:

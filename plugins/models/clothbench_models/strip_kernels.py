@@ -10,18 +10,16 @@ stretches (Magisano, Leonetti, Garcea 2017, mixed integration points).
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from clothbench.modelling import kernel
 from clothbench_models.banded import factor, keep_out, substitute, times
 
 SUPPORT = 4
 BAND = 2 * SUPPORT  # of the stiffness, lower half with the diagonal
 CONVERGED, LOST, ENDLESS = 0, 1, 2
 
-_fast = njit(cache=True, error_model="numpy", nogil=True)
 
-
-@_fast
+@kernel
 def strains(c, first, d1, d2, a, b):
     """x′ and x″ at one quadrature point into a, b (2,); returns ε and κ [1, 1/m]."""
     a[0] = a[1] = b[0] = b[1] = 0.0
@@ -33,7 +31,7 @@ def strains(c, first, d1, d2, a, b):
     return 0.5 * (square - 1.0), (a[0] * b[1] - a[1] * b[0]) / np.sqrt(square)
 
 
-@_fast
+@kernel
 def slopes(a, b, gradient, curvature):
     """Derivatives of κ by (x′, x″): gradient (4,) and Hessian (4, 4)."""
     square = a[0] * a[0] + a[1] * a[1]
@@ -59,7 +57,7 @@ def slopes(a, b, gradient, curvature):
             curvature[2 + j, i] = curvature[i, 2 + j]
 
 
-@_fast
+@kernel
 def energy(c, d1, d2, weight, pull, soft, bend):
     """Π/ρ [m³/s²] per width; soft = η_m, bend (E, G) = η_b, pull (n, 2) = −g ∫N du."""
     a, b = np.empty(2), np.empty(2)
@@ -73,7 +71,7 @@ def energy(c, d1, d2, weight, pull, soft, bend):
     return total
 
 
-@_fast
+@kernel
 def assemble(c, d1, d2, weight, pull, soft, bend, tension, moment, force, band):
     """What Newton's step needs: force (2n,) = pull − ∫ (∂ε ε/η_m + ∂κ κ/η_b) and the stiffness' lower band (2n, 8).
 
@@ -112,7 +110,7 @@ def assemble(c, d1, d2, weight, pull, soft, bend, tension, moment, force, band):
                     band[2 * e + column, row - column] += block[row, j] * p + block[row, 2 + j] * r
 
 
-@_fast
+@kernel
 def update(c, step, share, d1, d2, soft, bend, tension, moment):
     """Move the control points by share · step, and the stresses by what the linearised strains say."""
     a, b, gradient, curvature = np.empty(2), np.empty(2), np.empty(4), np.empty((4, 4))
@@ -133,7 +131,7 @@ def update(c, step, share, d1, d2, soft, bend, tension, moment):
         c[i, 1] += share * step[2 * i + 1]
 
 
-@_fast
+@kernel
 def advance(band, force, fixed, step, product, shift):
     """Solve (K + shift) step = force where nothing is fixed; what is fixed moves by what `step` says beforehand.
 
@@ -164,7 +162,7 @@ def advance(band, force, fixed, step, product, shift):
     return shift
 
 
-@_fast
+@kernel
 def farthest(step, dimensions):
     """How far a control point goes, at most [m]; steps (n · dimensions,)."""
     most = 0.0
@@ -178,7 +176,7 @@ def farthest(step, dimensions):
     return np.sqrt(most)
 
 
-@_fast
+@kernel
 def touches(height, step, reaction, floor, springs, held, touching):
     """Renew which points touch, all (n,); returns how many changed.
 
@@ -196,7 +194,7 @@ def touches(height, step, reaction, floor, springs, held, touching):
     return changed
 
 
-@_fast
+@kernel
 def equilibrium(
     c, tension, moment, target, held, floor, springs, d1, d2, weight, pull, soft, bend, reach, tolerance, most, reaction
 ):  # fmt: skip

@@ -1,16 +1,16 @@
 """`hem`: a swatch is seamed, and the seam weighs something. Ten lines of physics that any model can be given."""
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
-from numba import njit
+from clothbench.modelling import kernel
 
 
-@njit(cache=True)
+@kernel
 def on_border(uv, i):
     """Whether node i lies on the border of the sheet; uv (n, 2) m starts at 0 and ends at its size."""
     return uv[i, 0] <= 0.0 or uv[i, 1] <= 0.0 or uv[i, 0] >= uv[-1, 0] or uv[i, 1] >= uv[-1, 1]
 
 
-@njit(cache=True)
+@kernel
 def length_per_node(uv):
     """The border's length over the number of nodes on it [m]."""
     count = 0

@@ -5,19 +5,19 @@ from __future__ import annotations
 import functools
 
 import numpy as np
+from clothbench.modelling import kernel
 from clothbench.modelling.bound_effects import FORCE, INERTIA
-from clothbench.modelling.kernels import EFFECT, SHEET, bear_inertia, compiled, grid_normals
-from numba import njit, types
+from clothbench.modelling.kernels import EFFECT
+from clothbench.modelling.sheet import SHEET, bear_inertia, grid_normals
+from numba import types
 
 SLOTS = 4  # places for dynamics effects
 SETTLING = 40.0  # 1/s, damping while the sheet comes to rest; strong, so that it sinks into the nearest shape
 AT_REST = 1e-5  # m/s; slower than this a settling sheet is taken to hang still
 LOST = 1e3  # m
 
-_fast = njit(cache=True, error_model="numpy", nogil=True)
 
-
-@_fast
+@kernel
 def project(x, before, inverse_mass, pairs, rest, compliance, tau, dt):
     """One Gauss–Seidel sweep over the springs C = |d| − L, damped (Macklin et al. 2016, equation 26):
 
@@ -38,7 +38,7 @@ def project(x, before, inverse_mass, pairs, rest, compliance, tau, dt):
             x[c, b] += inverse_mass[b] * push * n
 
 
-@_fast
+@kernel
 def grip_at(knots, curve, t, g, c):
     """Coordinate c of grip g at time t: piecewise cubic (4, K−1, G, 3), held still beyond its ends."""
     t = min(max(t, knots[0]), knots[-1])
@@ -47,7 +47,7 @@ def grip_at(knots, curve, t, g, c):
     return ((curve[0, k, g, c] * s + curve[1, k, g, c]) * s + curve[2, k, g, c]) * s + curve[3, k, g, c]
 
 
-@_fast
+@kernel
 def hold(x, inverse_mass, held, share, knots, curve, t):
     """Move the nodes around each grip (G, 4) by the least, weighed by mass, that puts the gripped point on it."""
     for g in range(held.shape[0]):
@@ -62,7 +62,7 @@ def hold(x, inverse_mass, held, share, knots, curve, t):
                 x[c, held[g, k]] += share[g, k] * inverse_mass[held[g, k]] / weight * away
 
 
-@_fast
+@kernel
 def look(x, before, part, index, weight, seen, shared, knots, curve, t, frame):
     """Fill frame (N, 3): the points between shape `before` (part 0) and `x` (part 1); grips where they are, exactly."""
     for n in range(index.shape[0]):
@@ -76,7 +76,7 @@ def look(x, before, part, index, weight, seen, shared, knots, curve, t, frame):
             frame[seen[n], c] = grip_at(knots, curve, t, shared[n], c)
 
 
-@_fast
+@kernel
 def push_all(stage, effects, stages, used, t, dt, x, v, f, sheet, parameters, state):
     """Let every effect that has something to do at this stage add to forces f (3, n) N, or to masses f (6, n) kg."""
     for k in range(used):
@@ -84,7 +84,7 @@ def push_all(stage, effects, stages, used, t, dt, x, v, f, sheet, parameters, st
             effects[k](t, dt, x, v, f, sheet, parameters[k], state[k])
 
 
-@_fast
+@kernel
 def fastest(v):
     """Largest speed [m/s] of v (3, n), the same whichever way the axes point."""
     return np.sqrt((v[0] ** 2 + v[1] ** 2 + v[2] ** 2).max())
@@ -156,4 +156,4 @@ _SIGNATURE = _i(
 @functools.cache
 def march():
     """The compiled loop; compiling takes seconds when it is first used, then it lies on disk."""
-    return compiled(_SIGNATURE)(_march)
+    return kernel(_march, signature=_SIGNATURE)

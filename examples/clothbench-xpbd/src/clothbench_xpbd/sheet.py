@@ -15,7 +15,9 @@ from clothbench import ClothbenchError, Effect, Interpolator, Parameter, Paramet
 from clothbench.core.parallel import for_each
 from clothbench.core.scene import initial_shape
 from clothbench.modelling.bound_effects import BoundEffects
-from clothbench.modelling.kernels import grid_triangles, no_effect, own_sheet, sheet_of
+from clothbench.modelling.kernels import no_effect
+from clothbench.modelling.mesh import grid_triangles
+from clothbench.modelling.sheet import own_sheet, sheet_of
 
 from clothbench_xpbd import kernels
 

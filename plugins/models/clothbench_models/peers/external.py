@@ -17,10 +17,9 @@ import numpy as np
 
 from clothbench import ClothbenchError, Rollout, Scene
 from clothbench.core.parallel import for_each
+from clothbench.modelling import DIVERGED, SLOTS, GridBatch, GridSimulation
 from clothbench.modelling.bound_effects import FORCE, BoundEffects
-from clothbench.modelling.kernels import grid_normals, own_sheet
-from clothbench_models import loop
-from clothbench_models.grid_sheet import GridBatch, GridSimulation
+from clothbench.modelling.sheet import grid_normals, own_sheet
 from clothbench_models.peers import missing
 
 SETTLE = np.array([8.0, 60.0])  # least and most settling time in units of 1/ω₁
@@ -123,7 +122,7 @@ class _Batch(GridBatch):
         for k, stop in enumerate(stops.tolist()):
             alive = alive and march.advance_to(stop)
             if not alive:
-                self.status[b] = loop.DIVERGED
+                self.status[b] = DIVERGED
                 break
             seen[k] = self.interpolator(march.position)
         first, part = np.searchsorted(stops, before), (late - before)[:, None, None]
@@ -225,8 +224,8 @@ class Forces:
     def __init__(self, batch: _Batch, b: int):
         simulation = batch.simulation
         self.sheet, self.columns, self.dt = own_sheet(simulation.sheet), simulation.shape[0], float(batch.dt[b])
-        parameters = simulation.effects.kernel_parameters(batch.theta[b : b + 1], loop.SLOTS)[0]
-        state = simulation.effects.kernel_state(1, loop.SLOTS, simulation.sheet)[0]
+        parameters = simulation.effects.kernel_parameters(batch.theta[b : b + 1], SLOTS)[0]
+        state = simulation.effects.kernel_state(1, SLOTS, simulation.sheet)[0]
         self.terms: list[tuple[Callable, bool, np.ndarray, np.ndarray]] = [
             (batch.kernels[k], batch.stages[k] == FORCE, parameters[k], state[k]) for k in range(batch.terms)
         ]

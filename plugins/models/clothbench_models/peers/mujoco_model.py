@@ -25,9 +25,9 @@ import numpy as np
 
 from clothbench import ClothbenchError, Effect, Parameter, ParameterSpace, Scene
 from clothbench.core.protocols import Material
+from clothbench.modelling import check_number, check_resolution, grid_shape
 from clothbench.modelling.bound_effects import BoundEffects
-from clothbench.modelling.kernels import bear_inertia
-from clothbench_models.grid_sheet import check_number, check_resolution, grid_shape
+from clothbench.modelling.sheet import bear_inertia
 from clothbench_models.peers import missing
 from clothbench_models.peers.external import ExternalSimulation, reason_to_skip, refuse_mass
 

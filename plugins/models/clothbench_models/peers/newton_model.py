@@ -25,8 +25,8 @@ import numpy as np
 
 from clothbench import ClothbenchError, Effect, Parameter, ParameterSpace, Scene, Sheet
 from clothbench.core.protocols import Material
+from clothbench.modelling import GridSimulation, check_number, check_resolution, grid_shape
 from clothbench.modelling.bound_effects import BoundEffects
-from clothbench_models.grid_sheet import GridSimulation, check_number, check_resolution, grid_shape
 from clothbench_models.peers import missing
 from clothbench_models.peers.external import ExternalSimulation, reason_to_skip, refuse_mass
 

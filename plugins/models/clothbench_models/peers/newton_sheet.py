@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 import warp as wp
 
+from clothbench.modelling import Sheet, bear_inertia
+
 wp.config.log_level = wp.LOG_WARNING  # before Newton starts Warp, which would print on standard output
 import newton  # noqa: E402
-
-from clothbench.modelling.kernels import Sheet, bear_inertia  # noqa: E402
 
 GRAPHS = (64, 8, 2, 1)  # steps in one graph; the odd one copies its last state back
 PATH = 2048  # steps of a path at most

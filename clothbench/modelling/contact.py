@@ -12,14 +12,11 @@ it touched is taken back in the same proportion; without that a sticking node wo
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from clothbench import Scene
-from clothbench.core.scene import SHAPES
+from clothbench.core.kernels import kernel
+from clothbench.core.scene import SHAPES, Scene
 
 PLANE, DISC, SPHERE = (float(SHAPES.index(shape)) for shape in ("plane", "disc", "sphere"))
-
-_fast = njit(cache=True, error_model="numpy", nogil=True)
 
 
 def obstacle_table(scene: Scene) -> np.ndarray:
@@ -28,7 +25,7 @@ def obstacle_table(scene: Scene) -> np.ndarray:
     return np.array(rows, dtype=float).reshape(-1, 9)
 
 
-@_fast
+@kernel
 def keep_out(x, v, obstacles, free, lane, lanes):
     """Put the nodes of one lane that are inside an obstacle on its surface; see the module for the scheme.
 
@@ -40,13 +37,13 @@ def keep_out(x, v, obstacles, free, lane, lanes):
         for e in range(lane, x.shape[1], lanes):
             if free[e] == 0.0:
                 continue
-            depth, nx, ny, nz = _inside(kind, obstacles, k, x[0, e], x[1, e], x[2, e])
+            depth, nx, ny, nz = inside(kind, obstacles, k, x[0, e], x[1, e], x[2, e])
             if depth > 0.0:
                 _put_on(x, v, e, depth, nx, ny, nz, friction)
 
 
-@_fast
-def _inside(kind, obstacles, k, px, py, pz):
+@kernel
+def inside(kind, obstacles, k, px, py, pz):
     """How deep the point is in obstacle k [m], ≤ 0 outside, and the way out: a unit normal."""
     dx, dy, dz = px - obstacles[k, 1], py - obstacles[k, 2], pz - obstacles[k, 3]
     nx, ny, nz, radius = obstacles[k, 4], obstacles[k, 5], obstacles[k, 6], obstacles[k, 7]
@@ -69,7 +66,7 @@ def _inside(kind, obstacles, k, px, py, pz):
     return radius - away, dx / away, dy / away, dz / away
 
 
-@_fast
+@kernel
 def _put_on(x, v, e, depth, nx, ny, nz, friction):
     """Move node e out by `depth` m along the normal, and take what impact and friction take from its velocity."""
     vx, vy, vz = v[0, e], v[1, e], v[2, e]

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import numpy as np
-from numba import njit, types
+from numba import types
 from numba.extending import overload
 
+from clothbench.core.kernels import kernel
 from clothbench.modelling.bound_effects import FORCE
 
 SLOTS = 8  # places for dynamics effects in a loop
 OK, DIVERGED = 0, 1
 
-_fast = njit(cache=True, error_model="numpy", nogil=True)
 
-
-@_fast
+@kernel
 def grip_point(knots, curve, t, segment, g, c):
     """Coordinate c of grip g at time t on a piecewise cubic (4, K−1, G, 3), constant beyond its ends."""
     s = min(max(t, knots[0]), knots[-1]) - knots[segment]
@@ -23,7 +22,7 @@ def grip_point(knots, curve, t, segment, g, c):
     ]
 
 
-@_fast
+@kernel
 def grip_speed(knots, curve, t, segment, g, c):
     """The derivative of `grip_point`, 0 beyond the ends of the curve."""
     if t < knots[0] or t > knots[-1]:
@@ -32,7 +31,7 @@ def grip_speed(knots, curve, t, segment, g, c):
     return (3.0 * curve[0, segment, g, c] * s + 2.0 * curve[1, segment, g, c]) * s + curve[2, segment, g, c]
 
 
-@_fast
+@kernel
 def advance_segment(knots, t, segment):
     """The piece of the curve in which t lies, searched forwards from `segment`."""
     while segment < knots.shape[0] - 2 and t >= knots[segment + 1]:
@@ -40,7 +39,7 @@ def advance_segment(knots, t, segment):
     return segment
 
 
-@_fast
+@kernel
 def apply_effects(effects, stages, n_effects, t, dt, x, v, f, extra, sheet, parameters, state):
     """Add the forces of all effects to f (3, n) N and what they add to each node's mass to extra (6, n) kg.
 
@@ -58,7 +57,7 @@ def apply_effects(effects, stages, n_effects, t, dt, x, v, f, extra, sheet, para
     return heavier
 
 
-@_fast
+@kernel
 def fastest(v, lane, lanes):
     """Largest speed of a node of one lane [m/s]."""
     top = 0.0
@@ -67,7 +66,7 @@ def fastest(v, lane, lanes):
     return np.sqrt(top)
 
 
-@_fast
+@kernel
 def is_lost(x, lane, lanes, limit):
     """Whether a coordinate of this lane has left ±limit or is not a number."""
     for c in range(3):
@@ -88,7 +87,7 @@ def _as_double(array):
     return lambda array: array.astype(np.float64)
 
 
-@_fast
+@kernel
 def write_frames(x0, v0, x1, v1, t0, t1, done, index, weight, held_points, pins_of_points, knots, curve, times, out):
     """Write the frames due up to t1, on the cubic through positions and velocities at t0 and t1 (Hermite).
 

@@ -1,55 +1,26 @@
-"""What the models on a rectangular grid share: where the nodes lie, what is held, and a batch's way to a rollout."""
+"""What the models on a rectangular grid share: nodes, what is held, and a batch's way to a rollout."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
-from clothbench import ClothbenchError, Interpolator, ParameterSpace, Rollout, Scene, Sheet, sheet_of
-from clothbench.core.scene import initial_shape
+from clothbench.core.parameters import ParameterSpace
+from clothbench.core.rollout import Interpolator, Rollout
+from clothbench.core.scene import Scene, initial_shape
 from clothbench.modelling.bound_effects import BoundEffects
-from clothbench.modelling.kernels import grid_triangles, no_effect
-from clothbench_models import loop
-from clothbench_models.spring_grid import even_count, grid_lines, tributary
+from clothbench.modelling.grid import grid_lines, tributary
+from clothbench.modelling.kernels import no_effect
+from clothbench.modelling.mesh import grid_triangles
+from clothbench.modelling.sheet import Sheet, sheet_of
+from clothbench.modelling.time_loop import DIVERGED, SLOTS
 
 MAX_STEPS = 20_000_000
 LOST = 20.0  # cloth sizes from the start at which a sheet has blown up
-
-
-def check_resolution(model: str, resolution: int | Sequence[int]) -> None:
-    """Refuse what is not one or two whole numbers of nodes."""
-    counts = [resolution] if isinstance(resolution, int) else resolution
-    whole = isinstance(counts, Sequence) and all(isinstance(n, int) and n >= 3 for n in counts)
-    if not whole or len(counts) not in (1, 2):
-        raise ClothbenchError(f"{model}: resolution is {resolution!r}, expected one or two whole numbers ≥ 3")
-
-
-def check_number(model: str, name: str, value: float | None, low: float, high: float = math.inf) -> None:
-    """Refuse an option that is neither None nor a number above `low` and at most `high`."""
-    if value is None:
-        return
-    if not isinstance(value, int | float) or not low < value <= high:
-        limit = f"above {low:g}" + ("" if high == math.inf else f" and at most {high:g}")
-        raise ClothbenchError(f"{model}: {name} is {value!r}, expected a number {limit}")
-
-
-def grid_shape(scene: Scene, resolution: int | Sequence[int]) -> tuple[int, int]:
-    """Nodes along (u, v): as the scene says, else as asked, with square cells."""
-    if scene.resolution is not None:
-        return scene.resolution
-    if not isinstance(resolution, int):
-        nu, nv = resolution
-        return int(nu), int(nv)
-    wide = scene.width >= scene.height
-    length, other = (scene.width, scene.height) if wide else (scene.height, scene.width)
-    count = even_count(resolution, length, scene.grip_material[:, 0 if wide else 1])
-    across = max(3, round(other * (count - 1) / length) + 1)
-    return (count, across) if wide else (across, count)
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,7 +74,7 @@ class GridSimulation:
     @property
     def slowest(self) -> float:
         """ω₁ of the hanging sheet, (2.4048/2)√(g/L) [rad/s]; where nothing pulls it down, that of a gentle pull."""
-        return 1.2024 * math.sqrt(max(np.linalg.norm(self.scene.gravity), 1.0) / self.scene.height)
+        return 1.2024 * math.sqrt(max(float(np.linalg.norm(self.scene.gravity)), 1.0) / self.scene.height)
 
 
 class GridBatch:
@@ -121,7 +92,7 @@ class GridBatch:
         self.status, self.steps = np.zeros(members, np.int64), np.zeros(members, np.int64)
         self.curves = effects.grip_curves(scene, theta)
         self.knots = np.array(scene.grip_time) if len(scene.grip_material) else np.zeros(2)
-        self.kernels, self.stages, self.terms = effects.kernels(loop.SLOTS, no_effect)
+        self.kernels, self.stages, self.terms = effects.kernels(SLOTS, no_effect)
         self.interpolator = Interpolator.on_lines(scene.points, *simulation.lines)
         self.pins = simulation.sheet.held
         self.held_points, self.pins_of_points = _shared_points(scene.points, scene.grip_material)
@@ -147,7 +118,7 @@ class GridBatch:
         scene = self.simulation.scene
         position = self.simulation.effects.seen(scene, self.theta, self.position[self.alike])
         lost = ~(np.abs(position).max(axis=(2, 3), initial=0.0) < 1e6)
-        gone = (self.status[self.alike] == loop.DIVERGED) | (lost.any(axis=1) & ~self.late)
+        gone = (self.status[self.alike] == DIVERGED) | (lost.any(axis=1) & ~self.late)
         status = np.where(self.late, "timeout", np.where(gone, "diverged", "ok"))
         reasons = {
             "ok": "",

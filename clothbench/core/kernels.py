@@ -1,0 +1,127 @@
+"""The one decorator of compiled code. What it keeps on disk is keyed by the content of every source it is made of.
+
+numba keys its cache by the file that a function stands in, and by that file's time stamp. Code that calls a helper of
+another file, or has a number of one built in, would stay as it was after an edit there: a wrong result that nobody
+sees. So here the key is a digest of the file's text and of the text of all modules that it imports, and they in turn.
+"""
+
+from __future__ import annotations
+
+import ast
+import functools
+import hashlib
+import importlib.util
+import sys
+import warnings
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+from numba.core.caching import IndexDataCacheFile
+from numba.core.errors import NumbaExperimentalFeatureWarning
+
+OTHERS = {*sys.stdlib_module_names, "numpy", "scipy", "numba", "llvmlite"}  # numba's own key knows their versions
+
+
+def kernel(function: Callable | None = None, /, *, signature: Any = None, **options: Any) -> Any:
+    """Compile a function with numba: `@kernel`, or `@kernel(signature=…, fastmath=True, …)` with options of `njit`.
+
+    No branch for divisions by zero, no lock of the interpreter. With a signature it is compiled where it is defined,
+    else when it is first called; either way the machine code lies on disk afterwards, until a source of it changes.
+    """
+
+    def decorate(function: Callable) -> Callable:
+        with warnings.catch_warnings():
+            # Functions as values let one time loop call any effect; that numba marks them experimental is no news.
+            warnings.simplefilter("ignore", NumbaExperimentalFeatureWarning)
+            compiled = njit(error_model="numpy", nogil=True, **options)(function)
+            keep_on_disk(compiled)
+            if signature is not None:
+                compiled.compile(signature)
+                compiled.disable_compile()
+        return compiled
+
+    return decorate if function is None else decorate(function)
+
+
+# For sums that may be taken in any order; no numbers that are not finite are expected away.
+fast_kernel = functools.partial(kernel, fastmath={"contract", "reassoc", "nsz", "arcp"})
+
+
+class _Index(IndexDataCacheFile):
+    """numba's index of machine code on disk; one that an earlier version wrote, of classes that lie elsewhere now, is
+    as good as none.
+    """
+
+    def _load_index(self) -> dict:
+        try:
+            return super()._load_index()
+        except Exception:
+            return {}
+
+
+def keep_on_disk(compiled: Any) -> None:
+    """Let numba cache a function under the digest of its sources; where this numba keeps its cache otherwise, not at
+    all: slow, but never wrong.
+    """
+    stamp = digest_of(compiled.py_func.__module__)
+    if stamp is None:  # typed in somewhere: there is no file to go by
+        return
+    compiled.enable_caching()
+    cache = compiled._cache
+    try:
+        base = cache._impl.filename_base
+        assert isinstance(cache._cache_file, IndexDataCacheFile)
+        cache._cache_file = _Index(cache_path=cache.cache_path, filename_base=base, source_stamp=stamp)
+    except (AttributeError, AssertionError, TypeError):
+        cache.disable()
+        warnings.warn("this numba keeps its cache otherwise; kernels are compiled anew in every process", stacklevel=4)
+
+
+@functools.cache
+def digest_of(module: str) -> str | None:
+    """SHA-256 over the texts of a module and of all that it imports, and they in turn; None if it is no file."""
+    if source_of(module) is None:
+        return None
+    found, waiting = {module}, [module]
+    while waiting:
+        for name in imported_by(waiting.pop()):
+            if name not in found:
+                found.add(name)
+                waiting.append(name)
+    digest = hashlib.sha256()
+    for name in sorted(found):
+        digest.update(f"{name}\n".encode() + (source_of(name) or b""))
+    return digest.hexdigest()
+
+
+@functools.cache
+def source_of(module: str) -> bytes | None:
+    """The text of a loaded module; None if it has none, or is somebody else's."""
+    file = getattr(sys.modules.get(module), "__file__", None)
+    if module.partition(".")[0] in OTHERS or file is None or not file.endswith(".py"):
+        return None
+    path = Path(file)
+    return path.read_bytes() if path.is_file() else None
+
+
+@functools.cache
+def imported_by(module: str) -> frozenset[str]:
+    """The loaded modules with a source that a module imports, and those that what it imports from them came from."""
+    return frozenset(name for name in _mentioned(module) if source_of(name) is not None)
+
+
+def _mentioned(module: str) -> Iterator[str]:
+    package = getattr(sys.modules[module], "__package__", None) or ""
+    # At the top only: what a function imports when it runs is no part of compiled code, and may not be loaded yet.
+    for node in ast.parse(source_of(module) or b"").body:
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            given = "." * node.level + (node.module or "")
+            origin = importlib.util.resolve_name(given, package) if node.level else given
+            yield origin
+            for alias in node.names:
+                yield f"{origin}.{alias.name}"
+                yield str(getattr(getattr(sys.modules.get(origin), alias.name, None), "__module__", None))

@@ -1,0 +1,74 @@
+"""Rectangular grids: how many nodes, where their lines lie, and which part of the cloth each line stands for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.scene import Scene
+
+
+def check_resolution(model: str, resolution: int | Sequence[int]) -> None:
+    """Refuse what is not one or two whole numbers of nodes."""
+    counts = [resolution] if isinstance(resolution, int) else resolution
+    whole = isinstance(counts, Sequence) and all(isinstance(n, int) and n >= 3 for n in counts)
+    if not whole or len(counts) not in (1, 2):
+        raise ClothbenchError(f"{model}: resolution is {resolution!r}, expected one or two whole numbers ≥ 3")
+
+
+def check_number(model: str, name: str, value: float | None, low: float, high: float = math.inf) -> None:
+    """Refuse an option that is neither None nor a number above `low` and at most `high`."""
+    if value is None:
+        return
+    if not isinstance(value, int | float) or not low < value <= high:
+        limit = f"above {low:g}" + ("" if high == math.inf else f" and at most {high:g}")
+        raise ClothbenchError(f"{model}: {name} is {value!r}, expected a number {limit}")
+
+
+def grid_shape(scene: Scene, resolution: int | Sequence[int]) -> tuple[int, int]:
+    """Nodes along (u, v): as the scene says, else as asked, with square cells."""
+    if scene.resolution is not None:
+        return scene.resolution
+    if not isinstance(resolution, int):
+        nu, nv = resolution
+        return int(nu), int(nv)
+    wide = scene.width >= scene.height
+    length, other = (scene.width, scene.height) if wide else (scene.height, scene.width)
+    count = even_count(resolution, length, scene.grip_material[:, 0 if wide else 1])
+    across = max(3, round(other * (count - 1) / length) + 1)
+    return (count, across) if wide else (across, count)
+
+
+def even_count(asked: int, length: float, held: np.ndarray) -> int:
+    """How many evenly spaced lines over [0, length] m to use: the number nearest to `asked` (within 5) for which
+    every held coordinate lies on a line, so that no line has to be moved; `asked` if there is none."""
+    for count in sorted(range(max(3, asked - 5), asked + 6), key=lambda n: (abs(n - asked), n)):
+        at = held / length * (count - 1)
+        if np.abs(at - np.round(at)).max(initial=0.0) < 1e-6:
+            return count
+    return asked
+
+
+def grid_lines(length: float, count: int, held: np.ndarray) -> np.ndarray:
+    """`count` lines over [0, length] m, even except that the nearest line to each held coordinate lies on it."""
+    even = np.linspace(0.0, length, count)
+    held = np.unique(np.round(held, 9))
+    nearest = np.abs(even[:, None] - held[None]).argmin(axis=0)
+    if len(set(nearest)) < len(nearest):
+        raise ClothbenchError(
+            f"grips {length / (count - 1):.3g} m or less apart on a grid of {count} nodes over {length:g} m; "
+            "raise the resolution"
+        )
+    anchors = dict(zip(nearest.tolist(), held.tolist(), strict=True))
+    anchors = {0: 0.0, count - 1: length} | anchors
+    at = sorted(anchors)
+    return np.interp(np.arange(count), at, [anchors[i] for i in at])
+
+
+def tributary(lines: np.ndarray, length: float) -> np.ndarray:
+    """The length of cloth that each grid line stands for [m]."""
+    edges = np.concatenate([[0.0], (lines[1:] + lines[:-1]) / 2, [length]])
+    return np.diff(edges)

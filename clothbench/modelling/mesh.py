@@ -1,0 +1,123 @@
+"""Meshes of triangles: those of a grid, and the weights by which derivatives are read off any of them."""
+
+from __future__ import annotations
+
+import numpy as np
+
+
+def grid_triangles(shape: tuple[int, int]) -> np.ndarray:
+    """Triangles (F, 3) of a regular grid (nu, nv), node number j·nu + i; two a cell, all diagonals i, j → i+1, j+1.
+
+    With one direction of diagonals every node sees the same neighbours, and the mean of two triangles that share an
+    edge is exact for quadratic shapes; with alternating ones it is not, and bending comes out wrong on every mesh.
+    """
+    nu, nv = shape
+    i, j = (a.ravel() for a in np.meshgrid(np.arange(nu - 1), np.arange(nv - 1)))
+    a = j * nu + i
+    b, c, d = a + 1, a + nu, a + nu + 1
+    cells = np.stack([np.stack([a, b, d], 1), np.stack([a, d, c], 1)], 1)
+    return np.ascontiguousarray(cells.reshape(-1, 3).astype(np.int64))
+
+
+def triangle_slots(uv: np.ndarray, triangles: np.ndarray, face_area: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+    """How compiled loops go over all triangles at once: `columns`, `spacing` and `slots` of a sheet.
+
+    columns: nodes in a row if the mesh is `grid_triangles` between straight lines, else 0. Such a grid has a slot per
+    kind of triangle for each node e = j·nu + i up to the last cell, first all (e, e+1, e+nu+1), then all (e, e+nu+1,
+    e+nu): nodes and neighbours of all triangles of a kind lie at constant distances, and no loop needs their numbers.
+    Any other mesh has a slot per triangle.
+    spacing: (2, 3n) 1/m of a grid, 1/h_u and 1/h_v from each node to the next, 0 where there is none, three times over
+    for loops that run through x, y and z; else (2, 0).
+    slots: (4, S), area m², 0 where a row ends; and weights. Of a grid they are what makes ∂²/∂u², ∂²/∂v² and ∂²/∂u∂v
+    as `curvature_weights` sees them of differences of first derivatives, 1/m, 0 where nothing holds the slope; else 1.
+    """
+    columns = _grid_columns(uv, triangles)
+    if columns == 0:
+        return 0, np.zeros((2, 0)), np.vstack([face_area[None], np.ones((3, len(face_area)))])
+    u, v = uv[:columns, 0], uv[::columns, 1]
+    spacing, cells = np.zeros((2, len(v), columns)), np.zeros((4, 2, len(v) - 1, columns))
+    spacing[0, :, :-1], spacing[1, :-1] = 1 / np.diff(u), 1 / np.diff(v)[:, None]
+    cells[0, :, :, :-1] = 0.5 * np.outer(np.diff(v), np.diff(u))
+    cells[1, 0, :, :-2], cells[1, 1, :, 1:] = spacing[0, 1:, :-2], spacing[0, 1:, 1:]
+    cells[2, 0, 1:], cells[2, 1, :-1] = spacing[1, 1:-1], spacing[1, :-2]
+    cells[3] = spacing[1, :-1]
+    slots = cells.reshape(4, 2, -1)[:, :, :-1].reshape(4, -1)
+    return columns, np.tile(spacing.reshape(2, -1), 3), np.ascontiguousarray(slots)
+
+
+def _grid_columns(uv: np.ndarray, triangles: np.ndarray) -> int:
+    """nu of a grid of straight lines u, v that ascend, node number j·nu + i, with the triangles of `grid_triangles`."""
+    columns = int(triangles[0, 2]) - 1 if len(triangles) else 0
+    if columns < 2 or len(uv) % columns or len(uv) < 2 * columns:
+        return 0
+    shape = (columns, len(uv) // columns)
+    lines = uv.reshape(shape[1], columns, 2)
+    straight = (lines[:, :, 0] == lines[0, :, 0]).all() and (lines[:, :, 1] == lines[:, :1, 1]).all()
+    ascending = (np.diff(lines[0, :, 0]) > 0).all() and (np.diff(lines[:, 0, 1]) > 0).all()
+    return columns if straight and ascending and np.array_equal(triangles, grid_triangles(shape)) else 0
+
+
+def gradient_weights(uv: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """∂/∂u and ∂/∂v of a field that is linear over each triangle, (F, 2, 3) 1/m; and the areas (F,) m²."""
+    corner = uv[triangles]
+    side = np.roll(corner, -2, axis=1) - np.roll(corner, -1, axis=1)  # opposite to each corner
+    double = side[:, 0, 0] * side[:, 1, 1] - side[:, 0, 1] * side[:, 1, 0]
+    weights = np.stack([-side[:, :, 1], side[:, :, 0]], axis=1) / double[:, None, None]
+    return np.ascontiguousarray(weights), np.abs(double) / 2
+
+
+def curvature_weights(
+    uv: np.ndarray, triangles: np.ndarray, gradient: np.ndarray, face_area: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Patches (F, 6) and the second derivatives (F, 3, 6) 1/m² over each triangle, from its three neighbours.
+
+    κ = Σ_k l_k/(2A) [n_k·(∇x_k − ∇x)] n_k ⊗ n_k over the edges k of a triangle, with length l_k, normal n_k and the
+    neighbour's gradient ∇x_k: the mean over the triangle of the slope's derivative, slopes on an edge being the mean
+    of both sides (the rotation-free triangle of Oñate and Zárate 2000, there called BST). Exact for quadratic shapes
+    on a regular mesh. At a free edge nothing holds the slope: the bending across it is what costs least, which
+    without cross contraction is none, n·κ·n = 0.
+    """
+    beyond, far = _neighbours(triangles)
+    rows = np.arange(len(triangles))
+    patch = np.hstack([triangles, np.where(far < 0, triangles, far)])
+    # In the orthonormal components uu, vv, √2 uv.
+    weights, normals = np.zeros((len(triangles), 3, 6)), np.zeros((len(triangles), 3, 3))
+    for k in range(3):
+        one, two = (k + 1) % 3, (k + 2) % 3
+        a, b, c = (uv[triangles[:, m]] for m in (one, two, k))
+        edge = b - a
+        length = np.linalg.norm(edge, axis=1, keepdims=True)
+        n = np.stack([edge[:, 1], -edge[:, 0]], axis=1) / length
+        n *= -np.sign(((c - a) * n).sum(axis=1, keepdims=True))  # outwards
+        normals[:, k] = np.stack([n[:, 0] ** 2, n[:, 1] ** 2, np.sqrt(2.0) * n[:, 0] * n[:, 1]], axis=1)
+        jump = np.zeros((len(triangles), 6))
+        jump[:, :3] = -np.einsum("fi,fim->fm", n, gradient)
+        other = triangles[beyond[:, k]]  # nonsense at the border, where it is left out below
+        slope = np.einsum("fi,fim->fm", n, gradient[beyond[:, k]])
+        for m in range(3):
+            place = np.select([other[:, m] == triangles[:, one], other[:, m] == triangles[:, two]], [one, two], 3 + k)
+            jump[rows, place] += slope[:, m]
+        share = np.where(beyond[:, k : k + 1] < 0, 0.0, length / (2 * face_area[:, None]))
+        weights += normals[:, k, :, None] * (share * jump)[:, None]
+    for f in np.flatnonzero((beyond < 0).any(axis=1)):
+        span = normals[f, beyond[f] < 0].T
+        weights[f] -= span @ np.linalg.lstsq(span, weights[f], rcond=None)[0]
+    weights[:, 2] /= np.sqrt(2.0)
+    return np.ascontiguousarray(patch), np.ascontiguousarray(weights)
+
+
+def _neighbours(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The triangle, and its far corner, beyond the edge opposite to each corner: (F, 3), (F, 3); −1 at the border."""
+    seen: dict[tuple[int, int], tuple[int, int]] = {}
+    beyond, far = np.full(triangles.shape, -1), np.full(triangles.shape, -1)
+    for f, own in enumerate(triangles.tolist()):
+        for k in range(3):
+            one, two = own[(k + 1) % 3], own[(k + 2) % 3]
+            edge = (one, two) if one < two else (two, one)
+            if edge in seen:
+                g, m = seen[edge]
+                beyond[f, k], beyond[g, m] = g, f
+                far[f, k], far[g, m] = triangles[g, m], own[k]
+            else:
+                seen[edge] = (f, k)
+    return beyond, far

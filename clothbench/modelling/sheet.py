@@ -1,0 +1,156 @@
+"""The cloth as compiled code sees it: the sheet, its normals, and what inertia does to forces."""
+
+from __future__ import annotations
+
+from collections import namedtuple
+
+import numpy as np
+from numba import types
+
+from clothbench.core.kernels import kernel
+from clothbench.modelling.mesh import curvature_weights, gradient_weights, triangle_slots
+
+Sheet = namedtuple(
+    "Sheet",
+    "uv mass area normal triangles gradient face_area patch curvature gravity air_density held grip columns "
+    "spacing slots",
+)
+Sheet.__doc__ = """The cloth as an effect sees it; `sheet_of` makes one from any mesh of triangles.
+
+uv: (n, 2) m, rest coordinates; mass: (n,) kg and area: (n,) m² of each node; normal: (3, n), unit, at this step;
+triangles: (F, 3), node numbers; face_area: (F,) m², at rest;
+gradient: (F, 2, 3) 1/m, ∂/∂u and ∂/∂v over a triangle as weights of its corners;
+patch: (F, 6), the corners, then the node beyond the edge opposite to each corner (a corner again at the border);
+curvature: (F, 3, 6) 1/m², ∂²/∂u², ∂²/∂v² and ∂²/∂u∂v as weights of the patch (see `curvature_weights`);
+gravity: (3,) m/s²; air_density: kg/m³; held: (G,), the node on each grip; grip: (3, G) m, where the grips are;
+columns, spacing, slots: for loops over all triangles at once, see `triangle_slots`.
+"""
+
+VECTOR = types.float64[::1]
+ROWS = types.float64[:, ::1]
+BLOCKS = types.float64[:, :, ::1]
+NODES = types.int64[:, ::1]
+SHEET = types.NamedTuple(
+    (
+        ROWS,
+        VECTOR,
+        VECTOR,
+        ROWS,
+        NODES,
+        BLOCKS,
+        VECTOR,
+        NODES,
+        BLOCKS,
+        VECTOR,
+        types.float64,
+        types.int64[::1],
+        ROWS,
+        types.int64,
+        ROWS,
+        ROWS,
+    ),
+    Sheet,
+)
+
+
+def sheet_of(
+    uv: np.ndarray, mass: np.ndarray, area: np.ndarray, triangles: np.ndarray, gravity, air_density: float, held=()
+) -> Sheet:
+    """The `Sheet` of a mesh of triangles, for compiled loops; normals are zero until a loop fills them.
+
+    uv: (n, 2) m; mass: (n,) kg; area: (n,) m²; triangles: (F, 3); held: (G,) nodes. A loop on another
+    thread needs a copy with arrays of its own where it writes: `own_sheet(sheet)`.
+    """
+    gradient, face_area = gradient_weights(uv, triangles)
+    patch, curvature = curvature_weights(uv, triangles, gradient, face_area)
+    columns, spacing, slots = triangle_slots(uv, triangles, face_area)
+    return Sheet(
+        np.ascontiguousarray(uv, dtype=float), np.array(mass, dtype=float), np.array(area, dtype=float),
+        np.zeros((3, len(uv))), np.ascontiguousarray(triangles, dtype=np.int64), gradient, face_area, patch, curvature,
+        np.array(gravity, dtype=float), float(air_density), np.array(held, dtype=np.int64), np.zeros((3, len(held))),
+        columns, spacing, slots,
+    )  # fmt: skip
+
+
+def own_sheet(sheet: Sheet, normals: bool = True) -> Sheet:
+    """A copy for one thread: normals and grips, which a loop fills at every step, of its own.
+
+    normals: whether anything reads them; else they are NaN, and stay so in a loop that asks `wants_normals`.
+    """
+    return sheet._replace(normal=np.full_like(sheet.normal, 0.0 if normals else np.nan), grip=np.zeros_like(sheet.grip))
+
+
+@kernel
+def grid_normals(x, nu, normal):
+    """Unit normals (3, n) of a regular grid x (3, n) m, nu nodes a row: cross product of the central differences.
+
+    A node where the sheet has collapsed gets the zero vector: nothing can push on it along a normal.
+    """
+    n = x.shape[1]
+    inner = n - 2 * nu
+    # All inner rows at once first, as if rows did not end: without branches the compiler can use the vector unit.
+    lx, ly, lz = x[0, nu - 1 : nu - 1 + inner], x[1, nu - 1 : nu - 1 + inner], x[2, nu - 1 : nu - 1 + inner]
+    rx, ry, rz = x[0, nu + 1 : nu + 1 + inner], x[1, nu + 1 : nu + 1 + inner], x[2, nu + 1 : nu + 1 + inner]
+    tx, ty, tz = x[0, :inner], x[1, :inner], x[2, :inner]
+    bx, by, bz = x[0, 2 * nu : 2 * nu + inner], x[1, 2 * nu : 2 * nu + inner], x[2, 2 * nu : 2 * nu + inner]
+    ox, oy, oz = normal[0, nu : nu + inner], normal[1, nu : nu + inner], normal[2, nu : nu + inner]
+    for e in range(inner):
+        px, py, pz = bx[e] - tx[e], by[e] - ty[e], bz[e] - tz[e]
+        qx, qy, qz = rx[e] - lx[e], ry[e] - ly[e], rz[e] - lz[e]
+        ox[e], oy[e], oz[e] = _unit_cross(px, py, pz, qx, qy, qz)
+    for i in range(nu):
+        _border_normal(x, nu, i, normal)
+        _border_normal(x, nu, n - nu + i, normal)
+    for j in range(1, n // nu - 1):
+        _border_normal(x, nu, j * nu, normal)
+        _border_normal(x, nu, j * nu + nu - 1, normal)
+
+
+@kernel
+def wants_normals(sheet):
+    """Whether a loop has to fill `sheet.normal` (see `own_sheet`)."""
+    return sheet.normal[0, 0] == sheet.normal[0, 0]  # NaN is not
+
+
+@kernel
+def _unit_cross(px, py, pz, qx, qy, qz):
+    """p × q, normalised; the zero vector where they are parallel."""
+    nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+    size = 1.0 / np.sqrt(nx * nx + ny * ny + nz * nz + 1e-60)
+    return nx * size, ny * size, nz * size
+
+
+@kernel
+def _border_normal(x, nu, e, normal):
+    """The same at one node of the border, with one-sided differences."""
+    i, n = e % nu, x.shape[1]
+    left, right = e - (1 if i > 0 else 0), e + (1 if i < nu - 1 else 0)
+    top, bottom = e - (nu if e >= nu else 0), e + (nu if e < n - nu else 0)
+    px, py, pz = x[0, bottom] - x[0, top], x[1, bottom] - x[1, top], x[2, bottom] - x[2, top]
+    qx, qy, qz = x[0, right] - x[0, left], x[1, right] - x[1, left], x[2, right] - x[2, left]
+    normal[0, e], normal[1, e], normal[2, e] = _unit_cross(px, py, pz, qx, qy, qz)
+
+
+@kernel
+def bear_inertia(f, mass, extra):
+    """Turn the total force f (3, n) N into what the bare masses (n,) kg must feel: f ← m (m I + ΔM)⁻¹ f.
+
+    extra (6, n) kg: ΔM of each node as xx, yy, zz, yz, xz, xy. A node without any is not touched, to the bit.
+    """
+    for i in range(f.shape[1]):
+        if (
+            extra[0, i] == 0.0 and extra[1, i] == 0.0 and extra[2, i] == 0.0
+            and extra[3, i] == 0.0 and extra[4, i] == 0.0 and extra[5, i] == 0.0
+        ):  # fmt: skip
+            continue
+        m = mass[i]
+        xx, yy, zz = 1.0 + extra[0, i] / m, 1.0 + extra[1, i] / m, 1.0 + extra[2, i] / m
+        yz, xz, xy = extra[3, i] / m, extra[4, i] / m, extra[5, i] / m
+        # Cofactors of the symmetric 3 × 3 matrix.
+        axx, axy, axz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+        ayy, ayz, azz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+        scale = 1.0 / (xx * axx + xy * axy + xz * axz)
+        fx, fy, fz = f[0, i] * scale, f[1, i] * scale, f[2, i] * scale
+        f[0, i] = axx * fx + axy * fy + axz * fz
+        f[1, i] = axy * fx + ayy * fy + ayz * fz
+        f[2, i] = axz * fx + ayz * fy + azz * fz

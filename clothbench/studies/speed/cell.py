@@ -1,0 +1,64 @@
+"""The one cell of a study of speed: all is measured in one run, or ratios would mean nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from typing import Any, ClassVar
+
+from clothbench.engine.cells import digest, plugin_versions
+from clothbench.engine.settings import refuse, whole
+from clothbench.engine.study import FileProgress
+from clothbench.plugins.discovery import Catalogue
+from clothbench.studies.speed.bench import SIDES
+
+SUITE_WORDS = frozenset({"sides"})
+NOT_TIMED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis")
+
+
+@dataclass(frozen=True)
+class SpeedCell:
+    """These models, or all if there are none, beside all installed peers, on sheets of so many nodes a side."""
+
+    suite: str
+    models: tuple[str, ...]
+    sides: tuple[int, ...]
+    versions: Mapping[str, str] = field(default_factory=dict)
+
+    study: ClassVar[str] = "speed"
+    case: ClassVar[str] = "swaying sheet"
+    cases: ClassVar[tuple[str, ...]] = ("swaying sheet",)
+    effects: ClassVar[tuple[str, ...]] = ()
+    optimizer: ClassVar[None] = None
+    seed: ClassVar[None] = None
+    metric: ClassVar[str] = "time_per_million_node_steps"
+    row_columns: ClassVar[Mapping[str, Any]] = {}
+    counts: ClassVar[str] = "measurements"
+    value_word: ClassVar[str] = "sheets"
+
+    @property
+    def model(self) -> str:
+        return ",".join(self.models) or "all"
+
+    @property
+    def budget(self) -> int:
+        return len(self.sides)
+
+    @cached_property
+    def key(self) -> str:
+        return digest([self.study, asdict(self)])
+
+    @property
+    def label(self) -> str:
+        return f"speed of {self.model}"
+
+
+def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[SpeedCell]:
+    """One cell, whatever there is to measure."""
+    refuse(settings, NOT_TIMED, "speed is measured on a scene of its own", "speed is measured on a scene of its own")
+    given = settings["suite"].get("sides") or SIDES
+    sides = tuple(whole("suite.sides", n, 5) for n in (given if isinstance(given, list | tuple) else [given]))
+    models = tuple(dict.fromkeys(settings["model"]))
+    versions = plugin_versions([("models", name) for name in models or plugins.names("models")], plugins)
+    return [SpeedCell(settings["suite"].get("name") or "speed", models, sides, versions)]

@@ -1,0 +1,83 @@
+"""Speeds as tables: in the terminal and on the page."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+from rich.markup import escape
+from rich.table import Table
+
+from clothbench.display.html import table as html_table
+from clothbench.display.html import text
+from clothbench.display.section import Section
+from clothbench.engine.study import Results
+from clothbench.studies.speed.bench import PEER_STEP, PROCESSES, Row
+from clothbench.studies.speed.timing import TOLERABLE
+
+
+def show(results: Results) -> list[Any]:
+    return speed_tables(results.table("speeds"))
+
+
+def sections(results: Results) -> list[Section]:
+    """What `show` prints, as one table of the page."""
+    head = ["model", "kind", "precision", "step", "nodes", "threads", "batch", "million node-steps/s", "× real time",
+            "peer", "× peer, per core", "error [mm]"]  # fmt: skip
+    body = [[text(cell) for cell in _page_line(row)] for row in results.table("speeds")]
+    note = '<p class="soft">All in one run, after warm-up. With an error: at the longest step that keeps to it.</p>'
+    return [Section(f"<h2>Speed</h2>{note}" + html_table(head, body, numeric={4, 5, 6, 7, 8, 10, 11}))]
+
+
+def _page_line(row: Row) -> list[str]:
+    error = "" if row["error_m"] is None else f"{1e3 * row['error_m']:.2g}"
+    step = row["note"] if row["step_s"] is None else f"{1e3 * row['step_s']:.3g} ms"
+    about = [row["model"], row["kind"], row["precision"], step, row["nodes"], row["threads"], row["batch"]]
+    pace = [f"{row['node_steps_per_s'] / 1e6:.1f}", f"{row['realtime_factor']:.3g}"]
+    ratio = "" if row["ratio"] is None else f"{row['ratio']:.2f}"
+    return [*(str(a or "") for a in about), *pace, row["peer"] or "", ratio, error]
+
+
+def speed_tables(rows: Sequence[Row]) -> list[Any]:
+    """A line for each measurement, with its ratio to each peer; then the share of separate processes."""
+    equal, rows = [r for r in rows if r["error_m"] is not None], [r for r in rows if r["error_m"] is None]
+    peers = list(dict.fromkeys(r["peer"] for r in rows if r["peer"] not in (None, PROCESSES)))
+    table = Table(title="speed; × a peer: per core", title_justify="left", title_style="bold")
+    for name in ("model", "kind", "precision", "step"):
+        table.add_column(name, no_wrap=True)
+    beside = [f"× {p}" for p in peers]
+    for name in ("nodes", "threads", "batch", "million node-steps/s", "× real time", *beside):
+        table.add_column(name, justify="right")
+    for cells in _lines([r for r in rows if r["peer"] != PROCESSES], peers):
+        table.add_row(*map(escape, cells))
+    out: list[Any] = [table]
+    for row in (r for r in rows if r["peer"] == PROCESSES):
+        what = f"{row['model']}, {row['nodes']} nodes, {row['threads']} threads"
+        out.append(f"{escape(what)}: {row['ratio']:.2f}, {escape(row['note'])}")
+    if not equal:
+        return out
+    title = f"one sheet per core, longest step that errs by {1e3 * TOLERABLE:g} mm at most"
+    table = Table("model", "options", title=title, title_justify="left", title_style="bold")
+    for name in ("nodes", "step, ms", "error, mm", "× real time", "× fastest peer"):
+        table.add_column(name, justify="right")
+    for r in equal:
+        ratio = "" if r["ratio"] is None else f"{r['ratio']:.1f} ({r['peer']})"
+        step, error, pace = f"{1e3 * r['step_s']:.3g}", f"{1e3 * r['error_m']:.2g}", f"{r['realtime_factor']:.3g}"
+        table.add_row(*map(escape, (r["model"], r["note"] or "", str(r["nodes"]), step, error, pace, ratio)))
+    return [*out, table]
+
+
+def _lines(rows: Sequence[Row], peers: Sequence[str]) -> Iterator[list[str]]:
+    """The cells of the table: rows that differ in their peer alone share a line."""
+    together: dict[tuple, dict[str, str]] = {}
+    about: dict[tuple, Row] = {}
+    for row in rows:
+        key = tuple(v for k, v in row.items() if k not in ("peer", "ratio"))
+        about[key] = row
+        together.setdefault(key, {})[row["peer"]] = f"{row['ratio']:.1f}" if row["ratio"] is not None else ""
+    for key, row in about.items():
+        step = PEER_STEP if row["model"] in peers else row["note"]
+        texts = (row["model"], row["kind"], row["precision"], step)
+        counts = (row["nodes"], row["threads"], row["batch"])
+        speed = (f"{row['node_steps_per_s'] / 1e6:.1f}", f"{row['realtime_factor']:.3g}")
+        yield [*(str(t or "") for t in (*texts, *counts)), *speed, *(together[key].get(p, "") for p in peers)]

@@ -1,0 +1,43 @@
+"""What is remembered between a run that was stopped and the one that goes on."""
+
+import numpy as np
+
+from clothbench.engine.checkpoint import Checkpoint
+
+
+def test_arrays_come_back_to_the_bit(tmp_path):
+    checkpoint = Checkpoint(tmp_path / "unfinished")
+    values = np.random.default_rng(0).normal(size=(3, 4))
+    checkpoint.keep("a" * 16, values=values, count=np.array(7))
+    known = Checkpoint(tmp_path / "unfinished").recall("a" * 16)
+    assert known is not None
+    assert (known["values"] == values).all()
+    assert int(known["count"]) == 7
+
+
+def test_the_time_of_stopped_runs_counts(tmp_path):
+    checkpoint = Checkpoint(tmp_path)
+    checkpoint.before = 100.0
+    checkpoint.keep("a" * 16, values=np.zeros(3))
+    assert 100.0 < Checkpoint(tmp_path).seconds < 110.0
+
+
+def test_unknown_and_damaged_are_computed_again(tmp_path):
+    checkpoint = Checkpoint(tmp_path)
+    assert checkpoint.recall("b" * 16) is None
+    (tmp_path / f"{'b' * 16}.npz").write_bytes(b"half a file")
+    assert checkpoint.recall("b" * 16) is None
+
+
+def test_without_a_folder_nothing_is_kept():
+    checkpoint = Checkpoint()
+    checkpoint.keep("c" * 16, values=np.zeros(3))
+    assert checkpoint.recall("c" * 16) is None
+    checkpoint.forget()
+
+
+def test_forgotten_leaves_nothing(tmp_path):
+    checkpoint = Checkpoint(tmp_path / "unfinished")
+    checkpoint.keep("d" * 16, values=np.zeros(3))
+    checkpoint.forget()
+    assert not (tmp_path / "unfinished").exists()

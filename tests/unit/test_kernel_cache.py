@@ -1,0 +1,117 @@
+"""Compiled code is keyed by the content of all its sources: an edit of a helper in another file shows at once."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+from conftest import ROOT
+
+HELPER = """
+from clothbench.modelling import kernel
+from yarn.numbers import TWO
+
+@kernel
+def double(x):
+    return TWO * x
+"""
+CALLER = """
+from clothbench.modelling import kernel
+from yarn.helper import double
+from yarn import numbers
+
+@kernel
+def answer(x):
+    return double(x) + numbers.ONE
+
+@kernel(signature="float64(float64)")
+def stated(x):
+    return 10.0 * double(x)
+"""
+ASK = """
+from yarn.caller import answer, stated
+print(answer(3.0), stated(3.0), sum(answer.stats.cache_hits.values()), sum(stated.stats.cache_hits.values()))
+"""
+
+
+@pytest.fixture
+def yarn(tmp_path):
+    """A package of two kernel files and one of numbers."""
+    folder = tmp_path / "yarn"
+    folder.mkdir()
+    for name, text in {"__init__": "", "helper": HELPER, "caller": CALLER, "numbers": "ONE, TWO = 1.0, 2.0\n"}.items():
+        (folder / f"{name}.py").write_text(text)
+    return folder
+
+
+def run(folder: Path, code: str, *more: Path) -> str:
+    """What the code prints in a process of its own, with these folders before all others."""
+    paths = os.pathsep.join(map(str, (folder, *more)))
+    environment = {**os.environ, "PYTHONPATH": paths, "PYTHONDONTWRITEBYTECODE": "1"}
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, env=environment,
+                         cwd=folder, check=False)  # fmt: skip
+    assert out.returncode == 0, out.stderr
+    return out.stdout
+
+
+def edited(file: Path, old: str, new: str) -> None:
+    """A change that leaves size and time stamp as they were."""
+    text, stamp = file.read_text(), file.stat().st_mtime_ns
+    assert old in text
+    file.write_text(text.replace(old, new.ljust(len(old))))
+    assert file.stat().st_size == len(text.encode())
+    os.utime(file, ns=(stamp, stamp))
+
+
+def test_what_was_not_edited_comes_from_the_disk(yarn):
+    assert run(yarn.parent, ASK).split() == ["7.0", "60.0", "0", "0"]
+    assert run(yarn.parent, ASK).split() == ["7.0", "60.0", "1", "1"]
+
+
+def test_an_edit_of_a_helper_is_seen_by_who_calls_it(yarn):
+    run(yarn.parent, ASK)
+    edited(yarn / "helper.py", "TWO * x", "x + TWO")
+    assert run(yarn.parent, ASK).split() == ["6.0", "50.0", "0", "0"]
+
+
+@pytest.mark.parametrize(("old", "new", "found"), [("2.0", "5.0", "16.0"), ("1.0", "9.0", "15.0")])
+def test_so_is_a_number_that_was_built_in(yarn, old, new, found):
+    run(yarn.parent, ASK)
+    edited(yarn / "numbers.py", old, new)
+    assert run(yarn.parent, ASK).split()[0] == found
+
+
+def test_an_index_of_somebody_else_is_as_good_as_none(yarn):
+    run(yarn.parent, ASK)
+    for index in (yarn / "__pycache__").glob("*.nbi"):
+        index.write_bytes(b"of another time")
+    assert run(yarn.parent, ASK).split() == ["7.0", "60.0", "0", "0"]
+
+
+@pytest.mark.parametrize("folder", ["clothbench", "plugins", "examples"])
+def test_there_is_one_decorator(folder):
+    """numba's own would be keyed by one file's time stamp."""
+    for path in (ROOT / folder).rglob("*.py*"):
+        if path.suffix in (".py", ".txt") and path != ROOT / "clothbench" / "core" / "kernels.py":
+            assert "njit" not in path.read_text(), f"{path.relative_to(ROOT)} compiles by itself"
+
+
+@pytest.mark.slow
+def test_a_models_motion_follows_an_edit_of_a_shared_kernel(tmp_path):
+    """The grips of the shared time loop, moved by a centimetre in a copy: the sheet hangs a centimetre lower."""
+    for package in ("clothbench", "plugins/models/clothbench_models"):
+        ignored = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(ROOT / package, tmp_path / Path(package).name, ignore=ignored)
+    code = (
+        "from clothbench_models.mass_spring import MassSpring\nfrom clothbench.testing import scenes\n"
+        "scene = scenes.hanging(); sheet = MassSpring(resolution=5).prepare(scene)\n"
+        "print(sheet.run(sheet.parameters.defaults[None]).position[0, -1, :, 2].max())"
+    )
+    before = float(run(tmp_path, code))
+    loop = tmp_path / "clothbench" / "modelling" / "time_loop.py"
+    edited(loop, "        3, segment, g, c\n    ]\n", "3,segment,g,c]-.01*(c==2)\n")
+    assert float(run(tmp_path, code)) == pytest.approx(before - 0.01, abs=1e-6)
