@@ -1,5 +1,5 @@
-"""Stage 5: the most promising candidates fitted in earnest, so that neither a search that ended early nor a better valley
-decides between them.
+"""Stage 5: the most promising candidates fitted in earnest, so that neither a search that ended early nor a better
+valley decides between them.
 """
 
 from __future__ import annotations
