@@ -41,7 +41,7 @@ def test_the_stages_know_no_kind_of_evidence():
 
 
 def test_no_plugin_is_named():
-    plugins = {p.name for p in catalogue().plugins}
+    plugins = {p.name for p in catalogue().plugins if p.kind != "studies"}
     for path in FOLDER.glob("*.py"):
         texts = {n.value for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Constant)}
         named = plugins & {text for text in texts if isinstance(text, str)}

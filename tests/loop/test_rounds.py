@@ -13,7 +13,7 @@ from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import multistart
 from clothbench.studies.improve.loop import all_rounds
-from clothbench.studies.improve.rounds import polished
+from clothbench.studies.improve.refits import polished
 from clothbench.studies.improve.settings import LOOP, SearchSettings
 from clothbench.studies.improve.state import Round
 
@@ -52,7 +52,7 @@ def test_a_finalist_is_polished_as_long_as_that_pays(monkeypatch, falls, times):
         residual = [falls[len(asked) - 1] * r for r in fit.residual]
         return dataclasses.replace(fit, residual=residual), 7
 
-    monkeypatch.setattr("clothbench.studies.improve.rounds.polish", polish)
+    monkeypatch.setattr("clothbench.studies.improve.refits.polish", polish)
     account = Account(lambda *_: None)
     account.stage("contest", 0, 1)
     found = polished(None, fitted(4e-3), account)

@@ -18,6 +18,7 @@ from clothbench.recordings.curve import Curve, read_curve
 from clothbench.recordings.nodes import Recording, find_recordings, read_recording
 from clothbench.studies.improve.candidates import candidates_of, names
 from clothbench.studies.improve.cell import ImproveCell
+from clothbench.studies.improve.fitting import search_settings
 from clothbench.studies.improve.prepare import prepare
 from clothbench.studies.improve.problem import Problem
 
@@ -55,7 +56,7 @@ def cell_of(settings: Mapping[str, Any], plugins: Catalogue) -> ImproveCell:
     base = base_of(settings, prepare(cell, plugins), kind)
     candidates = candidates_of(settings["candidates"], kind, base, plugins)
     cell = dataclasses.replace(cell, base=base, candidates=candidates)
-    require_known_bounds(cell, plugins)
+    rehearse(cell, plugins)
     return dataclasses.replace(cell, versions=plugin_versions(cell.plugins, plugins))
 
 
@@ -130,15 +131,15 @@ def base_of(settings: Mapping[str, Any], problem: Problem, kind: str) -> tuple[s
     return () if any(p.unit == unit for p in problem.space(())) else (damping,)
 
 
-def require_known_bounds(cell: ImproveCell, plugins: Catalogue) -> None:
-    """Refuse bounds of parameters that neither the model nor any effect has."""
-    if cell.bounds:
-        problem = prepare(cell, plugins)
-        known = [*problem.space(()).names]
-        known += [f"{name}.{p.name}" for name in cell.candidates for p in problem.make("effects", name).parameters]
-        if strays := [name for name in cell.bounds if name not in known]:
-            there = ", ".join(sorted(known))
-            raise ClothbenchError(f"setting 'bounds': no parameter {strays[0]!r}; there are: {there}")
+def rehearse(cell: ImproveCell, plugins: Catalogue) -> None:
+    """Make everything once without simulating: what is wrong in options and bounds comes to light before a run."""
+    problem = prepare(cell, plugins)
+    space = problem.space(())
+    problem.plugins.make("optimizers", cell.optimizer, space, seed=0, budget=1, **search_settings(problem, first=True))
+    own = {name: problem.make("effects", name).parameters.prefixed(name) for name in cell.candidates}
+    known = sorted([*space.names, *(p.name for one in own.values() for p in one)])
+    if strays := [name for name in cell.bounds if name not in known]:
+        raise ClothbenchError(f"setting 'bounds': no parameter {strays[0]!r}; there are: {', '.join(known)}")
 
 
 def flat(nested: Mapping[str, Any], above: str = "") -> dict[str, Any]:
