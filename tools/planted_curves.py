@@ -14,10 +14,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from clothbench.cli.improve_curves import candidates_of, improved
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.curve import Curve
-from clothbench.studies.improve.curves import curve_problem
+from clothbench.studies.improve.candidates import candidates_of
+from clothbench.studies.improve.curves import curve_evidence
+from clothbench.studies.improve.document import verdict_document
+from clothbench.studies.improve.loop import improve
+from clothbench.studies.improve.problem import Problem
 
 RUNS, HELD_OUT, SAMPLES, LONGEST = 6, 2, 600, 0.6
 STIFFNESS, NOISE, BETWEEN = 20.0, 0.1, 0.02  # N, N, share
@@ -73,8 +76,9 @@ def runs(seed: int, law: Law) -> list[Curve]:
 def outcome(seed: int, law: Law) -> str:
     """ "attributed: strain_locking" """
     plugins, curves = catalogue(), runs(seed, law)
-    problem = curve_problem("linear_stretch", curves, [c.split for c in curves], plugins, seed=0)
-    found = improved(problem, candidates_of(None, plugins))[1]
+    evidence = curve_evidence(curves, [c.split for c in curves])
+    problem = Problem("linear_stretch", evidence, plugins, "least_squares")
+    found = verdict_document(improve(problem, candidates_of(None, "curve", (), plugins)))
     names = [name for effect in found["effects"] for name in (effect["name"], *effect["tied_with"])]
     return ": ".join([found["verdict"], *([", ".join(sorted(names))] if names else [])])
 

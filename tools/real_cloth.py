@@ -26,18 +26,23 @@ import numpy as np
 import robot_swings as swings
 from scipy.stats import t as student
 
-from clothbench.cli.improve_curves import candidates_of, improved
 from clothbench.datasets.convert import converted
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.curve import Curve, read_curve
-from clothbench.studies.improve.curves import CurveCase, common_steps, curve_problem, loading, observed
-from clothbench.studies.improve.fitting import Fitted, fit
+from clothbench.studies.improve.candidates import candidates_of
+from clothbench.studies.improve.curve_steps import common_steps, loading, observed
+from clothbench.studies.improve.curves import CurveCase, curve_evidence
+from clothbench.studies.improve.document import verdict_document
+from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.fitting import fit
+from clothbench.studies.improve.loop import improve
+from clothbench.studies.improve.problem import Problem
 
 matplotlib.use("svg")
 import matplotlib.pyplot as plt
 
 IMAGES = Path(__file__).resolve().parents[1] / "docs" / "images"
-MODEL, DATASET = "linear_stretch", "knit_uniaxial_gatech"
+MODEL, OPTIMIZER, DATASET = "linear_stretch", "least_squares", "knit_uniaxial_gatech"
 LAWS = ("strain_locking", "limited_extension")
 LINEAR, LOCKING, LIMIT, GREY = "#c44e52", "#4c72b0", "#55a868", "#999999"
 FURTHER = 1.05  # of the largest strain all runs reached: where the two laws are compared
@@ -86,11 +91,12 @@ def knit(folder: Path) -> Knit:
     plugins, documents = catalogue(), []
     for held in range(len(curves)):
         splits = ["held_out" if k == held else "fit" for k in range(len(curves))]
-        problem = curve_problem(MODEL, curves, splits, plugins, seed=0)
-        documents.append(improved(problem, candidates_of(None, plugins))[1])
-    whole = curve_problem(MODEL, curves, ["fit"] * len(curves), plugins, seed=0)
+        problem = Problem(MODEL, curve_evidence(curves, splits), plugins, OPTIMIZER)
+        documents.append(verdict_document(improve(problem, candidates_of(None, "curve", (), plugins))))
+    evidence = curve_evidence(curves, ["fit"] * len(curves))
+    whole = Problem(MODEL, evidence, plugins, OPTIMIZER)
     laws = {name: fit(whole, (name,) if name else (), None, 140) for name in ("", *LAWS)}
-    return Knit(folder.name.removeprefix("acrylic-"), curves, documents, laws, whole.cases)  # type: ignore[arg-type]
+    return Knit(folder.name.removeprefix("acrylic-"), curves, documents, laws, evidence.cases)
 
 
 def interval(values: np.ndarray) -> tuple[float, float]:

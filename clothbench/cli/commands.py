@@ -183,9 +183,9 @@ def print_json(document: Any) -> None:
 
 
 def improve(options: argparse.Namespace) -> int:
-    from clothbench.cli.improve import KEYS, command
+    from clothbench.cli.improve import command
 
-    return command(key_values(options.settings, KEYS), options.json)
+    return command(options.settings, options.json)
 
 
 def plugins(options: argparse.Namespace) -> int:

@@ -2,69 +2,96 @@
 
 from __future__ import annotations
 
-import dataclasses
 import json
-import math
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.protocols import Effect
-from clothbench.engine.cells import Source, resplit
-from clothbench.engine.checkpoint import Checkpoint as Memory
+from clothbench.engine.checkpoint import Checkpoint
 from clothbench.engine.settings import writable
-from clothbench.modelling.curves import acts_on_sheets
-from clothbench.plugins.discovery import Catalogue, absent, catalogue
-from clothbench.recordings.codec import kind_of
-from clothbench.recordings.curve import Curve
-from clothbench.recordings.nodes import Recording, find_recordings, read_recording
-from clothbench.recordings.scenes import scene_of
+from clothbench.plugins.discovery import Catalogue, catalogue
+from clothbench.studies.improve.candidates import unusable
+from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.files import json_text, write_folder
-from clothbench.studies.improve.fitting import ENOUGH
-from clothbench.studies.improve.problem import Case, Problem
-from clothbench.studies.improve.rounds import improve
-from clothbench.studies.improve.verdict import judged
+from clothbench.studies.improve.plan import cell_of
+from clothbench.studies.improve.prepare import find
+from clothbench.studies.improve.settings import LOOP
 
-KEYS = ("recordings", "model", "out", "candidates", "seed", "resolution", "base", "areal_density")
-# Along the longer side, where the user does not say: implicit models take several times as long for a node, and what a
-# coarser mesh does to them is known better, since they converge.
-NODES, IMPLICIT_NODES = 13, 9
-DAMPING = "linear_drag"  # what every model is given that has no damping of its own that takes all motion alike
+NESTED = ("options", "bounds")  # settings that are told as KEY.NAME=VALUE
+TYPED = (*NESTED, "timeout")  # the others are words, which the plan reads
 
 
-def command(settings: Mapping[str, str], as_json: bool = False) -> int:
+def command(words: Sequence[str], as_json: bool = False) -> int:
     """Run the loop with settings as KEY=VALUE words gave them, and print the verdict: in words, or as the document."""
-    plugins = catalogue()
-    for key in ("recordings", "model"):
-        if not settings.get(key):
-            raise ClothbenchError(f"found no {key}=…, expected clothbench improve recordings=DIR model=NAME [out=DIR]")
-    if kind_of(find_recordings([settings["recordings"]])[0]) == "curve":
-        from clothbench.cli.improve_curves import command as on_curves
-
-        return on_curves(settings, as_json)
-    out = writable(settings.get("out", "improve"))
-    problem = dataclasses.replace(problem_of(settings, plugins), memory=Memory(out / ".unfinished"))
-    candidates = candidates_of(settings.get("candidates"), plugins, problem)
-    tell_splits(problem)
-    key = problem.key("verdict", candidates)
-    if (kept := finished(out, key)) is not None:
+    plugins, settings = catalogue(), settings_of(words)
+    out = writable(settings["out"])
+    cell = cell_of(settings, plugins)
+    for remark in remarks(cell, plugins, all_tried=settings["candidates"] is None):
+        print(f"clothbench: {remark}", file=sys.stderr)
+    if (kept := finished(out, cell.key)) is not None:
         print(f"{out}: kept, these recordings were judged with the same settings before", file=sys.stderr)
         print(json_text(kept)) if as_json else say(kept, out)
         return 0
+    checkpoint = Checkpoint(out / ".unfinished")
     with StageBar() as bar:
-        outcome = improve(problem, candidates, bar.stage)
-        found = judged(outcome) | {"key": key}
+        finding = find(cell, plugins, checkpoint, bar.stage)
         bar.stage("page, tables and Rerun files", 0, 1)
-        write_folder(out, outcome, found)
-        problem.memory.forget()
-    print(json_text(found)) if as_json else say(found, out)
+        document = write_folder(out, finding)
+        checkpoint.forget()
+    print(json_text(document)) if as_json else say(document, out)
     return 0
+
+
+def settings_of(words: Sequence[str]) -> dict[str, Any]:
+    """What `conf/improve.yaml` says, with "key=value" words over it; anything else is refused."""
+    default = OmegaConf.create(files("clothbench.conf").joinpath("improve.yaml").read_text())
+    settings: dict[str, Any] = OmegaConf.to_container(default)  # type: ignore[assignment]
+    for word in words:
+        key, sign, value = word.partition("=")
+        first = key.partition(".")[0]
+        if not sign or first not in settings or (key != first and first not in NESTED):
+            raise ClothbenchError(f"found {word!r}, expected {' or '.join(f'{a}=VALUE' for a in settings)}")
+        if first not in TYPED:
+            settings[key] = value
+            continue
+        try:
+            given: Any = OmegaConf.to_container(OmegaConf.from_dotlist([word]))
+        except OmegaConfBaseException as fault:
+            raise ClothbenchError(f"found {word!r}: {str(fault).splitlines()[0]}") from fault
+        settings = merged(settings, given)
+    return settings
+
+
+def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
+    """Two nested mappings in one; `above` has the last word."""
+    out = dict(below)
+    for key, value in above.items():
+        nested = isinstance(value, Mapping) and isinstance(out.get(key), Mapping)
+        out[key] = merged(out[key], value) if nested else value
+    return out
+
+
+def remarks(cell: ImproveCell, plugins: Catalogue, all_tried: bool) -> list[str]:
+    """What the user may not have meant: effects that cannot be tried, too few recordings, a split that no recording
+    states.
+    """
+    out = [f"no candidate: {reason}" for reason in (unusable(plugins) if all_tried else ())]
+    fitted, least = len(cell.of_split("fit")), LOOP.least_recordings
+    if fitted < least:
+        out.append(f"{fitted} recordings to fit; an effect can be named from {least} on")
+    if cell.split_by_seed:
+        held = ", ".join(s.name for s in cell.of_split("held_out")) or "none"
+        out.append(f"no recording states a split; held out by seed {cell.seed}: {held}")
+    return out
 
 
 def finished(out: Path, key: str) -> dict[str, Any] | None:
@@ -74,126 +101,6 @@ def finished(out: Path, key: str) -> dict[str, Any] | None:
     except (OSError, ValueError):
         return None
     return found if isinstance(found, dict) and found.get("key") == key else None
-
-
-def problem_of(settings: Mapping[str, str], plugins: Catalogue) -> Problem:
-    """Everything read and checked before anything is run."""
-    model, seed = settings["model"], whole("seed", settings.get("seed", "0"))
-    kind = plugins.load("models", model)
-    if reason := absent(kind):
-        raise ClothbenchError(f"model {model!r}: {reason}")
-    if not {"dynamic", "effects"} <= (able := plugins.make("models", model).capabilities):
-        raise ClothbenchError(
-            f"model {model!r}: found the capabilities {', '.join(sorted(able))}, expected one that moves and takes "
-            "effects ('dynamic', 'effects')"
-        )
-    recordings = [read_recording(path) for path in find_recordings([settings["recordings"]])]
-    splits = splits_of(recordings, settings["recordings"], seed)
-    tracker, density = plugins.make("trackers", "markers"), density_of(settings)
-    usual = IMPLICIT_NODES if getattr(kind, "kind", "") == "implicit" else NODES
-    nodes = whole("resolution", settings.get("resolution", str(usual)), 5)
-    cases = tuple(
-        Case(r.name, split, r, tracker.track(r), scene_of(r, areal_density=density, resolution=shape_of(r, nodes)))
-        for r, split in zip(recordings, splits, strict=True)
-    )
-    problem = Problem(model, cases, plugins, seed=seed)
-    base = names(settings["base"]) if "base" in settings else default_base(problem)
-    for name in base:
-        plugins.find("effects", name)
-    return dataclasses.replace(problem, base=tuple(base))
-
-
-def splits_of(recordings: Sequence[Recording | Curve], where: str, seed: int) -> list[str]:
-    """ "fit" or "held_out" for each, as it states or, where none does, by seed; a name stands for one recording."""
-    files: dict[str, str | Path | None] = {}
-    for r in recordings:
-        if r.name in files:
-            raise ClothbenchError(
-                f"{r.path}: found the name {r.name!r}, which {files[r.name]} has too; give each a name of its own"
-            )
-        files[r.name] = r.path
-    sources = resplit([Source(r.path, r.name, r.hash, r.split) for r in recordings], seed)
-    if not any(s.split == "fit" for s in sources):
-        raise ClothbenchError(f"{where}: found only held-out recordings, expected at least one to fit")
-    return [s.split for s in sources]
-
-
-def tell_splits(problem: Problem) -> None:
-    """What is held out by seed, since no recording says it, is told to the user, and that there are too few to name
-    anything: once all else has been checked.
-    """
-    fitted = len(problem.of_split("fit"))
-    if fitted < ENOUGH:
-        print(f"clothbench: {fitted} recordings to fit; an effect can be named from {ENOUGH} on", file=sys.stderr)
-    if not any(c.recording.split for c in problem.cases):
-        held = ", ".join(c.name for c in problem.cases if c.split == "held_out") or "none"
-        print(f"clothbench: no recording states a split; held out by seed {problem.seed}: {held}", file=sys.stderr)
-
-
-def shape_of(recording: Recording, nodes: int) -> tuple[int, int]:
-    """Nodes along (u, v) of cells as nearly square as may be, so many along the longer side."""
-    cell = max(recording.cloth_width, recording.cloth_height) / (nodes - 1)
-    return max(3, round(recording.cloth_width / cell) + 1), max(3, round(recording.cloth_height / cell) + 1)
-
-
-def density_of(settings: Mapping[str, str]) -> float | None:
-    """kg/m², what stands in where a recording does not know it; None if nothing was stated."""
-    if (text := settings.get("areal_density")) is None:
-        return None
-    try:
-        density = float(text)
-    except ValueError:
-        density = math.nan
-    if not (math.isfinite(density) and density > 0):
-        raise ClothbenchError(f"areal_density is {text!r}, expected kg/m², above 0")
-    return density
-
-
-def default_base(problem: Problem) -> list[str]:
-    """Damping of all motion alike, unless a parameter of the model has that dimension already."""
-    if DAMPING not in problem.plugins.names("effects"):
-        return []
-    unit = problem.plugins.make("effects", DAMPING).parameters.parameters[0].unit
-    return [] if any(p.unit == unit for p in problem.space(())) else [DAMPING]
-
-
-def candidates_of(given: str | None, plugins: Catalogue, problem: Problem) -> list[str]:
-    """All installed effects that the model does not have, or those that were named."""
-    effects = asked_for(given, plugins)
-    on_sheets = {name: effect for name, effect in effects.items() if acts_on_sheets(effect)}
-    if given and (stray := next((name for name in effects if name not in on_sheets), None)):
-        raise ClothbenchError(f"effect {stray!r} acts on force-extension curves only; take it out of candidates")
-    if given and (owned := next((name for name in effects if name in problem.base), None)):
-        raise ClothbenchError(f"effect {owned!r} is in the base already; take it out of candidates, or state base=")
-    return sensors_first({name: effect for name, effect in on_sheets.items() if name not in problem.base})
-
-
-def asked_for(given: str | None, plugins: Catalogue) -> dict[str, Effect]:
-    """The effects that were named; or else all that can be used, and the user is told of the others."""
-    if given is not None:
-        if not names(given):
-            raise ClothbenchError(f"candidates is {given!r}, expected names of effects; left out, all are tried")
-        return {name: plugins.make("effects", name) for name in names(given)}
-    sound, broken = plugins.made("effects")
-    for reason in broken.values():
-        print(f"clothbench: no candidate: {reason}", file=sys.stderr)
-    return sound
-
-
-def sensors_first(effects: Mapping[str, Effect]) -> list[str]:
-    """The order of trying: how the cloth was seen and held may look like physics."""
-    order = {"sensor": 0, "boundary": 1, "dynamics": 2}
-    return sorted(effects, key=lambda name: order.get(effects[name].place, 3))
-
-
-def names(text: str) -> list[str]:
-    return [word for word in text.strip("[]").replace(" ", "").split(",") if word]
-
-
-def whole(name: str, text: str, least: int = 0) -> int:
-    if not text.isdecimal() or int(text) < least:
-        raise ClothbenchError(f"{name} is {text!r}, expected a whole number, at least {least}")
-    return int(text)
 
 
 class StageBar:

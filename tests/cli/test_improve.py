@@ -17,10 +17,12 @@ from conftest import swinging_recording
 from test_commands import only_line
 
 from clothbench import Recording, write_recording
-from clothbench.cli.improve import problem_of
+from clothbench.cli.improve import settings_of
 from clothbench.engine.store import read_table
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.scenes import scene_of
+from clothbench.studies.improve.plan import cell_of
+from clothbench.studies.improve.prepare import prepare
 from clothbench.studies.improve.schema import IMPROVE_TABLES
 
 DELAY = 0.05  # s, between camera and grips, which the model is not told
@@ -181,11 +183,12 @@ def test_what_the_recordings_do_not_say_belongs_to_the_question(tmp_path):
     wide = dataclasses.replace(unknown, name="wide", cloth_width=2 * unknown.cloth_width)
     for recording in (unknown, wide):
         write_recording(recording, tmp_path / f"{recording.name}.nc")
-    words = {"recordings": str(tmp_path), "model": "mass_spring", "base": "", "resolution": "9"}
-    light, heavy = (problem_of(words | {"areal_density": d}, catalogue()) for d in ("0.1", "0.3"))
-    assert light.key("verdict") != heavy.key("verdict")
-    assert [case.scene.resolution for case in light.cases] == [(9, 9), (9, 5)]
-    assert [case.scene.resolution for case in light.finer().cases] == [(17, 17), (17, 9)]
+    words = [f"recordings={tmp_path}", "model=mass_spring", "base=", "resolution=9"]
+    cells = [cell_of(settings_of([*words, f"areal_density={d}"]), catalogue()) for d in ("0.1", "0.3")]
+    assert cells[0].key != cells[1].key
+    light = prepare(cells[0], catalogue())
+    assert [case.scene.resolution for case in light.evidence.cases] == [(9, 9), (9, 5)]
+    assert [case.scene.resolution for case in light.refined().evidence.cases] == [(17, 17), (17, 9)]
 
 
 def test_json_is_the_document_and_nothing_else(place):

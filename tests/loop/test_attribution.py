@@ -9,9 +9,9 @@ import pytest
 
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.improve.attribution import exchange, moved, settings_of, share_of
-from clothbench.studies.improve.fitting import Fitted, widened
-from clothbench.studies.improve.judge import Candidate, allowances, choose
+from clothbench.studies.improve.attribution import exchange, explained_share, shape_settings, shifted
+from clothbench.studies.improve.fitted import Fitted, with_discrepancy
+from clothbench.studies.improve.selection import Candidate, allowances, choose
 
 BASE = ParameterSpace(
     tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.5, "of the base", "a test") for n in ("a", "b"))
@@ -19,9 +19,7 @@ BASE = ParameterSpace(
 ROWS, RECORDINGS = 400, 3
 
 
-@dataclasses.dataclass
-class OneSided:
-    parameters = ParameterSpace((Parameter("amount", "φ", "1", (0.0, 10.0), "linear", 1.0, "how much", "a test", 0.0),))
+ONE_SIDED = ParameterSpace((Parameter("amount", "φ", "1", (0.0, 10.0), "linear", 1.0, "how much", "a test", 0.0),))
 
 
 @pytest.fixture
@@ -35,41 +33,41 @@ def fit() -> Fitted:
 def test_the_base_makes_up_for_what_it_can(fit):
     """A candidate that does what the first base parameter does is cancelled by moving that parameter."""
     change = [1e-3 * j[:, 0] for j in fit.jacobian]
-    step, shift = exchange(fit, OneSided(), change, np.zeros(1), 0, 1.0)
+    step, shift = exchange(fit, ONE_SIDED, change, np.zeros(1), 0, 1.0)
     left = [step * c + j @ shift for c, j in zip(change, fit.jacobian, strict=True)]
     assert np.linalg.norm(left) < 1e-4 * np.linalg.norm(change)
-    assert moved(fit, shift) == pytest.approx(BASE.defaults + shift)
+    assert shifted(fit, shift) == pytest.approx(BASE.defaults + shift)
 
 
 def test_as_much_as_is_left_and_never_over_the_bounds(fit):
     random = np.random.default_rng(1)
     change = [1e-4 * random.normal(size=ROWS) for _ in range(RECORDINGS)]
-    step, _ = exchange(fit, OneSided(), change, np.zeros(1), 0, 1.0)
+    step, _ = exchange(fit, ONE_SIDED, change, np.zeros(1), 0, 1.0)
     assert step == pytest.approx(10.0, rel=0.1)  # a tenth of the residual's size for an amount of 1
     against = [r.copy() for r in fit.residual]  # would have to be negative to help
-    step, _ = exchange(fit, OneSided(), against, np.zeros(1), 0, 1.0)
+    step, _ = exchange(fit, ONE_SIDED, against, np.zeros(1), 0, 1.0)
     assert 0.0 < step <= 10.0
 
 
 def test_share_of_what_is_really_in_it(fit):
     change = [-r[None] for r in fit.residual]
-    assert share_of(fit, change) == pytest.approx(1.0)
+    assert explained_share(fit, change) == pytest.approx(1.0)
     nothing = [np.random.default_rng(5).normal(size=(1, ROWS)) for _ in range(RECORDINGS)]
-    assert share_of(fit, nothing) < 0.05
-    assert share_of(fit, [np.full((1, ROWS), np.nan)] * RECORDINGS) == -1.0
+    assert explained_share(fit, nothing) < 0.05
+    assert explained_share(fit, [np.full((1, ROWS), np.nan)] * RECORDINGS) == -1.0
 
 
 def test_no_time_after_the_end_is_looked_at():
     slip = catalogue().make("effects", "grip_slip")
     at = slip.parameters.names.index("time")
-    times = [phi[at] for phi, _, _ in settings_of(slip, 0, duration=3.0)]
+    times = [phi[at] for phi, _, _ in shape_settings(slip.parameters, 0, duration=3.0)]
     assert len(times) >= 4
     assert max(times) <= 3.0
 
 
 def test_the_mesh_widens_an_interval_by_what_it_would_shift(fit):
     doubt = [0.03 * j[:, 0] for j in fit.jacobian]
-    wide = widened(fit, doubt, noise=fit.rms)
+    wide = with_discrepancy(fit, doubt, noise=fit.rms)
     assert BASE.defaults[0] - wide.low[0] == pytest.approx(np.hypot(0.1, 0.03), rel=1e-3)
     assert wide.high[1] - BASE.defaults[1] == pytest.approx(0.1, rel=1e-3)
 
@@ -77,20 +75,20 @@ def test_the_mesh_widens_an_interval_by_what_it_would_shift(fit):
 def test_what_is_left_above_the_noise_widens_an_interval_and_the_bounds_end_it(fit):
     """A fifth of it may look like a parameter: as far as that takes one whose column is at right angles to the rest."""
     still = [0 * r for r in fit.residual]
-    wide = widened(fit, still, noise=0.6 * fit.rms)
+    wide = with_discrepancy(fit, still, noise=0.6 * fit.rms)
     column = np.sqrt(np.mean([np.mean(j[:, 0] ** 2) for j in fit.jacobian]))
     assert BASE.defaults[0] - wide.low[0] == pytest.approx(np.hypot(0.1, 0.2 * 0.8 * fit.rms / column), rel=0.01)
     large = dataclasses.replace(fit, residual=[1e4 * r for r in fit.residual])
-    wide = widened(large, still, noise=0.0)
+    wide = with_discrepancy(large, still, noise=0.0)
     assert wide.low == pytest.approx(BASE.low)
     assert wide.high == pytest.approx(BASE.high)
 
 
 def test_large_amounts_stay_inside_the_bounds():
     for name in ("quadratic_drag", "grip_offset", "total_mass", "bending_hysteresis"):
-        space = (effect := catalogue().make("effects", name)).parameters
-        sizes = [phi[list(amounts)] + steps for phi, amounts, steps in settings_of(effect, 0)]
-        amounts = next(settings_of(effect, 0))[1]
+        space = catalogue().make("effects", name).parameters
+        sizes = [phi[list(amounts)] + steps for phi, amounts, steps in shape_settings(space, 0)]
+        amounts = next(shape_settings(space, 0))[1]
         for values in sizes:
             assert (values >= space.low[list(amounts)]).all()
             assert (values <= space.high[list(amounts)]).all()

@@ -8,11 +8,16 @@ import numpy as np
 import pytest
 
 from clothbench import ClothbenchError, Curve
-from clothbench.cli.improve_curves import candidates_of, improved
-from clothbench.engine.checkpoint import Checkpoint as Memory
+from clothbench.engine.checkpoint import Checkpoint
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.improve.curves import CurveCase, common_steps, curve_problem, loading, observed
+from clothbench.studies.improve.candidates import candidates_of
+from clothbench.studies.improve.curve_steps import common_steps, loading, observed
+from clothbench.studies.improve.curves import CurveCase, curve_evidence
+from clothbench.studies.improve.document import verdict_document
 from clothbench.studies.improve.fitting import fit
+from clothbench.studies.improve.loop import improve
+from clothbench.studies.improve.plan import require_able
+from clothbench.studies.improve.problem import Problem
 
 RUNS, SIGMA, SAMPLES = 6, 0.1, 600
 
@@ -30,10 +35,14 @@ def runs(seed: int, law, longest: float = 1.6, between: float = 0.02) -> list[Cu
     return out
 
 
+def problem_of(curves: list[Curve]) -> Problem:
+    evidence = curve_evidence(curves, [c.split for c in curves])
+    return Problem("linear_stretch", evidence, catalogue(), "least_squares")
+
+
 def verdict(curves: list[Curve], given: str | None = None) -> dict:
-    plugins = catalogue()
-    problem = curve_problem("linear_stretch", curves, [c.split for c in curves], plugins, 0)
-    return improved(problem, candidates_of(given, plugins))[1]
+    candidates = candidates_of(given, "curve", (), catalogue())
+    return verdict_document(improve(problem_of(curves), candidates))
 
 
 def named(found: dict) -> set[str]:
@@ -144,11 +153,11 @@ def test_the_loop_looks_at_the_way_up_in_equal_steps_that_all_runs_share():
     assert np.ptp(force) == pytest.approx(4.0)
 
 
-def test_scrambling_keeps_what_a_residual_is_made_of():
+def test_surrogates_keep_what_a_residual_is_made_of():
     curve = runs(6, lambda e: 0 * e)[0]
-    case = CurveCase("c", "fit", curve, observed(curve, common_steps([curve]), 0.1), None)
+    case = CurveCase("c", "fit", curve, observed(curve, common_steps([curve]), 0.1))
     residual, random = np.sin(np.linspace(0, 9, 60)), np.random.default_rng(0)
-    moved = [case.scrambled(residual, random) for _ in range(200)]
+    moved = [case.surrogates(residual)(random) for _ in range(200)]
     assert {round(float(abs(m).max()), 6) for m in moved} <= {round(float(v), 6) for v in abs(residual)}
     assert abs(np.mean([m @ residual for m in moved])) < 0.2 * (residual @ residual)
 
@@ -173,31 +182,30 @@ def test_recordings_that_do_not_go_together_are_refused(change, found):
 
 
 def test_models_and_effects_of_sheets_are_refused():
-    plugins, curves = catalogue(), runs(8, lambda e: 0 * e)
+    plugins = catalogue()
     with pytest.raises(ClothbenchError, match=r"'mass_spring' answers no force-extension curves.* linear_stretch"):
-        curve_problem("mass_spring", curves, [c.split for c in curves], plugins, 0)
+        require_able("curve", "mass_spring", {}, plugins)
     with pytest.raises(ClothbenchError, match="'quadratic_drag' does not act on force-extension curves; those that do"):
-        candidates_of("load_offset,quadratic_drag", plugins)
-    assert "quadratic_drag" not in candidates_of(None, plugins)
-    assert candidates_of(None, plugins)[0] == "load_offset"
+        candidates_of("load_offset,quadratic_drag", "curve", (), plugins)
+    assert "quadratic_drag" not in candidates_of(None, "curve", (), plugins)
+    assert candidates_of(None, "curve", (), plugins)[0] == "load_offset"
 
 
 def test_a_fit_that_is_remembered_is_not_simulated_again(tmp_path, monkeypatch):
     curves = runs(3, lambda e: 20 * e)
-    problem = curve_problem("linear_stretch", curves, [c.split for c in curves], catalogue(), 0)
-    problem = replace(problem, memory=Memory(tmp_path))
+    problem = replace(problem_of(curves), checkpoint=Checkpoint(tmp_path))
     first = fit(problem, ("strain_locking",), np.array([15.0, 1.0, 0.1]), 20)
     monkeypatch.setattr("clothbench.studies.improve.fitting.evaluate", None)
     monkeypatch.setattr("clothbench.studies.improve.fitting.over", None)
     again = fit(problem, ("strain_locking",), np.array([15.0, 1.0, 0.1]), 20)
     assert again.evaluations == first.evaluations
-    for name in ("theta", "left", "tangent", "low", "high"):
+    for name in ("theta", "weighted_residual", "weighted_jacobian", "low", "high"):
         np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
 
 
 def test_a_fit_is_given_up_once_it_will_not_come_where_it_matters():
     curves = runs(0, lambda e: 0.05 * (np.exp(9 * e) - 1 - 9 * e))
-    problem = curve_problem("linear_stretch", curves, [c.split for c in curves], catalogue(), 0)
+    problem = problem_of(curves)
     whole = fit(problem, ("strain_locking",), np.array([15.0, 1.0, 0.1]), 20)
     given_up = fit(problem, ("strain_locking",), np.array([15.0, 1.0, 0.1]), 20, goal=0.5 * whole.rms**2)
     assert given_up.evaluations < whole.evaluations

@@ -10,9 +10,9 @@ import pytest
 
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.core.protocols import Evaluation
-from clothbench.studies.improve import profile
-from clothbench.studies.improve.fitting import Fitted
-from clothbench.studies.improve.judge import TIED
+from clothbench.studies.improve import constrained, jumps, profile
+from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.settings import LOOP
 
 SPACE = ParameterSpace(
     tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.5, "one of three", "a test") for n in ("base", "a", "b"))
@@ -64,9 +64,9 @@ def judged(monkeypatch):
     """A function from a law and the half-widths to first order to the profiled fit."""
 
     def of(law, half):
-        monkeypatch.setattr(profile, "evaluate", simulated_by(law))
+        monkeypatch.setattr(constrained, "evaluate", simulated_by(law))
         before = fitted(law, SPACE, BEST, half)
-        return before, *profile.profiled(OneParameterBase(), before)
+        return before, *profile.profile_intervals(OneParameterBase(), before)
 
     return of
 
@@ -104,7 +104,7 @@ def test_what_is_reported_holds_all_that_leaves_hardly_more(judged):
     assert (reported.low[1:] < narrow.low[1:]).all()
     assert (reported.high[1:] > narrow.high[1:]).all()
     a = reported.high[1]
-    assert np.sum(law([0.5, a, 0.12 / a]) ** 2) - 0.09 == pytest.approx(2 * TIED * 0.09, rel=0.3)
+    assert np.sum(law([0.5, a, 0.12 / a]) ** 2) - 0.09 == pytest.approx(2 * LOOP.tie_margin * 0.09, rel=0.3)
 
 
 def test_a_long_valley_is_followed_to_its_end_in_all_that_it_bends(judged):
@@ -168,21 +168,21 @@ def rippled(theta):
 
 
 @pytest.mark.parametrize(("law", "end"), [(rippled, 0.7), (lambda theta: [*(theta - START), 0.03], 0.1)])
-def test_a_search_that_stopped_in_a_ripple_leaps_along_the_valley(monkeypatch, law, end):
-    monkeypatch.setattr(profile, "evaluate", simulated_by(law))
+def test_a_search_that_stopped_in_a_ripple_jumps_along_the_valley(monkeypatch, law, end):
+    monkeypatch.setattr(constrained, "evaluate", simulated_by(law))
     monkeypatch.setattr(
         "clothbench.studies.improve.fitting.fit", lambda problem, effects, theta, rounds, goal: fitted(law, HEM, theta)
     )
     before = fitted(law, HEM, START)
-    after, count = profile.leaped(OneParameterBase(), before)
+    after, count = jumps.jump_along_valley(OneParameterBase(), before)
     assert after.theta[1] == pytest.approx(end, abs=0.11)
     assert after.rms <= before.rms
-    assert count <= profile.LEAPS * (2 * (profile.GLANCES + 1) + 2)
+    assert count <= LOOP.jump_limit * (2 * (LOOP.jump_steps + 1) + 2)
 
 
 @pytest.mark.parametrize(("worse", "end"), [(0.0, 0.1), (0.2, 0.8)])
-def test_a_longer_search_may_set_out_from_a_leap_that_landed_in_a_ripple(monkeypatch, worse, end):
-    """Here every leap is a tenth worse than the fit, and only a search of 8 rounds gets from 0.2 to 0.4 and so on."""
+def test_a_longer_search_may_set_out_from_a_jump_that_landed_in_a_ripple(monkeypatch, worse, end):
+    """Here every jump is a tenth worse than the fit, and only a search of 8 rounds gets from 0.2 to 0.4 and so on."""
 
     def law(theta):
         valley = 0.1 * (theta[1] - 0.8)
@@ -197,9 +197,9 @@ def test_a_longer_search_may_set_out_from_a_leap_that_landed_in_a_ripple(monkeyp
         goals.append(min(goals[-1], again.rms**2))
         return again
 
-    monkeypatch.setattr(profile, "refitted", landed)
+    monkeypatch.setattr(jumps, "constrained_fits", landed)
     monkeypatch.setattr("clothbench.studies.improve.fitting.fit", fit)
     before = fitted(law, HEM, START)
     goals = [before.rms**2]
-    after, _ = profile.leaped(OneParameterBase(), before, profile.LEAPS, 8, worse)
+    after, _ = jumps.jump_along_valley(OneParameterBase(), before, LOOP.jump_limit, 8, worse)
     assert after.theta[1] == pytest.approx(end)

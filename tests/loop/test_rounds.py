@@ -9,9 +9,13 @@ import numpy as np
 import pytest
 
 from clothbench.core.parameters import Parameter, ParameterSpace
-from clothbench.studies.improve.budget import Budget
-from clothbench.studies.improve.fitting import PLACES, SEVERAL, WALKS, Fitted, elsewhere
-from clothbench.studies.improve.rounds import POLISHES, Round, improve, settled
+from clothbench.studies.improve.account import Account
+from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.fitting import multistart
+from clothbench.studies.improve.loop import all_rounds
+from clothbench.studies.improve.refits import polished
+from clothbench.studies.improve.settings import LOOP, SearchSettings
+from clothbench.studies.improve.state import Round
 
 SPACE = ParameterSpace((Parameter("k", "k", "N/m", (1.0, 9.0), "linear", 2.0, "a stiffness", "a test"),))
 
@@ -22,51 +26,54 @@ def fitted(rms: float) -> Fitted:
 
 
 def test_a_better_fit_of_the_base_is_kept_whether_anything_is_named_or_not(monkeypatch):
-    base, better, problem = fitted(4e-3), fitted(2e-3), SimpleNamespace(rounds=0)
+    base, better = fitted(4e-3), fitted(2e-3)
+    evidence = SimpleNamespace(search=SearchSettings(), noise=lambda: 1e-3, repeat_spread=lambda residual: 0.0)
+    problem = SimpleNamespace(evidence=evidence)
     for name, value in {
-        "calibrated": base, "noise_of": 1e-3, "repeat_spread": 0.0, "corrected": (problem, base, 1e-3),
-        "each_alone": {}, "one_round": Round(better, 1e-3, (), (), ()),
+        "calibrated": base, "corrected": (problem, base, 1e-3), "each_alone": {},
+        "one_round": Round(better, 1e-3, (), (), ()),
     }.items():  # fmt: skip
-        monkeypatch.setattr(f"clothbench.studies.improve.rounds.{name}", lambda *_, value=value: value)
-    found = improve(problem, ["quadratic_drag"], lambda *_: None)
+        monkeypatch.setattr(f"clothbench.studies.improve.loop.{name}", lambda *_, value=value: value)
+    found, timed_out = all_rounds(problem, ["quadratic_drag"], Account(lambda *_: None))
+    assert not timed_out
     assert found.base is better
     assert found.final is better
 
 
 @pytest.mark.parametrize(
-    ("falls", "polished"), [([1.0], 1), ([0.9, 0.96], 2), ([0.8, 0.8, 0.99, 0.5], 3), ([0.5] * 9, POLISHES)]
+    ("falls", "times"), [([1.0], 1), ([0.9, 0.96], 2), ([0.8, 0.8, 0.99, 0.5], 3), ([0.5] * 9, LOOP.polish_limit)]
 )
-def test_a_finalist_is_polished_as_long_as_that_pays(monkeypatch, falls, polished):
+def test_a_finalist_is_polished_as_long_as_that_pays(monkeypatch, falls, times):
     """falls: of the rms, from one polish to the next."""
     asked = []
 
     def polish(problem, fit, rounds):
         asked.append(fit.rms)
-        left = [falls[len(asked) - 1] * r for r in fit.residual]
-        return dataclasses.replace(fit, residual=left), 7
+        residual = [falls[len(asked) - 1] * r for r in fit.residual]
+        return dataclasses.replace(fit, residual=residual), 7
 
-    monkeypatch.setattr("clothbench.studies.improve.rounds.polish", polish)
-    budget = Budget(lambda *_: None)
-    budget.stage("contest", 0, 1)
-    found = settled(None, fitted(4e-3), budget)
-    assert len(asked) == polished
-    assert found.rms == pytest.approx(4e-3 * np.prod(falls[:polished]))
-    assert budget.evaluations == 7 * polished
+    monkeypatch.setattr("clothbench.studies.improve.refits.polish", polish)
+    account = Account(lambda *_: None)
+    account.stage("contest", 0, 1)
+    found = polished(None, fitted(4e-3), account)
+    assert len(asked) == times
+    assert found.rms == pytest.approx(4e-3 * np.prod(falls[:times]))
+    assert account.evaluations == 7 * times
 
 
-def wind(shapes: int) -> SimpleNamespace:
+def wind(shapes: int) -> ParameterSpace:
     """An effect of one amount and so many shape parameters."""
     amount = Parameter("amount", "c", "1", (0.0, 1.0), "linear", 0.5, "how much", "a test", null=0.0)
     shape = [Parameter(f"w{n}", "w", "1", (-1.0, 1.0), "linear", 0.0, "which way", "a test") for n in range(shapes)]
-    return SimpleNamespace(parameters=ParameterSpace((amount, *shape)))
+    return ParameterSpace((amount, *shape))
 
 
-@pytest.mark.parametrize(("shapes", "left"), [(1, 4e-3), (2, 1e-3)])
-def test_an_effect_with_several_shape_parameters_is_sought_in_other_valleys(monkeypatch, shapes, left):
+@pytest.mark.parametrize(("shapes", "rms"), [(1, 4e-3), (2, 1e-3)])
+def test_an_effect_with_several_shape_parameters_is_sought_in_other_valleys(monkeypatch, shapes, rms):
     """Made-up law: a fit ends at 4 mm where it starts with w0 < 0, at 1 mm where w0 > 0; the first one has w0 < 0."""
-    effect, goals = wind(shapes), []
-    space = ParameterSpace((*SPACE, *effect.parameters))
-    problem = SimpleNamespace(seed=0, plugins=SimpleNamespace(make=lambda *_: effect), trials=lambda names, split: None)
+    effect, goals, one_valley = wind(shapes), [], shapes < LOOP.multistart_shapes
+    space = ParameterSpace((*SPACE, *effect))
+    problem = SimpleNamespace(seed=0, space_of=lambda name: effect, trials=lambda names, split: None)
 
     def ended(start):
         rms = 1e-3 if start[2] > 0 else 4e-3
@@ -83,8 +90,8 @@ def test_an_effect_with_several_shape_parameters_is_sought_in_other_valleys(monk
         "clothbench.studies.improve.fitting.evaluate", lambda _, t: (SimpleNamespace(value=value(t)), [])
     )
     first = ended(np.array([2.0, 0.5, *([-0.5] * shapes)]))
-    found, count = elsewhere(problem, fitted(9e-3), first, rounds=8)
-    assert found.rms == pytest.approx(left)
+    found, count = multistart(problem, fitted(9e-3), first, rounds=8)
+    assert found.rms == pytest.approx(rms)
     assert found.theta[0] == 2.0
-    assert count == (0 if shapes < SEVERAL else PLACES + 10 * WALKS)
-    assert goals == ([] if shapes < SEVERAL else pytest.approx([1.6e-5, 1e-6]))
+    assert count == (0 if one_valley else LOOP.multistart_points + 10 * LOOP.multistart_fits)
+    assert goals == ([] if one_valley else pytest.approx([1.6e-5, 1e-6]))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -10,11 +11,11 @@ import pytest
 from clothbench.core.observation import Observation
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.improve.budget import Budget
-from clothbench.studies.improve.fitting import Fitted
-from clothbench.studies.improve.judge import Candidate
-from clothbench.studies.improve.rounds import Outcome, Round
-from clothbench.studies.improve.verdict import document
+from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.selection import Candidate
+from clothbench.studies.improve.sheets import SheetCase, SheetEvidence
+from clothbench.studies.improve.state import Round, State
+from clothbench.studies.improve.verdict import concluded
 
 TIME = np.arange(60) / 20.0
 MATERIAL = np.array([[0.0, 0.1], [0.0, 0.5], [0.0, 0.9]])
@@ -29,13 +30,15 @@ def fitted(residual, effects=(), more=()) -> Fitted:
 
 
 @pytest.fixture
-def outcome():
+def state():
     """A loop that named nothing: 1 mm of noise, and 20 mm of the lowest point of the second recording after 2 s."""
     cases = [
-        SimpleNamespace(
-            name=name,
-            scene=SimpleNamespace(height=1.0),
-            observation=Observation(TIME, np.zeros((60, 3, 3)), np.ones((60, 3), bool), 1e-3, MATERIAL),
+        SheetCase(
+            name,
+            "fit",
+            None,
+            Observation(TIME, np.zeros((60, 3, 3)), np.ones((60, 3), bool), 1e-3, MATERIAL),
+            SimpleNamespace(height=1.0),
         )
         for name in ("first", "second")
     ]
@@ -43,11 +46,8 @@ def outcome():
     left[1, 40:, 2] += 0.02
     residual = [one.ravel() for one in left]
     problem = SimpleNamespace(
-        model="mass_spring",
-        base=("linear_drag",),
-        seed=0,
-        carried=1.5,
-        plugins=catalogue(),
+        evidence=SheetEvidence(tuple(cases)),
+        make=catalogue().make,
         of_split=lambda split: cases if split == "fit" else [],
     )
     base, drag = fitted(residual), fitted(residual, ("quadratic_drag",), [DRAG])
@@ -56,8 +56,7 @@ def outcome():
         # Its fit came to less than it had promised: that is what counts.
         Candidate("quadratic_drag", 0.4, 0.005, 0.05 * base.rms**2, fitted=drag),
     )
-    budget = Budget(lambda *_: None)
-    return Outcome(problem, base, base, 1e-3, 1e-3, budget, [Round(base, 1e-3, tried, (), ())])
+    return State(problem, base, base, 1e-3, 1e-3, (Round(base, 1e-3, tried, (), ()),))
 
 
 @pytest.mark.parametrize(
@@ -68,42 +67,40 @@ def outcome():
         ([1.2, np.nan], "unexplained", 0.46, "fourth, held out, could not be simulated"),
     ],
 )
-def test_complete_is_what_carries_over_to_recordings_held_out(outcome, monkeypatch, held_out, verdict, left, said):
-    monkeypatch.setattr("clothbench.studies.improve.verdict.held_out_errors", lambda *_: held_out)
-    outcome.problem.of_split = lambda split: [SimpleNamespace(name=name) for name in ("third", "fourth")]
-    outcome.base = outcome.final = fitted([np.full(9, 1.1e-3)] * 2)
-    found = document(outcome, None, 1.0)
-    assert found["verdict"] == verdict
-    assert said in found["hint"]
-    assert found["unexplained_mm"] == pytest.approx(left, abs=0.01)
+def test_complete_is_what_carries_over_to_recordings_held_out(state, held_out, verdict, left, said):
+    """held_out: errors [mm] of two recordings held out; left: what is unexplained then [mm]."""
+    state.problem.of_split = lambda split: [SimpleNamespace(name=name) for name in ("third", "fourth")]
+    base = fitted([np.full(9, 1.1e-3)] * 2)
+    found = concluded(replace(state, base=base, final=base), [1e-3 * error for error in held_out])
+    assert found.word == verdict
+    assert said in found.hint
+    assert 1e3 * found.unexplained == pytest.approx(left, abs=0.01)
 
 
-def test_hint_says_who_comes_nearest_and_where_and_when_most_is_left(outcome, monkeypatch):
-    monkeypatch.setattr("clothbench.studies.improve.verdict.held_out_errors", lambda *_: [])
-    found = document(outcome, None, 1.0)
-    assert found["verdict"] == "unexplained"
-    assert not found["effects"]
+def test_hint_says_who_comes_nearest_and_where_and_when_most_is_left(state):
+    found = concluded(state, [])
+    assert found.word == "unexplained"
+    assert not found.fit.effects
     for said in (
         "clock_offset (30% of the mean square to first order) comes nearest",
         "quadratic_drag (fitted with normal = 1.5: 5% of the mean square) among forces",
         "left in the lower third (upper 1.0 mm, middle 1.0 mm, lower 8.2 mm)",
         "in second, and there around 2.5 s",
     ):
-        assert said in found["hint"]
+        assert said in found.hint
 
 
-def test_hint_of_a_tie_says_how_alike_the_two_are_and_where_they_differ(outcome, monkeypatch):
-    monkeypatch.setattr("clothbench.studies.improve.verdict.held_out_errors", lambda *_: [])
-    base, names = outcome.base, ("quadratic_drag", "clock_offset")
+def test_hint_of_a_tie_says_how_alike_the_two_are_and_where_they_differ(state):
+    base, names = state.base, ("quadratic_drag", "clock_offset")
     corrected = [0.05 * r for r in base.residual]
     otherwise = [corrected[0], corrected[1] + 1e-3 * (np.arange(540) // 9 // 20 == 1)]
     pair = [
         Candidate(name, 0.9, 0.005, fitted=fitted(left, (name,), [DRAG]))
         for name, left in zip(names, (corrected, otherwise), strict=True)
     ]
-    outcome.final, outcome.noise, outcome.floor = pair[0].fitted, 5e-4, 5e-4
-    outcome.rounds = [Round(base, 5e-4, tuple(pair), (), names, outcome.final)]
-    found = document(outcome, None, 1.0)
-    assert found["verdict"] == "tied"
-    assert "correlates with 1.00" in found["hint"]
-    assert "differ most in second, by 0.58 mm, around 1.5 s" in found["hint"]
+    final = pair[0].fitted
+    rounds = (Round(base, 5e-4, tuple(pair), (), names, final),)
+    found = concluded(replace(state, final=final, noise=5e-4, floor=5e-4, rounds=rounds), [])
+    assert found.word == "tied"
+    assert "correlates with 1.00" in found.hint
+    assert "differ most in second, by 0.58 mm, around 1.5 s" in found.hint

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import json
 import textwrap
-from types import SimpleNamespace
 
 import pytest
 
-from clothbench.cli.improve import candidates_of
 from clothbench.plugins.discovery import Catalogue, Plugin, catalogue
+from clothbench.studies.improve.candidates import candidates_of, unusable
 
 HOOK = """
     from clothbench import Registration, hookimpl
@@ -177,14 +176,13 @@ def test_an_effect_that_cannot_be_made_is_no_candidate_and_that_is_told(clothben
     assert (named.returncode, named.stderr) == (2, f"clothbench: {reason}\n")
 
 
-def test_candidates_are_all_effects_but_the_broken_and_why_is_told(capsys, monkeypatch):
+def test_candidates_are_all_effects_but_the_broken_and_why_is_told(monkeypatch):
     def lost(*_, **__):
         raise RuntimeError("out of wool")
 
     monkeypatch.setattr("wrong_plugins.Idle.__init__", lost)
     strange = Plugin("effects", "lost", "wrong_plugins:Idle", "for a test", "strange", "1.0")
     plugins = Catalogue((*catalogue().plugins, strange))
-    usual = candidates_of(None, catalogue(), SimpleNamespace(base=()))
-    assert candidates_of(None, plugins, SimpleNamespace(base=())) == usual
-    told = capsys.readouterr().err
-    assert told == "clothbench: no candidate: effect 'lost' (strange) is broken: RuntimeError: out of wool\n"
+    usual = candidates_of(None, "nodes", (), catalogue())
+    assert candidates_of(None, "nodes", (), plugins) == usual
+    assert unusable(plugins) == ["effect 'lost' (strange) is broken: RuntimeError: out of wool"]

@@ -8,7 +8,7 @@ import re
 import pytest
 from test_page import checked
 
-from clothbench.studies.improve.page import document, duration
+from clothbench.studies.improve.page import duration, page_html
 from clothbench.studies.improve.schema import IMPROVE_TABLES
 from clothbench.studies.improve.words import remains, sentence
 
@@ -75,7 +75,7 @@ def blocks(text: str) -> dict[str, dict]:
 
 
 def test_every_section_is_there_and_text_is_escaped(tmp_path):
-    (tmp_path / "index.html").write_text(document(verdict("attributed", EFFECT), rows()), encoding="utf-8")
+    (tmp_path / "index.html").write_text(page_html(verdict("attributed", EFFECT), rows()), encoding="utf-8")
     text, checker = checked(tmp_path / "index.html")
     assert checker.scripts == 3
     assert "a <b>" not in re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
@@ -89,7 +89,7 @@ def test_every_section_is_there_and_text_is_escaped(tmp_path):
 
 
 def test_without_an_effect_there_is_one_curve_only():
-    found = blocks(document(verdict("unexplained", hint="look at the wind"), rows()))
+    found = blocks(page_html(verdict("unexplained", hint="look at the wind"), rows()))
     assert {line["meta"] for line in found["frames"]["b (held out)"][0]["data"]} == {"calibrated", "floor"}
     assert len(found["map"]["b (held out)"]) == 1
 
@@ -102,13 +102,13 @@ def test_a_run_that_was_stopped_has_gaps_and_no_numbers():
     }
     part = dict.fromkeys(("rms", "normal", "warp", "weft"))
     stopped["portrait"] = [{**r, **(part if r["recording"] == "b" else {})} for r in stopped["portrait"]]
-    text = document(verdict("attributed", EFFECT), stopped)
+    text = page_html(verdict("attributed", EFFECT), stopped)
     assert blocks(text)["directions"]["b (held out)"][0]["data"][0]["y"] == [None, None, None]
     assert ">nan" not in text
 
 
 def test_a_page_without_rows_still_says_the_verdict():
-    text = document(verdict("complete"), NOTHING)
+    text = page_html(verdict("complete"), NOTHING)
     assert "lacks nothing above the noise" in text
     assert blocks(text) == {}
 
@@ -118,7 +118,7 @@ def test_curves_are_told_in_newtons():
     found = verdict("attributed", EFFECT, kind="curve", error={"unit": "N", **error}, unexplained=0.02, error_mm=None)
     about = {"recording": "run", "split": "fit", "unit": "N"}
     table = [{**about, "stretch": s, "force": s - 1, "before": 0.1, "after": s - 1} for s in (1.0, 1.1, 1.2)]
-    text = document(found, {**NOTHING, "curves": table, "errors": [{**about, "before": 4.0, "after": 1.0}]})
+    text = page_html(found, {**NOTHING, "curves": table, "errors": [{**about, "before": 4.0, "after": 1.0}]})
     assert "falls from 5 to 1.25 N; the floor (spread between runs) is 1 N." in text
     assert "mm" not in re.sub(r"<(script|style)>.*?</\1>", "", text, flags=re.DOTALL).replace("mm²", "")
     assert [line["meta"] for line in blocks(text)["curves"]["run (fit)"][0]["data"]] == ["measured", "before", "after"]

@@ -1,4 +1,18 @@
 """Closing the loop: from the residual of a calibrated model to the effect that it lacks, and back to the error.
 
-One file per stage: `problem` (what is asked), `residual`, `attribution`, `guard`, `improve`, `verdict`.
+Settings become a cell (`plan`, `candidates`, `cell`), the cell a problem (`prepare`: evidence beside a model), and the
+loop (`loop`, `state`) goes through its stages, a file for each, to a frozen `finding`:
+
+1. calibrate: `fitting` (searches), `fitted` (a fit with its intervals);
+2. residual: `refinement` (what the mesh has to do with it), `repeats` (what no model can undercut);
+3. attribution: what only a candidate could explain, to first order;
+4. screening: `permutation`, a test with the max-statistic over all candidates;
+5. `rounds`: the best are fitted in earnest (`refits`, with `jumps` along valleys and fits of `constrained` parameters),
+   `selection` names one or two that are tied, `profile` gives their amounts intervals by profile likelihood;
+6. `held_out`: the one look at the recordings held out, and the placebo; `verdict`: a word and a hint.
+
+Recordings come in as evidence with a unit (`evidence`), of two kinds: `sheets` (with `sheet_tables`) and `curves` (with
+`curve_steps`); the stages know neither. What is written is made from the finding alone: `document` (verdict.json),
+`tables` (`schema`), `page` (with `words`, `figures`, `style`), `rerun_file`, and `files`, which puts them in a folder.
+`settings` holds every constant, `account` what each stage took.
 """

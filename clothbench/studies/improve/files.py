@@ -2,8 +2,8 @@
 
 OUT/verdict.json            the verdict (schema 1)
 OUT/index.html              one self-contained page
-OUT/tables/NAME.parquet     what the page is made from (`experiment.improve_schema`)
-OUT/rerun/RECORDING.rrd     recording beside the model before and after (not of force-extension curves)
+OUT/tables/NAME.parquet     what the page is made from (`improve.schema`)
+OUT/rerun/RECORDING.rrd     recording beside the model before and after, where there is something to be seen
 """
 
 from __future__ import annotations
@@ -16,47 +16,48 @@ from typing import Any
 
 from clothbench.core.files import whole_files
 from clothbench.engine.store import write_table
-from clothbench.studies.improve.before_after import Seen, both, pulled
-from clothbench.studies.improve.page import document
+from clothbench.studies.improve.document import verdict_document
+from clothbench.studies.improve.evidence import Comparison
+from clothbench.studies.improve.finding import Finding
+from clothbench.studies.improve.page import page_html
 from clothbench.studies.improve.rerun_file import write_recording_file
-from clothbench.studies.improve.rounds import Outcome
 from clothbench.studies.improve.schema import IMPROVE_TABLES
-from clothbench.studies.improve.tables import MM, all_rows
-from clothbench.studies.improve.verdict import standing
+from clothbench.studies.improve.tables import finding_tables
 
 OLD = ("tables/*.parquet", "rerun/*.rrd")  # of an earlier run, with other recordings perhaps
 
 
-def write_folder(out: Path, outcome: Outcome, found: Mapping[str, Any]) -> None:
-    """Fill `out`; what an earlier run left there is replaced, other files stay."""
-    after = standing(outcome)
-    seen = both(outcome, after)
-    tables = all_rows(outcome, found, after, seen, pulled(outcome, after))
+def write_folder(out: Path, finding: Finding) -> dict[str, Any]:
+    """Fill `out`; what an earlier run left there is replaced, other files stay. Returns the document."""
+    document, tables = verdict_document(finding), finding_tables(finding)
     with whole_files(out, instead_of=OLD) as part:
-        (part / "verdict.json").write_text(json_text(found) + "\n", encoding="utf-8")
+        (part / "verdict.json").write_text(json_text(document) + "\n", encoding="utf-8")
         (part / "tables").mkdir()
         for name, rows in tables.items():
             write_table(part / "tables" / f"{name}.parquet", rows, IMPROVE_TABLES[name])
         (part / "rerun").mkdir()
-        for name, one in zip(file_names(seen), seen, strict=True):
-            write_recording_file(part / "rerun" / f"{name}.rrd", one, label(found), MM * outcome.floor)
-        (part / "index.html").write_text(document(found, tables), encoding="utf-8")
+        if finding.evidence.has_rerun:
+            for name, one in zip(file_names(finding.comparisons), finding.comparisons, strict=True):
+                path = part / "rerun" / f"{name}.rrd"
+                write_recording_file(path, one, label(finding), finding.floor, finding.evidence.unit)
+        (part / "index.html").write_text(page_html(document, tables), encoding="utf-8")
+    return document
 
 
-def json_text(found: Mapping[str, Any]) -> str:
-    return json.dumps(found, indent=1, ensure_ascii=False, allow_nan=False)
+def json_text(document: Mapping[str, Any]) -> str:
+    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
 
 
-def label(found: Mapping[str, Any]) -> str:
+def label(finding: Finding) -> str:
     """ "mass_spring, after: + clock_offset" """
-    added = "".join(f" + {effect['name']}" for effect in found["effects"])
-    return found["model"] + (f", after:{added}" if added else "")
+    added = "".join(f" + {name}" for name in finding.final.effects)
+    return finding.model + (f", after:{added}" if added else "")
 
 
-def file_names(seen: Sequence[Seen]) -> list[str]:
+def file_names(comparisons: Sequence[Comparison]) -> list[str]:
     """The recordings' names as file names, each once."""
     out: list[str] = []
-    for one in seen:
+    for one in comparisons:
         name = re.sub(r"[^\w.-]+", "_", one.case.name).lstrip(".") or "recording"
         out.append(name if name not in out else f"{name}-{len(out) + 1}")
     return out

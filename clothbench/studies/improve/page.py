@@ -27,7 +27,7 @@ DRIFT = """The calibrated model fitted to each recording alone. Line and band: a
 outside it: a parameter that drifts from recording to recording is a sign of missing physics."""
 
 
-def document(found: Mapping[str, Any], tables: Tables) -> str:
+def page_html(found: Mapping[str, Any], tables: Tables) -> str:
     """The whole page as text. found: what `verdict.json` holds; tables: the rows of each table by name."""
     blocks: list[dict[str, Any]] = []
     sections = [
@@ -81,7 +81,7 @@ def tiles(found: Mapping[str, Any]) -> str:
         word = f"{unit}, held out, with the placebo {placebo['name']} added"
         shown.append((size(placebo["after"], unit), word))
     shown.append((size(error["noise_floor"], unit), f"{unit}, floor: {floor_word(unit)}"))
-    shown.append((size(error["left"], unit), f"{unit} above the floor remain"))
+    shown.append((size(error["unexplained"], unit), f"{unit} above the floor remain"))
     inside = "".join(f'<div class="tile"><b>{text(value)}</b>{text(word)}</div>' for value, word in shown)
     return f'<div class="tiles">{inside}</div>'
 
@@ -181,8 +181,8 @@ def direction_section(found: Mapping[str, Any], portrait: Rows, blocks: list[dic
         body.append([name, *(" → ".join(format_number(r[n]) for r in shown) for n in ("rms", "next_frame"))])
     head = ["recording", f"rms [{portrait[0]['unit']}]", "correlation of a frame with the next (noise: 0)"]
     listed = table(head, body, numeric={1, 2})
-    folded = f"<details><summary>Is it noise? Correlation in time</summary>{listed}</details>"
-    return "<h2>By direction</h2>" + block("directions", caption, views, blocks) + folded
+    collapsed = f"<details><summary>Is it noise? Correlation in time</summary>{listed}</details>"
+    return "<h2>By direction</h2>" + block("directions", caption, views, blocks) + collapsed
 
 
 def against_section(found: Mapping[str, Any], bins: Rows, blocks: list[dict[str, Any]]) -> str:

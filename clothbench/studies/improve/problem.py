@@ -1,172 +1,137 @@
-"""What the loop is asked: recordings, a model, and how to fit it with any set of effects."""
+"""What the loop is asked: evidence, a model, and how to simulate it with any set of effects."""
 
 from __future__ import annotations
 
 import dataclasses
 import hashlib
-import json
-from collections.abc import Callable, Mapping, Sequence
+import inspect
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
-from clothbench import __version__
-from clothbench.core.observation import Observation
 from clothbench.core.parameters import ParameterSpace
-from clothbench.core.protocols import Effect, Score, Simulation
-from clothbench.core.rollout import Rollout
-from clothbench.core.scene import Scene
-from clothbench.engine.checkpoint import Checkpoint as Memory
-from clothbench.estimation.fixed import holding
+from clothbench.core.protocols import Effect
+from clothbench.engine.cells import digest
+from clothbench.engine.checkpoint import Checkpoint
 from clothbench.estimation.trials import Trial
 from clothbench.plugins.discovery import Catalogue
-from clothbench.recordings.nodes import Recording
-
-Told = Callable[[int, float], None]
-
-
-class CoordinateError:
-    """Root-mean-square over visible node coordinates [mm]: the loop's own yardstick, a metric like any other.
-
-    correction: (M,) m, added to the residual at the M visible coordinates: what is known of the mesh's own error.
-    """
-
-    name: ClassVar[str] = "coordinate_error"
-    version: ClassVar[int] = 1
-
-    def __init__(self, correction: np.ndarray | float = 0.0):
-        self.correction, self.unit = correction, "mm"
-
-    def __call__(self, observation: Observation, rollout: Rollout) -> Score:
-        seen = observation.visible
-        away = (rollout.position - np.nan_to_num(observation.position))[:, seen].reshape(len(rollout.position), -1)
-        away = away + self.correction
-        return Score(1e3 * np.sqrt(np.mean(away**2, axis=1)), self.unit, residual=away)
-
-    def floor(self, observation: Observation) -> float:
-        return 1e3 * observation.sigma
-
-
-@dataclass(frozen=True, eq=False)
-class Case:
-    """One recording ready for the loop: what was seen of it, and its scene."""
-
-    name: str
-    split: str
-    recording: Recording
-    observation: Observation
-    scene: Scene
-
-    @property
-    def duration(self) -> float:
-        """s, from the first frame to the last."""
-        return float(np.ptp(self.observation.time))
-
-
-def without_switches(simulation: Simulation, own: int) -> Simulation:
-    """Physics of the first `own` parameters, the model's, that can be switched off, is: it is for the loop to find."""
-    return holding(simulation, {p.name: p.null for p in simulation.parameters.parameters[:own] if p.null is not None})
-
-
-def residuals(trial: Trial, theta: np.ndarray) -> np.ndarray:
-    """Simulated minus seen (B, M) m at the M visible coordinates, for parameter sets (B, P)."""
-    found = trial.metric(trial.observation, trial.simulation.run(theta)).residual
-    assert found is not None  # CoordinateError has one
-    return found
+from clothbench.studies.improve.evidence import Case, Evidence, of_split
 
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A model, with what belongs to it in any case (`base`), beside recordings.
+    """A model, with what belongs to it in any case, beside evidence.
 
-    base: effects that are part of the model from the start; step_scale: of the model's own step, for models that have
-    that option; corrections: by recording, see `CoordinateError`; memory: of what was computed already.
+    model: name of its plugin;
+    evidence: the recordings;
+    plugins: where model, effects and optimizer come from;
+    optimizer: name of the search that fits;
+    base: names of the effects that are part of the model from the start;
+    options: of plugins, by the plugin's name;
+    bounds: of parameters, by name, in place of those that the plugin states;
+    seed: of all random draws;
+    question: key of the cell, below which all that is kept of an unfinished run is keyed;
+    step_scale: times the model's own step, for models that have that option;
+    refinement: how often the cells were halved;
+    corrections: (M,) by recording, see `Case.trial`;
+    checkpoint: what was computed already.
     """
 
     model: str
-    cases: tuple[Case, ...]
+    evidence: Evidence
     plugins: Catalogue
+    optimizer: str
     base: tuple[str, ...] = ()
-    options: Mapping[str, Any] = field(default_factory=dict)
-    step_scale: float = 1.0
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     seed: int = 0
+    question: str = ""
+    step_scale: float = 1.0
+    refinement: int = 0
     corrections: Mapping[str, np.ndarray] = field(default_factory=dict)
-    memory: Memory = field(default_factory=Memory)
-
-    # What a fit does otherwise where a rollout costs next to nothing and has no ripples: settings of the search, times
-    # the budget, and the step of differences (0: the usual). rounds: how many effects may be named (0: the usual).
-    search: ClassVar[dict[str, Any]] = {}
-    patience: ClassVar[int] = 1
-    probe: ClassVar[float] = 0.0
-    rounds: ClassVar[int] = 0
-    # Times the least that any leaves (mean squares): a candidate that leaves more after its first fit is given up.
-    contest: ClassVar[float] = 1.5
-    # Times the floor: a model that leaves more on held-out recordings lacks something, whatever the fit says.
-    carried: ClassVar[float] = 1.5
-
-    def finer(self) -> Problem:
-        """The same with half the cell size and half the step."""
-        scale = self.step_scale / 2 if self.takes_scale else 1.0
-        cases = tuple(dataclasses.replace(case, scene=refined(case.scene)) for case in self.cases)
-        return dataclasses.replace(self, cases=cases, step_scale=scale, corrections={})
-
-    @cached_property
-    def takes_scale(self) -> bool:
-        import inspect
-
-        try:
-            return "step_scale" in inspect.signature(self.plugins.load("models", self.model)).parameters
-        except (TypeError, ValueError):
-            return False
-
-    @cached_property
-    def versions(self) -> dict[str, int]:
-        """Of every installed effect that can be used."""
-        return {name: effect.version for name, effect in self.plugins.made("effects")[0].items()}
-
-    def effects(self, names: Sequence[str]) -> list[Effect]:
-        return [self.plugins.make("effects", name) for name in (*self.base, *names)]
+    checkpoint: Checkpoint = field(default_factory=Checkpoint)
 
     def of_split(self, split: str) -> list[Case]:
-        return [case for case in self.cases if case.split == split]
+        return of_split(self.evidence, split)
+
+    def restricted(self, case: Case) -> Problem:
+        """The same with one recording only."""
+        return dataclasses.replace(self, evidence=self.evidence.restricted((case,)))
+
+    def uncorrected(self) -> Problem:
+        return dataclasses.replace(self, corrections={})
+
+    def refined(self) -> Problem | None:
+        """The same with half the cell size and half the step; None where nothing is discretised."""
+        if (evidence := self.evidence.refined()) is None:
+            return None
+        scale = self.step_scale / 2 if self._takes("step_scale") else 1.0
+        return dataclasses.replace(
+            self, evidence=evidence, step_scale=scale, refinement=self.refinement + 1, corrections={}
+        )
+
+    def _takes(self, option: str) -> bool:
+        return option in accepted(self.plugins.load("models", self.model))
+
+    def make(self, kind: str, name: str, *args: Any, **settings: Any) -> Any:
+        """A plugin's object with its options, which have the last word."""
+        return self.plugins.make(kind, name, *args, **settings | dict(self.options.get(name, {})))
+
+    def effects(self, names: Sequence[str]) -> list[Effect]:
+        return [self.make("effects", name) for name in (*self.base, *names)]
+
+    @cached_property
+    def _model(self) -> Any:
+        options = dict(self.options.get(self.model, {}))
+        if self.step_scale != 1.0:
+            options["step_scale"] = self.step_scale * options.get("step_scale", 1.0)
+        return self.plugins.make("models", self.model, **options)
 
     def trials(self, names: Sequence[str], split: str) -> list[Trial]:
         """One simulation for each recording of a split, with these effects beside the base."""
-        options = dict(self.options) | ({"step_scale": self.step_scale} if self.takes_scale else {})
-        model, effects = self.plugins.make("models", self.model, **options), self.effects(names)
-        out = []
-        for case in self.of_split(split):
-            simulation = without_switches(model.prepare(case.scene, effects), len(model.parameters))
-            metric = CoordinateError(self.corrections.get(case.name, 0.0))
-            out.append(Trial(case.name, case.observation, simulation, metric))
-        return out
+        effects = self.effects(names)
+        return [case.trial(self._model, effects, self.corrections.get(case.name)) for case in self.of_split(split)]
 
     def space(self, names: Sequence[str]) -> ParameterSpace:
-        return self.trials(names, "fit")[0].simulation.parameters
+        return self.bounded(self.trials(names, "fit")[0].simulation.parameters)
+
+    def bounded(self, space: ParameterSpace) -> ParameterSpace:
+        """The space with those of the bounds that are of its parameters."""
+        return space.bounded({name: pair for name, pair in self.bounds.items() if name in space.names})
+
+    def space_of(self, effect: str) -> ParameterSpace:
+        """The parameters of one effect, by their own names."""
+        space, prefix = self.make("effects", effect).parameters, f"{effect}."
+        own = {name.removeprefix(prefix): pair for name, pair in self.bounds.items() if name.startswith(prefix)}
+        return space.bounded(own) if own else space
 
     def key(self, *more: Any) -> str:
-        """16 hexadecimal digits of everything that a result depends on."""
-        about = {
-            "model": self.model, "base": self.base, "options": dict(self.options),
-            "step": self.step_scale, "seed": self.seed, "recordings": [c.recording.hash for c in self.cases],
-            "splits": [c.split for c in self.cases], "more": more, "clothbench": __version__,
-            "scenes": [c.scene and (c.scene.areal_density, c.scene.resolution) for c in self.cases],
-            "versions": [getattr(self.plugins.load("models", self.model), "version", 0)],
-            "corrections": {name: digest(c) for name, c in self.corrections.items()},
-            "effects": self.versions,
-        }  # fmt: skip
-        return hashlib.sha256(json.dumps(about, sort_keys=True, default=str).encode()).hexdigest()[:16]
+        """16 hexadecimal digits of everything that a result on the way depends on."""
+        corrections = {name: array_digest(c) for name, c in self.corrections.items()}
+        cases = [(case.name, case.split) for case in self.evidence.cases]
+        return digest(
+            [self.question, self.model, self.base, cases, self.step_scale, self.refinement, corrections, more]
+        )
 
 
-def refined(scene: Scene) -> Scene:
-    """The scene with cells of half the size."""
-    assert scene.resolution is not None  # the command has set it
-    nu, nv = scene.resolution
-    return dataclasses.replace(scene, resolution=(2 * nu - 1, 2 * nv - 1))
+def accepted(factory: Any) -> frozenset[str]:
+    """Names of the settings that a plugin's factory takes; none where it does not say."""
+    try:
+        return frozenset(inspect.signature(factory).parameters)
+    except (TypeError, ValueError):
+        return frozenset()
 
 
-def digest(array: np.ndarray) -> str:
+def residuals(trial: Trial, theta: np.ndarray) -> np.ndarray:
+    """Simulated minus measured (B, M), in the evidence's base unit, for parameter sets (B, P)."""
+    found = trial.metric(trial.observation, trial.simulation.run(theta)).residual
+    assert found is not None  # every metric of the loop has one
+    return found
+
+
+def array_digest(array: np.ndarray) -> str:
     """16 hexadecimal digits of an array's numbers."""
     return hashlib.sha256(np.ascontiguousarray(array, dtype=float).tobytes()).hexdigest()[:16]

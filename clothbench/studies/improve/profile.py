@@ -1,10 +1,9 @@
-"""Along bent valleys: how far an amount can go if the other parameters make up for it.
+"""Profile likelihood: how far an amount can go if the other parameters make up for it.
 
 A hem twice as heavy and half as wide is nearly the same hem. Where the error has such a valley, the tangent at the fit
-leaves it soon: intervals to first order end too early, and a search that creeps along it may stop in a ripple. So each
-amount is set apart and the others are fitted again (profile likelihood: Venzon and Moolgavkar 1988, A method for
-computing profile-likelihood-based confidence intervals), with the Jacobian that is known and learns from every step
-(Broyden 1965).
+leaves it soon, and intervals to first order end too early. So each amount is held at one value after the other and the
+others are fitted again (Venzon and Moolgavkar 1988, A method for computing profile-likelihood-based confidence
+intervals).
 """
 
 from __future__ import annotations
@@ -14,86 +13,84 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from clothbench.estimation.trials import Trial, evaluate
-from clothbench.studies.improve.fitting import GAIN, Fitted, better_of, freedom, normal_equations, solve
-from clothbench.studies.improve.judge import TIED, amounts_of
+from clothbench.studies.improve.constrained import conditional_direction, constrained_fits
+from clothbench.studies.improve.fitted import Fitted, inverse_curvature, normal_equations
 from clothbench.studies.improve.problem import Problem
-
-Known = tuple[np.ndarray, np.ndarray, np.ndarray]  # a point in the unit cube, the residual there, and its Jacobian
-
-AWAY, FARTHEST = 1.5, 12.0  # times the half-width to be reported: how far each parameter is set apart at first, at last
-STEEP = 2.0  # times too much: if the root of the rise is that high at a place, one nearer by is asked for
-CORRECTIONS = 5  # Gauss-Newton steps of the others at each of these: too few, and a valley is taken for its wall
-GLANCES = 2  # such steps where a leap lands, which is searched from if it is worth it
-LEAP, LEAPS = 2.0, 4  # by which factor an amount is changed at once, and how often at most
-LANDING = 1  # rounds of the search after each, where a comparison of candidates is all that it is for
+from clothbench.studies.improve.settings import LOOP
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Place:
-    """Where an amount was set apart and the others fitted again.
+class ProfilePoint:
+    """Where an amount was held and the others fitted again.
 
-    far: of that amount from the fit; change: of all parameters (P,); both in the unit cube. rise: root of that of the
-    mean square [m].
+    distance: of that amount from the fit, in the unit cube;
+    rise: root of how much higher the mean square is there, base unit;
+    change: (P,) of all parameters from the fit, in the unit cube.
     """
 
-    far: float
+    distance: float
     rise: float
     change: np.ndarray
 
 
 @dataclasses.dataclass(eq=False)
-class Walk:
-    """One amount on its way up or down a valley; lengths in the unit cube.
+class ProfilePath:
+    """The profile of one amount on one side of the fit, point by point; lengths in the unit cube.
 
-    parameter: its place in the space; room: how far its bound is; reach: two intervals' ends to first order, which of
-    them is reported last; top: by how much the root of the mean square rises there [m]; tangent: change of all (P,) for
-    one of it. own: places of this walk; others: of the other walks, where the error has hardly risen.
+    parameter: its number in the space;
+    sign: +1 upwards, −1 downwards;
+    room: how far its bound is;
+    reach: (2,) two intervals' ends to first order, the one that is reported last;
+    threshold: (2,) by how much the root of the mean square has risen there, base unit;
+    tangent: (P,) change of all parameters for one of it, to first order;
+    own: points of this path;
+    others: points of other paths where the error has hardly risen.
     """
 
     parameter: int
     sign: float
     room: float
     reach: np.ndarray
-    top: np.ndarray
+    threshold: np.ndarray
     tangent: np.ndarray
-    own: list[Place] = dataclasses.field(default_factory=list)
-    others: list[Place] = dataclasses.field(default_factory=list)
+    own: list[ProfilePoint] = dataclasses.field(default_factory=list)
+    others: list[ProfilePoint] = dataclasses.field(default_factory=list)
 
-    def bracket(self, top: float) -> tuple[Place, Place | None]:
-        """The last place where the error has not risen by `top`, and the next beyond it, where it has."""
-        start = Place(0.0, 0.0, np.zeros(len(self.tangent)))
-        within = [start, *(p for p in (*self.own, *self.others) if p.rise < top)]
-        last = max(within, key=lambda p: p.far)
-        return last, min((p for p in self.own if p.far > last.far), key=lambda p: p.far, default=None)
+    def bracket(self, threshold: float) -> tuple[ProfilePoint, ProfilePoint | None]:
+        """The last point where the error has not risen by `threshold`, and the next beyond it, where it has."""
+        start = ProfilePoint(0.0, 0.0, np.zeros(len(self.tangent)))
+        within = [start, *(p for p in (*self.own, *self.others) if p.rise < threshold)]
+        last = max(within, key=lambda p: p.distance)
+        return last, min((p for p in self.own if p.distance > last.distance), key=lambda p: p.distance, default=None)
 
     def ends(self) -> np.ndarray:
-        """(2,) how far the amount can go; between two places the root of the rise is taken to grow evenly."""
+        """(2,) how far the amount can go; between two points the root of the rise is taken to grow evenly."""
         out = self.reach.copy()
-        for k, top in enumerate(self.top):
-            last, beyond = self.bracket(top)
-            end = last.far
+        for k, threshold in enumerate(self.threshold):
+            last, beyond = self.bracket(threshold)
+            end = last.distance
             if beyond is not None:
-                end += (top - last.rise) / (beyond.rise - last.rise) * (beyond.far - last.far)
+                end += (threshold - last.rise) / (beyond.rise - last.rise) * (beyond.distance - last.distance)
             out[k] = max(out[k], end)
         return out
 
     def next(self) -> np.ndarray | None:
-        """Change (P,) of all parameters at the place to be asked for next; None where the end is known."""
-        last, beyond = self.bracket(self.top[1])
+        """Change (P,) of all parameters at the point to be asked for next; None where the end is known."""
+        last, beyond = self.bracket(self.threshold[1])
         half = self.reach[1]
         if beyond is None:
-            far = min(max(2 * last.far, AWAY * half), self.room)
-            done = last.far >= min(FARTHEST * half, self.room)
+            distance = min(max(2 * last.distance, LOOP.profile_start * half), self.room)
+            done = last.distance >= min(LOOP.profile_end * half, self.room)
         else:
-            far = (last.far + beyond.far) / 2
-            done = beyond.rise <= STEEP * self.top[1] or beyond.far - last.far <= half
+            distance = (last.distance + beyond.distance) / 2
+            near = beyond.distance - last.distance <= half
+            done = beyond.rise <= LOOP.profile_overshoot * self.threshold[1] or near
         if done:
             return None
-        return far * (last.change / last.far if last.far else self.tangent)
+        return distance * (last.change / last.distance if last.distance else self.tangent)
 
 
-def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, Fitted, int]:
+def profile_intervals(problem: Problem, fitted: Fitted) -> tuple[Fitted, Fitted, int]:
     """The fit with wider intervals of its effects' parameters where their valleys are bent, never narrower ones; the
     same with intervals to be reported; and how many parameter sets that took.
 
@@ -104,141 +101,56 @@ def profiled(problem: Problem, fitted: Fitted) -> tuple[Fitted, Fitted, int]:
     space, unit = fitted.space, fitted.space.to_unit(fitted.theta)
     ends = np.array([space.to_unit(end) for end in (fitted.low, fitted.high)])
     null = space.to_unit(np.array([np.nan if p.null is None else p.null for p in space]))
-    hessian, _ = normal_equations(fitted.residual, fitted.jacobian)
-    free = freedom(hessian, len(fitted.residual))
-    walks = [
-        walk(hessian, i, (2 * side - 1.0), abs(ends[side, i] - unit[i]), abs(side - unit[i]), free[i], fitted.rms)
-        for i in range(len(problem.space(())), len(unit))
-        for side in (0, 1)
-        if 0.0 < ends[side, i] < 1.0 and ends[side, i] != unit[i] and free[i] > 0
-    ]
-    if not walks:
+    paths = paths_of(fitted, unit, ends, len(problem.space(())))
+    if not paths:
         return fitted, fitted, 0
-    evaluations = walked(problem, fitted, walks)
+    evaluations = follow(problem, fitted, paths)
     out = [ends, ends.copy()]
-    for one in walks:
-        narrow, reported = one.ends()
-        from_null = one.sign * (null[one.parameter] - unit[one.parameter])  # above 0 where it goes towards nothing
-        if narrow < from_null <= reported:
+    for path in paths:
+        narrow, reported = path.ends()
+        to_null = path.sign * (null[path.parameter] - unit[path.parameter])  # above 0 where it goes towards nothing
+        if narrow < to_null <= reported:
             reported = narrow
-        for end, far in zip(out, (narrow, reported), strict=True):
-            end[int(one.sign > 0), one.parameter] = np.clip(unit[one.parameter] + one.sign * far, 0.0, 1.0)
+        for end, distance in zip(out, (narrow, reported), strict=True):
+            end[int(path.sign > 0), path.parameter] = np.clip(unit[path.parameter] + path.sign * distance, 0.0, 1.0)
     narrow, wide = (
         dataclasses.replace(fitted, low=space.from_unit(low), high=space.from_unit(high)) for low, high in out
     )
     return narrow, wide, evaluations
 
 
-def walk(hessian: np.ndarray, i: int, sign: float, reach: float, room: float, free: float, rms: float) -> Walk:
-    """From a fit with this error [m], along the valley of parameter i, whose interval to first order is `reach`."""
-    both = np.array([reach, max(reach, np.sqrt(2 * TIED * rms**2 * free))])
-    return Walk(i, sign, room, both, both / np.sqrt(free), sign * along(hessian, i))
+def paths_of(fitted: Fitted, unit: np.ndarray, ends: np.ndarray, base: int) -> list[ProfilePath]:
+    """A path for each end of an interval that lies within the bounds, of all parameters but the `base`'s. unit: (P,)
+    the fit, ends: (2, P) of the intervals to first order, in the unit cube.
+    """
+    hessian, _ = normal_equations(fitted.residual, fitted.jacobian)
+    free = inverse_curvature(hessian, len(fitted.residual))
+    out = []
+    for i in range(base, len(unit)):
+        for side in (0, 1):
+            if not (0.0 < ends[side, i] < 1.0 and ends[side, i] != unit[i] and free[i] > 0):
+                continue
+            sign, reach = 2 * side - 1.0, abs(ends[side, i] - unit[i])
+            both = np.array([reach, max(reach, np.sqrt(2 * LOOP.tie_margin * fitted.rms**2 * free[i]))])
+            tangent = sign * conditional_direction(hessian, i)
+            out.append(ProfilePath(i, sign, abs(side - unit[i]), both, both / np.sqrt(free[i]), tangent))
+    return out
 
 
-def walked(problem: Problem, fitted: Fitted, walks: Sequence[Walk]) -> int:
-    """Let each walk come to its end, all of them at once; how many parameter sets that took."""
+def follow(problem: Problem, fitted: Fitted, paths: Sequence[ProfilePath]) -> int:
+    """Let each path come to its end, all of them at once; how many parameter sets that took."""
     trials, unit, evaluations = problem.trials(fitted.effects, "fit"), fitted.space.to_unit(fitted.theta), 0
-    while going := [(one, change) for one in walks if (change := one.next()) is not None]:
-        which = np.array([one.parameter for one, _ in going])
+    while going := [(path, change) for path in paths if (change := path.next()) is not None]:
+        which = np.array([path.parameter for path, _ in going])
         where = unit + np.array([change for _, change in going])
-        best, found, asked = refitted(trials, fitted, which, where, CORRECTIONS)
+        best, found, asked = constrained_fits(trials, fitted, which, where, LOOP.profile_steps)
         evaluations += asked
         rise = np.sqrt(np.maximum(best - fitted.rms**2, 0.0))
-        for (one, change), high, point in zip(going, rise, found, strict=True):
-            one.own.append(Place(abs(change[one.parameter]), high, point - unit))
+        for (path, change), high, point in zip(going, rise, found, strict=True):
+            path.own.append(ProfilePoint(abs(change[path.parameter]), high, point - unit))
             # Where it has got to without much of a rise is in the others' intervals too, and they go on from there.
-            for other in walks:
-                far = other.sign * (point - unit)[other.parameter]
-                if other is not one and high < other.top[1] and far > 0:
-                    other.others.append(Place(far, high, point - unit))
+            for other in paths:
+                distance = other.sign * (point - unit)[other.parameter]
+                if other is not path and high < other.threshold[1] and distance > 0:
+                    other.others.append(ProfilePoint(distance, high, point - unit))
     return evaluations
-
-
-def leaped(
-    problem: Problem, fitted: Fitted, leaps: int = LEAPS, rounds: int = LANDING, worse: float = 0.0
-) -> tuple[Fitted, int]:
-    """The fit, or a better one on the other side of what its search ended in; and how many parameter sets that took.
-
-    Each amount of the last effect is doubled, and halved, with the others fitted again; where that is better, or by
-    no more than the share `worse` of the mean square is not, the search goes on from there for so many `rounds`, if it
-    can still come below the fit; and so forth while it pays, `leaps` times at most.
-    """
-    evaluations = 0
-    for _ in range(leaps):
-        space, unit = fitted.space, fitted.space.to_unit(fitted.theta)
-        hessian, _ = normal_equations(fitted.residual, fitted.jacobian)
-        which, where = [], []
-        for i in amounts_of(space, fitted.effects[-1]):
-            null = space.parameters[i].null
-            for factor in (LEAP, 1 / LEAP):
-                there = fitted.theta.copy()
-                there[i] = np.clip(null + factor * (fitted.theta[i] - null), space.low[i], space.high[i])
-                step = space.to_unit(there)[i] - unit[i]
-                if step:
-                    which.append(i)
-                    where.append(unit + step * along(hessian, i))
-        if not which:
-            break
-        trials = problem.trials(fitted.effects, "fit")
-        best, found, asked = refitted(trials, fitted, np.array(which), np.array(where), GLANCES)
-        evaluations += asked
-        before = fitted.rms**2
-        for k in np.argsort(best):
-            if best[k] <= (1 + worse) * before:
-                start = space.from_unit(found[k])
-                fitted, count = better_of(problem, fitted, start, rounds, goal=fitted.rms**2)
-                evaluations += count
-        if fitted.rms**2 >= (1 - GAIN) * before:
-            break
-    return fitted, evaluations
-
-
-def refitted(
-    trials: list[Trial], fitted: Fitted, which: np.ndarray, where: np.ndarray, corrections: int
-) -> tuple[np.ndarray, np.ndarray, int]:
-    """At each of `where` (W, P), in the unit cube, parameter `which` (W,) held and the others fitted again, by so many
-    `corrections`: the mean squares (W,) m², infinite where nothing could be simulated, the points (W, P), and how many
-    sets that took.
-    """
-    unit, count = fitted.space.to_unit(fitted.theta), len(fitted.residual)
-    best, found, evaluations = np.full(len(which), np.inf), np.tile(unit, (len(which), 1)), 0
-    known = [(unit, fitted.left / np.sqrt(count), fitted.tangent / np.sqrt(count))] * len(which)
-    for correction in range(corrections + 1):
-        where = np.clip(where, 0.0, 1.0)
-        residual = evaluate(trials, fitted.space.from_unit(where))[0].residual
-        assert residual is not None
-        evaluations += len(where)
-        square = np.sum(residual**2, axis=1)
-        better = square < best  # false for what could not be simulated
-        best[better], found[better] = square[better], where[better]
-        if correction < corrections:
-            known = [learned(*one) for one in zip(known, where, residual, strict=True)]
-            where = np.array([others_fitted(*one, i) for one, i in zip(known, which, strict=True)])
-    return best, found, evaluations
-
-
-def along(hessian: np.ndarray, i: int) -> np.ndarray:
-    """How all parameters (P,) go with parameter i, to first order, if the others stay fitted; 1 for i itself."""
-    others = np.arange(len(hessian)) != i
-    out = np.ones(len(hessian))
-    out[others] = solve(hessian[np.ix_(others, others)], -hessian[others, i])
-    return out
-
-
-def learned(known: Known, where: np.ndarray, residual: np.ndarray) -> Known:
-    """What is known of the residual (M,) and its Jacobian (M, P) after it was seen at one more point (P,)."""
-    before, left, jacobian = known
-    step = where - before
-    if not (np.isfinite(residual).all() and step.any()):
-        return known
-    missed = residual - left - jacobian @ step
-    return where, residual, jacobian + np.outer(missed, step / (step @ step))
-
-
-def others_fitted(where: np.ndarray, residual: np.ndarray, jacobian: np.ndarray, i: int) -> np.ndarray:
-    """One Gauss-Newton step (P,) of all parameters but i, which is held."""
-    free = np.arange(len(where)) != i
-    columns = jacobian[:, free]
-    out = where.copy()
-    out[free] += solve(columns.T @ columns, -columns.T @ residual)
-    return out

@@ -20,50 +20,51 @@ from clothbench.display.rerun import (
     log_sheet,
     typical_distance,
 )
-from clothbench.studies.improve.before_after import Seen
-from clothbench.studies.improve.tables import frame_rows
+from clothbench.studies.improve.evidence import Comparison, Unit
+from clothbench.studies.improve.sheet_tables import frame_rows
 
 COLOURS = {"before": (213, 94, 0), "after": (0, 119, 187)}
 
 
-def write_recording_file(path: Path, one: Seen, label: str, floor: float) -> None:
+def write_recording_file(path: Path, one: Comparison, label: str, floor: float, unit: Unit) -> None:
     """Write one recording: below `before` and `after` the sheet with arrows to where its nodes were seen, on the
-    recording's own clock; below `error` the rms of each frame [mm] beside the floor [mm].
+    recording's own clock; below `error` the rms of each frame beside the floor, in the reported unit. floor: base unit.
 
     The sheet is as the sensor would see it; unlike the errors it has the mesh's own error in it.
     """
     name = f"{one.case.name} · {label}"
     stream = rr.RecordingStream("clothbench-improve", recording_id=name, send_properties=False)
-    stream.save(path, default_blueprint=blueprint())
+    stream.save(path, default_blueprint=blueprint(unit))
     try:
         stream.send_recording_name(name)
-        _log(stream, one, floor)
+        _log(stream, one, floor, unit)
     finally:
         stream.disconnect()
 
 
-def blueprint() -> Any:
+def blueprint(unit: Unit) -> Any:
     """Before and after side by side, the error curves below."""
     spaces = [
         rrb.Spatial3DView(origin="/", contents=["+ /seen", "+ /grips", f"+ /{fit}/**"], name=fit) for fit in COLOURS
     ]
-    curves = rrb.TimeSeriesView(origin="/error", name="error [mm]")
+    curves = rrb.TimeSeriesView(origin="/error", name=f"error [{unit.reported}]")
     page = rrb.Vertical(rrb.Horizontal(*spaces), curves, row_shares=[3, 1])
     return rrb.Blueprint(page, rrb.TimePanel(state="collapsed"), collapse_panels=True)
 
 
-def _log(stream: Any, one: Seen, floor: float) -> None:
+def _log(stream: Any, one: Comparison, floor: float, unit: Unit) -> None:
     seen, recording = one.case.observation, one.case.recording
     edge = typical_distance(seen.material)
     stream.log("/", rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     log_seen(stream, "seen", seen.time, seen.position, seen.visible, 0.12 * edge)
     if recording.grip_material.size:
         log_points(stream, "grips", seen.time, grips_at(recording, seen.time), HELD, 0.25 * edge)
-    rows = [r for r in frame_rows([one]) if r["coordinates"]]
+    rows = [r for r in frame_rows([one], unit) if r["coordinates"]]
     for fit, simulated in (("before", one.before), ("after", one.after)):
         there = np.isfinite(simulated).all(axis=(1, 2))
         log_sheet(stream, f"{fit}/simulated", seen.time[there], simulated[there], seen.material)
         log_away(stream, f"{fit}/away", seen, simulated, there, 0.04 * edge)
         known = np.array([(r["time"], r[fit]) for r in rows if r[fit] is not None]).reshape(-1, 2)
-        log_curve(stream, f"error/{fit}", known[:, 0], known[:, 1], f"{fit} [mm]", COLOURS[fit])
-    log_curve(stream, "error/floor", seen.time[[0, -1]], np.full(2, floor), "noise and mesh [mm]", NOISE)
+        log_curve(stream, f"error/{fit}", known[:, 0], known[:, 1], f"{fit} [{unit.reported}]", COLOURS[fit])
+    line = np.full(2, unit.scale * floor)
+    log_curve(stream, "error/floor", seen.time[[0, -1]], line, f"noise and mesh [{unit.reported}]", NOISE)

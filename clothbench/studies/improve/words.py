@@ -13,10 +13,10 @@ WHITE = 0.3  # correlation of one frame with the next below which a residual loo
 
 
 def errors_of(found: Mapping[str, Any]) -> dict[str, Any]:
-    """The verdict's errors with their `unit`, mm of nodes or N of curves, and `left`, what is above the floor."""
+    """The verdict's errors with their `unit`, mm of nodes or N of curves; `unexplained`, what is above the floor."""
     if found.get("kind") == "curve":
-        return {**found["error"], "left": found["unexplained"]}
-    return {"unit": "mm", **found["error_mm"], "left": found["unexplained_mm"]}
+        return {**found["error"], "unexplained": found["unexplained"]}
+    return {"unit": "mm", **found["error_mm"], "unexplained": found["unexplained_mm"]}
 
 
 def size(value: float | None, unit: str) -> str:
@@ -42,8 +42,8 @@ def sentence(found: Mapping[str, Any]) -> str:
     if found["verdict"] == "complete":
         return f"{model} lacks nothing above the noise: {before} {unit} on the {where} recordings; {floor}."
     if not found["effects"]:
-        left = f"{size(error['left'], unit)} {unit} above the floor"
-        return f"{model} leaves {left} that no candidate explains: {before} {unit} on the {where} recordings; {floor}."
+        rest = f"{size(error['unexplained'], unit)} {unit} above the floor"
+        return f"{model} leaves {rest} that no candidate explains: {before} {unit} on the {where} recordings; {floor}."
     lacks = " and ".join(named(effect) for effect in found["effects"])
     return f"{model} lacks {lacks}. The error on the {where} recordings falls from {before} to {after} {unit}; {floor}."
 
@@ -63,26 +63,26 @@ def named(effect: Mapping[str, Any]) -> str:
 def remains(found: Mapping[str, Any], tables: Mapping[str, Rows]) -> list[str]:
     """How large what is left is, where, when and in which direction: one HTML sentence each."""
     error = errors_of(found)
-    lines = [f"{size(error['left'], error['unit'])} {error['unit']} above the floor."]
+    lines = [f"{size(error['unexplained'], error['unit'])} {error['unit']} above the floor."]
     if found["hint"]:
         lines.append(f"Hint: {text(found['hint'])}.")
-    left = [r for r in tables["portrait"] if r["fit"] == "after"]
-    if not left or error["left"] <= 0:
+    after = [r for r in tables["portrait"] if r["fit"] == "after"]
+    if not after or error["unexplained"] <= 0:
         return lines
-    lines += [direction(left), whiteness(left), place(tables["nodes"]), moment(tables["frames"])]
+    lines += [direction(after), whiteness(after), place(tables["nodes"]), moment(tables["frames"])]
     return [line for line in lines if line]
 
 
-def direction(left: Rows) -> str:
+def direction(after: Rows) -> str:
     names = ("normal", "warp", "weft")
-    square = {n: sum(r[n] ** 2 for r in left if r[n] is not None) for n in names}
+    square = {n: sum(r[n] ** 2 for r in after if r[n] is not None) for n in names}
     total = sum(square.values()) or 1.0
     shares = ", ".join(f"{n} {100 * square[n] / total:.0f} %" for n in sorted(names, key=lambda n: -square[n]))
     return f"By direction (share of the mean square): {shares}."
 
 
-def whiteness(left: Rows) -> str:
-    known = [r["next_frame"] for r in left if r["next_frame"] is not None]
+def whiteness(after: Rows) -> str:
+    known = [r["next_frame"] for r in after if r["next_frame"] is not None]
     if not known:
         return ""
     mean = sum(known) / len(known)

@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from clothbench.core.observation import Observation
-from clothbench.studies.improve.problem import Case
-from clothbench.studies.improve.residual import repeat_spread
+from clothbench.studies.improve.sheets import SheetCase, SheetEvidence
 
 MATERIAL = np.array([[0.0, 0.1], [0.0, 0.5], [0.0, 0.9]])
 SIGMA = 2e-3
 
 
-def swung(name: str, hertz: float, late: float, first: float = 0.0) -> Case:
+def swung(name: str, hertz: float, late: float, first: float = 0.0) -> SheetCase:
     """A grip that starts to swing after `late` seconds; frames from `first` s on, at 25 Hz."""
     grip_time = np.arange(0, 8, 0.01)
     path = 0.1 * np.sin(2 * np.pi * hertz * np.maximum(grip_time - late, 0.0))
@@ -23,10 +22,10 @@ def swung(name: str, hertz: float, late: float, first: float = 0.0) -> Case:
     time = np.arange(first, 7.5, 0.04)
     observation = Observation(time, np.zeros((len(time), 3, 3)), np.ones((len(time), 3), bool), 1e-4, MATERIAL)
     recording = SimpleNamespace(grip_time=grip_time, grip_position=grips, grip_material=np.zeros((1, 2)))
-    return Case(name, "fit", recording, observation, None)
+    return SheetCase(name, "fit", recording, observation, None)
 
 
-def spread(*cases: Case, late=(0.0, 0.0, 0.0)) -> float:
+def spread(*cases: SheetCase, late=(0.0, 0.0, 0.0)) -> float:
     """Of noise on top of a model's error of 10 mm, which follows the motion."""
     random = np.random.default_rng(5)
     residual = []
@@ -34,8 +33,7 @@ def spread(*cases: Case, late=(0.0, 0.0, 0.0)) -> float:
         time = case.observation.time - shift
         error = 0.01 * np.sin(2 * np.pi * 0.8 * time)[:, None, None]
         residual.append((error + random.normal(0, SIGMA, (len(time), 3, 3))).ravel())
-    problem = SimpleNamespace(of_split=lambda split: list(cases))
-    return repeat_spread(problem, SimpleNamespace(residual=residual))
+    return SheetEvidence(cases).repeat_spread(residual)
 
 
 @pytest.mark.parametrize("first", [0.0, 0.038, 0.043])

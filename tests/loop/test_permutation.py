@@ -1,4 +1,4 @@
-"""The guard on residuals of known make: how often it cries wolf, and how often it sees one."""
+"""The permutation test on residuals of known make: how often it cries wolf, and how often it sees one."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import pytest
 from clothbench.core.observation import Observation
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.studies.improve.attribution import Probe
-from clothbench.studies.improve.fitting import Fitted
-from clothbench.studies.improve.guard import field_of, mirror, scrambled, shares
-from clothbench.studies.improve.problem import Case
-from clothbench.studies.improve.rounds import AFRESH, worth_trying
+from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.permutation import permutation_test
+from clothbench.studies.improve.rounds import rescreened
+from clothbench.studies.improve.settings import LOOP
+from clothbench.studies.improve.sheets import SheetCase, mirror
 
 FRAMES, SIDE, RECORDINGS, CANDIDATES, SIGMA = 50, 3, 5, 25, 1e-3
 MATERIAL = np.stack(np.meshgrid(np.linspace(0, 0.3, SIDE), np.linspace(0, 0.3, SIDE)), axis=-1).reshape(-1, 2)
@@ -37,7 +38,7 @@ def cases():
     seen = np.ones((FRAMES, len(MATERIAL)), bool)
     still = np.zeros((FRAMES, len(MATERIAL), 3))
     observation = Observation(np.arange(FRAMES) / 30, still, seen, SIGMA, MATERIAL)
-    return [Case(f"r{k}", "fit", None, observation, None) for k in range(RECORDINGS)]
+    return [SheetCase(f"r{k}", "fit", None, observation, None) for k in range(RECORDINGS)]
 
 
 @pytest.fixture(scope="module")
@@ -68,7 +69,7 @@ def test_it_seldom_names_an_effect_where_there_is_none(cases, candidates):
     alarms = 0
     for seed in range(100):
         random = np.random.default_rng(seed)
-        seen = shares(cases, fitted(left(random), random), candidates, seed)
+        seen = permutation_test(cases, fitted(left(random), random), candidates, seed)
         alarms += min(seen.p_value(k) for k in range(CANDIDATES)) < 0.05
     assert alarms <= 9
 
@@ -81,30 +82,30 @@ def test_it_sees_an_effect_half_as_large_as_what_the_model_leaves(cases, candida
         random = np.random.default_rng(1000 + seed)
         truth = seed % CANDIDATES
         residual = left(random) + size / 1e-3 * np.array([c[:, 0] for c in candidates[truth].columns])
-        seen = shares(cases, fitted(residual, random), candidates, seed)
-        best = int(np.argmax(seen.share))
+        seen = permutation_test(cases, fitted(residual, random), candidates, seed)
+        best = int(np.argmax(seen.explained))
         hits += best == truth and seen.p_value(best) < 0.05
     assert hits >= 20 * least
 
 
 def test_without_candidates_there_is_nothing_to_see(cases):
     random = np.random.default_rng(7)
-    seen = shares(cases, fitted(left(random), random), [], 0)
-    assert len(seen.share) == 0
-    assert (seen.chance == 0).all()
+    seen = permutation_test(cases, fitted(left(random), random), [], 0)
+    assert len(seen.explained) == 0
+    assert (seen.null_maxima == 0).all()
 
 
 def test_what_the_base_explains_counts_for_no_candidate(cases, candidates):
     random = np.random.default_rng(7)
     fit = fitted(left(random), random)
     same = Probe("copy", np.zeros(1), (0,), np.ones(1), np.zeros((1, 0)), [j[:, :1] for j in fit.jacobian])
-    assert shares(cases, fit, [same, *candidates], 0).share[0] < 1e-9
+    assert permutation_test(cases, fit, [same, *candidates], 0).explained[0] < 1e-9
 
 
-def test_scrambling_keeps_what_a_residual_is_made_of(cases):
+def test_surrogates_keep_what_a_residual_is_made_of(cases):
     random = np.random.default_rng(1)
     residual = left(random)[0]
-    moved = scrambled(cases[0], field_of(cases[0], residual), random)
+    moved = cases[0].surrogates(residual)(random)
     assert moved.shape == residual.shape
     assert np.sum(moved**2) == pytest.approx(np.sum(residual**2), rel=0.6)  # some frames twice, some never
     assert abs(np.corrcoef(moved, residual)[0, 1]) < 0.5
@@ -117,11 +118,11 @@ def test_later_rounds_try_those_anew_that_may_explain_what_is_left_now(candidate
     for r in range(RECORDINGS):
         residual[r] -= 4.0 * candidates[20].columns[r][:, 0]
     fit = fitted(residual, random)
-    assert worth_trying(fit, names, (), 1.0) == names
+    assert rescreened(fit, names, (), 1.0) == names
     rest = [name for name in names if name != "e3"]  # the one that was named
-    anew = worth_trying(fit, rest, candidates, 0.0)
-    assert len(anew) == AFRESH
+    anew = rescreened(fit, rest, candidates, 0.0)
+    assert len(anew) == LOOP.rescreened
     assert "e20" in anew
     assert "e3" not in anew
     assert anew == [name for name in rest if name in anew]
-    assert worth_trying(fit, rest, candidates, 0.5) == ["e20"]
+    assert rescreened(fit, rest, candidates, 0.5) == ["e20"]

@@ -5,19 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-Stage = Callable[[str, int, int], None]
+StageProgress = Callable[[str, int, int], None]  # stage, steps done, steps planned
 
 
-class Budget:
+class Account:
     """Tells the caller which stage the loop is in, and adds up what each one takes: seconds and simulated sets."""
 
-    def __init__(self, told: Stage):
-        self.told = told
+    def __init__(self, progress: StageProgress):
+        self.progress = progress
         self.spent: dict[str, list] = {}
         self.now, self.since = "", time.perf_counter()
 
     def stage(self, name: str, done: int, planned: int) -> None:
-        self.told(name, done, planned)
+        self.progress(name, done, planned)
         self.stop()
         self.now = name
 
@@ -36,9 +36,9 @@ class Budget:
         return self.spent.setdefault(self.now, [0.0, 0])
 
     @property
-    def table(self) -> list[tuple[str, float, int]]:
+    def table(self) -> tuple[tuple[str, float, int], ...]:
         """(stage, s, evaluations) in the order in which they began."""
-        return [(name, float(seconds), int(count)) for name, (seconds, count) in self.spent.items()]
+        return tuple((name, float(seconds), int(count)) for name, (seconds, count) in self.spent.items())
 
     @property
     def evaluations(self) -> int:

@@ -1,4 +1,4 @@
-"""What a candidate has to show to be named, and which of several is: the rules of the contest, no simulation."""
+"""Selection: what a candidate has to show to be named, and which of several is. Rules only, no simulation."""
 
 from __future__ import annotations
 
@@ -9,23 +9,21 @@ from dataclasses import dataclass
 import numpy as np
 
 from clothbench.core.parameters import ParameterSpace
-from clothbench.studies.improve.fitting import ENOUGH, Fitted
-
-AT_THE_FLOOR = 1.15  # times the floor: a residual this small is not worth a name
-MATERIAL = 0.25  # share of the mean square above the floor that an effect has to explain to be worth a name
-TIED = 0.1  # two candidates cannot be told apart if what they leave (mean square) differs by less than this share
-ALIKE = 0.9  # correlation of what two candidates correct, from which on they may be one and the same
-EXPLAINED = 1 - MATERIAL  # and that all names together have to explain: what is left must not be worth another
-COARSE = 0.45  # and of that above the noise, where the mesh alone may stand for the residual
-PER_PARAMETER = 0.05  # and per parameter that one has more than the other
+from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.settings import LOOP
 
 
 @dataclass(frozen=True, eq=False)
 class Candidate:
     """What came of one candidate in one round.
 
-    share: of the residual that only it could explain, to first order; p_value: of that share; gain: m², by which the
-    mean square fell when all was refitted (NaN where it was not); chosen in so many of the leave-one-out rounds.
+    name: of the effect;
+    share: of the residual's variance that only it could explain, to first order;
+    p_value: of that share, over all candidates of the round;
+    gain: by which the mean square fell when all was refitted, base unit squared (NaN where it was not);
+    selected: in how many of the leave-one-out rounds it is the best and explains enough;
+    fitted: everything refitted with it, if it was;
+    why_not: what speaks against it, or "".
     """
 
     name: str
@@ -37,34 +35,34 @@ class Candidate:
     why_not: str = ""
 
 
-def needed(current: Fitted, floor: float, noise: float) -> float:
-    """How far the mean square has to fall for a name [m²].
+def least_fall(current: Fitted, floor: float, noise: float) -> float:
+    """How far the mean square has to fall for a name (base unit squared).
 
     A share of what stands above the floor. Where nothing does, a coarse mesh may stand for all that is left; then only
     an effect that explains much of it, noise apart, is no doing of the mesh.
     """
-    square = current.rms**2
-    if current.rms > AT_THE_FLOOR * floor:
-        return MATERIAL * (square - floor**2)
-    return COARSE * max(square - noise**2, 1e-12)
+    mean_square = current.rms**2
+    if current.rms > LOOP.floor_factor * floor:
+        return LOOP.least_explained * (mean_square - floor**2)
+    return LOOP.least_explained_at_floor * max(mean_square - noise**2, 1e-12)
 
 
-def judge(current: Fitted, gain: float, tried: Sequence[Candidate]) -> list[Candidate]:
+def assess(current: Fitted, gain: float, tried: Sequence[Candidate]) -> list[Candidate]:
     """What speaks against each of them, if anything; and in how many leave-one-out rounds it is the best and explains
     enough. What is left out there is a recording's say: nothing is fitted again.
     """
-    count = len(current.squares)
-    left = np.array([c.fitted.squares for c in tried if c.fitted is not None]).reshape(-1, count)
+    count = len(current.mean_squares)
+    square = np.array([c.fitted.mean_squares for c in tried if c.fitted is not None]).reshape(-1, count)
     allowed = allowances(current, tried)
     out = []
     for k, candidate in enumerate(tried):
-        candidate = dataclasses.replace(candidate, gain=float((current.squares - left[k]).mean()))
+        candidate = dataclasses.replace(candidate, gain=float((current.mean_squares - square[k]).mean()))
         wins = 0
         for left_out in range(count):
             rest = [r for r in range(count) if r != left_out] or [0]
-            best = (left[k, rest].mean() <= allowed[:, k] * left[:, rest].mean(axis=1)).all()
-            wins += bool(best and (current.squares - left[k])[rest].mean() >= gain)
-        helped = int((left[k] < current.squares).sum())
+            best = (square[k, rest].mean() <= allowed[:, k] * square[:, rest].mean(axis=1)).all()
+            wins += bool(best and (current.mean_squares - square[k])[rest].mean() >= gain)
+        helped = int((square[k] < current.mean_squares).sum())
         why = ""
         if candidate.gain < gain:
             why = f"explains only {max(candidate.gain, 0) / gain:.0%} of what a name has to"
@@ -83,7 +81,7 @@ def unphysical(name: str, fitted: Fitted) -> str:
     space, amounts = fitted.space, amounts_of(fitted.space, name)
     null = np.array([space.parameters[i].null for i in amounts])
     if np.isnan(fitted.low[amounts]).all():
-        return f"fewer than {ENOUGH} recordings to fit give its amount no interval"
+        return f"fewer than {LOOP.least_recordings} recordings to fit give its amount no interval"
     far = np.abs(fitted.theta[amounts] - null) > 1e-3 * (space.high - space.low)[amounts]
     at_bound = [i for i, away in zip(amounts, far, strict=True) if away and fitted.at_bound[i]]
     if at_bound:
@@ -110,17 +108,17 @@ def parameters_of(space: ParameterSpace, effect: str) -> dict[str, int]:
 def allowances(current: Fitted, tried: Sequence[Candidate]) -> np.ndarray:
     """(K, K): candidate k stands beside j if it leaves at most [j, k] times what j leaves (mean squares).
 
-    Within `TIED` two cannot be told apart, within twice that if what they correct is alike; beyond that every further
-    parameter has to pay for itself.
+    Within the tie margin two cannot be told apart, within twice that if what they correct is alike; beyond that every
+    further parameter has to pay for itself.
     """
     size = np.array([0 if c.fitted is None else len(c.fitted.theta) for c in tried])
     more = size[:, None] - size[None, :]
-    alike = (likeness(current, tried) >= ALIKE) & (np.abs(more) <= 1)
-    return 1 + TIED * np.where(alike, 2, 1) + PER_PARAMETER * np.maximum(more, 0)
+    alike = (correction_correlation(current, tried) >= LOOP.alike_correlation) & (np.abs(more) <= 1)
+    return 1 + LOOP.tie_margin * np.where(alike, 2, 1) + LOOP.parameter_penalty * np.maximum(more, 0)
 
 
-def likeness(current: Fitted, tried: Sequence[Candidate]) -> np.ndarray:
-    """(K, K): correlation of what the candidates take from the residual."""
+def correction_correlation(current: Fitted, tried: Sequence[Candidate]) -> np.ndarray:
+    """(K, K): correlation of what the candidates correct of the residual."""
     before = np.concatenate(current.residual)
     taken = [np.zeros_like(before) if c.fitted is None else before - np.concatenate(c.fitted.residual) for c in tried]
     unit = np.array([t / max(float(np.linalg.norm(t)), 1e-300) for t in taken]).reshape(len(tried), len(before))
@@ -135,13 +133,13 @@ def choose(current: Fitted, judged: Sequence[Candidate]) -> tuple[str, ...]:
     standing = [c for c in judged if not c.why_not and c.fitted is not None]
     if not standing:
         return ()
-    left = np.array([c.fitted.rms**2 for c in standing if c.fitted is not None])
+    square = np.array([c.fitted.rms**2 for c in standing if c.fitted is not None])
     size = np.array([len(c.fitted.theta) for c in standing if c.fitted is not None])
     shapes = [sum(p.null is None for p in c.fitted.space) for c in standing if c.fitted is not None]
-    allowed, alike = allowances(current, standing), likeness(current, standing) >= ALIKE
-    close = [k for k in range(len(standing)) if (left[k] <= allowed[:, k] * left).all()]
-    first = min(close, key=lambda k: (size[k], shapes[k], left[k]))
+    allowed, alike = allowances(current, standing), correction_correlation(current, standing) >= LOOP.alike_correlation
+    close = [k for k in range(len(standing)) if (square[k] <= allowed[:, k] * square).all()]
+    first = min(close, key=lambda k: (size[k], shapes[k], square[k]))
     others = [
         k for k in close if k != first and (size[k] == size[first] or (alike[k, first] and size[k] == size[first] + 1))
     ]
-    return tuple(standing[k].name for k in [first, *sorted(others, key=lambda k: left[k])][:2])
+    return tuple(standing[k].name for k in [first, *sorted(others, key=lambda k: square[k])][:2])

@@ -1,0 +1,55 @@
+"""Which effects the loop tries, and in which order."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.protocols import Effect
+from clothbench.modelling.curves import acts_on_curves, acts_on_sheets
+from clothbench.plugins.discovery import Catalogue
+
+ORDER = {"sensor": 0, "boundary": 1, "dynamics": 2}  # how the cloth was seen and held may look like physics
+
+
+def candidates_of(given: Any, kind: str, base: Sequence[str], plugins: Catalogue) -> tuple[str, ...]:
+    """All installed effects that act on recordings of this kind and that the model does not have, or those that were
+    named; sensors first.
+    """
+    effects = asked_for(given, plugins)
+    acts = acts_on_curves if kind == "curve" else acts_on_sheets
+    acting = {name: effect for name, effect in effects.items() if acts(effect)}
+    if given is not None and (stray := next((name for name in effects if name not in acting), None)):
+        raise ClothbenchError(why_stray(stray, kind, plugins))
+    if given is not None and (owned := next((name for name in effects if name in base), None)):
+        raise ClothbenchError(f"effect {owned!r} is in the base already; take it out of candidates, or state base=")
+    rest = {name: effect for name, effect in acting.items() if name not in base}
+    return tuple(sorted(rest, key=lambda name: ORDER.get(rest[name].place, len(ORDER))))
+
+
+def why_stray(name: str, kind: str, plugins: Catalogue) -> str:
+    if kind != "curve":
+        return f"effect {name!r} acts on force-extension curves only; take it out of candidates"
+    known = [other for other, effect in plugins.made("effects")[0].items() if acts_on_curves(effect)]
+    return f"effect {name!r} does not act on force-extension curves; those that do: {', '.join(known)}"
+
+
+def asked_for(given: Any, plugins: Catalogue) -> Mapping[str, Effect]:
+    """The effects that were named; or else all that can be used (`unusable` says which cannot)."""
+    if given is None:
+        return plugins.made("effects")[0]
+    if not names(given):
+        raise ClothbenchError(f"candidates is {given!r}, expected names of effects; left out, all are tried")
+    return {name: plugins.make("effects", name) for name in names(given)}
+
+
+def unusable(plugins: Catalogue) -> list[str]:
+    """Why some of the installed effects are no candidates."""
+    return list(plugins.made("effects")[1].values())
+
+
+def names(given: str | Sequence[str]) -> list[str]:
+    """ "a,b" or "[a, b]" or a list."""
+    words = given.strip("[]").split(",") if isinstance(given, str) else given
+    return [word for word in (str(w).replace(" ", "") for w in words) if word]

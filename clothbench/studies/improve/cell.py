@@ -1,0 +1,89 @@
+"""The cell of `improve`: one question to the loop, with a key that says all that its answer depends on."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any, ClassVar
+
+from clothbench import __version__
+from clothbench.engine.cells import Source, digest
+from clothbench.studies.improve.settings import LOOP
+
+
+@dataclass(frozen=True)
+class ImproveCell:
+    """What does this model lack beside these recordings? Plain data; its key is the hash of everything here except
+    where files lie.
+
+    recordings: all of one kind, with their splits;
+    kind: of them, "nodes" or "curve";
+    model: name of its plugin;
+    base: effects that belong to it from the start;
+    candidates: effects that it may lack, in the order of trying;
+    tracker: what makes observations of the recordings; None where there is nothing to track;
+    optimizer: what fits;
+    options: of these plugins, by the plugin's name;
+    scene: areal_density, kg/m², where a recording does not know it (None: each has to), and resolution, nodes along the
+        longer side of the mesh; empty where nothing is simulated on a mesh;
+    bounds: of parameters, by name, in place of those that the plugins state;
+    seed: of all random draws;
+    timeout: s after which no further round is begun; None: no limit;
+    versions: "kind/name" → distribution and version of every plugin that it uses;
+    split_by_seed: whether no recording states a split.
+    """
+
+    recordings: tuple[Source, ...]
+    kind: str
+    model: str
+    base: tuple[str, ...]
+    candidates: tuple[str, ...]
+    tracker: str | None
+    optimizer: str
+    options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
+    scene: Mapping[str, Any] = field(default_factory=dict)
+    bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    seed: int = 0
+    timeout: float | None = None
+    versions: Mapping[str, str] = field(default_factory=dict)
+    split_by_seed: bool = False
+
+    study: ClassVar[str] = "improve"
+
+    @cached_property
+    def key(self) -> str:
+        """16 hexadecimal digits, the same on every machine for the same question."""
+        question = asdict(self)
+        question["recordings"] = [(s.name, s.hash, s.split) for s in self.recordings]
+        used = {name for _, name in self.plugins}
+        question["options"] = {name: options for name, options in question["options"].items() if name in used}
+        del question["split_by_seed"]  # the splits say it
+        return digest([question, asdict(LOOP), __version__])
+
+    @property
+    def plugins(self) -> list[tuple[str, str]]:
+        """Every plugin that it uses, as (kind, name)."""
+        single = [("models", self.model), ("optimizers", self.optimizer)]
+        trackers = [("trackers", self.tracker)] if self.tracker else []
+        return single + trackers + [("effects", name) for name in (*self.base, *self.candidates)]
+
+    @property
+    def case(self) -> str:
+        """The folder in which the recordings lie."""
+        return Path(self.recordings[0].path).parent.name
+
+    @property
+    def cases(self) -> tuple[str, ...]:
+        return (self.case,)
+
+    @property
+    def label(self) -> str:
+        return " · ".join((self.case, "+".join((self.model, *self.base)), self.optimizer))
+
+    def option(self, name: str) -> dict[str, Any]:
+        return dict(self.options.get(name, {}))
+
+    def of_split(self, split: str) -> list[Source]:
+        return [source for source in self.recordings if source.split == split]

@@ -1,0 +1,80 @@
+"""Runs of a testing machine reduced to medians over equal steps of stretch, and how far runs differ."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.recordings.curve import Curve
+
+STEPS = 60  # of the common range of stretch, where the recordings have samples enough
+
+
+@dataclass(frozen=True, eq=False)
+class CurveObservation:
+    """Medians over S steps of stretch.
+
+    stretch: (S,), length over the unloaded length;
+    force: (S,) N, NaN where a step has no sample;
+    visible: (S,) bool, where it has;
+    sigma: N, what a perfect model would be off by.
+    """
+
+    stretch: np.ndarray
+    force: np.ndarray
+    visible: np.ndarray
+    sigma: float
+
+
+def loading(curve: Curve) -> tuple[np.ndarray, np.ndarray]:
+    """Stretch and force (M,) of the samples up to the largest stretch: the way back is another curve."""
+    last = int(np.argmax(curve.stretch)) + 1
+    return curve.stretch[:last], curve.force[:last]
+
+
+def common_steps(curves: Sequence[Curve]) -> np.ndarray:
+    """Edges (S + 1,) of equal steps over the range of stretch that all these curves have."""
+    ways = [loading(curve)[0] for curve in curves]
+    low, high = max(float(way.min()) for way in ways), min(float(way.max()) for way in ways)
+    if not high - low > 1e-3:
+        raise ClothbenchError(
+            f"{curves[0].path or curves[0].name}: found {low:.4g} to {high:.4g} as the range of stretch that all "
+            f"{len(curves)} fit recordings share, expected some; leave the recordings out that break off early"
+        )
+    count = int(np.clip(min(len(way) for way in ways) // 3, 6, STEPS))
+    return np.linspace(low, high, count + 1)
+
+
+def observed(curve: Curve, edges: np.ndarray, sigma: float) -> CurveObservation:
+    """Medians of stretch and of force in each step, on the way up."""
+    stretch, force = loading(curve)
+    inside = (stretch >= edges[0]) & (stretch <= edges[-1])
+    step = np.clip(np.searchsorted(edges, stretch, side="right") - 1, 0, len(edges) - 2)
+    out = np.full((2, len(edges) - 1), np.nan)
+    for k in range(len(edges) - 1):
+        mine = inside & (step == k)
+        if mine.any():
+            out[:, k] = np.median(stretch[mine]), np.median(force[mine])
+    return CurveObservation(out[0], out[1], np.isfinite(out[1]), sigma)
+
+
+def floor_of(seen: Sequence[CurveObservation], curves: Sequence[Curve]) -> float:
+    """What a perfect model would be off by [N]: the spread between runs, or the noise of the only one."""
+    if len(seen) > 1:
+        return spread(seen)
+    stated = [curve.noise_sigma for curve in curves if math.isfinite(curve.noise_sigma)]
+    if stated:
+        return stated[0]
+    jumps = [np.diff(one.force[one.visible], n=3) for one in seen]
+    return float(1.4826 * np.median(np.abs(np.concatenate(jumps))) / math.sqrt(20)) if jumps else math.nan
+
+
+def spread(seen: Sequence[CurveObservation]) -> float:
+    """Standard deviation [N] between runs at equal stretch, root-mean-square over stretch."""
+    centres = np.nanmean([one.stretch for one in seen], axis=0)
+    forces = [np.interp(centres, one.stretch[one.visible], one.force[one.visible]) for one in seen]
+    return float(np.sqrt(np.mean(np.var(forces, axis=0, ddof=1))))

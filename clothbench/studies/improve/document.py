@@ -1,0 +1,134 @@
+"""`verdict.json` (schema 1), from a finding. Here numbers get the unit that errors are reported in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from clothbench.engine.store import finite
+from clothbench.studies.improve.evidence import of_split
+from clothbench.studies.improve.finding import Finding
+from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.selection import Candidate, parameters_of
+from clothbench.studies.improve.settings import LOOP
+from clothbench.studies.improve.state import Round
+from clothbench.studies.improve.verdict import pooled
+
+SCHEMA = 1
+MILLIMETRES = "mm"  # what `error_mm` and `unexplained_mm` are in; evidence in another unit has nulls there
+
+
+def verdict_document(finding: Finding) -> dict[str, Any]:
+    """The document. Errors are rms over what was measured, pooled over recordings."""
+    final, unit = finding.final, finding.evidence.unit
+    in_mm = unit.reported == MILLIMETRES
+    error, unexplained = error_entry(finding), unit.scale * finding.unexplained
+    document = {
+        "schema": SCHEMA, "model": finding.model, "base": list(finding.base), "verdict": finding.verdict,
+        "effects": effect_entries(finding),
+        "error_mm": error if in_mm else nulls(error), "unexplained_mm": unexplained if in_mm else None,
+        "hint": finding.hint,
+        "candidates": candidate_entries(finding),
+        "condition": finite(np.linalg.cond(final.weighted_jacobian)),
+        "evaluations": finding.evaluations, "wall_s": finding.wall_s, "seed": finding.seed,
+        "recordings": {split: [c.name for c in of_split(finding.evidence, split)] for split in ("fit", "held_out")},
+        "parameters": {name: amount(final, i) for i, name in enumerate(final.space.names)},
+        "key": finding.key,
+    }  # fmt: skip
+    if in_mm:
+        return document
+    return document | {
+        "kind": finding.evidence.kind, "error": {"unit": unit.reported, **error}, "unexplained": unexplained,
+    }  # fmt: skip
+
+
+def error_entry(finding: Finding) -> dict[str, Any]:
+    """Errors before and after on both splits, in the reported unit."""
+    scale, placebo = finding.evidence.unit.scale, finding.placebo
+    before = [scale * error for _, error, _ in finding.held_out]
+    after = [scale * error for _, _, error in finding.held_out]
+    return {
+        "fit": {"before": scale * finding.calibrated.rms, "after": scale * finding.final.rms},
+        "held_out": {
+            "before": pooled(before), "after": pooled(after), "ci95": paired_interval(before, after),
+            "per_recording": [
+                {"recording": name, "before": finite(b), "after": finite(a)}
+                for (name, _, _), b, a in zip(finding.held_out, before, after, strict=True)
+            ],
+            "placebo": placebo and {"name": placebo.name, "after": pooled([scale * e for e in placebo.errors])},
+        },
+        "noise_floor": scale * finding.floor,
+    }  # fmt: skip
+
+
+def paired_interval(before: Sequence[float], after: Sequence[float]) -> list[float | None]:
+    """95 % interval of the mean fall of the error over recordings (Student's t; wide for few recordings)."""
+    fall = np.subtract(before, after)
+    if len(fall) < 2:
+        return [None, None]
+    half = student.ppf(0.975, len(fall) - 1) * fall.std(ddof=1) / np.sqrt(len(fall))
+    return [finite(fall.mean() - half), finite(fall.mean() + half)]
+
+
+def nulls(value: Any) -> Any:
+    """The same shape with null for every number."""
+    if isinstance(value, dict):
+        return {key: nulls(inner) for key, inner in value.items()}
+    if isinstance(value, list):
+        return [nulls(inner) for inner in value]
+    return value if isinstance(value, str) else None
+
+
+def amount(fitted: Fitted, i: int) -> dict[str, Any]:
+    """Parameter i with its interval, in its unit."""
+    return {
+        "value": float(fitted.theta[i]), "low": finite(fitted.low[i]), "high": finite(fitted.high[i]),
+        "unit": fitted.space.parameters[i].unit,
+    }  # fmt: skip
+
+
+def effect_entries(finding: Finding) -> list[dict[str, Any]]:
+    """What was named in each round, with its amounts as the last fit has them."""
+    if not finding.final.effects:
+        return []
+    return [effect_entry(finding, found) for found in finding.rounds if found.named]
+
+
+def effect_entry(finding: Finding, found: Round) -> dict[str, Any]:
+    final, name = finding.final, found.named[0]
+    candidate = next(c for c in found.candidates if c.name == name)
+    note = finding.notes[name]
+    return {
+        "name": name, "place": note.place, "summary": note.summary,
+        "parameters": {own: amount(final, i) for own, i in parameters_of(final.space, name).items()},
+        "tied_with": list(found.named[1:]), "p_value": candidate.p_value,
+        "selected_in": f"{candidate.selected}/{len(final.residual)}",
+    }  # fmt: skip
+
+
+def candidate_entries(finding: Finding) -> list[dict[str, Any]]:
+    """Every candidate as the last round that tried it saw it; gain: by which the mean square fell, squared unit."""
+    latest: dict[str, dict[str, Any]] = {}
+    square = finding.evidence.unit.scale**2
+    for found in finding.rounds:
+        for c in found.candidates:
+            dropped = finding.dropped and c.name in found.named
+            latest[c.name] = {
+                "name": c.name, "share": c.share, "gain": finite(square * c.gain), "p_value": c.p_value,
+                "why_not": finding.dropped if dropped else why_not(c, found),
+            }  # fmt: skip
+    return sorted(latest.values(), key=lambda c: (-(c["gain"] or 0.0), -c["share"]))
+
+
+def why_not(candidate: Candidate, of: Round) -> str:
+    """Why a candidate was not named in a round; "" if it was."""
+    if candidate.name in of.named:
+        return ""
+    if candidate.why_not:
+        return candidate.why_not
+    if candidate.fitted is None:
+        return f"promises too little to first order, or is not among the {LOOP.refitted} that promise most"
+    return "another explains as much or more, with as few parameters"

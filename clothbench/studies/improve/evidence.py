@@ -1,0 +1,141 @@
+"""Evidence: recordings as residuals with a unit. All that the loop has to know of what was measured.
+
+The loop's arithmetic works on residual vectors (M,), simulated minus measured, in the SI unit that the evidence states.
+What they are of (node positions, forces over stretch), how chance would scramble them, whether a finer mesh changes
+them, and which tables show them is said here, once for each kind: `sheets` and `curves`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol, Self
+
+import numpy as np
+
+from clothbench.core.protocols import Effect, Model
+from clothbench.estimation.trials import Trial
+from clothbench.studies.improve.settings import SearchSettings
+
+Rows = list[dict[str, Any]]
+Surrogate = Callable[[np.random.Generator], np.ndarray]  # draws one residual (M,) that chance could have made
+
+
+@dataclass(frozen=True)
+class Unit:
+    """Of residuals and errors.
+
+    base: SI, what residuals are in;
+    reported: what errors are reported in;
+    scale: how many of the latter one of the former is.
+    """
+
+    base: str
+    reported: str
+    scale: float
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison:
+    """One recording beside the model before the loop and after.
+
+    case: the recording;
+    before, after: what the sensor would see of the model, positions (T, N, 3) m or forces (M,) N, NaN from where on a
+        run was stopped;
+    residual_before, residual_after: (M,) simulated minus measured, in the base unit, the mesh's own error taken away.
+    """
+
+    case: Any
+    before: np.ndarray
+    after: np.ndarray
+    residual_before: np.ndarray
+    residual_after: np.ndarray
+
+
+class Case(Protocol):
+    """One recording, ready to be compared with a model."""
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def split(self) -> str:
+        """ "fit" or "held_out"."""
+        ...
+
+    @property
+    def duration(self) -> float:
+        """s; infinite where no time is known of it."""
+        ...
+
+    def trial(self, model: Model, effects: Sequence[Effect], correction: np.ndarray | None) -> Trial:
+        """The recording with its simulation, whose metric has residuals (B, M) in the base unit.
+
+        correction: (M,), added to the residual: what is known of the error of the mesh.
+        """
+        ...
+
+    def simulated(self, rollout: Any) -> np.ndarray:
+        """What the sensor would see of the first member of a rollout of that simulation."""
+        ...
+
+    def surrogates(self, residual: np.ndarray) -> Surrogate:
+        """Draws of the residual (M,) out of step with the model but with its own correlation (surrogate data)."""
+        ...
+
+    def peak(self, residual: np.ndarray) -> str:
+        """Where along the recording most of a residual (M,) is: "2.5 s", "a stretch of 1.20"."""
+        ...
+
+
+class Evidence(Protocol):
+    """The recordings of a run, all of one kind."""
+
+    @property
+    def kind(self) -> str:
+        """As recording files state it: "nodes" or "curve"."""
+        ...
+
+    @property
+    def unit(self) -> Unit: ...
+
+    @property
+    def search(self) -> SearchSettings: ...
+
+    @property
+    def cases(self) -> Sequence[Case]: ...
+
+    @property
+    def has_rerun(self) -> bool:
+        """Whether there is something to be seen in Rerun."""
+        ...
+
+    def restricted(self, cases: Sequence[Any]) -> Self:
+        """The same with some of the cases only."""
+        ...
+
+    def refined(self) -> Self | None:
+        """The same with cells of half the size; None where nothing is discretised."""
+        ...
+
+    def noise(self) -> float:
+        """σ of one element of a residual, base unit, over the fit recordings."""
+        ...
+
+    def repeat_spread(self, residual: Sequence[np.ndarray]) -> float:
+        """σ by which fit recordings that repeat each other differ, base unit, from what a fit leaves of each, (M,);
+        0 where none repeats another, or the noise is that spread already.
+        """
+        ...
+
+    def location(self, residual: Sequence[np.ndarray]) -> str:
+        """Where most of what a fit leaves of the fit recordings is, as a clause; "" where there is no where."""
+        ...
+
+    def tables(self, comparisons: Sequence[Comparison]) -> Mapping[str, Rows]:
+        """Rows of the tables that only this kind of evidence has."""
+        ...
+
+
+def of_split(evidence: Evidence, split: str) -> list[Case]:
+    return [case for case in evidence.cases if case.split == split]

@@ -1,0 +1,82 @@
+"""All that the loop found out: document, tables, page and Rerun files are made from this alone."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from clothbench.studies.improve.evidence import Comparison, Evidence
+from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.state import Round
+
+
+@dataclass(frozen=True)
+class Note:
+    """What an effect says of itself: where it acts, and a summary."""
+
+    place: str
+    summary: str
+
+
+@dataclass(frozen=True)
+class Placebo:
+    """An effect that nothing speaks for, fitted all the same: it must not help on held-out recordings.
+
+    name: of the effect;
+    errors: rms of each held-out recording with it, base unit.
+    """
+
+    name: str
+    errors: tuple[float, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Finding:
+    """What a run of the loop came to. Errors are rms in the evidence's base unit; NaN is a run that was stopped.
+
+    key: of the cell that asked;
+    model, base, seed: what was asked about: the model's name, the effects that belong to it, the seed of the draws;
+    evidence: the recordings as they were compared;
+    verdict: "complete", "attributed", "tied" or "unexplained";
+    hint: what the reader may want to know or do next;
+    noise: of the recordings;
+    floor: of noise and mesh;
+    unexplained: what is left above the floor;
+    calibrated: the fit of the base;
+    final: the fit that the verdict stands by, with what was named, or the calibrated one;
+    rounds: of the loop, in turn;
+    dropped: why what was named in the rounds is no finding after all, or "";
+    notes: of every candidate, by name;
+    alone: the base fitted to each recording by itself, by its name;
+    held_out: (recording, error before, error after) of every held-out recording;
+    placebo: one more effect, or None where there was nothing to hold against it;
+    comparisons: every recording beside both fits, those that were fitted first;
+    evaluations: parameter sets that were simulated, on all fit recordings each;
+    wall_s: s, those of stopped runs included;
+    stages: (stage, s, evaluations), where both went;
+    timed_out: whether a further round was not begun for want of time.
+    """
+
+    key: str
+    model: str
+    base: tuple[str, ...]
+    seed: int
+    evidence: Evidence
+    verdict: str
+    hint: str
+    noise: float
+    floor: float
+    unexplained: float
+    calibrated: Fitted
+    final: Fitted
+    rounds: tuple[Round, ...]
+    dropped: str
+    notes: Mapping[str, Note]
+    alone: Mapping[str, Fitted]
+    held_out: tuple[tuple[str, float, float], ...]
+    placebo: Placebo | None
+    comparisons: tuple[Comparison, ...]
+    evaluations: int
+    wall_s: float
+    stages: tuple[tuple[str, float, int], ...]
+    timed_out: bool = False

@@ -1,0 +1,176 @@
+"""The loop: calibrate, find the effect that explains what is left, add it, go round again; then one look at the
+recordings held out. It ends in a `Finding`.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.studies.improve.account import Account, StageProgress
+from clothbench.studies.improve.finding import Finding, Note
+from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.fitting import better_of, fit, planned_evaluations
+from clothbench.studies.improve.held_out import comparisons_of, held_out_errors, placebo_of
+from clothbench.studies.improve.jumps import jump_along_valley
+from clothbench.studies.improve.problem import Problem
+from clothbench.studies.improve.profile import profile_intervals
+from clothbench.studies.improve.refinement import corrected
+from clothbench.studies.improve.rounds import one_round, withdrawn
+from clothbench.studies.improve.selection import least_fall, unphysical
+from clothbench.studies.improve.settings import LOOP
+from clothbench.studies.improve.state import Round, State
+from clothbench.studies.improve.verdict import concluded
+
+
+def improve(
+    problem: Problem, candidates: Sequence[str], progress: StageProgress = lambda *_: None, timeout: float | None = None
+) -> Finding:
+    """Run the loop on the fit recordings, and judge once on the held-out ones what it finds.
+
+    timeout: s, after which no further round is begun.
+    """
+    account = Account(progress)
+    state, timed_out = all_rounds(problem, candidates, account, timeout)
+    return finding_of(state, account, timed_out)
+
+
+def all_rounds(
+    problem: Problem, candidates: Sequence[str], account: Account, timeout: float | None = None
+) -> tuple[State, bool]:
+    """Stages 1 to 5: where the loop stands at the end, and whether it ran out of time."""
+    state = initial_state(problem, account)
+    for turn in range(problem.evidence.search.rounds):
+        if state.final.rms <= LOOP.floor_factor * (state.floor if turn else state.noise):
+            break
+        if timeout is not None and problem.checkpoint.seconds > timeout:
+            return state, True
+        state, goes_on = next_round(state, candidates, account)
+        if not goes_on:
+            break
+    return state, False
+
+
+def initial_state(problem: Problem, account: Account) -> State:
+    """The base calibrated, on all recordings and on each alone; noise and floor."""
+    base = calibrated(problem, account)
+    noise = max(problem.evidence.noise(), problem.evidence.repeat_spread(base.residual))
+    if not np.isfinite(base.rms):
+        raise ClothbenchError(
+            f"model {problem.model!r}: found no parameters with which all recordings to fit can be "
+            "simulated; leave out those that it cannot do, or choose another model"
+        )
+    if not np.isfinite(noise):
+        raise ClothbenchError(
+            "noise_sigma: found NaN in recordings too short to show their noise, expected "
+            f"{problem.evidence.unit.base}; state it in the recordings"
+        )
+    problem, base, floor = corrected(problem, base, noise, account)
+    return State(problem, base, base, noise, floor, alone=each_alone(problem, base, account))
+
+
+def calibrated(problem: Problem, account: Account) -> Fitted:
+    """The base model on all fit recordings together."""
+    account.stage("calibrate", 0, planned_evaluations(problem.space(()), LOOP.calibration_rounds))
+    base = fit(problem, (), None, LOOP.calibration_rounds, account=account)
+    account.count(base.evaluations)
+    return base
+
+
+def each_alone(problem: Problem, base: Fitted, account: Account) -> dict[str, Fitted]:
+    """The base fitted to each recording by itself: parameters that drift say that physics is missing."""
+    out, cases = {}, problem.of_split("fit")
+    for k, case in enumerate(cases):
+        account.stage("each recording alone", k, len(cases))
+        out[case.name] = fit(problem.restricted(case), (), base.theta, LOOP.single_rounds)
+        account.count(out[case.name].evaluations // len(cases))
+    return out
+
+
+def next_round(state: State, candidates: Sequence[str], account: Account) -> tuple[State, bool]:
+    """One round more, and whether it named an effect that stands, so that another may follow."""
+    current, problem = state.final, state.problem
+    rest = [c for c in candidates if c not in current.effects]
+    earlier = state.rounds[-1].probes if state.rounds else ()
+    fall = least_fall(current, state.floor, state.noise)
+    found = one_round(problem, current, state.floor, fall, rest, earlier, account)
+    if found.before is not current:  # the refit without the effect came to a better fit of what there was
+        base = state.base if state.rounds else found.before
+        state = dataclasses.replace(state, base=base, final=found.before)
+    if found.after is None:
+        return with_round(state, found), False
+    return confirmed(state, found, account)
+
+
+def with_round(state: State, found: Round) -> State:
+    return dataclasses.replace(state, rounds=(*state.rounds, found))
+
+
+def confirmed(state: State, found: Round, account: Account) -> tuple[State, bool]:
+    """The state after a round that named an effect: with it, if it stands once it is fitted to the end and the errors
+    of mesh and model are allowed for; without, and with the reason, if not.
+    """
+    assert found.after is not None
+    name, current, noise, floor = found.named[0], state.final, state.noise, state.floor
+    fitted = continued(state.problem, found.after, account)
+    problem, after, doubt = corrected(state.problem, fitted, noise, account)
+    if found.before.rms**2 - found.after.rms**2 < least_fall(current, max(floor, doubt), noise):
+        # The fits are near each other: how far a finer mesh changes them is known no better than the two agree.
+        unit, floor = problem.evidence.unit, max(floor, doubt)
+        size = f"{unit.scale * doubt:.2g} {unit.reported}"
+        why = f"what it explains may be the mesh's doing, which with it may be wrong by {size}"
+        return with_round(dataclasses.replace(state, floor=floor), withdrawn(found, floor, why)), False
+    if not (why := unphysical(name, after)):
+        account.stage(f"round {len(state.rounds) + 1}: intervals", 0, 1)
+        narrow, after, count = profile_intervals(problem, after)
+        account.count(count)
+        why = unphysical(name, narrow)
+    if why:
+        why = f"{why} once the errors of mesh and model are allowed for"
+        return with_round(state, withdrawn(found, floor, why)), False
+    state = dataclasses.replace(state, problem=problem, final=after, floor=doubt)
+    return with_round(state, dataclasses.replace(found, after=after)), True
+
+
+def continued(problem: Problem, named: Fitted, account: Account) -> Fitted:
+    """The fit with what was named, continued: refits of candidates get as many rounds as a comparison needs, and what
+    such a fit has not yet come to must not be taken for another effect. Jumps along its valley may end in ripples that
+    only a longer search gets out of.
+    """
+    account.stage(f"{named.effects[-1]} fitted out", 0, 1)
+    fitted, count = better_of(problem, named, named.theta, LOOP.final_rounds)
+    account.count(count)
+    fitted, count = jump_along_valley(problem, fitted, LOOP.final_jumps, LOOP.refit_rounds, LOOP.final_jump_margin)
+    account.count(count)
+    return fitted
+
+
+def finding_of(state: State, account: Account, timed_out: bool = False) -> Finding:
+    """Stage 6: the only look at the held-out recordings, and all that is told of the run."""
+    account.stage("held-out recordings", 0, 1)
+    problem, base = state.problem, state.base
+    before = held_out_errors(problem, base)
+    end = concluded(state, before, timed_out)
+    placebo, spent = placebo_of(problem, end.fit, state.rounds)
+    account.count(spent)
+    after = held_out_errors(problem, end.fit) if end.fit.effects else before
+    comparisons = comparisons_of(problem, base, end.fit)
+    account.stop()
+    return Finding(
+        key=problem.question, model=problem.model, base=problem.base, seed=problem.seed, evidence=problem.evidence,
+        verdict=end.word, hint=end.hint, noise=state.noise, floor=state.floor, unexplained=end.unexplained,
+        calibrated=base, final=end.fit, rounds=tuple(dataclasses.replace(r, probes=()) for r in state.rounds),
+        dropped=end.dropped, notes=notes(problem, state.rounds), alone=state.alone,
+        held_out=tuple(zip((c.name for c in problem.of_split("held_out")), before, after, strict=True)),
+        placebo=placebo, comparisons=comparisons, evaluations=account.evaluations,
+        wall_s=problem.checkpoint.seconds, stages=account.table, timed_out=timed_out,
+    )  # fmt: skip
+
+
+def notes(problem: Problem, rounds: Sequence[Round]) -> dict[str, Note]:
+    """What there is to say of every candidate."""
+    effects = {c.name: problem.make("effects", c.name) for found in rounds for c in found.candidates}
+    return {name: Note(effect.place, effect.summary) for name, effect in effects.items()}

@@ -1,0 +1,65 @@
+"""Stage 4: is it more than chance? A permutation test with the max-statistic over all candidates.
+
+The recording is the unit of evidence; frames of one recording hang together. The null distribution comes from the
+residual itself, with its own autocorrelation, set out of step with the candidates, each recording by its own draw
+(`Case.surrogates`). The share of its variance that the best of *all* candidates then explains is what chance gives
+(Westfall and Young 1993, Resampling-based multiple testing).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clothbench.studies.improve.attribution import Probe
+from clothbench.studies.improve.evidence import Case
+from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.settings import LOOP
+
+
+@dataclass(frozen=True, eq=False)
+class PermutationTest:
+    """What each probe explains of the residual that a refit of the base would leave, and what chance would.
+
+    explained: (K,), share of the variance that each of K probes explains;
+    null_maxima: (D,), the largest such share over all probes in each of D surrogates.
+    """
+
+    explained: np.ndarray
+    null_maxima: np.ndarray
+
+    def p_value(self, probe: int) -> float:
+        return float((1 + (self.null_maxima >= self.explained[probe]).sum()) / (1 + len(self.null_maxima)))
+
+
+def permutation_test(cases: Sequence[Case], fitted: Fitted, found: Sequence[Probe], seed: int) -> PermutationTest:
+    base = span_of(fitted.weighted_jacobian)
+    spans = []
+    for probe in found:
+        columns = np.vstack(probe.columns) * fitted.weights[:, None]
+        spans.append(span_of(columns - base @ (base.T @ columns), np.square(columns).sum()))
+    random = np.random.default_rng(seed)
+    draws = [case.surrogates(r) for case, r in zip(cases, fitted.residual, strict=True)]
+    maxima, count, batch = [], LOOP.permutations, LOOP.permutation_batch
+    for first in range(0, count, batch):  # of long recordings, all would not fit into memory
+        drawn = [np.concatenate([draw(random) for draw in draws]) for _ in range(first, min(first + batch, count))]
+        maxima.append(explained_variance(base, spans, np.array(drawn) * fitted.weights).max(axis=1, initial=0.0))
+    explained = explained_variance(base, spans, fitted.weighted_residual[None])[0]
+    return PermutationTest(explained, np.concatenate(maxima))
+
+
+def span_of(columns: np.ndarray, of: float | None = None) -> np.ndarray:
+    """An orthonormal basis (M, k) of what the columns (M, K) span, less what is next to nothing beside squares `of`."""
+    size, turn = np.linalg.eigh(columns.T @ columns)
+    kept = size > LOOP.rank_tolerance * (size.sum() if of is None else of) + 1e-300
+    return columns @ (turn[:, kept] / np.sqrt(size[kept]))
+
+
+def explained_variance(base: np.ndarray, spans: Sequence[np.ndarray], residuals: np.ndarray) -> np.ndarray:
+    """(D, K): the share of each residual (D, M), less what the base takes up, that each of K spans explains."""
+    total = np.square(residuals).sum(axis=1) - np.square(residuals @ base).sum(axis=1)
+    # Spans are at right angles to the base, so it need not be taken from the residuals first.
+    parts = [np.square(residuals @ span).sum(axis=1) for span in spans]
+    return np.array(parts).reshape(len(spans), len(residuals)).T / total[:, None]

@@ -1,0 +1,110 @@
+"""Stage 5: the most promising candidates fitted in earnest, so that neither a search that ended early nor a better
+valley decides between them.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from clothbench.studies.improve.account import Account
+from clothbench.studies.improve.attribution import Probe, ridge_solution, shifted
+from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.fitting import better_of, fit, multistart, polish
+from clothbench.studies.improve.jumps import jump_along_valley
+from clothbench.studies.improve.problem import Problem
+from clothbench.studies.improve.selection import Candidate
+from clothbench.studies.improve.settings import LOOP
+
+
+def refit(
+    problem: Problem,
+    current: Fitted,
+    candidate: Candidate,
+    probe: Probe,
+    goal: float,
+    account: Account,
+) -> Candidate:
+    """Everything fitted again with the candidate, from its probe's first-order amount, and beyond the ripple that
+    this may end in; given up where it will not come below the goal, above which it can be neither named nor tied.
+    """
+    names = (*current.effects, candidate.name)
+    fitted = fit(problem, names, first_order_starts(current, probe), LOOP.refit_rounds, goal=goal)
+    account.count(fitted.evaluations)
+    fitted, count = jump_along_valley(problem, fitted)
+    account.count(count)
+    return dataclasses.replace(candidate, fitted=fitted)
+
+
+def first_order_starts(current: Fitted, probe: Probe) -> np.ndarray:
+    """Starts (S, P): the probe with the amounts that least squares gives it, with and without the base's own step
+    beside it; and the probe as it was tried.
+    """
+    columns = np.vstack(probe.columns) * current.weights[:, None]
+    found = ridge_solution(np.hstack([columns, current.weighted_jacobian]), -current.weighted_residual)
+    count = len(probe.amounts)
+    starts = []
+    nothing = np.zeros(len(current.theta))
+    tried = np.ones(count) / count
+    for amount, shift in ((found[:count], found[count:]), (found[:count], nothing), (tried, nothing)):
+        phi = probe.phi.copy()
+        phi[list(probe.amounts)] += amount * probe.steps
+        starts.append(np.concatenate([shifted(current, amount @ probe.shifts + shift), phi]))
+    return np.array(starts)
+
+
+def refine_finalists(
+    problem: Problem, current: Fitted, fall: float, tried: Sequence[Candidate], account: Account, turn: int
+) -> list[Candidate]:
+    """The candidates, with those that may yet be named sought in other valleys and polished where there are several,
+    each of them also from where the best has left what they share: neither a search that ended early nor a better
+    valley must decide between them.
+    """
+    fits = [c.fitted for c in tried if c.fitted is not None]
+    least = min((f.rms**2 for f in fits), default=0.0)
+    most = min(current.rms**2 - fall / 2, problem.evidence.search.contention * least)
+    within = [f for f in fits if f.rms**2 <= most]
+    within = sorted(within, key=lambda f: f.rms)[: LOOP.finalists] if len(within) > 1 else []
+    better = {}
+    for k, fitted in enumerate(within):
+        account.stage(f"round {turn + 1}: contest", k, 2 * len(within))
+        fitted, count = multistart(problem, current, fitted, LOOP.refit_rounds)
+        account.count(count)
+        better[fitted.effects] = polished(problem, fitted, account)
+    best, shared = min(better.values(), key=lambda f: f.rms, default=current), len(current.theta)
+    for k, (effects, fitted) in enumerate(better.items()):
+        account.stage(f"round {turn + 1}: contest", len(within) + k, 2 * len(within))
+        if fitted is not best:
+            start = np.concatenate([best.theta[:shared], fitted.theta[shared:]])
+            better[effects], count = better_of(problem, fitted, start, LOOP.polish_rounds)
+            account.count(count)
+    return [
+        c if c.fitted is None else dataclasses.replace(c, fitted=better.get(c.fitted.effects, c.fitted)) for c in tried
+    ]
+
+
+def polished(problem: Problem, fitted: Fitted, account: Account) -> Fitted:
+    """The fit polished as long as that takes off what would decide between two candidates: the more parameters one has,
+    the more often its search ends in a ripple.
+    """
+    for _ in range(LOOP.polish_limit):
+        before = fitted.rms**2
+        fitted, count = polish(problem, fitted, LOOP.polish_rounds)
+        account.count(count)
+        if fitted.rms**2 > (1 - LOOP.tie_margin) * before:
+            break
+    return fitted
+
+
+def refit_null(problem: Problem, current: Fitted, better: Fitted | None, fall: float, account: Account) -> Fitted:
+    """The fit without the effect again, from where the fit with it ended: a gain must not come from a better valley.
+    Given up where it will not come so near that the gain is less than `fall`.
+    """
+    if better is None:
+        return current
+    start = better.theta[: len(current.theta)]
+    fitted, count = better_of(problem, current, start, LOOP.refit_rounds, goal=better.rms**2 + fall)
+    account.count(count)
+    return fitted

@@ -1,0 +1,56 @@
+"""Repeated motions: by how much cloth that is moved alike differs, which no model can undercut."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+
+import numpy as np
+from scipy.interpolate import interp1d
+
+from clothbench.core.observation import Observation
+from clothbench.recordings.nodes import Recording
+from clothbench.studies.improve.settings import LOOP
+
+Swing = tuple[Recording, Observation, np.ndarray]  # a recording, what was seen of it, and a residual field (T, N, 3) m
+
+
+def spread_of_repeats(swings: Sequence[Swing]) -> float:
+    """σ of one coordinate [m] by which recordings of one motion differ; 0 where no motion was repeated.
+
+    It is taken of what a fit leaves, which is the model's error in all of them alike, and from frames that fall nearly
+    together, since others would have to be interpolated.
+    """
+    squares, count = 0.0, 0
+    for (one, seen_one, field), (other, seen_other, other_field) in combinations(swings, 2):
+        shift = delay_of_repeat(one, other, seen_one, seen_other)
+        if shift is None:
+            continue
+        time, there = seen_one.time, seen_other.time - shift
+        k = np.clip(np.searchsorted(there, time) - 1, 0, len(there) - 2)
+        weight = (time - there[k]) / (there[k + 1] - there[k])
+        used = np.minimum(np.abs(weight), np.abs(weight - 1)) <= LOOP.repeat_frame_distance
+        k, weight = k[used], weight[used, None, None]
+        difference = field[used] - (1 - weight) * other_field[k] - weight * other_field[k + 1]
+        seen = seen_one.visible[used] & seen_other.visible[k] & seen_other.visible[k + 1]
+        squares += float(np.sum((difference**2 / (1 + weight**2 + (1 - weight) ** 2))[seen]))
+        count += 3 * int(seen.sum())
+    return (squares / count) ** 0.5 if count else 0.0
+
+
+def delay_of_repeat(a: Recording, b: Recording, seen_a: Observation, seen_b: Observation) -> float | None:
+    """By how much [s] the motion comes later in recording b of the same sheet; None if it is another one."""
+    held_alike = len(a.grip_material) and np.array_equal(a.grip_material, b.grip_material)
+    if not (held_alike and np.array_equal(seen_a.material, seen_b.material)):
+        return None  # nor can a sheet that nobody holds be said to be moved alike
+    step = float(np.median(np.diff(a.grip_time)))
+    late = np.arange(0.0, (1 - LOOP.repeat_overlap) * min(np.ptp(a.grip_time), np.ptp(b.grip_time)), step)
+    shifts = np.concatenate([-late[:0:-1], late]) + b.grip_time[0] - a.grip_time[0]
+    every = slice(None, None, max(1, len(a.grip_time) // LOOP.repeat_samples))
+    time, here = a.grip_time[every], a.grip_position[every]
+    there = interp1d(b.grip_time, b.grip_position, axis=0, bounds_error=False)
+    apart = [float(np.nanmean((here - there(time + shift)) ** 2)) ** 0.5 for shift in shifts]
+    size = float(np.mean((here - here.mean(axis=0)) ** 2)) ** 0.5
+    least = int(np.argmin(apart))
+    near = max(LOOP.repeat_distance * size, LOOP.repeat_distance_floor)
+    return float(shifts[least]) if apart[least] <= near else None

@@ -1,0 +1,200 @@
+"""Evidence of sheets: positions of the nodes of moving cloth, in metres, reported in millimetres."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+from scipy.ndimage import uniform_filter1d
+
+from clothbench.core.observation import Observation
+from clothbench.core.protocols import Effect, Model, Score, Simulation
+from clothbench.core.rollout import Rollout
+from clothbench.core.scene import Scene
+from clothbench.estimation.fixed import holding
+from clothbench.estimation.trials import Trial
+from clothbench.recordings.nodes import Recording
+from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit
+from clothbench.studies.improve.repeats import spread_of_repeats
+from clothbench.studies.improve.settings import SearchSettings
+from clothbench.studies.improve.sheet_tables import sheet_tables
+
+THIRDS = ("upper", "middle", "lower")  # of a hanging sheet, along v
+
+
+class CoordinateError:
+    """Root-mean-square over visible node coordinates [m]: the loop's own yardstick, a metric like any other.
+
+    correction: (M,) m, added to the residual at the M visible coordinates: what is known of the mesh's own error.
+    """
+
+    name: ClassVar[str] = "coordinate_error"
+    version: ClassVar[int] = 1
+    unit = "m"
+
+    def __init__(self, correction: np.ndarray | float = 0.0):
+        self.correction = correction
+
+    def __call__(self, observation: Observation, rollout: Rollout) -> Score:
+        seen = observation.visible
+        away = (rollout.position - np.nan_to_num(observation.position))[:, seen].reshape(len(rollout.position), -1)
+        away = away + self.correction
+        return Score(np.sqrt(np.mean(away**2, axis=1)), self.unit, residual=away)
+
+    def floor(self, observation: Observation) -> float:
+        return observation.sigma
+
+
+@dataclass(frozen=True, eq=False)
+class SheetCase:
+    """One recording of a sheet.
+
+    name, split: as the recording has them, or the seed;
+    recording: as it was read;
+    observation: what the tracker saw of it;
+    scene: what is simulated, with the mesh's resolution.
+    """
+
+    name: str
+    split: str
+    recording: Recording
+    observation: Observation
+    scene: Scene
+
+    @property
+    def duration(self) -> float:
+        """s, from the first frame to the last."""
+        return float(np.ptp(self.observation.time))
+
+    def trial(self, model: Model, effects: Sequence[Effect], correction: np.ndarray | None) -> Trial:
+        simulation = without_switches(model.prepare(self.scene, effects), len(model.parameters))
+        return Trial(
+            self.name, self.observation, simulation, CoordinateError(0.0 if correction is None else correction)
+        )
+
+    def simulated(self, rollout: Rollout) -> np.ndarray:
+        """Positions (T, N, 3) m."""
+        return rollout.position[0]
+
+    def field(self, residual: np.ndarray) -> np.ndarray:
+        """The residual (M,) m back on its frames and nodes (T, N, 3), 0 where nothing was seen."""
+        return field_of(self.observation, residual)
+
+    def surrogates(self, residual: np.ndarray) -> Surrogate:
+        """Moved round in time, turned about the vertical, up and down exchanged or not, mirrored left to right or
+        not.
+        """
+        field, seen = self.field(residual), self.observation.visible
+        frames, image = len(field), mirror(self.observation.material)
+
+        def draw(random: np.random.Generator) -> np.ndarray:
+            # Round a circle of the motion and its reverse, so that no jump comes in where the end meets the beginning.
+            at = (np.arange(frames) + random.integers(2 * frames)) % (2 * frames)
+            shifted = field[np.minimum(at, 2 * frames - 1 - at)]
+            angle = random.uniform(0, 2 * np.pi)
+            c, s = np.cos(angle), np.sin(angle)
+            turned = shifted @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, random.choice([-1.0, 1.0])]])
+            if random.random() < 0.5:
+                turned = turned[:, image]
+            return turned[seen].ravel()
+
+        return draw
+
+    def peak(self, residual: np.ndarray) -> str:
+        """The second in which most of it is."""
+        time, field = self.observation.time, self.field(residual)
+        second = max(1, round((len(time) - 1) / float(time[-1] - time[0])))
+        return f"{time[int(np.argmax(uniform_filter1d((field**2).sum(axis=(1, 2)), second, mode='constant')))]:.1f} s"
+
+
+@dataclass(frozen=True, eq=False)
+class SheetEvidence:
+    """Recordings of sheets beside meshes. cases: one for each recording."""
+
+    cases: tuple[SheetCase, ...]
+
+    kind: ClassVar[str] = "nodes"
+    unit: ClassVar[Unit] = Unit("m", "mm", 1e3)
+    search: ClassVar[SearchSettings] = SearchSettings()
+    has_rerun: ClassVar[bool] = True
+
+    def restricted(self, cases: Sequence[SheetCase]) -> SheetEvidence:
+        return dataclasses.replace(self, cases=tuple(cases))
+
+    def refined(self) -> SheetEvidence:
+        cases = [dataclasses.replace(case, scene=refined(case.scene)) for case in self.cases]
+        return self.restricted(cases)
+
+    def _fitted(self) -> list[SheetCase]:
+        return [case for case in self.cases if case.split == "fit"]
+
+    def noise(self) -> float:
+        """σ of one coordinate [m]: as stated, else from how much neighbouring frames jump."""
+        return float(np.sqrt(np.mean(np.square([noise_of(case.observation) for case in self._fitted()]))))
+
+    def repeat_spread(self, residual: Sequence[np.ndarray]) -> float:
+        return spread_of_repeats(
+            [
+                (case.recording, case.observation, case.field(r))
+                for case, r in zip(self._fitted(), residual, strict=True)
+            ]
+        )
+
+    def location(self, residual: Sequence[np.ndarray]) -> str:
+        """Where on the sheet, in which recording and when in it most is left."""
+        cases = self._fitted()
+        squares: dict[str, list[np.ndarray]] = {name: [] for name in THIRDS}
+        for case, one in zip(cases, residual, strict=True):
+            field, seen = case.field(one), case.observation.visible
+            third = np.minimum(3 * case.observation.material[:, 1] / case.scene.height, 2).astype(int)
+            for k, rows in enumerate(squares.values()):
+                rows.append(field[:, third == k][seen[:, third == k]].ravel() ** 2)
+        scale, unit = self.unit.scale, self.unit.reported
+        sizes = {n: scale * float(np.sqrt(np.concatenate(rows).mean())) for n, rows in squares.items() if len(rows[0])}
+        most = max(sizes, key=lambda name: sizes[name])
+        worst = int(np.argmax([float(np.mean(one**2)) for one in residual]))
+        rest = ", ".join(f"{name} {size:.1f} {unit}" for name, size in sizes.items())
+        around = cases[worst].peak(residual[worst])
+        return f"most is left in the {most} third ({rest}), in {cases[worst].name}, and there around {around}"
+
+    def tables(self, comparisons: Sequence[Comparison]) -> Mapping[str, Rows]:
+        return sheet_tables(comparisons, self.unit)
+
+
+def without_switches(simulation: Simulation, own: int) -> Simulation:
+    """Physics of the first `own` parameters, the model's, that can be switched off, is: it is for the loop to find."""
+    return holding(simulation, {p.name: p.null for p in simulation.parameters.parameters[:own] if p.null is not None})
+
+
+def refined(scene: Scene) -> Scene:
+    """The scene with cells of half the size."""
+    assert scene.resolution is not None  # whoever makes the cases has set it
+    nu, nv = scene.resolution
+    return dataclasses.replace(scene, resolution=(2 * nu - 1, 2 * nv - 1))
+
+
+def noise_of(observation: Observation) -> float:
+    """σ of one coordinate [m]: as stated, else by third differences of neighbouring frames (their variance is 20 σ²),
+    whose median absolute value wrinkles and jumps hardly change.
+    """
+    if np.isfinite(observation.sigma):
+        return observation.sigma
+    x = np.where(observation.visible[..., None], observation.position, np.nan)
+    return 1.4826 * float(np.nanmedian(np.abs(np.diff(x, n=3, axis=0)))) / np.sqrt(20)
+
+
+def field_of(observation: Observation, residual: np.ndarray) -> np.ndarray:
+    """A residual (M,) m back on its frames and nodes (T, N, 3), 0 where nothing was seen."""
+    out = np.zeros(observation.position.shape)
+    out[observation.visible] = residual.reshape(-1, 3)
+    return out
+
+
+def mirror(material: np.ndarray) -> np.ndarray:
+    """For every material point (N, 2) the one nearest to its mirror image, left to right."""
+    low, high = material[:, 0].min(), material[:, 0].max()
+    image = np.stack([low + high - material[:, 0], material[:, 1]], axis=1)
+    return np.argmin(((image[:, None] - material[None]) ** 2).sum(axis=2), axis=1)

@@ -1,0 +1,130 @@
+"""Evidence, cell and finding: what the loop must not know, what a key must, and what is written from the finding."""
+
+from __future__ import annotations
+
+import ast
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_curves import problem_of, runs
+
+from clothbench.engine.cells import Source
+from clothbench.engine.checkpoint import Checkpoint
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies import improve as room
+from clothbench.studies.improve.cell import ImproveCell
+from clothbench.studies.improve.document import verdict_document
+from clothbench.studies.improve.files import write_folder
+from clothbench.studies.improve.fitting import fit, search_settings
+from clothbench.studies.improve.loop import improve
+
+FOLDER = Path(room.__file__).parent
+WRITERS = ("document", "tables", "sheet_tables", "page", "words", "figures", "rerun_file", "files")
+SOURCE = Source("here/a.nc", "a", "1234", "fit")
+CELL = ImproveCell(
+    (SOURCE,), "nodes", "springs", ("drag",), ("lag",), "eyes", "descent", versions={"models/springs": "1"}
+)
+
+
+def imports(name: str) -> set[str]:
+    tree = ast.parse((FOLDER / f"{name}.py").read_text())
+    return {node.module or "" for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+
+
+def test_the_stages_know_no_kind_of_evidence():
+    knowing = {
+        p.stem for p in FOLDER.glob("*.py") if {f"{room.__name__}.{k}" for k in ("curves", "sheets")} & imports(p.stem)
+    }
+    assert knowing == {"prepare"}
+
+
+def test_no_plugin_is_named():
+    plugins = {p.name for p in catalogue().plugins if p.kind != "studies"}
+    for path in FOLDER.glob("*.py"):
+        texts = {n.value for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Constant)}
+        named = plugins & {text for text in texts if isinstance(text, str)}
+        assert not named - {"markers"}, path  # what Plotly calls its dots
+
+
+def test_what_is_written_simulates_nothing_and_loads_no_plugin():
+    strange = {f"{room.__name__}.{name}" for name in ("problem", "fitting", "held_out", "rounds", "loop", "refinement")}
+    for name in WRITERS:
+        assert not imports(name) & strange, name
+        assert not any(m.startswith(("clothbench.estimation", "clothbench.plugins")) for m in imports(name)), name
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"versions": {"models/springs": "2"}},
+        {"optimizer": "genes"},
+        {"tracker": "camera"},
+        {"options": {"descent": {"walks": 1}}},
+        {"bounds": {"k": (1.0, 2.0)}},
+        {"scene": {"resolution": 9}},
+        {"recordings": (dataclasses.replace(SOURCE, split="held_out"),)},
+        {"seed": 1},
+        {"timeout": 9.0},
+    ],
+)
+def test_a_key_holds_all_that_an_answer_depends_on(change):
+    assert dataclasses.replace(CELL, **change).key != CELL.key
+
+
+def test_a_key_holds_nothing_else():
+    moved = dataclasses.replace(SOURCE, path="there/b.nc")
+    assert dataclasses.replace(CELL, recordings=(moved,), options={"unused": {"a": 1}}).key == CELL.key
+
+
+def test_what_is_kept_of_an_unfinished_run_is_of_its_question_only(tmp_path):
+    problem = dataclasses.replace(
+        problem_of(runs(3, lambda e: 20 * e)), checkpoint=Checkpoint(tmp_path), question="one"
+    )
+    fit(problem, (), None, 3)
+    kept = set(tmp_path.iterdir())
+    fit(problem, (), None, 3)
+    assert set(tmp_path.iterdir()) == kept
+    fit(dataclasses.replace(problem, question="another"), (), None, 3)
+    assert len(set(tmp_path.iterdir()) - kept) == 1
+
+
+def test_options_and_bounds_reach_the_search():
+    options = {"least_squares": {"walks": 2, "tolerance": 1e-3}}
+    problem = dataclasses.replace(
+        problem_of(runs(3, lambda e: 0 * e)), options=options, bounds={"stiffness": (30.0, 90.0)}
+    )
+    first, again = search_settings(problem, first=True), search_settings(problem, first=False)
+    assert (first["walks"], first["tolerance"], first["starts"]) == (2, 1e-3, problem.evidence.search.starts)
+    assert (again["walks"], again["tolerance"]) == (problem.evidence.search.restart_walks, 1e-3)
+    assert fit(problem, (), None, 3).theta[0] == pytest.approx(30.0)
+
+
+def test_another_optimizer_is_told_only_what_it_has_a_setting_for():
+    problem = dataclasses.replace(problem_of(runs(3, lambda e: 0 * e)), optimizer="nelder_mead")
+    assert not set(search_settings(problem, first=True)) & {"difference", "walks"}
+
+
+def test_a_finding_is_all_that_is_needed_to_write(tmp_path, monkeypatch):
+    """Nothing can be simulated any more, and no plugin loaded."""
+    finding = improve(problem_of(runs(0, lambda e: 0.05 * np.expm1(9 * e))), ["strain_locking", "load_offset"])
+
+    def gone(*_, **__):
+        raise AssertionError("asked for")
+
+    monkeypatch.setattr("clothbench.plugins.discovery.Catalogue.make", gone)
+    monkeypatch.setattr("clothbench.plugins.discovery.Catalogue.load", gone)
+    monkeypatch.setattr("clothbench.modelling.curves.CurveSimulation.run", gone)
+    document = write_folder(tmp_path / "out", finding)
+    assert document == verdict_document(finding)
+    assert (tmp_path / "out" / "index.html").is_file()
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        finding.verdict = "complete"
+
+
+def test_a_run_out_of_time_begins_no_further_round_and_says_so():
+    finding = improve(problem_of(runs(0, lambda e: 0.05 * np.expm1(9 * e))), ["strain_locking"], timeout=1e-9)
+    assert finding.timed_out
+    assert (finding.rounds, finding.verdict) == ((), "unexplained")
+    assert "time ran out" in finding.hint
