@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from numba import njit
+from numba import njit, types
 from numba.core.caching import IndexDataCacheFile
 from numba.core.errors import NumbaExperimentalFeatureWarning
 
@@ -47,6 +47,11 @@ def kernel(function: Callable | None = None, /, *, signature: Any = None, **opti
 
 # For sums that may be taken in any order; no numbers that are not finite are expected away.
 fast_kernel = functools.partial(kernel, fastmath={"contract", "reassoc", "nsz", "arcp"})
+
+
+def bundle_type(kind: type, *fields: Any) -> Any:
+    """numba's type of a named tuple, from the types of its fields: for kernels that take arguments in bundles."""
+    return types.BaseTuple.from_types(fields, kind)
 
 
 class _Index(IndexDataCacheFile):

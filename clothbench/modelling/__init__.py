@@ -1,20 +1,22 @@
 """For authors of models and effects: what the built-in ones share, public and documented.
 
-compiled code, cached by the content of its sources: kernel, fast_kernel, effect_kernel
+compiled code, cached by the content of its sources: kernel, fast_kernel, effect_kernel, bundle_type
 the sheet as compiled code sees it: Sheet, SHEET (its numba type), sheet_of, own_sheet, grid_normals, wants_normals,
     bear_inertia
 meshes: grid_triangles, gradient_weights, curvature_weights, triangle_slots
 a grid over a scene, and a batch of parameter sets on it: grid_shape, grid_lines, even_count, tributary, GridSimulation,
     GridBatch, check_resolution, check_number
-effects in a time loop: BoundEffects, EFFECT (their numba type), SLOTS, FORCE, INERTIA, no_effect, ready, apply_effects
-grips, sampling and the end of a time loop: grip_point, grip_speed, advance_segment, write_frames, fastest, is_lost,
-    as_double, OK, DIVERGED
+effects in a time loop: BoundEffects, EFFECT (their numba type), Terms, SLOTS, FORCE, INERTIA, no_effect, ready,
+    apply_effects, show_grips
+grips, sampling and the end of a time loop: Grips, Sampling, Clock (numba types in capitals, and `…_OF_MANY` for loops
+    that run several members at once), grip_point, grip_speed, advance_segment, write_frames, put_grips, fastest,
+    is_lost, as_double, OK, DIVERGED
 contact: obstacle_table, keep_out, inside, layers_of, keep_apart, LAYERS
 force-extension curves: curve_of, CurveSimulation
 threads over members, and the shape to settle from: for_each, initial_shape
 """
 
-from clothbench.core.kernels import fast_kernel, kernel
+from clothbench.core.kernels import bundle_type, fast_kernel, kernel
 from clothbench.core.parallel import for_each
 from clothbench.core.scene import initial_shape
 from clothbench.modelling.batch import GridBatch, GridSimulation
@@ -37,9 +39,20 @@ from clothbench.modelling.mesh import curvature_weights, gradient_weights, grid_
 from clothbench.modelling.self_contact import LAYERS, Layers, keep_apart, layers_of
 from clothbench.modelling.sheet import SHEET, Sheet, bear_inertia, grid_normals, own_sheet, sheet_of, wants_normals
 from clothbench.modelling.time_loop import (
+    CLOCK,
     DIVERGED,
+    GRIPS,
+    GRIPS_OF_MANY,
     OK,
+    SAMPLING,
+    SAMPLING_OF_MANY,
     SLOTS,
+    TERMS,
+    TERMS_OF_MANY,
+    Clock,
+    Grips,
+    Sampling,
+    Terms,
     advance_segment,
     apply_effects,
     as_double,
@@ -47,32 +60,45 @@ from clothbench.modelling.time_loop import (
     grip_point,
     grip_speed,
     is_lost,
+    put_grips,
+    show_grips,
     write_frames,
 )
 
 __all__ = [
+    "CLOCK",
     "CURVE_HOOKS",
     "DISC",
     "DIVERGED",
     "EFFECT",
     "FORCE",
+    "GRIPS",
+    "GRIPS_OF_MANY",
     "INERTIA",
     "LAYERS",
     "OK",
     "PLACES",
     "PLANE",
+    "SAMPLING",
+    "SAMPLING_OF_MANY",
     "SHEET",
     "SHEET_HOOKS",
     "SIGNATURE",
     "SLOTS",
     "SPHERE",
+    "TERMS",
+    "TERMS_OF_MANY",
     "BoundEffects",
+    "Clock",
     "CurveRollout",
     "CurveSimulation",
     "GridBatch",
     "GridSimulation",
+    "Grips",
     "Layers",
+    "Sampling",
     "Sheet",
+    "Terms",
     "acts_on_curves",
     "acts_on_sheets",
     "advance_segment",
@@ -81,6 +107,7 @@ __all__ = [
     "apply_effects",
     "as_double",
     "bear_inertia",
+    "bundle_type",
     "check_number",
     "check_resolution",
     "curvature_weights",
@@ -107,8 +134,10 @@ __all__ = [
     "no_effect",
     "obstacle_table",
     "own_sheet",
+    "put_grips",
     "ready",
     "sheet_of",
+    "show_grips",
     "triangle_slots",
     "tributary",
     "wants_normals",

@@ -17,7 +17,7 @@ from clothbench.modelling.grid import grid_lines, tributary
 from clothbench.modelling.kernels import no_effect
 from clothbench.modelling.mesh import grid_triangles
 from clothbench.modelling.sheet import Sheet, sheet_of
-from clothbench.modelling.time_loop import DIVERGED, SLOTS
+from clothbench.modelling.time_loop import DIVERGED, SLOTS, Clock, Grips, Sampling, Terms
 
 MAX_STEPS = 20_000_000
 LOST = 20.0  # cloth sizes from the start at which a sheet has blown up
@@ -102,8 +102,27 @@ class GridBatch:
         first, self.alike = effects.distinct(theta, self.times)
         self.members = first[~self.late[first]]
 
-    def curve(self, members: np.ndarray) -> np.ndarray:
-        return self.curves if len(self.curves) == 1 else self.curves[members]
+    def grips(self, b: int) -> Grips:
+        """Where the grips are for member b."""
+        return Grips(self.knots, self.curves[b % len(self.curves)], self.held_points, self.pins_of_points)
+
+    def sampling(self, b: int) -> Sampling:
+        """Where and when member b is looked at; it fills this batch's positions."""
+        return Sampling(self.interpolator.index, self.interpolator.weight, self.times[b], self.position[b])
+
+    def effect_terms(self, b: int) -> Terms:
+        """The effects' terms of member b, with a memory of its own."""
+        effects, own = self.simulation.effects, self.theta[b : b + 1]
+        state = effects.kernel_state(1, SLOTS, self.simulation.sheet)[0]
+        return Terms(self.stages, self.terms, effects.kernel_parameters(own, SLOTS)[0], state)
+
+    def clock(self, b: int, tolerance: float = 0.0) -> Clock:
+        return Clock(self.simulation.scene.start_time, float(self.dt[b]), tolerance, self.bounds())
+
+    def grips_of(self, members: np.ndarray) -> Grips:
+        """The same of several members that run together."""
+        curves = self.curves if len(self.curves) == 1 else self.curves[members]
+        return Grips(self.knots, curves, self.held_points, self.pins_of_points)
 
     def bounds(self) -> float:
         """How far from the origin a sheet may get before it counts as blown up [m]; grips and free fall allowed."""

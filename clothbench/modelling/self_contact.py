@@ -22,7 +22,7 @@ from collections import namedtuple
 import numpy as np
 from numba import types
 
-from clothbench.core.kernels import kernel
+from clothbench.core.kernels import bundle_type, kernel
 from clothbench.core.scene import Scene
 from clothbench.modelling.sheet import Sheet
 
@@ -45,13 +45,8 @@ centre: (3, E) m, half: (E,) m, cell: (3, E), head: (H + 1,), order: (E,): the h
 """
 
 _int1, _int2, _real1, _real2 = types.int64[::1], types.int64[:, ::1], types.float64[::1], types.float64[:, ::1]
-LAYERS = types.NamedTuple(
-    (
-        _real2, _int2, _int2, _real1, types.int64[:, :, ::1], _real2, _real2, _real1, _int1,
-        _real2, _real1, _int2, _int1, _int1,
-    ),
-    Layers,
-)  # fmt: skip
+LAYERS = bundle_type(Layers, _real2, _int2, _int2, _real1, types.int64[:, :, ::1], _real2, _real2, _real1, _int1,
+        _real2, _real1, _int2, _int1, _int1)  # fmt: skip
 NODE_TRIANGLE, EDGE_EDGE = 0, 1
 TRAVEL, TRAVEL_AT_LISTS, REACH, PUSH = 0, 1, 2, 3
 INCOMPLETE, LISTINGS = 2, 3

@@ -7,7 +7,7 @@ from collections import namedtuple
 import numpy as np
 from numba import types
 
-from clothbench.core.kernels import kernel
+from clothbench.core.kernels import bundle_type, kernel
 from clothbench.modelling.mesh import curvature_weights, gradient_weights, triangle_slots
 
 Sheet = namedtuple(
@@ -30,26 +30,24 @@ VECTOR = types.float64[::1]
 ROWS = types.float64[:, ::1]
 BLOCKS = types.float64[:, :, ::1]
 NODES = types.int64[:, ::1]
-SHEET = types.NamedTuple(
-    (
-        ROWS,
-        VECTOR,
-        VECTOR,
-        ROWS,
-        NODES,
-        BLOCKS,
-        VECTOR,
-        NODES,
-        BLOCKS,
-        VECTOR,
-        types.float64,
-        types.int64[::1],
-        ROWS,
-        types.int64,
-        ROWS,
-        ROWS,
-    ),
+SHEET = bundle_type(
     Sheet,
+    ROWS,
+    VECTOR,
+    VECTOR,
+    ROWS,
+    NODES,
+    BLOCKS,
+    VECTOR,
+    NODES,
+    BLOCKS,
+    VECTOR,
+    types.float64,
+    types.int64[::1],
+    ROWS,
+    types.int64,
+    ROWS,
+    ROWS,
 )
 
 

@@ -2,15 +2,53 @@
 
 from __future__ import annotations
 
+from collections import namedtuple
+
 import numpy as np
 from numba import types
 from numba.extending import overload
 
-from clothbench.core.kernels import kernel
+from clothbench.core.kernels import bundle_type, kernel
 from clothbench.modelling.bound_effects import FORCE
 
 SLOTS = 8  # places for dynamics effects in a loop
 OK, DIVERGED = 0, 1
+
+Terms = namedtuple("Terms", "stages count parameters state")
+Terms.__doc__ = """The effects' terms of a time loop, beside their compiled functions, which a loop takes one by one: a
+tuple of functions would be typed anew, slowly, at every call.
+
+stages: (SLOTS,), FORCE or INERTIA; count: how many of the slots are used; parameters: (SLOTS, width) and state:
+(SLOTS, S), of each; with one more axis in front, the members, for loops that run several at once.
+"""
+Grips = namedtuple("Grips", "knots curve points of_points")
+Grips.__doc__ = """Where the grips are, and which of the wanted points are grips.
+
+knots: (K,) s; curve: (4, K−1, G, 3), a piecewise cubic between them, highest power first; with one more axis in front,
+the members, or 1 where all share it, for loops that run several at once; points: numbers of the wanted points that are
+held, and of_points: the grip of each.
+"""
+Sampling = namedtuple("Sampling", "index weight times out")
+Sampling.__doc__ = """Where and when a loop is looked at.
+
+index: (N, k) and weight: (N, k), each wanted point as a weighted sum of k nodes; times: (T,) s; out: (T, N, 3) m, to be
+filled; times and out with one more axis in front, the members, for loops that run several at once.
+"""
+Clock = namedtuple("Clock", "start dt tolerance limit")
+Clock.__doc__ = """The steps of a loop. start: s, when it begins; dt: s; tolerance: of what each model says; limit: m,
+how far from the origin a sheet may get before it counts as blown up.
+"""
+
+_d1, _d2, _i1 = types.float64[::1], types.float64[:, ::1], types.int64[::1]
+_d3, _d4, _d5 = types.float64[:, :, ::1], types.float64[:, :, :, ::1], types.float64[:, :, :, :, ::1]
+TERMS = bundle_type(Terms, _i1, types.int64, _d2, _d2)
+GRIPS = bundle_type(Grips, _d1, _d4, _i1, _i1)
+SAMPLING = bundle_type(Sampling, types.int64[:, ::1], _d2, _d1, _d3)
+CLOCK = bundle_type(Clock, *[types.float64] * 4)
+# The same for loops that run several members at once.
+TERMS_OF_MANY = bundle_type(Terms, _i1, types.int64, _d3, _d3)
+GRIPS_OF_MANY = bundle_type(Grips, _d1, _d5, _i1, _i1)
+SAMPLING_OF_MANY = bundle_type(Sampling, types.int64[:, ::1], _d2, _d2, _d4)
 
 
 @kernel
@@ -40,13 +78,14 @@ def advance_segment(knots, t, segment):
 
 
 @kernel
-def apply_effects(effects, stages, n_effects, t, dt, x, v, f, extra, sheet, parameters, state):
+def apply_effects(effects, stages, count, t, dt, x, v, f, extra, sheet, parameters, state):
     """Add the forces of all effects to f (3, n) N and what they add to each node's mass to extra (6, n) kg.
 
-    Returns whether any mass was added: then the caller owes `bear_inertia`, or the full mass tensors.
+    stages (SLOTS,), count, parameters (SLOTS, width) and state (SLOTS, S): as in `Terms`, of one member. Returns
+    whether any mass was added: then the caller owes `bear_inertia`, or the full mass tensors.
     """
     heavier = False
-    for k in range(n_effects):
+    for k in range(count):
         if stages[k] == FORCE:
             effects[k](t, dt, x, v, f, sheet, parameters[k], state[k])
         else:
@@ -88,11 +127,30 @@ def _as_double(array):
 
 
 @kernel
-def write_frames(x0, v0, x1, v1, t0, t1, done, index, weight, held_points, pins_of_points, knots, curve, times, out):
+def show_grips(sheet, knots, curve, t, segment):
+    """Tell the effects where the grips are at time t: fills `sheet.grip` (3, G) m."""
+    for g in range(sheet.held.shape[0]):
+        for c in range(3):
+            sheet.grip[c, g] = grip_point(knots, curve, t, segment, g, c)
+
+
+@kernel
+def put_grips(out, points, of_points, knots, curve, t):
+    """Points of a frame (N, 3) that lie on a grip are put where the grip is, exactly."""
+    if points.shape[0]:
+        segment = advance_segment(knots, t, 0)
+        for n in range(points.shape[0]):
+            for c in range(3):
+                out[points[n], c] = grip_point(knots, curve, t, segment, of_points[n], c)
+
+
+@kernel
+def write_frames(x0, v0, x1, v1, t0, t1, done, sampling, grips):
     """Write the frames due up to t1, on the cubic through positions and velocities at t0 and t1 (Hermite).
 
     Points that lie on a grip are put where the grip is, exactly. Returns how many frames are written.
     """
+    index, weight, times, out = sampling.index, sampling.weight, sampling.times, sampling.out
     while done < times.shape[0] and times[done] <= t1:
         h = t1 - t0
         s = min(max((times[done] - t0) / h, 0.0), 1.0) if h > 0.0 else 1.0
@@ -105,10 +163,6 @@ def write_frames(x0, v0, x1, v1, t0, t1, done, index, weight, held_points, pins_
                     e = index[n, k]
                     total += weight[n, k] * (a * x0[c, e] + b * x1[c, e] + p * v0[c, e] + q * v1[c, e])
                 out[done, n, c] = total
-        if held_points.shape[0]:
-            segment = advance_segment(knots, times[done], 0)
-            for n in range(held_points.shape[0]):
-                for c in range(3):
-                    out[done, held_points[n], c] = grip_point(knots, curve, times[done], segment, pins_of_points[n], c)
+        put_grips(out[done], grips.points, grips.of_points, grips.knots, grips.curve, times[done])
         done += 1
     return done

@@ -19,10 +19,10 @@ import numpy as np
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
 from clothbench.modelling import (
     OK,
-    SLOTS,
     BoundEffects,
     GridBatch,
     GridSimulation,
+    Sampling,
     check_number,
     check_resolution,
     for_each,
@@ -135,27 +135,25 @@ class BaraffWitkinSimulation(GridSimulation):
         scene, theta = self.scene, batch.theta[b : b + 1]
         bend, stretch, shear, bend_damping, stretch_damping, shear_damping = theta[0, :6]
         lengths, over, shares = self.edges
+        stiffness, dampings = np.array([stretch, stretch, shear]), np.array([stretch_damping] * 2 + [shear_damping])
+        membrane = kernels.Membrane(lengths, over, shares * stiffness[:, None], shares * dampings[:, None])
         stiffer = self.effects.stiffness(theta)[0] / np.array([stretch, 1.0])
+        plate = kernels.Plate(self.bending.offsets, self.bending.values, bend, bend_damping, stiffer)
         shape, result = np.ascontiguousarray(batch.shape.T), np.zeros(3, np.int64)
+        obstacles, layers = obstacle_table(scene), layers_of(scene, self.sheet)
+        size, sampling = max(scene.width, scene.height), batch.sampling(b)
 
-        def march(scheme: int, tolerance: float, times: np.ndarray) -> None:
+        def march(scheme: int, tolerance: float, sampling: Sampling) -> None:
             kernels.march(scheme)(
-                scheme, TRIANGLES, shape, self.shape[0], own_sheet(self.sheet, self.effects.normals),
-                lengths, over, shares * np.array([[stretch], [stretch], [shear]]),
-                shares * np.array([[stretch_damping], [stretch_damping], [shear_damping]]),
-                self.bending.offsets, self.bending.values, bend, stiffer, bend_damping, theta[0, 6:9].copy(),
-                *batch.kernels, batch.stages, batch.terms, self.effects.kernel_parameters(theta, SLOTS)[0],
-                self.effects.kernel_state(1, SLOTS, self.sheet)[0],
-                batch.knots, batch.curve(np.array([b]))[0], batch.held_points, batch.pins_of_points,
-                obstacle_table(scene), layers_of(scene, self.sheet),
-                scene.start_time, batch.dt[b], tolerance, max(scene.width, scene.height), batch.bounds(),
-                batch.interpolator.index, batch.interpolator.weight, times, batch.position[b], result,
+                scheme, TRIANGLES, shape, self.shape[0], own_sheet(self.sheet, self.effects.normals), membrane, plate,
+                theta[0, 6:9].copy(), *batch.kernels, batch.effect_terms(b), batch.grips(b), obstacles, layers,
+                batch.clock(b, tolerance), size, sampling, result,
             )  # fmt: skip
 
         if self.scheme == kernels.RK45 and len(scene.grip_material):  # the implicit loop settles for all
-            march(kernels.BDF2, TOLERANCE["bdf2"], np.zeros(0))
+            march(kernels.BDF2, TOLERANCE["bdf2"], sampling._replace(times=np.zeros(0)))
         if result[0] == OK:
-            march(self.scheme, self.tolerance, batch.times[b])
+            march(self.scheme, self.tolerance, sampling)
         return int(result[0]), int(result[1])
 
 

@@ -3,30 +3,47 @@
 from __future__ import annotations
 
 import functools
+from collections import namedtuple
 
 import numpy as np
 from numba import types
 
 from clothbench.modelling import (
+    CLOCK,
     DIVERGED,
     EFFECT,
+    GRIPS,
     LAYERS,
+    SAMPLING,
     SHEET,
     SLOTS,
+    TERMS,
     advance_segment,
     apply_effects,
     bear_inertia,
+    bundle_type,
     grid_normals,
-    grip_point,
     grip_speed,
     is_lost,
     keep_out,
     kernel,
+    show_grips,
     wants_normals,
     write_frames,
 )
-from clothbench_models.implicit_grid import hold_back, mass_times, multiply, solve
-from clothbench_models.resting_contact import FREE, STICKS, judge, part_layers, stop_reversed, touching
+from clothbench_models.implicit_grid import mass_times, multiply, solve
+from clothbench_models.implicit_step import (
+    BDF2,
+    EULER,
+    end_step,
+    extrapolate,
+    fall_before,
+    follow_grips,
+    hold_grips,
+    moved_on,
+    rest_on,
+)
+from clothbench_models.resting_contact import STICKS, judge, part_layers, stop_reversed
 from clothbench_models.sheet_forces import (
     CELLS,
     add_diagonals,
@@ -37,24 +54,36 @@ from clothbench_models.sheet_forces import (
     stretch_fluxes,
 )
 
-EULER, BDF2, RK45 = 0, 1, 2
+__all__ = ["BDF2", "EULER", "PLATE", "RK45", "Membrane", "Plate", "add_outer", "march"]
+
+RK45 = 2  # beside EULER and BDF2
+
+Membrane = namedtuple("Membrane", "lengths over stiffness dampings")
+Membrane.__doc__ = """A grid's springs in the plane, padded (`baraff_witkin.triangle_edges`).
+
+lengths: (2, P) m, at rest, of u- and v-edges; over: (2, P) 1/m, 1/h of the cells; stiffness, dampings: (3, P), of
+u-edges N/m, v-edges N/m and shear N·m (·s).
+"""
+Plate = namedtuple("Plate", "offsets values rigidity damping stiffer")
+Plate.__doc__ = """Bending: offsets (D,) and values (D, n) of its matrix's diagonals for a rigidity of 1; rigidity: N·m;
+damping: N·m·s; stiffer: (2,), what effects add at most: to the stretch stiffness, as a share of it, and to the
+rigidity [N·m].
+"""
+MEMBRANE = bundle_type(Membrane, *[types.float64[:, ::1]] * 4)
+PLATE = bundle_type(Plate, types.int64[::1], types.float64[:, ::1], types.float64, types.float64, types.float64[::1])
 SETTLE_ROUNDS = 2000
 ROUGH = 1e-2  # what settling leaves of a step's residual: the next step mends it, so that finer solves only cost time
 AT_REST = 2e-8  # m that a node still moves in a settling step as long as a second
 
 
 @kernel
-def elastic(
-    x, v, f, nu, lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, stiffer, k_scale, c_scale,
-    edges, shear, work,
-):  # fmt: skip
+def elastic(x, v, f, nu, membrane, plate, stiffer, k_scale, c_scale, edges, shear, work):
     """Add all inner forces to f (3, n) N and keep the matrix k_scale·K + c_scale·C for `multiply`.
 
-    lengths: (2, P) rest lengths of u- and v-edges m; over: (2, P) 1/h of the cells; stiffness, dampings: (3, P) of
-    u-edges N/m, v-edges N/m and shear N·m (·s); bend N·m, bend_damping N·m·s; stiffer:
-    what effects add to the stretch stiffness, as a share of it (their forces are taken as they are; the matrix knows
-    them by this bound, so that they need no shorter step).
+    stiffer: what effects add to the stretch stiffness, as a share of it (their forces are taken as they are; the matrix
+    knows them by this bound, so that they need no shorter step).
     """
+    lengths, over, stiffness, dampings = membrane.lengths, membrane.over, membrane.stiffness, membrane.dampings
     du, dv, fu, fv, ru, rv = work[0:3], work[3:6], work[6:9], work[9:12], work[14:17], work[17:20]
     edge_differences(x, nu, du, dv)
     edge_differences(v, nu, ru, rv)
@@ -77,9 +106,9 @@ def elastic(
             edges[3, e] += k_scale * stiffer * stiffness[0, e]
             edges[8, e] += k_scale * stiffer * stiffness[1, e]
     add_fluxes(fu, fv, nu, f, 1.0)
-    add_diagonals(offsets, bending, x, -bend, f)
-    if bend_damping != 0.0:
-        add_diagonals(offsets, bending, v, -bend_damping, f)
+    add_diagonals(plate.offsets, plate.values, x, -plate.rigidity, f)
+    if plate.damping != 0.0:
+        add_diagonals(plate.offsets, plate.values, v, -plate.damping, f)
 
 
 @kernel
@@ -96,25 +125,21 @@ def add_air(v, f, normal, area, quadratic, tangential, falloff):
 
 
 @kernel
-def add_outer(
-    t, dt, x, v, f, nu, air, sheet, effects, stages, n_effects, parameters, state, extra, knots, curve, segment
-):
-    """Weight, air and effects; returns whether effects have added mass to `extra`."""
+def add_outer(t, dt, x, v, f, nu, air, sheet, effects, terms, state, extra, grips, segment):
+    """Weight, air and effects, whose memory is `state`; returns whether effects have added mass to `extra`."""
     for c in range(3):
         g = sheet.gravity[c]
         for e in range(f.shape[1]):
             f[c, e] += sheet.mass[e] * g
     windy = air[0] != 0.0 or air[1] != 0.0
-    if windy or (n_effects > 0 and wants_normals(sheet)):
+    if windy or (terms.count > 0 and wants_normals(sheet)):
         grid_normals(x, nu, sheet.normal)
     if windy:
         add_air(v, f, sheet.normal, sheet.area, air[0], air[1], air[2])
-    if n_effects == 0:
+    if terms.count == 0:
         return False
-    for g in range(sheet.held.shape[0]):
-        for c in range(3):
-            sheet.grip[c, g] = grip_point(knots, curve, t, segment, g, c)
-    return apply_effects(effects, stages, n_effects, t, dt, x, v, f, extra, sheet, parameters, state)
+    show_grips(sheet, grips.knots, grips.curve, t, segment)
+    return apply_effects(effects, terms.stages, terms.count, t, dt, x, v, f, extra, sheet, terms.parameters, state)
 
 
 @kernel
@@ -127,23 +152,20 @@ def largest(delta):
 
 
 def _march_implicit(
-    scheme, shear_rows, x, nu, sheet,
-    lengths, over, stiffness, dampings, offsets, bending, bend, stiffer, bend_damping, air,
+    scheme, shear_rows, x, nu, sheet, membrane, plate, air,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
-    stages, n_effects, parameters, state,
-    knots, curve, held_points, pins_of_points, obstacles, layers,
-    start, dt, tolerance, size, limit, index, weight, times, out, result,
+    terms, grips, obstacles, layers, clock, size, sampling, result,
 ):  # fmt: skip
-    """Settle the shape x (3, n) m in place, then run it with steps of dt s; fills out (T, N, 3) m.
+    """Settle the shape x (3, n) m in place, then run it step by step; fills `sampling.out` (T, N, 3) m.
 
-    One Newton round a step from an extrapolated guess (Baraff and Witkin 1998, eq. 6; Choi and Ko 2002 for BDF2):
-    v' = v̄ + γ M⁻¹ f(x̄ + γ v', v'), with γ = dt, x̄ = x, v̄ = v for Euler and γ = 2dt/3, x̄ = (4x − x₋)/3 for BDF2.
-    Settling is the same step with v̄ = 0 and steps growing to a second, which is Newton's method for rest.
-    shear_rows: TRIANGLES or CELLS. result: (3,) status, time steps, rounds of the linear solver.
+    The steps are those of `implicit_step`. Settling is the same step with v̄ = 0 and steps growing to a second, which is
+    Newton's method for rest. clock.tolerance: what the linear solver leaves of a step's residual; size: m, of the
+    cloth; shear_rows: TRIANGLES or CELLS; result: (3,) status, time steps, rounds of the linear solver.
     """
     effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
-    pins, mass = sheet.held, sheet.mass
-    n, padded, frames = mass.shape[0], mass.shape[0] + 2 * (nu + 1), times.shape[0]
+    pins, mass, bend, stiffer = sheet.held, sheet.mass, plate.rigidity, plate.stiffer
+    start, dt, tolerance, limit = clock.start, clock.dt, clock.tolerance, clock.limit
+    n, padded, frames = mass.shape[0], mass.shape[0] + 2 * (nu + 1), sampling.times.shape[0]
     edges, shear, work = np.zeros((10, padded)), np.zeros((shear_rows, padded)), np.zeros((20, padded))
     f, r, delta, inverse = np.empty((3, n)), np.empty((3, n)), np.empty((3, n)), np.ones((6, n))
     z, p, q = np.empty((3, n)), np.empty((3, n)), np.empty((3, n))
@@ -158,13 +180,9 @@ def _march_implicit(
         free[pins[g]] = 0.0
     settling, count, done, segment = pins.shape[0] > 0, 0, 0, 0
     rounds, h, t, relax, moved_before = 0, 0.01, start, 1.0, np.inf
-    if not settling:  # at rest now, and before that on the parabola of free fall
-        for c in range(3):
-            v_old[c] = -dt * sheet.gravity[c]
-            x_old[c] = x[c] + 0.5 * dt * dt * sheet.gravity[c]
-        done = write_frames(
-            x, v, x, v, start, start, done, index, weight, held_points, pins_of_points, knots, curve, times, out
-        )
+    if not settling:
+        fall_before(x, dt, sheet.gravity, x_old, v_old)
+        done = write_frames(x, v, x, v, start, start, done, sampling, grips)
     while settling or done < frames:
         if settling:
             gamma = h
@@ -172,46 +190,16 @@ def _march_implicit(
             guess[:] = 0.0
         else:
             t = start + (count + 1) * dt
-            if scheme == EULER:
-                gamma = dt
-                x_bar[:] = x
-                v_bar[:] = v
-                guess[:] = v
-            else:
-                gamma = 2.0 * dt / 3.0
-                x_bar[:] = (4.0 * x - x_old) / 3.0
-                v_bar[:] = (4.0 * v - v_old) / 3.0
-                guess[:] = 2.0 * v - v_old
-                if stiffer[0] > 0.0 or stiffer[1] > 0.0:  # what the matrix only bounds must not be extrapolated
-                    guess[:] = v
-        segment = advance_segment(knots, t, segment)
-        for g in range(pins.shape[0]):
-            for c in range(3):
-                guess[c, pins[g]] = (grip_point(knots, curve, t, segment, g, c) - x_bar[c, pins[g]]) / gamma
+            gamma = extrapolate(scheme, dt, x, v, x_old, v_old, stiffer, x_bar, v_bar, guess)
+        segment = advance_segment(grips.knots, t, segment)
+        follow_grips(guess, x_bar, gamma, pins, grips, t, segment)
         if solid:
-            touching(x, obstacles, free, touch, normal, friction)
-            for e in range(n):
-                if free[e] > 0.0 and touch[e] != FREE:  # x̄ lies off the surface by what x did before
-                    for c in range(3):
-                        z[c, e] = guess[c, e] - (x[c, e] - x_bar[c, e]) / gamma
-                else:
-                    z[0, e] = z[1, e] = z[2, e] = 0.0
-            q[:] = z
-            hold_back(q, touch, normal)
-            guess += q - z
-        for c in range(3):
-            for e in range(n):
-                q[c, e] = x_bar[c, e] + gamma * guess[c, e]  # where the forces are taken
+            rest_on(guess, x, x_bar, gamma, obstacles, free, touch, normal, friction, z, q)
+        moved_on(x_bar, gamma, guess, q)
         f[:] = 0.0
         step = dt if not settling else min(h, dt)
-        heavier = add_outer(
-            t, step, q, guess, f, nu, air, sheet, effects, stages, n_effects, parameters, state, extra,
-            knots, curve, segment,
-        )  # fmt: skip
-        elastic(
-            q, guess, f, nu, lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, stiffer[0],
-            gamma * gamma, gamma, edges, shear, work,
-        )  # fmt: skip
+        heavier = add_outer(t, step, q, guess, f, nu, air, sheet, effects, terms, terms.state, extra, grips, segment)
+        elastic(q, guess, f, nu, membrane, plate, stiffer[0], gamma * gamma, gamma, edges, shear, work)
         for c in range(3):
             for e in range(n):
                 z[c, e] = guess[c, e] - v_bar[c, e]
@@ -223,14 +211,14 @@ def _march_implicit(
             r += gamma * rub
             wanted[:] = r
         rounds += solve(
-            delta, r, nu, mass, extra, heavier, edges, shear, offsets, bending,
-            gamma * gamma * (bend + stiffer[1]) + gamma * bend_damping, touch, normal,
+            delta, r, nu, mass, extra, heavier, edges, shear, plate.offsets, plate.values,
+            gamma * gamma * (bend + stiffer[1]) + gamma * plate.damping, touch, normal,
             max(tolerance, ROUGH) if settling else tolerance, 2000, inverse, z, p, q, work,
         )  # fmt: skip
         if solid:
             multiply(
-                delta, nu, mass, extra, heavier, edges, shear, offsets, bending,
-                gamma * gamma * (bend + stiffer[1]) + gamma * bend_damping, z, work,
+                delta, nu, mass, extra, heavier, edges, shear, plate.offsets, plate.values,
+                gamma * gamma * (bend + stiffer[1]) + gamma * plate.damping, z, work,
             )  # fmt: skip
             for c in range(3):
                 for e in range(n):
@@ -262,9 +250,7 @@ def _march_implicit(
                 x_old[:] = x
                 v_old[:] = 0.0
                 v_bar[:] = 0.0
-                done = write_frames(
-                    x, v, x, v, start, start, 0, index, weight, held_points, pins_of_points, knots, curve, times, out
-                )
+                done = write_frames(x, v, x, v, start, start, 0, sampling, grips)
             h = min(1.0, h * (1.3 if shrink == 1.0 else 0.7))
             continue
         for c in range(3):
@@ -273,22 +259,13 @@ def _march_implicit(
                 w = guess[c, e] + delta[c, e]
                 v[c, e] = w
                 x[c, e] = x_bar[c, e] + gamma * w
-        for g in range(pins.shape[0]):
-            for c in range(3):
-                x[c, pins[g]] = grip_point(knots, curve, t, segment, g, c)
-        x_old[:] = x_before
-        v_old[:] = v_before
-        if solid:
-            keep_out(x, v, obstacles, free, 0, 1)
-        if layers.size[0] > 0.0:
-            part_layers(x, v, x_old, dt, free, layers, z, q)
+        hold_grips(x, pins, grips, t, segment)
+        end_step(x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, layers, z, q)
         count += 1
         if is_lost(x, 0, 1, limit):
             result[0], result[1], result[2] = DIVERGED, count, rounds
             return
-        done = write_frames(
-            x_old, v_old, x, v, t - dt, t, done, index, weight, held_points, pins_of_points, knots, curve, times, out
-        )
+        done = write_frames(x_old, v_old, x, v, t - dt, t, done, sampling, grips)
     result[1], result[2] = count, rounds
 
 
@@ -307,36 +284,32 @@ _A = np.array(
 )
 _E = np.array([71 / 57600, 0, -71 / 16695, 71 / 1920, -17253 / 339200, 22 / 525, -1 / 40])
 SLOWEST = 1e-9  # s; a step that has to be shorter than this will never end
-CLOCK = 100.0  # 1/s, weighs errors of velocity against errors of position: those of a motion of some 15 Hz
+RHYTHM = 100.0  # 1/s, weighs errors of velocity against errors of position: those of a motion of some 15 Hz
 
 
 def _march_adaptive(
-    scheme, shear_rows, x, nu, sheet,
-    lengths, over, stiffness, dampings, offsets, bending, bend, stiffer, bend_damping, air,
+    scheme, shear_rows, x, nu, sheet, membrane, plate, air,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
-    stages, n_effects, parameters, state,
-    knots, curve, held_points, pins_of_points, obstacles, layers,
-    start, dt, tolerance, size, limit, index, weight, times, out, result,
+    terms, grips, obstacles, layers, clock, size, sampling, result,
 ):  # fmt: skip
     """Run the settled shape x (3, n) m with Dormand and Prince's embedded pair; arguments as `_march_implicit`.
 
-    tolerance: m, the largest error of a node in one step; dt: s, the longest step. Effects with a memory see a copy
-    of it in trial stages and go on for good once per accepted step.
+    clock.tolerance: m, the largest error of a node in one step; clock.dt: s, the longest step. Effects with a memory
+    see a copy of it in trial stages and go on for good once per accepted step.
     """
     effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
     pins, mass = sheet.held, sheet.mass
-    n, padded, frames = mass.shape[0], mass.shape[0] + 2 * (nu + 1), times.shape[0]
+    start, dt, tolerance, limit = clock.start, clock.dt, clock.tolerance, clock.limit
+    n, padded, frames = mass.shape[0], mass.shape[0] + 2 * (nu + 1), sampling.times.shape[0]
     edges, shear, work = np.zeros((10, padded)), np.zeros((shear_rows, padded)), np.zeros((20, padded))
     speed, push = np.zeros((7, 3, n)), np.zeros((7, 3, n))  # dx/dt and dv/dt of the stages
     f, extra, free = np.empty((3, n)), np.zeros((6, n)), 1.0 / mass
     xs, vs, v = np.empty((3, n)), np.empty((3, n)), np.zeros((3, n))
-    memory, before, speed_before = state.copy(), np.empty((3, n)), np.empty((3, n))
+    memory, before, speed_before = terms.state.copy(), np.empty((3, n)), np.empty((3, n))
     for g in range(pins.shape[0]):
         free[pins[g]] = 0.0
     t, h, count, tries, segment, fresh = start, min(dt, 1e-5), 0, 0, 0, True
-    done = write_frames(
-        x, v, x, v, start, start, 0, index, weight, held_points, pins_of_points, knots, curve, times, out
-    )
+    done = write_frames(x, v, x, v, start, start, 0, sampling, grips)
     while done < frames:
         for stage in range(0 if fresh else 1, 7):
             at = t + _C[stage] * h
@@ -347,21 +320,15 @@ def _march_adaptive(
                         a += _A[stage, k] * speed[k, c, e]
                         b += _A[stage, k] * push[k, c, e]
                     xs[c, e], vs[c, e] = x[c, e] + h * a, v[c, e] + h * b
-            segment = advance_segment(knots, at, 0)
+            segment = advance_segment(grips.knots, at, 0)
+            hold_grips(xs, pins, grips, at, segment)
             for g in range(pins.shape[0]):
                 for c in range(3):
-                    xs[c, pins[g]] = grip_point(knots, curve, at, segment, g, c)
-                    vs[c, pins[g]] = grip_speed(knots, curve, at, segment, g, c)
+                    vs[c, pins[g]] = grip_speed(grips.knots, grips.curve, at, segment, g, c)
             f[:] = 0.0
-            memory[:] = state
-            heavier = add_outer(
-                at, h, xs, vs, f, nu, air, sheet, effects, stages, n_effects, parameters, memory, extra,
-                knots, curve, segment,
-            )  # fmt: skip
-            elastic(
-                xs, vs, f, nu, lengths, over, stiffness, dampings, offsets, bending, bend, bend_damping, 0.0, 0.0, 0.0,
-                edges, shear, work,
-            )  # fmt: skip
+            memory[:] = terms.state
+            heavier = add_outer(at, h, xs, vs, f, nu, air, sheet, effects, terms, memory, extra, grips, segment)
+            elastic(xs, vs, f, nu, membrane, plate, 0.0, 0.0, 0.0, edges, shear, work)
             if heavier:
                 bear_inertia(f, mass, extra)
             for c in range(3):
@@ -377,16 +344,13 @@ def _march_adaptive(
                     a += _E[k] * speed[k, c, e]
                     b += _E[k] * push[k, c, e]
                 if free[e] > 0.0:
-                    worst = max(worst, abs(h * a), abs(h * b) / CLOCK)
+                    worst = max(worst, abs(h * a), abs(h * b) / RHYTHM)
         tries += 1
         worst /= tolerance
         if worst <= 1.0:  # the last stage is the new state, and the first stage of the next step
-            if n_effects > 0:
+            if terms.count > 0:
                 f[:] = 0.0
-                add_outer(
-                    t + h, h, xs, vs, f, nu, air, sheet, effects, stages, n_effects, parameters, state, extra,
-                    knots, curve, segment,
-                )  # fmt: skip
+                add_outer(t + h, h, xs, vs, f, nu, air, sheet, effects, terms, terms.state, extra, grips, segment)
             before[:], speed_before[:] = x, v
             x[:], v[:] = xs, vs
             count += 1
@@ -398,10 +362,7 @@ def _march_adaptive(
             if layers.size[0] > 0.0:
                 part_layers(x, v, before, h, free, layers, f, vs)
                 fresh = True
-            done = write_frames(
-                before, speed_before, x, v, t, t + h, done, index, weight, held_points, pins_of_points,
-                knots, curve, times, out,
-            )  # fmt: skip
+            done = write_frames(before, speed_before, x, v, t, t + h, done, sampling, grips)
             t += h
         h = min(dt, h * min(4.0, max(0.2, 0.9 * max(worst, 1e-8) ** -0.2)))
         if is_lost(x, 0, 1, limit) or not h > SLOWEST or tries > 20_000_000:
@@ -410,14 +371,10 @@ def _march_adaptive(
     result[1] = tries
 
 
-_d1, _d2, _d3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
-_i1, _i2, _real, _whole = types.int64[::1], types.int64[:, ::1], types.float64, types.int64
+_d2, _i1, _real, _whole = types.float64[:, ::1], types.int64[::1], types.float64, types.int64
 _SIGNATURE = types.void(
-    _whole, _whole, _d2, _whole, SHEET,
-    _d2, _d2, _d2, _d2, _i1, _d2, _real, _d1, _real, _d1,
-    *(EFFECT,) * SLOTS, _i1, _whole, _d2, _d2,
-    _d1, types.float64[:, :, :, ::1], _i1, _i1, _d2, LAYERS,
-    _real, _real, _real, _real, _real, _i2, _d2, _d1, _d3, _i1,
+    _whole, _whole, _d2, _whole, SHEET, MEMBRANE, PLATE, types.float64[::1],
+    *(EFFECT,) * SLOTS, TERMS, GRIPS, _d2, LAYERS, CLOCK, _real, SAMPLING, _i1,
 )  # fmt: skip
 
 

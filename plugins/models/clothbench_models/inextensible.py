@@ -17,7 +17,6 @@ import numpy as np
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
 from clothbench.modelling import (
     OK,
-    SLOTS,
     BoundEffects,
     GridBatch,
     GridSimulation,
@@ -111,7 +110,7 @@ class InextensibleSimulation(GridSimulation):
         return bending_matrix(self.sheet)
 
     @cached_property
-    def constraints(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    def constraints(self) -> kernels.Constraints:
         """Rest lengths (2, P) m of u- and v-edges; (3, P): 1/L, 1/L, 1/√(h_u h_v), 0 where there is none; and how
         little each gives way (3, P) m/N. P = the nodes and nu + 1 places before and after them.
         """
@@ -125,8 +124,7 @@ class InextensibleSimulation(GridSimulation):
         share = np.divide(1.0, three, out=np.zeros_like(three), where=three > 0)
         # An edge of length L and width w of a sheet of k N/m gives way by L/(k w) a newton; a cell by one over k.
         give = np.stack([lengths[0] / high / TAUT, lengths[1] / wide / TAUT, (cells > 0) / self.shear])
-
-        return padded(lengths), padded(share), padded(give)
+        return kernels.Constraints(padded(lengths), padded(share), padded(give))
 
     def run(self, theta: np.ndarray) -> Rollout:
         """Simulate theta (B, P): θ N·m, α kg/(m²·s), β N·m·s, then the effects' parameters."""
@@ -143,32 +141,25 @@ class InextensibleSimulation(GridSimulation):
         """Simulate member b into the batch's arrays → status, steps."""
         scene, theta = self.scene, batch.theta[b : b + 1]
         bend, alpha, beta = theta[0, :3]
-        lengths, share, give = self.constraints
         shape, result = np.ascontiguousarray(batch.shape.T), np.zeros(3, np.int64)
-        about_bending = (self.bending.offsets, self.bending.values, bend, self.effects.stiffness(theta)[0])
-        effects = (
-            *batch.kernels, batch.stages, batch.terms, self.effects.kernel_parameters(theta, SLOTS)[0],
-            self.effects.kernel_state(1, SLOTS, self.sheet)[0],
+        plate = triangles.Plate(
+            self.bending.offsets, self.bending.values, bend, 0.0, self.effects.stiffness(theta)[0]
         )  # fmt: skip
-        about_scene = (
-            batch.knots, batch.curve(np.array([b]))[0], batch.held_points, batch.pins_of_points,
-            obstacle_table(scene), layers_of(scene, self.sheet), scene.start_time, batch.dt[b],
-        )  # fmt: skip
-        sampling = (batch.interpolator.index, batch.interpolator.weight)
+        obstacles, layers, sampling = obstacle_table(scene), layers_of(scene, self.sheet), batch.sampling(b)
+        terms, grips = batch.effect_terms(b), batch.grips(b)  # what effects remember of the settling goes on in the run
         if len(scene.grip_material):  # the same sheet with stiff springs for constraints finds rest in a few rounds
             rest_lengths, over, unit = triangle_edges(self.lines)
             stiff = unit * np.array([[TAUT], [TAUT], [2 * self.shear]])  # of a cell, not a triangle
+            membrane = triangles.Membrane(rest_lengths, over, stiff, np.zeros_like(stiff))
             triangles.march(triangles.BDF2)(
-                triangles.BDF2, CELLS, shape, self.shape[0], own_sheet(self.sheet, self.effects.normals),
-                rest_lengths, over, stiff, np.zeros_like(stiff), *about_bending, 0.0, np.zeros(3),
-                *effects, *about_scene, 1e-4, max(scene.width, scene.height), batch.bounds(), *sampling,
-                np.zeros(0), batch.position[b], result,
+                triangles.BDF2, CELLS, shape, self.shape[0], own_sheet(self.sheet, self.effects.normals), membrane,
+                plate, np.zeros(3), *batch.kernels, terms, grips, obstacles, layers,
+                batch.clock(b, 1e-4), max(scene.width, scene.height), sampling._replace(times=np.zeros(0)), result,
             )  # fmt: skip
         if result[0] == OK:
             kernels.march()(
-                self.scheme, shape, self.shape[0], own_sheet(self.sheet, self.effects.normals),
-                lengths, share, give, *about_bending, alpha, beta,
-                *effects, *about_scene, self.tolerance, batch.bounds(), *sampling,
-                batch.times[b], batch.position[b], result,
+                self.scheme, shape, self.shape[0], own_sheet(self.sheet, self.effects.normals), self.constraints,
+                plate._replace(damping=beta), alpha, *batch.kernels, terms, grips, obstacles,
+                layers, batch.clock(b, self.tolerance), sampling, result,
             )  # fmt: skip
         return int(result[0]), int(result[1])

@@ -8,31 +8,52 @@ says that both diagonals are equal. Multipliers λ are tensions [N] in the same 
 from __future__ import annotations
 
 import functools
+from collections import namedtuple
 
 import numpy as np
 from numba import types
 
 from clothbench.modelling import (
+    CLOCK,
     DIVERGED,
     EFFECT,
+    GRIPS,
     LAYERS,
+    SAMPLING,
     SHEET,
     SLOTS,
+    TERMS,
     advance_segment,
     bear_inertia,
+    bundle_type,
     fast_kernel,
-    grip_point,
     is_lost,
-    keep_out,
     kernel,
     write_frames,
 )
-from clothbench_models.baraff_witkin_kernels import add_outer
+from clothbench_models.baraff_witkin_kernels import PLATE, add_outer
 from clothbench_models.implicit_grid import hold_back, mass_times, solve
-from clothbench_models.resting_contact import FREE, STICKS, judge, part_layers, stop_reversed, touching
+from clothbench_models.implicit_step import (
+    BDF2,
+    EULER,
+    end_step,
+    extrapolate,
+    fall_before,
+    follow_grips,
+    hold_grips,
+    moved_on,
+    rest_on,
+)
+from clothbench_models.resting_contact import STICKS, judge, stop_reversed
 from clothbench_models.sheet_forces import add_diagonals, add_fluxes, edge_differences
 
-EULER, BDF2 = 0, 1
+__all__ = ["BDF2", "EULER", "Constraints", "march"]
+
+Constraints = namedtuple("Constraints", "lengths share give")
+Constraints.__doc__ = """What may not change: lengths (2, P) m of u- and v-edges at rest; share (3, P), 1/L, 1/L and
+1/√(h_u h_v), 0 where there is no constraint; give (3, P) m/N, how little each gives way.
+"""
+CONSTRAINTS = bundle_type(Constraints, *[types.float64[:, ::1]] * 3)
 PROJECTIONS = 12  # rounds of the fast projection in one step, at most
 CRUMPLED = 0.1  # strain that is left when projecting has failed
 SOLVED = 0.01  # of the residual is left by each round's solver; the next round deals with it
@@ -311,22 +332,23 @@ def tighten(
 
 
 def _march(
-    scheme, x, nu, sheet,
-    lengths, share, give, offsets, bending, bend, stiffer, alpha, beta,
+    scheme, x, nu, sheet, constraints, plate, alpha,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
-    stages, n_effects, parameters, state,
-    knots, curve, held_points, pins_of_points, obstacles, layers,
-    start, dt, tolerance, limit, index, weight, times, out, result,
+    terms, grips, obstacles, layers, clock, sampling, result,
 ):  # fmt: skip
-    """Run the settled shape x (3, n) m with steps of dt s; fills out (T, N, 3) m.
+    """Run the settled shape x (3, n) m step by step; fills `sampling.out` (T, N, 3) m.
 
     M (v' − v̄)/γ = F − θ K x' − (α A + β K) v' − ∂Cᵀλ, x' = x̄ + γ v', C(x') = 0, with γ, x̄ and v̄ as in
-    `baraff_witkin` (Euler, or BDF2). First a linear solve without the constraints, then `tighten`, which weighs
-    nodes by their masses alone (Goldenthal et al. 2007): an error of the order of the step squared, like the others.
+    `implicit_step` (Euler, or BDF2); θ and β are the plate's rigidity and damping. First a linear solve without the
+    constraints, then `tighten`, which weighs nodes by their masses alone (Goldenthal et al. 2007): an error of the
+    order of the step squared, like the others. clock.tolerance: strain that `tighten` leaves.
     """
     effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
     pins, mass, area = sheet.held, sheet.mass, sheet.area
-    n, padded, frames, pad = mass.shape[0], mass.shape[0] + 2 * (nu + 1), times.shape[0], nu + 1
+    lengths, share, give = constraints.lengths, constraints.share, constraints.give
+    offsets, bending, bend, beta, stiffer = plate.offsets, plate.values, plate.rigidity, plate.damping, plate.stiffer
+    start, dt, tolerance, limit = clock.start, clock.dt, clock.tolerance, clock.limit
+    n, padded, frames, pad = mass.shape[0], mass.shape[0] + 2 * (nu + 1), sampling.times.shape[0], nu + 1
     edges, shear, work = np.zeros((10, padded)), np.zeros((13, padded)), np.zeros((20, padded))
     waves_u, waves_v = sines(nu - 1), sines(n // nu - 1)
     damped, plane = np.empty((n // nu - 1, nu - 1)), np.empty((2, n // nu - 1, nu - 1))
@@ -363,49 +385,18 @@ def _march(
             return
         rounds += used
         tension[:] = 0.0
-        for c in range(3):
-            v_old[c] = -dt * sheet.gravity[c]
-            x_old[c] = x[c] + 0.5 * dt * dt * sheet.gravity[c]
-    done = write_frames(
-        x, v, x, v, start, start, done, index, weight, held_points, pins_of_points, knots, curve, times, out
-    )
+        fall_before(x, dt, sheet.gravity, x_old, v_old)
+    done = write_frames(x, v, x, v, start, start, done, sampling, grips)
     while done < frames:
         t = start + (count + 1) * dt
-        if scheme == EULER:
-            gamma = dt
-            x_bar[:] = x
-            v_bar[:] = v
-            guess[:] = v
-        else:
-            gamma = 2.0 * dt / 3.0
-            x_bar[:] = (4.0 * x - x_old) / 3.0
-            v_bar[:] = (4.0 * v - v_old) / 3.0
-            guess[:] = 2.0 * v - v_old
-            if stiffer[0] > 0.0 or stiffer[1] > 0.0:  # what the matrix only bounds must not be extrapolated
-                guess[:] = v
-        segment = advance_segment(knots, t, segment)
-        for g in range(pins.shape[0]):
-            for c in range(3):
-                guess[c, pins[g]] = (grip_point(knots, curve, t, segment, g, c) - x_bar[c, pins[g]]) / gamma
+        gamma = extrapolate(scheme, dt, x, v, x_old, v_old, stiffer, x_bar, v_bar, guess)
+        segment = advance_segment(grips.knots, t, segment)
+        follow_grips(guess, x_bar, gamma, pins, grips, t, segment)
         if solid:
-            touching(x, obstacles, free, touch, normal, friction)
-            for e in range(n):
-                if free[e] > 0.0 and touch[e] != FREE:  # x̄ lies off the surface by what x did before
-                    for c in range(3):
-                        z[c, e] = guess[c, e] - (x[c, e] - x_bar[c, e]) / gamma
-                else:
-                    z[0, e] = z[1, e] = z[2, e] = 0.0
-            q[:] = z
-            hold_back(q, touch, normal)
-            guess += q - z
-        for c in range(3):
-            for e in range(n):
-                q[c, e] = x_bar[c, e] + gamma * guess[c, e]  # where the forces are taken
+            rest_on(guess, x, x_bar, gamma, obstacles, free, touch, normal, friction, z, q)
+        moved_on(x_bar, gamma, guess, q)
         f[:] = 0.0
-        heavier = add_outer(
-            t, dt, q, guess, f, nu, NO_AIR, sheet, effects, stages, n_effects, parameters, state, extra,
-            knots, curve, segment,
-        )  # fmt: skip
+        heavier = add_outer(t, dt, q, guess, f, nu, NO_AIR, sheet, effects, terms, terms.state, extra, grips, segment)
         add_diagonals(offsets, bending, q, -bend, f)
         if beta != 0.0:
             add_diagonals(offsets, bending, guess, -beta, f)
@@ -439,9 +430,7 @@ def _march(
             for e in range(n):
                 x_before[c, e], v_before[c, e] = x[c, e], v[c, e]
                 x[c, e] = x_bar[c, e] + gamma * (guess[c, e] + delta[c, e])
-        for g in range(pins.shape[0]):
-            for c in range(3):
-                x[c, pins[g]] = grip_point(knots, curve, t, segment, g, c)
+        hold_grips(x, pins, grips, t, segment)
         used = tighten(
             x, gamma, tension, nu, lengths, share, give, mass, extra, heavier, touch, normal, lightness, tolerance,
             rows, work, r, waves_u, waves_v, damped, plane,
@@ -468,31 +457,19 @@ def _march(
             add_diagonals(offsets, bending, z, bend, q)
             stop_reversed(v, touch, rub)
             judge(q, v, free, touch, normal, friction, rub)
-        x_old[:] = x_before
-        v_old[:] = v_before
-        if solid:
-            keep_out(x, v, obstacles, free, 0, 1)
-        if layers.size[0] > 0.0:
-            part_layers(x, v, x_old, dt, free, layers, z, q)
+        end_step(x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, layers, z, q)
         count += 1
         if is_lost(x, 0, 1, limit):
             result[0], result[1], result[2] = DIVERGED, count, rounds
             return
-        done = write_frames(
-            x_old, v_old, x, v, t - dt, t, done, index, weight, held_points, pins_of_points, knots, curve, times, out
-        )
+        done = write_frames(x_old, v_old, x, v, t - dt, t, done, sampling, grips)
     result[1], result[2] = count, rounds
 
 
 NO_AIR = np.zeros(3)
-_d1, _d2, _d3 = types.float64[::1], types.float64[:, ::1], types.float64[:, :, ::1]
-_i1, _i2, _real, _whole = types.int64[::1], types.int64[:, ::1], types.float64, types.int64
 _SIGNATURE = types.void(
-    _whole, _d2, _whole, SHEET,
-    _d2, _d2, _d2, _i1, _d2, _real, _d1, _real, _real,
-    *(EFFECT,) * SLOTS, _i1, _whole, _d2, _d2,
-    _d1, types.float64[:, :, :, ::1], _i1, _i1, _d2, LAYERS,
-    _real, _real, _real, _real, _i2, _d2, _d1, _d3, _i1,
+    types.int64, types.float64[:, ::1], types.int64, SHEET, CONSTRAINTS, PLATE, types.float64,
+    *(EFFECT,) * SLOTS, TERMS, GRIPS, types.float64[:, ::1], LAYERS, CLOCK, SAMPLING, types.int64[::1],
 )  # fmt: skip
 
 

@@ -10,6 +10,7 @@ parameter sets ("lanes") are interleaved, entry (j·nu + i)·lanes + lane, and t
 from __future__ import annotations
 
 import functools
+from collections import namedtuple
 
 import numpy as np
 from numba import types
@@ -17,14 +18,18 @@ from numba import types
 from clothbench.modelling import (
     DIVERGED,
     EFFECT,
+    GRIPS_OF_MANY,
     LAYERS,
     OK,
+    SAMPLING_OF_MANY,
     SHEET,
     SLOTS,
+    TERMS_OF_MANY,
     advance_segment,
     apply_effects,
     as_double,
     bear_inertia,
+    bundle_type,
     fastest,
     grid_normals,
     grip_point,
@@ -32,10 +37,12 @@ from clothbench.modelling import (
     keep_apart,
     keep_out,
     kernel,
+    put_grips,
+    show_grips,
     wants_normals,
 )
 
-__all__ = ["DIVERGED", "OK", "SLOTS", "run_block"]
+__all__ = ["DIVERGED", "OK", "SLOTS", "Settling", "Springs", "run_block"]
 
 TINY = 1e-30  # m²; keeps the length of a masked spring between two coinciding nodes above 0
 CHECK_EVERY = 64  # steps between two looks for rest and for divergence
@@ -164,12 +171,13 @@ def _shorten(x, v, a, b, rest, free, limit, dt):
 
 
 @kernel
-def write_due(x, v, lane, lanes, now, done, index, weight, held_points, pins_of_points, knots, curve, times, out):
+def write_due(x, v, lane, lanes, now, done, sampling, grips):
     """Write the frames that fall due up to `now`; returns how many of this lane are written.
 
     A frame is looked at a little back in time, x_mesh = x − back·v, which is exact between two steps of the scheme.
     Points that lie on a grip are put where the grip is, exactly.
     """
+    index, weight, times, out = sampling.index, sampling.weight, sampling.times[lane], sampling.out[lane]
     while done < times.shape[0] and times[done] <= now:
         back = now - times[done]
         for n in range(index.shape[0]):
@@ -179,11 +187,8 @@ def write_due(x, v, lane, lanes, now, done, index, weight, held_points, pins_of_
                     e = index[n, k] * lanes + lane
                     total += weight[n, k] * (x[c, e] - back * v[c, e])
                 out[done, n, c] = total
-        if held_points.shape[0]:
-            segment = advance_segment(knots, times[done], 0)
-            for n in range(held_points.shape[0]):
-                for c in range(3):
-                    out[done, held_points[n], c] = grip_point(knots, curve, times[done], segment, pins_of_points[n], c)
+        curve = grips.curve[lane % grips.curve.shape[0]]
+        put_grips(out[done], grips.points, grips.of_points, grips.knots, curve, times[done])
         done += 1
     return done
 
@@ -203,47 +208,46 @@ def come_to_rest(v, keep, kick, step, dashpots, damping, lane, lanes, dt, loss):
             dashpots[family, e] = damping[family, e]
 
 
+Springs = namedtuple("Springs", "strides rest stiffness damping settle_damping loss strain_limit limited")
+Springs.__doc__ = """The springs of `lanes` interleaved sheets of n nodes, S families.
+
+strides: (S,), from a spring's first node to its second, in entries; rest: (S, n·lanes) m; stiffness: (S, n·lanes) N/m;
+damping: (S, n·lanes) N·s/m, or (0, 0) where springs have none, and settle_damping, the same for the time in which the
+sheet settles; loss: (lanes,) 1/s, share of the velocity lost; strain_limit: of the first `limited` families, infinite
+for none.
+"""
+Settling = namedtuple("Settling", "time rate at_rest dt")
+Settling.__doc__ = """How a sheet comes to rest in its grips. time: (2,) s, the least and the most; rate: 1/s, of its
+artificial damping; at_rest: m/s, the speed that ends it; dt: (lanes,) s.
+"""
+
+
 def _signature(real):
     """Types of `run_block`'s arguments; `real` is the precision of all that is touched for every node and step."""
-    double = types.float64
-    r2, d1, d2, d3 = real[:, ::1], double[::1], double[:, ::1], double[:, :, ::1]
-    i1, i2 = types.int64[::1], types.int64[:, ::1]
-    grid = (i1, r2, r2, r2, r2, double[::1], SHEET)
-    contact = (d2, LAYERS, double, types.int64)
-    effects = (*(EFFECT,) * SLOTS, i1, types.int64, d3, d3)
-    grips = (i1, d1, double[:, :, :, :, ::1], i1, i1)
-    settling = (double, d1, double, double, d1, d1)
-    sampling = (i2, d2, d2, double[:, :, :, ::1])
-    return types.void(types.int64, r2, *grid, double, *contact, *effects, *grips, *settling, *sampling, i1, i1)
+    double, r2, d1, i1 = types.float64, real[:, ::1], types.float64[::1], types.int64[::1]
+    springs = bundle_type(Springs, i1, r2, r2, r2, r2, d1, double, types.int64)
+    settling = bundle_type(Settling, d1, double, double, d1)
+    return types.void(
+        types.int64, r2, springs, SHEET, *(EFFECT,) * SLOTS, TERMS_OF_MANY, GRIPS_OF_MANY, double[:, ::1], LAYERS,
+        double, double, d1, settling, SAMPLING_OF_MANY, i1, i1,
+    )  # fmt: skip
 
 
 def _run_block(
-    lanes, x,
-    strides, rest, stiffness, damping, settle_damping, loss, sheet,
-    limit,
-    obstacles, layers, strain_limit, limited,
-    effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7, stages, n_effects,
-    effect_parameters, effect_state,
-    pins, knots, curves, held_points, pins_of_points,
-    start, settle_time, settle_rate, at_rest, settle_dt, dt,
-    index, weight, times, out,
-    status, steps,
+    lanes, x, springs, sheet,
+    effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
+    terms, grips, obstacles, layers, limit, start, dt, settling, sampling, status, steps,
 ):  # fmt: skip
     """Settle and run `lanes` interleaved parameter sets from the shape x (3, n·lanes), which is changed in place.
 
-    strides (S,); rest m, stiffness N/m, damping N·s/m (S, n·lanes), the last of length (0, 0) where springs have none,
-    and settle_damping, the same for the time in which the sheet settles;
-    loss (lanes,) 1/s, share of the velocity lost; `sheet` for the effects;
-    obstacles (K, 9) and layers: for `keep_out` and `keep_apart`, the latter with one lane only; strain_limit of the
-    first `limited` families, infinite for none;
-    settle_time (2,) s, the least and the most; at_rest m/s, the speed that ends it; settle_dt, dt (lanes,) s;
-    effect_parameters, effect_state: (lanes, SLOTS, …); curves (1 or lanes, 4, K−1, G, 3); times (lanes, T) s;
-    out (lanes, T, N, 3) m, to be filled; status, steps (lanes,).
+    obstacles (K, 9) and layers: for `keep_out` and `keep_apart`, the latter with one lane only; limit: m, how far a
+    sheet may get; start: s; dt: (lanes,) s; terms, grips, sampling: of that many members; status, steps: (lanes,).
     """
-    # Taken one by one and bundled here: a tuple of functions as an argument is typed anew, slowly, at every call.
+    strides, rest, stiffness, damping = springs.strides, springs.rest, springs.stiffness, springs.damping
+    loss, settle_dt, knots, curves = springs.loss, settling.dt, grips.knots, grips.curve
     effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
-    mass, normals = sheet.mass, wants_normals(sheet)
-    n, frames = mass.shape[0], times.shape[1]
+    mass, pins, normals, n_effects = sheet.mass, sheet.held, wants_normals(sheet), terms.count
+    n, frames = mass.shape[0], sampling.times.shape[1]
     entries = n * lanes
     v, f = np.zeros((3, entries), x.dtype), np.empty((3, entries), x.dtype)
     g, weights = np.empty((3, entries), x.dtype), np.empty((3, entries), x.dtype)
@@ -251,7 +255,7 @@ def _run_block(
     kick, keep = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
     settles = pins.shape[0] > 0
     dt_now = settle_dt.copy() if settles else dt.copy()
-    dashpots = settle_damping.copy() if settles else damping
+    dashpots = springs.settle_damping.copy() if settles else damping
     for e in range(entries):
         inverse_mass[e] = 1.0 / mass[e // lanes]
         step[e] = kick[e] = dt_now[e % lanes]
@@ -268,22 +272,20 @@ def _run_block(
         if settles:
             began[lane] = -1
             for e in range(lane, entries, lanes):
-                keep[e] = max(0.0, 1.0 - settle_rate * dt_now[lane])
+                keep[e] = max(0.0, 1.0 - settling.rate * dt_now[lane])
     segment, done, running, count = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64), lanes, 0
     while running > 0:
         for lane in range(lanes):
             settled_for = count * settle_dt[lane]
-            if began[lane] < 0 and count % CHECK_EVERY == 0 and settled_for > settle_time[0]:
+            if began[lane] < 0 and count % CHECK_EVERY == 0 and settled_for > settling.time[0]:
                 # The cheap question first: looking for the fastest node reads the whole sheet.
-                began[lane] = count if settled_for > settle_time[1] or fastest(v, lane, lanes) < at_rest else -1
+                began[lane] = (
+                    count if settled_for > settling.time[1] or fastest(v, lane, lanes) < settling.at_rest else -1
+                )
             if began[lane] == count:
                 dt_now[lane] = dt[lane]
                 come_to_rest(v, keep, kick, step, dashpots, damping, lane, lanes, dt[lane], loss[lane])
-                curve = curves[lane % curves.shape[0]]
-                done[lane] = write_due(
-                    x, v, lane, lanes, start, 0, index, weight, held_points, pins_of_points, knots, curve,
-                    times[lane], out[lane],
-                )  # fmt: skip
+                done[lane] = write_due(x, v, lane, lanes, start, 0, sampling, grips)
             elif 0 <= began[lane] == count - 1:
                 for e in range(lane, entries, lanes):
                     kick[e] = dt[lane]
@@ -296,14 +298,12 @@ def _run_block(
         if n_effects > 0:
             t = start + max(0, count - began[0]) * dt[0] if began[0] >= 0 else start
             xd, vd, fd = as_double(x), as_double(v), as_double(f)
-            for grip in range(pins.shape[0]):
-                for c in range(3):
-                    sheet.grip[c, grip] = grip_point(knots, curves[0], t, segment[0], grip, c)
+            show_grips(sheet, knots, curves[0], t, segment[0])
             if normals:
                 grid_normals(xd, strides[1] // lanes, sheet.normal)
             heavier = apply_effects(
-                effects, stages, n_effects, t, dt_now[0], xd, vd, fd, extra, sheet,
-                effect_parameters[0], effect_state[0],
+                effects, terms.stages, n_effects, t, dt_now[0], xd, vd, fd, extra, sheet,
+                terms.parameters[0], terms.state[0],
             )  # fmt: skip
             if heavier:
                 bear_inertia(fd, mass, extra)
@@ -315,9 +315,10 @@ def _run_block(
             if settles:
                 segment[lane] = advance_segment(knots, now, segment[lane])
                 hold(x, v, pins, lane, lanes, knots, curve, now, segment[lane], dt_now[lane])
-            if strain_limit < np.inf:
+            if springs.strain_limit < np.inf:
                 limit_strain(
-                    x, v, limited, strides, rest, stiffness, inverse_mass, lane, lanes, strain_limit, dt_now[lane]
+                    x, v, springs.limited, strides, rest, stiffness, inverse_mass, lane, lanes, springs.strain_limit,
+                    dt_now[lane],
                 )  # fmt: skip
             if layers.triangles.shape[0] > 0:
                 keep_apart(x, v, dt_now[lane], inverse_mass, layers)
@@ -328,10 +329,7 @@ def _run_block(
             if count % CHECK_EVERY == 0 and is_lost(x, lane, lanes, limit):
                 status[lane] = DIVERGED
             elif began[lane] >= 0:
-                done[lane] = write_due(
-                    x, v, lane, lanes, now, done[lane], index, weight, held_points, pins_of_points, knots, curve,
-                    times[lane], out[lane],
-                )  # fmt: skip
+                done[lane] = write_due(x, v, lane, lanes, now, done[lane], sampling, grips)
             if status[lane] == DIVERGED or done[lane] == frames:
                 steps[lane] = count
                 running -= 1

@@ -15,6 +15,8 @@ from clothbench.modelling import (
     SLOTS,
     GridBatch,
     GridSimulation,
+    Sampling,
+    Terms,
     check_number,
     check_resolution,
     for_each,
@@ -140,17 +142,18 @@ class _Batch(GridBatch):
         )
         out = np.full((lanes, *self.position.shape[1:]), np.nan)
         status, steps = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64)
+        springs = kernels.Springs(
+            grid.strides * lanes, np.repeat(grid.rest, lanes, axis=1).astype(real), stiffness, damping, settle_damping,
+            simulation.loss(theta), self.strain_limit, simulation.limited,
+        )  # fmt: skip
+        slowest, sheet = simulation.slowest, simulation.sheet
+        settling = kernels.Settling(SETTLE / slowest, 2 * slowest, AT_REST[precision], self.settle_dt[members])
+        parameters, state = effects.kernel_parameters(theta, SLOTS), effects.kernel_state(lanes, SLOTS, sheet)
         kernels.run_block(precision)(
-            lanes, np.repeat(self.shape.T, lanes, axis=1).astype(real), grid.strides * lanes,
-            np.repeat(grid.rest, lanes, axis=1).astype(real), stiffness, damping, settle_damping,
-            simulation.loss(theta), own_sheet(simulation.sheet, effects.normals), self.bounds(),
-            self.obstacles, layers_of(scene, simulation.sheet), self.strain_limit, simulation.limited,
-            *self.kernels, self.stages, self.terms, effects.kernel_parameters(theta, SLOTS),
-            effects.kernel_state(lanes, SLOTS, simulation.sheet),
-            self.pins, self.knots, self.curve(members), self.held_points, self.pins_of_points,
-            scene.start_time, SETTLE / simulation.slowest, 2 * simulation.slowest, AT_REST[precision],
-            self.settle_dt[members], self.dt[members],
-            self.interpolator.index, self.interpolator.weight, self.times[members], out, status, steps,
+            lanes, np.repeat(self.shape.T, lanes, axis=1).astype(real), springs, own_sheet(sheet, effects.normals),
+            *self.kernels, Terms(self.stages, self.terms, parameters, state), self.grips_of(members), self.obstacles,
+            layers_of(scene, sheet), self.bounds(), scene.start_time, self.dt[members], settling,
+            Sampling(self.interpolator.index, self.interpolator.weight, self.times[members], out), status, steps,
         )  # fmt: skip
         self.position[members], self.status[members], self.steps[members] = out, status, steps
 

@@ -1,0 +1,90 @@
+"""What every implicit step here shares: where it is extrapolated from, what grips and obstacles say about the guess.
+
+One Newton round a step from an extrapolated guess (Baraff and Witkin 1998, eq. 6; Choi and Ko 2002 for BDF2):
+v' = v̄ + γ M⁻¹ f(x̄ + γ v', v'), with γ = dt, x̄ = x, v̄ = v for Euler and γ = 2dt/3, x̄ = (4x − x₋)/3 for BDF2.
+"""
+
+from __future__ import annotations
+
+from clothbench.modelling import grip_point, keep_out, kernel
+from clothbench_models.implicit_grid import hold_back
+from clothbench_models.resting_contact import FREE, part_layers, touching
+
+EULER, BDF2 = 0, 1
+
+
+@kernel
+def extrapolate(scheme, dt, x, v, x_old, v_old, stiffer, x_bar, v_bar, guess):
+    """Fill x̄, v̄ and the guess of v' (3, n); returns γ [s]. stiffer (2,): what effects add to the stiffness, which the
+    matrix only bounds; then nothing is extrapolated.
+    """
+    if scheme == EULER:
+        x_bar[:] = x
+        v_bar[:] = v
+        guess[:] = v
+        return dt
+    x_bar[:] = (4.0 * x - x_old) / 3.0
+    v_bar[:] = (4.0 * v - v_old) / 3.0
+    guess[:] = 2.0 * v - v_old
+    if stiffer[0] > 0.0 or stiffer[1] > 0.0:
+        guess[:] = v
+    return 2.0 * dt / 3.0
+
+
+@kernel
+def follow_grips(guess, x_bar, gamma, pins, grips, t, segment):
+    """The velocity that brings each held node from x̄ to where its grip is at time t."""
+    for g in range(pins.shape[0]):
+        for c in range(3):
+            place = grip_point(grips.knots, grips.curve, t, segment, g, c)
+            guess[c, pins[g]] = (place - x_bar[c, pins[g]]) / gamma
+
+
+@kernel
+def rest_on(guess, x, x_bar, gamma, obstacles, free, touch, normal, friction, z, q):
+    """Find who touches an obstacle, and take from the guess what such a node cannot follow; z, q are overwritten."""
+    touching(x, obstacles, free, touch, normal, friction)
+    for e in range(x.shape[1]):
+        if free[e] > 0.0 and touch[e] != FREE:  # x̄ lies off the surface by what x did before
+            for c in range(3):
+                z[c, e] = guess[c, e] - (x[c, e] - x_bar[c, e]) / gamma
+        else:
+            z[0, e] = z[1, e] = z[2, e] = 0.0
+    q[:] = z
+    hold_back(q, touch, normal)
+    guess += q - z
+
+
+@kernel
+def moved_on(x_bar, gamma, guess, q):
+    """q = x̄ + γ v', where the forces of a step are taken."""
+    for c in range(3):
+        for e in range(q.shape[1]):
+            q[c, e] = x_bar[c, e] + gamma * guess[c, e]
+
+
+@kernel
+def fall_before(x, dt, gravity, x_old, v_old):
+    """The step before the first of a sheet that nobody holds: on the parabola of its free fall, at rest now."""
+    for c in range(3):
+        v_old[c] = -dt * gravity[c]
+        x_old[c] = x[c] + 0.5 * dt * dt * gravity[c]
+
+
+@kernel
+def hold_grips(x, pins, grips, t, segment):
+    """Put the held nodes where their grips are, exactly."""
+    for g in range(pins.shape[0]):
+        for c in range(3):
+            x[c, pins[g]] = grip_point(grips.knots, grips.curve, t, segment, g, c)
+
+
+@kernel
+def end_step(x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, layers, z, q):
+    """What was now is before; then nodes are put out of obstacles, and layers apart; z, q are overwritten."""
+    x_old[:] = x_before
+    v_old[:] = v_before
+    if obstacles.shape[0] > 0:
+        keep_out(x, v, obstacles, free, 0, 1)
+    if layers.size[0] > 0.0:
+        part_layers(x, v, x_old, dt, free, layers, z, q)
