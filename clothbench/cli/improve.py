@@ -1,83 +1,93 @@
-"""`clothbench improve`: recordings and a model in, the verdict on what the model lacks out."""
+"""`clothbench improve`: recordings and a model in, the verdict on what the model lacks out.
+
+It runs the one cell of `+suite=improve` in the store OUT, and lays what was found on top: verdict, page, tables.
+"""
 
 from __future__ import annotations
 
-import json
 import shlex
 import sys
 from collections.abc import Mapping, Sequence
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from omegaconf import OmegaConf
-from omegaconf.errors import OmegaConfBaseException
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
+from clothbench.cli.run import composed
 from clothbench.core.errors import ClothbenchError
-from clothbench.engine.checkpoint import Checkpoint
-from clothbench.engine.settings import writable
+from clothbench.engine.run import TRACEBACK, run_cell
+from clothbench.engine.settings import KNOWN
+from clothbench.engine.store import Store
+from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import Catalogue, catalogue
 from clothbench.studies.improve.candidates import unusable
 from clothbench.studies.improve.cell import ImproveCell
-from clothbench.studies.improve.files import json_text, write_folder
-from clothbench.studies.improve.plan import cell_of
-from clothbench.studies.improve.prepare import find
+from clothbench.studies.improve.document import document_in, json_text
+from clothbench.studies.improve.files import publish
 from clothbench.studies.improve.settings import LOOP
+from clothbench.studies.improve.terminal import verdict_lines
 
-NESTED = ("options", "bounds")  # settings that are told as KEY.NAME=VALUE
-TYPED = (*NESTED, "timeout")  # the others are words, which the plan reads
+OUT = "improve"
+NEEDED = ("recordings", "model")
+# Words that are taken as they stand, commas and all, and where they belong; Hydra would see a sweep.
+PLAIN = {
+    "recordings": ("recordings",), "model": ("model",), "out": ("out",), "candidates": ("suite", "candidates"),
+    "base": ("suite", "base"),
+}  # fmt: skip
+SHORT = {"resolution": "suite.resolution", "damping": "suite.damping", "areal_density": "scene.areal_density"}
+NESTED = ("options", "bounds")  # told as KEY.NAME=VALUE
+WORDS = (*PLAIN, *SHORT, *NESTED, *sorted(KNOWN - {*PLAIN, *NESTED, "study", "suite", "budget", "jobs", "effects"}))
 
 
 def command(words: Sequence[str], as_json: bool = False) -> int:
     """Run the loop with settings as KEY=VALUE words gave them, and print the verdict: in words, or as the document."""
     plugins, settings = catalogue(), settings_of(words)
-    out = writable(settings["out"])
-    cell = cell_of(settings, plugins)
-    for remark in remarks(cell, plugins, all_tried=settings["candidates"] is None):
+    cells = plan(settings, plugins)
+    if len(cells) > 1:
+        raise ClothbenchError("found several optimizers, expected one; for more: clothbench run +suite=improve …")
+    cell: ImproveCell = cells[0]  # type: ignore[assignment]
+    out = Path(settings["out"])
+    store = Store(out)
+    for remark in remarks(cell, plugins, all_tried=settings["suite"]["candidates"] is None):
         print(f"clothbench: {remark}", file=sys.stderr)
-    if (kept := finished(out, cell.key)) is not None:
+    if store.has(cell.key):
         print(f"{out}: kept, these recordings were judged with the same settings before", file=sys.stderr)
-        print(json_text(kept)) if as_json else say(kept, out)
-        return 0
-    checkpoint = Checkpoint(out / ".unfinished")
-    with StageBar() as bar:
-        finding = find(cell, plugins, checkpoint, bar.stage)
-        bar.stage("page, tables and Rerun files", 0, 1)
-        document = write_folder(out, finding)
-        checkpoint.forget()
+    else:
+        with StageBar() as bar:
+            run_cell(cell, out, rerun=settings["rerun"], stage=bar.stage)
+        if not store.has(cell.key):
+            return failed(store, cell.key)
+    document = published(store.cell(cell.key), out)
     print(json_text(document)) if as_json else say(document, out)
     return 0
 
 
 def settings_of(words: Sequence[str]) -> dict[str, Any]:
-    """What `conf/improve.yaml` says, with "key=value" words over it; anything else is refused."""
-    default = OmegaConf.create(files("clothbench.conf").joinpath("improve.yaml").read_text())
-    settings: dict[str, Any] = OmegaConf.to_container(default)  # type: ignore[assignment]
+    """The settings of `+suite=improve`, with KEY=VALUE words over them; anything else is refused."""
+    given, plain = ["+suite=improve", f"out={OUT}"], {}
     for word in words:
         key, sign, value = word.partition("=")
         first = key.partition(".")[0]
-        if not sign or first not in settings or (key != first and first not in NESTED):
-            raise ClothbenchError(f"found {word!r}, expected {' or '.join(f'{a}=VALUE' for a in settings)}")
-        if first not in TYPED:
-            settings[key] = value
-            continue
-        try:
-            given: Any = OmegaConf.to_container(OmegaConf.from_dotlist([word]))
-        except OmegaConfBaseException as fault:
-            raise ClothbenchError(f"found {word!r}: {str(fault).splitlines()[0]}") from fault
-        settings = merged(settings, given)
+        if not sign or first not in WORDS:
+            raise ClothbenchError(f"found {word!r}, expected {' or '.join(f'{a}=VALUE' for a in WORDS)}")
+        if key in PLAIN:
+            plain[key] = value
+        elif first in NESTED:  # what a plugin or a model brings is not known to the settings before
+            given.append(f"++{word}")
+        else:
+            given.append(f"{SHORT.get(key, key)}={value}")
+    for key in NEEDED:
+        if not plain.get(key):
+            raise ClothbenchError(f"found no {key}=…, expected clothbench improve recordings=DIR model=NAME [out=DIR]")
+    settings = composed(given)
+    for key, value in plain.items():
+        *above, last = PLAIN[key]
+        place = settings
+        for name in above:
+            place = place[name]
+        place[last] = value
     return settings
-
-
-def merged(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
-    """Two nested mappings in one; `above` has the last word."""
-    out = dict(below)
-    for key, value in above.items():
-        nested = isinstance(value, Mapping) and isinstance(out.get(key), Mapping)
-        out[key] = merged(out[key], value) if nested else value
-    return out
 
 
 def remarks(cell: ImproveCell, plugins: Catalogue, all_tried: bool) -> list[str]:
@@ -94,13 +104,24 @@ def remarks(cell: ImproveCell, plugins: Catalogue, all_tried: bool) -> list[str]
     return out
 
 
-def finished(out: Path, key: str) -> dict[str, Any] | None:
-    """The verdict that already lies in `out`, if it is of exactly this question."""
-    try:
-        found = json.loads((out / "verdict.json").read_text())
-    except (OSError, ValueError):
-        return None
-    return found if isinstance(found, dict) and found.get("key") == key else None
+def failed(store: Store, key: str) -> int:
+    """Why there is no verdict; 2 if the user can mend it, 1 if a plugin or clothbench itself is at fault."""
+    reason = store.rows([key])[0]["reason"]
+    traceback = store.cell(key) / TRACEBACK
+    if not traceback.is_file():
+        raise ClothbenchError(reason)
+    print(f"clothbench: {reason}; see {traceback}", file=sys.stderr)
+    return 1
+
+
+def published(cell: Path, out: Path) -> dict[str, Any]:
+    """Lay what a finished cell holds on top of `out`, unless it lies there already; returns the verdict."""
+    document = document_in(cell)
+    if document is None:
+        raise ClothbenchError(f"{cell}: found no verdict that can be read; delete the folder and run again")
+    if (there := document_in(out)) is None or there.get("key") != document["key"]:
+        publish(cell, out)
+    return document
 
 
 class StageBar:
@@ -128,29 +149,13 @@ class StageBar:
 
 
 def say(found: Mapping[str, Any], out: Path) -> None:
-    """The verdict in a few lines."""
-    curves = found.get("kind") == "curve"
-    error, unit, digits = (found["error"], "N", ".3g") if curves else (found["error_mm"], "mm", ".2f")
-    held = error["held_out"]
-    print(f"verdict: {found['verdict']}")
-    for effect in found["effects"]:
-        tied = f", tied with {', '.join(effect['tied_with'])}" if effect["tied_with"] else ""
-        print(f"  {effect['name']} ({effect['place']}): {effect['summary']}{tied}")
-        print(f"    p = {effect['p_value']:.3g}, chosen in {effect['selected_in']} of the leave-one-out rounds")
-        for name, p in effect["parameters"].items():
-            low, high = (("?" if p[k] is None else f"{p[k]:.4g}") for k in ("low", "high"))
-            print(f"    {name} = {p['value']:.4g} {p['unit']} ({low} … {high})")
-    print(f"fit recordings: {error['fit']['before']:{digits}} → {error['fit']['after']:{digits}} {unit}", end="")
-    if held["before"] is not None:
-        print(f"; held out: {held['before']:{digits}} → {held['after']:{digits}} {unit}", end="")
-    print(f"; floor {'between runs' if curves else 'of noise and mesh'}: {error['noise_floor']:{digits}} {unit}")
-    if found["hint"]:
-        print(f"hint: {found['hint']}")
-    print(f"{found['evaluations']} evaluations, {found['wall_s']:.0f} s")
+    """The verdict in a few lines, and where things lie."""
+    for line in verdict_lines(found):
+        print(line)
     print(f"page: {out / 'index.html'}")
-    rerun = "" if curves else f"; Rerun files: {out / 'rerun'}"
+    seen = (out / "rerun").is_dir() and any((out / "rerun").iterdir())
+    rerun = f"; Rerun files: {out / 'rerun'}" if seen else ""
     print(f"verdict: {out / 'verdict.json'}; tables: {out / 'tables'}{rerun}")
-    if curves:
-        return
-    recordings = [*found["recordings"]["held_out"], *found["recordings"]["fit"]]
-    print(f"look at one with: clothbench view {shlex.quote(recordings[0])} --out {shlex.quote(str(out))}")
+    if seen:
+        recordings = [*found["recordings"]["held_out"], *found["recordings"]["fit"]]
+        print(f"look at one with: clothbench view {shlex.quote(recordings[0])} --out {shlex.quote(str(out))}")

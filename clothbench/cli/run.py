@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 import hydra
+from hydra import compose, initialize_config_module
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.plugins import Plugins
@@ -68,6 +69,18 @@ def run(arguments: Sequence[str]) -> int:
         raise ClothbenchError(_one_line(fault)) from fault
     finally:
         shutil.rmtree(notes, ignore_errors=True)
+
+
+def composed(words: Sequence[str]) -> dict[str, Any]:
+    """The settings that Hydra makes of KEY=VALUE words, for one job; nothing is run."""
+    Plugins.instance().register(PluginSearchPath)
+    try:
+        with initialize_config_module("clothbench.conf", version_base="1.3"):
+            config = compose("run", overrides=list(words))
+        settings = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
+    except (HydraException, OmegaConfBaseException) as fault:
+        raise ClothbenchError(_one_line(fault)) from fault
+    return last_word(settings, words)  # type: ignore[arg-type]
 
 
 def job(config: Any) -> None:

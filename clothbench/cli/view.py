@@ -23,10 +23,12 @@ def open_viewer(out: Path, name: str) -> int:
 
 def improved(out: Path, name: str) -> Path:
     """The Rerun file of one recording in a folder of `clothbench improve`."""
+    from clothbench.studies.improve.files import file_name
+
     names = sorted(p.stem for p in (out / "rerun").glob("*.rrd"))
-    if name not in names:
+    if file_name(name) not in names:
         raise ClothbenchError(f"{out}: found no recording {name!r}; there are: {', '.join(names) or 'none'}")
-    return out / "rerun" / f"{name}.rrd"
+    return out / "rerun" / f"{file_name(name)}.rrd"
 
 
 def find_cell(out: Path, beginning: str) -> Path:

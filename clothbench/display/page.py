@@ -8,11 +8,12 @@ from clothbench.display.section import Section
 from clothbench.display.style import CSS, DRAWING
 
 
-def whole_page(title: str, sections: Sequence[Section], style: str = "") -> str:
-    """The sections that are not empty, one after the other; `title` is HTML, `style` goes behind the style sheet.
+def whole_page(title: str, sections: Sequence[Section]) -> str:
+    """The sections that are not empty, one after the other; `title` is HTML.
 
     plotly.js stands in the page itself, once, and only where a section draws something.
     """
+    style = "".join(dict.fromkeys(s.style for s in sections))
     return (
         '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'

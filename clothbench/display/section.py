@@ -11,12 +11,13 @@ from typing import Any
 @dataclass(frozen=True)
 class Section:
     """html: what stands there; data: JSON by the id of the element that holds it; script: draws it, once plotly.js and
-    the helpers of `display.style.DRAWING` are there.
+    the helpers of `display.style.DRAWING` are there; style: of its own, behind the page's.
     """
 
     html: str
     data: Mapping[str, Any] = field(default_factory=dict)
     script: str = ""
+    style: str = ""
 
     @property
     def whole(self) -> str:

@@ -6,6 +6,7 @@ import traceback
 from collections.abc import Callable
 from pathlib import Path
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.parallel import set_thread_count
 from clothbench.engine.cells import Skipped
 from clothbench.engine.rows import failure
@@ -13,6 +14,7 @@ from clothbench.engine.store import Store
 from clothbench.engine.study import Cell, Context, Result, StageProgress, Study
 from clothbench.plugins.discovery import catalogue, one_line
 
+TRACEBACK = "traceback.txt"
 CellProgress = Callable[[Cell, int, float], None]
 
 
@@ -37,6 +39,9 @@ def run_cell(
     except Skipped as reason:
         result = failure(cell, "skipped", str(reason))
         keep(store, cell, result)
+    except ClothbenchError as fault:  # says itself what is wrong; where in the program it came up helps nobody
+        result = failure(cell, "error", str(fault))
+        keep(store, cell, result)
     except Exception as fault:
         result = failed_with(cell, one_line(fault), traceback.format_exc())
         keep(store, cell, result)
@@ -50,7 +55,7 @@ def failed_with(cell: Cell, reason: str, detail: str = "") -> Result:
 
 
 def _write(folder: Path, detail: str) -> None:
-    (folder / "traceback.txt").write_text(detail)
+    (folder / TRACEBACK).write_text(detail)
 
 
 def keep(store: Store, cell: Cell, result: Result, study: Study | None = None) -> None:

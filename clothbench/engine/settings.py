@@ -39,7 +39,8 @@ def checked(config: Mapping[str, Any], plugins: Catalogue, suite_words: frozense
         raise ClothbenchError(f"setting 'rerun' is {out.get('rerun')!r}, expected true or false")
     out["out"] = str(writable(out.get("out")))
     out["scene"] = scene_settings(mapping("scene", out.get("scene")))
-    out["bounds"] = {name: pair(f"bounds.{name}", b) for name, b in mapping("bounds", out.get("bounds")).items()}
+    bounds = flat(mapping("bounds", out.get("bounds")))
+    out["bounds"] = {name: pair(f"bounds.{name}", b) for name, b in bounds.items()}
     out["options"] = option_settings(mapping("options", out.get("options")), plugins)
     out["analysis"] = mapping("analysis", out.get("analysis"))
     for key in PLUGINS:
@@ -151,6 +152,14 @@ def mapping(name: str, value: Any) -> dict[str, Any]:
     if not isinstance(value, Mapping):
         raise ClothbenchError(f"setting '{name}' is {value!r}, expected {name}.KEY=VALUE")
     return {str(k): v for k, v in value.items()}
+
+
+def flat(nested: Mapping[str, Any], above: str = "") -> dict[str, Any]:
+    """ "effect.parameter" → value, where a parser of settings has taken the dot for a level."""
+    out: dict[str, Any] = {}
+    for name, value in nested.items():
+        out |= flat(value, f"{above}{name}.") if isinstance(value, Mapping) else {f"{above}{name}": value}
+    return out
 
 
 def words(name: str, value: Any) -> list[str]:

@@ -28,8 +28,9 @@ class Cell(Protocol):
     """One point of a plan: frozen plain data that travels to worker processes.
 
     study: name of the study that runs it; cases: of its rows; key: 16 hexadecimal digits of all that its result depends
-    on; budget: how many steps there are at most, of what `counts` says; value_word: what the value that it reports on
-    the way is called; versions: "kind/name" → version of every plugin that it uses. What does not apply is None.
+    on; budget: how many steps there are at most, of what `counts` says, None if that is not known before; value_word:
+    what the value that it reports on the way is called; versions: "kind/name" → version of every plugin that it uses.
+    What does not apply is None.
     """
 
     @property
@@ -59,7 +60,7 @@ class Cell(Protocol):
     @property
     def label(self) -> str: ...
     @property
-    def budget(self) -> int: ...
+    def budget(self) -> int | None: ...
     @property
     def counts(self) -> str: ...
     @property

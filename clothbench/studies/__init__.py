@@ -15,5 +15,8 @@ def clothbench_studies():
         Registration(
             "folding", "clothbench.studies.folding.study", "a strip lifted step by step, its stiffness estimated"
         ),
+        Registration(
+            "improve", "clothbench.studies.improve.study", "what a calibrated model lacks, found, added and judged"
+        ),
         Registration("speed", "clothbench.studies.speed.study", "how fast models step beside the installed peers"),
     ]

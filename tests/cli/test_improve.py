@@ -19,9 +19,9 @@ from test_commands import only_line
 from clothbench import Recording, write_recording
 from clothbench.cli.improve import settings_of
 from clothbench.engine.store import read_table
+from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.scenes import scene_of
-from clothbench.studies.improve.plan import cell_of
 from clothbench.studies.improve.prepare import prepare
 from clothbench.studies.improve.schema import IMPROVE_TABLES
 
@@ -138,7 +138,15 @@ def test_rerun_files_lie_beside_and_nothing_of_an_older_run(done):
     folder, ran = done
     assert sorted(p.name for p in (folder / "rerun").iterdir()) == [f"sway-{n}.rrd" for n in range(4)]
     assert all((folder / "rerun" / f"sway-{n}.rrd").read_bytes()[:4] == b"RRF2" for n in range(4))
-    assert sorted(p.name for p in folder.iterdir()) == ["index.html", "notes.txt", "rerun", "tables", "verdict.json"]
+    assert sorted(p.name for p in folder.iterdir()) == [
+        "cells",
+        "index.html",
+        "journal",
+        "notes.txt",
+        "rerun",
+        "tables",
+        "verdict.json",
+    ]
     assert sorted(p.stem for p in (folder / "tables").iterdir()) == sorted(IMPROVE_TABLES)
     for word in ("verdict: attributed", "index.html", "tables", "rerun", "clothbench view sway-3 --out found"):
         assert word in ran.stdout
@@ -155,17 +163,17 @@ def test_a_killed_run_goes_on_and_ends_the_same(place, verdict):
     words = ["recordings=rec", *SMALL, "candidates=clock_offset,gravity_tilt", "out=again"]
     command = [sys.executable, "-m", "clothbench", "improve", *words]
     process = subprocess.Popen(command, cwd=place, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    unfinished = place / "again" / ".unfinished"
+    unfinished = place / "again" / "journal"
     until = time.monotonic() + 120
-    while len(list(unfinished.glob("*.npz"))) < 3 and process.poll() is None and time.monotonic() < until:
+    while len(list(unfinished.glob("*/*.npz"))) < 3 and process.poll() is None and time.monotonic() < until:
         time.sleep(0.02)
     process.kill()
     process.wait()
     assert not (place / "again" / "verdict.json").exists()
-    assert len(list(unfinished.glob("*.npz"))) >= 3
+    assert len(list(unfinished.glob("*/*.npz"))) >= 3
     ran = improve(place, *words)
     assert ran.returncode == 0, ran.stderr
-    assert not unfinished.exists()
+    assert not list(unfinished.iterdir())
     again = json.loads((place / "again" / "verdict.json").read_text())
     assert again | {"wall_s": 0} == verdict | {"wall_s": 0}
 
@@ -184,7 +192,7 @@ def test_what_the_recordings_do_not_say_belongs_to_the_question(tmp_path):
     for recording in (unknown, wide):
         write_recording(recording, tmp_path / f"{recording.name}.nc")
     words = [f"recordings={tmp_path}", "model=mass_spring", "base=", "resolution=9"]
-    cells = [cell_of(settings_of([*words, f"areal_density={d}"]), catalogue()) for d in ("0.1", "0.3")]
+    cells = [plan(settings_of([*words, f"areal_density={d}"]), catalogue())[0] for d in ("0.1", "0.3")]
     assert cells[0].key != cells[1].key
     light = prepare(cells[0], catalogue())
     assert [case.scene.resolution for case in light.evidence.cases] == [(9, 9), (9, 5)]
@@ -201,6 +209,50 @@ def test_json_is_the_document_and_nothing_else(place):
     assert "that no candidate explains" in (place / "plain" / "index.html").read_text()
 
 
+def test_run_asks_the_same_question_as_improve(place, clothbench):
+    """The suite is one door more to the same cell: after `improve`, `run` finds it finished."""
+    ran = improve(place, "recordings=two", *SMALL, "candidates=gravity_tilt", "out=doors")
+    assert ran.returncode == 0, ran.stderr
+    words = ["model=mass_spring", "suite.resolution=5", "suite.base=[]", "suite.candidates=[gravity_tilt]"]
+    command = [sys.executable, "-m", "clothbench", "run", "+suite=improve", "recordings=two", *words, "out=doors"]
+    ran = subprocess.run(command, cwd=place, capture_output=True, text=True, timeout=600, check=False)
+    assert ran.returncode == 0, ran.stderr
+    assert "[1/1]" in ran.stderr
+    assert "kept" in ran.stderr
+    assert "verdict: unexplained" in ran.stdout
+    assert len(list((place / "doors" / "cells").iterdir())) == 1
+
+
+def test_rows_and_page_of_the_store_say_what_the_verdict_says(done, verdict, clothbench):
+    listed = clothbench("leaderboard", "--out", str(done[0]), "--json")
+    rows = {(r["effects"], r["split"]): r for r in json.loads(listed.stdout)}
+    assert set(rows) == {("", "fit"), ("", "held_out"), ("clock_offset", "fit"), ("clock_offset", "held_out")}
+    for effects, when in (("", "before"), ("clock_offset", "after")):
+        for split in ("fit", "held_out"):
+            row = rows[effects, split]
+            assert row["value"] * 1e3 == pytest.approx(verdict["error_mm"][split][when])
+            assert (row["unit"], row["metric"], row["model"]) == ("m", "rms_error", "mass_spring")
+    assert clothbench("report", f"out={done[0]}").returncode == 0
+    page = (done[0] / "report.html").read_text()
+    (done[0] / "report.html").unlink()
+    for word in ("What does mass_spring lack?", "clock_offset", f"cells/{verdict['key']}/index.html"):
+        assert word in page
+
+
+def test_a_fault_of_the_model_is_one_line_and_exit_1(place, tmp_path):
+    """A model that fails in mid-run leaves no verdict, but its traceback in the store."""
+    code = "from clothbench_models.mass_spring_simulation import SpringSimulation as S; from clothbench.cli.commands "
+    code += "import main; import sys; S.run = lambda *_: 1 / 0; sys.exit(main(sys.argv[1:]))"
+    words = ["improve", f"recordings={place / 'two'}", *SMALL, "candidates=gravity_tilt", "out=failed"]
+    ran = subprocess.run(
+        [sys.executable, "-c", code, *words], cwd=tmp_path, capture_output=True, text=True, check=False
+    )
+    assert ran.returncode == 1, ran.stderr
+    assert "ZeroDivisionError: division by zero; see failed/cells/" in ran.stderr
+    assert not (tmp_path / "failed" / "verdict.json").exists()
+    assert list((tmp_path / "failed").glob("cells/*/traceback.txt"))
+
+
 @pytest.mark.parametrize(
     ("settings", "found"),
     [
@@ -210,8 +262,8 @@ def test_json_is_the_document_and_nothing_else(place):
         (("recordings=.", *SMALL), "found no recordings, expected files ending in .nc"),
         (("recordings=rec", "model=mass_sping"), "did you mean 'mass_spring'"),
         (("recordings=rec", *SMALL, "candidates=clock_ofset"), "did you mean 'clock_offset'"),
-        (("recordings=rec", *SMALL, "seed=x"), "seed is 'x', expected a whole number, at least 0"),
-        (("recordings=rec", *SMALL, "resolution=2"), "resolution is '2', expected a whole number, at least 5"),
+        (("recordings=rec", *SMALL, "seed=x"), "'seed' is 'x', expected a whole number, at least 0"),
+        (("recordings=rec", *SMALL, "resolution=2"), "'resolution' is 2, expected a whole number, at least 5"),
         (("recordings=rec", *SMALL, "out=file"), "setting 'out': file cannot be written to"),
         (("recordings=rec", *SMALL, "candidates="), "candidates is '', expected names of effects"),
         (

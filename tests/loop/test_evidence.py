@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import dataclasses
+import json
 from pathlib import Path
 
 import numpy as np
@@ -15,10 +16,11 @@ from clothbench.engine.checkpoint import Checkpoint
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies import improve as room
 from clothbench.studies.improve.cell import ImproveCell
-from clothbench.studies.improve.document import verdict_document
-from clothbench.studies.improve.files import write_folder
+from clothbench.studies.improve.document import document_in, verdict_document
+from clothbench.studies.improve.files import write_files
 from clothbench.studies.improve.fitting import fit, search_settings
 from clothbench.studies.improve.loop import improve
+from clothbench.studies.improve.tables import finding_tables
 
 FOLDER = Path(room.__file__).parent
 WRITERS = ("document", "tables", "sheet_tables", "page", "words", "figures", "rerun_file", "files")
@@ -116,9 +118,9 @@ def test_a_finding_is_all_that_is_needed_to_write(tmp_path, monkeypatch):
     monkeypatch.setattr("clothbench.plugins.discovery.Catalogue.make", gone)
     monkeypatch.setattr("clothbench.plugins.discovery.Catalogue.load", gone)
     monkeypatch.setattr("clothbench.modelling.curves.CurveSimulation.run", gone)
-    document = write_folder(tmp_path / "out", finding)
-    assert document == verdict_document(finding)
-    assert (tmp_path / "out" / "index.html").is_file()
+    write_files(tmp_path, finding, finding_tables(finding))
+    assert document_in(tmp_path) == json.loads(json.dumps(verdict_document(finding)))
+    assert (tmp_path / "index.html").is_file()
     with pytest.raises(dataclasses.FrozenInstanceError):
         finding.verdict = "complete"
 

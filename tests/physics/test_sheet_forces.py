@@ -4,7 +4,7 @@ step against finite differences of the forces."""
 import numpy as np
 import pytest
 from clothbench_models.baraff_witkin import triangle_edges
-from clothbench_models.baraff_witkin_kernels import elastic
+from clothbench_models.baraff_witkin_kernels import Membrane, Plate, elastic
 from clothbench_models.bending import bending_matrix
 from clothbench_models.implicit_grid import hold_back, invert_blocks, multiply, solve
 from clothbench_models.resting_contact import FREE, SLIDES, STICKS
@@ -50,8 +50,9 @@ class Sheet:
         padded = N + 2 * (NU + 1)
         self.edges, self.shear = np.zeros((10, padded)), np.zeros((self.rows, padded))
         self.work, f = np.zeros((20, padded)), np.zeros((3, N))
-        elastic(x, v, f, NU, *self.rest, self.stiffness, self.damping, BENDING.offsets, BENDING.values, self.bend,
-                self.bend_damping, self.stiffer, *self.scales, self.edges, self.shear, self.work)  # fmt: skip
+        membrane = Membrane(*self.rest, self.stiffness, self.damping)
+        plate = Plate(BENDING.offsets, BENDING.values, self.bend, self.bend_damping, np.zeros(2))
+        elastic(x, v, f, NU, membrane, plate, self.stiffer, *self.scales, self.edges, self.shear, self.work)
         return f
 
     @property

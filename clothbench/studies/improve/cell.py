@@ -26,13 +26,14 @@ class ImproveCell:
     tracker: what makes observations of the recordings; None where there is nothing to track;
     optimizer: what fits;
     options: of these plugins, by the plugin's name;
-    scene: areal_density, kg/m², where a recording does not know it (None: each has to), and resolution, nodes along the
-        longer side of the mesh; empty where nothing is simulated on a mesh;
+    scene: areal_density, kg/m², where a recording does not know it (None: each has to), air_density, kg/m³, and
+        resolution, nodes along the longer side of the mesh; empty where nothing is simulated on a mesh;
     bounds: of parameters, by name, in place of those that the plugins state;
     seed: of all random draws;
     timeout: s after which no further round is begun; None: no limit;
     versions: "kind/name" → distribution and version of every plugin that it uses;
-    split_by_seed: whether no recording states a split.
+    split_by_seed: whether no recording states a split;
+    suite: as the settings call it.
     """
 
     recordings: tuple[Source, ...]
@@ -49,8 +50,14 @@ class ImproveCell:
     timeout: float | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
     split_by_seed: bool = False
+    suite: str = "improve"
 
     study: ClassVar[str] = "improve"
+    metric: ClassVar[str] = "rms_error"
+    row_columns: ClassVar[Mapping[str, Any]] = {}
+    budget: ClassVar[None] = None  # how many steps there are is known from stage to stage only
+    counts: ClassVar[str] = "steps of its stage"
+    value_word: ClassVar[str] = "of"
 
     @cached_property
     def key(self) -> str:
@@ -59,7 +66,7 @@ class ImproveCell:
         question["recordings"] = [(s.name, s.hash, s.split) for s in self.recordings]
         used = {name for _, name in self.plugins}
         question["options"] = {name: options for name, options in question["options"].items() if name in used}
-        del question["split_by_seed"]  # the splits say it
+        del question["split_by_seed"], question["suite"]  # the splits say it; a name changes no answer
         return digest([question, asdict(LOOP), __version__])
 
     @property
@@ -68,6 +75,10 @@ class ImproveCell:
         single = [("models", self.model), ("optimizers", self.optimizer)]
         trackers = [("trackers", self.tracker)] if self.tracker else []
         return single + trackers + [("effects", name) for name in (*self.base, *self.candidates)]
+
+    @property
+    def effects(self) -> tuple[str, ...]:
+        return self.base
 
     @property
     def case(self) -> str:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,6 +20,7 @@ from clothbench.studies.improve.state import Round
 from clothbench.studies.improve.verdict import pooled
 
 SCHEMA = 1
+VERDICT = "verdict.json"
 MILLIMETRES = "mm"  # what `error_mm` and `unexplained_mm` are in; evidence in another unit has nulls there
 
 
@@ -43,6 +46,19 @@ def verdict_document(finding: Finding) -> dict[str, Any]:
     return document | {
         "kind": finding.evidence.kind, "error": {"unit": unit.reported, **error}, "unexplained": unexplained,
     }  # fmt: skip
+
+
+def json_text(document: Mapping[str, Any]) -> str:
+    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
+
+
+def document_in(folder: Path) -> dict[str, Any] | None:
+    """The verdict that lies in a folder; None if there is none that can be read."""
+    try:
+        found = json.loads((folder / VERDICT).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
 
 
 def error_entry(finding: Finding) -> dict[str, Any]:

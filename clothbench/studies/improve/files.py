@@ -1,51 +1,55 @@
-"""The folder of `clothbench improve`: verdict, page, tables and Rerun files, all of them or none.
+"""The files of a finding: in the folder of its cell, and where the user asked for them.
 
-OUT/verdict.json            the verdict (schema 1)
-OUT/index.html              one self-contained page
-OUT/tables/NAME.parquet     what the page is made from (`improve.schema`)
-OUT/rerun/RECORDING.rrd     recording beside the model before and after, where there is something to be seen
+FOLDER/verdict.json         the verdict (schema 1)
+FOLDER/index.html           one self-contained page
+FOLDER/rerun/RECORDING.rrd  recording beside the model before and after, where there is something to be seen
+
+The tables (`improve.schema`) lie beside them in a cell, and in FOLDER/tables where they are published.
 """
 
 from __future__ import annotations
 
-import json
 import re
+import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 from clothbench.core.files import whole_files
-from clothbench.engine.store import write_table
-from clothbench.studies.improve.document import verdict_document
-from clothbench.studies.improve.evidence import Comparison
+from clothbench.studies.improve.document import VERDICT, json_text, verdict_document
+from clothbench.studies.improve.evidence import Comparison, Rows
 from clothbench.studies.improve.finding import Finding
 from clothbench.studies.improve.page import page_html
 from clothbench.studies.improve.rerun_file import write_recording_file
 from clothbench.studies.improve.schema import IMPROVE_TABLES
-from clothbench.studies.improve.tables import finding_tables
 
 OLD = ("tables/*.parquet", "rerun/*.rrd")  # of an earlier run, with other recordings perhaps
 
 
-def write_folder(out: Path, finding: Finding) -> dict[str, Any]:
-    """Fill `out`; what an earlier run left there is replaced, other files stay. Returns the document."""
-    document, tables = verdict_document(finding), finding_tables(finding)
+def write_files(folder: Path, finding: Finding, tables: Mapping[str, Rows], rerun: bool = True) -> None:
+    """Verdict, page and, if they are wanted, files for Rerun. tables: those of the finding."""
+    document = verdict_document(finding)
+    (folder / VERDICT).write_text(json_text(document) + "\n", encoding="utf-8")
+    (folder / "index.html").write_text(page_html(document, tables), encoding="utf-8")
+    if not (rerun and finding.evidence.has_rerun):
+        return
+    (folder / "rerun").mkdir()
+    for name, one in zip(file_names(finding.comparisons), finding.comparisons, strict=True):
+        path = folder / "rerun" / f"{name}.rrd"
+        write_recording_file(path, one, label(finding), finding.floor, finding.evidence.unit)
+
+
+def publish(cell: Path, out: Path) -> None:
+    """Copy what lies in a finished cell's folder to `out`, all or nothing; what an earlier run left there is replaced,
+    other files stay.
+    """
     with whole_files(out, instead_of=OLD) as part:
-        (part / "verdict.json").write_text(json_text(document) + "\n", encoding="utf-8")
+        for name in (VERDICT, "index.html"):
+            shutil.copy(cell / name, part / name)
         (part / "tables").mkdir()
-        for name, rows in tables.items():
-            write_table(part / "tables" / f"{name}.parquet", rows, IMPROVE_TABLES[name])
-        (part / "rerun").mkdir()
-        if finding.evidence.has_rerun:
-            for name, one in zip(file_names(finding.comparisons), finding.comparisons, strict=True):
-                path = part / "rerun" / f"{name}.rrd"
-                write_recording_file(path, one, label(finding), finding.floor, finding.evidence.unit)
-        (part / "index.html").write_text(page_html(document, tables), encoding="utf-8")
-    return document
-
-
-def json_text(document: Mapping[str, Any]) -> str:
-    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
+        for name in IMPROVE_TABLES:
+            shutil.copy(cell / f"{name}.parquet", part / "tables" / f"{name}.parquet")
+        if (cell / "rerun").is_dir():
+            shutil.copytree(cell / "rerun", part / "rerun")
 
 
 def label(finding: Finding) -> str:
@@ -58,6 +62,11 @@ def file_names(comparisons: Sequence[Comparison]) -> list[str]:
     """The recordings' names as file names, each once."""
     out: list[str] = []
     for one in comparisons:
-        name = re.sub(r"[^\w.-]+", "_", one.case.name).lstrip(".") or "recording"
+        name = file_name(one.case.name)
         out.append(name if name not in out else f"{name}-{len(out) + 1}")
     return out
+
+
+def file_name(recording: str) -> str:
+    """ "case/swing 3" → "case_swing_3" """
+    return re.sub(r"[^\w.-]+", "_", recording).lstrip(".") or "recording"

@@ -9,7 +9,9 @@ from clothbench.display.html import group, interval, table, text, unit
 from clothbench.display.page import whole_page
 from clothbench.display.section import Section
 from clothbench.engine.store import system_info
+from clothbench.engine.study import Results
 from clothbench.studies.improve import figures as draw
+from clothbench.studies.improve.document import document_in
 from clothbench.studies.improve.style import BLOCKS, STYLE
 from clothbench.studies.improve.words import errors_of, floor_word, remains, sentence, size
 
@@ -48,11 +50,25 @@ def page_html(found: Mapping[str, Any], tables: Tables) -> str:
         stage_section(found, tables["stages"], blocks),
         remains_section(found, tables),
     ]
-    drawn = Section(FOOTER, {"found": {"legend": legend(found), "blocks": blocks}}, BLOCKS)
-    return whole_page(f"improve {text(found['model'])}", [*map(Section, sections), drawn], STYLE)
+    drawn = Section(FOOTER, {"found": {"legend": legend(found), "blocks": blocks}}, BLOCKS, STYLE)
+    return whole_page(f"improve {text(found['model'])}", [*map(Section, sections), drawn])
 
 
-def heading(found: Mapping[str, Any]) -> str:
+def sections(results: Results) -> list[Section]:
+    """Of each verdict what it says and rests on, without figures, which are on its own page."""
+    out = []
+    for key in results.keys:
+        if (found := document_in(results.store.cell(key))) is None:
+            continue
+        parts = [
+            heading(found, "h2"), verdict_box(found), tiles(found), effect_section(found, "h3"),
+            f'<p><a href="cells/{key}/index.html">All of it, with figures</a></p>',
+        ]  # fmt: skip
+        out.append(Section("".join(parts), style=STYLE))
+    return out
+
+
+def heading(found: Mapping[str, Any], level: str = "h1") -> str:
     about, count = system_info(), {k: len(v) for k, v in found["recordings"].items()}
     base = "".join(f" + {name}" for name in found.get("base", ()))
     facts = [
@@ -60,7 +76,9 @@ def heading(found: Mapping[str, Any]) -> str:
         f"{found['evaluations']} evaluations in {duration(found['wall_s'])}",
         f"seed {found['seed']}", f"clothbench {about['clothbench']}", f"{about['cpu']}, {about['cores']} cores",
     ]  # fmt: skip
-    return f"<h1>What does {text(found['model'] + base)} lack?</h1><p class='soft'>{text(' · '.join(facts))}</p>"
+    return (
+        f"<{level}>What does {text(found['model'] + base)} lack?</{level}><p class='soft'>{text(' · '.join(facts))}</p>"
+    )
 
 
 def verdict_box(found: Mapping[str, Any]) -> str:
@@ -104,7 +122,7 @@ def error_section(found: Mapping[str, Any], errors: Rows, blocks: list[dict[str,
     return "<h2>Error</h2>" + block("errors", caption, views, blocks)
 
 
-def effect_section(found: Mapping[str, Any]) -> str:
+def effect_section(found: Mapping[str, Any], level: str = "h2") -> str:
     """What was named: amounts with intervals and units."""
     if not found["effects"]:
         return ""
@@ -116,7 +134,7 @@ def effect_section(found: Mapping[str, Any]) -> str:
                      f"{sure}</small>"])  # fmt: skip
         for name, p in effect["parameters"].items():
             body.append([text(name), f"{p['value']:.4g}", interval(p, ".4g") or "–", text(unit(p))])
-    return "<h2>Named</h2>" + table(["effect", "amount", "95 % interval", "unit"], body, numeric={1, 2})
+    return f"<{level}>Named</{level}>" + table(["effect", "amount", "95 % interval", "unit"], body, numeric={1, 2})
 
 
 def candidate_section(candidates: Rows) -> str:

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.scene import AIR_DENSITY
 from clothbench.engine.cells import Source, plugin_versions, resplit
-from clothbench.engine.settings import mapping, option_settings, pair
+from clothbench.engine.settings import refuse, require_plugins, whole
+from clothbench.engine.study import FileProgress
+from clothbench.engine.suite import where
 from clothbench.modelling.curves import answers_curves
 from clothbench.plugins.discovery import Catalogue, absent
 from clothbench.recordings.codec import kind_of
 from clothbench.recordings.curve import Curve, read_curve
-from clothbench.recordings.nodes import Recording, find_recordings, read_recording
+from clothbench.recordings.nodes import Recording, read_recording
 from clothbench.studies.improve.candidates import candidates_of, names
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.fitting import search_settings
@@ -26,35 +28,51 @@ from clothbench.studies.improve.problem import Problem
 # what a coarser mesh does to them is known better, since they converge.
 NODES, IMPLICIT_NODES = 13, 9
 LEAST_NODES = 5
-ON_MESHES = ("resolution", "base", "areal_density")  # settings that mean nothing without a mesh
+SUITE_WORDS = frozenset({"candidates", "base", "damping", "resolution"})
+NOT_ASKED = ("metric", "report", "analysis")
 
 
-def cell_of(settings: Mapping[str, Any], plugins: Catalogue) -> ImproveCell:
-    """The cell of settings as `conf/improve.yaml` has them, or as words of a command line."""
-    for key in ("recordings", "model"):
-        if not settings.get(key):
-            raise ClothbenchError(f"found no {key}=…, expected clothbench improve recordings=DIR model=NAME [out=DIR]")
-    paths = find_recordings([settings["recordings"]])
+def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[ImproveCell]:
+    """A cell for each model, with each optimizer."""
+    require_plugins(settings, ("model", "optimizer"))
+    own = "the loop compares residuals, and reports on them in its own way"
+    refuse(settings | {"scene": {}}, NOT_ASKED, own, own)
+    for key in ("resolution", "spacing"):
+        if key in settings["scene"]:
+            raise ClothbenchError(
+                f"setting 'scene.{key}': the loop refines its own mesh; give suite.resolution=NODES, along the longer "
+                "side, and leave it out"
+            )
+    paths = where(settings, progress)
     kind = "curve" if kind_of(paths[0]) == "curve" else "nodes"
-    model, seed = settings["model"], whole("seed", settings["seed"])
-    loaded = plugins.load("models", model)
+    recordings = [read_kind(path, kind) for path in paths]
+    sources = sources_of(recordings, settings["seed"])
+    return [
+        cell_of(model, optimizer, kind, sources, settings, plugins)
+        for model in dict.fromkeys(settings["model"])
+        for optimizer in dict.fromkeys(settings["optimizer"])
+    ]
+
+
+def cell_of(
+    model: str, optimizer: str, kind: str, sources: Sequence[Source], settings: Mapping[str, Any], plugins: Catalogue
+) -> ImproveCell:
+    """The cell of one model and optimizer; what is wrong with them comes to light here."""
+    loaded, suite = plugins.load("models", model), settings["suite"]
     if reason := absent(loaded):
         raise ClothbenchError(f"model {model!r}: {reason}")
-    options = option_settings(mapping("options", settings["options"]), plugins)
-    require_able(kind, model, options.get(model, {}), plugins)
-    scene = {} if kind == "curve" else scene_of_settings(settings, loaded)
+    require_able(kind, model, settings["options"].get(model, {}), plugins)
     if kind == "curve":
         refuse_what_needs_a_mesh(settings)
-    recordings = [read_kind(path, kind) for path in paths]
     cell = ImproveCell(
-        recordings=tuple(splits_of(recordings, settings["recordings"], seed)), kind=kind, model=model, base=(),
-        candidates=(), tracker=settings["tracker"] if kind == "nodes" else None, optimizer=settings["optimizer"],
-        options=options, scene=scene, seed=seed, timeout=positive("timeout", settings["timeout"], "seconds"),
-        bounds={name: pair(f"bounds.{name}", b) for name, b in flat(mapping("bounds", settings["bounds"])).items()},
-        split_by_seed=not any(r.split for r in recordings),
+        recordings=tuple(resplit(list(sources), settings["seed"])), kind=kind, model=model, base=(), candidates=(),
+        tracker=settings["tracker"] if kind == "nodes" else None, optimizer=optimizer, options=settings["options"],
+        scene={} if kind == "curve" else scene_of_settings(settings, loaded), seed=settings["seed"],
+        timeout=settings["timeout"], bounds=settings["bounds"], split_by_seed=not any(s.split for s in sources),
+        suite=suite.get("name") or "improve",
     )  # fmt: skip
-    base = base_of(settings, prepare(cell, plugins), kind)
-    candidates = candidates_of(settings["candidates"], kind, base, plugins)
+    base = base_of(settings, prepare(cell, plugins))
+    candidates = candidates_of(suite.get("candidates"), kind, base, plugins)
     cell = dataclasses.replace(cell, base=base, candidates=candidates)
     rehearse(cell, plugins)
     return dataclasses.replace(cell, versions=plugin_versions(cell.plugins, plugins))
@@ -77,18 +95,24 @@ def require_able(kind: str, model: str, options: Mapping[str, Any], plugins: Cat
 
 
 def refuse_what_needs_a_mesh(settings: Mapping[str, Any]) -> None:
-    for key in ON_MESHES:
-        if settings[key] is not None:
+    """Refuse settings that mean nothing without a mesh."""
+    suite = settings["suite"]
+    given = {"resolution": suite.get("resolution"), "base": own_base(settings),
+             "areal_density": settings["scene"].get("areal_density")}  # fmt: skip
+    for key, value in given.items():
+        if value is not None:
             raise ClothbenchError(f"found {key}=…, which force-extension curves have no use for; leave it out")
 
 
 def scene_of_settings(settings: Mapping[str, Any], model: Any) -> dict[str, Any]:
-    """How fine the mesh is, and the density that stands in where a recording does not know it."""
-    nodes = settings["resolution"]
+    """How fine the mesh is, the density of air, and that of cloth where a recording does not know it."""
+    nodes, scene = settings["suite"].get("resolution"), settings["scene"]
     if nodes is None:
         nodes = IMPLICIT_NODES if getattr(model, "kind", "") == "implicit" else NODES
-    density = positive("areal_density", settings["areal_density"], "kg/m²")
-    return {"areal_density": density, "resolution": whole("resolution", nodes, LEAST_NODES)}
+    return {
+        "areal_density": scene.get("areal_density"), "air_density": scene.get("air_density", AIR_DENSITY),
+        "resolution": whole("resolution", nodes, LEAST_NODES),
+    }  # fmt: skip
 
 
 def read_kind(path: Path, kind: str) -> Recording | Curve:
@@ -100,8 +124,8 @@ def read_kind(path: Path, kind: str) -> Recording | Curve:
     return read_curve(path)
 
 
-def splits_of(recordings: Sequence[Recording | Curve], where: str, seed: int) -> list[Source]:
-    """The recordings with their splits, as they state or, where none does, by seed; a name stands for one recording."""
+def sources_of(recordings: Sequence[Recording | Curve], seed: int) -> list[Source]:
+    """The recordings with the splits that they state; a name stands for one recording, and at least one is to fit."""
     files: dict[str, Any] = {}
     for r in recordings:
         if r.name in files:
@@ -109,23 +133,28 @@ def splits_of(recordings: Sequence[Recording | Curve], where: str, seed: int) ->
                 f"{r.path}: found the name {r.name!r}, which {files[r.name]} has too; give each a name of its own"
             )
         files[r.name] = r.path
-    sources = resplit([Source(str(r.path), r.name, r.hash, r.split) for r in recordings], seed)
-    if not any(s.split == "fit" for s in sources):
-        raise ClothbenchError(f"{where}: found only held-out recordings, expected at least one to fit")
+    sources = [Source(str(r.path), r.name, r.hash, r.split) for r in recordings]
+    if not any(s.split == "fit" for s in resplit(sources, seed)):
+        raise ClothbenchError(f"{sources[0].path}: found only held-out recordings, expected at least one to fit")
     return sources
 
 
-def base_of(settings: Mapping[str, Any], problem: Problem, kind: str) -> tuple[str, ...]:
+def own_base(settings: Mapping[str, Any]) -> list[str] | None:
+    """The effects that the settings say belong to the model; None if they say nothing."""
+    given = settings["suite"].get("base")
+    return names(given) if given is not None else list(settings["effects"]) or None
+
+
+def base_of(settings: Mapping[str, Any], problem: Problem) -> tuple[str, ...]:
     """The effects that belong to the model: those that were named, or else, of a sheet that moves, damping of all
     motion alike, unless a parameter of the model has that dimension already.
     """
-    if settings["base"] is not None:
-        base = tuple(names(settings["base"]))
+    if (base := own_base(settings)) is not None:
         for name in base:
             problem.plugins.find("effects", name)
-        return base
-    damping = settings["damping"]
-    if kind == "curve" or damping not in problem.plugins.names("effects"):
+        return tuple(base)
+    damping = settings["suite"].get("damping")
+    if problem.evidence.kind == "curve" or damping not in problem.plugins.names("effects"):
         return ()
     unit = problem.make("effects", damping).parameters.parameters[0].unit
     return () if any(p.unit == unit for p in problem.space(())) else (damping,)
@@ -140,32 +169,3 @@ def rehearse(cell: ImproveCell, plugins: Catalogue) -> None:
     known = sorted([*space.names, *(p.name for one in own.values() for p in one)])
     if strays := [name for name in cell.bounds if name not in known]:
         raise ClothbenchError(f"setting 'bounds': no parameter {strays[0]!r}; there are: {', '.join(known)}")
-
-
-def flat(nested: Mapping[str, Any], above: str = "") -> dict[str, Any]:
-    """ "effect.parameter" → bounds, where a parser of settings has taken the dot for a level."""
-    out: dict[str, Any] = {}
-    for name, value in nested.items():
-        out |= flat(value, f"{above}{name}.") if isinstance(value, Mapping) else {above + name: value}
-    return out
-
-
-def whole(name: str, value: Any, least: int = 0) -> int:
-    """A whole number, of settings or of a word."""
-    text = str(value)
-    if not text.isdecimal() or int(text) < least:
-        raise ClothbenchError(f"{name} is {text!r}, expected a whole number, at least {least}")
-    return int(text)
-
-
-def positive(name: str, value: Any, unit: str) -> float | None:
-    """A number above 0; None if nothing was stated."""
-    if value is None:
-        return None
-    try:
-        number = float(value)
-    except (TypeError, ValueError):
-        number = math.nan
-    if not (math.isfinite(number) and number > 0):
-        raise ClothbenchError(f"{name} is {str(value)!r}, expected {unit}, above 0")
-    return number

@@ -1,4 +1,4 @@
-"""From a cell to its problem, and from there to what the loop finds."""
+"""From a cell to its problem: recordings as evidence, beside a model."""
 
 from __future__ import annotations
 
@@ -6,30 +6,18 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.engine.cells import Source
 from clothbench.engine.checkpoint import Checkpoint
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.curve import Curve
 from clothbench.recordings.kinds import read_any
 from clothbench.recordings.nodes import Recording
 from clothbench.recordings.scenes import scene_of
-from clothbench.studies.improve.account import StageProgress
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.curves import CurveEvidence, curve_evidence
 from clothbench.studies.improve.evidence import Evidence
-from clothbench.studies.improve.finding import Finding
-from clothbench.studies.improve.loop import improve
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.sheets import SheetCase, SheetEvidence
-
-
-def find(
-    cell: ImproveCell,
-    plugins: Catalogue,
-    checkpoint: Checkpoint | None = None,
-    progress: StageProgress = lambda *_: None,
-) -> Finding:
-    """Ask the loop. checkpoint: what an earlier run that was stopped has left."""
-    return improve(prepare(cell, plugins, checkpoint), cell.candidates, progress, cell.timeout)
 
 
 def prepare(cell: ImproveCell, plugins: Catalogue, checkpoint: Checkpoint | None = None) -> Problem:
@@ -57,15 +45,13 @@ def evidence_of_curves(cell: ImproveCell, recordings: Sequence[Curve], plugins: 
 def evidence_of_sheets(cell: ImproveCell, recordings: Sequence[Recording], plugins: Catalogue) -> SheetEvidence:
     assert cell.tracker is not None  # every cell of sheets has one
     tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
-    density, nodes = cell.scene["areal_density"], cell.scene["resolution"]
-    return SheetEvidence(
-        tuple(
-            SheetCase(
-                r.name, s.split, r, tracker.track(r), scene_of(r, areal_density=density, resolution=shape_of(r, nodes))
-            )
-            for r, s in zip(recordings, cell.recordings, strict=True)
-        )
-    )
+    density, air, nodes = (cell.scene[name] for name in ("areal_density", "air_density", "resolution"))
+
+    def case(source: Source, recording: Recording) -> SheetCase:
+        scene = scene_of(recording, areal_density=density, air_density=air, resolution=shape_of(recording, nodes))
+        return SheetCase(recording.name, source.split, recording, tracker.track(recording), scene)
+
+    return SheetEvidence(tuple(map(case, cell.recordings, recordings)))
 
 
 def shape_of(recording: Recording, nodes: int) -> tuple[int, int]:

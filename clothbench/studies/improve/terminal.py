@@ -1,0 +1,50 @@
+"""What the terminal shows of verdicts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+from clothbench.engine.study import Results
+from clothbench.studies.improve.document import document_in
+from clothbench.studies.improve.words import errors_of, size
+
+
+def show(results: Results) -> Iterator[str]:
+    """Every verdict in a few lines, and where its page is."""
+    for key in results.keys:
+        folder = results.store.cell(key)
+        if (found := document_in(folder)) is not None:
+            yield "\n".join([what(found), *verdict_lines(found), f"page: {folder / 'index.html'}", ""])
+
+
+def what(found: Mapping[str, Any]) -> str:
+    return "What does " + " + ".join((found["model"], *found["base"])) + " lack?"
+
+
+def verdict_lines(found: Mapping[str, Any]) -> Iterator[str]:
+    """What `verdict.json` holds, in a few lines."""
+    yield f"verdict: {found['verdict']}"
+    for effect in found["effects"]:
+        tied = f", tied with {', '.join(effect['tied_with'])}" if effect["tied_with"] else ""
+        yield f"  {effect['name']} ({effect['place']}): {effect['summary']}{tied}"
+        yield f"    p = {effect['p_value']:.3g}, chosen in {effect['selected_in']} of the leave-one-out rounds"
+        for name, p in effect["parameters"].items():
+            low, high = (("?" if p[k] is None else f"{p[k]:.4g}") for k in ("low", "high"))
+            yield f"    {name} = {p['value']:.4g} {p['unit']} ({low} … {high})"
+    yield error_line(found)
+    if found["hint"]:
+        yield f"hint: {found['hint']}"
+    yield f"{found['evaluations']} evaluations, {found['wall_s']:.0f} s"
+
+
+def error_line(found: Mapping[str, Any]) -> str:
+    error = errors_of(found)
+    unit = error["unit"]
+
+    def fall(split: str) -> str:
+        return f"{size(error[split]['before'], unit)} → {size(error[split]['after'], unit)} {unit}"
+
+    held = "" if error["held_out"]["before"] is None else f"; held out: {fall('held_out')}"
+    floor = "of noise and mesh" if unit == "mm" else "between runs"
+    return f"fit recordings: {fall('fit')}{held}; floor {floor}: {size(error['noise_floor'], unit)} {unit}"
