@@ -6,11 +6,12 @@ the sheet as compiled code sees it: Sheet, SHEET (its numba type), sheet_of, own
 meshes: grid_triangles, gradient_weights, curvature_weights, triangle_slots
 a grid over a scene, and a batch of parameter sets on it: grid_shape, grid_lines, even_count, tributary, GridSimulation,
     GridBatch, check_resolution, check_number
+parameters of a model and its effects in one space: JoinedParameters
 effects in a time loop: BoundEffects, EFFECT (their numba type), Terms, SLOTS, FORCE, INERTIA, no_effect, ready,
-    apply_effects, show_grips
+    add_effects, apply_effects, show_grips
 grips, sampling and the end of a time loop: Grips, Sampling, Clock (numba types in capitals, and `…_OF_MANY` for loops
-    that run several members at once), grip_point, grip_speed, advance_segment, write_frames, put_grips, fastest,
-    is_lost, as_double, OK, DIVERGED
+    that run several members at once), grip_point, grip_speed, advance_segment, hold_grips, write_frames, put_grips,
+    fastest, is_lost, as_double, OK, DIVERGED
 contact: obstacle_table, keep_out, inside, layers_of, keep_apart, LAYERS
 force-extension curves: curve_of, CurveSimulation
 threads over members, and the shape to settle from: for_each, initial_shape
@@ -34,6 +35,7 @@ from clothbench.modelling.curves import (
     curve_of,
 )
 from clothbench.modelling.grid import check_number, check_resolution, even_count, grid_lines, grid_shape, tributary
+from clothbench.modelling.joined import JoinedParameters
 from clothbench.modelling.kernels import EFFECT, SIGNATURE, effect_kernel, no_effect, ready
 from clothbench.modelling.mesh import curvature_weights, gradient_weights, grid_triangles, triangle_slots
 from clothbench.modelling.self_contact import LAYERS, Layers, keep_apart, layers_of
@@ -53,12 +55,14 @@ from clothbench.modelling.time_loop import (
     Grips,
     Sampling,
     Terms,
+    add_effects,
     advance_segment,
     apply_effects,
     as_double,
     fastest,
     grip_point,
     grip_speed,
+    hold_grips,
     is_lost,
     put_grips,
     show_grips,
@@ -95,12 +99,14 @@ __all__ = [
     "GridBatch",
     "GridSimulation",
     "Grips",
+    "JoinedParameters",
     "Layers",
     "Sampling",
     "Sheet",
     "Terms",
     "acts_on_curves",
     "acts_on_sheets",
+    "add_effects",
     "advance_segment",
     "answers_curves",
     "answers_sheets",
@@ -124,6 +130,7 @@ __all__ = [
     "grid_triangles",
     "grip_point",
     "grip_speed",
+    "hold_grips",
     "initial_shape",
     "inside",
     "is_lost",

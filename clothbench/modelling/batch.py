@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
 
 import numpy as np
 
+from clothbench.core.parallel import for_each
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.rollout import Interpolator, Rollout
 from clothbench.core.scene import Scene, initial_shape
@@ -16,7 +18,7 @@ from clothbench.modelling.bound_effects import BoundEffects
 from clothbench.modelling.grid import grid_lines, tributary
 from clothbench.modelling.kernels import no_effect
 from clothbench.modelling.mesh import grid_triangles
-from clothbench.modelling.sheet import Sheet, sheet_of
+from clothbench.modelling.sheet import Sheet, own_sheet, sheet_of
 from clothbench.modelling.time_loop import DIVERGED, SLOTS, Clock, Grips, Sampling, Terms
 
 MAX_STEPS = 20_000_000
@@ -101,6 +103,19 @@ class GridBatch:
         self.late = span / dt > MAX_STEPS
         first, self.alike = effects.distinct(theta, self.times)
         self.members = first[~self.late[first]]
+
+    def run(self, march: Callable[[int], tuple[int, int]]) -> Rollout:
+        """March all members side by side, `march(b)` → status and steps filling its `sampling`; what was seen of it."""
+
+        def one(b: int) -> None:
+            self.status[b], self.steps[b] = march(b)
+
+        for_each(one, self.members.tolist())
+        return self.rollout()
+
+    def sheet(self) -> Sheet:
+        """The sheet for one member's loop, with normals and grips of its own."""
+        return own_sheet(self.simulation.sheet, self.simulation.effects.normals)
 
     def grips(self, b: int) -> Grips:
         """Where the grips are for member b."""

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect
 from clothbench.core.scene import Scene
 from clothbench.modelling.curves import acts_on_sheets
+from clothbench.modelling.joined import JoinedParameters
 
 if TYPE_CHECKING:
     from clothbench.modelling.sheet import Sheet
@@ -23,14 +22,10 @@ FORCE, INERTIA = 0, 1
 
 
 @dataclass(frozen=True, eq=False)
-class BoundEffects:
+class BoundEffects(JoinedParameters):
     """A model's parameters joined with those of its effects, and the effects sorted by where they act."""
 
-    model: ParameterSpace
-    effects: tuple[Effect, ...]
-
     def __post_init__(self) -> None:
-        names = [e.name for e in self.effects]
         for effect in self.effects:
             if effect.place not in PLACES:
                 raise ClothbenchError(
@@ -38,24 +33,10 @@ class BoundEffects:
                 )
             if not acts_on_sheets(effect):
                 raise ClothbenchError(f"effect {effect.name!r} acts on force-extension curves only, not on a sheet")
-            if names.count(effect.name) > 1:
-                raise ClothbenchError(f"effect {effect.name!r} is given twice; name every effect once")
-
-    @cached_property
-    def parameters(self) -> ParameterSpace:
-        return self.model.joined(*(e.parameters.prefixed(e.name) for e in self.effects))
+        super().__post_init__()
 
     def at(self, place: str) -> tuple[Effect, ...]:
         return tuple(e for e in self.effects if e.place == place)
-
-    def of_effect(self, effect: Effect, theta: np.ndarray) -> np.ndarray:
-        """The columns of theta (B, P) that belong to `effect`."""
-        start = len(self.model)
-        for other in self.effects:
-            if other is effect:
-                break
-            start += len(other.parameters)
-        return theta[:, start : start + len(effect.parameters)]
 
     # --- dynamics -----------------------------------------------------------------------------------------------
 

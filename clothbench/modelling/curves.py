@@ -19,6 +19,7 @@ import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -26,6 +27,7 @@ import numpy as np
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect
+from clothbench.modelling.joined import JoinedParameters
 
 CURVE_HOOKS = {"dynamics": "curve", "boundary": "clamped", "sensor": "weighed"}
 SHEET_HOOKS = {"dynamics": ("force", "inertia"), "boundary": ("grips",), "sensor": ("times", "positions")}
@@ -72,13 +74,15 @@ class CurveSimulation:
         for effect in self.effects:
             if not acts_on_curves(effect):
                 raise ClothbenchError(f"effect {effect.name!r} does not act on force-extension curves")
-        if len({e.name for e in self.effects}) < len(self.effects):
-            raise ClothbenchError(f"effects {', '.join(e.name for e in self.effects)}: name every effect once")
+
+    @cached_property
+    def joined(self) -> JoinedParameters:
+        return JoinedParameters(self.model.parameters, self.effects)
 
     @property
     def parameters(self) -> ParameterSpace:
         """The model's, then those of each effect as `effect.parameter`; of the whole sample if its width is unknown."""
-        space = self.model.parameters.joined(*(e.parameters.prefixed(e.name) for e in self.effects))
+        space = self.joined.parameters
         if math.isfinite(self.width):
             return space
         return ParameterSpace(tuple(dataclasses.replace(p, unit="N") if p.unit == "N/m" else p for p in space))
@@ -92,7 +96,7 @@ class CurveSimulation:
         return CurveRollout(force, tuple("ok" if f else "diverged" for f in fine))
 
     def _force(self, theta: np.ndarray) -> np.ndarray:
-        own, parts = theta[: len(self.model.parameters)], self._parts(theta)
+        own, parts = self.joined.of_model(theta), list(self.joined.of_effects(theta))
         stretch = self.stretch
         for effect, phi in parts:
             if effect.place == "boundary":
@@ -107,13 +111,6 @@ class CurveSimulation:
             if effect.place == "sensor":
                 force = effect.weighed(self.stretch, force, phi)  # type: ignore[attr-defined]
         return force
-
-    def _parts(self, theta: np.ndarray) -> list[tuple[Effect, np.ndarray]]:
-        out, at = [], len(self.model.parameters)
-        for effect in self.effects:
-            out.append((effect, theta[at : at + len(effect.parameters)]))
-            at += len(effect.parameters)
-        return out
 
 
 def curve_of(model: Any, effects: Sequence[Effect], stretch: np.ndarray, width: float = math.nan) -> CurveSimulation:

@@ -10,6 +10,7 @@ from numba.extending import overload
 
 from clothbench.core.kernels import bundle_type, kernel
 from clothbench.modelling.bound_effects import FORCE
+from clothbench.modelling.sheet import grid_normals, wants_normals
 
 SLOTS = 8  # places for dynamics effects in a loop
 OK, DIVERGED = 0, 1
@@ -115,6 +116,23 @@ def is_lost(x, lane, lanes, limit):
     return False
 
 
+@kernel
+def add_effects(t, dt, x, v, f, nu, sheet, effects, terms, grips, segment, extra):
+    """Let all effects of a grid, nu nodes a row, add to the forces f (3, n) N at time t, and to the mass.
+
+    They are shown normals and grips as they are. Returns whether any mass was added to extra (6, n) kg: then the caller
+    owes `bear_inertia`, as after `apply_effects`.
+    """
+    if terms.count == 0:
+        return False
+    if wants_normals(sheet):
+        grid_normals(x, nu, sheet.normal)
+    show_grips(sheet, grips.knots, grips.curve, t, segment)
+    return apply_effects(
+        effects, terms.stages, terms.count, t, dt, x, v, f, extra, sheet, terms.parameters, terms.state
+    )
+
+
 def as_double(array):
     """The array itself if it is double; effects are not offered in single precision, where this only settles types."""
 
@@ -132,6 +150,14 @@ def show_grips(sheet, knots, curve, t, segment):
     for g in range(sheet.held.shape[0]):
         for c in range(3):
             sheet.grip[c, g] = grip_point(knots, curve, t, segment, g, c)
+
+
+@kernel
+def hold_grips(x, pins, grips, t, segment):
+    """Put the held nodes `pins` (G,) of shape x (3, n) m where their grips are at time t, exactly."""
+    for g in range(pins.shape[0]):
+        for c in range(3):
+            x[c, pins[g]] = grip_point(grips.knots, grips.curve, t, segment, g, c)
 
 
 @kernel

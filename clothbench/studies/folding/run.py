@@ -24,6 +24,7 @@ from clothbench.engine.rows import about_cell, no_value
 from clothbench.engine.study import Context, Result
 from clothbench.estimation.intervals import jackknife
 from clothbench.estimation.search import drive
+from clothbench.modelling.joined import JoinedParameters
 from clothbench.plugins.discovery import Catalogue, absent
 from clothbench.reference.lifted_strip import Lifted
 from clothbench.studies.folding.cell import FoldingCell
@@ -47,15 +48,15 @@ class Hand:
     tracker: Tracker
 
     @cached_property
+    def joined(self) -> JoinedParameters:
+        return JoinedParameters(self.own, self.effects)
+
+    @cached_property
     def whole(self) -> ParameterSpace:
         """The model's parameters and those of its effects, an effect's default being its null value."""
-        names = [
-            ParameterSpace(
-                tuple(dataclasses.replace(p, default=p.default if p.null is None else p.null) for p in e.parameters)
-            )
-            for e in self.effects
-        ]
-        return self.own.joined(*(s.prefixed(e.name) for s, e in zip(names, self.effects, strict=True)))
+        of_effects = self.joined.parameters.parameters[len(self.own) :]
+        nulls = (dataclasses.replace(p, default=p.default if p.null is None else p.null) for p in of_effects)
+        return ParameterSpace((*self.own, *nulls))
 
     @cached_property
     def space(self) -> ParameterSpace:
@@ -77,7 +78,7 @@ class Hand:
 
     def lift(self, height: float, theta: np.ndarray) -> FoldState:
         """Where an estimate (F,) would have the gripper at a height [m]: T = P(S₁(z, η_b))."""
-        state = self.strip.lift(height, self.all_parameters(theta[None])[:, : len(self.own)])
+        state = self.strip.lift(height, self.joined.of_model(self.all_parameters(theta[None])))
         if state.status[0] != "ok":
             raise ClothbenchError(f"{self.cell.model}: no state found with the end at {height:g} m")
         return state
@@ -85,15 +86,12 @@ class Hand:
     def hold(self, theta: np.ndarray, near: FoldState) -> FoldState:
         """S(T T_δ, η_b) for estimates (B, F), the gripper being sent to where `near` has it."""
         every = self.all_parameters(theta)
-        return self.strip.hold(self.gripped(near.pose, every), every[:, : len(self.own)], near)
+        return self.strip.hold(self.gripped(near.pose, every), self.joined.of_model(every), near)
 
     def gripped(self, pose: np.ndarray, every: np.ndarray) -> np.ndarray:
         """Poses (B, 3) of the end where the gripper is sent to `pose` (1, 3), for all parameters (B, P)."""
         poses = np.repeat(pose, len(every), axis=0)
-        at = len(self.own)
-        for effect in self.effects:
-            phis = every[:, at : at + len(effect.parameters)]
-            at += len(effect.parameters)
+        for effect, phis in self.joined.of_effects(every):
             for pose, phi in zip(poses, phis, strict=True):
                 held = np.array([[[pose[0], 0.0, pose[1]]]])
                 pose[:2] = effect.grips(np.zeros(1), held, phi)[0, 0, [0, 2]]  # type: ignore[attr-defined]

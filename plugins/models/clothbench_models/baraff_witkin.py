@@ -25,11 +25,9 @@ from clothbench.modelling import (
     Sampling,
     check_number,
     check_resolution,
-    for_each,
     grid_shape,
     layers_of,
     obstacle_table,
-    own_sheet,
     tributary,
 )
 from clothbench_models import baraff_witkin_kernels as kernels
@@ -124,11 +122,7 @@ class BaraffWitkinSimulation(GridSimulation):
         theta = self.parameters.check(theta)
         batch = GridBatch(self, theta, np.full(len(theta), self.dt), 0.0)
 
-        def simulate(b: int) -> None:
-            batch.status[b], batch.steps[b] = self._march(batch, b)
-
-        for_each(simulate, batch.members.tolist())
-        return batch.rollout()
+        return batch.run(lambda b: self._march(batch, b))
 
     def _march(self, batch: GridBatch, b: int) -> tuple[int, int]:
         """Simulate member b into the batch's arrays → status, steps."""
@@ -145,7 +139,7 @@ class BaraffWitkinSimulation(GridSimulation):
 
         def march(scheme: int, tolerance: float, sampling: Sampling) -> None:
             kernels.march(scheme)(
-                scheme, TRIANGLES, shape, self.shape[0], own_sheet(self.sheet, self.effects.normals), membrane, plate,
+                scheme, TRIANGLES, shape, self.shape[0], batch.sheet(), membrane, plate,
                 theta[0, 6:9].copy(), *batch.kernels, batch.effect_terms(b), batch.grips(b), obstacles, layers,
                 batch.clock(b, tolerance), size, sampling, result,
             )  # fmt: skip

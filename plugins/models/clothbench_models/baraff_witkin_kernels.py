@@ -24,6 +24,7 @@ from clothbench.modelling import (
     bundle_type,
     grid_normals,
     grip_speed,
+    hold_grips,
     is_lost,
     keep_out,
     kernel,
@@ -39,7 +40,6 @@ from clothbench_models.implicit_step import (
     extrapolate,
     fall_before,
     follow_grips,
-    hold_grips,
     moved_on,
     rest_on,
 )

@@ -72,14 +72,6 @@ def fall_before(x, dt, gravity, x_old, v_old):
 
 
 @kernel
-def hold_grips(x, pins, grips, t, segment):
-    """Put the held nodes where their grips are, exactly."""
-    for g in range(pins.shape[0]):
-        for c in range(3):
-            x[c, pins[g]] = grip_point(grips.knots, grips.curve, t, segment, g, c)
-
-
-@kernel
 def end_step(x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, layers, z, q):
     """What was now is before; then nodes are put out of obstacles, and layers apart; z, q are overwritten."""
     x_old[:] = x_before

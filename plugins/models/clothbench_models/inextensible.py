@@ -22,11 +22,9 @@ from clothbench.modelling import (
     GridSimulation,
     check_number,
     check_resolution,
-    for_each,
     grid_shape,
     layers_of,
     obstacle_table,
-    own_sheet,
     tributary,
 )
 from clothbench_models import baraff_witkin_kernels as triangles
@@ -131,11 +129,7 @@ class InextensibleSimulation(GridSimulation):
         theta = self.parameters.check(theta)
         batch = GridBatch(self, theta, np.full(len(theta), self.dt), 0.0)
 
-        def simulate(b: int) -> None:
-            batch.status[b], batch.steps[b] = self._march(batch, b)
-
-        for_each(simulate, batch.members.tolist())
-        return batch.rollout()
+        return batch.run(lambda b: self._march(batch, b))
 
     def _march(self, batch: GridBatch, b: int) -> tuple[int, int]:
         """Simulate member b into the batch's arrays → status, steps."""
@@ -152,13 +146,13 @@ class InextensibleSimulation(GridSimulation):
             stiff = unit * np.array([[TAUT], [TAUT], [2 * self.shear]])  # of a cell, not a triangle
             membrane = triangles.Membrane(rest_lengths, over, stiff, np.zeros_like(stiff))
             triangles.march(triangles.BDF2)(
-                triangles.BDF2, CELLS, shape, self.shape[0], own_sheet(self.sheet, self.effects.normals), membrane,
+                triangles.BDF2, CELLS, shape, self.shape[0], batch.sheet(), membrane,
                 plate, np.zeros(3), *batch.kernels, terms, grips, obstacles, layers,
                 batch.clock(b, 1e-4), max(scene.width, scene.height), sampling._replace(times=np.zeros(0)), result,
             )  # fmt: skip
         if result[0] == OK:
             kernels.march()(
-                self.scheme, shape, self.shape[0], own_sheet(self.sheet, self.effects.normals), self.constraints,
+                self.scheme, shape, self.shape[0], batch.sheet(), self.constraints,
                 plate._replace(damping=beta), alpha, *batch.kernels, terms, grips, obstacles,
                 layers, batch.clock(b, self.tolerance), sampling, result,
             )  # fmt: skip

@@ -27,6 +27,7 @@ from clothbench.modelling import (
     bear_inertia,
     bundle_type,
     fast_kernel,
+    hold_grips,
     is_lost,
     kernel,
     write_frames,
@@ -40,7 +41,6 @@ from clothbench_models.implicit_step import (
     extrapolate,
     fall_before,
     follow_grips,
-    hold_grips,
     moved_on,
     rest_on,
 )

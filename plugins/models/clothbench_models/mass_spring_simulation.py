@@ -22,7 +22,6 @@ from clothbench.modelling import (
     for_each,
     layers_of,
     obstacle_table,
-    own_sheet,
 )
 from clothbench_models import mass_spring_kernels as kernels
 from clothbench_models.spring_grid import FAMILIES, SpringGrid
@@ -150,7 +149,7 @@ class _Batch(GridBatch):
         settling = kernels.Settling(SETTLE / slowest, 2 * slowest, AT_REST[precision], self.settle_dt[members])
         parameters, state = effects.kernel_parameters(theta, SLOTS), effects.kernel_state(lanes, SLOTS, sheet)
         kernels.run_block(precision)(
-            lanes, np.repeat(self.shape.T, lanes, axis=1).astype(real), springs, own_sheet(sheet, effects.normals),
+            lanes, np.repeat(self.shape.T, lanes, axis=1).astype(real), springs, self.sheet(),
             *self.kernels, Terms(self.stages, self.terms, parameters, state), self.grips_of(members), self.obstacles,
             layers_of(scene, sheet), self.bounds(), scene.start_time, self.dt[members], settling,
             Sampling(self.interpolator.index, self.interpolator.weight, self.times[members], out), status, steps,
