@@ -28,9 +28,9 @@ from clothbench.modelling import (
 )
 from numba import types
 
-SETTLING = 40.0  # 1/s, damping while the sheet comes to rest; strong, so that it sinks into the nearest shape
+SETTLING = 20.0  # 1/s, damping while the sheet comes to rest
 SETTLE = (1.5, 20.0)  # s, least and most that the sheet is given to come to rest
-AT_REST = 1e-5  # m/s; slower than this a settling sheet is taken to hang still
+AT_REST = 1e-6  # m/s; slower than this a settling sheet is taken to hang still
 
 Springs = namedtuple("Springs", "pairs rest compliance tau")
 Springs.__doc__ = "pairs: (C, 2), node numbers; rest: (C,) m; compliance: (C,) m/N, 1/k; tau: s, relaxation time."
@@ -70,6 +70,7 @@ def _march(
     effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
     mass, pins, dt = sheet.mass, sheet.held, clock.dt
     inverse_mass, extra, v = 1.0 / mass, np.empty((6, mass.shape[0])), np.zeros(x.shape)
+    inverse_mass[pins] = 0.0  # nothing moves the held nodes but their grips
     f, before, slower, total = np.empty(x.shape), np.empty(x.shape), np.empty(x.shape), np.empty(x.shape)
     settling, done, count, began, segment = pins.shape[0] > 0, 0, 0, 0, 0
     while done < sampling.times.shape[0]:
