@@ -9,9 +9,10 @@ from rich.markup import escape
 from rich.table import Table
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.optional import absent
 from clothbench.datasets.convert import REPORT
 from clothbench.display.terminal import console
-from clothbench.plugins.discovery import Plugin, absent, catalogue, reason_of, singular
+from clothbench.plugins.discovery import Plugin, catalogue, reason_of, singular
 
 
 def plugin_rows() -> list[dict[str, Any]]:

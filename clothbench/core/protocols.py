@@ -1,4 +1,7 @@
-"""What a plugin has to be. Each kind is a small protocol; a plain class that has the members is enough."""
+"""What a plugin has to be. Each kind is a small protocol; a plain class that has the members is enough.
+
+What it may offer beyond that is in `clothbench.core.optional`. Options reach every kind through its constructor.
+"""
 
 from __future__ import annotations
 
@@ -42,8 +45,7 @@ class Evaluation:
 class Simulation(Protocol):
     """A scene made ready: meshes built, kernels compiled.
 
-    `parameters` holds the model's parameters, then those of each effect as `effect.parameter`. Optional: `threads`,
-    true if several simulations may run at the same time in threads of one process.
+    parameters: the model's, then those of each effect as `effect.parameter`. Optional: `RunsInThreads`.
     """
 
     parameters: ParameterSpace
@@ -70,13 +72,8 @@ class Material:
 class Model(Protocol):
     """A cloth model. Made by calling the registered attribute with its options as keywords.
 
-    Optional: `skip_reason() -> reason | None`, static: what has to be installed before it can do anything;
-    `built_on`, names of distributions the first installed of which has a version that results depend on;
-    `skip(scene) -> reason | None`, why it cannot simulate a scene;
-    `of_material(material, scene) -> theta (P,)`, its parameters for a textbook material (damping as low as they go),
-    or a ClothbenchError that says what it has no parameter for: then `physical_validation` can test it;
-    `curve(stretch (M,), theta (P,)) -> tension (M,)` N/m per width, for the capability "curve";
-    `strip(length) -> clothbench.core.folding.Folding`, for the capability "fold".
+    Optional: `MayBeAbsent`, `BuiltOn`, `RefusesScenes`, `KnowsMaterials`, `Refinable`, `HasKind`, `Repeatable`,
+    `HasBenchOptions`, `HasEqualErrorOptions`; by capability `AnswersCurves`, `FoldsStrips`.
     capabilities: "dynamic" (moves), "static" (finds rest), "effects" (takes them), "contact" (keeps out of the
     scene's obstacles), "self_contact" (keeps the scene's `thickness` between its own layers), "curve" (answers
     force-extension curves; with that alone, `prepare` refuses every scene), "fold" (folds strips on a desk, and says
@@ -100,13 +97,9 @@ class Effect(Protocol):
         inertia(t, dt, x, v, mass, sheet, p, state)  adds to each node's mass tensor [kg], mass (6, n) as
                                                      xx, yy, zz, yz, xz, xy; what it weighs is for `force` to add
       with x (3, n) m, v (3, n) m/s, `sheet` (clothbench.Sheet), p this effect's parameters in order, and
-      state (S,) kept from step to step, S = `state_size(sheet)` if there is such a method, else 0. A force that makes
-      the cloth stiffer says so with a method `stiffness(phi) -> (in-plane N/m, bending N·m)`, at most: models whose
-      step depends on it then take a shorter one. With `normals = False` it says that its kernels read no
-      `sheet.normal`, which then nobody computes (NaN).
+      state (S,) kept from step to step. Optional: `Remembers` (else S = 0), `Stiffens`, `SaysNormals`.
     place "boundary": has `grips(time (K,), position (K, G, 3), phi (P,)) -> position`.
-    place "sensor": has `times(time (T,), phi) -> time` (when the simulation is looked at for each stamp) and/or
-        `positions(time (T,), position (T, N, 3), points (N, 2) m, phi) -> position` (how it is seen).
+    place "sensor": is `ShiftsTimes` and/or `ShiftsPositions`.
     An effect that takes part in force-extension curves, there only or there too, has one method more, by its place:
     `curve(stretch (M,), phi) -> tension (M,)` N/m, `clamped(stretch, phi) -> stretch`, or
     `weighed(stretch, force (M,) N, phi) -> force`; `clothbench.modelling.curves` says what becomes of it.
@@ -139,9 +132,8 @@ class Optimizer(Protocol):
     """A search. Made by `factory(space, seed=…, budget=…, **settings)`; it never owns the loop.
 
     The caller alternates `ask` and `tell` until `done`; `stopped` then says why. All points asked lie within the
-    space's bounds. `needs_residual` says that `Evaluation.residual` is wanted. Optional: `start` (P,) or None, where
-    the walk set out from once a first look around was over; and a setting `start="defaults"`, which leaves that look
-    out and begins at the space's defaults (repeated fits need it).
+    space's bounds. `needs_residual` says that `Evaluation.residual` is wanted. Optional: `HasStart`, `Renewable`, and
+    the option `start="defaults"`, which repeated fits need.
     """
 
     name: ClassVar[str]
@@ -159,9 +151,11 @@ class Optimizer(Protocol):
 
 @runtime_checkable
 class Tracker(Protocol):
-    """Turns raw sensor data into an observation."""
+    """Turns raw sensor data into an observation. Made by calling the registered attribute with its options."""
 
     name: ClassVar[str]
     version: ClassVar[int]
 
-    def track(self, source: Any, **settings: Any) -> Observation: ...
+    def track(self, source: Any) -> Observation:
+        """What is seen in `source`: a recording, or the path of a file that the tracker knows how to read."""
+        ...

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
 from pathlib import Path
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import whole_folder
+from clothbench.core.progress import FileProgress
 from clothbench.datasets.registry import dataset, fetch, local_copy
 from clothbench.plugins.discovery import import_target
 
 REPORT = "import-report.json"
-Progress = Callable[[int, int, str], None]
 
 
 def converted(
@@ -21,7 +20,7 @@ def converted(
     data_dir: str | os.PathLike[str] | None = None,
     out: str | os.PathLike[str] | None = None,
     again: bool = False,
-    progress: Progress | None = None,
+    progress: FileProgress | None = None,
 ) -> Path:
     """The folder with the recordings of a data set; by default `recordings/NAME` below the working directory.
 

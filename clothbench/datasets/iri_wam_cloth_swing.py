@@ -10,11 +10,12 @@ dropped, the start cut to a rest, and one recording written per mesh file (iri_r
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.progress import FileProgress
 from clothbench.datasets import registry
 from clothbench.datasets.iri_alignment import fit_rig
 from clothbench.datasets.iri_files import Source, find_sources
@@ -33,8 +34,6 @@ NO_TOOL = (
     "and the speed it was played at is not recorded"
 )
 
-Progress = Callable[[int, int, str], None]
-
 
 @dataclass
 class _Job:
@@ -45,7 +44,7 @@ class _Job:
     splits: dict[Path, str]
     check: registry.Check
     planned: int
-    progress: Progress | None
+    progress: FileProgress | None
     reports: list[ImportReport] = field(default_factory=list)
 
     def done(self, report: ImportReport) -> None:
@@ -57,7 +56,7 @@ class _Job:
         return path.relative_to(self.root).as_posix()
 
 
-def convert(source: Path, out: Path, progress: Progress | None = None) -> list[ImportReport]:
+def convert(source: Path, out: Path, progress: FileProgress | None = None) -> list[ImportReport]:
     """Write one recording per usable mesh file under `source` into `out`, with import-report.json; returns
     all reports.
 

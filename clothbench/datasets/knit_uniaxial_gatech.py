@@ -20,7 +20,7 @@ What the originals leave open, and what is made of it:
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -28,6 +28,7 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.progress import FileProgress
 from clothbench.datasets import registry
 from clothbench.datasets.report import ImportReport, write_report
 from clothbench.recordings.curve import Curve, write_curve
@@ -40,8 +41,6 @@ BOTTOM_PIN, TOP_PIN, BOTTOM_CLAMP, TOP_CLAMP, POINTS = 2, 3, 5, 6, 7
 FIRST = 5  # frames that the unloaded distance is the median of
 WINDOW, STRAY = 41, (1.5, 0.25)  # frames; N, and share of the median, beyond which a reading is no reading
 NEXT = "clothbench improve recordings={folder} model=linear_stretch"
-
-Progress = Callable[[int, int, str], None]
 
 
 @dataclass(frozen=True)
@@ -62,7 +61,7 @@ class Swatch:
         return f"{self.yarn}-{self.stitch}-{self.direction}".replace(" ", "-")
 
 
-def convert(source: Path, out: Path, progress: Progress | None = None) -> list[ImportReport]:
+def convert(source: Path, out: Path, progress: FileProgress | None = None) -> list[ImportReport]:
     """Write one recording per video under `source` into `out`, with import-report.json; returns all reports.
 
     `progress(done, planned, name)` is called after every file. A file or video that cannot be used is reported with the

@@ -7,7 +7,7 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files as package_files
 from pathlib import Path
@@ -15,6 +15,7 @@ from types import MappingProxyType
 from urllib.parse import quote
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.progress import FileProgress
 
 ENVIRONMENT = "CLOTHBENCH_DATA"
 RAW = "https://raw.githubusercontent.com"
@@ -116,7 +117,7 @@ def sha256(path: Path) -> str:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
-def fetch(name: str, progress: Callable[[int, int, str], None] | None = None) -> Path:
+def fetch(name: str, progress: FileProgress | None = None) -> Path:
     """Download what is not in the cache yet, verify every SHA-256, and give the folder in the local layout.
 
     The cache is the system's own (pooch), or the folder named by CLOTHBENCH_CACHE.

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
+from clothbench.core.progress import FileProgress
 from clothbench.engine.study import Cell
 
 
@@ -53,7 +54,7 @@ class CellBar:
 
 
 @contextmanager
-def counting(what: str) -> Iterator[Callable[[int, int, str], None]]:
+def counting(what: str) -> Iterator[FileProgress]:
     """A bar on standard error for work that counts itself: gives `told(done, planned, name)`."""
     console = Console(stderr=True)
     columns = (

@@ -8,10 +8,11 @@ from pathlib import Path
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.parallel import set_thread_count
+from clothbench.core.progress import StageProgress
 from clothbench.engine.cells import Skipped
 from clothbench.engine.rows import failure
 from clothbench.engine.store import Store
-from clothbench.engine.study import Cell, Context, Result, StageProgress, Study
+from clothbench.engine.study import Cell, Context, Result, Study
 from clothbench.plugins.discovery import catalogue, one_line
 
 TRACEBACK = "traceback.txt"

@@ -12,6 +12,7 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
+from clothbench.core.progress import FileProgress, Progress, StageProgress
 from clothbench.display.section import Section
 from clothbench.engine.checkpoint import Checkpoint
 from clothbench.engine.store import Store
@@ -19,9 +20,6 @@ from clothbench.plugins.discovery import Catalogue
 
 Rows = list[dict[str, Any]]
 Settings = Mapping[str, Any]
-Progress = Callable[[int, float], None]  # steps done so far, and the value that they have come to
-StageProgress = Callable[[str, int, int], None]  # the stage that runs, how much of it is done, and of how much
-FileProgress = Callable[[int, int, str], None]  # files done, files planned, and the file that is dealt with
 
 
 class Cell(Protocol):

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.progress import FileProgress
 from clothbench.engine.settings import checked, words
-from clothbench.engine.study import Cell, FileProgress, Study
+from clothbench.engine.study import Cell, Study
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import find_recordings
 

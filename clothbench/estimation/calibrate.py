@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from clothbench.core.optional import start_of
 from clothbench.core.parameters import ParameterSpace
+from clothbench.core.progress import Progress
 from clothbench.core.protocols import Evaluation, Optimizer
 from clothbench.core.rollout import Rollout
 from clothbench.engine.checkpoint import Checkpoint
@@ -70,7 +72,7 @@ def calibrate(
     space: ParameterSpace,
     *,
     timeout: float | None = None,
-    progress: Callable[[int, float], None] | None = None,
+    progress: Progress | None = None,
     checkpoint: Checkpoint | None = None,
     bounded: bool = True,
 ) -> Fit:
@@ -87,7 +89,7 @@ def calibrate(
     for theta, evaluation in drive(optimizer, lambda theta: remembered(trials, theta, checkpoint)):
         thetas.append(theta)
         values.append(evaluation.value)
-        if not looked and getattr(optimizer, "start", None) is not None:
+        if not looked and start_of(optimizer) is not None:
             looked = sum(map(len, values))
         if progress is not None:
             progress(sum(map(len, values)), _lowest(np.concatenate(values)))
@@ -111,7 +113,7 @@ def calibrate(
         status="diverged" if not simulated else "timeout" if stopped else "ok",
         stopped=stopped or optimizer.stopped,
         wall_s=checkpoint.seconds,
-        start=getattr(optimizer, "start", None),
+        start=start_of(optimizer),
         looked=looked,
     )
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clothbench.core.optional import runs_in_threads
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Simulation
 from clothbench.core.rollout import Rollout
@@ -23,7 +24,7 @@ class Fixed:
 
     @property
     def threads(self) -> bool:
-        return getattr(self.simulation, "threads", False)
+        return runs_in_threads(self.simulation)
 
     @property
     def parameters(self) -> ParameterSpace:

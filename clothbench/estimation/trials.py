@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.observation import Observation
+from clothbench.core.optional import runs_in_threads
 from clothbench.core.parallel import side_by_side
 from clothbench.core.protocols import Evaluation, Metric, Score, Simulation
 from clothbench.core.rollout import Rollout
@@ -41,7 +42,7 @@ def evaluate(trials: Sequence[Trial], theta: np.ndarray) -> tuple[Evaluation, li
 
 def over(trials: Sequence[Trial], work: Callable[[Trial], Any]) -> list[Any]:
     """[work(trial), …], side by side if the simulations can."""
-    if all(getattr(trial.simulation, "threads", False) for trial in trials):
+    if all(runs_in_threads(trial.simulation) for trial in trials):
         return side_by_side(work, trials)
     return [work(trial) for trial in trials]
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.optional import Remembers, ShiftsPositions, ShiftsTimes, Stiffens, reads_normals
 from clothbench.core.protocols import Effect
 from clothbench.core.scene import Scene
 from clothbench.modelling.curves import acts_on_sheets
@@ -64,21 +65,21 @@ class BoundEffects(JoinedParameters):
 
     def kernel_state(self, members: int, slots: int, sheet: Sheet) -> np.ndarray:
         """Zeroed memory (members, slots, S) for effects that carry something from step to step."""
-        sizes = [e.state_size(sheet) for e, _ in self._stages() if hasattr(e, "state_size")]
+        sizes = [e.state_size(sheet) for e, _ in self._stages() if isinstance(e, Remembers)]
         return np.zeros((members, slots, max([1, *sizes])))
 
     def stiffness(self, theta: np.ndarray) -> np.ndarray:
         """What all effects together add at most to in-plane stiffness N/m and bending rigidity N·m, (B, 2)."""
         out = np.zeros((len(theta), 2))
         for effect in self.at("dynamics"):
-            if hasattr(effect, "stiffness"):
+            if isinstance(effect, Stiffens):
                 out += [effect.stiffness(phi) for phi in self.of_effect(effect, theta)]
         return out
 
     @property
     def normals(self) -> bool:
         """Whether any kernel may read `sheet.normal`."""
-        return any(getattr(e, "normals", True) for e in self.at("dynamics"))
+        return any(reads_normals(e) for e in self.at("dynamics"))
 
     def _stages(self) -> list[tuple[Effect, str]]:
         """Every force and inertia term, in the order of the effects; an effect that has both appears twice."""
@@ -117,7 +118,7 @@ class BoundEffects(JoinedParameters):
         """When each member is looked at for each stamp of the scene: (B, T) s."""
         out = np.repeat(scene.times[None], len(theta), axis=0)
         for effect in self.at("sensor"):
-            if hasattr(effect, "times"):
+            if isinstance(effect, ShiftsTimes):
                 for b, phi in enumerate(self.of_effect(effect, theta)):
                     out[b] = effect.times(out[b], phi)
         return out
@@ -138,7 +139,7 @@ class BoundEffects(JoinedParameters):
         """What the sensor makes of the true positions (B, T, N, 3) m."""
         with np.errstate(over="ignore", invalid="ignore"):  # a member that diverged may hold anything
             for effect in self.at("sensor"):
-                if hasattr(effect, "positions"):
+                if isinstance(effect, ShiftsPositions):
                     phis, points = self.of_effect(effect, theta), scene.points
                     position = np.stack(
                         [effect.positions(scene.times, p, points, phi) for p, phi in zip(position, phis, strict=True)]

@@ -144,15 +144,11 @@ def import_target(target: str) -> Any:
     return value
 
 
-def absent(loaded: Any) -> str | None:
-    """Why a plugin that loads cannot be used on this machine ("pip install …"), if it says so: no fault of anybody."""
-    ask = getattr(loaded, "skip_reason", None)
-    return ask() if ask is not None else None
-
-
 def library_version(loaded: Any) -> str:
     """ "mujoco 4.0.0" of a plugin that is built on a library and says so in `built_on`; else ""."""
-    names = getattr(loaded, "built_on", ())
+    from clothbench.core.optional import libraries  # loads numpy, which listing plugins does without
+
+    names = libraries(loaded)
     for name in names:
         with contextlib.suppress(PackageNotFoundError):
             return f"{name} {version_of(name)}"

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.optional import Remembers, SaysNormals, Stiffens
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Model
 from clothbench.modelling.bound_effects import PLACES
@@ -33,6 +34,22 @@ def check_effect(
     makes = first_that_takes_effects() if models is None else models
     case = EffectCase(effect, tuple(ModelCase(make, make()) for make in makes))
     return run_rules(f"effect {getattr(effect, 'name', make)!r}", choose(RULES, only), case)
+
+
+def keeps_what_it_offers(case: EffectCase) -> None:
+    """The optional parts of `clothbench.core.optional` that it has are what they should be."""
+    effect, (sheet, _, _) = case.effect, waving_sheet()
+    if isinstance(effect, Remembers):
+        size = effect.state_size(sheet)
+        whole = isinstance(size, int | np.integer) and not isinstance(size, bool) and size >= 0
+        require(whole, f"a state_size of {size!r}", "a whole number, 0 or above")
+    if isinstance(effect, Stiffens):
+        for phi in (probe.null_values(effect), *probe.acting_values(effect)):
+            added = np.asarray(effect.stiffness(phi), dtype=float)
+            fine = added.shape == (2,) and bool(np.isfinite(added).all()) and bool((added >= 0).all())
+            require(fine, f"a stiffness of {added.tolist()}", "two numbers, N/m and N·m, 0 or above")
+    if isinstance(effect, SaysNormals):
+        require(isinstance(effect.normals, bool), f"normals {effect.normals!r}", "True or False")
 
 
 def has_all_members(case: EffectCase) -> None:
@@ -141,7 +158,7 @@ def keeps_to_its_own_memory(case: EffectCase) -> str | None:
     if case.effect.place != "dynamics" or not acts_on_sheets(case.effect):
         return "has no kernel"
     effect, (sheet, x, v) = case.effect, waving_sheet()
-    size = effect.state_size(sheet) if hasattr(effect, "state_size") else 0
+    size = effect.state_size(sheet) if isinstance(effect, Remembers) else 0
     for stage in SHEET_HOOKS["dynamics"]:
         if getattr(effect, stage, None) is None:
             continue
@@ -185,6 +202,7 @@ def leaves_positions_it_is_given_alone(case: EffectCase) -> str | None:
 
 RULES = (
     has_all_members,
+    keeps_what_it_offers,
     has_null_values_within_its_bounds,
     vanishes_at_its_null_values,
     acts_elsewhere,

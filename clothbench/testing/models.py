@@ -7,12 +7,26 @@ from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.optional import (
+    MODEL_KINDS,
+    FoldsStrips,
+    KnowsMaterials,
+    Refinable,
+    absent,
+    bench_options_of,
+    equal_error_options_of,
+    kind_of_model,
+    libraries,
+    repeatability_of,
+    runs_in_threads,
+    takes_option,
+    why_skipped,
+)
 from clothbench.core.parameters import ParameterSpace
-from clothbench.core.protocols import Effect, Model
+from clothbench.core.protocols import Effect, Material, Model
 from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
 from clothbench.modelling.curves import answers_curves, answers_sheets
-from clothbench.plugins.discovery import absent
 from clothbench.testing import curves, motion, probe
 from clothbench.testing.model_case import ModelCase, finished, same_bits
 from clothbench.testing.rollouts import require_independent, require_whole
@@ -25,10 +39,10 @@ from clothbench.testing.rules import (
     require_refusal,
     rule_name,
     run_rules,
-    takes,
 )
 
 CAPABILITIES = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "curve", "fold"})
+CLOTH = Material(bending=1e-6, stretch=100.0, shear=50.0)
 STEPS_TO_TRY = 1e-3 * 2.0 ** np.arange(9)  # s, from fine to hopeless
 
 
@@ -71,6 +85,49 @@ def has_all_members(case: ModelCase) -> None:
     simulation = model.prepare(next(iter(case.scenes.values())))
     names = simulation.parameters.names
     require(names == model.parameters.names, f"a simulation with parameters {names}", model.parameters.names)
+
+
+def keeps_what_it_offers(case: ModelCase) -> None:
+    """The optional parts of `clothbench.core.optional` that it has are what they should be."""
+    model, make = case.model, case.make
+    require(
+        kind_of_model(model) in MODEL_KINDS, f"kind {kind_of_model(model)!r}", f"one of {', '.join(MODEL_KINDS[:-1])}"
+    )
+    far = repeatability_of(model)
+    length = isinstance(far, int | float) and not isinstance(far, bool) and 0 <= far < np.inf
+    require(length, f"repeatability {far!r}", "metres, 0 or above")
+    named = all(isinstance(name, str) and name for name in libraries(make))
+    require(named and not isinstance(getattr(make, "built_on", ()), str), f"built_on {libraries(make)}", "names")
+    for what, sets in (
+        ("bench_options", bench_options_of(make)),
+        ("equal_error_options", equal_error_options_of(make)),
+    ):
+        for options in sets:
+            made(make, f"{what} of model", **options)
+    for name, scene in case.scenes.items() if answers_sheets(model) else ():
+        reason = why_skipped(model, scene)
+        said = reason is None or (isinstance(reason, str) and reason.strip() and "\n" not in reason)
+        require(said, f"skip(scene {name}) → {reason!r}", "None, or why not, in one line")
+        _require_material(model, name, scene)
+        threads = runs_in_threads(model.prepare(scene))
+        require(isinstance(threads, bool), f"a simulation with threads {threads!r}", "True or False")
+    if isinstance(model, Refinable):
+        finer = model.refined(2.0)
+        require(finer.parameters.names == model.parameters.names, "other parameters of refined(2)", "the model's own")
+    if "fold" in model.capabilities:
+        require(isinstance(model, FoldsStrips), "capability 'fold' and no strip(length)", "one")
+
+
+def _require_material(model: Model, name: str, scene: Scene) -> None:
+    if not isinstance(model, KnowsMaterials):
+        return
+    try:
+        theta = np.asarray(model.of_material(CLOTH, scene), dtype=float)
+    except ClothbenchError:  # it says what it has no parameter for
+        return
+    fine = theta.shape == (len(model.parameters),) and bool(np.isfinite(theta).all())
+    found = f"of_material in scene {name} → {theta.tolist()}"
+    require(fine, found, f"{len(model.parameters)} finite numbers")
 
 
 def gives_whole_rollouts(case: ModelCase) -> None:
@@ -180,7 +237,7 @@ def lets_effects_act(case: ModelCase) -> str | None:
 
 def reports_divergence(case: ModelCase) -> str | None:
     """Steps far too long end single members, by status; nothing is raised and no other member is touched."""
-    if not takes(case.make, "dt"):
+    if not takes_option(case.make, "dt"):
         return "has no option 'dt' to make it diverge with"
     theta, some_lost = case.theta(0.1, 0.3, 0.7, 0.9), False
     for dt in STEPS_TO_TRY:
@@ -206,6 +263,7 @@ def answers_curves_if_it_says_so(case: ModelCase) -> str | None:
 
 RULES = (
     has_all_members,
+    keeps_what_it_offers,
     gives_whole_rollouts,
     gives_the_same_bits_twice,
     gives_a_batch_as_one_by_one,

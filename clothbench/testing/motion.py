@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from clothbench.core.optional import Refinable, repeatability_of, takes_option
 from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
 from clothbench.testing import scenes
 from clothbench.testing.model_case import ModelCase, apart, finished, millimetres
-from clothbench.testing.rules import require, takes
+from clothbench.testing.rules import require
 
 ON_THE_GRIP = 1e-9  # m
 INVARIANCE = 1e-6  # m; rounding grows this far in no short run that is not chaotic
@@ -59,7 +60,7 @@ def _require_same_in(case: ModelCase, turn: np.ndarray, *, with_gravity: bool) -
 
 def _tolerance(case: ModelCase, usual: float) -> float:
     """What counts as the same motion [m]: the usual, or what the model says that it cannot tell apart."""
-    return max(usual, getattr(case.model, "repeatability", 0.0))
+    return max(usual, repeatability_of(case.model))
 
 
 def is_pulled_down(case: ModelCase) -> None:
@@ -101,7 +102,7 @@ def lets_every_parameter_matter(case: ModelCase) -> None:
 def converges_with_smaller_steps(case: ModelCase) -> str | None:
     if not case.is_dynamic:
         return "takes no time steps"
-    if not (takes(case.make, "step_scale") or hasattr(case.model, "refined")):
+    if not (takes_option(case.make, "step_scale") or isinstance(case.model, Refinable)):
         return "has neither an option 'step_scale' nor a method 'refined'"
     for name, scene in case.scenes.items():
         whole, half, quarter = (_refined(case, scene, scale) for scale in (1.0, 0.5, 0.25))
@@ -177,9 +178,10 @@ def _one_at_a_time(case: ModelCase, unit: float) -> np.ndarray:
 
 def _refined(case: ModelCase, scene: Scene, scale: float) -> Rollout:
     theta = case.theta(0.4)
-    if takes(case.make, "step_scale"):
+    if takes_option(case.make, "step_scale"):
         return case.run(scene, theta, step_scale=scale)
-    return case.model.refined(1 / scale).prepare(scene).run(theta)  # type: ignore[attr-defined]
+    assert isinstance(case.model, Refinable)  # the rule has asked
+    return case.model.refined(1 / scale).prepare(scene).run(theta)
 
 
 RULES = (

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clothbench.core.optional import HasStart, Renewable, takes_option
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Optimizer
 from clothbench.testing.rules import Outcome, choose, require, require_members, run_rules
@@ -85,6 +86,26 @@ def has_all_members(case: OptimizerCase) -> None:
     require(optimizer.done is False, f"done = {optimizer.done!r} at the start", "False")
 
 
+def keeps_what_it_offers(case: OptimizerCase) -> None:
+    """The optional parts of `clothbench.core.optional` that it has are what they should be."""
+    problem = bowl()
+    space = problem.space
+    optimizer = case.make(space, seed=0, budget=BUDGET)
+    while not optimizer.done:
+        theta = optimizer.ask()
+        optimizer.tell(theta, problem.evaluate(theta))
+    if isinstance(optimizer, HasStart) and optimizer.start is not None:
+        require_in_bounds(np.atleast_2d(optimizer.start), space)
+    if takes_option(case.make, "start"):
+        first = case.make(space, seed=0, budget=BUDGET, start="defaults").ask()
+        near = np.abs(space.to_unit(first) - space.to_unit(space.defaults)).max(axis=1)
+        require(near.min() < 1e-9, "a search with start='defaults' that asks for other points", "the defaults first")
+    if isinstance(optimizer, Renewable):
+        optimizer.renew()
+        require(not optimizer.done, "done = True after renew()", "a search that goes on")
+        require_in_bounds(optimizer.ask(), space)
+
+
 def gives_the_same_search_for_the_same_seed(case: OptimizerCase) -> None:
     np.random.seed(1)  # noqa: NPY002 (whoever draws from the global generator shall see it differ)
     first = case.search(bowl(), seed=3)
@@ -150,6 +171,7 @@ def random_best(problem: Problem, budget: int) -> np.ndarray:
 
 RULES = (
     has_all_members,
+    keeps_what_it_offers,
     gives_the_same_search_for_the_same_seed,
     stays_within_bounds_and_budget,
     manages_with_a_budget_of_one,

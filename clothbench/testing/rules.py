@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -98,11 +97,3 @@ def made(make: Callable[..., Any], kind: str, *args: Any, **options: Any) -> Any
         raise ConformanceError(
             f"{kind} {called}: making it: found {type(fault).__name__}: {fault}, expected no exception"
         ) from fault
-
-
-def takes(make: Callable[..., Any], option: str) -> bool:
-    """Whether a class or factory has an option of that name."""
-    try:
-        return option in inspect.signature(make).parameters
-    except (TypeError, ValueError):
-        return False

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -24,12 +23,11 @@ SIGMA = 5e-4  # m
 class TrackerCase:
     tracker: Tracker
     source: Recording | Path
-    settings: Mapping[str, Any]
     is_own: bool  # the source is the kit's recording, not what the author gave
 
     def track(self) -> Observation:
         try:
-            observation = self.tracker.track(self.source, **self.settings)
+            observation = self.tracker.track(self.source)
         except ClothbenchError as refusal:
             if not self.is_own:
                 raise
@@ -42,15 +40,15 @@ def check_tracker(
     make: Callable[..., Tracker],
     *,
     source: Recording | Path | None = None,
-    settings: Mapping[str, Any] | None = None,
     only: Iterable[str] | None = None,
 ) -> tuple[Outcome, ...]:
     """Check the tracker that `make()` gives on `source`: raw data, or a recording (the kit has its own).
 
-    settings: for its `track`. A tracker of raw data only, which refuses the kit's recording, needs a source.
+    A tracker of raw data only, which refuses the kit's recording, needs a source; one with options is given as a
+    function that makes it with them.
     """
     tracker = made(make, "tracker")
-    case = TrackerCase(tracker, source or swung_sheet(), settings or {}, is_own=source is None)
+    case = TrackerCase(tracker, source or swung_sheet(), is_own=source is None)
     return run_rules(f"tracker {getattr(tracker, 'name', make)!r}", choose(RULES, only), case)
 
 

@@ -3,13 +3,8 @@
 All of it (32 cases of full size, hours): `python tools/blind_test.py --out FOLDER --keep`.
 """
 
-import sys
-from pathlib import Path
-
-import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "tools"))
 import blind_test
+import pytest
 
 KNOWN = "candidates=" + ",".join(effect.__name__ for effect in blind_test.EFFECTS)
 SMALL = blind_test.Size(12, 1.6, ("fit", "fit", "fit", "held_out"), ("resolution=9", KNOWN))

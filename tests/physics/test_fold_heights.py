@@ -2,20 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
+import fold_heights
 import numpy as np
 import pytest
 
 from clothbench.reference.mechanics import fold_coefficients
-
-TOOLS = Path(__file__).parents[2] / "tools"
-sys.path.insert(0, str(TOOLS))
-try:
-    import fold_heights
-finally:
-    sys.path.remove(str(TOOLS))
 
 
 def test_without_thickness_it_is_the_elasticas_fold():

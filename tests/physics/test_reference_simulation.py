@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
+import make_static_dynamic as maker
 import numpy as np
 import pytest
 
@@ -25,13 +24,6 @@ from clothbench.reference.simulation import (
     total_energy,
     undamped,
 )
-
-TOOLS = Path(__file__).resolve().parents[2] / "tools"
-sys.path.insert(0, str(TOOLS))
-try:
-    import make_static_dynamic as maker
-finally:
-    sys.path.remove(str(TOOLS))
 
 GRAVITY = 9.81
 SATIN = Fabric("satin", 0.11, 600.0, 450.0, 80.0, 30.0, 1.2e-5, 1.5e-5, 5e-4, 4e-3, 0.10, 1.0, 0.03, 0.2, 0.5)

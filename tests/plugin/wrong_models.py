@@ -246,7 +246,59 @@ class Overstretched(Faulty):
             return theta[0] * np.sqrt(2 - stretch)
 
 
+class Undecided(Faulty):
+    kind = "sometimes"
+
+
+class Unrepeatable(Faulty):
+    repeatability = -1.0
+
+
+class Untimed(Faulty):
+    bench_options = ({"nonsense": 1},)
+
+
+class Moody(Faulty):
+    def skip(self, scene):
+        return True
+
+
+class Vague(Faulty):
+    def of_material(self, material, scene):
+        return np.array([material.bending])
+
+
+class Loose(Faulty):
+    threads = "many"
+
+    def prepare(self, scene, effects=()):
+        simulation = super().prepare(scene, effects)
+        simulation.threads = self.threads
+        return simulation
+
+
+class Renamed(Faulty):
+    def refined(self, factor):
+        other = Faulty()
+        other.parameters = ParameterSpace(other.parameters.parameters[:1])
+        return other
+
+
+class Foldless(Faulty):
+    def __init__(self, step_scale=1.0, dt=None):
+        super().__init__(step_scale, dt)
+        self.capabilities = self.capabilities | {"fold"}
+
+
 CASES = [
+    (Undecided, "keeps what it offers", "kind 'sometimes'"),
+    (Unrepeatable, "keeps what it offers", "repeatability -1.0"),
+    (Untimed, "keeps what it offers", "unexpected keyword argument 'nonsense'"),
+    (Moody, "keeps what it offers", "→ True"),
+    (Vague, "keeps what it offers", "of_material in scene"),
+    (Loose, "keeps what it offers", "threads 'many'"),
+    (Renamed, "keeps what it offers", "other parameters of refined(2)"),
+    (Foldless, "keeps what it offers", "no strip(length)"),
     (Nameless, "has all members", "name 'not a name'"),
     (Nothing, "has all members", "no parameter"),
     (Nothing, "gives whole rollouts", "none of the scenes hanging"),

@@ -110,7 +110,24 @@ class Jealous(HonestEffect):
         return time - phi[0] - 1e-3 * (next(self.asked) > 2)
 
 
+class Forgetful(HonestEffect):
+    def state_size(self, sheet):
+        return 1.5
+
+
+class Softening(HonestEffect):
+    def stiffness(self, phi):
+        return -1.0, 0.0
+
+
+class Aslant(HonestEffect):
+    normals = "perhaps"
+
+
 EFFECTS = [
+    (Forgetful, "keeps what it offers", "a state_size of 1.5"),
+    (Softening, "keeps what it offers", "a stiffness of [-1.0, 0.0]"),
+    (Aslant, "keeps what it offers", "normals 'perhaps'"),
     (Placeless, "has all members", "place 'kitchen'"),
     (Uncompiled, "has all members", "'force' that is not compiled"),
     (Mistyped, "has all members", "'force' cannot be compiled by numba: Unknown attribute 'weight'"),
@@ -301,7 +318,26 @@ class Fragile(RandomSearch):
         super().tell(theta, evaluation)
 
 
+class Lost(HonestOptimizer):
+    @property
+    def start(self):
+        return self.space.high + 1.0
+
+
+class Headstrong(HonestOptimizer):
+    def __init__(self, space, *, seed, budget, start=None):
+        super().__init__(space, seed=seed, budget=budget)
+
+
+class Finished(HonestOptimizer):
+    def renew(self):
+        pass
+
+
 OPTIMIZERS = [
+    (Lost, "keeps what it offers", "within its bounds"),
+    (Headstrong, "keeps what it offers", "the defaults first"),
+    (Finished, "keeps what it offers", "done = True after renew()"),
     (Changeable, "has all members", "needs_residual 'sometimes'"),
     (Unseeded, "gives the same search for the same seed", "other points asked with the same seed"),
     (Trespassing, "stays within bounds and budget", "asked, expected within its bounds"),

@@ -8,6 +8,7 @@ from clothbench_trackers.laser_profile import LaserProfile, in_plane
 from scipy.spatial import cKDTree
 
 from clothbench import ClothbenchError, LaserImages, read_laser, write_laser
+from clothbench.plugins import discovery
 from clothbench.recordings.kinds import read_any
 from clothbench.studies.folding.laser_camera import rendered
 from clothbench.testing import check_tracker
@@ -81,5 +82,5 @@ def test_bad_images_are_refused_in_one_line(images, change, fault):
 def test_bad_options_are_refused():
     with pytest.raises(ClothbenchError, match="width is -1, expected a number above 0"):
         LaserProfile(width=-1)
-    with pytest.raises(ClothbenchError, match="unknown setting 'blur'"):
-        LaserProfile().track(rendered("hook", hook(), 0.0, 3), blur=2)
+    with pytest.raises(ClothbenchError, match="unexpected keyword argument 'blur'"):
+        discovery.catalogue().make("trackers", "laser_profile", blur=2)

@@ -86,7 +86,7 @@ def good(tmp_path) -> Path:
 
 def refused(match: str, source, **settings) -> str:
     with pytest.raises(ClothbenchError, match=match) as caught:
-        Markers().track(source, **settings)
+        Markers(**settings).track(source)
     assert "\n" not in str(caught.value)
     return str(caught.value)
 
@@ -122,13 +122,13 @@ def test_a_recording_keeps_its_gaps_and_its_sigma(tmp_path):
     recording = a_recording()
     path = write_recording(recording, tmp_path / "run.nc")
     for source in (recording, path, str(path)):
-        seen = Markers().track(source)
+        seen = source
         np.testing.assert_array_equal(seen.position, recording.position)
         np.testing.assert_array_equal(seen.visible, recording.visible)
         np.testing.assert_array_equal(seen.material, recording.material)
         assert seen.sigma == 0.002
         assert not seen.visible[3, 1]
-    assert Markers().track(recording, sigma=0.001).sigma == 0.001
+    assert Markers(sigma=0.001).track(recording).sigma == 0.001
 
 
 def test_a_recording_is_in_the_world_already():
@@ -139,7 +139,7 @@ def test_a_recording_is_in_the_world_already():
 def test_csv_in_any_unit_is_read_in_metres(tmp_path, unit):
     time, position = run()
     position[2, 0] = np.nan
-    seen = Markers().track(write(tmp_path / "run.csv", csv_lines(time, position, unit=unit)), material=MATERIAL)
+    seen = Markers(material=MATERIAL).track(write(tmp_path / "run.csv", csv_lines(time, position, unit=unit)))
     np.testing.assert_allclose(seen.position, position[:, :3], atol=1e-8)
     np.testing.assert_allclose(seen.time, time)
     assert np.argwhere(~seen.visible).tolist() == [[2, 0]]
@@ -151,7 +151,7 @@ def test_csv_may_state_unit_and_rate_as_settings(tmp_path):
     time, position = run()
     lines = [line.partition(",")[2] for line in csv_lines(time, position)[1:]]
     path = write(tmp_path / "run.csv", lines)
-    seen = Markers().track(path, material=MATERIAL, unit="mm", rate=RATE)
+    seen = Markers(material=MATERIAL, unit="mm", rate=RATE).track(path)
     np.testing.assert_allclose(seen.time, time)
     refused("neither a time column nor a frame rate", path, material=MATERIAL, unit="mm")
     refused("unit: found none, expected mm, cm, m", path, material=MATERIAL, rate=RATE)
@@ -162,7 +162,7 @@ def test_csv_frame_numbers_keep_dropped_frames_apart(tmp_path):
     lines = ["# unit: m,,", "# rate: 50", "frame,a:X,a:Y,a:Z", "10,1,2,3", "11,1,2,nan", "14,0,0,0"]
     path = write(tmp_path / "run.csv", lines)
     refused("marker 'a', frame 2 of the file: found a part of the coordinates", path, material={"a": (0, 0)})
-    seen = Markers().track(write(path, [*lines[:4], "11,,,", lines[5]]), material={"a": (0, 0)})
+    seen = Markers(material={"a": (0, 0)}).track(write(path, [*lines[:4], "11,,,", lines[5]]))
     np.testing.assert_allclose(seen.time, [0.2, 0.22, 0.28])
     assert seen.visible[:, 0].tolist() == [True, False, True]  # in a CSV file 0 0 0 is a place
 
@@ -170,7 +170,7 @@ def test_csv_frame_numbers_keep_dropped_frames_apart(tmp_path):
 def test_trc_is_read_with_blanks_and_zeros_as_gaps(tmp_path):
     time, position = run()
     position[4, 1], position[5, 2] = np.nan, 0.0
-    seen = Markers().track(write(tmp_path / "run.trc", trc_lines(time, position)), material=MATERIAL)
+    seen = Markers(material=MATERIAL).track(write(tmp_path / "run.trc", trc_lines(time, position)))
     assert np.argwhere(~seen.visible).tolist() == [[4, 1], [5, 2]]
     shown = seen.visible
     np.testing.assert_allclose(seen.position[shown], position[:, :3][shown], atol=1e-8)
@@ -180,7 +180,7 @@ def test_trc_is_read_with_blanks_and_zeros_as_gaps(tmp_path):
 def test_c3d_is_read_with_negative_residuals_as_gaps(tmp_path):
     time, position = run()
     path = write_c3d(tmp_path / "run.c3d", position, unseen=[(2, 1), (7, 0)])
-    seen = Markers().track(path, material=MATERIAL)
+    seen = Markers(material=MATERIAL).track(path)
     assert np.argwhere(~seen.visible).tolist() == [[2, 1], [7, 0]]
     np.testing.assert_allclose(seen.position[seen.visible], position[:, :3][seen.visible], atol=1e-6)
     np.testing.assert_allclose(seen.time, time, atol=1e-6)
@@ -190,7 +190,7 @@ def test_c3d_is_read_with_negative_residuals_as_gaps(tmp_path):
 def test_c3d_without_a_unit_needs_the_setting(tmp_path):
     path = write_c3d(tmp_path / "run.c3d", run()[1], unit="")
     refused("unit: found none", path, material=MATERIAL)
-    assert Markers().track(path, material=MATERIAL, unit="mm").position.shape == (12, 3, 3)
+    assert Markers(material=MATERIAL, unit="mm").track(path).position.shape == (12, 3, 3)
 
 
 @pytest.mark.parametrize("share", [0.0, 0.0001, 0.1, 0.3, 0.6, 0.9])
@@ -306,7 +306,7 @@ def test_markers_nobody_saw_are_refused(tmp_path):
 
 def test_material_may_lie_in_a_small_file(tmp_path, good):
     table = write(tmp_path / "material.csv", ["label,u,v", *(f"{k},{u},{v}" for k, (u, v) in MATERIAL.items())])
-    np.testing.assert_array_equal(Markers().track(good, material=table).material, list(MATERIAL.values()))
+    np.testing.assert_array_equal(Markers(material=table).track(good).material, list(MATERIAL.values()))
     refused("material.csv: header", good, material=write(table, ["marker,x,y", "grip,0,0"]))
     refused("material.csv: label 'grip'", good, material=write(table, ["label,u,v", "grip,0"]))
     refused(
@@ -321,7 +321,7 @@ def test_a_filled_gap_is_a_straight_line_that_does_not_count(tmp_path):
     time, position = run()
     position[4:6, 0] = position[8, 1] = position[0, 2] = np.nan
     path = write(tmp_path / "run.csv", csv_lines(time, position))
-    bare, filled = (Markers().track(path, material=MATERIAL, fill_gaps_up_to=s) for s in (0, 0.02))
+    bare, filled = (Markers(material=MATERIAL, fill_gaps_up_to=s).track(path) for s in (0, 0.02))
     np.testing.assert_array_equal(bare.visible, filled.visible)
     assert np.isnan(bare.position[~bare.visible]).all()
     np.testing.assert_allclose(filled.position[8, 1], position[[7, 9], 1].mean(axis=0), atol=1e-8)
@@ -343,11 +343,11 @@ def test_y_up_becomes_z_up_without_a_mirror():
 
 def test_up_and_a_stated_frame_are_applied_in_this_order(good):
     position = run()[1][:, :3]
-    upright = Markers().track(good, material=MATERIAL, up="y").position
+    upright = Markers(material=MATERIAL, up="y").track(good).position
     np.testing.assert_allclose(upright, position[..., [0, 2, 1]] * [1, -1, 1], atol=1e-8)
     frame = np.column_stack([TURN, SHIFT]).tolist()
     for matrix in (frame, [*frame, [0, 0, 0, 1]]):
-        seen = Markers().track(good, material=MATERIAL, up="y", frame=matrix)
+        seen = Markers(material=MATERIAL, up="y", frame=matrix).track(good)
         np.testing.assert_allclose(seen.position, upright @ TURN.T + SHIFT, atol=1e-8)
 
 
@@ -375,7 +375,7 @@ def test_a_frame_that_is_not_rigid_or_not_sure_is_refused(good, frame, match):
 def test_references_fix_the_frame_whatever_is_up(good):
     world = dict(zip(LABELS[3:], (POSTS + 0.01) @ TURN.T + SHIFT, strict=True))
     for up in "xyz":
-        seen = Markers().track(good, material=MATERIAL, up=up, frame=world)
+        seen = Markers(material=MATERIAL, up=up, frame=world).track(good)
         np.testing.assert_allclose(seen.position, run()[1][:, :3] @ TURN.T + SHIFT, atol=1e-7)
 
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 
+from clothbench.core.optional import takes_option
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Optimizer
 from clothbench.engine.checkpoint import Checkpoint
@@ -71,7 +71,7 @@ def _variability(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, c
 def _repeats(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, checkpoint: Checkpoint) -> Tables:
     cell = bench.cell
     factory = plugins.load("optimizers", cell.optimizer)
-    if "start" not in inspect.signature(factory).parameters:
+    if not takes_option(factory, "start"):
         reason = f"optimizer {cell.optimizer!r} cannot begin at a given start"
         return {"repeats": [{"repeat": 0, "reason": reason, "unit": None}]}
     told = {**cell.option(cell.optimizer), "start": "defaults"}

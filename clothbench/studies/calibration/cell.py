@@ -9,12 +9,13 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.optional import absent, why_skipped
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Metric
 from clothbench.engine.cells import Skipped, Source, digest, seed_of
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.trials import Trial
-from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken, absent
+from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
 from clothbench.recordings.nodes import Recording, read_recording
 from clothbench.recordings.scenes import scene_of
 
@@ -174,7 +175,7 @@ def set_up(cell: CalibrationCell, plugins: Catalogue) -> Bench:
         scene = scene_of(recording, **cell.scene)
         if areal_density is not None:
             scene = dataclasses.replace(scene, areal_density=areal_density)
-        if reason := getattr(model, "skip", lambda _: None)(scene):
+        if reason := why_skipped(model, scene):
             raise Skipped(reason)
         simulation = holding(model.prepare(scene, effects), cell.fixed)
         return Trial(recording.name, tracker.track(recording), simulation, metric)

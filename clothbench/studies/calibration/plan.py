@@ -10,9 +10,9 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import Source, plugin_versions, resplit
 from clothbench.engine.settings import require_plugins
-from clothbench.engine.study import FileProgress
 from clothbench.engine.suite import where
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording, read_recording

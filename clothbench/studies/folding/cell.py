@@ -11,9 +11,9 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import digest, plugin_versions, seed_of
 from clothbench.engine.settings import known_words, mapping, number, refuse, require_plugins, whole, words
-from clothbench.engine.study import FileProgress
 from clothbench.plugins.discovery import Catalogue
 from clothbench.reference.fabrics import FABRICS, Fabric
 

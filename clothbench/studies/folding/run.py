@@ -9,13 +9,14 @@ import dataclasses
 import time
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.folding import Folding, FoldState
 from clothbench.core.observation import Observation
+from clothbench.core.optional import Renewable, absent
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Evaluation, Metric, Optimizer, Tracker
 from clothbench.core.rollout import Rollout
@@ -25,7 +26,7 @@ from clothbench.engine.study import Context, Result
 from clothbench.estimation.intervals import jackknife
 from clothbench.estimation.search import drive
 from clothbench.modelling.joined import JoinedParameters
-from clothbench.plugins.discovery import Catalogue, absent
+from clothbench.plugins.discovery import Catalogue
 from clothbench.reference.lifted_strip import Lifted
 from clothbench.studies.folding.cell import FoldingCell
 from clothbench.studies.folding.laser_camera import rendered
@@ -183,11 +184,11 @@ def _optimizer(hand: Hand, plugins: Catalogue, space: ParameterSpace) -> Optimiz
     )  # fmt: skip
 
 
-def _next(hand: Hand, plugins: Catalogue, optimizer: Any, theta: np.ndarray) -> Optimizer:
+def _next(hand: Hand, plugins: Catalogue, optimizer: Optimizer, theta: np.ndarray) -> Optimizer:
     """The search for the next measurement: the same one told so, or a new one of its kind from the estimate."""
-    if hasattr(optimizer, "renew"):
+    if isinstance(optimizer, Renewable):
         optimizer.renew()
-        return optimizer
+        return cast("Optimizer", optimizer)
     found = tuple(dataclasses.replace(p, default=float(v)) for p, v in zip(hand.space, theta, strict=True))
     return _optimizer(hand, plugins, ParameterSpace(found))
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 
-StageProgress = Callable[[str, int, int], None]  # stage, steps done, steps planned
+from clothbench.core.progress import StageProgress
 
 
 class Account:

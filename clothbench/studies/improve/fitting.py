@@ -10,13 +10,14 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
+from clothbench.core.optional import options_of
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Optimizer
 from clothbench.estimation.search import drive
 from clothbench.estimation.trials import Trial, evaluate, over
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.fitted import Fitted, jackknife_interval
-from clothbench.studies.improve.problem import Problem, accepted, residuals
+from clothbench.studies.improve.problem import Problem, residuals
 from clothbench.studies.improve.settings import LOOP
 
 Trace = list[tuple[int, float]]  # how many sets had been simulated, and the least mean square among them
@@ -69,7 +70,7 @@ def search_settings(problem: Problem, first: bool) -> dict[str, Any]:
     begin = {"starts": suited.starts, "walks": suited.walks}
     again = {"starts": suited.restart_starts, "walks": suited.restart_walks}
     own = dict(problem.options.get(problem.optimizer, {}))
-    known = accepted(problem.plugins.load("optimizers", problem.optimizer))
+    known = options_of(problem.plugins.load("optimizers", problem.optimizer))
     settings = {"difference": suited.difference, "tolerance": suited.tolerance, **(begin if first else again)}
     return {name: value for name, value in settings.items() if name in known} | {
         name: value for name, value in own.items() if first or name not in again

@@ -10,7 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.studies.improve.account import Account, StageProgress
+from clothbench.core.progress import StageProgress
+from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.finding import Finding, Note
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import better_of, fit, planned_evaluations

@@ -8,13 +8,14 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.optional import absent, kind_of_model
+from clothbench.core.progress import FileProgress
 from clothbench.core.scene import AIR_DENSITY
 from clothbench.engine.cells import Source, plugin_versions, resplit
 from clothbench.engine.settings import refuse, require_plugins, whole
-from clothbench.engine.study import FileProgress
 from clothbench.engine.suite import where
 from clothbench.modelling.curves import answers_curves
-from clothbench.plugins.discovery import Catalogue, absent
+from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.codec import kind_of
 from clothbench.recordings.curve import Curve, read_curve
 from clothbench.recordings.nodes import Recording, read_recording
@@ -108,7 +109,7 @@ def scene_of_settings(settings: Mapping[str, Any], model: Any) -> dict[str, Any]
     """How fine the mesh is, the density of air, and that of cloth where a recording does not know it."""
     nodes, scene = settings["suite"].get("resolution"), settings["scene"]
     if nodes is None:
-        nodes = IMPLICIT_NODES if getattr(model, "kind", "") == "implicit" else NODES
+        nodes = IMPLICIT_NODES if kind_of_model(model) == "implicit" else NODES
     return {
         "areal_density": scene.get("areal_density"), "air_density": scene.get("air_density", AIR_DENSITY),
         "resolution": whole("resolution", nodes, LEAST_NODES),

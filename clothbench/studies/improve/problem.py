@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import inspect
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -12,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.core.optional import takes_option
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect
 from clothbench.engine.cells import digest
@@ -74,7 +74,7 @@ class Problem:
         )
 
     def _takes(self, option: str) -> bool:
-        return option in accepted(self.plugins.load("models", self.model))
+        return takes_option(self.plugins.load("models", self.model), option)
 
     def make(self, kind: str, name: str, *args: Any, **settings: Any) -> Any:
         """A plugin's object with its options, which have the last word."""
@@ -115,14 +115,6 @@ class Problem:
         return digest(
             [self.question, self.model, self.base, cases, self.step_scale, self.refinement, corrections, more]
         )
-
-
-def accepted(factory: Any) -> frozenset[str]:
-    """Names of the settings that a plugin's factory takes; none where it does not say."""
-    try:
-        return frozenset(inspect.signature(factory).parameters)
-    except (TypeError, ValueError):
-        return frozenset()
 
 
 def residuals(trial: Trial, theta: np.ndarray) -> np.ndarray:

@@ -10,9 +10,9 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import digest, plugin_versions
 from clothbench.engine.settings import mapping, refuse, whole, words
-from clothbench.engine.study import FileProgress
 from clothbench.modelling.curves import answers_sheets
 from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
 from clothbench.studies.mechanics import VERSION

@@ -7,10 +7,10 @@ import time
 from collections.abc import Sequence
 from typing import Any
 
+from clothbench.core.optional import absent
 from clothbench.engine.cells import Skipped
 from clothbench.engine.rows import about_cell, no_value
 from clothbench.engine.study import Context, Result
-from clothbench.plugins.discovery import absent
 from clothbench.studies.mechanics.cell import MechanicsCell
 from clothbench.studies.mechanics.checks import Answer, Check, Level
 from clothbench.studies.mechanics.subject import Subject, with_orders

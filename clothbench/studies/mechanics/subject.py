@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from clothbench import ClothbenchError, Effect, Model
+from clothbench.core.optional import KnowsMaterials, takes_option, why_skipped
 from clothbench.studies.mechanics.checks import HALVES, Check, Level
 from clothbench.studies.mechanics.measures import NoMeasure, observed_order
 from clothbench.studies.mechanics.trials import Trial
@@ -33,11 +33,7 @@ class Subject:
 
     @classmethod
     def of(cls, factory: Any, make: Callable[..., Model], effects: Mapping[str, Effect]) -> Subject:
-        try:
-            takes_scale = "step_scale" in inspect.signature(factory).parameters
-        except (TypeError, ValueError):  # some compiled callables have none
-            takes_scale = False
-        return cls(make, effects, takes_scale)
+        return cls(make, effects, takes_option(factory, "step_scale"))
 
     def levels(self, check: Check, meshes: Sequence[int]) -> Iterator[Level]:
         """Each simulation's outcome as it is known, from the coarsest mesh to the finest, then with shorter steps.
@@ -70,7 +66,7 @@ class Subject:
         model = self.make() if scale == 1.0 else self.make(step_scale=scale)
         if lacks := [n for n in check.needs if n not in model.capabilities]:
             raise CannotDo(_lacks(lacks[0]))
-        if reason := getattr(model, "skip", lambda _: None)(trial.scene):
+        if reason := why_skipped(model, trial.scene):
             raise CannotDo(reason)
         own, note = parameters_for(model, check, trial)
         try:
@@ -96,12 +92,11 @@ class Subject:
 
 def parameters_for(model: Model, check: Check, trial: Trial) -> tuple[np.ndarray, str]:
     """The model's parameters (P,) for the trial's cloth; its defaults, and why, where those will do as well."""
-    of_material: Any = getattr(model, "of_material", None)
     reason = "the model does not say which of its parameters make a textbook material (no of_material)"
     cloths = [trial.material] + [dataclasses.replace(trial.material, bending=0.0)] * check.limp
-    for cloth in cloths if of_material is not None else ():
+    for cloth in cloths if isinstance(model, KnowsMaterials) else ():
         try:
-            return np.asarray(of_material(cloth, trial.scene), dtype=float), ""
+            return np.asarray(model.of_material(cloth, trial.scene), dtype=float), ""
         except ClothbenchError as fault:
             reason = str(fault)
     if check.textbook:

@@ -7,7 +7,6 @@ step that keeps it close to its own converged motion.
 
 from __future__ import annotations
 
-import inspect
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -15,8 +14,16 @@ from dataclasses import dataclass
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.optional import (
+    KnowsMaterials,
+    absent,
+    bench_options_of,
+    equal_error_options_of,
+    kind_of_model,
+    takes_option,
+)
 from clothbench.core.parallel import thread_count
-from clothbench.plugins.discovery import Plugin, absent, catalogue, library_version, one_line
+from clothbench.plugins.discovery import Plugin, catalogue, library_version, one_line
 from clothbench.studies.speed.timing import (
     STEP,
     FailedRun,
@@ -125,7 +132,7 @@ class _Variant:
 
     def row(self, model: Any, speed: Speed, threads: int, batch: int, note: str | None) -> Row:
         about = {
-            "kind": getattr(model, "kind", None),
+            "kind": kind_of_model(model) or None,
             "precision": getattr(model, "precision", None) or self.options.get("precision"),
             "version": getattr(model, "version", None),
         }
@@ -153,15 +160,11 @@ def _guarded_variants(plugin: Plugin) -> list[_Variant]:
     return []
 
 
-def _variants_of(plugin: Plugin, matrix: str = "bench_options") -> list[_Variant]:
-    """A dynamic model with every set of options that its attribute `matrix` lists."""
+def _variants_of(plugin: Plugin, sets_of: Callable[[Any], list[dict[str, Any]]] = bench_options_of) -> list[_Variant]:
+    """A dynamic model with every set of options that it names."""
     factory = catalogue().load("models", plugin.name)
-    try:
-        takes_step = "dt" in inspect.signature(factory).parameters
-    except (TypeError, ValueError):  # some compiled callables have none
-        takes_step = False
-    sets: Sequence[dict[str, Any]] = getattr(factory, matrix, ({},))
-    variants = [_Variant(plugin, dict(options), takes_step) for options in sets]
+    takes_step = takes_option(factory, "dt")
+    variants = [_Variant(plugin, options, takes_step) for options in sets_of(factory)]
     return [v for v in variants if "dynamic" in v.make().capabilities]
 
 
@@ -191,10 +194,10 @@ def _measure(variant: _Variant, side: int, threads: int, batch: int) -> Row:
 
 def _equal_rows(plugin: Plugin, side: int, say: Say) -> list[Row]:
     """A row for each set of options with which the model is accurate enough at some step."""
-    variants = [v for v in _variants_of(plugin, "equal_error_options") if v.takes_step]
-    if not variants or not hasattr(catalogue().load("models", plugin.name), "of_material"):
+    variants = [v for v in _variants_of(plugin, equal_error_options_of) if v.takes_step]
+    if not variants or not isinstance(catalogue().load("models", plugin.name), KnowsMaterials):
         return []
-    rows, scale = [], CONVERGED.get(variants[0].make().kind, 0.25)
+    rows, scale = [], CONVERGED.get(kind_of_model(variants[0].make()), 0.25)
     say(f"{plugin.name}: {side} × {side} nodes, converged")
     with on_threads(1):
         truth = swung(catalogue().make("models", plugin.name, step_scale=scale), side)[0]

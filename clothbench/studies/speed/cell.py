@@ -7,9 +7,9 @@ from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
+from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import digest, plugin_versions
 from clothbench.engine.settings import refuse, whole
-from clothbench.engine.study import FileProgress
 from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.speed.bench import SIDES
 

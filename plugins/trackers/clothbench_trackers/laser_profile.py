@@ -6,7 +6,6 @@ unbiased detector of curvilinear structures); a point is where its line of sight
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -31,12 +30,10 @@ class LaserProfile:
                 raise ClothbenchError(f"laser_profile: {word} is {value!r}, expected a number above 0")
         self.width, self.contrast, self.shortest = float(width), float(contrast), int(shortest)
 
-    def track(self, source: Recording | Path, **settings: Any) -> Observation:
+    def track(self, source: Any) -> Observation:
         """`source`: a recording of kind "laser", or its file. Points have no identity: `material` only numbers them, by
         the distance [m] along the longest line; sigma is judged from how they scatter about their line.
         """
-        if settings:
-            raise ClothbenchError(f"laser_profile: unknown setting {next(iter(settings))!r}")
         if isinstance(source, Recording):
             raise ClothbenchError("laser_profile: found node positions, expected images of kind 'laser'")
         images = source if isinstance(source, LaserImages) else read_laser(source)

@@ -7,11 +7,11 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
-from clothbench import Observation, Recording, read_recording
+from clothbench import ClothbenchError, Observation, Recording, read_recording
 from clothbench_trackers.marker_files import UNITS, MarkerFile, read_markers, read_material, refusal
 
 # Proper rotations that turn the file's up axis into z.
@@ -27,8 +27,8 @@ ROUNDING = 1e-9  # s; differences of decimal stamps are not exact
 
 
 @dataclass(frozen=True, eq=False)
-class MarkerSettings:
-    """What `Markers.track` can be told.
+class Markers:
+    """Labelled markers: each is one material point for the whole run, so there is nothing to search for.
 
     material         {label: (u, v)} m, or a CSV file label,u,v. Its labels become the nodes, others stay out.
     unit, rate       "mm", "cm" or "m"; frames per second. Only where the file states none.
@@ -52,28 +52,38 @@ class MarkerSettings:
     fill_gaps_up_to: float = 0.0
     sigma: float | None = None
 
+    name: ClassVar[str] = "markers"
+    version: ClassVar[int] = 1
 
-class Markers:
-    """Labelled markers: each is one material point for the whole run, so there is nothing to search for."""
+    def __post_init__(self) -> None:
+        if self.up not in tuple(UP):
+            raise refusal(self.name, "setting 'up'", repr(self.up), "x, y or z, the file's axis that points up")
+        if self.unit not in (None, *UNITS):
+            raise refusal(self.name, "setting 'unit'", repr(self.unit), ", ".join(UNITS))
+        for name in ("rate", "frame_tolerance", "fill_gaps_up_to", "sigma"):
+            value = getattr(self, name)
+            if value is not None and not (_is_number(value) and value >= 0):
+                raise refusal(self.name, f"setting '{name}'", repr(value), "a number, 0 or above")
 
-    name = "markers"
-    version = 1
-
-    def track(self, source: Recording | Path, **settings: Any) -> Observation:
-        """The nodes of a recording (object or .nc file) or of a marker file; settings: `MarkerSettings`."""
+    def track(self, source: Recording | Path) -> Observation:
+        """The nodes of a recording (object or .nc file), to which only fill_gaps_up_to and sigma apply, or of a marker
+        file.
+        """
         if isinstance(source, str | Path) and Path(source).suffix.lower() != ".nc":
             path = Path(source)
-            told = _settings(settings, path)
-            material = read_material(told.material, path)
-            markers = _in_world(path, told)
+            material = read_material(self.material, path)
+            markers = _in_world(path, self)
             uv, position = np.array(list(material.values())), markers.pick(material, "material")
-            sigma = math.nan if told.sigma is None else told.sigma
-            return _observation(markers.time, position, uv, sigma, told, path)
+            sigma = math.nan if self.sigma is None else self.sigma
+            return _observation(markers.time, position, uv, sigma, self, path)
         recording = source if isinstance(source, Recording) else read_recording(source)
         where = recording.path or recording.name
-        told = _settings(settings, where, OF_RECORDINGS)
-        sigma = recording.noise_sigma if told.sigma is None else told.sigma
-        return _observation(recording.time, recording.position, recording.material, sigma, told, where)
+        for one in fields(self):
+            if one.name not in OF_RECORDINGS and getattr(self, one.name) is not one.default:
+                expected = f"some of {', '.join(sorted(OF_RECORDINGS))}, as a recording is in the world already"
+                raise refusal(where, "settings", repr(one.name), expected, "drop it")
+        sigma = recording.noise_sigma if self.sigma is None else self.sigma
+        return _observation(recording.time, recording.position, recording.material, sigma, self, where)
 
 
 def recording_from_markers(
@@ -88,14 +98,14 @@ def recording_from_markers(
 ) -> Recording:
     """A recording from a marker file: the markers named in `grips` hold the cloth, the others are its nodes.
 
-    material, settings: as in `MarkerSettings`; cloth_width, cloth_height: m; about: further fields of
+    material, settings: as of `Markers`; cloth_width, cloth_height: m; about: further fields of
     `Recording` (name, fabric, areal_density [kg/m²], motion, licence, split, …). Nodes keep their gaps. The
     grips' clock leaves out frames in which a grip was not seen; no two of its stamps may be more than
     fill_gaps_up_to [s] apart beyond one frame. Frames before its first and after its last stamp are
     dropped: what drove the cloth then is not known.
     """
     path = Path(path)
-    told = _settings({**settings, "material": material}, path)
+    told = _told({**settings, "material": material}, path)
     points = read_material(material, path)
     nodes = _nodes_beside(grips, points, path)
     markers = _in_world(path, told)
@@ -155,7 +165,7 @@ def _observation(
     position: np.ndarray,
     material: np.ndarray,
     sigma: float,
-    told: MarkerSettings,
+    told: Markers,
     where: object,
 ) -> Observation:
     visible = np.isfinite(position).all(axis=-1)
@@ -167,31 +177,25 @@ def _observation(
     return Observation(time, position, visible, sigma, material)
 
 
-def _settings(given: Mapping[str, Any], where: object, known: set[str] | None = None) -> MarkerSettings:
-    """The settings, checked; `known` are those that apply here (None: all)."""
-    known = known or {f.name for f in fields(MarkerSettings)}
+def _told(given: Mapping[str, Any], path: Path) -> Markers:
+    """The settings as given for a file, checked."""
+    known = {f.name for f in fields(Markers)}
     for name in given:
         if name not in known:
             close = difflib.get_close_matches(name, known, n=1)
             remedy = f"did you mean {close[0]!r}?" if close else "drop it"
-            raise refusal(where, "settings", repr(name), f"one of {', '.join(sorted(known))}", remedy)
-    told = MarkerSettings(**given)
-    if told.up not in tuple(UP):
-        raise refusal(where, "setting 'up'", repr(told.up), "x, y or z, the file's axis that points up")
-    if told.unit not in (None, *UNITS):
-        raise refusal(where, "setting 'unit'", repr(told.unit), ", ".join(UNITS))
-    for name in ("rate", "frame_tolerance", "fill_gaps_up_to", "sigma"):
-        value = getattr(told, name)
-        if value is not None and not (_is_number(value) and value >= 0):
-            raise refusal(where, f"setting '{name}'", repr(value), "a number, 0 or above")
-    return told
+            raise refusal(path, "settings", repr(name), f"one of {', '.join(sorted(known))}", remedy)
+    try:
+        return Markers(**given)
+    except ClothbenchError as fault:
+        raise ClothbenchError(str(fault).replace(Markers.name, str(path), 1)) from fault
 
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _in_world(path: Path, told: MarkerSettings) -> MarkerFile:
+def _in_world(path: Path, told: Markers) -> MarkerFile:
     """The file's markers in the world frame, z up."""
     raw = read_markers(path, unit=told.unit, rate=told.rate)
     upright = MarkerFile(path, raw.labels, raw.time, raw.position @ UP[told.up].T)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -28,10 +27,8 @@ class Stripes:
                 raise ClothbenchError(f"stripes: {what} is {value!r}, expected a number above 0, at most {most:g}")
         self.level, self.blur, self.threshold = level, blur, threshold
 
-    def track(self, source: Recording | Path, **settings: Any) -> Observation:
-        """The view of a recording (object or .nc file) with a video of projected stripes; it takes no settings."""
-        if settings:
-            raise ClothbenchError(f"stripes: setting {min(settings)!r} is not known; there are none")
+    def track(self, source: Recording | Path) -> Observation:
+        """The view of a recording (object or .nc file) with a video of projected stripes."""
         recording = source if isinstance(source, Recording) else read_recording(source)
         where, video = recording.path or recording.name, recording.video
         if video is None or video.projector is None:

@@ -1,0 +1,269 @@
+"""What a plugin may offer beyond what it must (`clothbench.core.protocols`): each optional part is a small protocol.
+
+A part is there or it is not; what that means where it is not is said here too, in a function, so that nobody who asks
+needs a default of his own. The conformance kit (`clothbench.testing`) checks every part that a plugin offers.
+
+Options are no parts: they reach a plugin through its constructor. Those that the frame knows of, and sets where a
+factory takes them (`takes_option`), are:
+
+    dt          of a model: its time step [s]
+    step_scale  of a model: multiplies the time step that it would choose
+    resolution  of a model: nodes along (u, v), where the scene does not say
+    start       of an optimizer: "defaults" leaves the first look around out and begins at the space's defaults
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Mapping, Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+
+from clothbench.core.folding import Folding
+from clothbench.core.protocols import Material, Model
+from clothbench.core.scene import Scene
+
+MODEL_KINDS = ("explicit", "implicit", "static", "")
+
+# --- of any plugin --------------------------------------------------------------------------------------------------
+
+
+@runtime_checkable
+class MayBeAbsent(Protocol):
+    """A plugin that needs something else installed before it can do anything. Without it: it needs nothing."""
+
+    @staticmethod
+    def skip_reason() -> str | None:
+        """What has to be installed, as a line for the user; None if all is there."""
+        ...
+
+
+@runtime_checkable
+class BuiltOn(Protocol):
+    """A plugin whose results depend on a library's version, which then is part of a cell's key.
+
+    built_on: names of distributions; the first that is installed counts. Without it: on clothbench alone.
+    """
+
+    built_on: Sequence[str]
+
+
+def absent(plugin: Any) -> str | None:
+    """Why a plugin that loads cannot be used on this machine, if it says so: no fault of anybody."""
+    return plugin.skip_reason() if isinstance(plugin, MayBeAbsent) else None
+
+
+def libraries(plugin: Any) -> tuple[str, ...]:
+    """The distributions that a plugin is built on, () if it names none."""
+    return tuple(plugin.built_on) if isinstance(plugin, BuiltOn) else ()
+
+
+def options_of(factory: Any) -> frozenset[str]:
+    """Names of the options that a class or factory takes; none where it does not say, as some compiled ones do not."""
+    try:
+        return frozenset(inspect.signature(factory).parameters)
+    except (TypeError, ValueError):
+        return frozenset()
+
+
+def takes_option(factory: Any, name: str) -> bool:
+    """Whether a class or factory has an option of that name."""
+    return name in options_of(factory)
+
+
+# --- of a model -----------------------------------------------------------------------------------------------------
+
+
+@runtime_checkable
+class RefusesScenes(Protocol):
+    """A model that cannot simulate every scene. Without it: it tries all, and `prepare` refuses what it cannot."""
+
+    def skip(self, scene: Scene) -> str | None:
+        """Why it cannot simulate this scene; None if it can. A cell is then skipped, which is no fault."""
+        ...
+
+
+@runtime_checkable
+class KnowsMaterials(Protocol):
+    """A model whose parameters can be said from textbook stiffnesses. Without it: most tests of mechanics skip it."""
+
+    def of_material(self, material: Material, scene: Scene) -> np.ndarray:
+        """Its parameters (P,) for a cloth of this material in this scene, damping as low as they go; or a
+        ClothbenchError that says what it has no parameter for.
+        """
+        ...
+
+
+@runtime_checkable
+class AnswersCurves(Protocol):
+    """A model that answers force-extension curves, which it says with the capability "curve"."""
+
+    def curve(self, stretch: np.ndarray, theta: np.ndarray) -> np.ndarray:
+        """Tension (M,) N/m of width at stretches (M,), 1 = unstretched, for parameters theta (P,)."""
+        ...
+
+
+@runtime_checkable
+class FoldsStrips(Protocol):
+    """A model that folds strips on a desk, which it says with the capability "fold"."""
+
+    def strip(self, length: float) -> Folding:
+        """A strip `length` m long, ready to be lifted by one end."""
+        ...
+
+
+@runtime_checkable
+class Refinable(Protocol):
+    """A model with finer steps of its own making, beside or instead of the option `step_scale`."""
+
+    def refined(self, factor: float) -> Model:
+        """The same model with time steps `factor` times shorter."""
+        ...
+
+
+@runtime_checkable
+class HasKind(Protocol):
+    """How a model steps: kind is "explicit", "implicit" or "static". Without it: "", nobody knows.
+
+    `improve` chooses the mesh by it, since implicit steps are dearer, and tables of speed show it.
+    """
+
+    kind: str
+
+
+@runtime_checkable
+class Repeatable(Protocol):
+    """A model in which rounding, or a solver's tolerance, alone carries a sheet some way.
+
+    repeatability: m; two motions are the same within it. Without it: 0.
+    """
+
+    repeatability: float
+
+
+@runtime_checkable
+class HasBenchOptions(Protocol):
+    """bench_options: sets of options that the speed is measured with. Without it: one set, empty; (): not measured."""
+
+    bench_options: Sequence[Mapping[str, Any]]
+
+
+@runtime_checkable
+class HasEqualErrorOptions(Protocol):
+    """equal_error_options: sets of options that are tried for speed at equal error. Without it: one set, empty."""
+
+    equal_error_options: Sequence[Mapping[str, Any]]
+
+
+def why_skipped(model: Any, scene: Scene) -> str | None:
+    """Why a model cannot simulate a scene, if it says so."""
+    return model.skip(scene) if isinstance(model, RefusesScenes) else None
+
+
+def kind_of_model(model: Any) -> str:
+    """How it steps, one of `MODEL_KINDS`."""
+    return model.kind if isinstance(model, HasKind) else ""
+
+
+def repeatability_of(model: Any) -> float:
+    """How far rounding and tolerances alone may carry a sheet [m]."""
+    return model.repeatability if isinstance(model, Repeatable) else 0.0
+
+
+def bench_options_of(factory: Any) -> list[dict[str, Any]]:
+    """Sets of options that the speed of a model is measured with."""
+    return [dict(one) for one in factory.bench_options] if isinstance(factory, HasBenchOptions) else [{}]
+
+
+def equal_error_options_of(factory: Any) -> list[dict[str, Any]]:
+    """Sets of options that are tried for the speed of a model at equal error."""
+    return [dict(one) for one in factory.equal_error_options] if isinstance(factory, HasEqualErrorOptions) else [{}]
+
+
+# --- of a simulation ------------------------------------------------------------------------------------------------
+
+
+@runtime_checkable
+class RunsInThreads(Protocol):
+    """threads: whether several simulations may run at the same time in threads of one process. Without it: no."""
+
+    threads: bool
+
+
+def runs_in_threads(simulation: Any) -> bool:
+    return simulation.threads if isinstance(simulation, RunsInThreads) else False
+
+
+# --- of an effect ---------------------------------------------------------------------------------------------------
+
+
+@runtime_checkable
+class Remembers(Protocol):
+    """A dynamics effect whose kernels carry something from step to step. Without it: nothing."""
+
+    def state_size(self, sheet: Any) -> int:
+        """How many numbers it keeps for this sheet (`clothbench.Sheet`); they are 0 when a run begins."""
+        ...
+
+
+@runtime_checkable
+class Stiffens(Protocol):
+    """A dynamics effect that makes the cloth stiffer: models whose step depends on that then take a shorter one."""
+
+    def stiffness(self, phi: np.ndarray) -> tuple[float, float]:
+        """What it adds at most, for its parameters phi (P,): in-plane stiffness N/m and bending rigidity N·m."""
+        ...
+
+
+@runtime_checkable
+class SaysNormals(Protocol):
+    """normals: whether its kernels read `sheet.normal`, which nobody computes (NaN) if none does. Without it: yes."""
+
+    normals: bool
+
+
+@runtime_checkable
+class ShiftsTimes(Protocol):
+    """A sensor effect that shifts when the simulation is looked at. One without it and `positions` does nothing."""
+
+    def times(self, time: np.ndarray, phi: np.ndarray) -> np.ndarray:
+        """When the simulation is looked at (T,) s for each stamp (T,) s."""
+        ...
+
+
+@runtime_checkable
+class ShiftsPositions(Protocol):
+    """A sensor effect that shifts where points are seen."""
+
+    def positions(self, time: np.ndarray, position: np.ndarray, points: np.ndarray, phi: np.ndarray) -> np.ndarray:
+        """Where points (N, 2) m, truly at position (T, N, 3) m, are seen at the stamps (T,) s."""
+        ...
+
+
+def reads_normals(effect: Any) -> bool:
+    return effect.normals if isinstance(effect, SaysNormals) else True
+
+
+# --- of an optimizer ------------------------------------------------------------------------------------------------
+
+
+@runtime_checkable
+class HasStart(Protocol):
+    """start: (P,), where the walk set out from once a first look around was over, or None until then."""
+
+    start: np.ndarray | None
+
+
+@runtime_checkable
+class Renewable(Protocol):
+    """An optimizer that goes on when a new measurement has come. Without it: a new one begins at the estimate."""
+
+    def renew(self) -> None:
+        """Search again, from where it is."""
+        ...
+
+
+def start_of(optimizer: Any) -> np.ndarray | None:
+    """Where a walk set out from (P,); None before it has, and for optimizers that do not say."""
+    return optimizer.start if isinstance(optimizer, HasStart) else None
