@@ -122,7 +122,7 @@ def test_a_recording_keeps_its_gaps_and_its_sigma(tmp_path):
     recording = a_recording()
     path = write_recording(recording, tmp_path / "run.nc")
     for source in (recording, path, str(path)):
-        seen = source
+        seen = Markers().track(source)
         np.testing.assert_array_equal(seen.position, recording.position)
         np.testing.assert_array_equal(seen.visible, recording.visible)
         np.testing.assert_array_equal(seen.material, recording.material)
@@ -286,11 +286,15 @@ def test_a_bad_trc_file_is_refused(tmp_path, break_it, match):
         ({"material": MATERIAL, "up": "w"}, "setting 'up': found 'w'"),
         ({"material": MATERIAL, "sigma": -1}, "setting 'sigma': found -1"),
         ({"material": MATERIAL, "fill_gaps_up_to": "long"}, "setting 'fill_gaps_up_to': found 'long'"),
-        ({"material": MATERIAL, "fill_gap_up_to": 1}, "did you mean 'fill_gaps_up_to'"),
     ],
 )
 def test_a_bad_setting_is_refused(good, settings, match):
     refused(match, good, **settings)
+
+
+def test_an_unknown_setting_of_a_file_is_refused_with_the_nearest(good):
+    with pytest.raises(ClothbenchError, match="did you mean 'fill_gaps_up_to'"):
+        record(good, fill_gap_up_to=1)
 
 
 def test_a_file_of_another_kind_or_none_is_refused(tmp_path):

@@ -65,6 +65,16 @@ def test_bounds_may_be_of_parameters_that_only_some_cells_search(tmp_path):
         plan(config(tmp_path, suite=suite, bounds={"zta": [0.1, 0.5]}), catalogue())
 
 
+def test_an_option_reaches_the_tracker_and_makes_another_cell(tmp_path):
+    suite = {"each": ["silk/sway-1"]}
+    usual = plan(config(stand_ins(tmp_path), suite=suite), catalogue())[0]
+    told = plan(config(tmp_path, suite=suite, options={"markers": {"sigma": 0.02}}), catalogue())[0]
+    assert [set_up(c, catalogue()).trials[0].observation.sigma for c in (usual, told)] == [1e-3, 0.02]
+    assert usual.key != told.key
+    with pytest.raises(ClothbenchError, match="unexpected keyword argument 'sgma'"):
+        plan(config(tmp_path, suite=suite, options={"markers": {"sgma": 0.02}}), catalogue())
+
+
 def test_air_is_not_searched_for_in_sheets_at_rest_whatever_the_model():
     from omegaconf import OmegaConf
 
