@@ -98,12 +98,10 @@ def keeps_what_it_offers(case: ModelCase) -> None:
     require(length, f"repeatability {far!r}", "metres, 0 or above")
     named = all(isinstance(name, str) and name for name in libraries(make))
     require(named and not isinstance(getattr(make, "built_on", ()), str), f"built_on {libraries(make)}", "names")
-    for what, sets in (
-        ("bench_options", bench_options_of(make)),
-        ("equal_error_options", equal_error_options_of(make)),
-    ):
-        for options in sets:
-            made(make, f"{what} of model", **options)
+    for options in (*bench_options_of(make), *equal_error_options_of(make)):
+        require(
+            _can_be_made(make, options), f"options {options} to be measured with, which make no model", "some that do"
+        )
     for name, scene in case.scenes.items() if answers_sheets(model) else ():
         reason = why_skipped(model, scene)
         said = reason is None or (isinstance(reason, str) and reason.strip() and "\n" not in reason)
@@ -116,6 +114,14 @@ def keeps_what_it_offers(case: ModelCase) -> None:
         require(finer.parameters.names == model.parameters.names, "other parameters of refined(2)", "the model's own")
     if "fold" in model.capabilities:
         require(isinstance(model, FoldsStrips), "capability 'fold' and no strip(length)", "one")
+
+
+def _can_be_made(make: Callable[..., Model], options: Mapping[str, object]) -> bool:
+    try:
+        make(**options)
+    except Exception:
+        return False
+    return True
 
 
 def _require_material(model: Model, name: str, scene: Scene) -> None:

@@ -293,7 +293,7 @@ class Foldless(Faulty):
 CASES = [
     (Undecided, "keeps what it offers", "kind 'sometimes'"),
     (Unrepeatable, "keeps what it offers", "repeatability -1.0"),
-    (Untimed, "keeps what it offers", "unexpected keyword argument 'nonsense'"),
+    (Untimed, "keeps what it offers", "options {'nonsense': 1} to be measured with"),
     (Moody, "keeps what it offers", "→ True"),
     (Vague, "keeps what it offers", "of_material in scene"),
     (Loose, "keeps what it offers", "threads 'many'"),
