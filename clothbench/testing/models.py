@@ -99,9 +99,8 @@ def keeps_what_it_offers(case: ModelCase) -> None:
     named = all(isinstance(name, str) and name for name in libraries(make))
     require(named and not isinstance(getattr(make, "built_on", ()), str), f"built_on {libraries(make)}", "names")
     for options in (*bench_options_of(make), *equal_error_options_of(make)):
-        require(
-            _can_be_made(make, options), f"options {options} to be measured with, which make no model", "some that do"
-        )
+        found = f"options {options} to be measured with, which make no model"
+        require(_can_be_made(make, options), found, "some that do")
     for name, scene in case.scenes.items() if answers_sheets(model) else ():
         reason = why_skipped(model, scene)
         said = reason is None or (isinstance(reason, str) and reason.strip() and "\n" not in reason)
