@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
+from pathlib import Path
 
 import numpy as np
 import pytest
 import wrong_models
 import wrong_plugins
 
+import clothbench.testing
 from clothbench import ClothbenchError
 from clothbench.plugins.discovery import KINDS, OWN, catalogue
 from clothbench.testing import (
@@ -134,6 +137,13 @@ def test_unknown_kinds_and_rules_are_refused():
 def test_raw_data_given_by_the_author_is_not_passed_over(tmp_path):
     with pytest.raises(ConformanceError, match="found ClothbenchError: tracks recordings only"):
         check_tracker(wrong_plugins.HonestTracker, source=tmp_path)
+
+
+def test_the_kit_names_no_built_in_plugin():
+    names = {p.name for p in catalogue().plugins if p.distribution == OWN and p.kind in KINDS}
+    for path in Path(clothbench.testing.__file__).parent.glob("*.py"):
+        texts = {n.value for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Constant)}
+        assert not (names & {t for t in texts if isinstance(t, str)}) - {"fold", "profile"}, path  # other things, too
 
 
 def test_importing_the_kit_costs_nothing():

@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 from conftest import ROOT
 
+import clothbench
 import clothbench.modelling
+from clothbench.core import optional
 from clothbench.engine.store import Store
 from clothbench.engine.study import Context, Results
 from clothbench.plugins import hookspecs
@@ -96,6 +98,20 @@ def test_registrations_on_the_page_are_found(module_of, monkeypatch):
     assert (model.name, effect.name) == ("plumb", "draught")
     hooks = set(re.findall(r"`(clothbench_\w+)` \|", section("Registration")))
     assert hooks == {name for name in vars(hookspecs) if name.startswith("clothbench_")}
+
+
+def test_the_page_names_every_optional_part():
+    """Each protocol of `core/optional` with the members that it has, all of them public."""
+    parts = {
+        p.__name__: p for p in vars(optional).values() if isinstance(p, type) and p.__module__ == optional.__name__
+    }
+    sections = [heading for heading in re.findall(r"^## (.+)$", PAGE, re.MULTILINE) if heading.endswith("may offer")]
+    rows = [line for heading in sections for line in section(heading).splitlines() if line.startswith("|")]
+    assert set(parts) <= set(clothbench.__all__)
+    for name, part in parts.items():
+        (row,) = (row for row in rows if f"`{name}`" in row)
+        members = {m for m in (*vars(part), *part.__annotations__) if not m.startswith("_")}
+        assert members <= set(re.findall(r"\w+", row)), row
 
 
 def test_the_page_names_all_of_modelling():
