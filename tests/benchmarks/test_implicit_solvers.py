@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 from clothbench_models import implicit_grid
-from clothbench_models.baraff_witkin_kernels import elastic
+from clothbench_models.baraff_witkin_kernels import Membrane, Plate, elastic
 from clothbench_models.resting_contact import STICKS
 from clothbench_models.sheet_forces import TRIANGLES
 from scipy import sparse
@@ -49,10 +49,22 @@ class Step:
         self.edges, self.shear, self.work = (np.zeros((rows, padded)) for rows in (10, TRIANGLES, 20))
         self.mass, self.bending = np.array(simulation.sheet.mass), simulation.bending
         force = self.mass * np.array(simulation.scene.gravity)[:, None]
+        membrane = Membrane(lengths, over, stiffness, 0 * stiffness)
+        plate = Plate(self.bending.offsets, self.bending.values, timing.CLOTH.bending, 0.0, np.zeros(2))
         elastic(
-            x + gamma * speed, speed, force, nu, lengths, over, stiffness, 0 * stiffness, self.bending.offsets,
-            self.bending.values, timing.CLOTH.bending, 0.0, 0.0, gamma**2, gamma, self.edges, self.shear, self.work,
-        )  # fmt: skip
+            x + gamma * speed,
+            speed,
+            force,
+            nu,
+            membrane,
+            plate,
+            0.0,
+            gamma**2,
+            gamma,
+            self.edges,
+            self.shear,
+            self.work,
+        )
         self.right, self.delta, self.spare = gamma * force, np.zeros((3, n)), np.zeros((5, 3, n))
         self.inverse, self.none, self.bend = np.ones((6, n)), np.zeros((6, n)), gamma**2 * timing.CLOTH.bending
         self.touch = np.zeros(n, np.int64)
