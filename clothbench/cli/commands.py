@@ -109,7 +109,9 @@ def _store(sub: argparse.ArgumentParser) -> None:
 
 
 def _import(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("name", metavar="NAME", help="a data set that `clothbench datasets` lists")
+    sub.add_argument(
+        "name", metavar="NAME", help="a data set that `clothbench datasets` lists, or a folder of depth frames"
+    )
     sub.add_argument(
         "settings",
         nargs="*",
@@ -229,6 +231,13 @@ def import_data(options: argparse.Namespace) -> int:
     from clothbench.engine.progress import counting
 
     settings = key_values(options.settings, ("data_dir", "out"))
+    if Path(options.name).is_dir():
+        from clothbench.datasets.depth_folder import depth_recording
+
+        with counting("frames") as told:
+            path = depth_recording(Path(options.name), Path(settings.get("out", "recordings")), told)
+        print(f"{path}: one recording of kind 'depth'; next: clothbench validate {path}")
+        return 0
     with counting("files") as told:
         folder = converted(options.name, **settings, again=True, progress=told)
     print_import(folder)

@@ -41,6 +41,11 @@ class Camera:
         if np.abs(self.rotation @ self.rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(self.rotation) < 0:
             raise ClothbenchError("camera: rotation is no proper rotation matrix")
 
+    @property
+    def place(self) -> np.ndarray:
+        """Where it stands in the world (3,) m."""
+        return -self.rotation.T @ self.translation
+
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World points (..., 3) m → pixels (..., 2) and depth along the optical axis (...) m.
 

@@ -16,7 +16,8 @@ class Observation:
 
     time: (T,) s; position: (T, N, 3) m, NaN where not known; visible: (T, N) bool, what was measured (a tracker may
     fill a gap with a position, but that stays invisible and never counts); sigma: m, standard deviation
-    of one coordinate (NaN = not known); material: (N, 2) m; view: what was made of a camera's images, or None.
+    of one coordinate (NaN = not known); material: (N, 2) m; view: what was made of a camera's images, or None; eye:
+    (3,) m, where the camera stood, or None.
     """
 
     time: np.ndarray
@@ -25,6 +26,7 @@ class Observation:
     sigma: float
     material: np.ndarray
     view: View | None = None
+    eye: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         for name in ("time", "position", "visible", "material"):

@@ -21,6 +21,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from clothbench.core.folding import Folding
+from clothbench.core.observation import Observation
 from clothbench.core.protocols import Material, Model
 from clothbench.core.scene import Scene
 
@@ -157,7 +158,9 @@ class HasEqualErrorOptions(Protocol):
 
 
 def why_skipped(model: Any, scene: Scene) -> str | None:
-    """Why a model cannot simulate a scene, if it says so."""
+    """Why a model cannot simulate a scene, by its capabilities or if it says so."""
+    if scene.velocity is not None and "moving_start" not in model.capabilities:
+        return "the model starts from rest only, and the scene (scene.start=measured) from a motion that was seen"
     return model.skip(scene) if isinstance(model, RefusesScenes) else None
 
 
@@ -243,6 +246,18 @@ class ShiftsPositions(Protocol):
 
 def reads_normals(effect: Any) -> bool:
     return effect.normals if isinstance(effect, SaysNormals) else True
+
+
+# --- of a tracker ---------------------------------------------------------------------------------------------------
+
+
+@runtime_checkable
+class ShowsSteps(Protocol):
+    """A tracker that shows what its steps make of an image. Without it: a page has no pictures of them."""
+
+    def pictures(self, source: Any, frame: int, seen: Observation) -> Mapping[str, np.ndarray]:
+        """Pictures (H, W, 3) uint8, RGB, of one frame by the step's name, in order; seen: what `track` made of it."""
+        ...
 
 
 # --- of an optimizer ------------------------------------------------------------------------------------------------

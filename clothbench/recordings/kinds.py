@@ -15,7 +15,10 @@ READERS = {
     "nodes": ("nodes", "read_recording"),
     "curve": ("curve", "read_curve"),
     "laser": ("laser", "read_laser"),
+    "depth": ("depth", "read_depth"),
 }
+
+SHEETS = ("nodes", "depth")  # kinds that show a sheet of cloth, which models simulate
 
 
 class AnyRecording(Protocol):
@@ -33,6 +36,12 @@ def reader_of(kind: str) -> Callable[[str | os.PathLike[str]], Any]:
     """The function that reads files of a kind; that of "nodes" for kinds not known, which it refuses in words."""
     module, name = READERS.get(kind, READERS["nodes"])
     return getattr(import_module(f"clothbench.recordings.{module}"), name)
+
+
+def read_sheet(path: str | os.PathLike[str]) -> Any:
+    """Read and check one recording that shows a sheet, tracked (`Recording`) or not yet (`DepthImages`)."""
+    kind = kind_of(Path(path))
+    return reader_of(kind if kind in SHEETS else "nodes")(path)
 
 
 def read_any(path: str | os.PathLike[str]) -> AnyRecording:

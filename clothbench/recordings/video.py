@@ -22,11 +22,11 @@ ATTRIBUTES = (*(f"camera_{name}" for name in LENSES), *PROJECTOR)
 
 def _pack(video: Video) -> tuple[Arrays, Stated]:
     """The frames, and the attributes that state their calibration, numbers as text."""
-    out: dict[str, Any] = {f"camera_{name}": _text(getattr(video.camera, name)) for name in LENSES}
+    out: dict[str, Any] = {f"camera_{name}": text_of(getattr(video.camera, name)) for name in LENSES}
     if (projector := video.projector) is not None:
         lens = projector.lens
-        out |= {f"projector_{name}": _text(getattr(lens, name)) for name in LENSES if name != "distortion"}
-        out |= {"projector_size": _text(lens.size), "stripe_period": float(projector.period)}
+        out |= {f"projector_{name}": text_of(getattr(lens, name)) for name in LENSES if name != "distortion"}
+        out |= {"projector_size": text_of(lens.size), "stripe_period": float(projector.period)}
     return {"frame": video.frame}, out
 
 
@@ -35,18 +35,21 @@ def _unpack(arrays: Arrays, stated: Stated, path: Path) -> Video | None:
     if "frame" not in arrays:
         return None
     frame = arrays["frame"]
-    camera = _lens(stated, "camera", (frame.shape[2], frame.shape[1]), path)
+    camera = lens_of(stated, "camera", (frame.shape[2], frame.shape[1]), path)
     projector = None
     if any(name in stated for name in PROJECTOR):
-        width, height = _numbers(stated, "projector_size", (2,), path)
-        lens = _lens(stated, "projector", (int(width), int(height)), path)
-        projector = _said(path, lambda: Projector(lens, float(_numbers(stated, "stripe_period", (), path))))
+        width, height = numbers_of(stated, "projector_size", (2,), path)
+        lens = lens_of(stated, "projector", (int(width), int(height)), path)
+        projector = _said(path, lambda: Projector(lens, float(numbers_of(stated, "stripe_period", (), path))))
     return Video(frame, camera, projector)
 
 
-def _lens(stated: Stated, prefix: str, size: tuple[int, int], path: Path) -> Camera:
+def lens_of(
+    stated: Stated, prefix: str, size: tuple[int, int], path: Path, whose: str = "a recording with 'frame'"
+) -> Camera:
+    """The camera or projector that attributes `PREFIX_…` calibrate."""
     names = [name for name in LENSES if not (prefix == "projector" and name == "distortion")]
-    given = {name: _numbers(stated, f"{prefix}_{name}", LENSES[name], path) for name in names}
+    given = {name: numbers_of(stated, f"{prefix}_{name}", LENSES[name], path, whose) for name in names}
     return _said(path, lambda: Camera(size, **given))
 
 
@@ -58,9 +61,12 @@ def _said(path: Path, make: Any) -> Any:
         raise ClothbenchError(f"{path}: {fault}") from fault
 
 
-def _numbers(stated: Stated, name: str, shape: tuple[int, ...], path: Path) -> np.ndarray:
+def numbers_of(
+    stated: Stated, name: str, shape: tuple[int, ...], path: Path, whose: str = "a recording with 'frame'"
+) -> np.ndarray:
+    """An attribute of several numbers, as an array of this shape."""
     if name not in stated:
-        raise ClothbenchError(f"{path}: attribute {name!r} is missing; a recording with 'frame' needs it")
+        raise ClothbenchError(f"{path}: attribute {name!r} is missing; {whose} needs it")
     try:
         return np.array([float(part) for part in str(stated[name]).split()]).reshape(shape)
     except ValueError:
@@ -68,7 +74,8 @@ def _numbers(stated: Stated, name: str, shape: tuple[int, ...], path: Path) -> n
         raise ClothbenchError(f"{path}: attribute {name!r}: found {stated[name]!r}, expected {count} numbers") from None
 
 
-def _text(values: Any) -> str:
+def text_of(values: Any) -> str:
+    """Numbers as an attribute has them: exact, one after the other."""
     return " ".join(repr(float(v)) for v in np.ravel(values))
 
 

@@ -1,0 +1,261 @@
+"""A folder of depth frames, or of point clouds, as one recording of kind "depth".
+
+FOLDER/recording.json      what the frames do not say (below)
+FOLDER/depth/*.png         16 bit, in the order of their names; 0: nothing measured
+FOLDER/colour/*.png|jpg    as many, registered to the depth; may be missing
+FOLDER/clouds/*.ply|npy    instead of `depth`: points (n, 3) m in the camera's frame, x right, y down, z forwards
+
+recording.json needs `name`, `cloth_width`, `cloth_height` [m], `time` (a list of s) or `rate` [1/s], and `camera`:
+`size` [width, height] px and `matrix` (3 × 3), or `fx`, `fy`, `cx`, `cy`; where it stands, `rotation` and `translation`
+(x_camera = R x_world + t), or it is taken to look along +y from the origin, level. `depth_step` [m] is 0.001 unless
+stated. `colour_time`, `grips` (`time`, `material`, `position`), `gravity` and the texts of a recording's header may be
+there too; what else there is becomes a note.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clothbench.core.camera import Camera
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.progress import FileProgress
+from clothbench.recordings.depth import LAYOUT, Colour, DepthImages, Grips, write_depth
+
+LEVEL = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # a camera that looks along +y, z up
+MILLIMETRE = 1e-3
+OWN = {"camera", "time", "rate", "colour_time", "grips", "gravity", "depth_step"}
+
+
+def depth_recording(folder: Path, out: Path, progress: FileProgress | None = None) -> Path:
+    """Read a folder and write `out`/NAME.nc; faults are one line with file, found and expected."""
+    images = read_folder(folder, progress)
+    name = re.sub(r"[^\w.-]+", "_", images.name)
+    return write_depth(images, out / f"{name}.nc")
+
+
+def read_folder(folder: Path, progress: FileProgress | None = None) -> DepthImages:
+    """The recording that a folder of frames amounts to."""
+    about = _about(folder)
+    where = folder / "recording.json"
+    clouds = _files(folder / "clouds", (".ply", ".npy"))
+    files = clouds or _files(folder / "depth", (".png",))
+    if not files:
+        raise ClothbenchError(f"{folder}: found no frames, expected depth/*.png (16 bit) or clouds/*.ply or *.npy")
+    time = _stamps(about, len(files), where)
+    camera = _camera(_needed(about, "camera", where), where)
+    step = float(about.get("depth_step", MILLIMETRE))
+    frames = []
+    for number, file in enumerate(files):
+        frames.append(projected(read_cloud(file), camera, step, file) if clouds else read_png(file, camera))
+        if progress is not None:
+            progress(number + 1, len(files), file.name)
+    return DepthImages(
+        name=str(_needed(about, "name", where)), time=time, depth=np.stack(frames), depth_step=step, camera=camera,
+        colour=_colour(folder, about, time, camera), grips=_grips(about, where), path=str(folder),
+        **_header(about, where),
+    )  # fmt: skip
+
+
+def read_png(file: Path, camera: Camera) -> np.ndarray:
+    """A depth frame (H, W) of whole numbers; one that is not 16 bit, or not of the camera's size, is refused."""
+    import cv2
+
+    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise ClothbenchError(f"{file}: found no image that can be read, expected a PNG of 16 bit")
+    if image.dtype != np.uint16 or image.ndim != 2:
+        raise ClothbenchError(
+            f"{file}: found {image.dtype} with {image.ndim} dimensions, expected one channel of 16 bit; an image of "
+            "8 bit is a picture of depth, not depth"
+        )
+    if image.shape != camera.size[::-1]:
+        raise ClothbenchError(
+            f"{file}: found {image.shape[1]} × {image.shape[0]} px, expected camera.size {camera.size}"
+        )
+    return image
+
+
+def read_cloud(file: Path) -> np.ndarray:
+    """Points (n, 3) m of a NumPy file, or of the vertices of a PLY file (ASCII or binary)."""
+    if file.suffix == ".npy":
+        try:
+            points = np.load(file, allow_pickle=False)
+        except (OSError, ValueError) as fault:
+            raise ClothbenchError(
+                f"{file}: found no array that can be read ({fault}), expected points (n, 3)"
+            ) from fault
+    else:
+        points = _ply(file)
+    if points.ndim != 2 or points.shape[1] < 3 or not np.issubdtype(points.dtype, np.number):
+        raise ClothbenchError(f"{file}: found an array of shape {points.shape}, expected points (n, 3) in metres")
+    points = np.asarray(points[:, :3], dtype=float)
+    points = points[np.isfinite(points).all(axis=1)]
+    if len(points) and not 0.05 <= np.median(np.abs(points[:, 2])) <= 20.0:
+        raise ClothbenchError(
+            f"{file}: found a middle depth of {np.median(points[:, 2]):g}, expected 0.05 … 20 m; are these millimetres?"
+        )
+    return points
+
+
+PLY_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": "i2", "int16": "i2", "ushort": "u2",
+             "uint16": "u2", "int": "i4", "int32": "i4", "uint": "u4", "uint32": "u4", "float": "f4", "float32": "f4",
+             "double": "f8", "float64": "f8"}  # fmt: skip
+
+
+def _ply(file: Path) -> np.ndarray:
+    """x, y, z of the vertices, which have to be the first element."""
+    raw = file.read_bytes()
+    head, mark, body = raw.partition(b"end_header\n")
+    lines = head.decode("ascii", "replace").split("\n")
+    if not mark or lines[0].strip() != "ply":
+        raise ClothbenchError(f"{file}: found no PLY header, expected 'ply' … 'end_header'")
+    words = [line.split() for line in lines if line.strip()]
+    form = next((w[1] for w in words if w[0] == "format"), "")
+    elements = [k for k, w in enumerate(words) if w[0] == "element"]
+    if not elements or words[elements[0]][1] != "vertex":
+        raise ClothbenchError(f"{file}: found no vertices first, expected 'element vertex N'")
+    count, last = int(words[elements[0]][2]), elements[1] if len(elements) > 1 else len(words)
+    names = [(w[-1], w[1]) for w in words[elements[0] + 1 : last] if w[0] == "property"]
+    if not {"x", "y", "z"} <= {name for name, _ in names} or any(kind not in PLY_TYPES for _, kind in names):
+        raise ClothbenchError(f"{file}: found vertices of {[n for n, _ in names]}, expected numbers x, y and z")
+    if form == "ascii":
+        rows = np.array([line.split()[: len(names)] for line in body.decode().splitlines()[:count]], dtype=float)
+        table = {name: rows[:, k] for k, (name, _) in enumerate(names)}
+    else:
+        order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(form)
+        if order is None:
+            raise ClothbenchError(f"{file}: found format {form!r}, expected ascii or binary")
+        kind = np.dtype([(name, order + PLY_TYPES[of]) for name, of in names])
+        if len(body) < count * kind.itemsize:
+            raise ClothbenchError(
+                f"{file}: found {len(body)} bytes of {count} vertices, expected {count * kind.itemsize}"
+            )
+        vertices = np.frombuffer(body, kind, count)
+        table = {name: vertices[name] for name, _ in names}
+    return np.stack([np.asarray(table[c], dtype=float) for c in "xyz"], axis=1)
+
+
+def projected(points: np.ndarray, camera: Camera, step: float, file: Path) -> np.ndarray:
+    """Points (n, 3) m in the camera's frame as a depth frame (H, W): the nearest in every pixel; 0 where there is none.
+
+    Clouds come thinner than the camera's pixels now and then: choose `size` and `matrix` so that a pixel has a point.
+    """
+    front = points[points[:, 2] > 0]
+    flat = front[:, :2] / front[:, 2:]
+    pixel = np.round(flat @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]).astype(int)
+    width, height = camera.size
+    inside = ((pixel >= 0) & (pixel < [width, height])).all(axis=1)
+    if not inside.any():
+        raise ClothbenchError(f"{file}: found no point that the camera sees, expected some; is z forwards, in metres?")
+    out = np.full((height, width), np.inf)
+    np.minimum.at(out, (pixel[inside, 1], pixel[inside, 0]), front[inside, 2])
+    return np.where(np.isfinite(out), np.round(np.where(np.isfinite(out), out, 0) / step), 0).astype(np.uint16)
+
+
+def _about(folder: Path) -> dict[str, Any]:
+    file = folder / "recording.json"
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ClothbenchError(
+            f"{file}: no such file; it states name, cloth size, camera and stamps of the frames"
+        ) from None
+    except (ValueError, OSError) as fault:
+        raise ClothbenchError(f"{file}: found no JSON that can be read ({fault})") from fault
+    if not isinstance(found, dict):
+        raise ClothbenchError(f"{file}: found {type(found).__name__}, expected an object with name, camera, …")
+    return found
+
+
+def _needed(about: Mapping[str, Any], name: str, where: Path) -> Any:
+    if name not in about:
+        hint = (
+            ": size and matrix, or fx, fy, cx, cy; without a calibration depth is no geometry"
+            if name == "camera"
+            else ""
+        )
+        raise ClothbenchError(f"{where}: {name!r} is missing{hint}")
+    return about[name]
+
+
+def _files(folder: Path, endings: Sequence[str]) -> list[Path]:
+    return sorted(p for p in folder.glob("*") if p.suffix.lower() in endings) if folder.is_dir() else []
+
+
+def _stamps(about: Mapping[str, Any], count: int, where: Path) -> np.ndarray:
+    if "time" in about:
+        time = np.asarray(about["time"], dtype=float)
+        if time.shape != (count,):
+            raise ClothbenchError(f"{where}: 'time': found {time.size} stamps, expected {count}, one for each frame")
+        return time
+    rate = _needed(about, "rate", where)
+    if not isinstance(rate, int | float) or not rate > 0:
+        raise ClothbenchError(f"{where}: 'rate': found {rate!r}, expected frames per second, above 0")
+    return np.arange(count) / rate
+
+
+def _camera(told: Any, where: Path) -> Camera:
+    try:
+        size = tuple(int(n) for n in told["size"])
+        if "matrix" in told:
+            matrix = np.array(told["matrix"], dtype=float)
+        else:
+            matrix = np.array([[told["fx"], 0, told["cx"]], [0, told["fy"], told["cy"]], [0, 0, 1.0]], dtype=float)
+        more = {name: np.array(told[name], dtype=float) for name in ("distortion",) if name in told}
+        rotation = np.array(told.get("rotation", LEVEL), dtype=float)
+        translation = np.array(told.get("translation", np.zeros(3)), dtype=float)
+        return Camera(size, matrix, rotation, translation, **more)  # type: ignore[arg-type]
+    except (KeyError, TypeError, ValueError) as fault:
+        raise ClothbenchError(
+            f"{where}: 'camera': found {type(fault).__name__} {fault}, expected size and matrix, or fx, fy, cx, cy"
+        ) from fault
+    except ClothbenchError as fault:
+        raise ClothbenchError(f"{where}: {fault}") from fault
+
+
+def _colour(folder: Path, about: Mapping[str, Any], time: np.ndarray, camera: Camera) -> Colour | None:
+    import cv2
+
+    files = _files(folder / "colour", (".png", ".jpg", ".jpeg"))
+    if not files:
+        return None
+    if len(files) != len(time):
+        raise ClothbenchError(f"{folder / 'colour'}: found {len(files)} pictures, expected {len(time)}, one a frame")
+    frames = []
+    for file in files:
+        image = cv2.imread(str(file), cv2.IMREAD_COLOR)
+        if image is None or image.shape[:2] != camera.size[::-1]:
+            found = "no picture that can be read" if image is None else f"{image.shape[1]} × {image.shape[0]} px"
+            raise ClothbenchError(f"{file}: found {found}, expected camera.size {camera.size}, registered to the depth")
+        frames.append(image[..., ::-1])
+    return Colour(np.asarray(about.get("colour_time", time), dtype=float), np.stack(frames))
+
+
+def _grips(about: Mapping[str, Any], where: Path) -> Grips | None:
+    if "grips" not in about:
+        return None
+    try:
+        return Grips(*(np.array(about["grips"][name], dtype=float) for name in ("time", "material", "position")))
+    except (KeyError, TypeError, ValueError) as fault:
+        raise ClothbenchError(
+            f"{where}: 'grips': found {type(fault).__name__} {fault}, expected time, material and position"
+        ) from fault
+
+
+def _header(about: Mapping[str, Any], where: Path) -> dict[str, Any]:
+    """The other fields of the recording, and notes of what it has no field for."""
+    for name in ("cloth_width", "cloth_height"):
+        _needed(about, name, where)
+    known = {f.name for f in fields(DepthImages)}
+    out: dict[str, Any] = {k: v for k, v in about.items() if k in known and k not in OWN | {"name", "notes"}}
+    if "gravity" in about:
+        out["gravity"] = tuple(about["gravity"])
+    strays = {k: str(v) for k, v in about.items() if k not in known | OWN}
+    return out | {"notes": {k: v for k, v in strays.items() if k not in LAYOUT.known}}

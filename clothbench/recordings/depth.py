@@ -1,0 +1,247 @@
+"""Recordings of kind "depth": what a calibrated depth camera gave, frame by frame, on disk as NetCDF-4.
+
+Same header as kind "nodes" (`clothbench.recordings.nodes`), of which `name`, `cloth_width`, `cloth_height`, `gravity`
+and `depth_step` are needed; what differs:
+
+| name | dims | units | meaning |
+|---|---|---|---|
+| `time` | time | s | when each frame was taken |
+| `depth` | time, y, x | 1 | whole numbers of `depth_step` [m] along the optical axis; 0: nothing measured |
+| `colour` | time, y, x, channel (3) | 1 | red, green, blue, 0 to 255, seen from the depth camera's place; optional |
+| `colour_time` | time | s | when each picture was taken, which is not when the depth was |
+| `grip_time`, `grip_material`, `grip_position` | as in kind "nodes" | | where the cloth was held, if that is known |
+
+Attributes: `depth_step` [m] of one unit of depth (0.001 for millimetres), and the camera: `camera_size` [px, width and
+height], `camera_matrix`, `camera_rotation`, `camera_translation` [m], `camera_distortion`, as in `clothbench.Camera`.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clothbench.core.camera import LENSES, Camera
+from clothbench.core.errors import ClothbenchError
+from clothbench.recordings.codec import freeze, hash_of, read, write
+from clothbench.recordings.layout import SPLITS, Arrays, Layout, Part, Stated, Variable
+from clothbench.recordings.nodes_rules import check_clock, check_overlap, check_points
+from clothbench.recordings.video import lens_of, numbers_of, text_of
+
+CHANNELS = 3
+JUMP = 8.0  # times the usual time between frames beyond which stamps have jumped
+NEAR, FAR = 0.05, 20.0  # m, between which the middle of all depths lies, or its unit is wrong
+
+
+@dataclass(frozen=True, eq=False)
+class Colour:
+    """Pictures (T, H, W, 3), a byte a channel, red first, in the depth camera's pixels; time: (T,) s, their own."""
+
+    time: np.ndarray
+    frame: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Grips:
+    """Where the cloth was held. time: (K,) s; material: (G, 2) m; position: (K, G, 3) m."""
+
+    time: np.ndarray
+    material: np.ndarray
+    position: np.ndarray
+
+
+def _pack_camera(camera: Camera) -> tuple[Arrays, Stated]:
+    stated = {f"camera_{name}": text_of(getattr(camera, name)) for name in LENSES}
+    return {}, stated | {"camera_size": text_of(camera.size)}
+
+
+def _unpack_camera(arrays: Arrays, stated: Stated, path: Path) -> Camera:
+    width, height = numbers_of(stated, "camera_size", (2,), path, "a depth recording")
+    return lens_of(stated, "camera", (int(width), int(height)), path, "a depth recording")
+
+
+def _pack_colour(colour: Colour) -> tuple[Arrays, Stated]:
+    return {"colour_time": colour.time, "colour": colour.frame}, {}
+
+
+def _unpack_colour(arrays: Arrays, stated: Stated, path: Path) -> Colour | None:
+    if "colour" not in arrays:
+        return None
+    if "colour_time" not in arrays:
+        raise ClothbenchError(f"{path}: variable 'colour_time' is missing, expected the stamps of 'colour' in s")
+    return Colour(arrays["colour_time"], arrays["colour"])
+
+
+def _pack_grips(grips: Grips) -> tuple[Arrays, Stated]:
+    return {"grip_time": grips.time, "grip_material": grips.material, "grip_position": grips.position}, {}
+
+
+def _unpack_grips(arrays: Arrays, stated: Stated, path: Path) -> Grips | None:
+    if not arrays:
+        return None
+    if missing := sorted(set(GRIPS.variables) - set(arrays)):
+        raise ClothbenchError(f"{path}: variable '{missing[0]}' is missing beside the other grip variables; add it")
+    return Grips(arrays["grip_time"], arrays["grip_material"], arrays["grip_position"])
+
+
+CAMERA = Part({}, (*(f"camera_{name}" for name in LENSES), "camera_size"), _pack_camera, _unpack_camera)
+COLOUR = Part(
+    {
+        "colour_time": Variable(("time",), "s"),
+        "colour": Variable(("time", "y", "x", "channel"), "1", np.uint8, level=6, exact=True),
+    },
+    (), _pack_colour, _unpack_colour,
+)  # fmt: skip
+GRIPS = Part(
+    {
+        "grip_time": Variable(("grip_time",), "s"),
+        "grip_material": Variable(("grip", "uv"), "m"),
+        "grip_position": Variable(("grip_time", "grip", "space"), "m", level=4),
+    },
+    (), _pack_grips, _unpack_grips,
+)  # fmt: skip
+LAYOUT = Layout(
+    kind="depth",
+    variables={
+        "time": Variable(("time",), "s"),
+        "depth": Variable(("time", "y", "x"), "1", np.uint16, level=6, exact=True),
+    },
+    texts=("name", "fabric", "sensor", "source", "licence", "declared_effects", "motion", "split"),
+    numbers=("cloth_width", "cloth_height", "areal_density", "depth_step"),
+    needed=("name", "cloth_width", "cloth_height", "gravity", "depth_step"),
+    vectors={"gravity": "three numbers like '0 0 -9.81' [m/s²]"},
+    parts={"camera": CAMERA, "colour": COLOUR, "grips": GRIPS},
+)
+
+
+@dataclass(frozen=True, eq=False)
+class DepthImages:
+    """What a depth camera saw of one run. Arrays are read-only; all SI, world frame, z up.
+
+    time: (T,) s; depth: (T, H, W), whole numbers of `depth_step` [m], 0 where nothing was measured; camera: of the
+    depth, whose pixels the colour shares; cloth_width, cloth_height: m; colour, grips: None where they are not known.
+    """
+
+    name: str
+    time: np.ndarray
+    depth: np.ndarray
+    depth_step: float
+    camera: Camera
+    cloth_width: float
+    cloth_height: float
+    colour: Colour | None = None
+    grips: Grips | None = None
+    areal_density: float = math.nan
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    fabric: str = ""
+    sensor: str = ""
+    source: str = ""
+    licence: str = ""
+    declared_effects: str = ""
+    motion: str = ""
+    split: str = ""
+    notes: dict[str, str] = field(default_factory=dict)
+    path: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        freeze(self, LAYOUT)
+        _check(self, self.path or self.name)
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 over everything measured and stated, whatever the file's encoding."""
+        return hash_of(self, LAYOUT)
+
+    def metres(self, frame: int) -> np.ndarray:
+        """Depth (H, W) m of a frame, NaN where nothing was measured."""
+        return np.where(self.depth[frame] > 0, self.depth[frame] * self.depth_step, np.nan)
+
+
+def read_depth(path: str | os.PathLike[str]) -> DepthImages:
+    """Read and check one file; a fault raises `ClothbenchError` with file, variable, found, expected."""
+    return read(path, LAYOUT, DepthImages)
+
+
+def write_depth(images: DepthImages, path: str | os.PathLike[str]) -> Path:
+    """Write one file, atomically: it is there whole or not at all."""
+    return write(images, path, LAYOUT)
+
+
+def _check(r: DepthImages, where: str) -> None:
+    """Every rule of the kind, in the order in which a reader would trip over it."""
+    check_clock(r.time, "time", where)
+    check_jumps(r.time, "time", where)
+    _check_stated(r, where)
+    width, height = r.camera.size
+    if r.depth.shape != (len(r.time), height, width):
+        raise ClothbenchError(
+            f"{where}: variable 'depth': found shape {r.depth.shape}, expected ({len(r.time)}, {height}, {width}): as "
+            "many frames as stamps, each as large as 'camera_size'"
+        )
+    empty = np.flatnonzero(~r.depth.any(axis=(1, 2)))
+    if empty.size:
+        which = ", ".join(map(str, empty[:5])) + (" …" if empty.size > 5 else "")
+        raise ClothbenchError(
+            f"{where}: variable 'depth': found {empty.size} frames that hold no depth at all ({which}), expected some "
+            "in each; drop these frames with their stamps"
+        )
+    middle = float(np.median(r.depth[r.depth > 0])) * r.depth_step
+    if not NEAR <= middle <= FAR:
+        raise ClothbenchError(
+            f"{where}: variable 'depth': found a middle of all depths of {middle:g} m, expected {NEAR:g} … {FAR:g} m; "
+            f"is depth_step, {r.depth_step:g} m, that of the sensor?"
+        )
+    if r.colour is not None:
+        _check_colour(r, r.colour, where)
+    if r.grips is not None:
+        _check_grips(r, r.grips, where)
+
+
+def check_jumps(time: np.ndarray, name: str, where: str) -> None:
+    """No gap between stamps is many times the usual one."""
+    steps = np.diff(time)
+    worst = int(np.argmax(steps))
+    if steps[worst] > JUMP * np.median(steps):
+        raise ClothbenchError(
+            f"{where}: variable '{name}': found a jump of {steps[worst]:g} s at index {worst + 1}, where "
+            f"{np.median(steps):g} s is usual; cut the recording there, or mend the stamps"
+        )
+
+
+def _check_colour(r: DepthImages, colour: Colour, where: str) -> None:
+    if colour.frame.shape != (*r.depth.shape, CHANNELS):
+        raise ClothbenchError(
+            f"{where}: variable 'colour': found shape {colour.frame.shape}, expected {(*r.depth.shape, CHANNELS)}, "
+            "registered to the depth"
+        )
+    check_clock(colour.time, "colour_time", where)
+
+
+def _check_grips(r: DepthImages, grips: Grips, where: str) -> None:
+    check_clock(grips.time, "grip_time", where)
+    expected: Any = (len(grips.time), len(grips.material), 3)
+    if grips.position.shape != expected or grips.material.shape[1:] != (2,):
+        raise ClothbenchError(f"{where}: variable 'grip_position': found {grips.position.shape}, expected {expected}")
+    if not (np.isfinite(grips.position).all() and np.isfinite(grips.material).all()):
+        raise ClothbenchError(f"{where}: variable 'grip_position': found a value that is not finite, expected metres")
+    check_points(grips.material, "grip_material", np.array([r.cloth_width, r.cloth_height]), where)
+    check_overlap(r.time, grips.time, where)
+
+
+def _check_stated(r: DepthImages, where: str) -> None:
+    if not r.name:
+        raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
+    for name in ("cloth_width", "cloth_height", "depth_step"):
+        value = getattr(r, name)
+        if not (math.isfinite(value) and value > 0):
+            raise ClothbenchError(f"{where}: attribute '{name}': found {value}, expected metres above 0")
+    if r.areal_density <= 0 or math.isinf(r.areal_density):
+        raise ClothbenchError(
+            f"{where}: attribute 'areal_density': found {r.areal_density}, expected kg/m² above 0, or NaN"
+        )
+    if r.split not in SPLITS:
+        raise ClothbenchError(f"{where}: attribute 'split': found {r.split!r}, expected 'fit', 'held_out' or ''")

@@ -1,0 +1,207 @@
+"""Recordings of kind "depth": what is stored, what is refused, and folders that become one."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+
+from clothbench import Camera, ClothbenchError, DepthImages, read_depth, write_depth
+from clothbench.recordings.depth import Colour, Grips
+from clothbench.recordings.kinds import read_any, read_sheet
+
+CAMERA = Camera.looking_at(np.array([0.0, -1.0, 0.8]), np.array([0.0, 0.0, 0.8]), (48, 40), 0.5)
+TIME = np.arange(6) / 20.0
+
+
+def images(**changes) -> DepthImages:
+    depth = np.full((6, 40, 48), 1000, np.uint16)
+    depth[:, :3] = 0
+    grips = Grips(TIME, np.array([[0.0, 0.0], [0.3, 0.0]]), np.zeros((6, 2, 3)) + np.array([0.0, 0.0, 1.0]))
+    colour = Colour(TIME - 0.01, np.full((6, 40, 48, 3), 90, np.uint8))
+    content = {"name": "run", "time": TIME, "depth": depth, "depth_step": 1e-3, "camera": CAMERA, "cloth_width": 0.3,
+               "cloth_height": 0.4, "colour": colour, "grips": grips, "notes": {"room": "4"}}  # fmt: skip
+    return DepthImages(**{**content, **changes})
+
+
+@pytest.mark.parametrize("without", [{}, {"colour": None}, {"grips": None}, {"colour": None, "grips": None}])
+def test_a_file_holds_all_of_it(tmp_path, without):
+    given = images(**without)
+    path = write_depth(given, tmp_path / "run.nc")
+    again = read_depth(path)
+    assert again.hash == given.hash
+    assert again.notes == {"room": "4"}
+    assert np.array_equal(again.depth, given.depth)
+    assert np.array_equal(again.camera.matrix, CAMERA.matrix)
+    assert (again.colour is None, again.grips is None) == (given.colour is None, given.grips is None)
+    assert read_any(path).hash == read_sheet(path).hash == given.hash
+
+
+def test_metres_are_not_a_number_where_nothing_was_measured():
+    depth = images().metres(0)
+    assert np.isnan(depth[:3]).all()
+    assert depth[5, 5] == 1.0
+
+
+def frames(**changes):
+    depth = np.array(images().depth)
+    for frame, value in changes.items():
+        depth[int(frame[1:])] = value
+    return depth
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        ({"time": TIME[::-1]}, "expected strictly increasing"),
+        ({"time": np.array([0, 0.05, 0.1, 0.15, 0.2, 9.0])}, "found a jump of 8.8 s at index 5"),
+        ({"depth": frames(f2=0, f4=0)}, "found 2 frames that hold no depth at all (2, 4)"),
+        ({"depth": images().depth[:, :30]}, "found shape (6, 30, 48), expected (6, 40, 48)"),
+        ({"depth_step": 1.0}, "found a middle of all depths of 1000 m"),
+        ({"depth_step": 0.0}, "'depth_step': found 0.0, expected metres above 0"),
+        ({"cloth_width": -1.0}, "'cloth_width': found -1.0"),
+        ({"split": "test"}, "'split': found 'test'"),
+        ({"name": ""}, "'name': found nothing"),
+        ({"colour": Colour(TIME, np.zeros((6, 20, 24, 3), np.uint8))}, "registered to the depth"),
+        ({"grips": Grips(TIME, np.array([[0.0, 0.0]]), np.full((6, 1, 3), np.nan))}, "not finite"),
+        ({"grips": Grips(TIME, np.array([[0.9, 0.0]]), np.zeros((6, 1, 3)))}, "expected inside the 0.3 m × 0.4 m"),
+        ({"grips": Grips(TIME + 7, np.array([[0.0, 0.0]]), np.zeros((6, 1, 3)))}, "covers 0% of the frames"),
+    ],
+)
+def test_every_fault_of_a_sensor_has_its_line(change, found):
+    with pytest.raises(ClothbenchError) as caught:
+        images(**change)
+    assert found in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_file_without_calibration_is_refused(tmp_path):
+    import h5py
+
+    path = write_depth(images(), tmp_path / "run.nc")
+    with h5py.File(path, "a") as stream:
+        del stream.attrs["camera_matrix"]
+    with pytest.raises(ClothbenchError, match="'camera_matrix' is missing; a depth recording needs it"):
+        read_depth(path)
+
+
+ABOUT = {
+    "name": "bench/run 1", "cloth_width": 0.3, "cloth_height": 0.4, "rate": 20, "split": "fit", "weather": "fair",
+    "camera": {"size": [48, 40], "fx": 100.0, "fy": 100.0, "cx": 23.5, "cy": 19.5},
+}  # fmt: skip
+
+
+def folder_of(tmp_path, about=ABOUT, colour=True):
+    import cv2
+
+    folder = tmp_path / "session"
+    for part in ("depth", "colour"):
+        (folder / part).mkdir(parents=True)
+    for k in range(6):
+        cv2.imwrite(str(folder / "depth" / f"{k:03d}.png"), images().depth[k])
+        if colour:
+            cv2.imwrite(str(folder / "colour" / f"{k:03d}.png"), np.full((40, 48, 3), (200, 10, 30), np.uint8))
+    (folder / "recording.json").write_text(json.dumps(about))
+    return folder
+
+
+def test_a_folder_of_frames_becomes_a_recording(clothbench, tmp_path):
+    folder_of(tmp_path)
+    ran = clothbench("import", "session", "out=made")
+    assert ran.returncode == 0, ran.stderr
+    made = read_depth(tmp_path / "made" / "bench_run_1.nc")
+    assert np.array_equal(made.depth, images().depth)
+    assert np.allclose(made.time, TIME)
+    assert made.colour.frame[0, 0, 0].tolist() == [30, 10, 200]
+    assert (made.split, made.notes) == ("fit", {"weather": "fair"})
+    assert clothbench("validate", "made").returncode == 0
+
+
+@pytest.mark.parametrize("form", ["npy", "ascii", "binary"])
+def test_clouds_become_depth(tmp_path, form):
+    from clothbench.datasets.depth_folder import read_folder
+
+    folder = folder_of(tmp_path, colour=False)
+    (folder / "clouds").mkdir()
+    x, y = np.meshgrid(np.linspace(-0.2, 0.2, 60), np.linspace(-0.15, 0.15, 60))
+    points = np.stack([x.ravel(), y.ravel(), 1.0 + 0.1 * x.ravel()], axis=1)
+    for k in range(3):
+        file = folder / "clouds" / f"{k}.{'npy' if form == 'npy' else 'ply'}"
+        head = "ply\nformat {} 1.0\nelement vertex 3600\n" + 3 * "property float {}\n" + "end_header\n"
+        if form == "npy":
+            np.save(file, points)
+        elif form == "ascii":
+            body = "\n".join(" ".join(f"{v:.6f}" for v in p) for p in points)
+            file.write_text(head.format("ascii", *"xyz") + body + "\n")
+        else:
+            file.write_bytes(head.format("binary_little_endian", *"xyz").encode() + points.astype("<f4").tobytes())
+    made = read_folder(folder)
+    assert made.depth.shape == (3, 40, 48)
+    row, column = np.nonzero(made.depth[0])
+    across = (column - 23.5) / 100.0 * made.metres(0)[row, column]
+    assert np.abs(made.metres(0)[row, column] - 1.0 - 0.1 * across).max() < 2e-3
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        ({"camera": None}, "'camera' is missing: size and matrix, or fx, fy, cx, cy; without a calibration"),
+        ({"camera": {"size": [48, 40], "fx": 1}}, "'camera': found KeyError 'cx'"),
+        ({"camera": {**ABOUT["camera"], "size": [64, 48]}}, "000.png: found 48 × 40 px, expected camera.size (64, 48)"),
+        ({"rate": None}, "'rate' is missing"),
+        ({"rate": 0}, "'rate': found 0, expected frames per second"),
+        ({"time": [0.0, 1.0]}, "'time': found 2 stamps, expected 6"),
+        ({"depth_step": 1.0}, "is depth_step, 1 m, that of the sensor?"),
+        ({"grips": {"time": [0, 1]}}, "'grips': found KeyError 'material'"),
+    ],
+)
+def test_a_bad_folder_is_refused_in_one_line(clothbench, tmp_path, change, found):
+    about = {k: v for k, v in {**ABOUT, **change}.items() if v is not None}
+    folder_of(tmp_path, about)
+    ran = clothbench("import", "session", "out=made")
+    assert ran.returncode == 2
+    assert found in ran.stderr
+    assert len(ran.stderr.strip().splitlines()) == 1
+    assert not (tmp_path / "made").exists()
+
+
+def test_a_picture_of_depth_is_no_depth(tmp_path):
+    import cv2
+
+    from clothbench.datasets.depth_folder import read_folder
+
+    folder = folder_of(tmp_path)
+    cv2.imwrite(str(folder / "depth" / "002.png"), np.full((40, 48), 90, np.uint8))
+    with pytest.raises(ClothbenchError, match=r"002.png: found uint8 .* a picture of depth, not depth"):
+        read_folder(folder)
+
+
+def test_clouds_in_millimetres_are_refused(tmp_path):
+    from clothbench.datasets.depth_folder import read_cloud
+
+    np.save(tmp_path / "a.npy", np.full((9, 3), 1000.0))
+    with pytest.raises(ClothbenchError, match=r"a.npy: found a middle depth of 1000, .* millimetres"):
+        read_cloud(tmp_path / "a.npy")
+
+
+def test_what_a_tracker_made_of_images_is_a_recording_of_nodes():
+    from clothbench import Observation
+    from clothbench.recordings.tracked import nodes_of, seen_in
+
+    u, v = (a.ravel() for a in np.meshgrid([0.0, 0.15, 0.3], [0.0, 0.2, 0.4]))
+    position = np.broadcast_to(np.stack([u, 0 * u, 1 - v], axis=1), (6, 9, 3)).copy()
+    position[2, 4] = np.nan
+    seen = Observation(TIME, position, np.isfinite(position).all(axis=-1), 1e-3, np.stack([u, v], axis=1))
+    for given in (images(), images(grips=None)):
+        nodes = nodes_of(given, seen)
+        assert nodes.grip_material.tolist() == [[0.0, 0.0], [0.3, 0.0]]
+        again = seen_in(nodes)
+        assert np.array_equal(again.position, position, equal_nan=True)
+        assert np.allclose(again.eye, [0.0, -1.0, 0.8])
+    lost = dataclasses.replace(
+        seen, position=np.where(v[:, None] > 0, position, np.nan), visible=seen.visible & (v > 0)
+    )
+    with pytest.raises(ClothbenchError, match="no grips stated, and the upper corners in 0 frames"):
+        nodes_of(images(grips=None), lost)
