@@ -138,12 +138,15 @@ class ParameterSpace:
         return ParameterSpace(sum((o.parameters for o in others), self.parameters))
 
     def bounded(self, bounds: Mapping[str, tuple[float, float]]) -> ParameterSpace:
-        """A copy with other bounds for some parameters; defaults move inside them."""
+        """A copy with other bounds for some parameters; defaults move inside them, and where 0 is among the values the
+        scale is linear.
+        """
         for name in bounds:
             self[name]
         changed = []
         for p in self:
             low, high = (float(b) for b in bounds.get(p.name, p.bounds))
             default = min(max(p.default, low), high)
-            changed.append(dataclasses.replace(p, bounds=(low, high), default=default))
+            scale = "linear" if low <= 0 else p.scale
+            changed.append(dataclasses.replace(p, bounds=(low, high), default=default, scale=scale))
         return ParameterSpace(tuple(changed))

@@ -77,13 +77,13 @@ class Model(Protocol):
     capabilities: "dynamic" (moves), "static" (finds rest), "effects" (takes them), "contact" (keeps out of the
     scene's obstacles), "self_contact" (keeps the scene's `thickness` between its own layers), "curve" (answers
     force-extension curves; with that alone, `prepare` refuses every scene), "fold" (folds strips on a desk, and says
-    with which forces).
+    with which forces), "moving_start" (goes on from the motion that a scene states, instead of from rest).
     """
 
     name: ClassVar[str]
     version: ClassVar[int]
     parameters: ParameterSpace
-    capabilities: ClassVar[frozenset[str]]  # of the seven above
+    capabilities: ClassVar[frozenset[str]]  # of the eight above
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> Simulation: ...
 

@@ -51,9 +51,11 @@ class Scene:
     (G = 0: nothing is held); times: (T,) s and points: (N, 2) m, where and when the rollout is wanted;
     gravity: (3,) m/s²; air_density: kg/m³; resolution: nodes along (u, v), or None for the model's own choice;
     start: (N, 3) m, where the points were first seen (NaN = unknown): it tells a model which of several resting
-    shapes the cloth hung in; obstacles: what it cannot enter; thickness: m, how far apart its own layers stay
+    shapes the cloth hung in; velocity: (N, 3) m/s, how fast the points were at times[0] (NaN = unknown), or None;
+    obstacles: what it cannot enter; thickness: m, how far apart its own layers stay
     (0: they pass through each other). The cloth rests, settled, in the grips' first pose when the run begins; with
-    no grips it starts from `start`, or flat, at rest.
+    no grips it starts from `start`, or flat, at rest. With a `velocity` it does not settle: at times[0] it goes on from
+    `start` as it was seen to move (models of the capability "moving_start").
     """
 
     width: float
@@ -70,9 +72,10 @@ class Scene:
     start: np.ndarray | None = None
     obstacles: tuple[Obstacle, ...] = ()
     thickness: float = 0.0
+    velocity: np.ndarray | None = None
 
     def __post_init__(self) -> None:
-        for name in ("grip_time", "grip_material", "grip_position", "times", "points", "start"):
+        for name in ("grip_time", "grip_material", "grip_position", "times", "points", "start", "velocity"):
             if (value := getattr(self, name)) is not None:
                 array = np.array(value, dtype=float)
                 array.flags.writeable = False
@@ -90,7 +93,9 @@ class Scene:
 
     @property
     def start_time(self) -> float:
-        """When the settled cloth is let go or begins to be moved [s]."""
+        """When the settled cloth is let go or begins to be moved, or when it was seen to move [s]."""
+        if self.velocity is not None:
+            return float(self.times[0])
         first = [self.times[0]] + ([self.grip_time[0]] if self.grip_material.size else [])
         return float(min(first))
 
@@ -135,6 +140,28 @@ def initial_shape(scene: Scene, uv: np.ndarray) -> np.ndarray:
     away = scene.start[seen] - _hung_flat(scene, scene.points[seen])
     bend = RBFInterpolator(scene.points[seen] / size, away, smoothing=1e-3, neighbors=min(50, int(seen.sum())))
     return hung + bend(uv / size)
+
+
+def initial_velocity(scene: Scene, uv: np.ndarray) -> np.ndarray:
+    """How fast material points `uv` (n, 2) m move when the run begins → (n, 3) m/s: not at all, or as was seen.
+
+    A cubic over the sheet, as far as so many points carry one: velocities of single nodes are mostly noise.
+    """
+    still = np.zeros((len(uv), 3))
+    if scene.velocity is None:
+        return still
+    seen = np.isfinite(scene.velocity).all(axis=1)
+    degree = int(np.clip(np.sqrt(2 * seen.sum()) / 2 - 1.5, 0, 3))  # at least twice as many points as terms
+    if not seen.any():
+        return still
+    size = np.array([scene.width, scene.height])
+
+    def terms(at: np.ndarray) -> np.ndarray:
+        u, v = (2 * at / size - 1).T
+        return np.stack([u**i * v**j for i in range(degree + 1) for j in range(degree + 1 - i)], axis=1)
+
+    weight, *_ = np.linalg.lstsq(terms(scene.points[seen]), scene.velocity[seen], rcond=None)
+    return terms(uv) @ weight
 
 
 def _hung_flat(scene: Scene, uv: np.ndarray) -> np.ndarray:

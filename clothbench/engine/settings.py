@@ -21,6 +21,7 @@ KNOWN = {
     *PLUGINS, "study", "tracker", "scene", "options", "bounds", "budget", "seed", "jobs", "timeout", "out", "data_dir",
     "suite", "rerun", "analysis",
 }  # fmt: skip
+STARTS = ("rest", "measured")
 SUITE_WORDS = {"name", "version", "title", "budgets"}  # of every study; each may know more
 
 
@@ -181,13 +182,17 @@ def writable(value: Any) -> Path:
 
 
 def scene_settings(scene: dict[str, Any]) -> dict[str, Any]:
-    known_words("setting of 'scene'", scene, {"areal_density", "air_density", "resolution", "spacing"})
+    known_words("setting of 'scene'", scene, {"areal_density", "air_density", "resolution", "spacing", "start"})
     out: dict[str, Any] = {}
     if scene.get("spacing") is not None and scene.get("resolution") is not None:
         raise ClothbenchError("settings 'scene.spacing' and 'scene.resolution' both say how fine the mesh is; give one")
     for name in ("areal_density", "air_density", "spacing"):
         if scene.get(name) is not None:
             out[name] = number(f"scene.{name}", scene[name], above=0.0)
+    if (start := scene.get("start") or "rest") not in STARTS:
+        raise ClothbenchError(f"setting 'scene.start' is {start!r}, expected one of {', '.join(STARTS)}")
+    if start != "rest":  # what is as it always was leaves keys as they were
+        out["start"] = start
     if (resolution := scene.get("resolution")) is not None:
         if not isinstance(resolution, list | tuple) or len(resolution) != 2:
             raise ClothbenchError(f"setting 'scene.resolution' is {resolution!r}, expected [nodes along u, along v]")

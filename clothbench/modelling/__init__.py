@@ -9,9 +9,9 @@ a grid over a scene, and a batch of parameter sets on it: grid_shape, grid_lines
 parameters of a model and its effects in one space: JoinedParameters
 effects in a time loop: BoundEffects, EFFECT (their numba type), Terms, SLOTS, FORCE, INERTIA, no_effect, ready,
     add_effects, apply_effects, show_grips
-grips, sampling and the end of a time loop: Grips, Sampling, Clock (numba types in capitals, and `…_OF_MANY` for loops
-    that run several members at once), grip_point, grip_speed, advance_segment, hold_grips, write_frames, put_grips,
-    fastest, is_lost, as_double, OK, DIVERGED
+start, grips, sampling and the end of a time loop: Start, Grips, Sampling, Clock (numba types in capitals, and
+    `…_OF_MANY` for loops that run several members at once), grip_point, grip_speed, advance_segment, hold_grips,
+    write_frames, put_grips, fastest, is_lost, as_double, OK, DIVERGED
 contact: obstacle_table, keep_out, inside, layers_of, keep_apart, LAYERS
 force-extension curves: curve_of, CurveSimulation
 threads over members, and the shape to settle from: for_each, initial_shape
@@ -49,11 +49,13 @@ from clothbench.modelling.time_loop import (
     SAMPLING,
     SAMPLING_OF_MANY,
     SLOTS,
+    START,
     TERMS,
     TERMS_OF_MANY,
     Clock,
     Grips,
     Sampling,
+    Start,
     Terms,
     add_effects,
     advance_segment,
@@ -90,6 +92,7 @@ __all__ = [
     "SIGNATURE",
     "SLOTS",
     "SPHERE",
+    "START",
     "TERMS",
     "TERMS_OF_MANY",
     "BoundEffects",
@@ -103,6 +106,7 @@ __all__ = [
     "Layers",
     "Sampling",
     "Sheet",
+    "Start",
     "Terms",
     "acts_on_curves",
     "acts_on_sheets",

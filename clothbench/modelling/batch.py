@@ -13,13 +13,13 @@ import numpy as np
 from clothbench.core.parallel import for_each
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.rollout import Interpolator, Rollout
-from clothbench.core.scene import Scene, initial_shape
+from clothbench.core.scene import Scene, initial_shape, initial_velocity
 from clothbench.modelling.bound_effects import BoundEffects
-from clothbench.modelling.grid import grid_lines, tributary
+from clothbench.modelling.grid import grid_lines, tributary, unstretched
 from clothbench.modelling.kernels import no_effect
 from clothbench.modelling.mesh import grid_triangles
 from clothbench.modelling.sheet import Sheet, own_sheet, sheet_of
-from clothbench.modelling.time_loop import DIVERGED, SLOTS, Clock, Grips, Sampling, Terms
+from clothbench.modelling.time_loop import DIVERGED, SLOTS, Clock, Grips, Sampling, Start, Terms
 
 MAX_STEPS = 20_000_000
 LOST = 20.0  # cloth sizes from the start at which a sheet has blown up
@@ -63,6 +63,16 @@ class GridSimulation:
         held = _nearest(uv, scene.grip_material)
         return sheet_of(uv, scene.areal_density * area, area, triangles, scene.gravity, scene.air_density, held)
 
+    @cached_property
+    def start(self) -> tuple[np.ndarray, np.ndarray]:
+        """The shape (n, 3) m that the run, or the settling before it, begins with, and its velocity (n, 3) m/s."""
+        scene, sheet = self.scene, self.sheet
+        shape, velocity = initial_shape(scene, sheet.uv), initial_velocity(scene, sheet.uv)
+        if scene.velocity is not None:  # noise of the measurement would else be let loose as stretch
+            held = scene.grips_at(np.array([scene.start_time]))[0] if len(sheet.held) else np.zeros((0, 3))
+            shape = unstretched(shape, self.lines, sheet.held, held)
+        return shape, velocity
+
     def stiffest_effect(self, theta: np.ndarray) -> np.ndarray:
         """A bound on what effects add to the largest ω² (B,) 1/s²: that of a plate of the smallest cell [rad²/s²].
 
@@ -98,7 +108,7 @@ class GridBatch:
         self.interpolator = Interpolator.on_lines(scene.points, *simulation.lines)
         self.pins = simulation.sheet.held
         self.held_points, self.pins_of_points = _shared_points(scene.points, scene.grip_material)
-        self.shape = initial_shape(scene, simulation.sheet.uv)
+        self.shape, self.velocity = simulation.start
         span = self.times.max(axis=1) - scene.start_time + settling
         self.late = span / dt > MAX_STEPS
         first, self.alike = effects.distinct(theta, self.times)
@@ -112,6 +122,12 @@ class GridBatch:
 
         for_each(one, self.members.tolist())
         return self.rollout()
+
+    def begin(self) -> Start:
+        """Where one member begins, arrays of its own."""
+        settles = self.simulation.scene.velocity is None and len(self.pins) > 0
+        x, v = (np.ascontiguousarray(rows.T, dtype=float).copy() for rows in (self.shape, self.velocity))
+        return Start(x, v, settles)
 
     def sheet(self) -> Sheet:
         """The sheet for one member's loop, with normals and grips of its own."""

@@ -10,6 +10,12 @@ import numpy as np
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.scene import Scene
 
+NEAR, HELD, ROUNDS = (
+    1e-3,
+    1e3,
+    100,
+)  # `unstretched`: weights of a measured place and of a grip, those of a length being 1
+
 
 def check_resolution(model: str, resolution: int | Sequence[int]) -> None:
     """Refuse what is not one or two whole numbers of nodes."""
@@ -72,3 +78,41 @@ def tributary(lines: np.ndarray, length: float) -> np.ndarray:
     """The length of cloth that each grid line stands for [m]."""
     edges = np.concatenate([[0.0], (lines[1:] + lines[:-1]) / 2, [length]])
     return np.diff(edges)
+
+
+def unstretched(
+    shape: np.ndarray, lines: tuple[np.ndarray, np.ndarray], held: np.ndarray, grips: np.ndarray
+) -> np.ndarray:
+    """The shape (n, 3) m next to a measured one whose mesh lines and diagonals have the lengths that they have at rest.
+
+    lines: u (nu,), v (nv,) m; held: (G,) nodes, which lie at `grips` (G, 3) m. Alternates between lengths and places
+    (Bouaziz et al. 2014, Projective Dynamics, section 3).
+    """
+    from scipy.sparse import coo_matrix, diags
+    from scipy.sparse.linalg import splu
+
+    u, v = lines
+    node = np.arange(len(u) * len(v)).reshape(len(v), len(u))
+    uv = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    pairs = (
+        (node[:, :-1], node[:, 1:]), (node[:-1], node[1:]),
+        (node[:-1, :-1], node[1:, 1:]), (node[:-1, 1:], node[1:, :-1]),
+    )  # fmt: skip
+    first, last = (np.concatenate([pair[k].ravel() for pair in pairs]) for k in (0, 1))
+    length = np.linalg.norm(uv[last] - uv[first], axis=1)
+    row = np.arange(len(first))
+    difference = coo_matrix(
+        (np.repeat([1.0, -1.0], len(row)), (np.tile(row, 2), np.concatenate([last, first]))), (len(row), len(uv))
+    ).tocsr()
+    anchor = np.full(len(uv), NEAR)
+    anchor[held] = HELD
+    goal = shape.copy()
+    goal[held] = grips
+    solve = splu((difference.T @ difference + diags(anchor)).tocsc()).solve
+    out = goal
+    for _ in range(ROUNDS):
+        along = difference @ out
+        along *= (length / np.maximum(np.linalg.norm(along, axis=1), 1e-12))[:, None]
+        out = solve(difference.T @ along + anchor[:, None] * goal)
+    out[held] = grips
+    return out

@@ -29,6 +29,10 @@ knots: (K,) s; curve: (4, K−1, G, 3), a piecewise cubic between them, highest 
 the members, or 1 where all share it, for loops that run several at once; points: numbers of the wanted points that are
 held, and of_points: the grip of each.
 """
+Start = namedtuple("Start", "x v settles")
+Start.__doc__ = """Where a loop begins. x: (3, n) m, changed in place, and v: (3, n) m/s, of all nodes; settles: whether
+the sheet first comes to rest in its grips. Of several members at once, interleaved: (3, n·members).
+"""
 Sampling = namedtuple("Sampling", "index weight times out")
 Sampling.__doc__ = """Where and when a loop is looked at.
 
@@ -42,6 +46,7 @@ how far from the origin a sheet may get before it counts as blown up.
 
 _d1, _d2, _i1 = types.float64[::1], types.float64[:, ::1], types.int64[::1]
 _d3, _d4, _d5 = types.float64[:, :, ::1], types.float64[:, :, :, ::1], types.float64[:, :, :, :, ::1]
+START = bundle_type(Start, _d2, _d2, types.boolean)
 TERMS = bundle_type(Terms, _i1, types.int64, _d2, _d2)
 GRIPS = bundle_type(Grips, _d1, _d4, _i1, _i1)
 SAMPLING = bundle_type(Sampling, types.int64[:, ::1], _d2, _d1, _d3)

@@ -10,6 +10,8 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.scene import AIR_DENSITY, Scene
 from clothbench.recordings.nodes import Recording
 
+FIRST_FRAMES, FIRST_SECONDS = 5, 0.2  # at least, of the motion that a sheet starts from
+
 
 def scene_of(
     recording: Recording,
@@ -18,10 +20,13 @@ def scene_of(
     resolution: tuple[int, int] | None = None,
     air_density: float = AIR_DENSITY,
     spacing: float | None = None,
+    start: str = "rest",
 ) -> Scene:
     """The scene of one recording. `areal_density` [kg/m²] stands in where the recording does not know it.
 
     spacing [m]: of the mesh's nodes, at most, whatever the cloth's size; it takes the place of `resolution`.
+    start: "rest", the sheet settles in its grips' first pose, or "measured", it goes on from where it was first seen,
+    as it moved then.
     """
     density = recording.areal_density
     if not math.isfinite(density):
@@ -37,6 +42,7 @@ def scene_of(
     seen = np.flatnonzero(recording.visible.any(axis=1))[:3]
     with np.errstate(invalid="ignore"):
         early = np.where(recording.visible[seen, :, None], recording.position[seen], np.nan)
+    place, velocity = first_motion(recording) if start == "measured" else (_first_seen(early), None)
     return Scene(
         width=recording.cloth_width,
         height=recording.cloth_height,
@@ -49,8 +55,31 @@ def scene_of(
         gravity=recording.gravity,
         air_density=air_density,
         resolution=resolution,
-        start=_first_seen(early),
+        start=place,
+        velocity=velocity,
     )
+
+
+def first_motion(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """Where each node was (N, 3) m and how fast (N, 3) m/s at the first frame, from a parabola through the first ones.
+
+    A node that is seen too seldom in them has NaN for both, the place included: there it would be of a later time.
+    """
+    time = recording.time - recording.time[0]
+    count = max(FIRST_FRAMES, int(np.searchsorted(time, FIRST_SECONDS)))
+    terms = np.vander(time[:count], 3, increasing=True)
+    place, velocity = (np.full((len(recording.material), 3), np.nan) for _ in range(2))
+    for n in range(len(recording.material)):
+        seen = recording.visible[:count, n]
+        if seen.sum() >= FIRST_FRAMES - 1:
+            fit = np.linalg.lstsq(terms[: len(seen)][seen], recording.position[:count][seen, n], rcond=None)[0]
+            place[n], velocity[n] = fit[0], fit[1]
+    if not np.isfinite(place).any():
+        raise ClothbenchError(
+            f"{recording.path or recording.name}: found no node seen in {FIRST_FRAMES - 1} of its first {count} "
+            "frames, which scene.start=measured needs; use scene.start=rest"
+        )
+    return place, velocity
 
 
 def _first_seen(early: np.ndarray) -> np.ndarray:

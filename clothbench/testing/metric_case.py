@@ -11,6 +11,7 @@ from clothbench.core.protocols import Metric, Score
 from clothbench.core.rollout import Rollout
 
 SIGMA = 1e-3  # m, noise of one coordinate
+EYE = (0.2, -1.2, 0.9)  # m, where it was seen from
 
 
 @dataclass(frozen=True, eq=False)
@@ -48,5 +49,5 @@ def waving(metric: Metric) -> MetricCase:
     visible = random.random(wave.shape) < 0.85
     visible[5], visible[:, 11] = False, False
     seen = np.where(visible[..., None], truth, np.nan)
-    observation = Observation(time, seen, visible, SIGMA, np.stack([u, v], axis=1))
+    observation = Observation(time, seen, visible, SIGMA, np.stack([u, v], axis=1), eye=np.array(EYE))
     return MetricCase(metric, truth, observation, random.normal(0.0, 1e-3, truth.shape))

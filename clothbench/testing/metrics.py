@@ -8,7 +8,6 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
-from clothbench.core.observation import Observation
 from clothbench.core.protocols import Metric
 from clothbench.testing.metric_case import SIGMA, MetricCase, rollout_of, waving
 from clothbench.testing.rules import Outcome, choose, made, require, require_members, run_rules
@@ -98,14 +97,16 @@ def gives_no_number_for_a_lost_rollout(case: MetricCase) -> None:
 
 def gives_no_number_where_nothing_was_seen(case: MetricCase) -> None:
     o = case.observation
-    blind = Observation(o.time, np.full_like(o.position, np.nan), np.zeros_like(o.visible), o.sigma, o.material)
+    blind = dataclasses.replace(o, position=np.full_like(o.position, np.nan), visible=np.zeros_like(o.visible))
     value = case.score(case.truth, observation=blind).value
     require(np.isnan(value).all(), f"{value[0]:.3g} where no node was seen in any frame", "NaN")
 
 
 def does_not_care_for_the_order_of_nodes(case: MetricCase) -> None:
     o, order = case.observation, np.random.default_rng(3).permutation(len(case.observation.material))
-    shuffled = Observation(o.time, o.position[:, order], o.visible[:, order], o.sigma, o.material[order])
+    shuffled = dataclasses.replace(
+        o, position=o.position[:, order], visible=o.visible[:, order], material=o.material[order]
+    )
     wrong = case.truth + case.error
     here, there = case.score(wrong).value[0], case.score(wrong[:, order], observation=shuffled).value[0]
     require(_close(here, there), f"{there:.9g} with the nodes in another order, {here:.9g} before", "no change")

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from clothbench.core.optional import Refinable, repeatability_of, takes_option
@@ -18,6 +20,8 @@ SAME_MOMENT = 1e-4  # m: an adaptive step may land elsewhere, a stamp that was i
 RESTS = 5e-4  # m within half a second: less than a good tracker tells from noise
 SHRINKS = 0.8  # of the difference that the step before made; first order would be 0.5
 CONVERGED = 1e-6  # m
+THROWN, SOON = (0.6, -0.4, 1.2), 5e-3  # m/s, s: so soon that air hardly matters
+THROWN_NEAR = 3e-3  # m: a smooth sheet is put through the points
 
 
 def follows_the_grips(case: ModelCase) -> str | None:
@@ -152,6 +156,24 @@ def rests_when_held_still(case: ModelCase) -> str | None:
     return None
 
 
+def goes_on_from_a_motion(case: ModelCase) -> str | None:
+    """A scene that states a velocity begins where its points were seen, moving as they were seen to."""
+    if "moving_start" not in case.model.capabilities:
+        return "does not claim to start from a motion"
+    fall = scenes.free_fall()
+    assert fall.start is not None
+    velocity = np.broadcast_to(THROWN, fall.start.shape)
+    thrown = dataclasses.replace(scenes.with_times(fall, np.array([0.0, SOON])), velocity=velocity)
+    rollout = case.run(thrown, case.model.parameters.defaults[None])
+    at, later = rollout.position[0]
+    away = float(np.abs(at - fall.start).max())
+    require(away <= THROWN_NEAR, f"a sheet {millimetres(away)} from where scene free_fall says it is", "at most 3 mm")
+    expected = (np.array(THROWN) + 0.5 * SOON * np.array(fall.gravity)) * SOON
+    miss = np.linalg.norm((later - at).mean(axis=0) - expected) / np.linalg.norm(expected)
+    require(miss <= 0.1, f"a sheet thrown at 1.4 m/s that is {miss:.0%} off after 5 ms", "at most 10 %")
+    return None
+
+
 def _shared(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of the points looked at that are grips, and of the grips that they are."""
     shared = np.abs(scene.points[:, None] - scene.grip_material[None]).max(axis=2) < 1e-9
@@ -193,4 +215,5 @@ RULES = (
     converges_with_smaller_steps,
     respects_uneven_time_stamps,
     rests_when_held_still,
+    goes_on_from_a_motion,
 )

@@ -10,7 +10,9 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import Observation
+from clothbench.core.optional import ShowsSteps
 from clothbench.core.protocols import Tracker
+from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
 from clothbench.testing import scenes
 from clothbench.testing.rules import NotApplicable, Outcome, choose, made, require, require_members, run_rules
@@ -54,6 +56,21 @@ def check_tracker(
 
 def has_all_members(case: TrackerCase) -> None:
     require_members(case.tracker, Tracker, ("name", "version", "track"))
+
+
+def keeps_what_it_offers(case: TrackerCase) -> str | None:
+    """Pictures of its steps (`clothbench.core.optional.ShowsSteps`) are pictures."""
+    if not isinstance(case.tracker, ShowsSteps):
+        return "shows no steps"
+    seen = case.track()
+    source = read_sheet(case.source) if isinstance(case.source, str | Path) else case.source
+    shown = case.tracker.pictures(source, 0, seen)
+    require(bool(shown), "no picture of any step", "at least one")
+    for name, picture in shown.items():
+        fine = isinstance(picture, np.ndarray) and picture.dtype == np.uint8 and picture.ndim == 3
+        found = f"step {name!r} as {getattr(picture, 'dtype', type(picture).__name__)} {np.shape(picture)}"
+        require(fine and picture.shape[2] == 3, found, "uint8 (H, W, 3)")
+    return None
 
 
 def gives_a_whole_observation(case: TrackerCase) -> None:
@@ -132,6 +149,7 @@ def swung_sheet() -> Recording:
 
 RULES = (
     has_all_members,
+    keeps_what_it_offers,
     gives_a_whole_observation,
     sees_what_was_recorded,
     gives_the_same_bits_twice,

@@ -216,6 +216,13 @@ class Metronome(Faulty):
         return dataclasses.replace(rollout, time=scene.times)
 
 
+class Standing(Faulty):
+    """Begins at rest, whatever the scene says."""
+
+    def scene(self, scene):
+        return dataclasses.replace(scene, velocity=None)
+
+
 class Sleepwalking(Faulty):
     """Goes on sinking where it should rest."""
 
@@ -320,6 +327,7 @@ CASES = [
     (Forgetful, "lets every parameter matter", "goes from low to high"),
     (Unsteady, "converges with smaller steps", "on halving the step twice"),
     (Metronome, "respects uneven time stamps", "at the same moment of scene"),
+    (Standing, "goes on from a motion", "a sheet thrown at 1.4 m/s that is"),
     (Sleepwalking, "rests when held still", "a sheet that moves by"),
 ]
 IDS = [f"{make.__name__}-{rule}" for make, rule, _ in CASES]

@@ -400,7 +400,13 @@ class Defacing(HonestTracker):
         return super().track(source)
 
 
+class Sketching(HonestTracker):
+    def pictures(self, source, frame, seen):
+        return {"nodes": seen.position[frame]}
+
+
 TRACKERS = [
+    (Sketching, "keeps what it offers", "step 'nodes' as float64"),
     (Versionless, "has all members", "version 'latest'"),
     (Sleeping, "gives a whole observation", "no node seen in any frame"),
     (Imagining, "sees what was recorded", "nodes seen in frames where the recording has none"),

@@ -73,7 +73,7 @@ class BaraffWitkin:
     version = 1
     kind = "implicit"
     parameters = PARAMETERS
-    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact"})
+    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start"})
     repeatability = 1e-5  # m: what the tolerance of the linear solver leaves open
     bench_options: tuple[dict[str, str], ...] = ({}, {"integrator": "implicit_euler"})
 
@@ -133,18 +133,18 @@ class BaraffWitkinSimulation(GridSimulation):
         membrane = kernels.Membrane(lengths, over, shares * stiffness[:, None], shares * dampings[:, None])
         stiffer = self.effects.stiffness(theta)[0] / np.array([stretch, 1.0])
         plate = kernels.Plate(self.bending.offsets, self.bending.values, bend, bend_damping, stiffer)
-        shape, result = np.ascontiguousarray(batch.shape.T), np.zeros(3, np.int64)
+        begins, result = batch.begin(), np.zeros(3, np.int64)
         obstacles, layers = obstacle_table(scene), layers_of(scene, self.sheet)
         size, sampling = max(scene.width, scene.height), batch.sampling(b)
 
         def march(scheme: int, tolerance: float, sampling: Sampling) -> None:
             kernels.march(scheme)(
-                scheme, TRIANGLES, shape, self.shape[0], batch.sheet(), membrane, plate,
+                scheme, TRIANGLES, begins, self.shape[0], batch.sheet(), membrane, plate,
                 theta[0, 6:9].copy(), *batch.kernels, batch.effect_terms(b), batch.grips(b), obstacles, layers,
                 batch.clock(b, tolerance), size, sampling, result,
             )  # fmt: skip
 
-        if self.scheme == kernels.RK45 and len(scene.grip_material):  # the implicit loop settles for all
+        if self.scheme == kernels.RK45 and begins.settles:  # the implicit loop settles for all
             march(kernels.BDF2, TOLERANCE["bdf2"], sampling._replace(times=np.zeros(0)))
         if result[0] == OK:
             march(self.scheme, self.tolerance, sampling)

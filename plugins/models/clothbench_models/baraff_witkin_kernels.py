@@ -17,6 +17,7 @@ from clothbench.modelling import (
     SAMPLING,
     SHEET,
     SLOTS,
+    START,
     TERMS,
     advance_segment,
     apply_effects,
@@ -38,10 +39,10 @@ from clothbench_models.implicit_step import (
     EULER,
     end_step,
     extrapolate,
-    fall_before,
     follow_grips,
     moved_on,
     rest_on,
+    step_before,
 )
 from clothbench_models.resting_contact import STICKS, judge, part_layers, stop_reversed
 from clothbench_models.sheet_forces import (
@@ -152,11 +153,11 @@ def largest(delta):
 
 
 def _march_implicit(
-    scheme, shear_rows, x, nu, sheet, membrane, plate, air,
+    scheme, shear_rows, begins, nu, sheet, membrane, plate, air,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
     terms, grips, obstacles, layers, clock, size, sampling, result,
 ):  # fmt: skip
-    """Settle the shape x (3, n) m in place, then run it step by step; fills `sampling.out` (T, N, 3) m.
+    """Run the sheet step by step from where it begins, settled first if it is to; fills `sampling.out` (T, N, 3) m.
 
     The steps are those of `implicit_step`. Settling is the same step with v̄ = 0 and steps growing to a second, which is
     Newton's method for rest. clock.tolerance: what the linear solver leaves of a step's residual; size: m, of the
@@ -170,7 +171,7 @@ def _march_implicit(
     f, r, delta, inverse = np.empty((3, n)), np.empty((3, n)), np.empty((3, n)), np.ones((6, n))
     z, p, q = np.empty((3, n)), np.empty((3, n)), np.empty((3, n))
     extra, normal, free = np.zeros((6, n)), np.zeros((3, n)), 1.0 / mass
-    v, guess, x_bar, v_bar = np.zeros((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
+    x, v, guess, x_bar, v_bar = begins.x, begins.v, np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     x_old, v_old, x_before, v_before = np.empty((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     touch, friction, rub = np.zeros(n, np.int64), np.zeros(n), np.zeros((3, n))
     solid = obstacles.shape[0] > 0
@@ -178,10 +179,10 @@ def _march_implicit(
     for g in range(pins.shape[0]):
         touch[pins[g]] = STICKS
         free[pins[g]] = 0.0
-    settling, count, done, segment = pins.shape[0] > 0, 0, 0, 0
+    settling, count, done, segment = pins.shape[0] > 0 and begins.settles, 0, 0, 0
     rounds, h, t, relax, moved_before = 0, 0.01, start, 1.0, np.inf
     if not settling:
-        fall_before(x, dt, sheet.gravity, x_old, v_old)
+        step_before(x, v, dt, sheet.gravity, pins, x_old, v_old)
         done = write_frames(x, v, x, v, start, start, done, sampling, grips)
     while settling or done < frames:
         if settling:
@@ -288,11 +289,11 @@ RHYTHM = 100.0  # 1/s, weighs errors of velocity against errors of position: tho
 
 
 def _march_adaptive(
-    scheme, shear_rows, x, nu, sheet, membrane, plate, air,
+    scheme, shear_rows, begins, nu, sheet, membrane, plate, air,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
     terms, grips, obstacles, layers, clock, size, sampling, result,
 ):  # fmt: skip
-    """Run the settled shape x (3, n) m with Dormand and Prince's embedded pair; arguments as `_march_implicit`.
+    """Run the sheet, which has settled, with Dormand and Prince's embedded pair; arguments as `_march_implicit`.
 
     clock.tolerance: m, the largest error of a node in one step; clock.dt: s, the longest step. Effects with a memory
     see a copy of it in trial stages and go on for good once per accepted step.
@@ -304,7 +305,7 @@ def _march_adaptive(
     edges, shear, work = np.zeros((10, padded)), np.zeros((shear_rows, padded)), np.zeros((20, padded))
     speed, push = np.zeros((7, 3, n)), np.zeros((7, 3, n))  # dx/dt and dv/dt of the stages
     f, extra, free = np.empty((3, n)), np.zeros((6, n)), 1.0 / mass
-    xs, vs, v = np.empty((3, n)), np.empty((3, n)), np.zeros((3, n))
+    x, v, xs, vs = begins.x, begins.v, np.empty((3, n)), np.empty((3, n))
     memory, before, speed_before = terms.state.copy(), np.empty((3, n)), np.empty((3, n))
     for g in range(pins.shape[0]):
         free[pins[g]] = 0.0
@@ -373,7 +374,7 @@ def _march_adaptive(
 
 _d2, _i1, _real, _whole = types.float64[:, ::1], types.int64[::1], types.float64, types.int64
 _SIGNATURE = types.void(
-    _whole, _whole, _d2, _whole, SHEET, MEMBRANE, PLATE, types.float64[::1],
+    _whole, _whole, START, _whole, SHEET, MEMBRANE, PLATE, types.float64[::1],
     *(EFFECT,) * SLOTS, TERMS, GRIPS, _d2, LAYERS, CLOCK, _real, SAMPLING, _i1,
 )  # fmt: skip
 

@@ -64,11 +64,15 @@ def moved_on(x_bar, gamma, guess, q):
 
 
 @kernel
-def fall_before(x, dt, gravity, x_old, v_old):
-    """The step before the first of a sheet that nobody holds: on the parabola of its free fall, at rest now."""
+def step_before(x, v, dt, gravity, pins, x_old, v_old):
+    """The step before the first of a sheet that does not begin at rest in its grips: held, it moved as it does now; let
+    go, on the parabola of its free fall.
+    """
+    falls = 1.0 if pins.shape[0] == 0 else 0.0
     for c in range(3):
-        v_old[c] = -dt * gravity[c]
-        x_old[c] = x[c] + 0.5 * dt * dt * gravity[c]
+        for e in range(x.shape[1]):
+            v_old[c, e] = v[c, e] - falls * dt * gravity[c]
+            x_old[c, e] = x[c, e] - dt * v[c, e] + 0.5 * dt * dt * falls * gravity[c]
 
 
 @kernel

@@ -62,7 +62,7 @@ class Inextensible:
     version = 1
     kind = "implicit"
     parameters = PARAMETERS
-    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact"})
+    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start"})
     repeatability = 1e-5  # m: what the tolerance of the projection leaves open
     bench_options: tuple[dict[str, str], ...] = ({},)
 
@@ -135,24 +135,24 @@ class InextensibleSimulation(GridSimulation):
         """Simulate member b into the batch's arrays → status, steps."""
         scene, theta = self.scene, batch.theta[b : b + 1]
         bend, alpha, beta = theta[0, :3]
-        shape, result = np.ascontiguousarray(batch.shape.T), np.zeros(3, np.int64)
+        begins, result = batch.begin(), np.zeros(3, np.int64)
         plate = triangles.Plate(
             self.bending.offsets, self.bending.values, bend, 0.0, self.effects.stiffness(theta)[0]
         )  # fmt: skip
         obstacles, layers, sampling = obstacle_table(scene), layers_of(scene, self.sheet), batch.sampling(b)
         terms, grips = batch.effect_terms(b), batch.grips(b)  # what effects remember of the settling goes on in the run
-        if len(scene.grip_material):  # the same sheet with stiff springs for constraints finds rest in a few rounds
+        if begins.settles:  # the same sheet with stiff springs for constraints finds rest in a few rounds
             rest_lengths, over, unit = triangle_edges(self.lines)
             stiff = unit * np.array([[TAUT], [TAUT], [2 * self.shear]])  # of a cell, not a triangle
             membrane = triangles.Membrane(rest_lengths, over, stiff, np.zeros_like(stiff))
             triangles.march(triangles.BDF2)(
-                triangles.BDF2, CELLS, shape, self.shape[0], batch.sheet(), membrane,
+                triangles.BDF2, CELLS, begins, self.shape[0], batch.sheet(), membrane,
                 plate, np.zeros(3), *batch.kernels, terms, grips, obstacles, layers,
                 batch.clock(b, 1e-4), max(scene.width, scene.height), sampling._replace(times=np.zeros(0)), result,
             )  # fmt: skip
         if result[0] == OK:
             kernels.march()(
-                self.scheme, shape, self.shape[0], batch.sheet(), self.constraints,
+                self.scheme, begins, self.shape[0], batch.sheet(), self.constraints,
                 plate._replace(damping=beta), alpha, *batch.kernels, terms, grips, obstacles,
                 layers, batch.clock(b, self.tolerance), sampling, result,
             )  # fmt: skip

@@ -22,6 +22,7 @@ from clothbench.modelling import (
     SAMPLING,
     SHEET,
     SLOTS,
+    START,
     TERMS,
     advance_segment,
     bear_inertia,
@@ -39,10 +40,10 @@ from clothbench_models.implicit_step import (
     EULER,
     end_step,
     extrapolate,
-    fall_before,
     follow_grips,
     moved_on,
     rest_on,
+    step_before,
 )
 from clothbench_models.resting_contact import STICKS, judge, stop_reversed
 from clothbench_models.sheet_forces import add_diagonals, add_fluxes, edge_differences
@@ -332,11 +333,11 @@ def tighten(
 
 
 def _march(
-    scheme, x, nu, sheet, constraints, plate, alpha,
+    scheme, begins, nu, sheet, constraints, plate, alpha,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
     terms, grips, obstacles, layers, clock, sampling, result,
 ):  # fmt: skip
-    """Run the settled shape x (3, n) m step by step; fills `sampling.out` (T, N, 3) m.
+    """Run the sheet step by step from where it begins, settled if it was to; fills `sampling.out` (T, N, 3) m.
 
     M (v' − v̄)/γ = F − θ K x' − (α A + β K) v' − ∂Cᵀλ, x' = x̄ + γ v', C(x') = 0, with γ, x̄ and v̄ as in
     `implicit_step` (Euler, or BDF2); θ and β are the plate's rigidity and damping. First a linear solve without the
@@ -356,7 +357,7 @@ def _march(
     f, r, delta, inverse = np.empty((3, n)), np.empty((3, n)), np.empty((3, n)), np.ones((6, n))
     z, p, q = np.empty((3, n)), np.empty((3, n)), np.empty((3, n))
     extra, normal, free = np.zeros((6, n)), np.zeros((3, n)), 1.0 / mass
-    v, guess, x_bar, v_bar = np.zeros((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
+    x, v, guess, x_bar, v_bar = begins.x, begins.v, np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     x_old, v_old, x_before, v_before = np.empty((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     touch, friction, rub = np.zeros(n, np.int64), np.zeros(n), np.zeros((3, n))
     stiff_mass, lightness = np.empty(n), np.zeros(padded)
@@ -368,14 +369,16 @@ def _march(
         free[pins[g]] = 0.0
         lightness[pad + pins[g]] = 0.0
     count, done, segment, rounds, t = 0, 0, 0, 0, start
-    if pins.shape[0] > 0:  # settled by forces that stretched it a little: that is what the constraints pull with
+    if (
+        pins.shape[0] > 0 and begins.settles
+    ):  # settled by forces that stretched it a little: that is what the constraints pull with
         edge_differences(x, nu, work[0:3], work[3:6])
         violations(nu, work[0:3], work[3:6], lengths, share, rows[0])
         for k in range(3):
             for e in range(padded):
                 tension[k, e] = rows[0, k, e] / give[k, e] if share[k, e] > 0.0 else 0.0
         x_old[:] = x
-    else:  # a start that fits, at rest now, and before that on the parabola of free fall
+    else:  # a start that fits, and the step before it
         used = tighten(
             x, 1.0, tension, nu, lengths, share, give, mass, extra, False, touch, normal, lightness, tolerance,
             rows, work, r, waves_u, waves_v, damped, plane,
@@ -385,7 +388,7 @@ def _march(
             return
         rounds += used
         tension[:] = 0.0
-        fall_before(x, dt, sheet.gravity, x_old, v_old)
+        step_before(x, v, dt, sheet.gravity, pins, x_old, v_old)
     done = write_frames(x, v, x, v, start, start, done, sampling, grips)
     while done < frames:
         t = start + (count + 1) * dt
@@ -468,7 +471,7 @@ def _march(
 
 NO_AIR = np.zeros(3)
 _SIGNATURE = types.void(
-    types.int64, types.float64[:, ::1], types.int64, SHEET, CONSTRAINTS, PLATE, types.float64,
+    types.int64, START, types.int64, SHEET, CONSTRAINTS, PLATE, types.float64,
     *(EFFECT,) * SLOTS, TERMS, GRIPS, types.float64[:, ::1], LAYERS, CLOCK, SAMPLING, types.int64[::1],
 )  # fmt: skip
 

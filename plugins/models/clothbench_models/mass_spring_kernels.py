@@ -25,6 +25,7 @@ from clothbench.modelling import (
     SHEET,
     SLOTS,
     TERMS_OF_MANY,
+    Start,
     advance_segment,
     apply_effects,
     as_double,
@@ -194,16 +195,17 @@ def write_due(x, v, lane, lanes, now, done, sampling, grips):
 
 
 @kernel
-def come_to_rest(v, keep, kick, step, dashpots, damping, lane, lanes, dt, loss):
-    """End the settling of one lane: no velocity, no artificial damping but the springs' own, and half a kick to start
-    the leapfrog.
+def begin(v, settled, keep, kick, step, dashpots, damping, lane, lanes, dt, loss):
+    """Begin the run proper of one lane: no velocity if it has settled, no artificial damping but the springs' own, and
+    half a kick to start the leapfrog.
     """
     for e in range(lane, keep.shape[0], lanes):
         keep[e] = 1.0 - loss * dt
         kick[e] = 0.5 * dt
         step[e] = dt
-        for c in range(3):
-            v[c, e] = 0.0
+        if settled:
+            for c in range(3):
+                v[c, e] = 0.0
         for family in range(damping.shape[0]):
             dashpots[family, e] = damping[family, e]
 
@@ -228,17 +230,18 @@ def _signature(real):
     springs = bundle_type(Springs, i1, r2, r2, r2, r2, d1, double, types.int64)
     settling = bundle_type(Settling, d1, double, double, d1)
     return types.void(
-        types.int64, r2, springs, SHEET, *(EFFECT,) * SLOTS, TERMS_OF_MANY, GRIPS_OF_MANY, double[:, ::1], LAYERS,
+        types.int64, bundle_type(Start, r2, r2, types.boolean), springs, SHEET, *(EFFECT,) * SLOTS, TERMS_OF_MANY,
+        GRIPS_OF_MANY, double[:, ::1], LAYERS,
         double, double, d1, settling, SAMPLING_OF_MANY, i1, i1,
     )  # fmt: skip
 
 
 def _run_block(
-    lanes, x, springs, sheet,
+    lanes, begins, springs, sheet,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
     terms, grips, obstacles, layers, limit, start, dt, settling, sampling, status, steps,
 ):  # fmt: skip
-    """Settle and run `lanes` interleaved parameter sets from the shape x (3, n·lanes), which is changed in place.
+    """Run `lanes` interleaved parameter sets from where they begin, settled first if they are to.
 
     obstacles (K, 9) and layers: for `keep_out` and `keep_apart`, the latter with one lane only; limit: m, how far a
     sheet may get; start: s; dt: (lanes,) s; terms, grips, sampling: of that many members; status, steps: (lanes,).
@@ -249,11 +252,13 @@ def _run_block(
     mass, pins, normals, n_effects = sheet.mass, sheet.held, wants_normals(sheet), terms.count
     n, frames = mass.shape[0], sampling.times.shape[1]
     entries = n * lanes
-    v, f = np.zeros((3, entries), x.dtype), np.empty((3, entries), x.dtype)
+    x, v = begins.x, begins.v
+    f = np.empty((3, entries), x.dtype)
     g, weights = np.empty((3, entries), x.dtype), np.empty((3, entries), x.dtype)
     inverse_mass, step = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
     kick, keep = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
-    settles = pins.shape[0] > 0
+    held = pins.shape[0] > 0
+    settles = held and begins.settles
     dt_now = settle_dt.copy() if settles else dt.copy()
     dashpots = springs.settle_damping.copy() if settles else damping
     for e in range(entries):
@@ -284,7 +289,7 @@ def _run_block(
                 )
             if began[lane] == count:
                 dt_now[lane] = dt[lane]
-                come_to_rest(v, keep, kick, step, dashpots, damping, lane, lanes, dt[lane], loss[lane])
+                begin(v, settles, keep, kick, step, dashpots, damping, lane, lanes, dt[lane], loss[lane])
                 done[lane] = write_due(x, v, lane, lanes, start, 0, sampling, grips)
             elif 0 <= began[lane] == count - 1:
                 for e in range(lane, entries, lanes):
@@ -312,7 +317,7 @@ def _run_block(
         for lane in range(lanes):
             curve = curves[lane % curves.shape[0]]
             now = start + (count - began[lane]) * dt[lane] if began[lane] >= 0 else start
-            if settles:
+            if held:
                 segment[lane] = advance_segment(knots, now, segment[lane])
                 hold(x, v, pins, lane, lanes, knots, curve, now, segment[lane], dt_now[lane])
             if springs.strain_limit < np.inf:

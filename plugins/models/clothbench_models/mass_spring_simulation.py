@@ -16,6 +16,7 @@ from clothbench.modelling import (
     GridBatch,
     GridSimulation,
     Sampling,
+    Start,
     Terms,
     check_number,
     check_resolution,
@@ -130,6 +131,12 @@ class _Batch(GridBatch):
         order = members[np.argsort(self.dt[members], kind="stable")]
         return [order[k : k + LANES] for k in range(0, len(order), LANES)]
 
+    def start(self, lanes: int, real: type) -> Start:
+        """Where `lanes` interleaved members begin."""
+        x, v, settles = self.begin()
+        x, v = (np.repeat(rows, lanes, axis=1).astype(real) for rows in (x, v))
+        return Start(x, v, settles)
+
     def run_block(self, members: np.ndarray) -> None:
         simulation, scene, precision = self.simulation, self.simulation.scene, self.simulation.options.precision
         grid, effects, lanes, theta = simulation.grid, simulation.effects, len(members), self.theta[members]
@@ -149,7 +156,7 @@ class _Batch(GridBatch):
         settling = kernels.Settling(SETTLE / slowest, 2 * slowest, AT_REST[precision], self.settle_dt[members])
         parameters, state = effects.kernel_parameters(theta, SLOTS), effects.kernel_state(lanes, SLOTS, sheet)
         kernels.run_block(precision)(
-            lanes, np.repeat(self.shape.T, lanes, axis=1).astype(real), springs, self.sheet(),
+            lanes, self.start(lanes, real), springs, self.sheet(),
             *self.kernels, Terms(self.stages, self.terms, parameters, state), self.grips_of(members), self.obstacles,
             layers_of(scene, sheet), self.bounds(), scene.start_time, self.dt[members], settling,
             Sampling(self.interpolator.index, self.interpolator.weight, self.times[members], out), status, steps,
