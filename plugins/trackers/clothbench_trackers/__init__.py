@@ -7,6 +7,16 @@ from clothbench import Registration, hookimpl
 def clothbench_trackers():
     return [
         Registration(
+            "cloud_template",
+            "clothbench_trackers.cloud_template:CloudTemplate",
+            "frames of a depth camera → a template of the sheet, bent frame by frame onto the cloud",
+        ),
+        Registration(
+            "depth_mesh",
+            "clothbench_trackers.depth_mesh:DepthMesh",
+            "frames of a depth camera → a quadrilateral mesh of the sheet, by arclength along warp and weft",
+        ),
+        Registration(
             "laser_profile",
             "clothbench_trackers.laser_profile:LaserProfile",
             "laser line in the images of a calibrated camera → points of the cloth in the laser's plane",

@@ -76,6 +76,8 @@ class Markers:
             uv, position = np.array(list(material.values())), markers.pick(material, "material")
             sigma = math.nan if self.sigma is None else self.sigma
             return _observation(markers.time, position, uv, sigma, self, path)
+        if not isinstance(source, str | Path | Recording):
+            raise refusal(self.name, "source", type(source).__name__, "nodes, or a marker file", "take another tracker")
         recording = source if isinstance(source, Recording) else read_recording(source)
         where = recording.path or recording.name
         for one in fields(self):

@@ -1,0 +1,302 @@
+"""`depth_mesh`: frames of a depth camera → a quadrilateral mesh of the sheet, by arclength along warp and weft.
+
+The steps are those of Coltraro, Experimental Validation of an Inextensible Cloth Model, section 3: a depth plane,
+outliers by distance, a colour filter, a quadrilateral mesh, equal time steps. Each is an option, and `steps` tells what
+each leaves of a frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clothbench import ClothbenchError, DepthImages, Observation, for_each, read_depth, seen_points, to_world
+from clothbench_trackers import depth_patch as patches
+from clothbench_trackers import flattening as flats
+from clothbench_trackers.depth_pictures import of_steps
+
+METHODS = ("isometric", "harmonic")
+STRIDE_FOR = 3500  # vertices that a frame's patch has at most
+TALL = 0.75  # cloth heights, before and behind the grips, in which the sheet is looked for
+HEM = 0.03  # share of the cloth's size: border vertices that come so near a hem are taken to lie on it
+LOST = 3.0  # pixels that are lost along a hem at most
+BEYOND = 2.5  # pixels that a node may lie outside the patch, and a vertex more
+LEAST = 30  # vertices of a patch, below which a frame shows no sheet
+ALIGN_ROUNDS = 3  # of telling what is a hem, and turning the map towards it
+HUES = 12  # of the a and b of Lab, of 255, that a pixel may differ by
+
+
+@dataclass(frozen=True, eq=False)
+class Step:
+    """A frame after each step: depth (H, W) m; masks (H, W) bool by name; nodes (N, 3) m, world."""
+
+    depth: np.ndarray
+    masks: dict[str, np.ndarray]
+    nodes: np.ndarray
+
+
+class DepthMesh:
+    """mesh: nodes along (u, v); near, far: m, the depth planes, None: around the grips; jump: m between neighbouring
+    pixels of one surface; support: of eight neighbours that a pixel must have within it (0: outliers stay);
+    colour: [red, green, blue] of the cloth, None: as most of it is seen, if it has one hue, False: no filter; hue: how
+    far from it a pixel may be; smooth: px, of depth, σ of a Gaussian; method: "isometric" or "harmonic"; even: equal
+    time steps; sigma: m, of a node's coordinate, None: judged from how nodes tremble.
+    """
+
+    name = "depth_mesh"
+    version = 1
+
+    def __init__(
+        self, mesh: Sequence[int] = (9, 9), near: float | None = None, far: float | None = None, jump: float = 0.02,
+        support: int = 5, colour: Any = None, hue: float = HUES, smooth: float = 3.0, method: str = "isometric",
+        even: bool = True, sigma: float | None = None,
+    ):  # fmt: skip
+        if len(tuple(mesh)) != 2 or not all(isinstance(n, int) and n >= 3 for n in mesh):
+            raise ClothbenchError(f"depth_mesh: mesh is {mesh!r}, expected two whole numbers ≥ 3")
+        for word, value, least in (("jump", jump, 0.0), ("hue", hue, 0.0), ("smooth", smooth, -1.0)):
+            if not isinstance(value, int | float) or not value > least:
+                raise ClothbenchError(f"depth_mesh: {word} is {value!r}, expected a number above {max(least, 0):g}")
+        if method not in METHODS:
+            raise ClothbenchError(f"depth_mesh: method is {method!r}, expected one of {', '.join(METHODS)}")
+        if not isinstance(support, int) or not 0 <= support <= 8:
+            raise ClothbenchError(f"depth_mesh: support is {support!r}, expected 0 to 8 neighbours")
+        if colour not in (None, False) and (len(tuple(colour)) != 3):
+            raise ClothbenchError(f"depth_mesh: colour is {colour!r}, expected [red, green, blue], null or false")
+        self.mesh, self.near, self.far, self.jump = (int(mesh[0]), int(mesh[1])), near, far, jump
+        self.support, self.colour, self.hue, self.smooth = support, colour, hue, smooth
+        self.method, self.even, self.sigma = method, even, sigma
+        self.options = {"near": near, "far": far, "jump": jump, "support": support, "colour": colour, "hue": hue,
+                        "smooth": smooth, "method": method}  # fmt: skip
+
+    def track(self, source: DepthImages | Path) -> Observation:
+        """The nodes of a recording of kind "depth", or of its file."""
+        images = images_of(source, self.name)
+        nodes = [step.nodes for step in self.steps(images, range(len(images.time)))]
+        return observation(images, np.array(nodes), lattice(images, self.mesh), self.even, self.sigma, self.name)
+
+    def steps(self, source: DepthImages | Path, frames: Sequence[int]) -> list[Step]:
+        """What each step leaves of some frames."""
+        images = images_of(source, self.name)
+        hue = self._hue(images)
+        out: list[Any] = [None] * len(frames)
+
+        def one(k: int) -> None:
+            out[k] = self._step(images, frames[k], hue)
+
+        for_each(one, range(len(frames)))
+        return out
+
+    def pictures(self, source: DepthImages, frame: int, seen: Observation) -> dict[str, np.ndarray]:
+        """What each step makes of a frame, to be looked at."""
+        masks = self.masks(source, frame, source.metres(frame), self._hue(source))
+        return of_steps(source, frame, masks, seen, self.mesh)
+
+    def patch(self, images: DepthImages, frame: int) -> tuple[patches.Patch, float]:
+        """The cleaned surface of one frame as triangles, and how far apart its pixels are [m]."""
+        _, _, patch, _, pixel = self._patch(images, frame, self._hue(images))
+        return patch, pixel
+
+    def _patch(
+        self, images: DepthImages, frame: int, hue: np.ndarray | None
+    ) -> tuple[np.ndarray, dict[str, np.ndarray], patches.Patch, int, float]:
+        depth = images.metres(frame)
+        masks = self.masks(images, frame, depth, hue)
+        mask = masks["colour"]
+        smooth = patches.smoothed(depth, mask, self.smooth)
+        point = to_world(seen_points(smooth, images.camera), images.camera)
+        pixel = float(np.nanmedian(depth[mask])) / images.camera.matrix[0, 0] if mask.any() else 0.0
+        stride = max(1, int(np.ceil(np.sqrt(mask.sum() / STRIDE_FOR))))
+        return depth, masks, patches.patch_of(point, mask, stride, 3.5 * stride * pixel + self.jump), stride, pixel
+
+    def _step(self, images: DepthImages, frame: int, hue: np.ndarray | None) -> Step:
+        depth, masks, patch, stride, pixel = self._patch(images, frame, hue)
+        material = lattice(images, self.mesh)
+        if len(patch.point) < LEAST:
+            return Step(depth, masks, np.full((len(material), 3), np.nan))
+        inside = pixel * patches.from_border(patch, masks["colour"])
+        flat, uv = self._flattened(images, frame, patch, inside, pixel)
+        nodes = flats.looked_up(flat, uv, patch.point, material, (BEYOND + stride) * pixel)
+        return Step(depth, masks, nodes)
+
+    def masks(
+        self, images: DepthImages, frame: int, depth: np.ndarray, hue: np.ndarray | None
+    ) -> dict[str, np.ndarray]:
+        """What each step of the cleaning leaves, (H, W) bool by the step's name."""
+        near, far = self._planes(images, frame)
+        plane = patches.within(depth, near, far)
+        outliers = patches.without_outliers(depth, plane, self.jump, self.support)
+        if hue is None or images.colour is None:
+            return {"plane": plane, "outliers": outliers, "colour": outliers}
+        seen = patches.of_colour(patches.hues(images.colour.frame[frame]), outliers, hue, self.hue)
+        return {"plane": plane, "outliers": outliers, "colour": patches.without_outliers(depth, seen, self.jump, 3)}
+
+    def _planes(self, images: DepthImages, frame: int) -> tuple[float, float]:
+        near, far = self.near, self.far
+        if (near is None or far is None) and images.grips is not None:
+            grips = held_at(images, images.time[frame : frame + 1])[0]
+            away = (grips @ images.camera.rotation.T + images.camera.translation)[:, 2]
+            reach = TALL * images.cloth_height
+            near = float(away.min()) - reach if near is None else near
+            far = float(away.max()) + reach if far is None else far
+        return near if near is not None else 0.0, far if far is not None else np.inf
+
+    def _hue(self, images: DepthImages) -> np.ndarray | None:
+        """The cloth's own hue (2,): as stated, or that of most pixels that the first two steps leave."""
+        if self.colour is False or images.colour is None:
+            return None
+        if self.colour is not None:
+            return patches.hues(np.array([[self.colour]], dtype=np.uint8))[0, 0]
+        depth = images.metres(0)
+        near, far = self._planes(images, 0)
+        mask = patches.without_outliers(depth, patches.within(depth, near, far), self.jump, self.support)
+        return patches.own_hue(patches.hues(images.colour.frame[0]), mask)
+
+    def _flattened(
+        self, images: DepthImages, frame: int, patch: patches.Patch, inside: np.ndarray, pixel: float
+    ) -> tuple[flats.Flat, np.ndarray]:
+        """A patch laid flat, and the material coordinates (M, 2) m of its vertices."""
+        size = np.array([images.cloth_width, images.cloth_height])
+        guess, held, there = first_guess(images, frame, patch.point, self.jump + LOST * pixel)
+        flat = flats.Flat.of(patch.point, flats.upright(patch.triangle, guess))
+        uv = flats.isometric(flat, guess)
+        uv = boxed(uv, size) if held is None or there is None else flats.placed(uv, uv[held], there)
+        edge = flats.border(flat.triangle)
+        for _ in range(ALIGN_ROUNDS):  # a turn of the whole is what the isometric steps find most slowly
+            wanted = on_hems(uv, edge, inside, size, pixel)
+            uv = flats.turned_to(uv, wanted)
+        if self.method == "harmonic":
+            return flat, flats.harmonic(flat, patch.point, uv, size)
+        return flat, flats.isometric(flat, uv, wanted)
+
+
+def images_of(source: Any, who: str) -> DepthImages:
+    """Depth images, read if they are a file's name."""
+    if isinstance(source, DepthImages):
+        return source
+    if isinstance(source, str | Path):
+        return read_depth(source)
+    raise ClothbenchError(f"{who}: found {type(source).__name__}, expected depth images (a recording of kind 'depth')")
+
+
+def lattice(images: DepthImages, mesh: tuple[int, int]) -> np.ndarray:
+    """Material points (N, 2) m of the mesh, row by row from the top."""
+    u, v = (np.linspace(0.0, size, n) for size, n in zip((images.cloth_width, images.cloth_height), mesh, strict=True))
+    return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+
+
+def held_at(images: DepthImages, time: np.ndarray) -> np.ndarray:
+    """Where the grips are at `time` (T,) s → (T, G, 3) m."""
+    grips = images.grips
+    assert grips is not None
+    return np.stack(
+        [
+            np.stack([np.interp(time, grips.time, grips.position[:, g, c]) for c in range(3)], axis=-1)
+            for g in range(len(grips.material))
+        ],
+        axis=1,
+    )
+
+
+def first_guess(
+    images: DepthImages, frame: int, point: np.ndarray, reach: float
+) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """The patch as a plane has it, u along the grips (else to the camera's right), v down: (M, 2) m; and the vertices
+    nearest to the grips with their material points, where there are grips within `reach` m of a vertex.
+    """
+    gravity = np.array(images.gravity)
+    down = gravity / max(np.linalg.norm(gravity), 1e-12)
+    centre = point.mean(axis=0)
+    _, _, axes = np.linalg.svd(point - centre, full_matrices=False)
+    normal, held, there = axes[2], None, None
+    right = images.camera.rotation[0]
+    if images.grips is not None and len(images.grips.material) >= 2:
+        at, material = held_at(images, images.time[frame : frame + 1])[0], images.grips.material
+        first, last = np.argmin(material[:, 0]), np.argmax(material[:, 0])
+        right = at[last] - at[first]
+        from scipy.spatial import cKDTree
+
+        away, nearest = cKDTree(point).query(at)
+        seen = away < reach
+        if seen.any():
+            held, there = nearest[seen], material[seen]
+    right = right - right @ normal * normal
+    right /= max(float(np.linalg.norm(right)), 1e-12)
+    below = np.cross(normal, right)
+    below = below if below @ down > 0 else -below
+    return np.stack([(point - centre) @ right, (point - centre) @ below], axis=1), held, there
+
+
+def on_hems(uv: np.ndarray, edge: np.ndarray, inside: np.ndarray, size: np.ndarray, pixel: float) -> np.ndarray:
+    """Coordinates (M, 2) m that vertices of the border are known to have, NaN elsewhere: where the border comes near a
+    hem it is that hem, while what hides a part of it lies farther inside. The outermost pixels are lost at a hem, as
+    many on either side: what is missing of the cloth's size says how many, also for a hem whose opposite is hidden.
+    inside: (M,) m, of each vertex from where the sheet's pixels end.
+    """
+    wanted = np.full_like(uv, np.nan)
+    near = HEM * size.max() + LOST * pixel
+    hems = [
+        (c, sign, edge[np.abs(uv[edge, c] - end) < near]) for c in (0, 1) for sign, end in ((1, 0.0), (-1, size[c]))
+    ]
+    hems = [hem for hem in hems if len(hem[2]) >= 5]
+    place = {(c, sign): float(np.median(uv[hem, c] - sign * inside[hem])) for c, sign, hem in hems}
+    both = {c: (size[c] - place[c, -1] + place[c, 1]) / 2 for c in (0, 1) if (c, 1) in place and (c, -1) in place}
+    usual = float(np.mean(list(both.values()))) if both else pixel
+    for c, sign, hem in hems:
+        lost = float(np.clip(both.get(c, usual), 0.0, LOST * pixel)) + inside[hem]
+        wanted[hem, c] = lost if sign > 0 else size[c] - lost
+    return wanted
+
+
+def boxed(uv: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """The map turned so that its smallest box is upright, in the rectangle's middle: for what nobody holds."""
+    import cv2
+
+    (_, _), (_wide, _tall), angle = cv2.minAreaRect(uv.astype(np.float32))
+    angle = np.deg2rad(angle)
+    angle -= np.pi / 2 * np.round(angle / (np.pi / 2))  # the least turn: the guess was upright
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    turned = uv @ turn
+    low, high = turned.min(axis=0), turned.max(axis=0)
+    return turned - (low + high) / 2 + size / 2
+
+
+def observation(
+    images: DepthImages, nodes: np.ndarray, material: np.ndarray, even: bool, sigma: float | None, who: str
+) -> Observation:
+    """Nodes (T, N, 3) m at the frames' stamps as an observation, at equal time steps if they are wanted."""
+    where, time = images.path or images.name, images.time
+    if not np.isfinite(nodes).any():
+        raise ClothbenchError(f"{where}: {who} found no sheet in any frame; look at its steps: near, far, colour")
+    sigma = trembling(nodes) if sigma is None else sigma
+    if even and np.ptp(np.diff(time)) > 1e-6 * np.diff(time).mean():
+        steps = np.linspace(time[0], time[-1], len(time))
+        nodes, time = at_times(time, nodes, steps), steps
+    return Observation(time, nodes, np.isfinite(nodes).all(axis=-1), sigma, material)
+
+
+def at_times(time: np.ndarray, nodes: np.ndarray, wanted: np.ndarray) -> np.ndarray:
+    """Nodes (T, N, 3) at other times (K,) s, on straight lines between frames; NaN beside a gap."""
+    after = np.clip(np.searchsorted(time, wanted), 1, len(time) - 1)
+    share = ((wanted - time[after - 1]) / (time[after] - time[after - 1]))[:, None, None]
+    between = (1 - share) * nodes[after - 1] + share * nodes[after]
+    for edge, k in ((0.0, after - 1), (1.0, after)):
+        between = np.where(share == edge, nodes[k], between)
+    return between
+
+
+def trembling(nodes: np.ndarray) -> float:
+    """The noise of a coordinate [m], from third differences in time, whose variance is 20 σ² where motion is smooth;
+    the quieter half of the nodes speaks, since motion adds to it.
+    """
+    if len(nodes) < 5:
+        return float("nan")
+    third = np.abs(np.diff(nodes, 3, axis=0))
+    third = third[:, np.isfinite(third).any(axis=(0, 2))]  # nodes that were seen in four frames on end
+    if not third.size:
+        return float("nan")
+    spread = np.sort(np.nanmedian(third, axis=0).ravel() / 0.6745 / np.sqrt(20.0))
+    return float(np.sqrt(np.mean(spread[: max(1, len(spread) // 2)] ** 2)))

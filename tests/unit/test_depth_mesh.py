@@ -1,0 +1,172 @@
+"""The tracker `depth_mesh` on sheets whose every point is known: bent without strain, filmed with a sensor's faults."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+
+from clothbench import Camera, ClothbenchError, DepthImages
+from clothbench.plugins.discovery import catalogue
+from clothbench.recordings.depth import Colour, Grips
+from clothbench.vision.depth_camera import DepthSensor, facing, seen_points, sensed, to_world
+from clothbench.vision.render import rasterise
+from clothbench.vision.surface import surface_of
+
+SIZE = np.array([0.30, 0.40])
+TIME = np.arange(8) / 20.0
+VIEW = Camera.looking_at(np.array([0.05, -1.1, 0.85]), np.array([0.0, 0.0, 0.8]), (144, 152), 0.48)
+NOISY, QUIET = DepthSensor(), DepthSensor(noise=0.0, step=0.0, holes=0.0, flying=0.0)
+
+
+def bent(uv: np.ndarray, t: float, tilt: float = 0.0) -> np.ndarray:
+    """Points (N, 3) m of a sheet that hangs from z = 1, rolled about its own length and swung: lengths are kept."""
+    radius, swing = 0.25, 0.15 * np.sin(6 * t) + tilt
+    angle = (uv[:, 0] - SIZE[0] / 2) / radius
+    across, out, down = radius * np.sin(angle), radius * (1 - np.cos(angle)), uv[:, 1]
+    sin, cos = np.sin(swing), np.cos(swing)
+    return np.stack([across, cos * out + sin * down, 1.0 + sin * out - cos * down], axis=1)
+
+
+def lattice(nu: int, nv: int) -> np.ndarray:
+    return np.stack(np.meshgrid(np.linspace(0, SIZE[0], nu), np.linspace(0, SIZE[1], nv)), axis=-1).reshape(-1, 2)
+
+
+@cache
+def filmed(sensor: DepthSensor = NOISY, tilt: float = 0.0, hidden: float = 0.0, grips: bool = True, blue=True):
+    """Depth images of the sheet; hidden: share of its width behind something that stands before its right side."""
+    fine, random = lattice(25, 33), np.random.default_rng(1)
+    triangle = surface_of(fine).triangle
+    depth, colour = [], []
+    for t in TIME:
+        pixel, away = VIEW.project(bent(fine, t, tilt))
+        nearest, empty = np.empty(VIEW.size[::-1]), np.empty((*VIEW.size[::-1], 0))
+        rasterise(pixel, away, triangle, np.zeros((len(fine), 0)), nearest, empty)
+        seen = np.isfinite(nearest)
+        picture = np.where(seen[..., None], (50, 80, 170), (190, 180, 170))
+        if hidden:
+            edge = VIEW.project(np.array([SIZE[0] * (0.5 - hidden), -0.1, 0.8]))[0][0]
+            nearest[:, int(edge) :], picture[:, int(edge) :] = 0.6, (150, 60, 50)
+        nearest[~np.isfinite(nearest)] = 1.6
+        depth.append(sensed(nearest, VIEW, sensor, random))
+        colour.append(picture.astype(np.uint8))
+    corners = np.array([[0.0, 0.0], [SIZE[0], 0.0]])
+    held = Grips(TIME, corners, np.stack([bent(corners, t, tilt) for t in TIME]))
+    return DepthImages(
+        name="swing", time=TIME, depth=np.stack(depth), depth_step=1e-3, camera=VIEW, cloth_width=SIZE[0],
+        cloth_height=SIZE[1], colour=Colour(TIME, np.stack(colour)) if blue else None, grips=held if grips else None,
+    )  # fmt: skip
+
+
+def tracker(**options):
+    return catalogue().make("trackers", "depth_mesh", **options)
+
+
+def errors(images: DepthImages, tilt: float = 0.0, **options) -> tuple[np.ndarray, np.ndarray]:
+    """Distances (T, N) m of nodes from where they are, NaN where not seen; and the nodes' material points."""
+    seen = tracker(**options).track(images)
+    truth = np.stack([bent(seen.material, t, tilt) for t in seen.time])
+    return np.linalg.norm(seen.position - truth, axis=-1), seen.material
+
+
+def test_without_faults_it_is_off_by_a_fraction_of_a_pixel():
+    away, _ = errors(filmed(QUIET))
+    assert np.isfinite(away).mean() > 0.98
+    assert np.nanmedian(away) < 1.2e-3
+    assert np.nanpercentile(away, 95) < 5e-3  # a pixel is 3.3 mm
+
+
+@pytest.mark.parametrize("tilt", [-0.3, 0.0, 0.3])
+def test_with_a_sensors_faults_it_is_off_by_a_pixel(tilt):
+    away, _ = errors(filmed(tilt=tilt), tilt)
+    assert np.isfinite(away).mean() > 0.95
+    assert np.nanmedian(away) < 2.5e-3
+    assert np.nanpercentile(away, 95) < 8e-3
+
+
+def test_without_grips_and_colour_the_outline_tells():
+    images = filmed(grips=False, blue=False)
+    away, _ = errors(images, far=1.4)
+    assert np.isfinite(away).mean() > 0.9
+    assert np.nanmedian(away) < 5e-3
+
+
+def test_what_is_hidden_stays_unseen_and_the_rest_keeps_its_labels():
+    images = filmed(hidden=0.3)
+    away, material = errors(images)
+    behind = material[:, 0] > 0.85 * SIZE[0]
+    assert np.isnan(away[:, behind]).all()
+    before = material[:, 0] < 0.5 * SIZE[0]
+    assert np.isfinite(away[:, before]).mean() > 0.95
+    assert np.nanmedian(away[:, before]) < 4e-3
+
+
+def test_the_isometric_map_beats_the_harmonic_one_where_the_border_is_rough():
+    images = filmed()
+    rms = {m: np.sqrt(np.nanmean(errors(images, method=m)[0] ** 2)) for m in ("isometric", "harmonic")}
+    assert rms["isometric"] < 0.7 * rms["harmonic"]
+
+
+def test_each_step_leaves_less_and_can_be_left_out():
+    (step,) = tracker().steps(filmed(hidden=0.2), [0])
+    plane, outliers, colour = (step.masks[name] for name in ("plane", "outliers", "colour"))
+    assert plane.sum() > outliers.sum() > 0
+    assert not (outliers & ~plane).any()
+    assert not (colour & ~outliers).any()
+    (bare,) = tracker(support=0, colour=False).steps(filmed(hidden=0.2), [0])
+    assert np.array_equal(bare.masks["outliers"], bare.masks["colour"])
+    assert bare.masks["outliers"].sum() >= outliers.sum()
+
+
+def test_uneven_stamps_become_even_ones():
+    uneven = TIME + np.array([0, 3, -2, 4, 0, -3, 2, 0]) * 1e-3
+    images = dataclasses.replace(filmed(), time=uneven, grips=None, colour=None)
+    assert np.ptp(np.diff(tracker(far=1.4).track(images).time)) < 1e-12
+    assert np.array_equal(tracker(far=1.4, even=False).track(images).time, uneven)
+
+
+@pytest.mark.parametrize(
+    ("options", "found"),
+    [
+        ({"mesh": [9]}, "mesh is [9], expected two whole numbers"),
+        ({"jump": 0}, "jump is 0, expected a number above 0"),
+        ({"method": "conformal"}, "expected one of isometric, harmonic"),
+        ({"support": 9}, "expected 0 to 8 neighbours"),
+        ({"colour": [1, 2]}, "expected [red, green, blue]"),
+    ],
+)
+def test_bad_options_are_refused(options, found):
+    with pytest.raises(ClothbenchError) as caught:
+        tracker(**options)
+    assert found in str(caught.value)
+
+
+def test_no_sheet_and_no_images_are_refused(recording):
+    with pytest.raises(ClothbenchError, match="depth_mesh found no sheet in any frame; look at its steps"):
+        tracker(near=3.0, far=4.0).track(filmed())
+    with pytest.raises(ClothbenchError, match="expected depth images"):
+        tracker().track(recording)
+    with pytest.raises(ClothbenchError, match="source: found DepthImages, expected nodes"):
+        catalogue().make("trackers", "markers").track(filmed())
+
+
+def test_a_sensors_noise_grows_with_the_square_of_the_distance():
+    random = np.random.default_rng(3)
+    view = Camera.looking_at(np.array([0.0, -1.0, 0.0]), np.zeros(3), (80, 60), 0.5)
+    sensor = DepthSensor(noise=4e-3, step=0.0, holes=0.0, flying=0.0, reach=9.0)
+    spread = [np.std(1e-3 * sensed(np.full((60, 80), z), view, sensor, random)) for z in (1.0, 2.0)]
+    assert spread == pytest.approx([4e-3, 16e-3], rel=0.06)
+    lost = sensed(np.full((60, 80), 1.0), view, DepthSensor(holes=0.1), random) == 0
+    assert 0.08 < lost.mean() < 0.12
+    assert not sensed(np.full((60, 80), 2.0), view, DepthSensor(reach=1.5), random).any()
+
+
+def test_points_go_through_the_camera_and_back():
+    depth = np.full(VIEW.size[::-1], 1.2)
+    world = to_world(seen_points(depth, VIEW), VIEW)
+    pixel, away = VIEW.project(world)
+    assert np.allclose(away, 1.2)
+    assert np.allclose(pixel[10, 20], [20, 10], atol=1e-6)
+    assert facing(depth, VIEW)[76, 72] == pytest.approx(1.0, abs=1e-3)
