@@ -46,6 +46,8 @@ dd { margin: 0; }
 details { margin: 8px 0; }
 summary { cursor: pointer; color: var(--accent); }
 figure { margin: 0 0 8px; }
+.strip { display: flex; gap: 10px; overflow-x: auto; }
+.strip img { height: 190px; border-radius: 6px; }
 select { font: inherit; color: inherit; background: var(--card); border: 1px solid var(--line);
   border-radius: 6px; padding: 5px 8px; max-width: 100%; }
 .menu { display: flex; gap: 8px; align-items: center; flex-wrap: wrap; }

@@ -5,9 +5,10 @@ A cell is plain data that travels to worker processes; its key is the hash of al
 
 from __future__ import annotations
 
+import fnmatch
 import hashlib
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -56,6 +57,14 @@ def plugin_versions(used: Iterable[tuple[str, str]], plugins: Catalogue) -> dict
             version = "broken"
         out[f"{kind}/{name}"] = f"{known.distribution} {known.version}, {version}"
     return out
+
+
+def matching(recordings: Sequence[Any], patterns: Sequence[str]) -> list[Any]:
+    """Those whose name matches one of the patterns of `suite.select`; none is an error."""
+    chosen = [r for r in recordings if any(fnmatch.fnmatch(r.name, p) for p in patterns)]
+    if not chosen:
+        raise ClothbenchError(f"setting 'suite.select' {list(patterns)} matches none of {len(recordings)} recordings")
+    return chosen
 
 
 def resplit(sources: list[Source], seed: int) -> list[Source]:

@@ -16,6 +16,7 @@ from clothbench.engine.study import Cell, Context, Result, Study
 from clothbench.plugins.discovery import catalogue, one_line
 
 TRACEBACK = "traceback.txt"
+TRACKED = "tracked"  # folder of recordings that trackers made of images, which all cells of a store share
 CellProgress = Callable[[Cell, int, float], None]
 
 
@@ -31,7 +32,7 @@ def run_cell(
         if progress is not None:
             progress(cell, steps, value)
 
-    context = Context(plugins, store.folder / "journal" / cell.key, told, stage, rerun)
+    context = Context(plugins, store.folder / "journal" / cell.key, told, stage, rerun, store.folder / TRACKED)
     try:
         study: Study = plugins.load("studies", cell.study)
         result = study.run(cell, context)

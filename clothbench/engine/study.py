@@ -68,7 +68,8 @@ class Cell(Protocol):
 @dataclass(frozen=True)
 class Context:
     """What a cell is run with. unfinished: folder for what has been computed of it; progress: told after every step;
-    stage: told where work of several stages stands; rerun: whether files for Rerun are wanted.
+    stage: told where work of several stages stands; rerun: whether files for Rerun are wanted; kept: folder for what
+    the cells of a store share, None: nothing is kept.
     """
 
     plugins: Catalogue
@@ -76,6 +77,7 @@ class Context:
     progress: Progress = lambda steps, value: None
     stage: StageProgress = lambda name, done, planned: None
     rerun: bool = False
+    kept: Path | None = None
 
     @cached_property
     def checkpoint(self) -> Checkpoint:

@@ -6,6 +6,7 @@ import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import Any, ClassVar
 
 from clothbench.core.errors import ClothbenchError
@@ -15,8 +16,10 @@ from clothbench.core.protocols import Effect, Metric
 from clothbench.engine.cells import Skipped, Source, digest, seed_of
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.trials import Trial
+from clothbench.estimation.watched import watched
 from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
-from clothbench.recordings.nodes import Recording, read_recording
+from clothbench.recordings.kinds import read_sheet
+from clothbench.recordings.nodes import Recording
 from clothbench.recordings.scenes import scene_of
 
 
@@ -26,7 +29,8 @@ class CalibrationCell:
 
     Plain data: it travels to worker processes, and its key is the hash of everything here except where files lie.
     fixed: parameters that are not searched for, with their values; analysis: what else is asked of the fit, by name;
-    rivals: other fabrics' recordings of the same trials, which these parameters are held against.
+    rivals: other fabrics' recordings of the same trials, which these parameters are held against; published: figures of
+    a paper by metric and name, in the metric's unit, to stand beside the results.
     """
 
     suite: str
@@ -48,6 +52,7 @@ class CalibrationCell:
     fixed: Mapping[str, float] = field(default_factory=dict)
     analysis: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     rivals: tuple[Source, ...] = ()
+    published: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     study: ClassVar[str] = "calibration"
     counts: ClassVar[str] = "evaluations"
@@ -60,7 +65,12 @@ class CalibrationCell:
         question["recordings"] = sorted((s["hash"], s["split"]) for s in question["recordings"])
         question["options"] = {k: v for k, v in question["options"].items() if k in self._plugins()}
         question["rivals"] = sorted(s["hash"] for s in question["rivals"])
-        for name in ("fixed", "analysis", "rivals"):  # cells that have none keep the key they had before there were any
+        for name in (
+            "fixed",
+            "analysis",
+            "rivals",
+            "published",
+        ):  # cells that have none keep the key they had before there were any
             if not question[name]:
                 del question[name]
         return digest(question)
@@ -134,6 +144,9 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
     """
     try:
         mine = [recordings[s.path] for s in cell.recordings]
+        if not all(isinstance(r, Recording) for r in mine):  # images are tracked when the cell is run
+            plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
+            return None
         scenes = [scene_of(recording, **cell.scene) for recording in mine]
         if any(plugins.find(kind, name).distribution != OWN for kind, name in uses(cell)):
             return None
@@ -162,8 +175,11 @@ def bounded(space: ParameterSpace, bounds: Mapping[str, tuple[float, float]]) ->
     return space.bounded({name: pair for name, pair in bounds.items() if name in space.names})
 
 
-def set_up(cell: CalibrationCell, plugins: Catalogue) -> Bench:
-    """Make the plugins, read and track the recordings, and prepare one simulation for each."""
+def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) -> Bench:
+    """Make the plugins, read and track the recordings, and prepare one simulation for each.
+
+    kept: folder for what trackers make of images, None: nothing is kept.
+    """
     if reason := absent(plugins.load("models", cell.model)):
         raise Skipped(reason)
     model = plugins.make("models", cell.model, **cell.option(cell.model))
@@ -178,14 +194,17 @@ def set_up(cell: CalibrationCell, plugins: Catalogue) -> Bench:
         if reason := why_skipped(model, scene):
             raise Skipped(reason)
         simulation = holding(model.prepare(scene, effects), cell.fixed)
-        return Trial(recording.name, tracker.track(recording), simulation, metric)
+        return Trial(recording.name, seen[recording.hash], simulation, metric)
 
-    recordings = tuple(read_recording(s.path) for s in cell.recordings)
-    trials = []
-    for source, recording in zip(cell.recordings, recordings, strict=True):
-        if recording.hash != source.hash:
+    recordings, seen, trials = [], {}, []
+    for source in cell.recordings:
+        raw = read_sheet(source.path)
+        if raw.hash != source.hash:
             raise ClothbenchError(f"{source.path}: changed on disk since the suite was planned; run it again")
+        recording, observation = watched(raw, tracker, cell.option(cell.tracker), plugins, kept)
+        seen[recording.hash] = observation
+        recordings.append(recording)
         trials.append(make(recording))
     space = bounded(trials[0].simulation.parameters, cell.bounds)
     others = tuple(plugins.make("metrics", name, **cell.option(name)) for name in cell.report if name != cell.metric)
-    return Bench(cell, space, recordings, tuple(trials), others, make)
+    return Bench(cell, space, tuple(recordings), tuple(trials), others, make)

@@ -39,9 +39,20 @@ def series_names(rows: Rows, metrics: dict[str, str]) -> dict[str, str]:
 
 
 def cell_tables(folder: Path, points: int) -> dict[str, Any]:
-    """One cell's curves: {"metric", "unit", "best": (x, y), "traces": {(metric, recording): (t, y)}}."""
+    """One cell's curves: {"metric", "unit", "best": (x, y), "traces": {(metric, recording): (t, y)},
+    "published": {metric: {name: value}}}.
+    """
     first = read_table(folder / "rows.parquet").slice(0, 1).to_pylist()[0]  # of the metric it was fitted by
-    out: dict[str, Any] = {"metric": first["metric"], "unit": first["unit"], "best": None, "traces": {}}
+    out: dict[str, Any] = {
+        "metric": first["metric"],
+        "unit": first["unit"],
+        "best": None,
+        "traces": {},
+        "published": {},
+    }
+    if (path := folder / "published.parquet").is_file():
+        for line in read_table(path).to_pylist():
+            out["published"].setdefault(line["metric"], {})[line["name"]] = line["value"]
     if (path := folder / "history.parquet").is_file():
         out["best"] = best_so_far(read_table(path)["value"].to_numpy().astype(float))
     if (path := folder / "trace.parquet").is_file():

@@ -162,6 +162,12 @@ def trace_figures(metric: str, rows: Rows, styles: dict[str, dict[str, str]], ta
             ends, floor = [data[0]["x"][0], data[0]["x"][-1]], rounded([row["floor"]] * 2)
             look = {"meta": "", "name": "noise floor", "colour": GREY, "dash": "solid"}
             data.append(_line(ends, floor, look, row["unit"], "%{x} s"))
+        for at, (said, value) in enumerate(
+            sorted({i for k in styles for i in tables[k]["published"].get(metric, {}).items()})
+        ):
+            ends, dash = [data[0]["x"][0], data[0]["x"][-1]], DASHES[1 + at % 3]
+            look = {"meta": "", "name": escape(said), "colour": GREY, "dash": dash}
+            data.append(_line(ends, [value] * 2, look, row["unit"], "%{x} s"))
         layout = {"height": 380, "xaxis": _axis("time [s]"), "yaxis": _axis(f"error [{row['unit']}]")}
         out[f"{name} ({row['split'].replace('_', ' ')})"] = _figure(data, layout)
     return out

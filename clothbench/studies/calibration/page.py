@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from base64 import b64encode
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 from clothbench.display.html import text
@@ -12,9 +14,11 @@ from clothbench.engine.study import Results
 from clothbench.studies.calibration.analysis_page import analysis_section
 from clothbench.studies.calibration.figures import panels
 from clothbench.studies.calibration.leaderboard import leaderboard
-from clothbench.studies.calibration.schema import ANALYSIS_TABLES
+from clothbench.studies.calibration.published import published_section
+from clothbench.studies.calibration.schema import ANALYSIS_TABLES, PICTURES
 
 Rows = Sequence[dict[str, Any]]
+STEPS = '<p class="soft">The middle frame of the first recording, step by step.</p>'
 ORDER = """<p class="soft">Mean error over the recordings of a split, with its 95 % interval. Within a case
 and a metric the lowest held-out error comes first; where intervals overlap, that order may be chance.</p>"""
 FIGURES = """
@@ -30,7 +34,8 @@ a perfect model.</figcaption>
 <div id="convergence"></div></figure></div>
 <div id="trace-block"><h3>Error over time</h3>
 <div class="menu"><label for="recording">Recording</label><select id="recording"></select></div>
-<figure><figcaption>Error of the best fit in each frame; grey line: noise floor.</figcaption>
+<figure><figcaption>Error of the best fit in each frame; grey line: noise floor;
+grey dashes: what a paper says.</figcaption>
 <div id="trace"></div></figure></div>
 """
 
@@ -63,7 +68,15 @@ drawPanel();
 def sections(results: Results) -> list[Section]:
     """What the page shows of calibrations."""
     analyses = analysis_section(results.rows, {name: results.table(name) for name in ANALYSIS_TABLES})
-    found = [leaderboards(results.rows), figures(results), analyses, fits(results.rows, results.table("parameters"))]
+    beside = published_section(results)
+    found = [
+        leaderboards(results.rows),
+        figures(results),
+        beside,
+        steps(results),
+        analyses,
+        fits(results.rows, results.table("parameters")),
+    ]
     return [section for section in found if section is not None]
 
 
@@ -78,6 +91,30 @@ def figures(results: Results) -> Section | None:
     """The figures with their menu."""
     shown = panels(results.store, results.rows)
     return Section(FIGURES, {"panels": shown}, SCRIPT) if shown else None
+
+
+def steps(results: Results) -> Section | None:
+    """What the trackers made of images, step by step: once for all cells that saw the same."""
+    shown: dict[tuple[str, ...], str] = {}
+    for key in sorted({r["key"] for r in results.rows}):
+        row = next(r for r in results.rows if r["key"] == key)
+        pictures = sorted((results.store.cell(key) / PICTURES).glob("*.png"))
+        if pictures:
+            shown.setdefault((row["suite"], row["case"], *(p.name for p in pictures)), strip(pictures))
+    if not shown:
+        return None
+    body = "".join(f"<h3>{text(suite)} · {text(case)}</h3>{html}" for (suite, case, *_), html in shown.items())
+    return Section(f"<h2>What the tracker made of the images</h2>{STEPS}{body}")
+
+
+def strip(pictures: Sequence[Path]) -> str:
+    """Pictures side by side, each named by its file: "2 outliers.png"."""
+    each = (
+        f'<figure><img alt="{text(p.stem)}" src="data:image/png;base64,{b64encode(p.read_bytes()).decode()}">'
+        f"<figcaption>{text(p.stem)}</figcaption></figure>"
+        for p in pictures
+    )
+    return f'<div class="strip">{"".join(each)}</div>'
 
 
 def fits(rows: Rows, fitted: Rows) -> Section:

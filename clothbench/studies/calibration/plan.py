@@ -11,11 +11,12 @@ from typing import Any
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import FileProgress
-from clothbench.engine.cells import Source, plugin_versions, resplit
+from clothbench.engine.cells import Source, matching, plugin_versions, resplit
 from clothbench.engine.settings import require_plugins
 from clothbench.engine.suite import where
 from clothbench.plugins.discovery import Catalogue
-from clothbench.recordings.nodes import Recording, read_recording
+from clothbench.recordings.kinds import read_sheet
+from clothbench.recordings.nodes import Recording
 from clothbench.studies.calibration.cell import CalibrationCell, rehearse, uses
 from clothbench.studies.calibration.settings import analysis_settings, suite_settings
 
@@ -48,6 +49,7 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
                 analysis=analysis,
                 rivals=tuple(rivals(sources, cases)) if "confusion" in analysis else (),
                 report=tuple(settings["report"]),
+                published=suite["published"],
                 tracker=str(settings["tracker"]),
                 **{key: settings[key] for key in ("options", "bounds", "scene", "budget", "seed", "timeout")},
             )
@@ -97,8 +99,8 @@ def rivals(sources: Sequence[Source], cases: Mapping[str, Sequence[Source]]) -> 
     return [s for name, s in sorted(known.items()) if name.partition("/")[2] in trials and name in fitted - mine]
 
 
-def read_all(paths: Iterable[Path]) -> list[Recording]:
-    return [read_recording(path) for path in paths]
+def read_all(paths: Iterable[Path]) -> list[Any]:
+    return [read_sheet(path) for path in paths]
 
 
 def _case_of(r: Recording, by: str) -> str:
@@ -111,9 +113,7 @@ def group(
     recordings: Sequence[Recording], by: str, patterns: Sequence[str], seed: int, fitted: bool = True
 ) -> dict[str, list[Source]]:
     """Recordings by case, each with a fit split if `fitted`; a recording's name must match one of `patterns`."""
-    chosen = [r for r in recordings if any(fnmatch.fnmatch(r.name, p) for p in patterns)]
-    if not chosen:
-        raise ClothbenchError(f"setting 'suite.select' {list(patterns)} matches none of {len(recordings)} recordings")
+    chosen = matching(recordings, patterns)
     cases: dict[str, list[Source]] = {}
     for r in chosen:
         case = "all" if by == "all" else r.name if by == "recording" else _case_of(r, by)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.core.optional import ShowsSteps
 from clothbench.core.protocols import Metric, Score
 from clothbench.core.rollout import Rollout
 from clothbench.engine.rows import about_cell, failure, no_value
@@ -16,13 +17,16 @@ from clothbench.engine.study import Context, Result
 from clothbench.estimation.calibrate import Fit, best_rollout, calibrate
 from clothbench.estimation.intervals import error_interval, mean_interval
 from clothbench.estimation.trials import score_of
+from clothbench.recordings.kinds import read_sheet
+from clothbench.recordings.nodes import Recording
 from clothbench.studies.calibration.analysis import analyse, starts_of, truth_of
 from clothbench.studies.calibration.cell import Bench, CalibrationCell, set_up
+from clothbench.studies.calibration.schema import PICTURES
 
 
 def run(cell: CalibrationCell, context: Context) -> Result:
     """Search, on the fit recordings together, and score what was found on all of them."""
-    bench = set_up(cell, context.plugins)
+    bench = set_up(cell, context.plugins, context.kept)
     optimizer = context.plugins.make(
         "optimizers", cell.optimizer, bench.space, seed=cell.stream("optimizer"), budget=cell.budget,
         **cell.option(cell.optimizer),
@@ -45,14 +49,32 @@ def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
         rows += _rows_of(bench, fit, metric, scores, rollouts)
         trace += _trace_of(bench, metric, scores)
     tables = {"rows": rows, "parameters": _parameters_of(bench, fit), "history": _history_of(fit), "trace": trace}
+    if bench.cell.published:
+        tables["published"] = _published_of(bench)
     tables |= {"starts": starts_of(bench, fit)} | analyse(bench, fit, context.plugins, context.checkpoint)
 
     def attach(folder: Path) -> None:
         from clothbench.studies.calibration.rerun_file import write_rerun
 
-        write_rerun(folder / "fit.rrd", bench, rollouts)
+        write_pictures(folder / PICTURES, bench, context)
+        if context.rerun:
+            write_rerun(folder / "fit.rrd", bench, rollouts)
 
-    return Result(fit.status, tables, attach if context.rerun else None)
+    return Result(fit.status, tables, attach)
+
+
+def write_pictures(folder: Path, bench: Bench, context: Context) -> None:
+    """What the tracker's steps make of the middle frame of the first recording, where it has images and shows them."""
+    import cv2
+
+    cell = bench.cell
+    tracker = context.plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
+    raw, seen = read_sheet(cell.recordings[0].path), bench.trials[0].observation
+    if isinstance(raw, Recording) or not isinstance(tracker, ShowsSteps):
+        return
+    folder.mkdir()
+    for number, (name, picture) in enumerate(tracker.pictures(raw, len(raw.time) // 2, seen).items()):
+        cv2.imwrite(str(folder / f"{number} {name}.png"), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
 
 
 def _why_lost(bench: Bench) -> str:
@@ -157,6 +179,17 @@ def _parameters_of(bench: Bench, fit: Fit) -> list[dict[str, Any]]:
             "key": bench.cell.key,
         }
         for i, p in enumerate(fit.space)
+    ]
+
+
+def _published_of(bench: Bench) -> list[dict[str, Any]]:
+    """The paper's figures of those metrics that were asked for."""
+    metrics = {m.name: m for m in (bench.trials[0].metric, *bench.others)}
+    return [
+        {"metric": metric, "name": name, "value": value, "unit": metrics[metric].unit, "key": bench.cell.key}
+        for metric, figures in bench.cell.published.items()
+        if metric in metrics
+        for name, value in figures.items()
     ]
 
 

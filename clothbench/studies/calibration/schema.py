@@ -13,6 +13,9 @@ PARAMETER = {
 }  # fmt: skip
 # Error of every recording, frame by frame.
 TRACE = {"recording": _text, "split": _text, "metric": _text, "time": _number, "value": _number, "unit": _text}
+PICTURES = "tracker"  # folder of a cell with what its tracker made of one frame
+# What a paper says of a metric, in its `unit`.
+PUBLISHED = {"metric": _text, "name": _text, "value": _number, "unit": _text, "key": _text}
 # Error of each fitted recording where the search set out from, and at its result.
 START = {
     "case": _text, "recording": _text, "metric": _text, "unit": _text, "start": _number, "value": _number, "key": _text,
@@ -49,4 +52,4 @@ ANALYSIS_TABLES = {
     "starts": START, "variability": VARIABILITY, "perturbations": PERTURBATION, "repeats": REPEAT,
     "sensitivity": SENSITIVITY, "map": MAP, "confusion": CONFUSION,
 }  # fmt: skip
-TABLES = {"parameters": PARAMETER, "trace": TRACE, **ANALYSIS_TABLES}
+TABLES = {"parameters": PARAMETER, "trace": TRACE, "published": PUBLISHED, **ANALYSIS_TABLES}

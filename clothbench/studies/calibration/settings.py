@@ -8,7 +8,7 @@ from typing import Any
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.settings import known_words, mapping, number, whole, words
 
-SUITE_WORDS = frozenset({"recordings", "select", "case", "each", "fixed", "effects"})
+SUITE_WORDS = frozenset({"recordings", "select", "case", "each", "fixed", "effects", "published"})
 CASES = ("fabric", "experiment", "motion", "recording", "all")
 # What can be asked of a finished fit, with the options of each and their defaults.
 ANALYSES: dict[str, dict[str, Any]] = {
@@ -29,6 +29,12 @@ def suite_settings(suite: Mapping[str, Any]) -> dict[str, Any]:
     out["fixed"] = {
         pattern: {n: number(f"suite.fixed.{n}", v) for n, v in mapping("suite.fixed", values).items()}
         for pattern, values in out["fixed"].items()
+    }
+    out["published"] = {
+        metric: {
+            str(n): number(f"suite.published.{metric}.{n}", v) for n, v in mapping("suite.published", values).items()
+        }
+        for metric, values in mapping("suite.published", out.get("published")).items()
     }
     if out.get("case", "fabric") not in CASES:
         raise ClothbenchError(f"setting 'suite.case' is {out['case']!r}, expected one of {', '.join(CASES)}")

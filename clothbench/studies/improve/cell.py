@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
-from pathlib import Path
 from typing import Any, ClassVar
 
 from clothbench import __version__
@@ -33,7 +32,7 @@ class ImproveCell:
     timeout: s after which no further round is begun; None: no limit;
     versions: "kind/name" → distribution and version of every plugin that it uses;
     split_by_seed: whether no recording states a split;
-    suite: as the settings call it.
+    suite: as the settings call it; case: the fabric, or the folder in which the recordings lie.
     """
 
     recordings: tuple[Source, ...]
@@ -51,6 +50,7 @@ class ImproveCell:
     versions: Mapping[str, str] = field(default_factory=dict)
     split_by_seed: bool = False
     suite: str = "improve"
+    case: str = ""
 
     study: ClassVar[str] = "improve"
     metric: ClassVar[str] = "rms_error"
@@ -66,7 +66,8 @@ class ImproveCell:
         question["recordings"] = [(s.name, s.hash, s.split) for s in self.recordings]
         used = {name for _, name in self.plugins}
         question["options"] = {name: options for name, options in question["options"].items() if name in used}
-        del question["split_by_seed"], question["suite"]  # the splits say it; a name changes no answer
+        for name in ("split_by_seed", "suite", "case"):  # the splits say it; a name changes no answer
+            del question[name]
         return digest([question, asdict(LOOP), __version__])
 
     @property
@@ -79,11 +80,6 @@ class ImproveCell:
     @property
     def effects(self) -> tuple[str, ...]:
         return self.base
-
-    @property
-    def case(self) -> str:
-        """The folder in which the recordings lie."""
-        return Path(self.recordings[0].path).parent.name
 
     @property
     def cases(self) -> tuple[str, ...]:

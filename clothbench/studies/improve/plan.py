@@ -11,14 +11,15 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.optional import absent, kind_of_model
 from clothbench.core.progress import FileProgress
 from clothbench.core.scene import AIR_DENSITY
-from clothbench.engine.cells import Source, plugin_versions, resplit
-from clothbench.engine.settings import refuse, require_plugins, whole
+from clothbench.engine.cells import Source, matching, plugin_versions, resplit
+from clothbench.engine.run import TRACKED
+from clothbench.engine.settings import refuse, require_plugins, whole, words
 from clothbench.engine.suite import where
 from clothbench.modelling.curves import answers_curves
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.codec import kind_of
-from clothbench.recordings.curve import Curve, read_curve
-from clothbench.recordings.nodes import Recording, read_recording
+from clothbench.recordings.curve import read_curve
+from clothbench.recordings.kinds import read_sheet
 from clothbench.studies.improve.candidates import candidates_of, names
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.fitting import search_settings
@@ -29,12 +30,12 @@ from clothbench.studies.improve.problem import Problem
 # what a coarser mesh does to them is known better, since they converge.
 NODES, IMPLICIT_NODES = 13, 9
 LEAST_NODES = 5
-SUITE_WORDS = frozenset({"candidates", "base", "damping", "resolution"})
+SUITE_WORDS = frozenset({"candidates", "base", "damping", "resolution", "select", "case"})
 NOT_ASKED = ("metric", "report", "analysis")
 
 
 def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[ImproveCell]:
-    """A cell for each model, with each optimizer."""
+    """A cell for each model, with each optimizer; and for each fabric, where `suite.case` asks for that."""
     require_plugins(settings, ("model", "optimizer"))
     own = "the loop compares residuals, and reports on them in its own way"
     refuse(settings | {"scene": {}}, NOT_ASKED, own, own)
@@ -47,16 +48,35 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     paths = where(settings, progress)
     kind = "curve" if kind_of(paths[0]) == "curve" else "nodes"
     recordings = [read_kind(path, kind) for path in paths]
-    sources = sources_of(recordings, settings["seed"])
     return [
-        cell_of(model, optimizer, kind, sources, settings, plugins)
+        cell_of(case, model, optimizer, kind, sources, settings, plugins)
+        for case, sources in cases_of(recordings, settings).items()
         for model in dict.fromkeys(settings["model"])
         for optimizer in dict.fromkeys(settings["optimizer"])
     ]
 
 
+def cases_of(recordings: Sequence[Any], settings: Mapping[str, Any]) -> dict[str, list[Source]]:
+    """The recordings that `suite.select` names, by the case that each question is about."""
+    suite, seed = settings["suite"], settings["seed"]
+    chosen = matching(recordings, words("suite.select", suite.get("select")) or ["*"])
+    if (by := suite.get("case")) not in (None, "fabric"):
+        raise ClothbenchError(f"setting 'suite.case' is {by!r}, expected fabric, or null for all in one")
+    if by is None:  # called by their folder
+        return {Path(chosen[0].path).parent.name: sources_of(chosen, seed)}
+    return {
+        case: sources_of([r for r in chosen if r.fabric == case], seed) for case in sorted({r.fabric for r in chosen})
+    }
+
+
 def cell_of(
-    model: str, optimizer: str, kind: str, sources: Sequence[Source], settings: Mapping[str, Any], plugins: Catalogue
+    case: str,
+    model: str,
+    optimizer: str,
+    kind: str,
+    sources: Sequence[Source],
+    settings: Mapping[str, Any],
+    plugins: Catalogue,
 ) -> ImproveCell:
     """The cell of one model and optimizer; what is wrong with them comes to light here."""
     loaded, suite = plugins.load("models", model), settings["suite"]
@@ -70,12 +90,12 @@ def cell_of(
         tracker=settings["tracker"] if kind == "nodes" else None, optimizer=optimizer, options=settings["options"],
         scene={} if kind == "curve" else scene_of_settings(settings, loaded), seed=settings["seed"],
         timeout=settings["timeout"], bounds=settings["bounds"], split_by_seed=not any(s.split for s in sources),
-        suite=suite.get("name") or "improve",
+        suite=suite.get("name") or "improve", case=case,
     )  # fmt: skip
-    base = base_of(settings, prepare(cell, plugins))
+    base = base_of(settings, prepare(cell, plugins, kept=Path(settings["out"]) / TRACKED))
     candidates = candidates_of(suite.get("candidates"), kind, base, plugins)
     cell = dataclasses.replace(cell, base=base, candidates=candidates)
-    rehearse(cell, plugins)
+    rehearse(cell, plugins, Path(settings["out"]) / TRACKED)
     return dataclasses.replace(cell, versions=plugin_versions(cell.plugins, plugins))
 
 
@@ -110,22 +130,25 @@ def scene_of_settings(settings: Mapping[str, Any], model: Any) -> dict[str, Any]
     nodes, scene = settings["suite"].get("resolution"), settings["scene"]
     if nodes is None:
         nodes = IMPLICIT_NODES if kind_of_model(model) == "implicit" else NODES
-    return {
+    begins = {"start": scene["start"]} if "start" in scene else {}
+    if begins and "moving_start" not in model.capabilities:
+        raise ClothbenchError(f"model {model.name!r} starts from rest only; leave scene.start=measured out")
+    return begins | {
         "areal_density": scene.get("areal_density"), "air_density": scene.get("air_density", AIR_DENSITY),
         "resolution": whole("resolution", nodes, LEAST_NODES),
     }  # fmt: skip
 
 
-def read_kind(path: Path, kind: str) -> Recording | Curve:
+def read_kind(path: Path, kind: str) -> Any:
     """A recording of the kind that all of them have to be of."""
     if kind == "nodes":
-        return read_recording(path)
+        return read_sheet(path)
     if (stated := kind_of(path)) != kind:
         raise ClothbenchError(f"{path}: found kind {stated!r} among curves, expected one kind in a folder")
     return read_curve(path)
 
 
-def sources_of(recordings: Sequence[Recording | Curve], seed: int) -> list[Source]:
+def sources_of(recordings: Sequence[Any], seed: int) -> list[Source]:
     """The recordings with the splits that they state; a name stands for one recording, and at least one is to fit."""
     files: dict[str, Any] = {}
     for r in recordings:
@@ -161,9 +184,9 @@ def base_of(settings: Mapping[str, Any], problem: Problem) -> tuple[str, ...]:
     return () if any(p.unit == unit for p in problem.space(())) else (damping,)
 
 
-def rehearse(cell: ImproveCell, plugins: Catalogue) -> None:
+def rehearse(cell: ImproveCell, plugins: Catalogue, kept: Path | None = None) -> None:
     """Make everything once without simulating: what is wrong in options and bounds comes to light before a run."""
-    problem = prepare(cell, plugins)
+    problem = prepare(cell, plugins, kept=kept)
     space = problem.space(())
     problem.plugins.make("optimizers", cell.optimizer, space, seed=0, budget=1, **search_settings(problem, first=True))
     own = {name: problem.make("effects", name).parameters.prefixed(name) for name in cell.candidates}

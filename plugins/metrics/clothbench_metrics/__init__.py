@@ -14,6 +14,11 @@ def clothbench_metrics():
             "distance over the size of the shape, in percent",
         ),
         Registration(
+            "relative_error_from_camera",
+            "clothbench_metrics.relative_error:RelativeErrorFromCamera",
+            "distance over how far the camera is away, in percent",
+        ),
+        Registration(
             "fold", "clothbench_metrics.fold:Fold", "orientation of projected stripes along folds, and the silhouette"
         ),
         Registration("silhouette", "clothbench_metrics.silhouette:Silhouette", "mismatched pixels of the outline"),

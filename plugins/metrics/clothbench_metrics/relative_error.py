@@ -3,49 +3,80 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from clothbench import Observation, Rollout, Score
+from clothbench import ClothbenchError, Observation, Rollout, Score
 from clothbench_metrics.node_error import differences
+
+ORIGINS = ("centre", "camera")
 
 
 class RelativeError:
     """e_i = 100 ‖φ_i − ϕ_i‖ / ‖ϕ_i‖ per frame i, averaged over the frames; fitted through L = Σ ‖φ − ϕ‖²
-    (Coltraro, Experimental Validation of an Inextensible Cloth Model).
+    (Coltraro, Experimental Validation of an Inextensible Cloth Model, equations 2 and 3).
 
-    The paper's norm of the positions depends on where the origin lies. Here positions are taken from the centre of
-    what was seen in each frame, so that moving the camera does not change the error.
+    The paper's norm of the positions depends on where the origin lies, which it does not say. origin: "centre", of what
+    was seen in each frame, so that moving the camera does not change the error; "camera", from which the same error is
+    fewer percent the farther away it stands; or three numbers, a point [m].
     """
 
     name = "relative_error"
     version = 1
     unit = "%"
 
+    def __init__(self, origin: str | Sequence[float] = "centre"):
+        self.origin = origin if isinstance(origin, str) else np.asarray(origin, dtype=float)
+        if isinstance(self.origin, str):
+            known = self.origin in ORIGINS
+        else:
+            known = self.origin.shape == (3,) and bool(np.isfinite(self.origin).all())
+        if not known:
+            raise ClothbenchError(
+                f"relative_error: origin is {origin!r}, expected {' or '.join(ORIGINS)}, or [x, y, z] in metres"
+            )
+
     def __call__(self, observation: Observation, rollout: Rollout) -> Score:
         away, seen = differences(observation, rollout)
         square = np.where(seen[..., None], away**2, 0.0).sum(axis=(-2, -1))
-        frames = sizes(observation) > 0
+        size = sizes(observation, self.origin)
+        frames = size > 0
         with np.errstate(divide="ignore", invalid="ignore"):
-            per_frame = np.where(frames, 100 * np.sqrt(square) / sizes(observation), np.nan)
+            per_frame = np.where(frames, 100 * np.sqrt(square) / size, np.nan)
         residual = away[:, seen]
         value = per_frame[:, frames].mean(axis=1) if frames.any() else np.full(len(away), np.nan)
         return Score(value, self.unit, per_frame, None, residual.reshape(len(residual), -1))
 
     def floor(self, observation: Observation) -> float:
         """√(3 n σ²)/‖ϕ‖ of a frame with n nodes seen, averaged over the frames."""
-        count = observation.visible.sum(axis=1)
-        frames = sizes(observation) > 0
+        count, size = observation.visible.sum(axis=1), sizes(observation, self.origin)
+        frames = size > 0
         if not frames.any():
             return math.nan
-        return float(
-            np.mean(100 * math.sqrt(3) * observation.sigma * np.sqrt(count[frames]) / sizes(observation)[frames])
-        )
+        return float(np.mean(100 * math.sqrt(3) * observation.sigma * np.sqrt(count[frames]) / size[frames]))
 
 
-def sizes(observation: Observation) -> np.ndarray:
-    """‖ϕ‖ (T,) m of each frame, from the centre of the nodes seen."""
+class RelativeErrorFromCamera(RelativeError):
+    """The same with its origin in the camera, as the paper's figures are small if they were taken so."""
+
+    name = "relative_error_from_camera"
+
+    def __init__(self) -> None:
+        super().__init__("camera")
+
+
+def sizes(observation: Observation, origin: str | np.ndarray = "centre") -> np.ndarray:
+    """‖ϕ‖ (T,) m of each frame, from the centre of the nodes seen, from the camera, or from a point (3,) m."""
     seen = observation.visible[..., None]
     position = np.nan_to_num(observation.position)
     centre = (position * seen).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    if not isinstance(origin, str):
+        centre = np.broadcast_to(origin, centre.shape)
+    elif origin == "camera":
+        if observation.eye is None:
+            raise ClothbenchError(
+                "relative_error: origin is 'camera', and the recording does not say where it stood; take 'centre'"
+            )
+        centre = np.broadcast_to(observation.eye, centre.shape)
     return np.sqrt((((position - centre[:, None]) * seen) ** 2).sum(axis=(1, 2)))

@@ -1,0 +1,37 @@
+"""Recordings as a study takes them: tracked, once for all cells of a store where that takes long."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from clothbench.core.observation import Observation
+from clothbench.core.protocols import Tracker
+from clothbench.engine.cells import digest, plugin_versions
+from clothbench.plugins.discovery import Catalogue
+from clothbench.recordings.depth import DepthImages
+from clothbench.recordings.nodes import Recording, read_recording, write_recording
+from clothbench.recordings.tracked import nodes_of, seen_in
+
+
+def watched(
+    recording: Any, tracker: Tracker, options: Mapping[str, Any], plugins: Catalogue, kept: Path | None
+) -> tuple[Recording, Observation]:
+    """A recording as nodes, and what the tracker saw of it.
+
+    Nodes are tracked each time; images once, and what came of them is kept in the folder `kept` as a recording of its
+    own, under a key of the images, the tracker, its options and its version.
+    """
+    if isinstance(recording, Recording):
+        return recording, tracker.track(recording)
+    assert isinstance(recording, DepthImages)
+    key = digest([recording.hash, dict(options), plugin_versions([("trackers", tracker.name)], plugins)])
+    path = kept / f"{key}.nc" if kept is not None else None
+    if path is not None and path.is_file():
+        nodes = read_recording(path)
+    else:
+        nodes = nodes_of(recording, tracker.track(recording))
+        if path is not None:
+            write_recording(nodes, path)
+    return nodes, seen_in(nodes)

@@ -1,0 +1,38 @@
+"""Results beside what a paper says of the same metric: the mean over time and the largest error of each recording."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clothbench.display.html import group, table, text
+from clothbench.display.names import model_name
+from clothbench.display.section import Section
+from clothbench.engine.study import Results
+
+NOTE = """<p class="soft">Mean and largest error over the frames of each recording, of the best fit; below them what the
+paper says. Its recordings are not these: read it as the size to be expected.</p>"""
+
+
+def published_section(results: Results) -> Section | None:
+    """A table per metric that a paper has figures of; None if there is none."""
+    about = {r["key"]: r for r in results.rows}
+    traces = {key: results.store.table("trace", [key]) for key in about}
+    parts = []
+    for metric, said in group(results.table("published"), lambda p: p["metric"]).items():
+        body = []
+        for key in sorted({p["key"] for p in said} & set(about), key=lambda k: (about[k]["case"], k)):
+            mine = [t for t in traces[key] if t["metric"] == metric]
+            for name, frames in group(mine, lambda t: t["recording"]).items():
+                values = [f["value"] for f in frames if f["value"] is not None]
+                row, split = about[key], frames[0]["split"].replace("_", " ")
+                numbers = [f"{np.mean(values):.2f}", f"{np.max(values):.2f}"] if values else ["", ""]
+                cell = f"{model_name(row)} · {row['optimizer']}"
+                body.append([text(row["case"]), text(cell), text(f"{name} ({split})"), *numbers, ""])
+        for label, value in sorted({(p["name"], p["value"]) for p in said}):
+            body.append([text(label), "", "", "", "", f"{value:g}"])
+        unit = said[0]["unit"]
+        head = ["case", "cell", "recording", f"mean [{unit}]", f"largest [{unit}]", f"paper [{unit}]"]
+        parts.append(f"<h3>{text(metric)}</h3>" + table(head, body, numeric={3, 4, 5}))
+    if not parts:
+        return None
+    return Section(f"<h2>Beside the paper</h2>{NOTE}{''.join(parts)}")
