@@ -1,0 +1,70 @@
+"""The suite `shake` in small, as a user runs it: depth frames in, parameters, pictures and the paper's figures out."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+SMALL = ("suite.select=[damped/shake-2,damped/shake-4]", "optimizer=[nelder_mead]", "budget=6")
+
+
+@pytest.mark.slow
+def test_the_protocol_end_to_end(clothbench, tmp_path):
+    out = clothbench("run", "+suite=shake_alpha", *SMALL)
+    assert out.returncode == 0, out.stderr
+    assert "1.5" in out.stdout  # the truth, beside the amount
+    rows = {(r["metric"], r["split"]): r for r in json.loads(clothbench("leaderboard", "--json").stdout)}
+    assert rows["relative_error", "held_out"]["value"] < 8
+    assert rows["relative_error_from_camera", "held_out"]["value"] < 0.2 * rows["relative_error", "held_out"]["value"]
+    page = (tmp_path / "runs" / "report.html").read_text()
+    for word in ("Beside the paper", "paper: largest", "What the tracker made of the images", "data:image/png;base64,"):
+        assert word in page
+    (cell,) = (tmp_path / "runs" / "cells").iterdir()
+    names = sorted(p.name for p in (cell / "tracker").glob("*.png"))
+    assert names == ["0 colour.png", "1 depth.png", "2 after plane.png", "3 after outliers.png", "4 after colour.png",
+                     "5 mesh.png"]  # fmt: skip
+    tracked = list((tmp_path / "runs" / "tracked").glob("*.nc"))
+    assert len(tracked) == 2
+    stamps = [p.stat().st_mtime_ns for p in tracked]
+    again = clothbench("run", "+suite=shake_alpha", *SMALL[:2], "budget=5")
+    assert again.returncode == 0, again.stderr
+    assert [p.stat().st_mtime_ns for p in tracked] == stamps  # images are tracked once
+
+
+@pytest.mark.slow
+def test_improve_asks_about_each_fabric_by_itself(clothbench, tmp_path):
+    out = clothbench(
+        "run", "+suite=shake_improve", "recordings=builtin:shake_nodes", "tracker=markers", "suite.candidates=lift",
+        "suite.resolution=5", "timeout=1",
+    )  # fmt: skip
+    assert out.returncode in (0, 1), out.stderr
+    rows = json.loads(clothbench("leaderboard", "--json").stdout)
+    assert {r["case"] for r in rows} == {"damped"}
+
+
+@pytest.mark.parametrize(
+    ("settings", "found"),
+    [
+        (("+suite=shake_alpha", "scene.start=thrown"), "'scene.start' is 'thrown', expected one of rest, measured"),
+        (("+suite=shake_alpha", "+suite.published={relative_error: {paper: much}}"), "published.relative_error.paper"),
+        (("+suite=shake_alpha", "+options.depth_mesh.method=conformal"), "expected one of isometric, harmonic"),
+        (("+suite=shake_improve", "suite.select=[silk/*]"), "matches none of 20 recordings"),
+        (("+suite=shake_improve", "suite.case=weather"), "setting 'suite.case' is 'weather', expected fabric"),
+        (("+suite=shake_improve", "model=[mujoco]", "scene.start=measured"), "model 'mujoco'"),
+    ],
+)  # fmt: skip
+def test_wrong_settings_are_one_line(clothbench, settings, found):
+    out = clothbench("run", *settings)
+    assert out.returncode == 2
+    assert found in out.stderr
+    assert out.stderr.count("\n") == 1
+
+
+def test_a_model_that_starts_from_rest_only_is_skipped_with_the_reason(clothbench):
+    out = clothbench(
+        "run", "+suite=shake_alpha", "recordings=builtin:shake_nodes", "tracker=markers", "report=[node_error]",
+        "model=[mujoco]", "optimizer=[nelder_mead]", "budget=2",
+    )  # fmt: skip
+    assert "skipped" in out.stdout
+    assert "starts from rest only" in out.stdout or "mujoco" in out.stdout
