@@ -51,6 +51,7 @@ _HOME = {
     "HasStart": "core.optional",
     "KnowsMaterials": "core.optional",
     "MayBeAbsent": "core.optional",
+    "ReadsKinds": "core.optional",
     "Refinable": "core.optional",
     "RefusesScenes": "core.optional",
     "Remembers": "core.optional",

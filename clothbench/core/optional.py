@@ -25,6 +25,7 @@ from clothbench.core.observation import Observation
 from clothbench.core.protocols import Material, Model
 from clothbench.core.scene import Scene
 
+TRACKED_KINDS = frozenset({"nodes", "depth"})  # of recordings that a sheet can be tracked in
 MODEL_KINDS = ("explicit", "implicit", "static", "")
 
 # --- of any plugin --------------------------------------------------------------------------------------------------
@@ -258,6 +259,18 @@ class ShowsSteps(Protocol):
     def pictures(self, source: Any, frame: int, seen: Observation) -> Mapping[str, np.ndarray]:
         """Pictures (H, W, 3) uint8, RGB, of one frame by the step's name, in order; seen: what `track` made of it."""
         ...
+
+
+@runtime_checkable
+class ReadsKinds(Protocol):
+    """kinds: of recordings that a tracker reads, "nodes" or "depth". Without it: "nodes"."""
+
+    kinds: frozenset[str]
+
+
+def kinds_read(tracker: Any) -> frozenset[str]:
+    """The kinds of recordings that a tracker reads."""
+    return frozenset(tracker.kinds) if isinstance(tracker, ReadsKinds) else frozenset({"nodes"})
 
 
 # --- of an optimizer ------------------------------------------------------------------------------------------------

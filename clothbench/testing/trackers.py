@@ -10,7 +10,7 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import Observation
-from clothbench.core.optional import ShowsSteps
+from clothbench.core.optional import TRACKED_KINDS, ShowsSteps, kinds_read
 from clothbench.core.protocols import Tracker
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
@@ -59,7 +59,9 @@ def has_all_members(case: TrackerCase) -> None:
 
 
 def keeps_what_it_offers(case: TrackerCase) -> str | None:
-    """Pictures of its steps (`clothbench.core.optional.ShowsSteps`) are pictures."""
+    """Its kinds of recordings are known ones, and pictures of its steps are pictures."""
+    kinds = kinds_read(case.tracker)
+    require(bool(kinds) and kinds <= TRACKED_KINDS, f"kinds {sorted(kinds)}", f"some of {sorted(TRACKED_KINDS)}")
     if not isinstance(case.tracker, ShowsSteps):
         return "shows no steps"
     seen = case.track()

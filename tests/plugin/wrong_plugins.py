@@ -405,7 +405,12 @@ class Sketching(HonestTracker):
         return {"nodes": seen.position[frame]}
 
 
+class Boasting(HonestTracker):
+    kinds = frozenset({"nodes", "dreams"})
+
+
 TRACKERS = [
+    (Boasting, "keeps what it offers", "kinds ['dreams', 'nodes']"),
     (Sketching, "keeps what it offers", "step 'nodes' as float64"),
     (Versionless, "has all members", "version 'latest'"),
     (Sleeping, "gives a whole observation", "no node seen in any frame"),

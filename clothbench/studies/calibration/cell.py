@@ -16,7 +16,7 @@ from clothbench.core.protocols import Effect, Metric
 from clothbench.engine.cells import Skipped, Source, digest, seed_of
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.trials import Trial
-from clothbench.estimation.watched import watched
+from clothbench.estimation.watched import require_readable, watched
 from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
@@ -145,6 +145,8 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
     try:
         mine = [recordings[s.path] for s in cell.recordings]
         if not all(isinstance(r, Recording) for r in mine):  # images are tracked when the cell is run
+            for images in (r for r in mine if not isinstance(r, Recording)):
+                require_readable(images, cell.tracker, plugins)
             plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
             return None
         scenes = [scene_of(recording, **cell.scene) for recording in mine]

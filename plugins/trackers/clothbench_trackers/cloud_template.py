@@ -71,6 +71,7 @@ class CloudTemplate:
 
     name = "cloud_template"
     version = 1
+    kinds = frozenset({"depth"})
 
     def __init__(
         self, mesh: Any = (9, 9), refine: int = 2, rounds: int = 20, reach: float = REACH, even: bool = True,

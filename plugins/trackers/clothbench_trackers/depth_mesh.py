@@ -49,6 +49,7 @@ class DepthMesh:
 
     name = "depth_mesh"
     version = 1
+    kinds = frozenset({"depth"})
 
     def __init__(
         self, mesh: Sequence[int] = (9, 9), near: float | None = None, far: float | None = None, jump: float = 0.02,
