@@ -135,7 +135,7 @@ class Bench:
         return [t for t, s in zip(self.trials, self.cell.recordings, strict=True) if s.split == split]
 
 
-def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str, Recording]) -> set[str] | None:
+def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str, Any]) -> set[str] | None:
     """Make everything once without simulating: what the user got wrong in the settings comes to light before a run.
 
     `recordings` by path. A plugin that is broken, or fails in a way that is not the user's, is left to its own cell's
