@@ -6,8 +6,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clothbench.core.camera import View
+from clothbench.core.camera import Camera, View
 from clothbench.core.errors import ClothbenchError
+
+
+@dataclass(frozen=True, eq=False)
+class GripPath:
+    """Where the cloth was held over time. time: (K,) s; material: (G, 2) m; position: (K, G, 3) m."""
+
+    time: np.ndarray
+    material: np.ndarray
+    position: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -17,7 +26,11 @@ class Observation:
     time: (T,) s; position: (T, N, 3) m, NaN where not known; visible: (T, N) bool, what was measured (a tracker may
     fill a gap with a position, but that stays invisible and never counts); sigma: m, standard deviation
     of one coordinate (NaN = not known); material: (N, 2) m; view: what was made of a camera's images, or None; eye:
-    (3,) m, where the camera stood, or None.
+    (3,) m, where the camera stood, or None; confidence: (T, N), 0 to 1, how sure the tracker is, or None;
+    grips: where the tracker found the cloth to be held, if it looks for that.
+
+    sight: the one camera that saw the points, where nothing else tells how far away they were. A position then is any
+    place on the line of sight, and what it says is across that line only: two coordinates, not three.
     """
 
     time: np.ndarray
@@ -27,12 +40,16 @@ class Observation:
     material: np.ndarray
     view: View | None = None
     eye: np.ndarray | None = None
+    sight: Camera | None = None
+    confidence: np.ndarray | None = None
+    grips: GripPath | None = None
 
     def __post_init__(self) -> None:
-        for name in ("time", "position", "visible", "material"):
-            array = np.array(getattr(self, name))
-            array.flags.writeable = False
-            object.__setattr__(self, name, array)
+        for name in ("time", "position", "visible", "material", "confidence"):
+            if (value := getattr(self, name)) is not None:
+                array = np.array(value)
+                array.flags.writeable = False
+                object.__setattr__(self, name, array)
         frames, nodes = self.visible.shape
         if (
             self.position.shape != (frames, nodes, 3)
@@ -46,5 +63,44 @@ class Observation:
             )
         if self.view is not None and len(self.view.silhouette) != frames:
             raise ClothbenchError(f"observation: found a view of {len(self.view.silhouette)} frames, expected {frames}")
+        if self.confidence is not None and self.confidence.shape != (frames, nodes):
+            raise ClothbenchError(f"observation: found confidence {self.confidence.shape}, expected {(frames, nodes)}")
         if not np.isfinite(self.position[self.visible]).all():
             raise ClothbenchError("observation: found a visible node whose position is not finite")
+
+    @property
+    def coordinates(self) -> int:
+        """How many coordinates of a point were measured: 3, or 2 in a picture."""
+        return 3 if self.sight is None else 2
+
+    def in_space(self, difference: np.ndarray) -> np.ndarray:
+        """Differences in the coordinates that were measured (..., C) m, in the world's (..., 3) m."""
+        return difference if self.sight is None else difference @ self.sight.rotation[:2]
+
+    def in_measured(self, difference: np.ndarray) -> np.ndarray:
+        """Differences in the world's coordinates (..., 3) m, in those that were measured (..., C) m."""
+        return difference if self.sight is None else difference @ self.sight.rotation[:2].T
+
+    def differences(self, position: np.ndarray) -> np.ndarray:
+        """Positions (..., T, N, 3) m minus the seen ones, in the coordinates that were measured: (..., T, N, C) m.
+
+        In a picture: to the right and down, at the distance at which the seen position lies, so that a pixel is as many
+        metres for every point beside it.
+        """
+        if self.sight is None:
+            return position - np.nan_to_num(self.position)
+        seen, there = self._sighted(np.nan_to_num(self.position)), self._sighted(position)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            flat = np.where(there[..., 2:] > 0, there[..., :2] / there[..., 2:], np.nan)
+            return seen[..., 2:] * flat - seen[..., :2]
+
+    def pixel_size(self) -> np.ndarray:
+        """How large a pixel is where the points were seen (T, N) m."""
+        if self.sight is None:
+            raise ClothbenchError("px: the recording has no picture, only places in space; take mm, cm or m")
+        focal = np.sqrt(self.sight.matrix[0, 0] * self.sight.matrix[1, 1])
+        return self._sighted(np.nan_to_num(self.position))[..., 2] / focal
+
+    def _sighted(self, position: np.ndarray) -> np.ndarray:
+        assert self.sight is not None
+        return np.asarray(position) @ self.sight.rotation.T + self.sight.translation

@@ -20,12 +20,13 @@ from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
+from clothbench.core.camera import Camera
 from clothbench.core.folding import Folding
 from clothbench.core.observation import Observation
 from clothbench.core.protocols import Material, Model
 from clothbench.core.scene import Scene
 
-TRACKED_KINDS = frozenset({"nodes", "depth"})  # of recordings that a sheet can be tracked in
+TRACKED_KINDS = frozenset({"nodes", "depth", "video"})  # of recordings that a sheet can be tracked in
 MODEL_KINDS = ("explicit", "implicit", "static", "")
 
 # --- of any plugin --------------------------------------------------------------------------------------------------
@@ -245,6 +246,15 @@ class ShiftsPositions(Protocol):
         ...
 
 
+@runtime_checkable
+class ShiftsSight(Protocol):
+    """A sensor effect of the camera in whose picture points are seen; of points in space it changes nothing."""
+
+    def sights(self, time: np.ndarray, position: np.ndarray, camera: Camera, phi: np.ndarray) -> np.ndarray:
+        """Where the camera takes points, truly at position (T, N, 3) m, to be at the stamps (T,) s."""
+        ...
+
+
 def reads_normals(effect: Any) -> bool:
     return effect.normals if isinstance(effect, SaysNormals) else True
 
@@ -263,7 +273,7 @@ class ShowsSteps(Protocol):
 
 @runtime_checkable
 class ReadsKinds(Protocol):
-    """kinds: of recordings that a tracker reads, "nodes" or "depth". Without it: "nodes"."""
+    """kinds: of recordings that a tracker reads: "nodes", "depth", "video". Without it: "nodes"."""
 
     kinds: frozenset[str]
 

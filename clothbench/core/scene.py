@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
 
 AIR_DENSITY = 1.2  # kg/m³, dry air at 20 °C
@@ -47,15 +48,15 @@ class Obstacle:
 class Scene:
     """One run to simulate. SI, world frame, z up; arrays are read-only.
 
-    width, height: m; areal_density: kg/m²; grip_time: (K,) s; grip_material: (G, 2) m; grip_position: (K, G, 3) m
-    (G = 0: nothing is held); times: (T,) s and points: (N, 2) m, where and when the rollout is wanted;
-    gravity: (3,) m/s²; air_density: kg/m³; resolution: nodes along (u, v), or None for the model's own choice;
-    start: (N, 3) m, where the points were first seen (NaN = unknown): it tells a model which of several resting
-    shapes the cloth hung in; velocity: (N, 3) m/s, how fast the points were at times[0] (NaN = unknown), or None;
-    obstacles: what it cannot enter; thickness: m, how far apart its own layers stay
-    (0: they pass through each other). The cloth rests, settled, in the grips' first pose when the run begins; with
-    no grips it starts from `start`, or flat, at rest. With a `velocity` it does not settle: at times[0] it goes on from
-    `start` as it was seen to move (models of the capability "moving_start").
+    width, height: m; areal_density: kg/m²; grip_time: (K,) s; grip_material: (G, 2) m; grip_position: (K, G, 3) m (G
+    = 0: nothing is held); times: (T,) s and points: (N, 2) m, where and when the rollout is wanted; gravity: (3,)
+    m/s²; air_density: kg/m³; resolution: nodes along (u, v), or None for the model's own choice; start: (N, 3) m,
+    where the points were first seen (NaN = unknown): it tells a model which of several resting shapes the cloth hung
+    in; velocity: (N, 3) m/s, how fast the points were at times[0] (NaN = unknown), or None; obstacles: what it cannot
+    enter; thickness: m, how far apart its own layers stay (0: they pass through each other); camera: the one in whose
+    picture the points are looked for, or None. The cloth rests, settled, in the grips' first pose when the run
+    begins; with no grips it starts from `start`, or flat, at rest. With a `velocity` it does not settle: at times[0]
+    it goes on from `start` as it was seen to move (models of the capability "moving_start").
     """
 
     width: float
@@ -73,6 +74,7 @@ class Scene:
     obstacles: tuple[Obstacle, ...] = ()
     thickness: float = 0.0
     velocity: np.ndarray | None = None
+    camera: Camera | None = None
 
     def __post_init__(self) -> None:
         for name in ("grip_time", "grip_material", "grip_position", "times", "points", "start", "velocity"):

@@ -68,7 +68,7 @@ def log_away(
     """Arrows from simulated to seen nodes, where both are known."""
     both = seen.visible & there[:, None]
     stream.log(path, rr.Arrows3D.from_fields(colors=[AWAY], radii=[radius]), static=True)
-    vectors = seen.position[both] - simulated[both]
+    vectors = -seen.in_space(seen.differences(simulated)[both])
     columns = rr.Arrows3D.columns(origins=np.float32(simulated[both]), vectors=np.float32(vectors))
     stream.send_columns(path, at_times(seen.time), columns.partition(both.sum(axis=1)))
 

@@ -12,19 +12,18 @@ from clothbench.core.optional import kinds_read
 from clothbench.core.protocols import Tracker
 from clothbench.engine.cells import digest, plugin_versions
 from clothbench.plugins.discovery import OWN, Catalogue
-from clothbench.recordings.depth import DepthImages
 from clothbench.recordings.nodes import Recording, read_recording, write_recording
-from clothbench.recordings.tracked import nodes_of, seen_in
+from clothbench.recordings.tracked import Images, nodes_of, seen_in
 
 
-def require_readable(images: DepthImages, tracker: str, plugins: Catalogue) -> None:
+def require_readable(images: Images, tracker: str, plugins: Catalogue) -> None:
     """Refuse images that a tracker does not read, and name those that do."""
-    if "depth" in kinds_read(plugins.load("trackers", tracker)):
+    if images.kind in kinds_read(plugins.load("trackers", tracker)):
         return
     able = [p.name for p in plugins.plugins if p.kind == "trackers" and p.distribution == OWN]
-    able = [name for name in able if "depth" in kinds_read(plugins.load("trackers", name))]
+    able = [name for name in able if images.kind in kinds_read(plugins.load("trackers", name))]
     raise ClothbenchError(
-        f"{images.path}: found kind 'depth', which the tracker {tracker!r} does not read; "
+        f"{images.path}: found kind {images.kind!r}, which the tracker {tracker!r} does not read; "
         f"take tracker={' or '.join(able)}"
     )
 
@@ -39,7 +38,6 @@ def watched(
     """
     if isinstance(recording, Recording):
         return recording, tracker.track(recording)
-    assert isinstance(recording, DepthImages)
     require_readable(recording, tracker.name, plugins)
     key = digest([recording.hash, dict(options), plugin_versions([("trackers", tracker.name)], plugins)])
     path = kept / f"{key}.nc" if kept is not None else None

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.optional import Remembers, ShiftsPositions, ShiftsTimes, Stiffens, reads_normals
+from clothbench.core.optional import Remembers, ShiftsPositions, ShiftsSight, ShiftsTimes, Stiffens, reads_normals
 from clothbench.core.protocols import Effect
 from clothbench.core.scene import Scene
 from clothbench.modelling.curves import acts_on_sheets
@@ -143,5 +143,10 @@ class BoundEffects(JoinedParameters):
                     phis, points = self.of_effect(effect, theta), scene.points
                     position = np.stack(
                         [effect.positions(scene.times, p, points, phi) for p, phi in zip(position, phis, strict=True)]
+                    )
+                if isinstance(effect, ShiftsSight) and (camera := scene.camera) is not None:
+                    phis = self.of_effect(effect, theta)
+                    position = np.stack(
+                        [effect.sights(scene.times, p, camera, phi) for p, phi in zip(position, phis, strict=True)]
                     )
         return position

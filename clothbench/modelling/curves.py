@@ -25,12 +25,13 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.optional import ShiftsSight
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect
 from clothbench.modelling.joined import JoinedParameters
 
 CURVE_HOOKS = {"dynamics": "curve", "boundary": "clamped", "sensor": "weighed"}
-SHEET_HOOKS = {"dynamics": ("force", "inertia"), "boundary": ("grips",), "sensor": ("times", "positions")}
+SHEET_HOOKS = {"dynamics": ("force", "inertia"), "boundary": ("grips",), "sensor": ("times", "positions", "sights")}
 
 
 def acts_on_curves(effect: Any) -> bool:
@@ -41,6 +42,12 @@ def acts_on_sheets(effect: Any) -> bool:
     """True also for an effect with no method at all, which is for others to refuse."""
     hooks = SHEET_HOOKS.get(effect.place, ())
     return not acts_on_curves(effect) or any(callable(getattr(effect, hook, None)) for hook in hooks)
+
+
+def needs_a_picture(effect: Any) -> bool:
+    """Whether it acts on points that were seen in a camera's picture, and on nothing else."""
+    others = ("times", "positions", CURVE_HOOKS["sensor"])
+    return isinstance(effect, ShiftsSight) and not any(callable(getattr(effect, hook, None)) for hook in others)
 
 
 def answers_curves(model: Any) -> bool:

@@ -21,19 +21,28 @@ import math
 import os
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import ClassVar
 
 import numpy as np
 
-from clothbench.core.camera import LENSES, Camera
+from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.observation import GripPath
 from clothbench.recordings.codec import freeze, hash_of, read, write
-from clothbench.recordings.layout import SPLITS, Arrays, Layout, Part, Stated, Variable
-from clothbench.recordings.nodes_rules import check_clock, check_overlap, check_points
-from clothbench.recordings.video import lens_of, numbers_of, text_of
+from clothbench.recordings.layout import Arrays, Layout, Part, Stated, Variable
+from clothbench.recordings.nodes_rules import check_clock
+from clothbench.recordings.rig import (
+    GRIPS,
+    TEXTS,
+    camera_attributes,
+    check_grips,
+    check_jumps,
+    check_stated,
+    pack_camera,
+    unpack_camera,
+)
 
 CHANNELS = 3
-JUMP = 8.0  # times the usual time between frames beyond which stamps have jumped
 NEAR, FAR = 0.05, 20.0  # m, between which the middle of all depths lies, or its unit is wrong
 
 
@@ -45,23 +54,8 @@ class Colour:
     frame: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class Grips:
-    """Where the cloth was held. time: (K,) s; material: (G, 2) m; position: (K, G, 3) m."""
-
-    time: np.ndarray
-    material: np.ndarray
-    position: np.ndarray
-
-
-def _pack_camera(camera: Camera) -> tuple[Arrays, Stated]:
-    stated = {f"camera_{name}": text_of(getattr(camera, name)) for name in LENSES}
-    return {}, stated | {"camera_size": text_of(camera.size)}
-
-
 def _unpack_camera(arrays: Arrays, stated: Stated, path: Path) -> Camera:
-    width, height = numbers_of(stated, "camera_size", (2,), path, "a depth recording")
-    return lens_of(stated, "camera", (int(width), int(height)), path, "a depth recording")
+    return unpack_camera(stated, path, "a depth recording")
 
 
 def _pack_colour(colour: Colour) -> tuple[Arrays, Stated]:
@@ -76,19 +70,7 @@ def _unpack_colour(arrays: Arrays, stated: Stated, path: Path) -> Colour | None:
     return Colour(arrays["colour_time"], arrays["colour"])
 
 
-def _pack_grips(grips: Grips) -> tuple[Arrays, Stated]:
-    return {"grip_time": grips.time, "grip_material": grips.material, "grip_position": grips.position}, {}
-
-
-def _unpack_grips(arrays: Arrays, stated: Stated, path: Path) -> Grips | None:
-    if not arrays:
-        return None
-    if missing := sorted(set(GRIPS.variables) - set(arrays)):
-        raise ClothbenchError(f"{path}: variable '{missing[0]}' is missing beside the other grip variables; add it")
-    return Grips(arrays["grip_time"], arrays["grip_material"], arrays["grip_position"])
-
-
-CAMERA = Part({}, (*(f"camera_{name}" for name in LENSES), "camera_size"), _pack_camera, _unpack_camera)
+CAMERA = Part({}, camera_attributes(), pack_camera, _unpack_camera)
 COLOUR = Part(
     {
         "colour_time": Variable(("time",), "s"),
@@ -96,21 +78,13 @@ COLOUR = Part(
     },
     (), _pack_colour, _unpack_colour,
 )  # fmt: skip
-GRIPS = Part(
-    {
-        "grip_time": Variable(("grip_time",), "s"),
-        "grip_material": Variable(("grip", "uv"), "m"),
-        "grip_position": Variable(("grip_time", "grip", "space"), "m", level=4),
-    },
-    (), _pack_grips, _unpack_grips,
-)  # fmt: skip
 LAYOUT = Layout(
     kind="depth",
     variables={
         "time": Variable(("time",), "s"),
         "depth": Variable(("time", "y", "x"), "1", np.uint16, level=6, exact=True),
     },
-    texts=("name", "fabric", "sensor", "source", "licence", "declared_effects", "motion", "split"),
+    texts=TEXTS,
     numbers=("cloth_width", "cloth_height", "areal_density", "depth_step"),
     needed=("name", "cloth_width", "cloth_height", "gravity", "depth_step"),
     vectors={"gravity": "three numbers like '0 0 -9.81' [m/s²]"},
@@ -134,7 +108,7 @@ class DepthImages:
     cloth_width: float
     cloth_height: float
     colour: Colour | None = None
-    grips: Grips | None = None
+    grips: GripPath | None = None
     areal_density: float = math.nan
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
     fabric: str = ""
@@ -146,6 +120,7 @@ class DepthImages:
     split: str = ""
     notes: dict[str, str] = field(default_factory=dict)
     path: str = field(default="", compare=False)
+    kind: ClassVar[str] = "depth"
 
     def __post_init__(self) -> None:
         freeze(self, LAYOUT)
@@ -175,7 +150,7 @@ def _check(r: DepthImages, where: str) -> None:
     """Every rule of the kind, in the order in which a reader would trip over it."""
     check_clock(r.time, "time", where)
     check_jumps(r.time, "time", where)
-    _check_stated(r, where)
+    check_stated(r, where, ("cloth_width", "cloth_height", "depth_step"))
     width, height = r.camera.size
     if r.depth.shape != (len(r.time), height, width):
         raise ClothbenchError(
@@ -197,19 +172,7 @@ def _check(r: DepthImages, where: str) -> None:
         )
     if r.colour is not None:
         _check_colour(r, r.colour, where)
-    if r.grips is not None:
-        _check_grips(r, r.grips, where)
-
-
-def check_jumps(time: np.ndarray, name: str, where: str) -> None:
-    """No gap between stamps is many times the usual one."""
-    steps = np.diff(time)
-    worst = int(np.argmax(steps))
-    if steps[worst] > JUMP * np.median(steps):
-        raise ClothbenchError(
-            f"{where}: variable '{name}': found a jump of {steps[worst]:g} s at index {worst + 1}, where "
-            f"{np.median(steps):g} s is usual; cut the recording there, or mend the stamps"
-        )
+    check_grips(r, where)
 
 
 def _check_colour(r: DepthImages, colour: Colour, where: str) -> None:
@@ -219,29 +182,3 @@ def _check_colour(r: DepthImages, colour: Colour, where: str) -> None:
             "registered to the depth"
         )
     check_clock(colour.time, "colour_time", where)
-
-
-def _check_grips(r: DepthImages, grips: Grips, where: str) -> None:
-    check_clock(grips.time, "grip_time", where)
-    expected: Any = (len(grips.time), len(grips.material), 3)
-    if grips.position.shape != expected or grips.material.shape[1:] != (2,):
-        raise ClothbenchError(f"{where}: variable 'grip_position': found {grips.position.shape}, expected {expected}")
-    if not (np.isfinite(grips.position).all() and np.isfinite(grips.material).all()):
-        raise ClothbenchError(f"{where}: variable 'grip_position': found a value that is not finite, expected metres")
-    check_points(grips.material, "grip_material", np.array([r.cloth_width, r.cloth_height]), where)
-    check_overlap(r.time, grips.time, where)
-
-
-def _check_stated(r: DepthImages, where: str) -> None:
-    if not r.name:
-        raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
-    for name in ("cloth_width", "cloth_height", "depth_step"):
-        value = getattr(r, name)
-        if not (math.isfinite(value) and value > 0):
-            raise ClothbenchError(f"{where}: attribute '{name}': found {value}, expected metres above 0")
-    if r.areal_density <= 0 or math.isinf(r.areal_density):
-        raise ClothbenchError(
-            f"{where}: attribute 'areal_density': found {r.areal_density}, expected kg/m² above 0, or NaN"
-        )
-    if r.split not in SPLITS:
-        raise ClothbenchError(f"{where}: attribute 'split': found {r.split!r}, expected 'fit', 'held_out' or ''")

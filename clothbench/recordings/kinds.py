@@ -16,9 +16,10 @@ READERS = {
     "curve": ("curve", "read_curve"),
     "laser": ("laser", "read_laser"),
     "depth": ("depth", "read_depth"),
+    "video": ("colour_video", "read_video"),
 }
 
-SHEETS = ("nodes", "depth")  # kinds that show a sheet of cloth, which models simulate
+SHEETS = ("nodes", "depth", "video")  # kinds that show a sheet of cloth, which models simulate
 
 
 class AnyRecording(Protocol):
@@ -39,7 +40,9 @@ def reader_of(kind: str) -> Callable[[str | os.PathLike[str]], Any]:
 
 
 def read_sheet(path: str | os.PathLike[str]) -> Any:
-    """Read and check one recording that shows a sheet, tracked (`Recording`) or not yet (`DepthImages`)."""
+    """Read and check one recording that shows a sheet, tracked (`Recording`) or not yet (`DepthImages`,
+    `ColourVideo`).
+    """
     kind = kind_of(Path(path))
     return reader_of(kind if kind in SHEETS else "nodes")(path)
 

@@ -9,10 +9,13 @@
 | `grip_material` | grip, uv | m | material points that are held |
 | `grip_position` | grip_time, grip, space | m | where they were held |
 | `frame` | time, y, x | 1 | optional, uint8: what a calibrated camera saw (`clothbench.recordings.video`) |
+| `confidence` | time, node | 1 | optional: how sure the tracker is, 0 to 1 |
 
 Attributes: `format`, `format_version`, `kind`, `name`, `fabric`, `cloth_width`, `cloth_height` [m], `areal_density`
 [kg/m²; NaN = not known], `gravity` [m/s², three numbers as text], `noise_sigma` [m per coordinate; NaN = not known],
-`sensor`, `source`, `licence`, `declared_effects`, `motion`, `split` ("fit", "held_out" or "").
+`sensor`, `source`, `licence`, `declared_effects`, `motion`, `split` ("fit", "held_out" or ""). Points that were seen
+in one camera's picture only have that camera in `sight_size` [px], `sight_matrix`, `sight_rotation`,
+`sight_translation` [m] and `sight_distortion`: `position` then is any place on the line of sight.
 """
 
 from __future__ import annotations
@@ -25,12 +28,32 @@ from pathlib import Path
 
 import numpy as np
 
-from clothbench.core.camera import Video
+from clothbench.core.camera import Camera, Video
 from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.codec import freeze, hash_of, read, write
-from clothbench.recordings.layout import SPLITS, Layout, Variable
+from clothbench.recordings.layout import SPLITS, Arrays, Layout, Part, Stated, Variable
 from clothbench.recordings.nodes_rules import check_clock, check_overlap, check_points, check_shapes, check_values
+from clothbench.recordings.rig import TEXTS, camera_attributes, pack_camera, unpack_camera
 from clothbench.recordings.video import VIDEO
+
+
+def _pack_sight(camera: Camera) -> tuple[Arrays, Stated]:
+    return pack_camera(camera, "sight")
+
+
+def _unpack_sight(arrays: Arrays, stated: Stated, path: Path) -> Camera | None:
+    if not any(name in stated for name in camera_attributes("sight")):
+        return None
+    return unpack_camera(stated, path, "a recording of points seen in a picture", "sight")
+
+
+def _pack_confidence(confidence: np.ndarray) -> tuple[Arrays, Stated]:
+    return {"confidence": confidence}, {}
+
+
+def _unpack_confidence(arrays: Arrays, stated: Stated, path: Path) -> np.ndarray | None:
+    return arrays.get("confidence")
+
 
 LAYOUT = Layout(
     kind="nodes",
@@ -42,11 +65,17 @@ LAYOUT = Layout(
         "grip_material": Variable(("grip", "uv"), "m"),
         "grip_position": Variable(("grip_time", "grip", "space"), "m", level=4),
     },
-    texts=("name", "fabric", "sensor", "source", "licence", "declared_effects", "motion", "split"),
+    texts=TEXTS,
     numbers=("cloth_width", "cloth_height", "areal_density", "noise_sigma"),
     needed=("name", "cloth_width", "cloth_height", "gravity", "noise_sigma"),
     vectors={"gravity": "three numbers like '0 0 -9.81' [m/s²]"},
-    parts={"video": VIDEO},
+    parts={
+        "video": VIDEO,
+        "sight": Part({}, camera_attributes("sight"), _pack_sight, _unpack_sight),
+        "confidence": Part(
+            {"confidence": Variable(("time", "node"), "1", level=4)}, (), _pack_confidence, _unpack_confidence
+        ),
+    },
 )
 
 
@@ -54,11 +83,12 @@ LAYOUT = Layout(
 class Recording:
     """Tracked material points of one run, with the grips that drove it. All SI, world frame, z up.
 
-    time: (T,) s, strictly increasing; material: (N, 2) m, flat rest coordinates (u along the warp, v down);
-    position: (T, N, 3) m, NaN where not seen; grip_time: (K,) s, the grips' own clock; grip_material: (G, 2) m;
-    grip_position: (K, G, 3) m; cloth_width, cloth_height: m; areal_density: kg/m² (NaN = not known);
-    gravity: (3,) m/s²; noise_sigma: m per coordinate; video: what a calibrated camera saw at the same times, or None.
-    `path` is where it was read from, not part of its identity.
+    time: (T,) s, strictly increasing; material: (N, 2) m, flat rest coordinates (u along the warp, v down); position:
+    (T, N, 3) m, NaN where not seen; grip_time: (K,) s, the grips' own clock; grip_material: (G, 2) m; grip_position:
+    (K, G, 3) m; cloth_width, cloth_height: m; areal_density: kg/m² (NaN = not known); gravity: (3,) m/s²;
+    noise_sigma: m per coordinate; video: what a calibrated camera saw at the same times, or None; sight: the one
+    camera in whose picture the points were seen, where nothing tells their distance, or None; confidence: (T, N), 0
+    to 1, how sure the tracker is, or None. `path` is where it was read from, not part of its identity.
     """
 
     name: str
@@ -82,6 +112,8 @@ class Recording:
     split: str = ""
     notes: dict[str, str] = field(default_factory=dict)
     video: Video | None = None
+    sight: Camera | None = None
+    confidence: np.ndarray | None = None
     path: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
@@ -136,6 +168,10 @@ def _check(r: Recording, where: str) -> None:
     check_clock(r.grip_time, "grip_time", where)
     check_values(arrays, where)
     _check_video(r, where)
+    if r.confidence is not None and r.confidence.shape != r.position.shape[:2]:
+        raise ClothbenchError(
+            f"{where}: variable 'confidence': found shape {r.confidence.shape}, expected {r.position.shape[:2]}"
+        )
     _check_stated(r, where)
     size = np.array([r.cloth_width, r.cloth_height])
     for name in ("material", "grip_material"):

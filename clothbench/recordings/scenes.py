@@ -10,6 +10,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.scene import AIR_DENSITY, Scene
 from clothbench.recordings.nodes import Recording
 
+BOW = 0.01  # of the width, by which a sheet in a picture is bowed
 FIRST_FRAMES, FIRST_SECONDS = 5, 0.2  # at least, of the motion that a sheet starts from
 
 
@@ -36,6 +37,11 @@ def scene_of(
                 "state what to assume with scene.areal_density=VALUE [kg/m²] (improve: areal_density=VALUE)"
             )
         density = areal_density
+    if start == "measured" and recording.sight is not None:
+        raise ClothbenchError(
+            f"{recording.path or recording.name}: found points in a picture, which says nothing of their depth; "
+            "scene.start=measured needs places in space: use scene.start=rest"
+        )
     if spacing is not None:
         nodes = [1 + math.ceil(length / spacing - 1e-6) for length in (recording.cloth_width, recording.cloth_height)]
         resolution = (max(3, nodes[0]), max(3, nodes[1]))
@@ -43,6 +49,8 @@ def scene_of(
     with np.errstate(invalid="ignore"):
         early = np.where(recording.visible[seen, :, None], recording.position[seen], np.nan)
     place, velocity = first_motion(recording) if start == "measured" else (_first_seen(early), None)
+    if recording.sight is not None:
+        place = _bowed(recording, place)
     return Scene(
         width=recording.cloth_width,
         height=recording.cloth_height,
@@ -57,6 +65,7 @@ def scene_of(
         resolution=resolution,
         start=place,
         velocity=velocity,
+        camera=recording.sight,
     )
 
 
@@ -80,6 +89,16 @@ def first_motion(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
             "frames, which scene.start=measured needs; use scene.start=rest"
         )
     return place, velocity
+
+
+def _bowed(recording: Recording, place: np.ndarray) -> np.ndarray:
+    """Places (N, 3) m in a picture moved a little from the camera, most in the middle: as they were seen they lie on
+    one plane, in which no sheet would ever buckle.
+    """
+    assert recording.sight is not None
+    away = np.nanmean(place, axis=0) - recording.sight.place
+    bow = BOW * recording.cloth_width * np.sin(np.pi * recording.material[:, :1] / recording.cloth_width)
+    return place + bow * away / np.linalg.norm(away)
 
 
 def _first_seen(early: np.ndarray) -> np.ndarray:

@@ -5,31 +5,35 @@ from __future__ import annotations
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.observation import Observation
-from clothbench.recordings.depth import DepthImages, Grips
+from clothbench.core.observation import GripPath, Observation
+from clothbench.recordings.colour_video import ColourVideo
+from clothbench.recordings.depth import DepthImages
 from clothbench.recordings.nodes import Recording
+from clothbench.recordings.rig import HEADER
 from clothbench.recordings.video import text_of
 
+Images = DepthImages | ColourVideo
 EYE = "camera_place"  # note: where the camera stood, m
 
 
-def nodes_of(images: DepthImages, seen: Observation) -> Recording:
+def nodes_of(images: Images, seen: Observation) -> Recording:
     """The recording of nodes that a tracker's observation of some images amounts to, with all that the images state.
 
-    Where nobody stated the grips, the two upper corners are held, wherever they were seen.
+    Where nobody stated the grips, they are what the tracker found held, else the two upper corners, wherever they were
+    seen.
     """
-    grips = images.grips or corners_of(images, seen)
-    header = ("name", "fabric", "sensor", "source", "licence", "declared_effects", "motion", "split",
-              "cloth_width", "cloth_height", "areal_density", "gravity")  # fmt: skip
+    grips = images.grips or seen.grips or corners_of(images, seen)
+    camera = seen.sight or images.camera
     return Recording(
         time=seen.time, material=seen.material, position=np.where(seen.visible[..., None], seen.position, np.nan),
         grip_time=grips.time, grip_material=grips.material, grip_position=grips.position, noise_sigma=seen.sigma,
-        notes=images.notes | {"tracked_from": images.hash, EYE: text_of(images.camera.place)}, path=images.path,
-        **{name: getattr(images, name) for name in header},
+        sight=seen.sight, confidence=seen.confidence, path=images.path,
+        notes=images.notes | {"tracked_from": images.hash} | ({EYE: text_of(camera.place)} if camera else {}),
+        **{name: getattr(images, name) for name in HEADER},
     )  # fmt: skip
 
 
-def corners_of(images: DepthImages, seen: Observation) -> Grips:
+def corners_of(images: Images, seen: Observation) -> GripPath:
     """The two upper corners as grips, on straight lines where they were not seen."""
     corners = np.array([[0.0, 0.0], [images.cloth_width, 0.0]])
     which = [int(np.argmin(((seen.material - corner) ** 2).sum(axis=1))) for corner in corners]
@@ -43,12 +47,13 @@ def corners_of(images: DepthImages, seen: Observation) -> Grips:
             )
         path = [np.interp(seen.time, seen.time[there], seen.position[there, n, c]) for c in range(3)]
         paths.append(np.stack(path, axis=-1))
-    return Grips(np.array(seen.time), seen.material[which], np.stack(paths, axis=1))
+    return GripPath(np.array(seen.time), seen.material[which], np.stack(paths, axis=1))
 
 
 def seen_in(recording: Recording) -> Observation:
     """The observation that a recording of nodes is as it stands."""
     eye = np.array([float(part) for part in recording.notes[EYE].split()]) if EYE in recording.notes else None
     return Observation(
-        recording.time, recording.position, recording.visible, recording.noise_sigma, recording.material, eye=eye
+        recording.time, recording.position, recording.visible, recording.noise_sigma, recording.material, eye=eye,
+        sight=recording.sight, confidence=recording.confidence,
     )  # fmt: skip

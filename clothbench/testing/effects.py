@@ -18,6 +18,7 @@ from clothbench.testing import curves, probe
 from clothbench.testing.effect_case import EffectCase, first_that_takes_effects, waving_sheet
 from clothbench.testing.model_case import ModelCase, finished, same_bits
 from clothbench.testing.rules import Outcome, choose, made, require, require_members, run_rules
+from clothbench.testing.scenes import CAMERA
 
 
 def check_effect(
@@ -183,7 +184,8 @@ def leaves_positions_it_is_given_alone(case: EffectCase) -> str | None:
     time, position = np.linspace(0.0, 0.5, 6), np.random.default_rng(4).normal(size=(6, 4, 3))
     points = np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1], [0.1, 0.1]])
     before = time.copy(), position.copy(), points.copy()
-    arguments = {"grips": (time, position), "times": (time,), "positions": (time, position, points)}
+    arguments = {"grips": (time, position), "times": (time,), "positions": (time, position, points),
+                 "sights": (time, position, CAMERA)}  # fmt: skip
     for hook in SHEET_HOOKS[effect.place]:
         if not hasattr(effect, hook):
             continue

@@ -10,11 +10,13 @@ import dataclasses
 
 import numpy as np
 
+from clothbench.core.camera import Camera
 from clothbench.core.scene import Scene
 
 WIDTH, HEIGHT, AREAL_DENSITY = 0.30, 0.25, 0.12  # m, m, kg/m²
 RESOLUTION = (7, 6)
 GRAVITY = np.array([0.0, 0.0, -9.81])
+CAMERA = Camera.looking_at(np.array([0.1, -1.2, 0.95]), np.array([0.0, 0.0, 0.87]), (640, 480), 0.6)
 
 
 def hanging() -> Scene:
@@ -52,7 +54,7 @@ def overhanging() -> Scene:
     return Scene(
         width=WIDTH, height=HEIGHT, areal_density=AREAL_DENSITY,
         grip_time=times[[0, -1]], grip_material=held, grip_position=level,
-        times=times, points=points, resolution=RESOLUTION, start=start,
+        times=times, points=points, resolution=RESOLUTION, start=start, camera=CAMERA,
     )  # fmt: skip
 
 
@@ -110,7 +112,7 @@ def _scene(times: np.ndarray, stamps: np.ndarray, held: np.ndarray, position: np
     return Scene(
         width=WIDTH, height=HEIGHT, areal_density=AREAL_DENSITY,
         grip_time=stamps, grip_material=held, grip_position=position,
-        times=times, points=points, resolution=RESOLUTION, start=start,
+        times=times, points=points, resolution=RESOLUTION, start=start, camera=CAMERA,
     )  # fmt: skip
 
 

@@ -8,15 +8,16 @@ import numpy as np
 
 from clothbench import ClothbenchError, Observation, Rollout, Score
 
-UNITS = {"mm": 1e3, "cm": 1e2, "m": 1.0}
+UNITS = {"mm": 1e3, "cm": 1e2, "m": 1.0, "px": 1.0}
 
 
 class NodeError:
     """Mean over frames and nodes of ‖r − w‖, over what was seen only (the mpe of
     "Cloth mechanical parameter estimation and simulation for optimized robotic manipulation", section 5.2).
 
-    The paper averages each node over time first, then over the nodes; so does this.
-    unit: "mm", "cm" (the paper's) or "m".
+    The paper averages each node over time first, then over the nodes; so does this. Points that were seen in a picture
+    are compared in it, with the rollout projected: in metres at the distance of the cloth, or in pixels.
+    unit: "mm", "cm" (the paper's), "m" or "px".
     """
 
     name = "node_error"
@@ -29,7 +30,7 @@ class NodeError:
 
     def __call__(self, observation: Observation, rollout: Rollout) -> Score:
         away, seen = differences(observation, rollout)
-        distance = np.where(seen, np.linalg.norm(away, axis=-1), 0.0) * UNITS[self.unit]
+        distance = np.where(seen, np.linalg.norm(away, axis=-1), 0.0) * self._scale(observation)
         per_node = mean_over(distance, seen, axis=1)
         watched = seen.any(axis=0)
         residual = away[:, seen]
@@ -42,18 +43,31 @@ class NodeError:
         )
 
     def floor(self, observation: Observation) -> float:
-        """E‖e‖ of isotropic Gaussian noise with σ per coordinate: σ √(8/π) (mean of the Maxwell distribution)."""
-        return math.sqrt(8 / math.pi) * observation.sigma * UNITS[self.unit]
+        """E‖e‖ of isotropic Gaussian noise with σ per coordinate: σ √(8/π) (mean of the Maxwell distribution), in a
+        picture σ √(π/2) (Rayleigh's).
+        """
+        mean = math.sqrt(8 / math.pi) if observation.coordinates == 3 else math.sqrt(math.pi / 2)
+        scale = self._scale(observation)
+        usual = float(np.mean(scale[observation.visible])) if observation.visible.any() else math.nan
+        return mean * observation.sigma * usual
+
+    def _scale(self, observation: Observation) -> np.ndarray:
+        """How many of the unit a metre is where each point was seen (T, N)."""
+        if self.unit == "px":
+            return 1 / np.maximum(observation.pixel_size(), 1e-12)
+        return np.full(observation.visible.shape, UNITS[self.unit])
 
 
 def differences(observation: Observation, rollout: Rollout) -> tuple[np.ndarray, np.ndarray]:
-    """Simulated minus seen (B, T, N, 3) m, and where that can be said (T, N); not a number where a rollout stopped."""
+    """Simulated minus seen (B, T, N, C) m in the C coordinates that were measured, and where that can be said (T, N);
+    not a number where a rollout stopped.
+    """
     if rollout.position.shape[1:] != observation.position.shape:
         raise ClothbenchError(
             f"metric: found a rollout of {rollout.position.shape[1:]}, "
             f"expected {observation.position.shape} as observed"
         )
-    return rollout.position - np.nan_to_num(observation.position), observation.visible
+    return observation.differences(rollout.position), observation.visible
 
 
 def mean_over(values: np.ndarray, seen: np.ndarray, axis: int) -> np.ndarray:

@@ -29,6 +29,8 @@ class Profile:
         self.join = float(join)
 
     def __call__(self, observation: Observation, rollout: Rollout) -> Score:
+        if observation.sight is not None:
+            raise ClothbenchError("profile: the points were seen in a picture, which has no depth; take node_error")
         members, frames, seen = len(rollout), len(observation.time), observation.visible
         watched = np.flatnonzero(seen.any(axis=1))
         per_frame = np.full((members, frames), np.nan)

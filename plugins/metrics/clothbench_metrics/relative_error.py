@@ -49,12 +49,16 @@ class RelativeError:
         return Score(value, self.unit, per_frame, None, residual.reshape(len(residual), -1))
 
     def floor(self, observation: Observation) -> float:
-        """√(3 n σ²)/‖ϕ‖ of a frame with n nodes seen, averaged over the frames."""
+        """√(C n σ²)/‖ϕ‖ of a frame with n nodes seen in C coordinates, averaged over the frames."""
         count, size = observation.visible.sum(axis=1), sizes(observation, self.origin)
         frames = size > 0
         if not frames.any():
             return math.nan
-        return float(np.mean(100 * math.sqrt(3) * observation.sigma * np.sqrt(count[frames]) / size[frames]))
+        return float(
+            np.mean(
+                100 * math.sqrt(observation.coordinates) * observation.sigma * np.sqrt(count[frames]) / size[frames]
+            )
+        )
 
 
 class RelativeErrorFromCamera(RelativeError):

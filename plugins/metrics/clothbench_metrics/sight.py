@@ -95,16 +95,19 @@ class Sights:
         if not observation.visible.any():
             camera = Camera.looking_at(np.array([0.0, -1.0, 0.0]), np.zeros(3), (self.pixels, self.pixels), 1.0)
             return Sight(View(camera, np.zeros((*shape, self.pixels, self.pixels), bool)), surface, observation.visible)
-        camera, projector = rig(observation.position[observation.visible], self.pixels)
-        empty = np.zeros((*shape, self.pixels, self.pixels), bool)
+        camera, projector = rig(observation.position[observation.visible], self.pixels, observation.sight)
+        empty = np.zeros((*shape, *camera.size[::-1]), bool)
         blank = Sight(View(camera, empty, projector, blur=self.blur), surface, observation.visible)
         angle, silhouette = blank.stripes(np.nan_to_num(observation.position), slice(None))
         fold = np.stack([fold_mask(a, s, self.threshold) for a, s in zip(angle, silhouette, strict=True)])
         return Sight(View(camera, silhouette, projector, angle, fold, self.blur), surface, observation.visible)
 
 
-def rig(points: np.ndarray, pixels: int) -> tuple[Camera, Projector]:
-    """A camera that faces where the points (n, 3) m spread least and sees them all, and a projector above it."""
+def rig(points: np.ndarray, pixels: int, sight: Camera | None = None) -> tuple[Camera, Projector]:
+    """A camera that faces where the points (n, 3) m spread least and sees them all, and a projector above it.
+
+    sight: the camera that saw the points in its picture; from elsewhere nothing is known of them.
+    """
     points = points[np.lexsort(points.T)]  # the same bits whatever order they come in
     low, high = points.min(axis=0), points.max(axis=0)
     target, across = (low + high) / 2, 1.3 * float(np.max(high - low))
@@ -112,8 +115,20 @@ def rig(points: np.ndarray, pixels: int) -> tuple[Camera, Projector]:
     away = -away * np.sign(away[np.argmax(np.abs(away))])
     up = np.array([0.0, 0.0, 1.0] if abs(away[2]) < 0.8 else [0.0, 1.0, 0.0])
     camera = Camera.looking_at(target + 3 * across * away, target, (pixels, pixels), across, tuple(up))
+    if sight is not None:
+        away, camera = -sight.rotation[2], shrunk(sight, pixels)
     lens = Camera.looking_at(target + 3 * across * (away + STEEP * up), target, (1000, 1000), 2 * across, tuple(up))
     return camera, Projector(lens, STRIPE / pixels * 500 / np.hypot(1.0, STEEP))
+
+
+def shrunk(camera: Camera, pixels: int) -> Camera:
+    """The same camera with a picture of `pixels` along its longer side, and no distortion."""
+    share = pixels / max(camera.size)
+    matrix = camera.matrix.copy()
+    matrix[:2] *= share
+    matrix[:2, 2] += (share - 1) / 2  # a pixel's place is its middle
+    width, height = (max(1, round(share * side)) for side in camera.size)
+    return Camera((width, height), matrix, camera.rotation, camera.translation)
 
 
 def compared(sight: Sight, rollout: Rollout, compare: Callable[[int, slice], None]) -> np.ndarray:

@@ -1,0 +1,100 @@
+"""What recordings of raw images have in common: the camera, pictures, grips if they are known, and rules for all."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clothbench.core.camera import LENSES, Camera
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.observation import GripPath
+from clothbench.recordings.layout import SPLITS, Arrays, Part, Stated, Variable
+from clothbench.recordings.nodes_rules import check_clock, check_overlap, check_points
+from clothbench.recordings.video import lens_of, numbers_of, text_of
+
+TEXTS = ("name", "fabric", "sensor", "source", "licence", "declared_effects", "motion", "split")
+HEADER = (*TEXTS, "cloth_width", "cloth_height", "areal_density", "gravity")  # what every raw recording states
+JUMP = 8.0  # times the usual time between frames beyond which stamps have jumped
+
+
+def pack_camera(camera: Camera, prefix: str = "camera") -> tuple[Arrays, Stated]:
+    """The attributes PREFIX_size, PREFIX_matrix, … of a camera."""
+    stated = {f"{prefix}_{name}": text_of(getattr(camera, name)) for name in LENSES}
+    return {}, stated | {f"{prefix}_size": text_of(camera.size)}
+
+
+def unpack_camera(stated: Stated, path: Path, whose: str, prefix: str = "camera") -> Camera:
+    """The camera that the attributes PREFIX_… state."""
+    width, height = numbers_of(stated, f"{prefix}_size", (2,), path, whose)
+    return lens_of(stated, prefix, (int(width), int(height)), path, whose)
+
+
+def camera_attributes(prefix: str = "camera") -> tuple[str, ...]:
+    return (*(f"{prefix}_{name}" for name in LENSES), f"{prefix}_size")
+
+
+def _pack_grips(grips: GripPath) -> tuple[Arrays, Stated]:
+    return {"grip_time": grips.time, "grip_material": grips.material, "grip_position": grips.position}, {}
+
+
+def _unpack_grips(arrays: Arrays, stated: Stated, path: Path) -> GripPath | None:
+    if not arrays:
+        return None
+    if missing := sorted(set(GRIPS.variables) - set(arrays)):
+        raise ClothbenchError(f"{path}: variable '{missing[0]}' is missing beside the other grip variables; add it")
+    return GripPath(arrays["grip_time"], arrays["grip_material"], arrays["grip_position"])
+
+
+GRIPS = Part(
+    {
+        "grip_time": Variable(("grip_time",), "s"),
+        "grip_material": Variable(("grip", "uv"), "m"),
+        "grip_position": Variable(("grip_time", "grip", "space"), "m", level=4),
+    },
+    (), _pack_grips, _unpack_grips,
+)  # fmt: skip
+
+
+def check_jumps(time: np.ndarray, name: str, where: str) -> None:
+    """No gap between stamps is many times the usual one."""
+    steps = np.diff(time)
+    worst = int(np.argmax(steps))
+    if steps[worst] > JUMP * np.median(steps):
+        raise ClothbenchError(
+            f"{where}: variable '{name}': found a jump of {steps[worst]:g} s at index {worst + 1}, where "
+            f"{np.median(steps):g} s is usual; cut the recording there, or mend the stamps"
+        )
+
+
+def check_grips(r: Any, where: str) -> None:
+    """The grips of a raw recording, if it states any: whole, on the cloth, and at the times of the frames."""
+    grips = r.grips
+    if grips is None:
+        return
+    check_clock(grips.time, "grip_time", where)
+    expected: Any = (len(grips.time), len(grips.material), 3)
+    if grips.position.shape != expected or grips.material.shape[1:] != (2,):
+        raise ClothbenchError(f"{where}: variable 'grip_position': found {grips.position.shape}, expected {expected}")
+    if not (np.isfinite(grips.position).all() and np.isfinite(grips.material).all()):
+        raise ClothbenchError(f"{where}: variable 'grip_position': found a value that is not finite, expected metres")
+    check_points(grips.material, "grip_material", np.array([r.cloth_width, r.cloth_height]), where)
+    check_overlap(r.time, grips.time, where)
+
+
+def check_stated(r: Any, where: str, lengths: tuple[str, ...] = ("cloth_width", "cloth_height")) -> None:
+    """The header of a raw recording; lengths: attributes [m] that have to be above 0."""
+    if not r.name:
+        raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
+    for name in lengths:
+        value = getattr(r, name)
+        if not (math.isfinite(value) and value > 0):
+            raise ClothbenchError(f"{where}: attribute '{name}': found {value}, expected metres above 0")
+    if r.areal_density <= 0 or math.isinf(r.areal_density):
+        raise ClothbenchError(
+            f"{where}: attribute 'areal_density': found {r.areal_density}, expected kg/m² above 0, or NaN"
+        )
+    if r.split not in SPLITS:
+        raise ClothbenchError(f"{where}: attribute 'split': found {r.split!r}, expected 'fit', 'held_out' or ''")
