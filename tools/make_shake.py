@@ -28,7 +28,8 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
 from clothbench import Camera, DepthImages, write_depth
-from clothbench.recordings.depth import Colour, Grips
+from clothbench.core.observation import GripPath
+from clothbench.recordings.depth import Colour
 from clothbench.recordings.nodes import Recording, write_recording
 from clothbench.reference.mesh import Mesh, build
 from clothbench.reference.simulation import (
@@ -220,7 +221,7 @@ def record(
     return DepthImages(
         name=f"{name}/{motion.name}", time=times, depth=depth, depth_step=1e-3, camera=view, cloth_width=WIDTH,
         cloth_height=HEIGHT, colour=Colour(times - AGE, colour),
-        grips=Grips(stamped, np.array([[0.0, 0.0], [WIDTH, 0.0]]), felt), areal_density=COTTON.areal_density,
+        grips=GripPath(stamped, np.array([[0.0, 0.0], [WIDTH, 0.0]]), felt), areal_density=COTTON.areal_density,
         fabric=name, motion=motion.text, split=motion.split,
         sensor=f"simulated depth camera, {RATE:g} Hz, {1e3 * sensor.noise:g} mm noise at 1 m",
         source=SOURCE, licence="CC0-1.0", declared_effects=DECLARED, notes={"experiment": name, **stated(TRUTHS[name])},

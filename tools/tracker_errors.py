@@ -12,8 +12,9 @@ import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
 from clothbench import Camera, DepthImages
+from clothbench.core.observation import GripPath
 from clothbench.plugins.discovery import catalogue
-from clothbench.recordings.depth import Colour, Grips
+from clothbench.recordings.depth import Colour
 from clothbench.vision.depth_camera import sensed
 
 TIMES = np.arange(20) / 20.0 + 0.5  # s, of the fastest motion
@@ -44,7 +45,7 @@ def filmed(truth: shake.Truth, places: np.ndarray, noise: float, degrees: float,
     return DepthImages(
         name="errors", time=TIMES, depth=np.stack(depth), depth_step=1e-3, camera=view, cloth_width=shake.WIDTH,
         cloth_height=shake.HEIGHT, colour=Colour(TIMES, np.stack(colour)),
-        grips=Grips(TIMES, corners, shake.grips(MOTION, TIMES)),
+        grips=GripPath(TIMES, corners, shake.grips(MOTION, TIMES)),
     )  # fmt: skip
 
 

@@ -110,13 +110,17 @@ def _store(sub: argparse.ArgumentParser) -> None:
 
 def _import(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
-        "name", metavar="NAME", help="a data set that `clothbench datasets` lists, or a folder of depth frames"
+        "name",
+        metavar="NAME",
+        help="a data set that `clothbench datasets` lists, a folder of depth frames, or a video "
+        "(a file, or a folder of pictures)",
     )
     sub.add_argument(
         "settings",
         nargs="*",
         metavar="KEY=VALUE",
-        help="data_dir=FOLDER of the originals, out=FOLDER for the recordings",
+        help="data_dir=FOLDER of the originals, out=FOLDER for the recordings; of a video: template=PICTURE width=M "
+        "height=M, and if they are known rate, name, fabric, motion, split, areal_density, camera=JSON, marks",
     )
 
 
@@ -230,18 +234,31 @@ def import_data(options: argparse.Namespace) -> int:
     from clothbench.datasets.convert import converted
     from clothbench.engine.progress import counting
 
+    given = Path(options.name)
+    if given.is_file() or (given.is_dir() and not (given / "recording.json").is_file() and has_pictures(given)):
+        from clothbench.datasets.video_file import SETTINGS, video_recording
+
+        settings = key_values(options.settings, SETTINGS)
+        with counting("frames") as told:
+            path = video_recording(given, settings, told)
+        print(f"{path}: one recording of kind 'video'; next: clothbench run recording={path} tracker=sift_graph …")
+        return 0
     settings = key_values(options.settings, ("data_dir", "out"))
-    if Path(options.name).is_dir():
+    if given.is_dir():
         from clothbench.datasets.depth_folder import depth_recording
 
         with counting("frames") as told:
-            path = depth_recording(Path(options.name), Path(settings.get("out", "recordings")), told)
+            path = depth_recording(given, Path(settings.get("out", "recordings")), told)
         print(f"{path}: one recording of kind 'depth'; next: clothbench validate {path}")
         return 0
     with counting("files") as told:
         folder = converted(options.name, **settings, again=True, progress=told)
     print_import(folder)
     return 0
+
+
+def has_pictures(folder: Path) -> bool:
+    return any(p.suffix.lower() in (".png", ".jpg", ".jpeg") for p in folder.iterdir())
 
 
 def leaderboard(options: argparse.Namespace) -> int:

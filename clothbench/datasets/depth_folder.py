@@ -25,8 +25,9 @@ import numpy as np
 
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.observation import GripPath
 from clothbench.core.progress import FileProgress
-from clothbench.recordings.depth import LAYOUT, Colour, DepthImages, Grips, write_depth
+from clothbench.recordings.depth import LAYOUT, Colour, DepthImages, write_depth
 
 LEVEL = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # a camera that looks along +y, z up
 MILLIMETRE = 1e-3
@@ -49,7 +50,7 @@ def read_folder(folder: Path, progress: FileProgress | None = None) -> DepthImag
     if not files:
         raise ClothbenchError(f"{folder}: found no frames, expected depth/*.png (16 bit) or clouds/*.ply or *.npy")
     time = _stamps(about, len(files), where)
-    camera = _camera(_needed(about, "camera", where), where)
+    camera = camera_of(_needed(about, "camera", where), where)
     step = float(about.get("depth_step", MILLIMETRE))
     frames = []
     for number, file in enumerate(files):
@@ -201,7 +202,8 @@ def _stamps(about: Mapping[str, Any], count: int, where: Path) -> np.ndarray:
     return np.arange(count) / rate
 
 
-def _camera(told: Any, where: Path) -> Camera:
+def camera_of(told: Any, where: Path) -> Camera:
+    """The camera that a JSON object states; without a place it looks along +y from the origin, level."""
     try:
         size = tuple(int(n) for n in told["size"])
         if "matrix" in told:
@@ -238,11 +240,11 @@ def _colour(folder: Path, about: Mapping[str, Any], time: np.ndarray, camera: Ca
     return Colour(np.asarray(about.get("colour_time", time), dtype=float), np.stack(frames))
 
 
-def _grips(about: Mapping[str, Any], where: Path) -> Grips | None:
+def _grips(about: Mapping[str, Any], where: Path) -> GripPath | None:
     if "grips" not in about:
         return None
     try:
-        return Grips(*(np.array(about["grips"][name], dtype=float) for name in ("time", "material", "position")))
+        return GripPath(*(np.array(about["grips"][name], dtype=float) for name in ("time", "material", "position")))
     except (KeyError, TypeError, ValueError) as fault:
         raise ClothbenchError(
             f"{where}: 'grips': found {type(fault).__name__} {fault}, expected time, material and position"

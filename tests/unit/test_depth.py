@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from clothbench import Camera, ClothbenchError, DepthImages, read_depth, write_depth
-from clothbench.recordings.depth import Colour, Grips
+from clothbench.core.observation import GripPath
+from clothbench.recordings.depth import Colour
 from clothbench.recordings.kinds import read_any, read_sheet
 
 CAMERA = Camera.looking_at(np.array([0.0, -1.0, 0.8]), np.array([0.0, 0.0, 0.8]), (48, 40), 0.5)
@@ -19,7 +20,7 @@ TIME = np.arange(6) / 20.0
 def images(**changes) -> DepthImages:
     depth = np.full((6, 40, 48), 1000, np.uint16)
     depth[:, :3] = 0
-    grips = Grips(TIME, np.array([[0.0, 0.0], [0.3, 0.0]]), np.zeros((6, 2, 3)) + np.array([0.0, 0.0, 1.0]))
+    grips = GripPath(TIME, np.array([[0.0, 0.0], [0.3, 0.0]]), np.zeros((6, 2, 3)) + np.array([0.0, 0.0, 1.0]))
     colour = Colour(TIME - 0.01, np.full((6, 40, 48, 3), 90, np.uint8))
     content = {"name": "run", "time": TIME, "depth": depth, "depth_step": 1e-3, "camera": CAMERA, "cloth_width": 0.3,
                "cloth_height": 0.4, "colour": colour, "grips": grips, "notes": {"room": "4"}}  # fmt: skip
@@ -65,9 +66,9 @@ def frames(**changes):
         ({"split": "test"}, "'split': found 'test'"),
         ({"name": ""}, "'name': found nothing"),
         ({"colour": Colour(TIME, np.zeros((6, 20, 24, 3), np.uint8))}, "registered to the depth"),
-        ({"grips": Grips(TIME, np.array([[0.0, 0.0]]), np.full((6, 1, 3), np.nan))}, "not finite"),
-        ({"grips": Grips(TIME, np.array([[0.9, 0.0]]), np.zeros((6, 1, 3)))}, "expected inside the 0.3 m × 0.4 m"),
-        ({"grips": Grips(TIME + 7, np.array([[0.0, 0.0]]), np.zeros((6, 1, 3)))}, "covers 0% of the frames"),
+        ({"grips": GripPath(TIME, np.array([[0.0, 0.0]]), np.full((6, 1, 3), np.nan))}, "not finite"),
+        ({"grips": GripPath(TIME, np.array([[0.9, 0.0]]), np.zeros((6, 1, 3)))}, "expected inside the 0.3 m × 0.4 m"),
+        ({"grips": GripPath(TIME + 7, np.array([[0.0, 0.0]]), np.zeros((6, 1, 3)))}, "covers 0% of the frames"),
     ],
 )
 def test_every_fault_of_a_sensor_has_its_line(change, found):

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from clothbench import Camera, ClothbenchError, DepthImages
+from clothbench.core.observation import GripPath
 from clothbench.plugins.discovery import catalogue
-from clothbench.recordings.depth import Colour, Grips
+from clothbench.recordings.depth import Colour
 from clothbench.vision.depth_camera import DepthSensor, facing, seen_points, sensed, to_world
 from clothbench.vision.render import rasterise
 from clothbench.vision.surface import surface_of
@@ -53,7 +54,7 @@ def filmed(sensor: DepthSensor = NOISY, tilt: float = 0.0, hidden: float = 0.0, 
         depth.append(sensed(nearest, VIEW, sensor, random))
         colour.append(picture.astype(np.uint8))
     corners = np.array([[0.0, 0.0], [SIZE[0], 0.0]])
-    held = Grips(TIME, corners, np.stack([bent(corners, t, tilt) for t in TIME]))
+    held = GripPath(TIME, corners, np.stack([bent(corners, t, tilt) for t in TIME]))
     return DepthImages(
         name="swing", time=TIME, depth=np.stack(depth), depth_step=1e-3, camera=VIEW, cloth_width=SIZE[0],
         cloth_height=SIZE[1], colour=Colour(TIME, np.stack(colour)) if blue else None, grips=held if grips else None,

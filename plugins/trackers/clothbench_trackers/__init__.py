@@ -27,6 +27,16 @@ def clothbench_trackers():
             "node recordings and marker files (C3D, TRC, CSV), with gaps kept and a rigid frame alignment",
         ),
         Registration(
+            "optical_flow",
+            "clothbench_trackers.optical_flow:OpticalFlow",
+            "colour video of a printed cloth → its graph, by Lucas-Kanade flow from frame to frame",
+        ),
+        Registration(
+            "sift_graph",
+            "clothbench_trackers.sift_graph:SiftGraph",
+            "colour video of a printed cloth → its graph, by SIFT keypoints of each cell of a template",
+        ),
+        Registration(
             "stripes",
             "clothbench_trackers.stripes:Stripes",
             "projected stripes in a calibrated video: silhouette, angle map, folds",

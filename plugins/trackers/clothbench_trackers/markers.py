@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -85,7 +85,8 @@ class Markers:
                 expected = f"some of {', '.join(sorted(OF_RECORDINGS))}, as a recording is in the world already"
                 raise refusal(where, "settings", repr(one.name), expected, "drop it")
         sigma = recording.noise_sigma if self.sigma is None else self.sigma
-        return _observation(recording.time, recording.position, recording.material, sigma, self, where)
+        seen = _observation(recording.time, recording.position, recording.material, sigma, self, where)
+        return replace(seen, sight=recording.sight, confidence=recording.confidence)
 
 
 def recording_from_markers(

@@ -46,7 +46,7 @@ class Stripes:
         for_each(look, range(len(angle)))
         view = View(video.camera, silhouette, video.projector, angle, fold, self.blur)
         r = recording
-        return Observation(r.time, r.position, r.visible, r.noise_sigma, r.material, view)
+        return Observation(r.time, r.position, r.visible, r.noise_sigma, r.material, view, sight=r.sight)
 
 
 def largest_bright_part(grey: np.ndarray, level: float) -> np.ndarray:
