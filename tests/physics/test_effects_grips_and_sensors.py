@@ -7,6 +7,7 @@ import pytest
 from effect_scenes import STIFF, cloth, effect_named, hanging, on_every_model, run
 from scipy.integrate import solve_ivp
 
+from clothbench import Camera
 from clothbench.plugins.discovery import catalogue
 
 TIME = np.cumsum(np.array([0.0, 0.01, 0.03, 0.005, 0.02, 0.04, 0.01, 0.02, 0.015, 0.05]))
@@ -194,3 +195,36 @@ def test_markers_in_one_line_have_no_normal():
     points = np.stack([np.linspace(0, 1, 5), np.zeros(5)], axis=1)
     line = np.random.default_rng(1).normal(size=(2, 5, 3))
     np.testing.assert_array_equal(seen("marker_standoff", [0.01], TIME[:2], line, points), line)
+
+
+# --- the camera -------------------------------------------------------------------------------------------------------
+
+VIEW = Camera.looking_at(np.array([0.0, -1.0, 0.0]), np.zeros(3), (640, 480), 0.8)
+
+
+def sighted(name, value, position):
+    return effect_named(name).sights(TIME, position, VIEW, np.array([value]))
+
+
+def test_a_lens_bends_the_picture_as_opencv_does(cloud):
+    bent = Camera(VIEW.size, VIEW.matrix, VIEW.rotation, VIEW.translation, np.array([-0.2, 0, 0, 0, 0]))
+    found = VIEW.project(sighted("lens_distortion", -0.2, cloud))[0]
+    np.testing.assert_allclose(found, bent.project(cloud)[0], atol=1e-9)
+
+
+def test_a_slow_video_shows_later_moments():
+    path = np.stack([np.sin(3 * TIME), 0 * TIME, TIME**2], axis=1)[:, None]
+    found = sighted("frame_rate", 0.9, path)[:, 0]
+    t = TIME[0] + 0.9 * (TIME - TIME[0])
+    np.testing.assert_allclose(found, np.stack([np.sin(3 * t), 0 * t, t**2], axis=1), atol=2e-4)
+
+
+def test_a_rolling_shutter_reads_lower_rows_later():
+    speed = np.array([0.3, 0.0, 0.0])
+    start = np.array([[0.0, 0.0, 0.2], [0.0, 0.0, 0.0], [0.0, 0.0, -0.2]])
+    position = start + TIME[:, None, None] * speed
+    found = sighted("rolling_shutter", 0.02, position)
+    rows = VIEW.project(position)[0][..., 1]
+    late = 0.02 * (rows / 480 - 0.5)
+    inner = slice(1, -1)  # still before the first frame and after the last
+    np.testing.assert_allclose((found - position)[inner], (late[..., None] * speed)[inner], atol=1e-12)

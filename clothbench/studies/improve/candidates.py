@@ -7,28 +7,33 @@ from typing import Any
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.protocols import Effect
-from clothbench.modelling.curves import acts_on_curves, acts_on_sheets
+from clothbench.modelling.curves import acts_on_curves, acts_on_sheets, needs_a_picture
 from clothbench.plugins.discovery import Catalogue
 
 ORDER = {"sensor": 0, "boundary": 1, "dynamics": 2}  # how the cloth was seen and held may look like physics
 
 
-def candidates_of(given: Any, kind: str, base: Sequence[str], plugins: Catalogue) -> tuple[str, ...]:
+def candidates_of(
+    given: Any, kind: str, base: Sequence[str], plugins: Catalogue, pictures: bool = False
+) -> tuple[str, ...]:
     """All installed effects that act on recordings of this kind and that the model does not have, or those that were
-    named; sensors first.
+    named; sensors first. pictures: whether points were seen in a camera's picture, not in space.
     """
     effects = asked_for(given, plugins)
     acts = acts_on_curves if kind == "curve" else acts_on_sheets
-    acting = {name: effect for name, effect in effects.items() if acts(effect)}
+    blind = {name for name, effect in effects.items() if needs_a_picture(effect) and not pictures}
+    acting = {name: effect for name, effect in effects.items() if acts(effect) and name not in blind}
     if given is not None and (stray := next((name for name in effects if name not in acting), None)):
-        raise ClothbenchError(why_stray(stray, kind, plugins))
+        raise ClothbenchError(why_stray(stray, kind, plugins, stray in blind))
     if given is not None and (owned := next((name for name in effects if name in base), None)):
         raise ClothbenchError(f"effect {owned!r} is in the base already; take it out of candidates, or state base=")
     rest = {name: effect for name, effect in acting.items() if name not in base}
     return tuple(sorted(rest, key=lambda name: ORDER.get(rest[name].place, len(ORDER))))
 
 
-def why_stray(name: str, kind: str, plugins: Catalogue) -> str:
+def why_stray(name: str, kind: str, plugins: Catalogue, blind: bool = False) -> str:
+    if blind:
+        return f"effect {name!r} acts on pictures only, and these recordings have none; take it out of candidates"
     if kind != "curve":
         return f"effect {name!r} acts on force-extension curves only; take it out of candidates"
     known = [other for other, effect in plugins.made("effects")[0].items() if acts_on_curves(effect)]

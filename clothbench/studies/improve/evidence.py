@@ -106,6 +106,11 @@ class Evidence(Protocol):
     def cases(self) -> Sequence[Case]: ...
 
     @property
+    def in_pictures(self) -> bool:
+        """Whether points were seen in a camera's picture, which effects of the camera act on."""
+        ...
+
+    @property
     def has_rerun(self) -> bool:
         """Whether there is something to be seen in Rerun."""
         ...

@@ -92,8 +92,9 @@ def cell_of(
         timeout=settings["timeout"], bounds=settings["bounds"], split_by_seed=not any(s.split for s in sources),
         suite=suite.get("name") or "improve", case=case,
     )  # fmt: skip
-    base = base_of(settings, prepare(cell, plugins, kept=Path(settings["out"]) / TRACKED))
-    candidates = candidates_of(suite.get("candidates"), kind, base, plugins)
+    problem = prepare(cell, plugins, kept=Path(settings["out"]) / TRACKED)
+    base = base_of(settings, problem)
+    candidates = candidates_of(suite.get("candidates"), kind, base, plugins, problem.evidence.in_pictures)
     cell = dataclasses.replace(cell, base=base, candidates=candidates)
     rehearse(cell, plugins, Path(settings["out"]) / TRACKED)
     return dataclasses.replace(cell, versions=plugin_versions(cell.plugins, plugins))

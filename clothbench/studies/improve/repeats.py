@@ -34,7 +34,7 @@ def spread_of_repeats(swings: Sequence[Swing]) -> float:
         difference = field[used] - (1 - weight) * other_field[k] - weight * other_field[k + 1]
         seen = seen_one.visible[used] & seen_other.visible[k] & seen_other.visible[k + 1]
         squares += float(np.sum((difference**2 / (1 + weight**2 + (1 - weight) ** 2))[seen]))
-        count += 3 * int(seen.sum())
+        count += seen_one.coordinates * int(seen.sum())
     return (squares / count) ** 0.5 if count else 0.0
 
 

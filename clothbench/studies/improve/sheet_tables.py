@@ -46,7 +46,7 @@ def summary(case: Any, residual: np.ndarray) -> ResidualSummary:
     frames = directions(case.observation)
     normal, warp, weft = (float(np.sqrt(np.mean(np.sum(field * d, axis=-1)[seen] ** 2))) for d in frames)
     both = seen[1:] & seen[:-1]
-    product = float(np.mean((field[1:] * field[:-1])[both]))
+    product = float(np.mean(np.sum((field[1:] * field[:-1])[both], axis=-1))) / case.observation.coordinates
     square = float(np.mean(residual**2))
     return ResidualSummary(square**0.5, normal, warp, weft, product / square)
 
@@ -107,14 +107,17 @@ def bin_rows(comparisons: Sequence[Comparison], unit: Unit) -> Rows:
         values = [m[name][one.case.observation.visible] for m, one in zip(motions, comparisons, strict=True)]
         edges = edges_of(values)
         for one, value in zip(comparisons, values, strict=True):
-            squares = [np.square(r).reshape(-1, 3).sum(axis=1) for r in (one.residual_before, one.residual_after)]
+            measured = one.case.observation.coordinates
+            squares = [
+                np.square(r).reshape(-1, measured).sum(axis=1) for r in (one.residual_before, one.residual_after)
+            ]
             place = np.clip(np.searchsorted(edges, value, side="right") - 1, 0, len(edges) - 2)
             place[~np.isfinite(value)] = -1
             for k in range(len(edges) - 1):
                 inside = place == k
                 rows.append({
                     **about(one, unit), "against": name, "against_unit": of, "low": float(edges[k]),
-                    "high": float(edges[k + 1]), **errors([s[inside] for s in squares], unit),
+                    "high": float(edges[k + 1]), **errors([s[inside] for s in squares], measured, unit),
                 })  # fmt: skip
     return rows
 
@@ -151,11 +154,13 @@ def errors_along(one: Comparison, axis: int, unit: Unit) -> Iterator[dict[str, A
     squares = [np.square(one.case.field(r)).sum(axis=2) for r in (one.residual_before, one.residual_after)]
     for k in range(seen.shape[1 - axis]):
         inside = seen.take(k, 1 - axis)
-        yield errors([s.take(k, 1 - axis)[inside] for s in squares], unit)
+        yield errors([s.take(k, 1 - axis)[inside] for s in squares], one.case.observation.coordinates, unit)
 
 
-def errors(squares: Sequence[np.ndarray], unit: Unit) -> dict[str, Any]:
-    """Errors before and after from squared distances (n,) m² of n nodes, three coordinates each; None of no nodes."""
-    count = 3 * len(squares[0])
+def errors(squares: Sequence[np.ndarray], measured: int, unit: Unit) -> dict[str, Any]:
+    """Errors before and after from squared distances (n,) m² of n nodes, of which so many coordinates were measured;
+    None of no nodes.
+    """
+    count = measured * len(squares[0])
     before, after = (finite(unit.scale * float(np.sqrt(s.sum() / count))) if count else None for s in squares)
     return {"coordinates": count, "before": before, "after": after}

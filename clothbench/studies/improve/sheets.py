@@ -40,7 +40,7 @@ class CoordinateError:
 
     def __call__(self, observation: Observation, rollout: Rollout) -> Score:
         seen = observation.visible
-        away = (rollout.position - np.nan_to_num(observation.position))[:, seen].reshape(len(rollout.position), -1)
+        away = observation.differences(rollout.position)[:, seen].reshape(len(rollout.position), -1)
         away = away + self.correction
         return Score(np.sqrt(np.mean(away**2, axis=1)), self.unit, residual=away)
 
@@ -85,9 +85,12 @@ class SheetCase:
 
     def surrogates(self, residual: np.ndarray) -> Surrogate:
         """Moved round in time, turned about the vertical, up and down exchanged or not, mirrored left to right or
-        not.
+        not; in a picture, which has no vertical to turn about, right and left exchanged or not.
         """
-        field, seen = self.field(residual), self.observation.visible
+        observation = self.observation
+        field, seen = self.field(residual), observation.visible
+        if observation.sight is not None:
+            field = observation.in_measured(field)
         frames, image = len(field), mirror(self.observation.material)
 
         def draw(random: np.random.Generator) -> np.ndarray:
@@ -96,7 +99,8 @@ class SheetCase:
             shifted = field[np.minimum(at, 2 * frames - 1 - at)]
             angle = random.uniform(0, 2 * np.pi)
             c, s = np.cos(angle), np.sin(angle)
-            turned = shifted @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, random.choice([-1.0, 1.0])]])
+            turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, random.choice([-1.0, 1.0])]])
+            turned = shifted @ (turn if field.shape[-1] == 3 else np.diag(random.choice([-1.0, 1.0], 2)))
             if random.random() < 0.5:
                 turned = turned[:, image]
             return turned[seen].ravel()
@@ -120,6 +124,10 @@ class SheetEvidence:
     unit: ClassVar[Unit] = Unit("m", "mm", 1e3)
     search: ClassVar[SearchSettings] = SearchSettings()
     has_rerun: ClassVar[bool] = True
+
+    @property
+    def in_pictures(self) -> bool:
+        return any(case.observation.sight is not None for case in self.cases)
 
     def restricted(self, cases: Sequence[SheetCase]) -> SheetEvidence:
         return dataclasses.replace(self, cases=tuple(cases))
@@ -182,14 +190,14 @@ def noise_of(observation: Observation) -> float:
     """
     if np.isfinite(observation.sigma):
         return observation.sigma
-    x = np.where(observation.visible[..., None], observation.position, np.nan)
+    x = np.where(observation.visible[..., None], observation.in_measured(observation.position), np.nan)
     return 1.4826 * float(np.nanmedian(np.abs(np.diff(x, n=3, axis=0)))) / np.sqrt(20)
 
 
 def field_of(observation: Observation, residual: np.ndarray) -> np.ndarray:
-    """A residual (M,) m back on its frames and nodes (T, N, 3), 0 where nothing was seen."""
+    """A residual (M,) m back on its frames and nodes (T, N, 3), in the world, 0 where nothing was seen."""
     out = np.zeros(observation.position.shape)
-    out[observation.visible] = residual.reshape(-1, 3)
+    out[observation.visible] = observation.in_space(residual.reshape(-1, observation.coordinates))
     return out
 
 

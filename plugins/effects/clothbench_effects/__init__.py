@@ -37,6 +37,9 @@ EFFECTS = (
     ("frame_scale", "FrameScale", "lengths seen too long or too short"),
     ("tracker_lowpass", "TrackerLowpass", "positions smoothed by a first-order filter"),
     ("marker_standoff", "MarkerStandoff", "markers that stand off the cloth"),
+    ("lens_distortion", "LensDistortion", "a lens that bends the picture otherwise than is known (pictures)"),
+    ("frame_rate", "FrameRate", "a video that runs too fast or too slow (pictures)"),
+    ("rolling_shutter", "RollingShutter", "rows of a picture that are read one after the other (pictures)"),
     ("load_offset", "LoadOffset", "a load cell whose zero is off (curves)"),
 )
 
