@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from clothbench import ClothbenchError
+from clothbench import ClothbenchError, Parameter, ParameterSpace
 from clothbench.plugins.discovery import catalogue
 from clothbench.testing.toys import bowl, cornered, valley
 
@@ -150,8 +150,20 @@ def test_an_abandoned_search_leaves_no_thread():
         ("nelder_mead", {"size": 0}, "size is 0"),
         ("nelder_mead", {"starts": 0}, "starts is 0"),
         ("cma_es", {"population": 2}, "population is 2"),
+        ("ga", {"decoding": "gray"}, "expected one of own, linear"),
     ],
 )
 def test_wrong_options_are_one_line(name, options, found):
     with pytest.raises(ClothbenchError, match=found):
         search(name, bowl(3), 20, **options)
+
+
+def test_bits_may_count_from_bound_to_bound():
+    """Bits are drawn evenly: two thirds of a first generation lie above a third of what they count in."""
+    space = ParameterSpace((Parameter("k", "k", "N/m", (1.0, 1000.0), "log", 10.0, "a stiffness", ""),))
+    for decoding, low, high in (("own", 0.0, 0.25), ("linear", 0.5, 1.0)):
+        optimizer = catalogue().make(
+            "optimizers", "ga", space, seed=3, budget=200, population=200, generations=1, decoding=decoding
+        )
+        share = float(np.mean(optimizer.ask() > 333.0))
+        assert low < share < high

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.display.html import text
+from clothbench.display.names import model_name
 from clothbench.display.parameters import parameters
 from clothbench.display.section import Section
 from clothbench.engine.study import Results
@@ -15,7 +16,7 @@ from clothbench.studies.calibration.analysis_page import analysis_section
 from clothbench.studies.calibration.figures import panels
 from clothbench.studies.calibration.leaderboard import leaderboard
 from clothbench.studies.calibration.published import published_section
-from clothbench.studies.calibration.schema import ANALYSIS_TABLES, PICTURES
+from clothbench.studies.calibration.schema import ANALYSIS_TABLES, FRAMES, PICTURES
 
 Rows = Sequence[dict[str, Any]]
 STEPS = '<p class="soft">The middle frame of the first recording, step by step.</p>'
@@ -65,6 +66,9 @@ drawPanel();
 """
 
 
+KINDS = {".png": "png", ".jpg": "jpeg"}
+
+
 def sections(results: Results) -> list[Section]:
     """What the page shows of calibrations."""
     analyses = analysis_section(results.rows, {name: results.table(name) for name in ANALYSIS_TABLES})
@@ -74,6 +78,7 @@ def sections(results: Results) -> list[Section]:
         figures(results),
         beside,
         steps(results),
+        pictures_of_fits(results),
         analyses,
         fits(results.rows, results.table("parameters")),
     ]
@@ -107,10 +112,23 @@ def steps(results: Results) -> Section | None:
     return Section(f"<h2>What the tracker made of the images</h2>{STEPS}{body}")
 
 
+def pictures_of_fits(results: Results) -> Section | None:
+    """Frames of a video, tracked and fitted, of each cell that has some."""
+    parts = []
+    for key in sorted({r["key"] for r in results.rows}):
+        row = next(r for r in results.rows if r["key"] == key)
+        if pictures := sorted((results.store.cell(key) / FRAMES).glob("*.jpg")):
+            name = f"{text(row['case'])} · {model_name(row)} · {text(row['optimizer'])}"
+            parts.append(f"<h3>{name}</h3>{strip(pictures)}")
+    note = '<p class="soft">Left as it was tracked, right the best fit, on frames of the first recording.</p>'
+    return Section(f"<h2>Tracked and fitted</h2>{note}{''.join(parts)}") if parts else None
+
+
 def strip(pictures: Sequence[Path]) -> str:
     """Pictures side by side, each named by its file: "2 outliers.png"."""
     each = (
-        f'<figure><img alt="{text(p.stem)}" src="data:image/png;base64,{b64encode(p.read_bytes()).decode()}">'
+        f'<figure><img alt="{text(p.stem)}" src="data:image/{KINDS[p.suffix]};base64,'
+        f'{b64encode(p.read_bytes()).decode()}">'
         f"<figcaption>{text(p.stem)}</figcaption></figure>"
         for p in pictures
     )

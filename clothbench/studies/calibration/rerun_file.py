@@ -26,7 +26,7 @@ from clothbench.estimation.trials import Trial
 from clothbench.recordings.nodes import Recording
 from clothbench.studies.calibration.cell import Bench
 
-MAXWELL = np.sqrt(8 / np.pi)  # mean length of isotropic noise with σ = 1 per coordinate
+MEAN_LENGTH = {3: np.sqrt(8 / np.pi), 2: np.sqrt(np.pi / 2)}  # of isotropic noise with σ = 1 per coordinate
 MM = 1e3
 
 
@@ -84,9 +84,9 @@ def _log_error(stream: Any, path: str, trial: Trial, simulated: np.ndarray, ther
     seen = trial.observation
     frames = there & seen.visible.any(axis=1)
     count = seen.visible[frames].sum(axis=1)
-    distance = np.linalg.norm(np.nan_to_num(seen.position[frames]) - simulated[frames], axis=-1)
+    distance = np.linalg.norm(seen.differences(simulated)[frames], axis=-1)
     error = (distance * seen.visible[frames]).sum(axis=1) / count * MM
     log_curve(stream, f"{path}/simulated", seen.time[frames], error, f"{trial.name} [mm]")
     if np.isfinite(seen.sigma):
-        floor = np.full(2, MAXWELL * seen.sigma * MM)
+        floor = np.full(2, MEAN_LENGTH[seen.coordinates] * seen.sigma * MM)
         log_curve(stream, f"{path}/noise_floor", seen.time[[0, -1]], floor, "noise floor [mm]", NOISE)

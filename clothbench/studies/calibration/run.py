@@ -17,11 +17,13 @@ from clothbench.engine.study import Context, Result
 from clothbench.estimation.calibrate import Fit, best_rollout, calibrate
 from clothbench.estimation.intervals import error_interval, mean_interval
 from clothbench.estimation.trials import score_of
+from clothbench.recordings.colour_video import ColourVideo
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
 from clothbench.studies.calibration.analysis import analyse, starts_of, truth_of
 from clothbench.studies.calibration.cell import Bench, CalibrationCell, set_up
-from clothbench.studies.calibration.schema import PICTURES
+from clothbench.studies.calibration.frames import at_most, write_frames
+from clothbench.studies.calibration.schema import FRAMES, PICTURES
 
 
 def run(cell: CalibrationCell, context: Context) -> Result:
@@ -57,6 +59,9 @@ def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
         from clothbench.studies.calibration.rerun_file import write_rerun
 
         write_pictures(folder / PICTURES, bench, context)
+        raw, seen = read_sheet(bench.cell.recordings[0].path), bench.trials[0].observation
+        if isinstance(raw, ColourVideo) and seen.sight is not None:
+            write_frames(folder / FRAMES, raw.frames(), seen, rollouts[0])
         if context.rerun:
             write_rerun(folder / "fit.rrd", bench, rollouts)
 
@@ -74,7 +79,7 @@ def write_pictures(folder: Path, bench: Bench, context: Context) -> None:
         return
     folder.mkdir()
     for number, (name, picture) in enumerate(tracker.pictures(raw, len(raw.time) // 2, seen).items()):
-        cv2.imwrite(str(folder / f"{number} {name}.png"), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))
+        cv2.imwrite(str(folder / f"{number} {name}.png"), cv2.cvtColor(at_most(picture), cv2.COLOR_RGB2BGR))
 
 
 def _why_lost(bench: Bench) -> str:

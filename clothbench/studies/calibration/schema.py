@@ -13,6 +13,7 @@ PARAMETER = {
 }  # fmt: skip
 # Error of every recording, frame by frame.
 TRACE = {"recording": _text, "split": _text, "metric": _text, "time": _number, "value": _number, "unit": _text}
+FRAMES = "frames"  # folder of a cell with frames of a video, tracked and fitted
 PICTURES = "tracker"  # folder of a cell with what its tracker made of one frame
 # What a paper says of a metric, in its `unit`.
 PUBLISHED = {"metric": _text, "name": _text, "value": _number, "unit": _text, "key": _text}

@@ -10,6 +10,7 @@ from clothbench import ClothbenchError, ParameterSpace
 from clothbench_optimizers.search import GeneratorSearch, Steps, worst_last
 
 BITS = 16  # per parameter, as in the paper
+DECODINGS = ("own", "linear")
 
 
 class GeneticAlgorithm(GeneratorSearch):
@@ -19,6 +20,9 @@ class GeneticAlgorithm(GeneratorSearch):
     tournament: single-point crossover (one pair in ten passes unchanged), then bit mutation. The paper leaves open the
     tournament's size (here 3) and the mutation rate (here one bit per chromosome on average). The kept best is not
     simulated again.
+
+    decoding: "own", bits count on each parameter's own scale, which for stiffnesses is logarithmic; "linear", from
+    bound to bound as the paper's do.
     """
 
     name = "ga"
@@ -28,6 +32,7 @@ class GeneticAlgorithm(GeneratorSearch):
     def __init__(
         self, space: ParameterSpace, *, seed: int, budget: int,
         population: int = 20, generations: int = 50, tournament: int = 3, crossover: float = 0.9,
+        decoding: str = "own",
     ):  # fmt: skip
         for name, value, least in (
             ("population", population, 3),
@@ -36,6 +41,9 @@ class GeneticAlgorithm(GeneratorSearch):
         ):
             if not isinstance(value, int) or value < least:
                 raise ClothbenchError(f"ga: {name} is {value!r}, expected a whole number, at least {least}")
+        if decoding not in DECODINGS:
+            raise ClothbenchError(f"ga: decoding is {decoding!r}, expected one of {', '.join(DECODINGS)}")
+        self.decoding = decoding
         self.population, self.generations = population, generations
         self.tournament, self.crossover = tournament, crossover
         super().__init__(space, seed=seed, budget=budget)
@@ -43,14 +51,21 @@ class GeneticAlgorithm(GeneratorSearch):
     def steps(self) -> Steps:
         length = BITS * len(self.space)
         genes = self.random.integers(0, 2, (self.population, length), dtype=np.int8)
-        value = worst_last((yield decode(genes)).value)
+        value = worst_last((yield self._decoded(genes)).value)
         for _ in range(self.generations - 1):
             best = int(np.argmin(value))
             children = self._next_generation(genes, value, genes[best])
-            scores = worst_last((yield decode(children)).value)
+            scores = worst_last((yield self._decoded(children)).value)
             genes = np.vstack([genes[best : best + 1], children])
             value = np.concatenate([value[best : best + 1], scores])
         return f"{self.generations} generations"
+
+    def _decoded(self, genes: np.ndarray) -> np.ndarray:
+        """Bits (B, 16·P) → the space's unit cube (B, P)."""
+        share = decode(genes)
+        if self.decoding == "own":
+            return share
+        return self.space.to_unit(self.space.low + share * (self.space.high - self.space.low))
 
     def _next_generation(self, genes: np.ndarray, value: np.ndarray, best: np.ndarray) -> np.ndarray:
         """A mutant of the best (with at least one bit changed) and population − 2 children."""
