@@ -232,12 +232,11 @@ def datasets(options: argparse.Namespace) -> int:
 def import_data(options: argparse.Namespace) -> int:
     from clothbench.cli.listings import print_import
     from clothbench.datasets.convert import converted
+    from clothbench.datasets.video_file import SETTINGS, is_video, video_recording
     from clothbench.engine.progress import counting
 
     given = Path(options.name)
-    if given.is_file() or (given.is_dir() and not (given / "recording.json").is_file() and has_pictures(given)):
-        from clothbench.datasets.video_file import SETTINGS, video_recording
-
+    if is_video(given):
         settings = key_values(options.settings, SETTINGS)
         with counting("frames") as told:
             path = video_recording(given, settings, told)
@@ -255,10 +254,6 @@ def import_data(options: argparse.Namespace) -> int:
         folder = converted(options.name, **settings, again=True, progress=told)
     print_import(folder)
     return 0
-
-
-def has_pictures(folder: Path) -> bool:
-    return any(p.suffix.lower() in (".png", ".jpg", ".jpeg") for p in folder.iterdir())
 
 
 def leaderboard(options: argparse.Namespace) -> int:

@@ -23,7 +23,7 @@ def open_viewer(out: Path, name: str) -> int:
 
 def improved(out: Path, name: str) -> Path:
     """The Rerun file of one recording in a folder of `clothbench improve`."""
-    from clothbench.studies.improve.files import file_name
+    from clothbench.core.files import file_name
 
     names = sorted(p.stem for p in (out / "rerun").glob("*.rrd"))
     if file_name(name) not in names:

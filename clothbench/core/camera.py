@@ -46,12 +46,16 @@ class Camera:
         """Where it stands in the world (3,) m."""
         return -self.rotation.T @ self.translation
 
+    def in_view(self, points: np.ndarray) -> np.ndarray:
+        """World points (..., 3) m in the camera's own frame: to the right, down, forwards."""
+        return np.asarray(points, dtype=float) @ self.rotation.T + self.translation
+
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World points (..., 3) m → pixels (..., 2) and depth along the optical axis (...) m.
 
         What lies behind the camera has a depth below 0 and pixels that are not a number.
         """
-        seen = np.asarray(points, dtype=float) @ self.rotation.T + self.translation
+        seen = self.in_view(points)
         depth = seen[..., 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             flat = np.where(depth[..., None] > 0, seen[..., :2] / depth[..., None], np.nan)

@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+
+
+def file_name(recording: str) -> str:
+    """ "case/swing 3" → "case_swing_3" """
+    return re.sub(r"[^\w.-]+", "_", recording).lstrip(".") or "recording"
 
 
 @contextmanager

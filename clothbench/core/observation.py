@@ -89,7 +89,7 @@ class Observation:
         """
         if self.sight is None:
             return position - np.nan_to_num(self.position)
-        seen, there = self._sighted(np.nan_to_num(self.position)), self._sighted(position)
+        seen, there = self.sight.in_view(np.nan_to_num(self.position)), self.sight.in_view(position)
         with np.errstate(divide="ignore", invalid="ignore"):
             flat = np.where(there[..., 2:] > 0, there[..., :2] / there[..., 2:], np.nan)
             return seen[..., 2:] * flat - seen[..., :2]
@@ -99,8 +99,4 @@ class Observation:
         if self.sight is None:
             raise ClothbenchError("px: the recording has no picture, only places in space; take mm, cm or m")
         focal = np.sqrt(self.sight.matrix[0, 0] * self.sight.matrix[1, 1])
-        return self._sighted(np.nan_to_num(self.position))[..., 2] / focal
-
-    def _sighted(self, position: np.ndarray) -> np.ndarray:
-        assert self.sight is not None
-        return np.asarray(position) @ self.sight.rotation.T + self.sight.translation
+        return self.sight.in_view(np.nan_to_num(self.position))[..., 2] / focal

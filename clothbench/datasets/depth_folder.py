@@ -15,7 +15,6 @@ there too; what else there is becomes a note.
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -25,6 +24,7 @@ import numpy as np
 
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import file_name
 from clothbench.core.observation import GripPath
 from clothbench.core.progress import FileProgress
 from clothbench.recordings.depth import LAYOUT, Colour, DepthImages, write_depth
@@ -37,8 +37,7 @@ OWN = {"camera", "time", "rate", "colour_time", "grips", "gravity", "depth_step"
 def depth_recording(folder: Path, out: Path, progress: FileProgress | None = None) -> Path:
     """Read a folder and write `out`/NAME.nc; faults are one line with file, found and expected."""
     images = read_folder(folder, progress)
-    name = re.sub(r"[^\w.-]+", "_", images.name)
-    return write_depth(images, out / f"{name}.nc")
+    return write_depth(images, out / f"{file_name(images.name)}.nc")
 
 
 def read_folder(folder: Path, progress: FileProgress | None = None) -> DepthImages:

@@ -11,7 +11,6 @@ the upper left and the upper right corner, or of all four corners, clockwise; `n
 from __future__ import annotations
 
 import json
-import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -20,6 +19,7 @@ import numpy as np
 
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import file_name
 from clothbench.core.progress import FileProgress
 from clothbench.datasets.depth_folder import camera_of
 from clothbench.recordings.colour_video import ColourVideo, Marks, decoded, silence, write_video
@@ -31,11 +31,17 @@ PICTURES = (".png", ".jpg", ".jpeg")
 LEAST_FRAMES = 5
 
 
+def is_video(source: Path) -> bool:
+    """Whether a path is a file, or a folder of pictures that is none of depth frames."""
+    return source.is_file() or (
+        source.is_dir() and not (source / "recording.json").is_file() and bool(_pictures_in(source))
+    )
+
+
 def video_recording(source: Path, settings: Mapping[str, str], progress: FileProgress | None = None) -> Path:
     """Read a video and write `out`/NAME.nc; faults are one line with file, found and expected."""
     video = read_source(source, settings, progress)
-    name = re.sub(r"[^\w.-]+", "_", video.name)
-    return write_video(video, Path(settings.get("out", "recordings")) / f"{name}.nc")
+    return write_video(video, Path(settings.get("out", "recordings")) / f"{file_name(video.name)}.nc")
 
 
 def read_source(source: Path, settings: Mapping[str, str], progress: FileProgress | None = None) -> ColourVideo:
@@ -130,11 +136,15 @@ def _film(file: Path, rate: float | None, progress: FileProgress | None) -> tupl
     return stream, time - time[0]
 
 
+def _pictures_in(folder: Path) -> list[Path]:
+    return sorted(p for p in folder.iterdir() if p.suffix.lower() in PICTURES)
+
+
 def _pictures(
     folder: Path, rate: float | None, progress: FileProgress | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """The bytes of a folder's pictures, in the order of their names, where each ends, and their stamps."""
-    files = sorted(p for p in folder.iterdir() if p.suffix.lower() in PICTURES)
+    files = _pictures_in(folder)
     if len(files) < LEAST_FRAMES:
         raise ClothbenchError(f"{folder}: found {len(files)} pictures, expected {LEAST_FRAMES} or more (.png, .jpg)")
     if rate is None:

@@ -20,11 +20,10 @@ upper left corner of the cloth as the first frame shows it, x along its upper he
 
 from __future__ import annotations
 
-import math
 import os
 import tempfile
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -32,13 +31,13 @@ import numpy as np
 
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.observation import GripPath
-from clothbench.recordings.codec import freeze, hash_of, read, write
+from clothbench.recordings.codec import read, write
 from clothbench.recordings.layout import Arrays, Layout, Part, Stated, Variable
 from clothbench.recordings.nodes_rules import check_clock, check_points
 from clothbench.recordings.rig import (
     GRIPS,
     TEXTS,
+    RawRecording,
     camera_attributes,
     check_grips,
     check_jumps,
@@ -109,47 +108,25 @@ LAYOUT = Layout(
 )
 
 
-@dataclass(frozen=True, eq=False)
-class ColourVideo:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class ColourVideo(RawRecording):
     """What a colour camera saw of one run. Arrays are read-only; all SI.
 
-    time: (T,) s; stream: (S,) uint8, a video file's bytes, or pictures' with `ends` (T,); template: (H, W, 3) uint8,
-    the flat cloth from hem to hem; cloth_width, cloth_height: m; camera: its calibration, None where nobody knows it;
-    world: "camera", its place is known too, or "cloth"; marks, grips: None where they are not known.
+    stream: (S,) uint8, a video file's bytes, or pictures' with `ends` (T,); template: (H, W, 3) uint8,
+    the flat cloth from hem to hem; camera: its calibration, None where nobody knows it;
+    world: "camera", its place is known too, or "cloth"; marks: None where they are not known.
     """
 
-    name: str
-    time: np.ndarray
     stream: np.ndarray
     template: np.ndarray
-    cloth_width: float
-    cloth_height: float
     ends: np.ndarray | None = None
     camera: Camera | None = None
     world: str = "cloth"
     marks: Marks | None = None
-    grips: GripPath | None = None
-    areal_density: float = math.nan
-    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
-    fabric: str = ""
-    sensor: str = ""
-    source: str = ""
-    licence: str = ""
-    declared_effects: str = ""
-    motion: str = ""
-    split: str = ""
-    notes: dict[str, str] = field(default_factory=dict)
-    path: str = field(default="", compare=False)
-    kind: ClassVar[str] = "video"
+    layout: ClassVar[Layout] = LAYOUT
 
-    def __post_init__(self) -> None:
-        freeze(self, LAYOUT)
-        _check(self, self.path or self.name)
-
-    @property
-    def hash(self) -> str:
-        """SHA-256 over everything measured and stated, whatever the file's encoding."""
-        return hash_of(self, LAYOUT)
+    def check(self, where: str) -> None:
+        _check(self, where)
 
     def frames(self) -> Iterator[np.ndarray]:
         """Frames (H, W, 3) uint8, red first, one after the other; one that cannot be read ends in an error."""

@@ -17,9 +17,8 @@ height], `camera_matrix`, `camera_rotation`, `camera_translation` [m], `camera_d
 
 from __future__ import annotations
 
-import math
 import os
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 from typing import ClassVar
 
@@ -27,13 +26,13 @@ import numpy as np
 
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.observation import GripPath
-from clothbench.recordings.codec import freeze, hash_of, read, write
+from clothbench.recordings.codec import read, write
 from clothbench.recordings.layout import Arrays, Layout, Part, Stated, Variable
 from clothbench.recordings.nodes_rules import check_clock
 from clothbench.recordings.rig import (
     GRIPS,
     TEXTS,
+    RawRecording,
     camera_attributes,
     check_grips,
     check_jumps,
@@ -92,44 +91,22 @@ LAYOUT = Layout(
 )
 
 
-@dataclass(frozen=True, eq=False)
-class DepthImages:
+@dataclass(frozen=True, eq=False, kw_only=True)
+class DepthImages(RawRecording):
     """What a depth camera saw of one run. Arrays are read-only; all SI, world frame, z up.
 
-    time: (T,) s; depth: (T, H, W), whole numbers of `depth_step` [m], 0 where nothing was measured; camera: of the
-    depth, whose pixels the colour shares; cloth_width, cloth_height: m; colour, grips: None where they are not known.
+    depth: (T, H, W), whole numbers of `depth_step` [m], 0 where nothing was measured; camera: of the
+    depth, whose pixels the colour shares; colour: None where it is not known.
     """
 
-    name: str
-    time: np.ndarray
     depth: np.ndarray
     depth_step: float
     camera: Camera
-    cloth_width: float
-    cloth_height: float
     colour: Colour | None = None
-    grips: GripPath | None = None
-    areal_density: float = math.nan
-    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
-    fabric: str = ""
-    sensor: str = ""
-    source: str = ""
-    licence: str = ""
-    declared_effects: str = ""
-    motion: str = ""
-    split: str = ""
-    notes: dict[str, str] = field(default_factory=dict)
-    path: str = field(default="", compare=False)
-    kind: ClassVar[str] = "depth"
+    layout: ClassVar[Layout] = LAYOUT
 
-    def __post_init__(self) -> None:
-        freeze(self, LAYOUT)
-        _check(self, self.path or self.name)
-
-    @property
-    def hash(self) -> str:
-        """SHA-256 over everything measured and stated, whatever the file's encoding."""
-        return hash_of(self, LAYOUT)
+    def check(self, where: str) -> None:
+        _check(self, where)
 
     def metres(self, frame: int) -> np.ndarray:
         """Depth (H, W) m of a frame, NaN where nothing was measured."""

@@ -3,21 +3,68 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
 from clothbench.core.camera import LENSES, Camera
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import GripPath
-from clothbench.recordings.layout import SPLITS, Arrays, Part, Stated, Variable
+from clothbench.recordings.codec import freeze, hash_of
+from clothbench.recordings.layout import SPLITS, Arrays, Layout, Part, Stated, Variable
 from clothbench.recordings.nodes_rules import check_clock, check_overlap, check_points
 from clothbench.recordings.video import lens_of, numbers_of, text_of
 
 TEXTS = ("name", "fabric", "sensor", "source", "licence", "declared_effects", "motion", "split")
 HEADER = (*TEXTS, "cloth_width", "cloth_height", "areal_density", "gravity")  # what every raw recording states
 JUMP = 8.0  # times the usual time between frames beyond which stamps have jumped
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class RawRecording:
+    """What recordings of images of one run have in common, whatever took them. Arrays are read-only; all SI.
+
+    time: (T,) s; cloth_width, cloth_height: m; grips: None where they are not known; areal_density: kg/m² (NaN = not
+    known); gravity: (3,) m/s². `path` is where it was read from, not part of its identity.
+    """
+
+    name: str
+    time: np.ndarray
+    cloth_width: float
+    cloth_height: float
+    grips: GripPath | None = None
+    areal_density: float = math.nan
+    gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    fabric: str = ""
+    sensor: str = ""
+    source: str = ""
+    licence: str = ""
+    declared_effects: str = ""
+    motion: str = ""
+    split: str = ""
+    notes: dict[str, str] = field(default_factory=dict)
+    path: str = field(default="", compare=False)
+    layout: ClassVar[Layout]
+
+    def __post_init__(self) -> None:
+        freeze(self, self.layout)
+        self.check(self.path or self.name)
+
+    def check(self, where: str) -> None:
+        """Every rule of the kind, in the order in which a reader would trip over it."""
+        raise NotImplementedError
+
+    @property
+    def kind(self) -> str:
+        """As its header states it."""
+        return self.layout.kind
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 over everything measured and stated, whatever the file's encoding."""
+        return hash_of(self, self.layout)
 
 
 def pack_camera(camera: Camera, prefix: str = "camera") -> tuple[Arrays, Stated]:
@@ -69,7 +116,7 @@ def check_jumps(time: np.ndarray, name: str, where: str) -> None:
         )
 
 
-def check_grips(r: Any, where: str) -> None:
+def check_grips(r: RawRecording, where: str) -> None:
     """The grips of a raw recording, if it states any: whole, on the cloth, and at the times of the frames."""
     grips = r.grips
     if grips is None:
@@ -84,7 +131,7 @@ def check_grips(r: Any, where: str) -> None:
     check_overlap(r.time, grips.time, where)
 
 
-def check_stated(r: Any, where: str, lengths: tuple[str, ...] = ("cloth_width", "cloth_height")) -> None:
+def check_stated(r: RawRecording, where: str, lengths: tuple[str, ...] = ("cloth_width", "cloth_height")) -> None:
     """The header of a raw recording; lengths: attributes [m] that have to be above 0."""
     if not r.name:
         raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")

@@ -12,7 +12,7 @@ from clothbench.recordings.nodes import Recording
 from clothbench.recordings.rig import HEADER
 from clothbench.recordings.video import text_of
 
-Images = DepthImages | ColourVideo
+Images = DepthImages | ColourVideo  # what trackers make nodes of
 EYE = "camera_place"  # note: where the camera stood, m
 
 

@@ -108,7 +108,7 @@ def striped(
 def projector_rows(projector: Projector, points: np.ndarray) -> np.ndarray:
     """(row · w, w) of world points (M, 3) m, both linear in space, so that triangles interpolate them exactly."""
     lens = projector.lens
-    seen = points @ lens.rotation.T + lens.translation
+    seen = lens.in_view(points)
     return np.stack([seen @ lens.matrix[1], seen[:, 2]], axis=1)
 
 

@@ -8,6 +8,7 @@ import numpy as np
 
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
+from clothbench.vision.depth_camera import to_world
 
 CONTRAST = 0.03  # of a keypoint, of full scale: softer prints count too (OpenCV's usual is 0.04)
 RATIO = 0.8  # Lowe's: how much nearer the best descriptor has to be than the second best
@@ -186,7 +187,7 @@ def first_view(
     own = np.array([[0.0, 0, 0], [1.0, 0, 0], [0.0, 0, -1.0]])
     if not placed or camera is None:
         return FirstView(seen, own[0], own[1], own[2])
-    at = (own @ seen.rotation.T + seen.translation - camera.translation) @ camera.rotation
+    at = to_world(seen.in_view(own), camera)
     return FirstView(camera, at[0], at[1] - at[0], at[2] - at[0])
 
 

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.core.observation import Observation
 from clothbench.core.optional import ShowsSteps
 from clothbench.core.protocols import Metric, Score
 from clothbench.core.rollout import Rollout
@@ -20,6 +21,7 @@ from clothbench.estimation.trials import score_of
 from clothbench.recordings.colour_video import ColourVideo
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
+from clothbench.recordings.tracked import Images
 from clothbench.studies.calibration.analysis import analyse, starts_of, truth_of
 from clothbench.studies.calibration.cell import Bench, CalibrationCell, set_up
 from clothbench.studies.calibration.frames import at_most, write_frames
@@ -58,8 +60,9 @@ def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
     def attach(folder: Path) -> None:
         from clothbench.studies.calibration.rerun_file import write_rerun
 
-        write_pictures(folder / PICTURES, bench, context)
         raw, seen = read_sheet(bench.cell.recordings[0].path), bench.trials[0].observation
+        if not isinstance(raw, Recording):
+            write_pictures(folder / PICTURES, raw, seen, bench.cell, context)
         if isinstance(raw, ColourVideo) and seen.sight is not None:
             write_frames(folder / FRAMES, raw.frames(), seen, rollouts[0])
         if context.rerun:
@@ -68,14 +71,12 @@ def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
     return Result(fit.status, tables, attach)
 
 
-def write_pictures(folder: Path, bench: Bench, context: Context) -> None:
-    """What the tracker's steps make of the middle frame of the first recording, where it has images and shows them."""
+def write_pictures(folder: Path, raw: Images, seen: Observation, cell: CalibrationCell, context: Context) -> None:
+    """What the tracker's steps make of the middle frame of a recording of images, where it shows them."""
     import cv2
 
-    cell = bench.cell
     tracker = context.plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
-    raw, seen = read_sheet(cell.recordings[0].path), bench.trials[0].observation
-    if isinstance(raw, Recording) or not isinstance(tracker, ShowsSteps):
+    if not isinstance(tracker, ShowsSteps):
         return
     folder.mkdir()
     for number, (name, picture) in enumerate(tracker.pictures(raw, len(raw.time) // 2, seen).items()):

@@ -9,12 +9,11 @@ The tables (`improve.schema`) lie beside them in a cell, and in FOLDER/tables wh
 
 from __future__ import annotations
 
-import re
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from clothbench.core.files import whole_files
+from clothbench.core.files import file_name, whole_files
 from clothbench.studies.improve.document import VERDICT, json_text, verdict_document
 from clothbench.studies.improve.evidence import Comparison, Rows
 from clothbench.studies.improve.finding import Finding
@@ -65,8 +64,3 @@ def file_names(comparisons: Sequence[Comparison]) -> list[str]:
         name = file_name(one.case.name)
         out.append(name if name not in out else f"{name}-{len(out) + 1}")
     return out
-
-
-def file_name(recording: str) -> str:
-    """ "case/swing 3" → "case_swing_3" """
-    return re.sub(r"[^\w.-]+", "_", recording).lstrip(".") or "recording"

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from clothbench import Camera, Parameter, ParameterSpace
+from clothbench import Camera, Parameter, ParameterSpace, to_world
 
 
 class LensDistortion:
@@ -24,8 +24,8 @@ class LensDistortion:
     def sights(self, time: np.ndarray, position: np.ndarray, camera: Camera, phi: np.ndarray) -> np.ndarray:
         if phi[0] == 0.0:
             return position
-        seen = position @ camera.rotation.T + camera.translation
+        seen = camera.in_view(position)
         flat = seen[..., :2] / seen[..., 2:]
         bent = flat * (1 + phi[0] * (flat**2).sum(axis=-1, keepdims=True))
         there = np.concatenate([bent * seen[..., 2:], seen[..., 2:]], axis=-1)
-        return (there - camera.translation) @ camera.rotation
+        return to_world(there, camera)

@@ -139,7 +139,7 @@ class DepthMesh:
         near, far = self.near, self.far
         if (near is None or far is None) and images.grips is not None:
             grips = held_at(images, images.time[frame : frame + 1])[0]
-            away = (grips @ images.camera.rotation.T + images.camera.translation)[:, 2]
+            away = images.camera.in_view(grips)[:, 2]
             reach = TALL * images.cloth_height
             near = float(away.min()) - reach if near is None else near
             far = float(away.max()) + reach if far is None else far

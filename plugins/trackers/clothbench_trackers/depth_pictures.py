@@ -17,24 +17,29 @@ def of_steps(
     images: DepthImages, frame: int, masks: Mapping[str, np.ndarray], seen: Observation, mesh: tuple[int, int]
 ) -> dict[str, np.ndarray]:
     """Pictures (H, W, 3) uint8 by the step's name: what the camera saw, what each mask leaves of it, and the mesh."""
-    import cv2
-
     depth = coloured(images.metres(frame), next(iter(masks.values())))
     camera = images.colour.frame[frame] if images.colour is not None else depth
     out = {"colour": camera, "depth": depth} if images.colour is not None else {"depth": depth}
     for name, mask in masks.items():
         out[f"after {name}"] = np.where(mask[..., None], camera, (DIMMED * camera).astype(np.uint8))
     out = {name: np.repeat(np.repeat(picture, LARGE, axis=0), LARGE, axis=1) for name, picture in out.items()}
-    drawn = next(iter(out.values())).copy()
     now = int(np.argmin(np.abs(seen.time - images.time[frame])))
     pixel = images.camera.project(np.nan_to_num(seen.position[now]))[0] * LARGE + (LARGE - 1) / 2
-    node = np.arange(len(pixel)).reshape(mesh[::-1])
-    pairs = [(node[:, :-1], node[:, 1:]), (node[:-1], node[1:])]
-    for a, b in (ends for first, last in pairs for ends in zip(first.ravel(), last.ravel(), strict=True)):
-        if seen.visible[now, a] and seen.visible[now, b]:
-            ends = [tuple(int(c) for c in np.round(pixel[k])) for k in (a, b)]
-            cv2.line(drawn, ends[0], ends[1], MESH, 1, cv2.LINE_AA)
-    return {**out, "mesh": drawn}
+    return {**out, "mesh": with_mesh(next(iter(out.values())), mesh, pixel, seen.visible[now], MESH)}
+
+
+def with_mesh(
+    picture: np.ndarray, mesh: tuple[int, int], pixel: np.ndarray, seen: np.ndarray, colour: tuple[int, int, int]
+) -> np.ndarray:
+    """A picture (H, W, 3) with lines between neighbours of a mesh (along u, along v) of nodes (N, 2) px, both seen."""
+    import cv2
+
+    out, node = np.ascontiguousarray(picture).copy(), np.arange(len(pixel)).reshape(mesh[::-1])
+    for first, last in ((node[:, :-1], node[:, 1:]), (node[:-1], node[1:])):
+        both = seen[first] & seen[last]
+        lines = np.stack([pixel[first[both]], pixel[last[both]]], axis=1)
+        cv2.polylines(out, list(np.round(lines).astype(np.int32)), False, colour, 1, cv2.LINE_AA)
+    return out
 
 
 def coloured(depth: np.ndarray, sheet: np.ndarray) -> np.ndarray:

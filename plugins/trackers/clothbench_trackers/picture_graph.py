@@ -30,12 +30,14 @@ from clothbench import (
     to_template,
 )
 from clothbench_trackers.depth_mesh import trembling
+from clothbench_trackers.depth_pictures import with_mesh
 
 CORNER_CELLS = 6.0  # from a corner to the nodes that say where it is
 LEAST_NODES = 6  # of them, below which a corner is not known in a frame
 SMOOTH = 7  # frames over which a grip's path is smoothed by a parabola: hands do not shake at 10 Hz
 LOOSE = 0.06  # of the width, by which hands in the first frame may be nearer or farther than it
 GRIPS = ("corners", "marks")
+GRAPH = (40, 90, 220)
 TEXTURE = 1e-3  # least eigenvalue of the gradients' matrix, per pixel and (grey/255)²: below it, a patch is plain
 
 
@@ -290,14 +292,7 @@ def drawn(frame: np.ndarray, mesh: tuple[int, int], pixel: np.ndarray, seen: np.
     """The graph (N, 2) px over a frame (H, W, 3): lines between neighbours that are seen, a dot for each node."""
     import cv2
 
-    out, (nu, nv) = np.ascontiguousarray(frame).copy(), mesh
-    place, there = np.nan_to_num(pixel).reshape(nv, nu, 2), seen.reshape(nv, nu)
-    for a, b, ok in (
-        (place[:, :-1], place[:, 1:], there[:, :-1] & there[:, 1:]),
-        (place[:-1], place[1:], there[:-1] & there[1:]),
-    ):
-        lines = np.stack([a[ok], b[ok]], axis=1)
-        cv2.polylines(out, list(np.round(lines).astype(np.int32)), False, (40, 90, 220), 1, cv2.LINE_AA)
-    for x, y in place[there]:
-        cv2.circle(out, (round(float(x)), round(float(y))), 3, (40, 90, 220), -1, cv2.LINE_AA)
+    out = with_mesh(frame, mesh, np.nan_to_num(pixel), seen, GRAPH)
+    for x, y in pixel[seen]:
+        cv2.circle(out, (round(float(x)), round(float(y))), 3, GRAPH, -1, cv2.LINE_AA)
     return out
