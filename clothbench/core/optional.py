@@ -26,7 +26,7 @@ from clothbench.core.observation import Observation
 from clothbench.core.protocols import Material, Model
 from clothbench.core.scene import Scene
 
-TRACKED_KINDS = frozenset({"nodes", "depth", "video"})  # of recordings that a sheet can be tracked in
+TRACKED_KINDS = frozenset({"nodes", "depth", "video", "silhouette"})  # of recordings that a sheet can be tracked in
 MODEL_KINDS = ("explicit", "implicit", "static", "")
 
 # --- of any plugin --------------------------------------------------------------------------------------------------
@@ -163,6 +163,9 @@ def why_skipped(model: Any, scene: Scene) -> str | None:
     """Why a model cannot simulate a scene, by its capabilities or if it says so."""
     if scene.velocity is not None and "moving_start" not in model.capabilities:
         return "the model starts from rest only, and the scene (scene.start=measured) from a motion that was seen"
+    clamped = any(o.clamps for o in scene.obstacles)
+    if (scene.outline is not None or clamped) and "outline" not in model.capabilities:
+        return "the model simulates whole rectangles held by grips, and the scene has a cut or a clamped cloth"
     return model.skip(scene) if isinstance(model, RefusesScenes) else None
 
 
@@ -273,7 +276,7 @@ class ShowsSteps(Protocol):
 
 @runtime_checkable
 class ReadsKinds(Protocol):
-    """kinds: of recordings that a tracker reads: "nodes", "depth", "video". Without it: "nodes"."""
+    """kinds: of recordings that a tracker reads: "nodes", "depth", "video", "silhouette". Without it: "nodes"."""
 
     kinds: frozenset[str]
 

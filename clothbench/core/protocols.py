@@ -77,13 +77,14 @@ class Model(Protocol):
     capabilities: "dynamic" (moves), "static" (finds rest), "effects" (takes them), "contact" (keeps out of the
     scene's obstacles), "self_contact" (keeps the scene's `thickness` between its own layers), "curve" (answers
     force-extension curves; with that alone, `prepare` refuses every scene), "fold" (folds strips on a desk, and says
-    with which forces), "moving_start" (goes on from the motion that a scene states, instead of from rest).
+    with which forces), "moving_start" (goes on from the motion that a scene states, instead of from rest),
+    "outline" (cuts its mesh along the scene's outline, and holds what a disc clamps).
     """
 
     name: ClassVar[str]
     version: ClassVar[int]
     parameters: ParameterSpace
-    capabilities: ClassVar[frozenset[str]]  # of the eight above
+    capabilities: ClassVar[frozenset[str]]  # of the nine above
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> Simulation: ...
 

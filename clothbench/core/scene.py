@@ -9,6 +9,7 @@ import numpy as np
 
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.outline import checked_outline
 
 AIR_DENSITY = 1.2  # kg/m³, dry air at 20 °C
 
@@ -22,7 +23,8 @@ class Obstacle:
 
     shape: "plane" (half-space below `centre`, against `normal`), "disc" (flat, `radius` about `centre`, infinitely
     thick against `normal`: a pedestal) or "sphere"; centre: (3,) m; normal: (3,), unit, outwards, of plane and disc;
-    radius: m, of disc and sphere; friction: Coulomb's coefficient.
+    radius: m, of disc and sphere; friction: Coulomb's coefficient; clamps: of a disc only, the part of the cloth that
+    lies on it when the run begins is pressed onto it and does not move, as a drapemeter's two plates hold it.
     """
 
     shape: str
@@ -30,6 +32,7 @@ class Obstacle:
     normal: tuple[float, float, float] = (0.0, 0.0, 1.0)
     radius: float = math.inf
     friction: float = 0.0
+    clamps: bool = False
 
     def __post_init__(self) -> None:
         if self.shape not in SHAPES:
@@ -41,6 +44,8 @@ class Obstacle:
         length = math.hypot(*self.normal)
         if not (math.isfinite(length) and length > 0):
             raise ClothbenchError(f"obstacle: normal is {self.normal}, expected a direction")
+        if self.clamps and self.shape != "disc":
+            raise ClothbenchError(f"obstacle: a {self.shape} cannot clamp the cloth; only a disc can")
         object.__setattr__(self, "normal", tuple(c / length for c in self.normal))
 
 
@@ -54,9 +59,10 @@ class Scene:
     where the points were first seen (NaN = unknown): it tells a model which of several resting shapes the cloth hung
     in; velocity: (N, 3) m/s, how fast the points were at times[0] (NaN = unknown), or None; obstacles: what it cannot
     enter; thickness: m, how far apart its own layers stay (0: they pass through each other); camera: the one in whose
-    picture the points are looked for, or None. The cloth rests, settled, in the grips' first pose when the run
-    begins; with no grips it starts from `start`, or flat, at rest. With a `velocity` it does not settle: at times[0]
-    it goes on from `start` as it was seen to move (models of the capability "moving_start").
+    picture the points are looked for, or None; outline: (M, 2) m, corners of the simple polygon that the sheet has been
+    cut to, or None for the whole rectangle. The cloth rests, settled, in the grips' first pose when the run begins, or
+    on the disc that clamps it; held by neither it starts from `start`, or flat, at rest. With a `velocity` it does not
+    settle: at times[0] it goes on from `start` as it was seen to move (models of the capability "moving_start").
     """
 
     width: float
@@ -75,6 +81,7 @@ class Scene:
     thickness: float = 0.0
     velocity: np.ndarray | None = None
     camera: Camera | None = None
+    outline: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         for name in ("grip_time", "grip_material", "grip_position", "times", "points", "start", "velocity"):
@@ -90,6 +97,10 @@ class Scene:
             raise ClothbenchError("scene: times must be a strictly increasing list of seconds")
         if not (math.isfinite(self.thickness) and self.thickness >= 0):
             raise ClothbenchError(f"scene: thickness is {self.thickness}, expected metres, 0 or above")
+        if self.outline is not None:
+            outline = checked_outline(self.outline, self.width, self.height)
+            outline.flags.writeable = False
+            object.__setattr__(self, "outline", outline)
         if self.resolution is not None and min(self.resolution) < 3:
             raise ClothbenchError(f"scene: resolution is {self.resolution}, expected at least 3 nodes each way")
 
@@ -127,8 +138,8 @@ class Scene:
 def initial_shape(scene: Scene, uv: np.ndarray) -> np.ndarray:
     """A first guess for material points `uv` (n, 2) m → (n, 3) m, from which a model settles to rest.
 
-    The flat sheet hung from its grips (or lying flat where nothing holds it), bent towards where the points were
-    first seen. Smooth, so that a fine mesh is not shaken by the noise of single nodes.
+    The flat sheet hung from its grips, laid on the disc that clamps it, or flat where nothing holds it, bent towards
+    where the points were first seen. Smooth, so that a fine mesh is not shaken by the noise of single nodes.
     """
     hung = _hung_flat(scene, uv)
     if scene.start is None:
@@ -172,10 +183,23 @@ def _hung_flat(scene: Scene, uv: np.ndarray) -> np.ndarray:
     down = gravity / np.linalg.norm(gravity) if np.linalg.norm(gravity) > 0 else np.array([0.0, 0.0, -1.0])
     held, at = scene.grip_material, scene.grip_position[0] if scene.grip_material.size else np.zeros((0, 3))
     across = _across(held, at, down)
+    if len(held) == 0 and (disc := next((o for o in scene.obstacles if o.clamps), None)) is not None:
+        return _laid_on(disc, uv - np.array([scene.width, scene.height]) / 2)
     if len(held) == 0:
         return uv[:, :1] * across + uv[:, 1:] * down
     centre_uv, centre = held.mean(axis=0), at.mean(axis=0)
     return centre + (uv[:, :1] - centre_uv[0]) * across + (uv[:, 1:] - centre_uv[1]) * down
+
+
+def _laid_on(disc: Obstacle, middle: np.ndarray) -> np.ndarray:
+    """Material points (n, 2) m from the sheet's middle, laid flat on a disc, which bears the middle: u to the right as
+    seen from above with the y axis upwards, v down.
+    """
+    normal = np.array(disc.normal)
+    helper = np.array([0.0, 1.0, 0.0]) if abs(normal[1]) < 0.9 else np.array([0.0, 0.0, -1.0])
+    right = np.cross(helper, normal)
+    right /= np.linalg.norm(right)
+    return np.array(disc.centre) + middle[:, :1] * right - middle[:, 1:] * np.cross(normal, right)
 
 
 def _across(held: np.ndarray, at: np.ndarray, down: np.ndarray) -> np.ndarray:

@@ -1,11 +1,11 @@
 """For authors of models and effects: what the built-in ones share, public and documented.
 
 compiled code, cached by the content of its sources: kernel, fast_kernel, effect_kernel, bundle_type
-the sheet as compiled code sees it: Sheet, SHEET (its numba type), sheet_of, own_sheet, grid_normals, wants_normals,
-    bear_inertia
+the sheet as compiled code sees it: Sheet, SHEET (its numba type), sheet_of, own_sheet, grid_normals, sheet_normals,
+    wants_normals, bear_inertia
 meshes: grid_triangles, gradient_weights, curvature_weights, triangle_slots
-a grid over a scene, and a batch of parameter sets on it: grid_shape, grid_lines, even_count, tributary, GridSimulation,
-    GridBatch, check_resolution, check_number
+a grid over a scene, cut to its outline, and a batch of parameter sets on it: Cover, spaces, grid_shape, grid_lines,
+    even_count, tributary, GridSimulation, GridBatch, check_resolution, check_number
 parameters of a model and its effects in one space: JoinedParameters
 effects in a time loop: BoundEffects, EFFECT (their numba type), Terms, SLOTS, FORCE, INERTIA, no_effect, ready,
     add_effects, apply_effects, show_grips
@@ -23,6 +23,7 @@ from clothbench.core.scene import initial_shape
 from clothbench.modelling.batch import GridBatch, GridSimulation
 from clothbench.modelling.bound_effects import FORCE, INERTIA, PLACES, BoundEffects
 from clothbench.modelling.contact import DISC, PLANE, SPHERE, inside, keep_out, obstacle_table
+from clothbench.modelling.cover import Cover, spaces
 from clothbench.modelling.curves import (
     CURVE_HOOKS,
     SHEET_HOOKS,
@@ -39,7 +40,16 @@ from clothbench.modelling.joined import JoinedParameters
 from clothbench.modelling.kernels import EFFECT, SIGNATURE, effect_kernel, no_effect, ready
 from clothbench.modelling.mesh import curvature_weights, gradient_weights, grid_triangles, triangle_slots
 from clothbench.modelling.self_contact import LAYERS, Layers, keep_apart, layers_of
-from clothbench.modelling.sheet import SHEET, Sheet, bear_inertia, grid_normals, own_sheet, sheet_of, wants_normals
+from clothbench.modelling.sheet import (
+    SHEET,
+    Sheet,
+    bear_inertia,
+    grid_normals,
+    own_sheet,
+    sheet_normals,
+    sheet_of,
+    wants_normals,
+)
 from clothbench.modelling.time_loop import (
     CLOCK,
     DIVERGED,
@@ -97,6 +107,7 @@ __all__ = [
     "TERMS_OF_MANY",
     "BoundEffects",
     "Clock",
+    "Cover",
     "CurveRollout",
     "CurveSimulation",
     "GridBatch",
@@ -147,8 +158,10 @@ __all__ = [
     "own_sheet",
     "put_grips",
     "ready",
+    "sheet_normals",
     "sheet_of",
     "show_grips",
+    "spaces",
     "triangle_slots",
     "tributary",
     "wants_normals",

@@ -12,17 +12,18 @@ from clothbench.modelling.mesh import curvature_weights, gradient_weights, trian
 
 Sheet = namedtuple(
     "Sheet",
-    "uv mass area normal triangles gradient face_area patch curvature gravity air_density held grip columns "
+    "uv mass area normal triangles gradient face_area patch curvature gravity air_density held gripped grip columns "
     "spacing slots",
 )
 Sheet.__doc__ = """The cloth as an effect sees it; `sheet_of` makes one from any mesh of triangles.
 
-uv: (n, 2) m, rest coordinates; mass: (n,) kg and area: (n,) m² of each node; normal: (3, n), unit, at this step;
-triangles: (F, 3), node numbers; face_area: (F,) m², at rest;
+uv: (n, 2) m, rest coordinates; mass: (n,) kg and area: (n,) m² of each node, 0 where there is no cloth; normal:
+(3, n), unit, at this step; triangles: (F, 3), node numbers; face_area: (F,) m², of cloth in each at rest;
 gradient: (F, 2, 3) 1/m, ∂/∂u and ∂/∂v over a triangle as weights of its corners;
 patch: (F, 6), the corners, then the node beyond the edge opposite to each corner (a corner again at the border);
 curvature: (F, 3, 6) 1/m², ∂²/∂u², ∂²/∂v² and ∂²/∂u∂v as weights of the patch (see `curvature_weights`);
-gravity: (3,) m/s²; air_density: kg/m³; held: (G,), the node on each grip; grip: (3, G) m, where the grips are;
+gravity: (3,) m/s²; air_density: kg/m³; held: (G + S,), the node on each grip, then those that never move, off the cloth
+or clamped; gripped: G; grip: (3, G + S) m, where they are;
 columns, spacing, slots: for loops over all triangles at once, see `triangle_slots`.
 """
 
@@ -44,6 +45,7 @@ SHEET = bundle_type(
     VECTOR,
     types.float64,
     types.int64[::1],
+    types.int64,
     ROWS,
     types.int64,
     ROWS,
@@ -52,20 +54,24 @@ SHEET = bundle_type(
 
 
 def sheet_of(
-    uv: np.ndarray, mass: np.ndarray, area: np.ndarray, triangles: np.ndarray, gravity, air_density: float, held=()
-) -> Sheet:
+    uv: np.ndarray, mass: np.ndarray, area: np.ndarray, triangles: np.ndarray, gravity, air_density: float, held=(),
+    still=(), share: np.ndarray | None = None,
+) -> Sheet:  # fmt: skip
     """The `Sheet` of a mesh of triangles, for compiled loops; normals are zero until a loop fills them.
 
-    uv: (n, 2) m; mass: (n,) kg; area: (n,) m²; triangles: (F, 3); held: (G,) nodes. A loop on another
+    uv: (n, 2) m; mass: (n,) kg; area: (n,) m²; triangles: (F, 3); held: (G,) nodes on the grips; still: (S,) nodes that
+    never move; share: (F,), of each triangle that is cloth, None for all. A loop on another
     thread needs a copy with arrays of its own where it writes: `own_sheet(sheet)`.
     """
     gradient, face_area = gradient_weights(uv, triangles)
     patch, curvature = curvature_weights(uv, triangles, gradient, face_area)
-    columns, spacing, slots = triangle_slots(uv, triangles, face_area)
+    cloth = face_area if share is None else face_area * share
+    columns, spacing, slots = triangle_slots(uv, triangles, cloth)
+    never = np.concatenate([np.array(held, dtype=np.int64), np.array(still, dtype=np.int64)])
     return Sheet(
         np.ascontiguousarray(uv, dtype=float), np.array(mass, dtype=float), np.array(area, dtype=float),
-        np.zeros((3, len(uv))), np.ascontiguousarray(triangles, dtype=np.int64), gradient, face_area, patch, curvature,
-        np.array(gravity, dtype=float), float(air_density), np.array(held, dtype=np.int64), np.zeros((3, len(held))),
+        np.zeros((3, len(uv))), np.ascontiguousarray(triangles, dtype=np.int64), gradient, cloth, patch, curvature,
+        np.array(gravity, dtype=float), float(air_density), never, len(held), np.zeros((3, len(never))),
         columns, spacing, slots,
     )  # fmt: skip
 
@@ -102,6 +108,31 @@ def grid_normals(x, nu, normal):
     for j in range(1, n // nu - 1):
         _border_normal(x, nu, j * nu, normal)
         _border_normal(x, nu, j * nu + nu - 1, normal)
+
+
+@kernel
+def sheet_normals(x, nu, sheet):
+    """Fill `sheet.normal` for the shape x (3, n) m of a grid with nu nodes a row: `grid_normals` of a whole one; of one
+    cut along an outline the mean over the triangles around a node, weighed by their area.
+    """
+    if sheet.columns > 0:
+        grid_normals(x, nu, sheet.normal)
+        return
+    normal, triangles = sheet.normal, sheet.triangles
+    normal[:] = 0.0
+    for f in range(triangles.shape[0]):
+        a, b, c = triangles[f, 0], triangles[f, 1], triangles[f, 2]
+        px, py, pz = x[0, c] - x[0, a], x[1, c] - x[1, a], x[2, c] - x[2, a]
+        qx, qy, qz = x[0, b] - x[0, a], x[1, b] - x[1, a], x[2, b] - x[2, a]
+        nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
+        for k in range(3):
+            normal[0, triangles[f, k]] += nx
+            normal[1, triangles[f, k]] += ny
+            normal[2, triangles[f, k]] += nz
+    for i in range(x.shape[1]):
+        size = 1.0 / np.sqrt(normal[0, i] ** 2 + normal[1, i] ** 2 + normal[2, i] ** 2 + 1e-60)
+        for c in range(3):
+            normal[c, i] *= size
 
 
 @kernel

@@ -10,7 +10,7 @@ from numba.extending import overload
 
 from clothbench.core.kernels import bundle_type, kernel
 from clothbench.modelling.bound_effects import FORCE
-from clothbench.modelling.sheet import grid_normals, wants_normals
+from clothbench.modelling.sheet import sheet_normals, wants_normals
 
 SLOTS = 8  # places for dynamics effects in a loop
 OK, DIVERGED = 0, 1
@@ -131,7 +131,7 @@ def add_effects(t, dt, x, v, f, nu, sheet, effects, terms, grips, segment, extra
     if terms.count == 0:
         return False
     if wants_normals(sheet):
-        grid_normals(x, nu, sheet.normal)
+        sheet_normals(x, nu, sheet)
     show_grips(sheet, grips.knots, grips.curve, t, segment)
     return apply_effects(
         effects, terms.stages, terms.count, t, dt, x, v, f, extra, sheet, terms.parameters, terms.state

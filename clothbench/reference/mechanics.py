@@ -164,3 +164,24 @@ def catenary_sag(length: float, span: float, weight: float, stiffness: float = m
     pull = math.exp(brentq(excess, math.log(1e-9 * weight * length), math.log(1e9 * weight * length), xtol=1e-14))
     a = weight * length / (2 * pull)
     return pull / weight * (math.sqrt(1 + a**2) - 1) + weight * length**2 / (8 * stiffness)
+
+
+def clamped_annulus_sag(inner: float, outer: float, load: float) -> float:
+    """How far the rim of a flat ring sags under its own weight, clamped at `inner` m and free at `outer` m, where it
+    sags by little [m]. load: weight per area over bending rigidity [1/m³]; no cross contraction.
+
+    Timoshenko and Woinowsky-Krieger 1959, Theory of Plates and Shells, section 17: w = q r⁴/64D + c₀ + c₁ r² + c₂ ln r
+    + c₃ r² ln r with w = w' = 0 at the clamp, and neither moment nor shear at the rim.
+    """
+    a, b = inner, outer
+    rows = np.array(
+        [
+            [1.0, a**2, np.log(a), a**2 * np.log(a)],
+            [0.0, 2 * a, 1 / a, 2 * a * np.log(a) + a],
+            [0.0, 2.0, -1 / b**2, 2 * np.log(b) + 3.0],  # w'' = 0 where ν = 0
+            [0.0, 0.0, 0.0, 4 / b],  # (∇²w)' = 0
+        ]
+    )
+    right = -load * np.array([a**4 / 64, a**3 / 16, 3 * b**2 / 16, b / 2])
+    constant = np.linalg.solve(rows, right)
+    return float(load * b**4 / 64 + constant @ np.array([1.0, b**2, np.log(b), b**2 * np.log(b)]))

@@ -41,7 +41,9 @@ from clothbench.testing.rules import (
     run_rules,
 )
 
-CAPABILITIES = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "curve", "fold", "moving_start"})
+CAPABILITIES = frozenset(
+    {"dynamic", "static", "effects", "contact", "self_contact", "curve", "fold", "moving_start", "outline"}
+)
 CLOTH = Material(bending=1e-6, stretch=100.0, shear=50.0)
 STEPS_TO_TRY = 1e-3 * 2.0 ** np.arange(9)  # s, from fine to hopeless
 

@@ -21,6 +21,8 @@ RESTS = 5e-4  # m within half a second: less than a good tracker tells from nois
 SHRINKS = 0.8  # of the difference that the step before made; first order would be 0.5
 CONVERGED = 1e-6  # m
 THROWN, SOON = (0.6, -0.4, 1.2), 5e-3  # m/s, s: so soon that air hardly matters
+SAME_CUT = 5e-4  # m between the same sheet described in two ways
+HANGS = 2e-3  # m: what a rim 5 cm off its plate sags by at least
 THROWN_NEAR = 3e-3  # m: a smooth sheet is put through the points
 
 
@@ -174,6 +176,24 @@ def goes_on_from_a_motion(case: ModelCase) -> str | None:
     return None
 
 
+def cuts_along_the_outline(case: ModelCase) -> str | None:
+    """What is cut off neither weighs nor stiffens, and what a disc clamps stays on it while the rest hangs."""
+    if "outline" not in case.model.capabilities:
+        return "does not claim to cut its mesh along an outline"
+    cut, short = (case.run(scene, case.theta(0.5)).position[0, 0] for scene in scenes.cut_and_short())
+    away = float(np.linalg.norm(cut - short, axis=1).max())
+    require(away <= SAME_CUT, f"a sheet cut to 60 % {millimetres(away)} from one as short", "at most 0.5 mm")
+    scene = scenes.draped()
+    place = case.run(scene, case.theta(0.5)).position[0, 0] - np.array(scene.obstacles[0].centre)
+    on, rim = np.split(place, 2)
+    laid = np.column_stack([(scene.points[:24] - 0.12) * [1, -1], np.zeros(24)])
+    slid = float(np.linalg.norm(on - laid, axis=1).max())
+    require(slid <= RESTS, f"clamped cloth {millimetres(slid)} from where it was laid", "at most 0.5 mm")
+    fall = float(-rim[:, 2].mean())
+    require(fall > HANGS, f"a rim {millimetres(fall)} below its plate", "one that hangs, by 2 mm at least")
+    return None
+
+
 def _shared(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of the points looked at that are grips, and of the grips that they are."""
     shared = np.abs(scene.points[:, None] - scene.grip_material[None]).max(axis=2) < 1e-9
@@ -216,4 +236,5 @@ RULES = (
     respects_uneven_time_stamps,
     rests_when_held_still,
     goes_on_from_a_motion,
+    cuts_along_the_outline,
 )

@@ -11,7 +11,8 @@ import dataclasses
 import numpy as np
 
 from clothbench.core.camera import Camera
-from clothbench.core.scene import Scene
+from clothbench.core.outline import disc_outline
+from clothbench.core.scene import Obstacle, Scene
 
 WIDTH, HEIGHT, AREAL_DENSITY = 0.30, 0.25, 0.12  # m, m, kg/m²
 RESOLUTION = (7, 6)
@@ -55,6 +56,35 @@ def overhanging() -> Scene:
         width=WIDTH, height=HEIGHT, areal_density=AREAL_DENSITY,
         grip_time=times[[0, -1]], grip_material=held, grip_position=level,
         times=times, points=points, resolution=RESOLUTION, start=start, camera=CAMERA,
+    )  # fmt: skip
+
+
+def cut_and_short() -> tuple[Scene, Scene]:
+    """`overhanging` with two fifths along one side cut off, and the same as a narrower sheet with the nodes left."""
+    whole = overhanging()
+    height = 0.6 * HEIGHT  # a mesh line
+    above, held = (uv[:, 1] <= height + 1e-9 for uv in (whole.points, whole.grip_material))
+    assert whole.start is not None
+    cut = dataclasses.replace(
+        whole, points=whole.points[above], start=whole.start[above],
+        grip_material=whole.grip_material[held], grip_position=whole.grip_position[:, held],
+        outline=np.array([[0.0, 0.0], [WIDTH, 0.0], [WIDTH, height], [0.0, height]]),
+    )  # fmt: skip
+    return cut, dataclasses.replace(cut, height=height, outline=None, resolution=(RESOLUTION[0], 4))
+
+
+def draped() -> Scene:
+    """A disc of 0.24 m clamped on a plate of 0.14 m, a little bent already; seen on the plate and at the rim."""
+    turn = 2 * np.pi * np.arange(24) / 24
+    ring = np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    points = 0.12 + np.vstack([0.04 * ring, 0.12 * ring])
+    flat = (points - 0.12) * [1, -1]
+    start = np.column_stack([flat, np.repeat([0.0, 0.003], 24) * np.cos(2 * np.tile(turn, 2))])
+    return Scene(
+        width=0.24, height=0.24, areal_density=AREAL_DENSITY,
+        grip_time=np.array([0.0, 1.0]), grip_material=np.zeros((0, 2)), grip_position=np.zeros((2, 0, 3)),
+        times=np.array([0.0]), points=points, resolution=(13, 13), start=start + np.array([0.1, 0.2, 0.3]),
+        outline=disc_outline(0.12), obstacles=(Obstacle("disc", (0.1, 0.2, 0.3), radius=0.07, clamps=True),),
     )  # fmt: skip
 
 

@@ -223,6 +223,20 @@ class Standing(Faulty):
         return dataclasses.replace(scene, velocity=None)
 
 
+class Uncut(Faulty):
+    """Simulates the whole rectangle, whatever has been cut off."""
+
+    def scene(self, scene):
+        return dataclasses.replace(scene, outline=None)
+
+
+class Unclamped(Faulty):
+    """Lets the cloth slide on its plate."""
+
+    def behind(self, scene, theta, effects, rollout):
+        return shifted(rollout, 0.01 * bool(scene.obstacles))
+
+
 class Sleepwalking(Faulty):
     """Goes on sinking where it should rest."""
 
@@ -328,6 +342,8 @@ CASES = [
     (Unsteady, "converges with smaller steps", "on halving the step twice"),
     (Metronome, "respects uneven time stamps", "at the same moment of scene"),
     (Standing, "goes on from a motion", "a sheet thrown at 1.4 m/s that is"),
+    (Uncut, "cuts along the outline", "a sheet cut to 60 %"),
+    (Unclamped, "cuts along the outline", "clamped cloth 17"),
     (Sleepwalking, "rests when held still", "a sheet that moves by"),
 ]
 IDS = [f"{make.__name__}-{rule}" for make, rule, _ in CASES]

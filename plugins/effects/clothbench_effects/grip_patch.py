@@ -22,7 +22,7 @@ def take_hold(x, sheet, size, state):
     for face in range(sheet.triangles.shape[0]):
         for k in range(3):
             whole[sheet.triangles[face, k]] += sheet.face_area[face] / 3.0
-    for grip in range(sheet.held.shape[0]):
+    for grip in range(sheet.gripped):
         middle = sheet.uv[sheet.held[grip]]
         part[:] = 0.0
         for face in range(sheet.triangles.shape[0]):

@@ -20,6 +20,7 @@ from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSp
 from clothbench.modelling import (
     OK,
     BoundEffects,
+    Cover,
     GridBatch,
     GridSimulation,
     Sampling,
@@ -73,7 +74,7 @@ class BaraffWitkin:
     version = 1
     kind = "implicit"
     parameters = PARAMETERS
-    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start"})
+    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start", "outline"})
     repeatability = 1e-5  # m: what the tolerance of the linear solver leaves open
     bench_options: tuple[dict[str, str], ...] = ({}, {"integrator": "implicit_euler"})
 
@@ -115,7 +116,7 @@ class BaraffWitkinSimulation(GridSimulation):
 
     @cached_property
     def edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return triangle_edges(self.lines)
+        return triangle_edges(self.lines, self.cover)
 
     def run(self, theta: np.ndarray) -> Rollout:
         """Simulate theta (B, P): the nine parameters, then the effects'."""
@@ -151,22 +152,33 @@ class BaraffWitkinSimulation(GridSimulation):
         return int(result[0]), int(result[1])
 
 
-def triangle_edges(lines: tuple[np.ndarray, np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def triangle_edges(
+    lines: tuple[np.ndarray, np.ndarray], cover: Cover | None = None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What the compiled forces need of a grid with lines at u (nu,) and v (nv,) m.
 
     Rest lengths (2, P) m of u- and v-edges, 1/h (2, P) of the cells, and stiffness (3, P) of u-edges, v-edges and shear
-    for moduli of 1 N/m; P = the nodes and nu + 1 places before and after them.
+    for moduli of 1 N/m, of what of it is cloth; P = the nodes and nu + 1 places before and after them.
     """
     u, v = lines
     hu, hv = np.append(np.diff(u), 0.0), np.append(np.diff(v), 0.0)
     over_u, over_v = (np.divide(1, h, out=np.zeros_like(h), where=h > 0) for h in (hu, hv))
-    wide, high = tributary(u, u[-1]), tributary(v, v[-1])
+    high, wide, whole = edge_widths(lines, cover)
     ones = np.ones((len(v), len(u)))
     inside = ones * (hu > 0) * (hv > 0)[:, None]
     lengths = np.stack([ones * hu, ones * hv[:, None]])
-    stiffness = np.stack([np.outer(high, over_u), np.outer(over_v, wide), np.outer(hv, hu) / 2])
+    stiffness = np.stack([high * over_u, over_v[:, None] * wide, whole * np.outer(hv, hu) / 2])
     over = np.stack([inside * over_u, inside * over_v[:, None]])
     return tuple(padded(rows) for rows in (lengths, over, stiffness))  # type: ignore[return-value]
+
+
+def edge_widths(lines: tuple[np.ndarray, np.ndarray], cover: Cover | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The width of cloth that each node's u-edge and v-edge stand for (nv, nu) m; which share of its cell is cloth."""
+    u, v = lines
+    ones = np.ones((len(v), len(u)))
+    if cover is None:
+        return tributary(v, v[-1])[:, None] * ones, tributary(u, u[-1]) * ones, ones
+    return cover.widths(1, 0), cover.widths(0, 1), np.pad(cover.cells, ((0, 1), (0, 1)))
 
 
 def padded(rows: np.ndarray) -> np.ndarray:

@@ -23,12 +23,12 @@ from clothbench.modelling import (
     apply_effects,
     bear_inertia,
     bundle_type,
-    grid_normals,
     grip_speed,
     hold_grips,
     is_lost,
     keep_out,
     kernel,
+    sheet_normals,
     show_grips,
     wants_normals,
     write_frames,
@@ -134,7 +134,7 @@ def add_outer(t, dt, x, v, f, nu, air, sheet, effects, terms, state, extra, grip
             f[c, e] += sheet.mass[e] * g
     windy = air[0] != 0.0 or air[1] != 0.0
     if windy or (terms.count > 0 and wants_normals(sheet)):
-        grid_normals(x, nu, sheet.normal)
+        sheet_normals(x, nu, sheet)
     if windy:
         add_air(v, f, sheet.normal, sheet.area, air[0], air[1], air[2])
     if terms.count == 0:
@@ -182,7 +182,7 @@ def _march_implicit(
     settling, count, done, segment = pins.shape[0] > 0 and begins.settles, 0, 0, 0
     rounds, h, t, relax, moved_before = 0, 0.01, start, 1.0, np.inf
     if not settling:
-        step_before(x, v, dt, sheet.gravity, pins, x_old, v_old)
+        step_before(x, v, dt, sheet.gravity, sheet.mass, pins, x_old, v_old)
         done = write_frames(x, v, x, v, start, start, done, sampling, grips)
     while settling or done < frames:
         if settling:

@@ -64,11 +64,14 @@ def moved_on(x_bar, gamma, guess, q):
 
 
 @kernel
-def step_before(x, v, dt, gravity, pins, x_old, v_old):
+def step_before(x, v, dt, gravity, mass, pins, x_old, v_old):
     """The step before the first of a sheet that does not begin at rest in its grips: held, it moved as it does now; let
     go, on the parabola of its free fall.
     """
-    falls = 1.0 if pins.shape[0] == 0 else 0.0
+    falls = 1.0
+    for g in range(pins.shape[0]):
+        if mass[pins[g]] > 0.0:  # what is off the cloth holds nothing
+            falls = 0.0
     for c in range(3):
         for e in range(x.shape[1]):
             v_old[c, e] = v[c, e] - falls * dt * gravity[c]

@@ -25,11 +25,10 @@ from clothbench.modelling import (
     grid_shape,
     layers_of,
     obstacle_table,
-    tributary,
 )
 from clothbench_models import baraff_witkin_kernels as triangles
 from clothbench_models import inextensible_kernels as kernels
-from clothbench_models.baraff_witkin import padded, triangle_edges
+from clothbench_models.baraff_witkin import edge_widths, padded, triangle_edges
 from clothbench_models.bending import Diagonals, bending_matrix
 from clothbench_models.sheet_forces import CELLS
 
@@ -62,7 +61,7 @@ class Inextensible:
     version = 1
     kind = "implicit"
     parameters = PARAMETERS
-    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start"})
+    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start", "outline"})
     repeatability = 1e-5  # m: what the tolerance of the projection leaves open
     bench_options: tuple[dict[str, str], ...] = ({},)
 
@@ -115,13 +114,15 @@ class InextensibleSimulation(GridSimulation):
         (u, v), (nu, nv) = self.lines, self.shape
         hu, hv = np.append(np.diff(u), 0.0), np.append(np.diff(v), 0.0)
         ones = np.ones((nv, nu))
-        wide, high = tributary(u, u[-1]) * ones, tributary(v, v[-1])[:, None] * ones
+        high, wide, whole = edge_widths(self.lines, self.cover)
         lengths = np.stack([ones * hu, ones * hv[:, None]])
         cells = np.sqrt(lengths[0] * lengths[1])
         three = np.stack([*lengths, cells])
-        share = np.divide(1.0, three, out=np.zeros_like(three), where=three > 0)
+        cloth = np.stack([high, wide, whole])
+        share = np.divide(1.0, three, out=np.zeros_like(three), where=(three > 0) & (cloth > 0))
         # An edge of length L and width w of a sheet of k N/m gives way by L/(k w) a newton; a cell by one over k.
-        give = np.stack([lengths[0] / high / TAUT, lengths[1] / wide / TAUT, (cells > 0) / self.shear])
+        one = np.stack([lengths[0] / TAUT, lengths[1] / TAUT, (cells > 0) / self.shear])
+        give = np.divide(one, cloth, out=np.zeros_like(one), where=cloth > 0)
         return kernels.Constraints(padded(lengths), padded(share), padded(give))
 
     def run(self, theta: np.ndarray) -> Rollout:
@@ -142,7 +143,7 @@ class InextensibleSimulation(GridSimulation):
         obstacles, layers, sampling = obstacle_table(scene), layers_of(scene, self.sheet), batch.sampling(b)
         terms, grips = batch.effect_terms(b), batch.grips(b)  # what effects remember of the settling goes on in the run
         if begins.settles:  # the same sheet with stiff springs for constraints finds rest in a few rounds
-            rest_lengths, over, unit = triangle_edges(self.lines)
+            rest_lengths, over, unit = triangle_edges(self.lines, self.cover)
             stiff = unit * np.array([[TAUT], [TAUT], [2 * self.shear]])  # of a cell, not a triangle
             membrane = triangles.Membrane(rest_lengths, over, stiff, np.zeros_like(stiff))
             triangles.march(triangles.BDF2)(

@@ -388,7 +388,7 @@ def _march(
             return
         rounds += used
         tension[:] = 0.0
-        step_before(x, v, dt, sheet.gravity, pins, x_old, v_old)
+        step_before(x, v, dt, sheet.gravity, sheet.mass, pins, x_old, v_old)
     done = write_frames(x, v, x, v, start, start, done, sampling, grips)
     while done < frames:
         t = start + (count + 1) * dt

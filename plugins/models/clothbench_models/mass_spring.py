@@ -45,7 +45,7 @@ class MassSpring:
     version = 2
     kind = "explicit"
     parameters = PARAMETERS
-    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start"})
+    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start", "outline"})
 
     bench_options: tuple[dict[str, str], ...] = ({}, {"precision": "single"})
 

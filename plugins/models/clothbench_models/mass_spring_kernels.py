@@ -32,13 +32,13 @@ from clothbench.modelling import (
     bear_inertia,
     bundle_type,
     fastest,
-    grid_normals,
     grip_point,
     is_lost,
     keep_apart,
     keep_out,
     kernel,
     put_grips,
+    sheet_normals,
     show_grips,
     wants_normals,
 )
@@ -305,7 +305,7 @@ def _run_block(
             xd, vd, fd = as_double(x), as_double(v), as_double(f)
             show_grips(sheet, knots, curves[0], t, segment[0])
             if normals:
-                grid_normals(xd, strides[1] // lanes, sheet.normal)
+                sheet_normals(xd, strides[1] // lanes, sheet)
             heavier = apply_effects(
                 effects, terms.stages, n_effects, t, dt_now[0], xd, vd, fd, extra, sheet,
                 terms.parameters[0], terms.state[0],

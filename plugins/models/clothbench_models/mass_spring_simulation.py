@@ -68,7 +68,7 @@ class SpringSimulation(GridSimulation, ABC):
     @cached_property
     def grid(self) -> SpringGrid:
         size = (self.scene.width, self.scene.height)
-        return SpringGrid.of(self.lines, size, self.scene.areal_density, self.families)
+        return SpringGrid.of(self.lines, size, self.scene.areal_density, self.families, self.cover)
 
     def run(self, theta: np.ndarray) -> Rollout:
         """Simulate theta (B, P): the model's parameters in order, then those of the effects."""

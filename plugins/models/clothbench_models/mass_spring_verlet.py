@@ -65,7 +65,7 @@ class MassSpringVerlet:
     version = 1
     kind = "explicit"
     parameters = _parameters()
-    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start"})
+    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start", "outline"})
 
     def __init__(
         self, resolution: int | Sequence[int] = 13, dt: float | None = None, step_scale: float = 1.0,

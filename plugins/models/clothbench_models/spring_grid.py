@@ -11,7 +11,7 @@ from functools import cached_property
 
 import numpy as np
 
-from clothbench.modelling import tributary
+from clothbench.modelling import Cover, spaces, tributary
 
 Families = tuple[tuple[int, int, int], ...]  # (Δi, Δj, which of the model's stiffnesses) of each family of springs
 # Provot's: structural, shear, flexion
@@ -44,14 +44,18 @@ class SpringGrid:
         size: tuple[float, float],
         areal_density: float,
         families: Families = FAMILIES,
+        cover: Cover | None = None,
     ) -> SpringGrid:
+        """The springs between lines u (nu,) and v (nv,) m of a sheet of that size [m], or of what of it is cloth."""
         u, v = lines
         v_of, u_of = (a.ravel() for a in np.meshgrid(v, u, indexing="ij"))
         wide, high = tributary(u, size[0]), tributary(v, size[1])
         area = np.outer(high, wide).ravel()
+        if cover is not None:
+            wide, high, area = spaces(u), spaces(v), cover.area.ravel()
         stiffnesses = 1 + max(which for _, _, which in families)
         families = tuple(f for f in families if abs(f[0]) < len(u) and f[1] < len(v))
-        springs = [_family(u, v, wide, high, di, dj) for di, dj, _ in families]
+        springs = [_family(u, v, wide, high, di, dj, cover) for di, dj, _ in families]
         return cls(
             families=families,
             stiffnesses=stiffnesses,
@@ -74,7 +78,8 @@ class SpringGrid:
         bounds = np.zeros((self.stiffnesses, 2, len(self.mass)))
         for family, (_, _, which) in enumerate(self.families):
             self._add_rows(bounds[which], family)
-        return (2 * bounds / self.mass).reshape(self.stiffnesses, -1)
+        carrying = np.broadcast_to(self.mass > 0, bounds.shape)
+        return np.divide(2 * bounds, self.mass, out=np.zeros_like(bounds), where=carrying).reshape(self.stiffnesses, -1)
 
     @cached_property
     def largest_eigenvalues(self) -> tuple[float, ...]:
@@ -92,11 +97,12 @@ class SpringGrid:
             np.add.at(row, first + stride, more)
 
 
-def _family(u, v, wide, high, di: int, dj: int) -> tuple[np.ndarray, np.ndarray]:
+def _family(u, v, wide, high, di: int, dj: int, cover: Cover | None) -> tuple[np.ndarray, np.ndarray]:
     """Rest length (n,) m and stiffness share (n,) of one family, at each spring's first node.
 
     On square cells the share is 1 inside and ½ along a border. Elsewhere it is what keeps the sheet's stiffness per
     width: (width stood for) / (length per cell) for straight springs, 2ab/(a² + b²) for diagonals that span a × b.
+    Where the cloth is cut to an outline, it is the share of that which is cloth.
     """
     nu, nv = len(u), len(v)
     j, i = (a.ravel() for a in np.meshgrid(np.arange(nv), np.arange(nu), indexing="ij"))
@@ -107,4 +113,6 @@ def _family(u, v, wide, high, di: int, dj: int) -> tuple[np.ndarray, np.ndarray]
     with np.errstate(invalid="ignore", divide="ignore"):
         straight = (high[j] if di else wide[i]) / (rest / max(di, dj))
         share = 2 * a * b / (a**2 + b**2) if di and dj else straight
+    if cover is not None:
+        share = np.where(inside, share, 0.0) * cover.springs(di, dj).ravel()
     return np.where(inside, rest, 1.0), np.where(inside, share, 0.0)

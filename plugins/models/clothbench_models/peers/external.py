@@ -150,7 +150,7 @@ class _March:
         self.knots, self.curve = batch.knots, batch.curves[b % len(batch.curves)]
         self.still = not self.curve[:3].any() and not np.ptp(self.curve[3], axis=0).any()
         self.forces = Forces(batch, b) if batch.terms else None
-        self.limit, self.held = batch.bounds(), len(batch.pins) > 0
+        self.limit, self.held = batch.bounds(), batch.simulation.anchored
         self.steps = self.now = 0
         self._begin(batch.shape)
 
