@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clothbench.core.camera import Camera, View
+from clothbench.core.drape import Outlines
 from clothbench.core.errors import ClothbenchError
 
 
@@ -27,7 +28,8 @@ class Observation:
     fill a gap with a position, but that stays invisible and never counts); sigma: m, standard deviation
     of one coordinate (NaN = not known); material: (N, 2) m; view: what was made of a camera's images, or None; eye:
     (3,) m, where the camera stood, or None; confidence: (T, N), 0 to 1, how sure the tracker is, or None;
-    grips: where the tracker found the cloth to be held, if it looks for that.
+    grips: where the tracker found the cloth to be held, if it looks for that; outlines: of drapes, where that is what
+    was seen: then frames are captures, each a drape of its own, `time` counts them, and no point is visible.
 
     sight: the one camera that saw the points, where nothing else tells how far away they were. A position then is any
     place on the line of sight, and what it says is across that line only: two coordinates, not three.
@@ -43,6 +45,7 @@ class Observation:
     sight: Camera | None = None
     confidence: np.ndarray | None = None
     grips: GripPath | None = None
+    outlines: Outlines | None = None
 
     def __post_init__(self) -> None:
         for name in ("time", "position", "visible", "material", "confidence"):

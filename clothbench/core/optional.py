@@ -23,7 +23,8 @@ import numpy as np
 from clothbench.core.camera import Camera
 from clothbench.core.folding import Folding
 from clothbench.core.observation import Observation
-from clothbench.core.protocols import Material, Model
+from clothbench.core.protocols import Material, Model, Objective
+from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
 
 TRACKED_KINDS = frozenset({"nodes", "depth", "video", "silhouette"})  # of recordings that a sheet can be tracked in
@@ -284,6 +285,34 @@ class ReadsKinds(Protocol):
 def kinds_read(tracker: Any) -> frozenset[str]:
     """The kinds of recordings that a tracker reads."""
     return frozenset(tracker.kinds) if isinstance(tracker, ReadsKinds) else frozenset({"nodes"})
+
+
+# --- of a metric ----------------------------------------------------------------------------------------------------
+
+
+@runtime_checkable
+class HasObjectives(Protocol):
+    """A metric that wants several things small at once. Without it: its value alone.
+
+    objectives: what they are, in the order of `Score.objectives`; scalarisation: how its value is made of them, a line.
+    """
+
+    objectives: Sequence[Objective]
+    scalarisation: str
+
+
+@runtime_checkable
+class HasInterval(Protocol):
+    """A metric that knows how sure its value is. Without it: a bootstrap over the frames, as of a film."""
+
+    def interval(self, observation: Observation, rollout: Rollout, seed: int) -> tuple[float, float]:
+        """95 % interval of the value of the rollout's first member, in the metric's unit."""
+        ...
+
+
+def objectives_of(metric: Any) -> tuple[Objective, ...]:
+    """What a metric wants small beside its value; () where that is all."""
+    return tuple(metric.objectives) if isinstance(metric, HasObjectives) else ()
 
 
 # --- of an optimizer ------------------------------------------------------------------------------------------------

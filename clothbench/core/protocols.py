@@ -24,6 +24,8 @@ class Score:
     value: (B,) in `unit`, NaN for a member that could not be scored; per_frame: (B, T) and per_node: (B, N), the
     same quantity's trace and map, NaN where nothing was seen (None where the metric has none);
     residual: (B, R), signed differences whose squares sum to what least squares should lower, or None.
+    objectives: (B, M), of a metric with several (`HasObjectives`), each in its own unit, lower is better, or None;
+    spread: (M,), how far apart recordings of the very same cloth lie in each of them: 1 on a common scale.
     """
 
     value: np.ndarray
@@ -31,14 +33,29 @@ class Score:
     per_frame: np.ndarray | None = None
     per_node: np.ndarray | None = None
     residual: np.ndarray | None = None
+    objectives: np.ndarray | None = None
+    spread: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class Objective:
+    """One of several things that a metric wants small. unit: as in its scores; meaning: one line."""
+
+    name: str
+    unit: str
+    meaning: str
 
 
 @dataclass(frozen=True, eq=False)
 class Evaluation:
-    """What an optimizer is told: value (B,), lower is better, NaN = could not be computed; residual (B, R) or None."""
+    """What an optimizer is told: value (B,), lower is better, NaN = could not be computed; residual (B, R) or None;
+    objectives: (B, M), of a metric with several, each in units of its spread, NaN where the value is; None of others.
+    `value` is the metric's own scalarisation of them, for searches that take one number.
+    """
 
     value: np.ndarray
     residual: np.ndarray | None = None
+    objectives: np.ndarray | None = None
 
 
 @runtime_checkable

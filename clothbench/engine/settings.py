@@ -9,11 +9,12 @@ import copy
 import math
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.scene import AIR_DENSITY
+from clothbench.core.scene import AIR_DENSITY, Obstacle
 from clothbench.plugins.discovery import Catalogue
 
 PLUGINS = ("model", "optimizer", "metric", "effects", "report", "recording", "recordings")  # names, or lists of them
@@ -22,6 +23,10 @@ KNOWN = {
     "suite", "rerun", "analysis",
 }  # fmt: skip
 STARTS = ("rest", "measured")
+SCENE_WORDS = {
+    "areal_density", "air_density", "resolution", "spacing", "start", "thickness", "outline", "obstacles", "starts",
+    "perturbation",
+}  # fmt: skip
 SUITE_WORDS = {"name", "version", "title", "budgets"}  # of every study; each may know more
 
 
@@ -182,11 +187,11 @@ def writable(value: Any) -> Path:
 
 
 def scene_settings(scene: dict[str, Any]) -> dict[str, Any]:
-    known_words("setting of 'scene'", scene, {"areal_density", "air_density", "resolution", "spacing", "start"})
+    known_words("setting of 'scene'", scene, SCENE_WORDS)
     out: dict[str, Any] = {}
     if scene.get("spacing") is not None and scene.get("resolution") is not None:
         raise ClothbenchError("settings 'scene.spacing' and 'scene.resolution' both say how fine the mesh is; give one")
-    for name in ("areal_density", "air_density", "spacing"):
+    for name in ("areal_density", "air_density", "spacing", "perturbation"):
         if scene.get(name) is not None:
             out[name] = number(f"scene.{name}", scene[name], above=0.0)
     if (start := scene.get("start") or "rest") not in STARTS:
@@ -197,6 +202,41 @@ def scene_settings(scene: dict[str, Any]) -> dict[str, Any]:
         if not isinstance(resolution, list | tuple) or len(resolution) != 2:
             raise ClothbenchError(f"setting 'scene.resolution' is {resolution!r}, expected [nodes along u, along v]")
         out["resolution"] = tuple(whole("scene.resolution", n, 3) for n in resolution)
+    if scene.get("thickness") is not None:
+        out["thickness"] = number("scene.thickness", scene["thickness"], above=-1e-12)
+    if scene.get("starts") is not None:
+        out["starts"] = whole("scene.starts", scene["starts"], 1)
+    if scene.get("outline") is not None:
+        out["outline"] = _outline(scene["outline"])
+    if scene.get("obstacles") is not None:
+        out["obstacles"] = _obstacles(scene["obstacles"])
+    return out
+
+
+def _outline(corners: Any) -> list[list[float]]:
+    """Corners [[u, v], …] m of the polygon that a sheet has been cut to."""
+    if not isinstance(corners, list | tuple) or len(corners) < 3:
+        raise ClothbenchError(f"setting 'scene.outline' is {corners!r}, expected three corners [u,v] or more")
+    if any(not isinstance(corner, list | tuple) or len(corner) != 2 for corner in corners):
+        raise ClothbenchError("setting 'scene.outline': found a corner that is not [u,v], expected metres")
+    return [[number("scene.outline", c) for c in corner] for corner in corners]
+
+
+def _obstacles(given: Any) -> list[dict[str, Any]]:
+    """Obstacles as settings state them, each with what `Obstacle` takes; made once, so that faults show here."""
+    if not isinstance(given, list | tuple):
+        raise ClothbenchError(f"setting 'scene.obstacles' is {given!r}, expected a list like [{{shape:plane}}]")
+    out = []
+    for k, one in enumerate(given):
+        stated = mapping(f"scene.obstacles.{k}", one)
+        known_words(f"setting of 'scene.obstacles.{k}'", stated, {f.name for f in fields(Obstacle)})
+        if "shape" not in stated:
+            raise ClothbenchError(f"setting 'scene.obstacles.{k}' states no shape, expected plane, disc or sphere")
+        try:
+            Obstacle(**{n: tuple(v) if isinstance(v, list) else v for n, v in stated.items()})
+        except TypeError:
+            raise ClothbenchError(f"setting 'scene.obstacles.{k}' is {stated!r}, expected numbers in SI") from None
+        out.append(stated)
     return out
 
 

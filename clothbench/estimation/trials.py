@@ -29,15 +29,25 @@ class Trial:
 def evaluate(trials: Sequence[Trial], theta: np.ndarray) -> tuple[Evaluation, list[Score]]:
     """Score theta (B, P) on all trials together: the mean of their values, residuals side by side and in σ or m.
 
-    Every recording has the same say, however many frames it has.
+    Every recording has the same say, however many frames it has. Objectives are means, too, each in units of its
+    spread; a member without a value has none.
     """
     scores = over(trials, lambda t: score_of(t, t.metric, t.simulation.run(theta)))
     value = np.mean([s.value for s in scores], axis=0)
+    objectives = _objectives(scores, np.isfinite(value))
     residuals = [s.residual for s in scores if s.residual is not None]
     if len(residuals) < len(scores):
-        return Evaluation(value), scores
+        return Evaluation(value, objectives=objectives), scores
     weighted = [r / np.sqrt(max(r.shape[1], 1) * len(scores)) for r in residuals]
-    return Evaluation(value, np.concatenate(weighted, axis=1)), scores
+    return Evaluation(value, np.concatenate(weighted, axis=1), objectives), scores
+
+
+def _objectives(scores: Sequence[Score], known: np.ndarray) -> np.ndarray | None:
+    """The mean over recordings of each objective in units of its spread (B, M); None where a metric has none."""
+    scaled = [s.objectives / s.spread for s in scores if s.objectives is not None and s.spread is not None]
+    if len(scaled) < len(scores):
+        return None
+    return np.where(known[:, None], np.mean(scaled, axis=0), np.nan)
 
 
 def over(trials: Sequence[Trial], work: Callable[[Trial], Any]) -> list[Any]:

@@ -13,10 +13,11 @@ from clothbench.core.protocols import Tracker
 from clothbench.engine.cells import digest, plugin_versions
 from clothbench.plugins.discovery import OWN, Catalogue
 from clothbench.recordings.nodes import Recording, read_recording, write_recording
+from clothbench.recordings.silhouette import Silhouettes
 from clothbench.recordings.tracked import Images, nodes_of, seen_in
 
 
-def require_readable(images: Images, tracker: str, plugins: Catalogue) -> None:
+def require_readable(images: Images | Silhouettes, tracker: str, plugins: Catalogue) -> None:
     """Refuse images that a tracker does not read, and name those that do."""
     if images.kind in kinds_read(plugins.load("trackers", tracker)):
         return
@@ -30,15 +31,17 @@ def require_readable(images: Images, tracker: str, plugins: Catalogue) -> None:
 
 def watched(
     recording: Any, tracker: Tracker, options: Mapping[str, Any], plugins: Catalogue, kept: Path | None
-) -> tuple[Recording, Observation]:
-    """A recording as nodes, and what the tracker saw of it.
+) -> tuple[Recording | Silhouettes, Observation]:
+    """A recording as nodes, or of drapes as it is, and what the tracker saw of it.
 
-    Nodes are tracked each time; images once, and what came of them is kept in the folder `kept` as a recording of its
-    own, under a key of the images, the tracker, its options and its version.
+    Nodes and drapes are tracked each time; images once, and what came of them is kept in the folder `kept` as a
+    recording of its own, under a key of the images, the tracker, its options and its version.
     """
     if isinstance(recording, Recording):
         return recording, tracker.track(recording)
     require_readable(recording, tracker.name, plugins)
+    if isinstance(recording, Silhouettes):
+        return recording, tracker.track(recording)
     key = digest([recording.hash, dict(options), plugin_versions([("trackers", tracker.name)], plugins)])
     path = kept / f"{key}.nc" if kept is not None else None
     if path is not None and path.is_file():

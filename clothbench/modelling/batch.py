@@ -119,7 +119,10 @@ class GridSimulation:
     @property
     def slowest(self) -> float:
         """ω₁ of the hanging sheet, (2.4048/2)√(g/L) [rad/s]; where nothing pulls it down, that of a gentle pull."""
-        return 1.2024 * math.sqrt(max(float(np.linalg.norm(self.scene.gravity)), 1.0) / self.scene.height)
+        length = self.scene.height
+        if self.clamped.any():  # only what hangs over the rim swings
+            length = min(length, -float(_beyond_rims(self.scene, self._first_shape).min()))
+        return 1.2024 * math.sqrt(max(float(np.linalg.norm(self.scene.gravity)), 1.0) / length)
 
 
 class GridBatch:

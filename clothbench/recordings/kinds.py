@@ -17,9 +17,10 @@ READERS = {
     "laser": ("laser", "read_laser"),
     "depth": ("depth", "read_depth"),
     "video": ("colour_video", "read_video"),
+    "silhouette": ("silhouette", "read_silhouettes"),
 }
 
-SHEETS = ("nodes", "depth", "video")  # kinds that show a sheet of cloth, which models simulate
+SHEETS = ("nodes", "depth", "video", "silhouette")  # kinds that show a sheet of cloth, which models simulate
 
 
 class AnyRecording(Protocol):
@@ -41,7 +42,7 @@ def reader_of(kind: str) -> Callable[[str | os.PathLike[str]], Any]:
 
 def read_sheet(path: str | os.PathLike[str]) -> Any:
     """Read and check one recording that shows a sheet, tracked (`Recording`) or not yet (`DepthImages`,
-    `ColourVideo`).
+    `ColourVideo`, `Silhouettes`).
     """
     kind = kind_of(Path(path))
     return reader_of(kind if kind in SHEETS else "nodes")(path)

@@ -15,7 +15,8 @@ Attributes: `format`, `format_version`, `kind`, `name`, `fabric`, `cloth_width`,
 [kg/m²; NaN = not known], `gravity` [m/s², three numbers as text], `noise_sigma` [m per coordinate; NaN = not known],
 `sensor`, `source`, `licence`, `declared_effects`, `motion`, `split` ("fit", "held_out" or ""). Points that were seen
 in one camera's picture only have that camera in `sight_size` [px], `sight_matrix`, `sight_rotation`,
-`sight_translation` [m] and `sight_distortion`: `position` then is any place on the line of sight.
+`sight_translation` [m] and `sight_distortion`: `position` then is any place on the line of sight. The cloth's outline,
+obstacles and its thickness: `clothbench.recordings.supports`.
 """
 
 from __future__ import annotations
@@ -30,10 +31,12 @@ import numpy as np
 
 from clothbench.core.camera import Camera, Video
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.scene import Obstacle
 from clothbench.recordings.codec import freeze, hash_of, read, write
 from clothbench.recordings.layout import SPLITS, Arrays, Layout, Part, Stated, Variable
 from clothbench.recordings.nodes_rules import check_clock, check_overlap, check_points, check_shapes, check_values
 from clothbench.recordings.rig import TEXTS, camera_attributes, pack_camera, unpack_camera
+from clothbench.recordings.supports import SUPPORTS, check_supports
 from clothbench.recordings.video import VIDEO
 
 
@@ -75,6 +78,7 @@ LAYOUT = Layout(
         "confidence": Part(
             {"confidence": Variable(("time", "node"), "1", level=4)}, (), _pack_confidence, _unpack_confidence
         ),
+        **SUPPORTS,
     },
 )
 
@@ -88,7 +92,9 @@ class Recording:
     (K, G, 3) m; cloth_width, cloth_height: m; areal_density: kg/m² (NaN = not known); gravity: (3,) m/s²;
     noise_sigma: m per coordinate; video: what a calibrated camera saw at the same times, or None; sight: the one
     camera in whose picture the points were seen, where nothing tells their distance, or None; confidence: (T, N), 0
-    to 1, how sure the tracker is, or None. `path` is where it was read from, not part of its identity.
+    to 1, how sure the tracker is, or None; outline: (M, 2) m, what the sheet has been cut to, obstacles: what it
+    cannot enter, and thickness: m, how far apart its layers stay; None where they are not stated. `path` is where it
+    was read from, not part of its identity.
     """
 
     name: str
@@ -114,11 +120,19 @@ class Recording:
     video: Video | None = None
     sight: Camera | None = None
     confidence: np.ndarray | None = None
+    outline: np.ndarray | None = None
+    obstacles: tuple[Obstacle, ...] | None = None
+    thickness: float | None = None
     path: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         freeze(self, LAYOUT)
         _check(self, self.path or self.name)
+
+    @property
+    def kind(self) -> str:
+        """As its header states it."""
+        return LAYOUT.kind
 
     @property
     def visible(self) -> np.ndarray:
@@ -163,7 +177,7 @@ def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
 def _check(r: Recording, where: str) -> None:
     """Every rule of the kind, in the order in which a reader would trip over it."""
     arrays = {name: getattr(r, name) for name in LAYOUT.variables}
-    check_shapes(arrays, LAYOUT, where)
+    check_shapes(arrays, LAYOUT, where, may_be_empty="grip" if r.obstacles else "")
     check_clock(r.time, "time", where)
     check_clock(r.grip_time, "grip_time", where)
     check_values(arrays, where)
@@ -177,6 +191,7 @@ def _check(r: Recording, where: str) -> None:
     for name in ("material", "grip_material"):
         check_points(arrays[name], name, size, where)
     check_overlap(r.time, r.grip_time, where)
+    check_supports(r.outline, r.thickness, size, where)
 
 
 def _check_video(r: Recording, where: str) -> None:

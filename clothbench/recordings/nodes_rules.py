@@ -10,8 +10,9 @@ from clothbench.recordings.layout import Arrays, Layout
 SIZES = {"uv": 2, "space": 3}
 
 
-def check_shapes(arrays: Arrays, layout: Layout, where: str) -> None:
-    """Every array has its dimensions, none of them empty, and a dimension is as long in one array as in another."""
+def check_shapes(arrays: Arrays, layout: Layout, where: str, may_be_empty: str = "") -> None:
+    """Every array has its dimensions, none of them empty but one that may be, and as long in one array as in another.
+    """
     sizes: dict[str, tuple[str, int]] = {}
     for name, of in layout.variables.items():
         dims, shape = of.dims, arrays[name].shape
@@ -20,7 +21,7 @@ def check_shapes(arrays: Arrays, layout: Layout, where: str) -> None:
         for dim, size in zip(dims, shape, strict=True):
             if dim in SIZES and size != SIZES[dim]:
                 raise ClothbenchError(f"{where}: variable '{name}': found {size} along '{dim}', expected {SIZES[dim]}")
-            if size == 0:
+            if size == 0 and dim != may_be_empty:
                 raise ClothbenchError(
                     f"{where}: variable '{name}': found no entries along '{dim}', expected at least one"
                 )

@@ -2,16 +2,39 @@
 
 from __future__ import annotations
 
+import inspect
 import math
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
+from clothbench.core.drape import drape_points
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.scene import AIR_DENSITY, Scene
+from clothbench.core.outline import disc_outline
+from clothbench.core.scene import AIR_DENSITY, Obstacle, Scene
 from clothbench.recordings.nodes import Recording
+from clothbench.recordings.silhouette import Silhouettes
 
 BOW = 0.01  # of the width, by which a sheet in a picture is bowed
+STARTS, PERTURBATION = 4, 2e-3  # drapes of one parameter set; m rms at the rim, that their first shapes are off by
+WAVES = range(2, 15)  # around the rim, of which a first shape is a mixture
 FIRST_FRAMES, FIRST_SECONDS = 5, 0.2  # at least, of the motion that a sheet starts from
+
+
+def scenes_of(recording: Recording | Silhouettes, **settings: Any) -> list[Scene]:
+    """What is simulated for one recording: one scene, or of silhouettes one for each of several first shapes.
+
+    settings: of `scene_of` or `drapes_of`; one that the other has only is refused in one line.
+    """
+    make: Any = drapes_of if isinstance(recording, Silhouettes) else scene_of
+    if strays := sorted(set(settings) - set(inspect.signature(make).parameters)):
+        raise ClothbenchError(
+            f"setting 'scene.{strays[0]}' says nothing to recordings of kind {recording.kind!r}, "
+            f"as {recording.path or recording.name} is; leave it out"
+        )
+    made = make(recording, **settings)
+    return made if isinstance(made, list) else [made]
 
 
 def scene_of(
@@ -22,29 +45,26 @@ def scene_of(
     air_density: float = AIR_DENSITY,
     spacing: float | None = None,
     start: str = "rest",
+    outline: Sequence[Sequence[float]] | np.ndarray | None = None,
+    obstacles: Sequence[Obstacle | Mapping[str, Any]] | None = None,
+    thickness: float | None = None,
 ) -> Scene:
     """The scene of one recording. `areal_density` [kg/m²] stands in where the recording does not know it.
+
+    outline, obstacles, thickness: as in `Scene`; they take the place of what the recording states.
 
     spacing [m]: of the mesh's nodes, at most, whatever the cloth's size; it takes the place of `resolution`.
     start: "rest", the sheet settles in its grips' first pose, or "measured", it goes on from where it was first seen,
     as it moved then.
     """
-    density = recording.areal_density
-    if not math.isfinite(density):
-        if areal_density is None:
-            raise ClothbenchError(
-                f"{recording.path or recording.name}: attribute 'areal_density' is not known; "
-                "state what to assume with scene.areal_density=VALUE [kg/m²] (improve: areal_density=VALUE)"
-            )
-        density = areal_density
+    density = _density(recording, areal_density)
     if start == "measured" and recording.sight is not None:
         raise ClothbenchError(
             f"{recording.path or recording.name}: found points in a picture, which says nothing of their depth; "
             "scene.start=measured needs places in space: use scene.start=rest"
         )
     if spacing is not None:
-        nodes = [1 + math.ceil(length / spacing - 1e-6) for length in (recording.cloth_width, recording.cloth_height)]
-        resolution = (max(3, nodes[0]), max(3, nodes[1]))
+        resolution = _spaced(recording.cloth_width, recording.cloth_height, spacing)
     seen = np.flatnonzero(recording.visible.any(axis=1))[:3]
     with np.errstate(invalid="ignore"):
         early = np.where(recording.visible[seen, :, None], recording.position[seen], np.nan)
@@ -66,7 +86,82 @@ def scene_of(
         start=place,
         velocity=velocity,
         camera=recording.sight,
+        outline=recording.outline if outline is None else np.array(outline),
+        obstacles=_made((recording.obstacles or ()) if obstacles is None else obstacles),
+        thickness=(recording.thickness or 0.0) if thickness is None else thickness,
     )
+
+
+def drapes_of(
+    recording: Silhouettes,
+    *,
+    areal_density: float | None = None,
+    resolution: tuple[int, int] | None = None,
+    air_density: float = AIR_DENSITY,
+    spacing: float | None = None,
+    obstacles: Sequence[Obstacle | Mapping[str, Any]] = (),
+    thickness: float | None = None,
+    starts: int = STARTS,
+    perturbation: float = PERTURBATION,
+) -> list[Scene]:
+    """The scenes of a drapemeter: a disc clamped on its plate, `starts` times, each from another first shape.
+
+    Which of several drapes a cloth falls into is decided by how it was laid on; so many first shapes are off the plane
+    by `perturbation` m (rms, at the rim), each a mixture of waves around it, the same at every call. Seen are
+    `drape_points`, at rest. obstacles: beside the plate; thickness: m, in place of the recording's; without either the
+    layers pass through each other.
+    """
+    disc, plate = recording.disc_radius, recording.plate_radius
+    points = drape_points(plate, disc)
+    stated = recording.thickness if math.isfinite(recording.thickness) else 0.0
+    return [
+        Scene(
+            width=2 * disc, height=2 * disc, areal_density=_density(recording, areal_density),
+            grip_time=np.array([0.0, 1.0]), grip_material=np.zeros((0, 2)), grip_position=np.zeros((2, 0, 3)),
+            times=np.array([0.0]), points=points, air_density=air_density,
+            resolution=_spaced(2 * disc, 2 * disc, spacing) if spacing is not None else resolution,
+            start=_laid(points - disc, plate, perturbation, k), outline=disc_outline(disc),
+            obstacles=(Obstacle("disc", radius=plate, clamps=True), *_made(obstacles)),
+            thickness=stated if thickness is None else thickness,
+        )
+        for k in range(starts)
+    ]  # fmt: skip
+
+
+def _made(obstacles: Sequence[Obstacle | Mapping[str, Any]]) -> tuple[Obstacle, ...]:
+    """Obstacles, some of which may be as settings state them."""
+    return tuple(
+        o if isinstance(o, Obstacle) else Obstacle(**{n: tuple(v) if isinstance(v, list) else v for n, v in o.items()})
+        for o in obstacles
+    )
+
+
+def _laid(from_middle: np.ndarray, plate: float, perturbation: float, k: int) -> np.ndarray:
+    """Where points (N, 2) m from a disc's middle lie (N, 3) m when it has been laid on its plate for the k-th time."""
+    rng = np.random.default_rng([*b"drape", k])
+    away, turn = np.hypot(*from_middle.T), np.arctan2(-from_middle[:, 1], from_middle[:, 0])
+    waves = [rng.standard_normal(2) @ [np.cos(m * turn), np.sin(m * turn)] for m in WAVES]
+    out = np.clip((away - plate) / (away.max() - plate), 0.0, 1.0)
+    height = perturbation * out * np.sum(waves, axis=0) / math.sqrt(len(WAVES))
+    return np.column_stack([from_middle[:, 0], -from_middle[:, 1], height])
+
+
+def _density(recording: Recording | Silhouettes, assumed: float | None) -> float:
+    """The areal density that a recording states, or else what is assumed [kg/m²]."""
+    if math.isfinite(recording.areal_density):
+        return recording.areal_density
+    if assumed is None:
+        raise ClothbenchError(
+            f"{recording.path or recording.name}: attribute 'areal_density' is not known; "
+            "state what to assume with scene.areal_density=VALUE [kg/m²] (improve: areal_density=VALUE)"
+        )
+    return assumed
+
+
+def _spaced(width: float, height: float, spacing: float) -> tuple[int, int]:
+    """Nodes along (u, v) that are at most `spacing` m apart."""
+    across, down = (max(3, 1 + math.ceil(length / spacing - 1e-6)) for length in (width, height))
+    return across, down
 
 
 def first_motion(recording: Recording) -> tuple[np.ndarray, np.ndarray]:

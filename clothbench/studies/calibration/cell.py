@@ -15,12 +15,13 @@ from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Metric
 from clothbench.engine.cells import Skipped, Source, digest, seed_of
 from clothbench.estimation.fixed import holding
+from clothbench.estimation.placements import joined
 from clothbench.estimation.trials import Trial
 from clothbench.estimation.watched import require_readable, watched
 from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
-from clothbench.recordings.scenes import scene_of
+from clothbench.recordings.scenes import scenes_of
 
 
 @dataclass(frozen=True)
@@ -149,7 +150,7 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
                 require_readable(images, cell.tracker, plugins)
             plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
             return None
-        scenes = [scene_of(recording, **cell.scene) for recording in mine]
+        scenes = [scene for recording in mine for scene in scenes_of(recording, **cell.scene)]
         if any(plugins.find(kind, name).distribution != OWN for kind, name in uses(cell)):
             return None
         plugins.make("trackers", cell.tracker, **cell.option(cell.tracker)).track(mine[0])
@@ -190,12 +191,12 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
     tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
 
     def make(recording: Recording, areal_density: float | None = None) -> Trial:
-        scene = scene_of(recording, **cell.scene)
+        scenes = scenes_of(recording, **cell.scene)
         if areal_density is not None:
-            scene = dataclasses.replace(scene, areal_density=areal_density)
-        if reason := why_skipped(model, scene):
+            scenes = [dataclasses.replace(scene, areal_density=areal_density) for scene in scenes]
+        if reason := next(filter(None, (why_skipped(model, scene) for scene in scenes)), None):
             raise Skipped(reason)
-        simulation = holding(model.prepare(scene, effects), cell.fixed)
+        simulation = joined([holding(model.prepare(scene, effects), cell.fixed) for scene in scenes])
         return Trial(recording.name, seen[recording.hash], simulation, metric)
 
     recordings, seen, trials = [], {}, []

@@ -21,5 +21,10 @@ def clothbench_metrics():
         Registration(
             "fold", "clothbench_metrics.fold:Fold", "orientation of projected stripes along folds, and the silhouette"
         ),
+        Registration(
+            "drape",
+            "clothbench_metrics.drape:Drape",
+            "drape coefficient and folds, in standard deviations between captures; several objectives",
+        ),
         Registration("silhouette", "clothbench_metrics.silhouette:Silhouette", "mismatched pixels of the outline"),
     ]

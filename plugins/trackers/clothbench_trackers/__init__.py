@@ -17,6 +17,11 @@ def clothbench_trackers():
             "frames of a depth camera → a quadrilateral mesh of the sheet, by arclength along warp and weft",
         ),
         Registration(
+            "drape",
+            "clothbench_trackers.drape:Drape",
+            "shadows of a drapemeter → outlines: drape coefficient, number, depth and evenness of folds",
+        ),
+        Registration(
             "laser_profile",
             "clothbench_trackers.laser_profile:LaserProfile",
             "laser line in the images of a calibrated camera → points of the cloth in the laser's plane",

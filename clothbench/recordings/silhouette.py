@@ -1,0 +1,146 @@
+"""Recordings of kind "silhouette": shadows of drapes of one fabric in a drapemeter, from above, on disk as NetCDF-4.
+
+| name | dims | units | meaning |
+|---|---|---|---|
+| `image` | capture, y, x | 1 | uint8, dark where the cloth or the plate is; one picture for each drape |
+| `sample` | capture | 1 | int64: which specimen of the fabric was draped |
+| `side` | capture | 1 | int64: 1 with its face up, 2 face down, 0 where that is not known |
+
+Attributes as in kind "nodes", of which `name` is needed, and `pixel_size` [m], `disc_radius` and `plate_radius` [m]:
+the specimen's, and that of the plates that it lies between; `thickness` [m], NaN where it is not known. Captures are
+no film: each is a drape of its own.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.recordings.codec import freeze, hash_of, read, write
+from clothbench.recordings.layout import SPLITS, Layout, Variable
+from clothbench.recordings.nodes_rules import check_shapes
+from clothbench.recordings.rig import TEXTS
+
+SIDES = {0: "not known", 1: "face up", 2: "face down"}
+LEAST_PIXELS = 20  # across the plate's radius
+LAYOUT = Layout(
+    kind="silhouette",
+    variables={
+        "image": Variable(("capture", "y", "x"), "1", np.uint8, level=6, exact=True),
+        "sample": Variable(("capture",), "1", np.int64),
+        "side": Variable(("capture",), "1", np.int64),
+    },
+    texts=TEXTS,
+    numbers=("pixel_size", "disc_radius", "plate_radius", "areal_density", "thickness"),
+    needed=("name", "pixel_size", "disc_radius", "plate_radius"),
+)
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Silhouettes:
+    """Drapes of one fabric, seen from above. Arrays are read-only; SI.
+
+    image: (T, H, W) uint8, dark where the cloth is; sample: (T,); side: (T,), of `SIDES`; pixel_size: m; disc_radius,
+    plate_radius: m; areal_density: kg/m², thickness: m (NaN = not known). `path` is where it was read from, not part of
+    its identity.
+    """
+
+    name: str
+    image: np.ndarray
+    sample: np.ndarray
+    side: np.ndarray
+    pixel_size: float
+    disc_radius: float
+    plate_radius: float
+    areal_density: float = math.nan
+    thickness: float = math.nan
+    fabric: str = ""
+    sensor: str = ""
+    source: str = ""
+    licence: str = ""
+    declared_effects: str = ""
+    motion: str = ""
+    split: str = ""
+    notes: dict[str, str] = field(default_factory=dict)
+    path: str = field(default="", compare=False)
+
+    def __post_init__(self) -> None:
+        freeze(self, LAYOUT)
+        _check(self, self.path or self.name)
+
+    @property
+    def kind(self) -> str:
+        """As its header states it."""
+        return LAYOUT.kind
+
+    @property
+    def hash(self) -> str:
+        """SHA-256 over everything measured and stated, whatever the file's encoding."""
+        return hash_of(self, LAYOUT)
+
+
+def read_silhouettes(path: str | os.PathLike[str]) -> Silhouettes:
+    """Read and check one file; a fault raises `ClothbenchError` with file, variable, found, expected."""
+    return read(path, LAYOUT, Silhouettes)
+
+
+def write_silhouettes(silhouettes: Silhouettes, path: str | os.PathLike[str]) -> Path:
+    """Write one file, atomically: it is there whole or not at all."""
+    return write(silhouettes, path, LAYOUT)
+
+
+def _check(r: Silhouettes, where: str) -> None:
+    """Every rule of the kind, in the order in which a reader would trip over it."""
+    check_shapes({name: getattr(r, name) for name in LAYOUT.variables}, LAYOUT, where)
+    if not r.name:
+        raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
+    for name in ("pixel_size", "plate_radius", "disc_radius"):
+        value = getattr(r, name)
+        if not (math.isfinite(value) and value > 0):
+            raise ClothbenchError(f"{where}: attribute '{name}': found {value}, expected metres above 0")
+    if r.disc_radius <= r.plate_radius:
+        raise ClothbenchError(
+            f"{where}: attribute 'disc_radius': found {r.disc_radius} m, expected more than plate_radius "
+            f"{r.plate_radius} m"
+        )
+    if r.plate_radius < LEAST_PIXELS * r.pixel_size:
+        raise ClothbenchError(
+            f"{where}: attribute 'pixel_size': found {r.pixel_size} m, expected at most "
+            f"{r.plate_radius / LEAST_PIXELS:g}: {LEAST_PIXELS} pixels across the plate's radius"
+        )
+    for name in ("areal_density", "thickness"):
+        value = getattr(r, name)
+        if value <= 0 or math.isinf(value):
+            raise ClothbenchError(f"{where}: attribute '{name}': found {value}, expected a number above 0, or NaN")
+    if r.split not in SPLITS:
+        raise ClothbenchError(f"{where}: attribute 'split': found {r.split!r}, expected 'fit', 'held_out' or ''")
+    if wrong := sorted(set(r.side.tolist()) - set(SIDES)):
+        raise ClothbenchError(f"{where}: variable 'side': found {wrong[0]}, expected 0, 1 (face up) or 2 (face down)")
+    _check_shadows(r, where)
+
+
+def _check_shadows(r: Silhouettes, where: str) -> None:
+    """Each picture shows one dark shape that has the plate in it, is no larger than the specimen, and ends before the
+    border.
+    """
+    dark = r.image < 128
+    area = dark.sum(axis=(1, 2)) * r.pixel_size**2
+    border = dark[:, [0, -1]].any(axis=(1, 2)) | dark[:, :, [0, -1]].any(axis=(1, 2))
+    least, most = (np.pi * radius**2 for radius in (r.plate_radius, r.disc_radius))
+    for k in range(len(r.image)):
+        if not 0.95 * least <= area[k] <= 1.05 * most:
+            raise ClothbenchError(
+                f"{where}: variable 'image': found a shadow of {area[k] * 1e4:.0f} cm² in capture {k}, expected "
+                f"{least * 1e4:.0f} (the plate) to {most * 1e4:.0f} cm² (the flat specimen); check pixel_size and "
+                "radii, and that the cloth is dark"
+            )
+        if border[k]:
+            raise ClothbenchError(
+                f"{where}: variable 'image': found a shadow that reaches the picture's border in capture {k}, expected "
+                "all of it to be seen"
+            )

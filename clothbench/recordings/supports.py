@@ -1,0 +1,97 @@
+"""What a recording may state of the cloth and its surroundings beside its size: outline, obstacles and thickness.
+
+| name | dims | units | meaning |
+|---|---|---|---|
+| `outline` | corner, uv | m | the polygon that the sheet has been cut to |
+| `obstacle_centre`, `obstacle_normal` | obstacle, space | m, 1 | where each obstacle stands, and which way it faces |
+| `obstacle_radius`, `obstacle_friction` | obstacle | m, 1 | as in `clothbench.Obstacle`; a plane's radius is infinite |
+
+Attributes: `obstacle_shape`, one word each ("plane", "disc", "sphere"); `obstacle_clamps`, 0 or 1 each; `thickness`
+[m], how far apart the cloth's own layers stay. All of them are optional, the obstacles' together.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.outline import checked_outline
+from clothbench.core.scene import Obstacle
+from clothbench.recordings.codec import number
+from clothbench.recordings.layout import Arrays, Part, Stated, Variable
+
+NUMBERS = ("obstacle_centre", "obstacle_normal", "obstacle_radius", "obstacle_friction")
+STATED = ("obstacle_shape", "obstacle_clamps")
+
+
+def _pack_outline(outline: np.ndarray) -> tuple[Arrays, Stated]:
+    return {"outline": outline}, {}
+
+
+def _unpack_outline(arrays: Arrays, stated: Stated, path: Path) -> np.ndarray | None:
+    return arrays.get("outline")
+
+
+def _pack_obstacles(obstacles: tuple[Obstacle, ...]) -> tuple[Arrays, Stated]:
+    words = {
+        "obstacle_shape": " ".join(o.shape for o in obstacles),
+        "obstacle_clamps": " ".join(str(int(o.clamps)) for o in obstacles),
+    }
+    return {name: np.array([getattr(o, name.removeprefix("obstacle_")) for o in obstacles]) for name in NUMBERS}, words
+
+
+def _unpack_obstacles(arrays: Arrays, stated: Stated, path: Path) -> tuple[Obstacle, ...] | None:
+    if not arrays and not any(name in stated for name in STATED):
+        return None
+    if missing := sorted({*NUMBERS, *STATED} - {*arrays, *stated}):
+        raise ClothbenchError(f"{path}: '{missing[0]}' is missing beside what else is stated of obstacles; add it")
+    shapes, clamps = (str(stated[name]).split() for name in STATED)
+    if {len(shapes), len(clamps)} != {len(arrays["obstacle_centre"])}:
+        raise ClothbenchError(
+            f"{path}: attribute 'obstacle_shape': found {len(shapes)} words, and {len(clamps)} in 'obstacle_clamps', "
+            f"expected {len(arrays['obstacle_centre'])}, one for each obstacle"
+        )
+    rows = zip(shapes, clamps, *(arrays[name].tolist() for name in NUMBERS), strict=True)
+    try:
+        return tuple(
+            Obstacle(shape, tuple(centre), tuple(normal), radius, friction, clamps=clamp != "0")
+            for shape, clamp, centre, normal, radius, friction in rows
+        )
+    except ClothbenchError as fault:
+        raise ClothbenchError(f"{path}: {fault}") from None
+
+
+def _pack_thickness(thickness: float) -> tuple[Arrays, Stated]:
+    return {}, {"thickness": float(thickness)}
+
+
+def _unpack_thickness(arrays: Arrays, stated: Stated, path: Path) -> float | None:
+    return number(stated, "thickness", path) if "thickness" in stated else None
+
+
+SUPPORTS = {
+    "outline": Part({"outline": Variable(("corner", "uv"), "m")}, (), _pack_outline, _unpack_outline),
+    "obstacles": Part(
+        {
+            "obstacle_centre": Variable(("obstacle", "space"), "m"),
+            "obstacle_normal": Variable(("obstacle", "space"), "1"),
+            "obstacle_radius": Variable(("obstacle",), "m"),
+            "obstacle_friction": Variable(("obstacle",), "1"),
+        },
+        STATED, _pack_obstacles, _unpack_obstacles,
+    ),
+    "thickness": Part({}, ("thickness",), _pack_thickness, _unpack_thickness),
+}  # fmt: skip
+
+
+def check_supports(outline: np.ndarray | None, thickness: float | None, size: np.ndarray, where: str) -> None:
+    """The outline lies within the sheet of that size (2,) m and encloses something; the thickness is a length."""
+    if outline is not None:
+        try:
+            checked_outline(outline, float(size[0]), float(size[1]))
+        except ClothbenchError as fault:
+            raise ClothbenchError(f"{where}: variable 'outline': {fault}") from None
+    if thickness is not None and not (np.isfinite(thickness) and thickness >= 0):
+        raise ClothbenchError(f"{where}: attribute 'thickness': found {thickness}, expected metres, 0 or above")

@@ -1,0 +1,110 @@
+"""Outlines of drapes in pictures, and their folds: what the drape tracker and the drape metric have in common."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clothbench.core.drape import ANGLES, QUANTITIES, Outlines, drape_coefficient
+
+LEAST_FOLD = 2e-3  # m, prominence of what counts as a fold: a hand's tremble in the cloth, not the camera's pixels
+SMOOTH = 1.5  # degrees, of the Gaussian that takes pixels out of an outline before its folds are looked for
+STEP = 0.25  # px along a ray
+DRAWS = 64  # of what an outline could have been as well
+CENTRE_SIGMA = 0.5  # px, of the plates' middle
+THRESHOLD_SIGMA = 0.25  # relative, of what should count as a fold
+
+
+def outline_in(image: np.ndarray, pixel: float, centre: tuple[float, float] | None = None) -> np.ndarray:
+    """The outline r(φ) (ANGLES,) m of the dark shape in a picture (H, W) uint8, `pixel` m wide, about `centre` (x, y)
+    px, or its centroid; φ runs counter-clockwise in the picture.
+
+    Along each ray the last place where the grey, read between pixels, passes the middle between the shape's and the
+    ground's: an edge of a soft picture is found to about a third of a pixel.
+    """
+    import cv2
+
+    dark = 255.0 - image.astype(np.float32)
+    x, y = centre or centroid(dark)
+    reach = int(np.hypot(*image.shape) / STEP)
+    along = STEP * np.arange(reach, dtype=np.float32)
+    turn = 2 * np.pi * np.arange(ANGLES, dtype=np.float32)[:, None] / ANGLES
+    grey = cv2.remap(
+        dark, x + along * np.cos(turn), y - along * np.sin(turn), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT,
+        borderValue=0.0,
+    )  # fmt: skip
+    level = 0.5 * float(dark.max())
+    last = reach - 1 - (grey[:, ::-1] >= level).argmax(axis=1)
+    rows = np.arange(ANGLES)
+    inner, outer = grey[rows, last], grey[rows, np.minimum(last + 1, reach - 1)]
+    share = np.divide(inner - level, inner - outer, out=np.zeros_like(inner), where=inner > outer)
+    return np.where(inner >= level, (last + share) * STEP, 0.0) * pixel
+
+
+def centroid(dark: np.ndarray) -> tuple[float, float]:
+    """The middle (x, y) px of all that is dark in (H, W)."""
+    total = max(float(dark.sum()), 1e-12)
+    rows, columns = dark.sum(axis=1), dark.sum(axis=0)
+    return float(columns @ np.arange(len(columns))) / total, float(rows @ np.arange(len(rows))) / total
+
+
+def drape_quantities(radius: np.ndarray, plate: float, disc: float, least: float = LEAST_FOLD) -> np.ndarray:
+    """What `QUANTITIES` name, of outlines (..., K) m: (..., 4), in units of 1 and m; NaN where an outline has it.
+
+    A fold is a maximum of the smoothed outline whose prominence is `least` m or more; where there are fewer than two,
+    no angles lie between any, and unevenness is 0.
+    """
+    flat = radius.reshape(-1, radius.shape[-1])
+    out = np.full((len(flat), len(QUANTITIES)), np.nan)
+    known = np.isfinite(flat).all(axis=1)
+    if known.any():
+        out[known, 0] = drape_coefficient(flat[known], plate, disc)
+        out[known, 1:] = [_folds(r, least) for r in smoothed(flat[known])]
+    return out.reshape(*radius.shape[:-1], len(QUANTITIES))
+
+
+def folds_of(radius: np.ndarray, least: float = LEAST_FOLD) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the angles at which a smoothed outline (K,) m has its folds, and the prominence of each [m]."""
+    from scipy.signal import find_peaks
+
+    count = len(radius)
+    begin = int(radius.argmin())  # prominences of a closed curve: cut it where it is lowest
+    line = np.concatenate([np.roll(radius, -begin), radius[begin : begin + 1]])
+    peaks, found = find_peaks(line, prominence=least)
+    return (peaks + begin) % count, found["prominences"]
+
+
+def smoothed(radius: np.ndarray) -> np.ndarray:
+    """Outlines (..., K) m without what changes from pixel to pixel."""
+    from scipy.ndimage import gaussian_filter1d
+
+    return gaussian_filter1d(radius, SMOOTH * radius.shape[-1] / 360, axis=-1, mode="wrap")
+
+
+def _folds(radius: np.ndarray, least: float) -> tuple[float, float, float]:
+    """Number, depth [m] and unevenness of the folds of a smoothed outline (K,) m."""
+    peaks, _ = folds_of(radius, least)
+    if len(peaks) < 2:
+        return float(len(peaks)), float(np.ptp(radius)) if len(peaks) else 0.0, 0.0
+    peaks = np.sort(peaks)
+    apart = np.diff(np.append(peaks, peaks[0] + len(radius)))
+    around = np.tile(radius, 2)
+    troughs = [around[a : a + gap].min() for a, gap in zip(peaks, apart, strict=True)]
+    depth = radius[peaks] - (np.array(troughs) + np.roll(troughs, 1)) / 2
+    return float(len(peaks)), float(depth.mean()), float(apart.std() / apart.mean())
+
+
+def quantity_sigma(seen: Outlines, least: float = LEAST_FOLD, seed: int = 0) -> np.ndarray:
+    """How sure each quantity of each capture is, (T, 4): its standard deviation over outlines that could as well have
+    been, for another middle (half a pixel), other edges (`seen.sigma`, alike within a pixel) and another idea of what
+    counts as a fold (a quarter).
+    """
+    rng = np.random.default_rng(seed)
+    turn = 2 * np.pi * np.arange(seen.radius.shape[1]) / seen.radius.shape[1]
+    drawn = []
+    for _ in range(DRAWS):
+        x, y = CENTRE_SIGMA * seen.pixel * rng.standard_normal(2)
+        noise = seen.sigma * rng.standard_normal(seen.radius.shape)
+        other = seen.radius + noise + x * np.cos(turn) + y * np.sin(turn)
+        threshold = least * np.exp(THRESHOLD_SIGMA * rng.standard_normal())
+        drawn.append(drape_quantities(other, seen.plate_radius, seen.disc_radius, threshold))
+    return np.asarray(np.std(drawn, axis=0))

@@ -1,0 +1,78 @@
+"""`drape`: shadows of a drapemeter → outlines, from which drape coefficient and folds are read."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clothbench import (
+    ClothbenchError,
+    Observation,
+    Outlines,
+    Silhouettes,
+    centroid,
+    drape_points,
+    drape_quantities,
+    folds_of,
+    outline_in,
+    smoothed,
+)
+
+EDGE = 0.3  # px, standard deviation of an edge that is found between pixels of a soft picture
+INK, FOLD = (200, 60, 40), (40, 90, 220)  # red, green, blue
+
+
+class Drape:
+    """Each shadow's outline r(φ), about its centroid or about `centre` (x, y) [px], where it is known that the plates'
+    middle lies there in every picture (Cusick 1968 weighed paper; images since Collier 1991).
+    """
+
+    name = "drape"
+    version = 1
+    kinds = frozenset({"silhouette"})
+
+    def __init__(self, centre: tuple[float, float] | None = None):
+        if centre is not None and (len(centre) != 2 or not np.isfinite(centre).all()):
+            raise ClothbenchError(f"drape: centre is {centre!r}, expected [x,y] in pixels")
+        self.centre = None if centre is None else (float(centre[0]), float(centre[1]))
+
+    def track(self, source: Silhouettes) -> Observation:
+        """The outlines of all captures; the material points are those in which drapes are simulated, none is seen."""
+        pixel = source.pixel_size
+        radius = np.stack([outline_in(image, pixel, self.centre) for image in source.image])
+        seen = Outlines(radius, source.plate_radius, source.disc_radius, source.sample, EDGE * pixel, pixel)
+        points = drape_points(source.plate_radius, source.disc_radius)
+        shape = (len(radius), len(points))
+        return Observation(
+            np.arange(len(radius), dtype=float), np.full((*shape, 3), np.nan), np.zeros(shape, bool), np.nan, points,
+            outlines=seen,
+        )  # fmt: skip
+
+    def pictures(self, source: Silhouettes, frame: int, seen: Observation) -> dict[str, np.ndarray]:
+        """The shadow; its outline with the plate; the folds found on it."""
+        import cv2
+
+        assert seen.outlines is not None
+        scale = max(1, 640 // source.image.shape[2])
+        shadow = cv2.resize(source.image[frame], None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
+        shadow = cv2.cvtColor(shadow, cv2.COLOR_GRAY2RGB)
+        dark = 255.0 - source.image[frame].astype(np.float32)
+        middle = np.array(self.centre or centroid(dark))
+        radius = seen.outlines.radius[frame]
+        turn = 2 * np.pi * np.arange(len(radius)) / len(radius)
+        ray = np.stack([np.cos(turn), -np.sin(turn)], axis=1)
+
+        def places(r: np.ndarray) -> np.ndarray:
+            at = (middle + 0.5 + r[:, None] / source.pixel_size * ray) * scale
+            return np.round(at).astype(np.int32)
+
+        pale = cv2.addWeighted(shadow, 0.25, np.full_like(shadow, 255), 0.75, 0)
+        outlined = cv2.polylines(pale.copy(), [places(radius)], True, INK, 2, cv2.LINE_AA)
+        cv2.polylines(outlined, [places(np.full_like(radius, source.plate_radius))], True, FOLD, 1, cv2.LINE_AA)
+        folded = outlined.copy()
+        peaks, _ = folds_of(smoothed(radius))
+        for place in places(radius)[peaks]:
+            cv2.circle(folded, tuple(map(int, place)), 3 * scale, FOLD, 2, cv2.LINE_AA)
+        coefficient = drape_quantities(radius, source.plate_radius, source.disc_radius)[0]
+        text = f"DC {100 * coefficient:.1f} %, {len(peaks)} folds"
+        cv2.putText(folded, text, (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (60, 60, 60), 1, cv2.LINE_AA)
+        return {"shadow": shadow, "outline and plate": outlined, "folds": folded}
