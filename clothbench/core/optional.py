@@ -277,14 +277,16 @@ class ShowsSteps(Protocol):
 
 @runtime_checkable
 class ReadsKinds(Protocol):
-    """kinds: of recordings that a tracker reads: "nodes", "depth", "video", "silhouette". Without it: "nodes"."""
+    """kinds: of recordings that a tracker reads, or that a metric compares with, where they are not sheets of points:
+    "nodes", "depth", "video", "silhouette". Without it: "nodes".
+    """
 
     kinds: frozenset[str]
 
 
-def kinds_read(tracker: Any) -> frozenset[str]:
-    """The kinds of recordings that a tracker reads."""
-    return frozenset(tracker.kinds) if isinstance(tracker, ReadsKinds) else frozenset({"nodes"})
+def kinds_read(plugin: Any) -> frozenset[str]:
+    """The kinds of recordings that a tracker reads, or a metric compares with."""
+    return frozenset(plugin.kinds) if isinstance(plugin, ReadsKinds) else frozenset({"nodes"})
 
 
 # --- of a metric ----------------------------------------------------------------------------------------------------

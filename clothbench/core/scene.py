@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -47,6 +49,16 @@ class Obstacle:
         if self.clamps and self.shape != "disc":
             raise ClothbenchError(f"obstacle: a {self.shape} cannot clamp the cloth; only a disc can")
         object.__setattr__(self, "normal", tuple(c / length for c in self.normal))
+
+
+def obstacles_of(stated: Sequence[Obstacle | Mapping[str, Any]]) -> tuple[Obstacle, ...]:
+    """Obstacles, some of which may be as settings state them: what `Obstacle` takes, lists for its triples."""
+
+    def made(words: Mapping[str, Any]) -> Obstacle:
+        values: dict[str, Any] = {n: tuple(v) if isinstance(v, list) else v for n, v in words.items()}
+        return Obstacle(**values)
+
+    return tuple(o if isinstance(o, Obstacle) else made(o) for o in stated)
 
 
 @dataclass(frozen=True, eq=False)

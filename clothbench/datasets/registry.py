@@ -66,7 +66,7 @@ def _load(name: str) -> Dataset:
 
 
 DATASETS: Mapping[str, Dataset] = MappingProxyType(
-    {name: _load(name) for name in ("iri_wam_cloth_swing", "knit_uniaxial_gatech", "phi_sft_r1")}
+    {name: _load(name) for name in ("cusick_drape_bdp", "iri_wam_cloth_swing", "knit_uniaxial_gatech", "phi_sft_r1")}
 )
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.scene import AIR_DENSITY, Obstacle
+from clothbench.core.scene import AIR_DENSITY, Obstacle, obstacles_of
 from clothbench.plugins.discovery import Catalogue
 
 PLUGINS = ("model", "optimizer", "metric", "effects", "report", "recording", "recordings")  # names, or lists of them
@@ -233,7 +233,7 @@ def _obstacles(given: Any) -> list[dict[str, Any]]:
         if "shape" not in stated:
             raise ClothbenchError(f"setting 'scene.obstacles.{k}' states no shape, expected plane, disc or sphere")
         try:
-            Obstacle(**{n: tuple(v) if isinstance(v, list) else v for n, v in stated.items()})
+            obstacles_of([stated])
         except TypeError:
             raise ClothbenchError(f"setting 'scene.obstacles.{k}' is {stated!r}, expected numbers in SI") from None
         out.append(stated)

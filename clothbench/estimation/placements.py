@@ -50,4 +50,4 @@ class Placements:
 
 def joined(simulations: Sequence[Simulation]) -> Simulation:
     """The one simulation, or several placements as one."""
-    return simulations[0] if len(simulations) == 1 else Placements(tuple(simulations))
+    return simulations[0] if len(simulations) == 1 else Placements(tuple(simulations))  # type: ignore[return-value]

@@ -31,17 +31,15 @@ def require_readable(images: Images | Silhouettes, tracker: str, plugins: Catalo
 
 def watched(
     recording: Any, tracker: Tracker, options: Mapping[str, Any], plugins: Catalogue, kept: Path | None
-) -> tuple[Recording | Silhouettes, Observation]:
-    """A recording as nodes, or of drapes as it is, and what the tracker saw of it.
+) -> tuple[Recording, Observation]:
+    """A recording as nodes, and what the tracker saw of it.
 
-    Nodes and drapes are tracked each time; images once, and what came of them is kept in the folder `kept` as a
-    recording of its own, under a key of the images, the tracker, its options and its version.
+    Nodes are tracked each time; images once, and what came of them is kept in the folder `kept` as a recording of its
+    own, under a key of the images, the tracker, its options and its version.
     """
     if isinstance(recording, Recording):
         return recording, tracker.track(recording)
     require_readable(recording, tracker.name, plugins)
-    if isinstance(recording, Silhouettes):
-        return recording, tracker.track(recording)
     key = digest([recording.hash, dict(options), plugin_versions([("trackers", tracker.name)], plugins)])
     path = kept / f"{key}.nc" if kept is not None else None
     if path is not None and path.is_file():

@@ -12,7 +12,7 @@ import numpy as np
 from clothbench.core.drape import drape_points
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.outline import disc_outline
-from clothbench.core.scene import AIR_DENSITY, Obstacle, Scene
+from clothbench.core.scene import AIR_DENSITY, Obstacle, Scene, obstacles_of
 from clothbench.recordings.nodes import Recording
 from clothbench.recordings.silhouette import Silhouettes
 
@@ -87,7 +87,7 @@ def scene_of(
         velocity=velocity,
         camera=recording.sight,
         outline=recording.outline if outline is None else np.array(outline),
-        obstacles=_made((recording.obstacles or ()) if obstacles is None else obstacles),
+        obstacles=obstacles_of((recording.obstacles or ()) if obstacles is None else obstacles),
         thickness=(recording.thickness or 0.0) if thickness is None else thickness,
     )
 
@@ -121,19 +121,11 @@ def drapes_of(
             times=np.array([0.0]), points=points, air_density=air_density,
             resolution=_spaced(2 * disc, 2 * disc, spacing) if spacing is not None else resolution,
             start=_laid(points - disc, plate, perturbation, k), outline=disc_outline(disc),
-            obstacles=(Obstacle("disc", radius=plate, clamps=True), *_made(obstacles)),
+            obstacles=(Obstacle("disc", radius=plate, clamps=True), *obstacles_of(obstacles)),
             thickness=stated if thickness is None else thickness,
         )
         for k in range(starts)
     ]  # fmt: skip
-
-
-def _made(obstacles: Sequence[Obstacle | Mapping[str, Any]]) -> tuple[Obstacle, ...]:
-    """Obstacles, some of which may be as settings state them."""
-    return tuple(
-        o if isinstance(o, Obstacle) else Obstacle(**{n: tuple(v) if isinstance(v, list) else v for n, v in o.items()})
-        for o in obstacles
-    )
 
 
 def _laid(from_middle: np.ndarray, plate: float, perturbation: float, k: int) -> np.ndarray:

@@ -129,8 +129,8 @@ def _check_shadows(r: Silhouettes, where: str) -> None:
     border.
     """
     dark = r.image < 128
-    area = dark.sum(axis=(1, 2)) * r.pixel_size**2
-    border = dark[:, [0, -1]].any(axis=(1, 2)) | dark[:, :, [0, -1]].any(axis=(1, 2))
+    area = np.asarray(dark.sum(axis=(1, 2)) * r.pixel_size**2)
+    border = np.asarray(dark[:, [0, -1]].any(axis=(1, 2)) | dark[:, :, [0, -1]].any(axis=(1, 2)))
     least, most = (np.pi * radius**2 for radius in (r.plate_radius, r.disc_radius))
     for k in range(len(r.image)):
         if not 0.95 * least <= area[k] <= 1.05 * most:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clothbench.core.drape import RINGS, SPOKES, Outlines, drape_points, outlines_of_points
 from clothbench.core.observation import Observation
 from clothbench.core.protocols import Metric, Score
 from clothbench.core.rollout import Rollout
@@ -51,3 +52,24 @@ def waving(metric: Metric) -> MetricCase:
     seen = np.where(visible[..., None], truth, np.nan)
     observation = Observation(time, seen, visible, SIGMA, np.stack([u, v], axis=1), eye=np.array(EYE))
     return MetricCase(metric, truth, observation, random.normal(0.0, 1e-3, truth.shape))
+
+
+def draped(metric: Metric) -> MetricCase:
+    """Six drapes of three discs on a plate, with six to eight folds, made by formula; the error draws their rims out."""
+    plate, disc = 0.09, 0.15
+    out = np.linspace(0.0, 1.0, RINGS)[:, None]
+    turn = 2 * np.pi * np.arange(SPOKES) / SPOKES
+    truth = []
+    for k, folds in enumerate((6, 7, 7, 7, 8, 7)):
+        radius = plate + out * (0.035 + 0.002 * k + 0.012 * np.cos(folds * turn + k))
+        truth.append(np.stack([radius * np.cos(turn), radius * np.sin(turn), -0.04 * out + 0 * turn], axis=-1))
+    drapes = np.stack(truth).reshape(6, RINGS * SPOKES, 3)
+    points = drape_points(plate, disc)
+    outlines = outlines_of_points(drapes, (0.0, 0.0, 0.0), plate)
+    seen = Outlines(outlines, plate, disc, np.array([1, 1, 2, 2, 3, 3]), 4e-4, 1.4e-3)
+    nothing = np.full(drapes.shape, np.nan)
+    time, visible = np.arange(6.0), np.zeros(drapes.shape[:2], bool)
+    observation = Observation(time, nothing, visible, np.nan, points, outlines=seen)
+    away = np.concatenate([points - disc, np.zeros((len(points), 1))], axis=1)
+    error = 1e-3 * np.repeat(out, SPOKES, axis=1).reshape(-1, 1) * away / np.linalg.norm(away, axis=1, keepdims=True)
+    return MetricCase(metric, drapes, observation, np.broadcast_to(error, drapes.shape).copy())

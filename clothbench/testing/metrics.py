@@ -8,9 +8,10 @@ from collections.abc import Callable, Iterable
 
 import numpy as np
 
+from clothbench.core.optional import HasInterval, kinds_read, objectives_of
 from clothbench.core.protocols import Metric
-from clothbench.testing.metric_case import SIGMA, MetricCase, rollout_of, waving
-from clothbench.testing.rules import Outcome, choose, made, require, require_members, run_rules
+from clothbench.testing.metric_case import SIGMA, MetricCase, draped, rollout_of, waving
+from clothbench.testing.rules import NotApplicable, Outcome, choose, made, require, require_members, run_rules
 
 NOTHING = 1e-9  # of what an error of 4 mm gives
 DRAWS = 60  # noisy observations of which the mean is taken
@@ -18,9 +19,12 @@ HONEST = 0.10  # relative, between a floor as stated and as drawn
 
 
 def check_metric(make: Callable[..., Metric], *, only: Iterable[str] | None = None) -> tuple[Outcome, ...]:
-    """Check the metric that `make()` gives, on a waving sheet made by formula of which a part is not seen."""
+    """Check the metric that `make()` gives, on a waving sheet made by formula of which a part is not seen, or
+    on drapes if those are what it compares.
+    """
     metric = made(make, "metric")
-    return run_rules(f"metric {getattr(metric, 'name', make)!r}", choose(RULES, only), waving(metric))
+    case = draped(metric) if "silhouette" in kinds_read(metric) else waving(metric)
+    return run_rules(f"metric {getattr(metric, 'name', make)!r}", choose(RULES, only), case)
 
 
 def has_all_members(case: MetricCase) -> None:
@@ -74,7 +78,32 @@ def grows_with_the_error(case: MetricCase) -> None:
         )
 
 
+def says_its_objectives(case: MetricCase) -> str | None:
+    """As many objectives in a score as it states, each 0 for a perfect rollout; an interval that is one."""
+    objectives, score = objectives_of(case.metric), case.score(case.truth, case.truth + case.error)
+    if not objectives and score.objectives is None:
+        return "has one value only"
+    shape = (2, len(objectives))
+    found, spread = (np.zeros(0) if a is None else np.asarray(a) for a in (score.objectives, score.spread))
+    require(found.shape == shape, f"objectives of shape {found.shape}", shape)
+    require(spread.shape == shape[1:], f"a spread of shape {spread.shape}", shape[1:])
+    require(bool((spread > 0).all()), f"spreads {spread}", "numbers above 0")
+    largest = float(np.abs(found[0] / spread).max())
+    require(largest <= NOTHING, f"an objective of {largest:.3g} spreads for a perfect rollout", "0")
+    if isinstance(case.metric, HasInterval):
+        rollout = rollout_of(case.observation.time, np.stack([case.truth + 4 * case.error]))
+        low, high = case.metric.interval(case.observation, rollout, 0)
+        require(0 <= low <= high, f"an interval from {low:.3g} to {high:.3g}", "low up to high, 0 or above")
+    return None
+
+
+def _require_points(case: MetricCase) -> None:
+    if not case.observation.visible.any():
+        raise NotApplicable("compares drapes, of which no single point is seen")
+
+
 def ignores_what_was_not_seen(case: MetricCase) -> None:
+    _require_points(case)
     wrong = np.where(case.observation.visible[..., None], case.truth + case.error, 7.0)
     right = case.score(case.truth + case.error).value[0]
     found = case.score(wrong).value[0]
@@ -96,6 +125,7 @@ def gives_no_number_for_a_lost_rollout(case: MetricCase) -> None:
 
 
 def gives_no_number_where_nothing_was_seen(case: MetricCase) -> None:
+    _require_points(case)
     o = case.observation
     blind = dataclasses.replace(o, position=np.full_like(o.position, np.nan), visible=np.zeros_like(o.visible))
     value = case.score(case.truth, observation=blind).value
@@ -103,6 +133,7 @@ def gives_no_number_where_nothing_was_seen(case: MetricCase) -> None:
 
 
 def does_not_care_for_the_order_of_nodes(case: MetricCase) -> None:
+    _require_points(case)
     o, order = case.observation, np.random.default_rng(3).permutation(len(case.observation.material))
     shuffled = dataclasses.replace(
         o, position=o.position[:, order], visible=o.visible[:, order], material=o.material[order]
@@ -125,6 +156,7 @@ def scores_a_batch_as_one_by_one(case: MetricCase) -> None:
 
 def states_an_honest_floor(case: MetricCase) -> str | None:
     """The mean value of perfect rollouts against noisy observations is what `floor` says, within a tenth."""
+    _require_points(case)
     random, values, floors = np.random.default_rng(8), [], []
     for _ in range(DRAWS):
         noisy = case.observation.position + random.normal(0.0, SIGMA, case.truth.shape)
@@ -162,6 +194,7 @@ RULES = (
     gives_whole_scores,
     is_zero_for_a_perfect_rollout,
     grows_with_the_error,
+    says_its_objectives,
     ignores_what_was_not_seen,
     gives_no_number_for_a_lost_rollout,
     gives_no_number_where_nothing_was_seen,

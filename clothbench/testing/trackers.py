@@ -84,7 +84,7 @@ def gives_a_whole_observation(case: TrackerCase) -> None:
     )
     require(np.isfinite(o.time).all(), "time stamps that are not finite", "seconds")
     require(o.visible.dtype == bool, f"visible of type {o.visible.dtype}", "bool")
-    require(o.visible.any(), "no node seen in any frame", "at least one")
+    require(o.visible.any() or o.outlines is not None, "no node seen in any frame", "at least one")
     require(np.isfinite(o.material).all(), "material coordinates that are not finite", "metres")
     require(np.isnan(o.sigma) or o.sigma >= 0, f"a noise of {o.sigma} m", "0 or above, or NaN if it is not known")
 

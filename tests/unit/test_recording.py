@@ -1,13 +1,15 @@
 """The recording format: round trip, hash, and one line for every fault."""
 
+import dataclasses
 from pathlib import Path
 
 import h5netcdf.legacyapi
+import h5py
 import numpy as np
 import pytest
 from conftest import swinging_recording
 
-from clothbench import ClothbenchError, read_recording, write_recording
+from clothbench import ClothbenchError, Obstacle, read_recording, scene_of, write_recording
 
 
 def test_round_trip_keeps_everything(recording, tmp_path):
@@ -114,3 +116,69 @@ def test_every_broken_recording_is_refused_in_one_line(data_dir):
 def test_every_practice_recording_is_read(data_dir):
     paths = sorted((data_dir / "practice-cases").rglob("*.nc"))
     assert len({read_recording(p).hash for p in paths}) == len(paths) > 0
+
+
+SUPPORTS = {
+    "outline": np.array([[0.0, 0.0], [0.2, 0.0], [0.2, 0.15], [0.1, 0.2], [0.0, 0.15]]),
+    "obstacles": (
+        Obstacle("plane", (0.0, 0.0, -1.0), friction=0.3),
+        Obstacle("disc", (0.1, 0.0, 0.5), radius=0.05, clamps=True),
+    ),
+    "thickness": 4e-4,
+}
+
+
+def test_outline_obstacles_and_thickness_are_kept(tmp_path):
+    plain = swinging_recording()
+    stated = dataclasses.replace(plain, **SUPPORTS)
+    again = read_recording(write_recording(stated, tmp_path / "r.nc"))
+    assert again.hash == stated.hash != plain.hash
+    assert np.array_equal(again.outline, SUPPORTS["outline"])
+    assert again.thickness == 4e-4
+    for one, other in zip(again.obstacles, SUPPORTS["obstacles"], strict=True):
+        assert dataclasses.asdict(one) == dataclasses.asdict(other)
+    scene = scene_of(again, areal_density=0.2)
+    assert (len(scene.obstacles), scene.thickness, len(scene.outline)) == (2, 4e-4, 5)
+    assert scene_of(plain, areal_density=0.2).obstacles == ()
+    assert scene_of(again, areal_density=0.2, obstacles=[], thickness=0.0).obstacles == ()
+
+
+def test_cloth_that_only_an_obstacle_holds_needs_no_grips(tmp_path):
+    plain = swinging_recording()
+    free = {"grip_material": np.zeros((0, 2)), "grip_position": np.zeros((len(plain.grip_time), 0, 3))}
+    borne = dataclasses.replace(plain, obstacles=SUPPORTS["obstacles"], **free)
+    assert read_recording(write_recording(borne, tmp_path / "r.nc")).grip_material.shape == (0, 2)
+    with pytest.raises(ClothbenchError, match="no entries along 'grip'"):
+        dataclasses.replace(plain, **free)
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"outline": np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])}, "variable 'outline': .* expected them within"),
+        ({"thickness": -1.0}, "attribute 'thickness': found -1.0"),
+    ],
+)
+def test_wrong_supports_are_refused(change, says):
+    with pytest.raises(ClothbenchError, match=says):
+        dataclasses.replace(swinging_recording(), **change)
+
+
+@pytest.mark.parametrize(
+    ("attributes", "says"),
+    [
+        ({"obstacle_shape": "plane"}, "found 1 words"),
+        ({"obstacle_shape": "plane cone"}, "shape is 'cone'"),
+        ({"obstacle_clamps": None}, "'obstacle_clamps' is missing"),
+    ],
+)
+def test_half_stated_obstacles_are_refused(tmp_path, attributes, says):
+
+    path = write_recording(dataclasses.replace(swinging_recording(), **SUPPORTS), tmp_path / "r.nc")
+    with h5py.File(path, "a") as file:
+        for name, value in attributes.items():
+            del file.attrs[name]
+            if value is not None:
+                file.attrs[name] = value
+    with pytest.raises(ClothbenchError, match=says):
+        read_recording(path)

@@ -22,6 +22,7 @@ from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
 from clothbench.recordings.scenes import scenes_of
+from clothbench.recordings.silhouette import Silhouettes
 
 
 @dataclass(frozen=True)
@@ -127,10 +128,10 @@ class Bench:
 
     cell: CalibrationCell
     space: ParameterSpace
-    recordings: tuple[Recording, ...]
+    recordings: tuple[Recording | Silhouettes, ...]
     trials: tuple[Trial, ...]
     others: tuple[Metric, ...]
-    remake: Callable[[Recording, float | None], Trial]  # (recording, kg/m²) as another trial of this bench
+    remake: Callable[[Any, float | None], Trial]  # (recording, kg/m²) as another trial of this bench
 
     def of_split(self, split: str) -> list[Trial]:
         return [t for t, s in zip(self.trials, self.cell.recordings, strict=True) if s.split == split]
@@ -190,7 +191,7 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
     metric = plugins.make("metrics", cell.metric, **cell.option(cell.metric))
     tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
 
-    def make(recording: Recording, areal_density: float | None = None) -> Trial:
+    def make(recording: Recording | Silhouettes, areal_density: float | None = None) -> Trial:
         scenes = scenes_of(recording, **cell.scene)
         if areal_density is not None:
             scenes = [dataclasses.replace(scene, areal_density=areal_density) for scene in scenes]
@@ -204,7 +205,12 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
         raw = read_sheet(source.path)
         if raw.hash != source.hash:
             raise ClothbenchError(f"{source.path}: changed on disk since the suite was planned; run it again")
-        recording, observation = watched(raw, tracker, cell.option(cell.tracker), plugins, kept)
+        recording: Recording | Silhouettes
+        if isinstance(raw, Silhouettes):
+            require_readable(raw, cell.tracker, plugins)
+            recording, observation = raw, tracker.track(raw)
+        else:
+            recording, observation = watched(raw, tracker, cell.option(cell.tracker), plugins, kept)
         seen[recording.hash] = observation
         recordings.append(recording)
         trials.append(make(recording))

@@ -24,6 +24,7 @@ from clothbench.display.rerun import (
 )
 from clothbench.estimation.trials import Trial
 from clothbench.recordings.nodes import Recording
+from clothbench.recordings.silhouette import Silhouettes
 from clothbench.studies.calibration.cell import Bench
 
 MEAN_LENGTH = {3: np.sqrt(8 / np.pi), 2: np.sqrt(np.pi / 2)}  # of isotropic noise with σ = 1 per coordinate
@@ -45,7 +46,10 @@ def write_rerun(path: Path, bench: Bench, rollouts: Sequence[Rollout]) -> None:
     try:
         stream.send_recording_name(cell.label)
         for root, trial, recording, rollout in zip(roots, bench.trials, bench.recordings, rollouts, strict=True):
-            _log_run(stream, root, trial, recording, rollout.position[0])
+            if isinstance(recording, Silhouettes):
+                _log_drapes(stream, root, trial, rollout)
+            else:
+                _log_run(stream, root, trial, recording, rollout.position[0])
     finally:
         stream.disconnect()
 
@@ -63,6 +67,21 @@ def blueprint(roots: Sequence[str], names: Sequence[str]) -> Any:
 
 def _curves(origin: str, name: str, contents: str | list[str] = "$origin/error/**") -> Any:
     return rrb.TimeSeriesView(origin=origin, contents=contents, name=name)
+
+
+def _log_drapes(stream: Any, root: str, trial: Trial, rollout: Rollout) -> None:
+    """Drapes of the best parameters, one for each first shape, over the outlines that were captured."""
+    seen, position = trial.observation.outlines, rollout.position[0]
+    assert seen is not None
+    there = np.isfinite(position).all(axis=(1, 2))
+    stream.log(root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
+    log_sheet(stream, f"{root}/simulated", rollout.time[there], position[there], trial.observation.material)
+    turn = 2 * np.pi * np.arange(seen.radius.shape[1] + 1) / seen.radius.shape[1]
+    closed = np.concatenate([seen.radius, seen.radius[:, :1]], axis=1)[..., None]
+    strips = np.concatenate(
+        [closed * np.stack([np.cos(turn), np.sin(turn)], axis=1), np.full_like(closed, -seen.disc_radius)], axis=2
+    )
+    stream.log(f"{root}/seen", rr.LineStrips3D(strips, colors=HELD), static=True)
 
 
 def _log_run(stream: Any, root: str, trial: Trial, recording: Recording, simulated: np.ndarray) -> None:

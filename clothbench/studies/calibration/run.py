@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.observation import Observation
-from clothbench.core.optional import ShowsSteps
+from clothbench.core.optional import HasInterval, ShowsSteps
 from clothbench.core.protocols import Metric, Score
 from clothbench.core.rollout import Rollout
 from clothbench.engine.rows import about_cell, failure, no_value
@@ -21,6 +21,7 @@ from clothbench.estimation.trials import score_of
 from clothbench.recordings.colour_video import ColourVideo
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
+from clothbench.recordings.silhouette import Silhouettes
 from clothbench.recordings.tracked import Images
 from clothbench.studies.calibration.analysis import analyse, starts_of, truth_of
 from clothbench.studies.calibration.cell import Bench, CalibrationCell, set_up
@@ -71,7 +72,9 @@ def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
     return Result(fit.status, tables, attach)
 
 
-def write_pictures(folder: Path, raw: Images, seen: Observation, cell: CalibrationCell, context: Context) -> None:
+def write_pictures(
+    folder: Path, raw: Images | Silhouettes, seen: Observation, cell: CalibrationCell, context: Context
+) -> None:
     """What the tracker's steps make of the middle frame of a recording of images, where it shows them."""
     import cv2
 
@@ -79,7 +82,8 @@ def write_pictures(folder: Path, raw: Images, seen: Observation, cell: Calibrati
     if not isinstance(tracker, ShowsSteps):
         return
     folder.mkdir()
-    for number, (name, picture) in enumerate(tracker.pictures(raw, len(raw.time) // 2, seen).items()):
+    middle = len(raw.image if isinstance(raw, Silhouettes) else raw.time) // 2
+    for number, (name, picture) in enumerate(tracker.pictures(raw, middle, seen).items()):
         cv2.imwrite(str(folder / f"{number} {name}.png"), cv2.cvtColor(at_most(picture), cv2.COLOR_RGB2BGR))
 
 
@@ -101,7 +105,7 @@ def _rows_of(
     about |= {"evaluations": fit.evaluations, "wall_s": fit.wall_s}
     rows = []
     for source, trial, score, rollout in zip(cell.recordings, bench.trials, scores, rollouts, strict=True):
-        low, high = error_interval(score, trial.observation, cell.stream(source.hash))
+        low, high = _interval(metric, score, trial.observation, rollout, cell.stream(source.hash))
         status, reason = _status(fit, score, rollout)
         rows.append(
             {
@@ -121,6 +125,13 @@ def _rows_of(
         for split in ("fit", "held_out")
         if bench.of_split(split)
     ]
+
+
+def _interval(metric: Metric, score: Score, seen: Observation, rollout: Rollout, seed: int) -> tuple[float, float]:
+    """95 % interval of one recording's error, as the metric knows it, or by a bootstrap over the frames."""
+    if isinstance(metric, HasInterval):
+        return metric.interval(seen, rollout, seed)
+    return error_interval(score, seen, seed)
 
 
 def _status(fit: Fit, score: Score, rollout: Rollout) -> tuple[str, str]:

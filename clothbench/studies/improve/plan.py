@@ -142,6 +142,11 @@ def scene_of_settings(settings: Mapping[str, Any], model: Any) -> dict[str, Any]
 
 def read_kind(path: Path, kind: str) -> Any:
     """A recording of the kind that all of them have to be of."""
+    if kind_of(path) == "silhouette":
+        raise ClothbenchError(
+            f"{path}: found kind 'silhouette', drapes at rest, expected sheets that move or curves; calibrate with "
+            "`clothbench run metric=drape tracker=drape`"
+        )
     if kind == "nodes":
         return read_sheet(path)
     if (stated := kind_of(path)) != kind:

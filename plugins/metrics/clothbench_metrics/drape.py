@@ -40,6 +40,7 @@ class Drape:
     name = "drape"
     version = 1
     unit = "sd"
+    kinds = frozenset({"silhouette"})
     scalarisation = "root mean square over the objectives, each in standard deviations between captures"
 
     def __init__(self, quantities: Sequence[str] = NAMES, least_fold: float = 2e-3):

@@ -37,6 +37,8 @@ class Drape:
 
     def track(self, source: Silhouettes) -> Observation:
         """The outlines of all captures; the material points are those in which drapes are simulated, none is seen."""
+        if not isinstance(source, Silhouettes):
+            raise ClothbenchError(f"drape: found {type(source).__name__}, expected a recording of kind 'silhouette'")
         pixel = source.pixel_size
         radius = np.stack([outline_in(image, pixel, self.centre) for image in source.image])
         seen = Outlines(radius, source.plate_radius, source.disc_radius, source.sample, EDGE * pixel, pixel)

@@ -1,0 +1,317 @@
+"""Drapes from above: recordings of kind "silhouette", the tracker and the metric `drape`, and the importer."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from clothbench_metrics.drape import Drape as DrapeMetric
+from clothbench_trackers.drape import Drape as DrapeTracker
+
+from clothbench import ClothbenchError, Rollout, Silhouettes, outline_in, outlines_of_points, read_silhouettes
+from clothbench import write_silhouettes as write
+from clothbench.core.drape import RINGS, SPOKES, drape_coefficient, drape_points
+from clothbench.datasets.cusick_drape_bdp import convert
+from clothbench.engine.settings import scene_settings
+from clothbench.estimation.placements import joined
+from clothbench.recordings.kinds import read_sheet
+from clothbench.recordings.scenes import scene_of, scenes_of
+from clothbench.vision.drape import drape_quantities, folds_of, quantity_sigma, smoothed
+
+PIXEL, PLATE, DISC = 1.4e-3, 0.09, 0.15
+TURN = 2 * np.pi * np.arange(360) / 360
+
+
+def petals(folds, depth=0.012, mean=0.125, phase=0.3):
+    """r(φ) [m] of an outline with so many even folds."""
+    return mean + depth * np.cos(folds * TURN + phase)
+
+
+def rendered(radius, pixels=256, middle=(126.4, 125.7)):
+    """A soft picture of an outline r(φ) (360,) m: each pixel as dark as its share of cloth, by 4 × 4 points."""
+    at = (np.arange(4 * pixels) + 0.5) / 4 - 0.5
+    x, y = np.meshgrid(at - middle[0], middle[1] - at)
+    bound = np.interp(np.arctan2(y, x) % (2 * np.pi), np.append(TURN, 2 * np.pi), np.append(radius, radius[0]))
+    cloth = (np.hypot(x, y) * PIXEL <= bound).reshape(pixels, 4, pixels, 4).mean(axis=(1, 3))
+    return np.round(255 * (1 - cloth)).astype(np.uint8)
+
+
+def captures_of(outlines, **changes):
+    count = len(outlines)
+    fields = {
+        "name": "petals/fit", "fabric": "petals", "image": np.stack([rendered(r) for r in outlines]),
+        "sample": np.arange(count) // 2, "side": np.zeros(count), "pixel_size": PIXEL, "disc_radius": DISC,
+        "plate_radius": PLATE, "areal_density": 0.2, "split": "fit",
+    }  # fmt: skip
+    return Silhouettes(**fields | changes)
+
+
+def drape_with(radius):
+    """Positions (N, 3) m of `drape_points` whose rim lies at r(φ), rings evenly between."""
+    rim = radius[:: 360 // SPOKES]
+    turn = TURN[:: 360 // SPOKES]
+    rings = PLATE + np.linspace(0, 1, RINGS)[:, None] * (rim - PLATE)
+    flat = np.stack([rings * np.cos(turn), rings * np.sin(turn), 0 * rings], axis=-1)
+    return flat.reshape(-1, 3)
+
+
+# --- outlines and folds -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("folds", [4, 7, 12])
+def test_an_outline_is_found_to_a_third_of_a_pixel(folds):
+    radius = petals(folds)
+    found = outline_in(rendered(radius), PIXEL, centre=(126.4, 125.7))
+    assert np.sqrt(np.mean((found - radius) ** 2)) < 0.35 * PIXEL
+    assert np.abs(found - radius).max() < 1.2 * PIXEL
+    about = outline_in(rendered(radius), PIXEL)  # about its centroid
+    assert np.sqrt(np.mean((about - radius) ** 2)) < 0.4 * PIXEL
+
+
+def test_the_drape_coefficient_is_cusicks():
+    assert drape_coefficient(np.full(360, PLATE), PLATE, DISC) == pytest.approx(0.0)
+    assert drape_coefficient(np.full(360, DISC), PLATE, DISC) == pytest.approx(1.0)
+    radius = petals(6)
+    area = np.pi * (0.125**2 + 0.012**2 / 2)
+    expected = (area - np.pi * PLATE**2) / (np.pi * (DISC**2 - PLATE**2))
+    assert drape_coefficient(radius, PLATE, DISC) == pytest.approx(expected)
+    found = outline_in(rendered(radius), PIXEL)
+    assert drape_coefficient(found, PLATE, DISC) == pytest.approx(expected, abs=4e-3)
+
+
+@pytest.mark.parametrize("folds", [2, 5, 11])
+def test_even_folds_are_counted_and_measured(folds):
+    coefficient, count, depth, unevenness = drape_quantities(petals(folds), PLATE, DISC)
+    assert count == folds
+    assert depth == pytest.approx(0.024, rel=0.06)  # smoothing takes a little of twelve folds
+    assert unevenness < 0.02
+    assert 0 < coefficient < 1
+
+
+def test_uneven_folds_are_said_to_be():
+    warped = 0.125 + 0.012 * np.cos(6 * (TURN + 0.25 * np.sin(TURN)))
+    assert drape_quantities(warped, PLATE, DISC)[3] == pytest.approx(0.18, abs=0.05)
+
+
+def test_what_is_no_deeper_than_a_tremble_is_no_fold():
+    assert drape_quantities(petals(7, depth=0.0005), PLATE, DISC)[1:].tolist() == [0, 0, 0]
+    peaks, prominence = folds_of(smoothed(petals(5, depth=0.004)))
+    assert len(peaks) == 5
+    assert prominence == pytest.approx(np.full(5, 0.008), rel=0.05)
+
+
+def test_quantities_come_with_how_sure_they_are():
+    seen = DrapeTracker().track(captures_of([petals(6), petals(6, depth=0.0011), petals(9), petals(6)])).outlines
+    sigma = quantity_sigma(seen)
+    assert (sigma[:, 0] < 0.01).all()
+    assert sigma[0, 1] == 0  # nothing makes five or seven folds of six deep ones
+    assert sigma[1, 1] > 0.5  # 2.2 mm may or may not count
+    true = drape_coefficient(petals(6), PLATE, DISC)
+    assert abs(seen.coefficient()[0] - true) < 4 * sigma[0, 0] + 2e-3
+
+
+def test_simulated_drapes_have_the_outline_of_their_rim():
+    radius = petals(6)
+    drapes = np.stack([drape_with(radius), drape_with(petals(9))])[None]
+    found = outlines_of_points(drapes, (0.0, 0.0, 0.0), PLATE)
+    assert found.shape == (1, 2, 360)
+    assert found[0, 0] == pytest.approx(radius, abs=2e-4)
+    lost = drapes.copy()
+    lost[0, 1, 5] = np.nan
+    assert np.isnan(outlines_of_points(lost, (0, 0, 0), PLATE)[0, 1]).all()
+    under = drape_with(np.full(360, 0.05))  # a rim under the plate leaves the plate's shadow
+    assert outlines_of_points(under, (0, 0, 0), PLATE) == pytest.approx(PLATE)
+
+
+def test_the_tracker_shows_its_steps():
+    drapes = captures_of([petals(6), petals(7)])
+    tracker = DrapeTracker()
+    shown = tracker.pictures(drapes, 1, tracker.track(drapes))
+    assert list(shown) == ["shadow", "outline and plate", "folds"]
+    assert all(p.dtype == np.uint8 and p.shape == (512, 512, 3) for p in shown.values())
+
+
+# --- the metric -------------------------------------------------------------------------------------------------------
+
+
+def rollout(*outlines):
+    position = np.stack([np.stack([drape_with(r) for r in member]) for member in outlines])
+    count = len(outlines)
+    return Rollout(np.arange(float(position.shape[1])), position, ("ok",) * count, np.ones(count), 100)
+
+
+def test_the_metric_compares_distributions_not_single_drapes():
+    captured = [petals(n, phase=k) for k, n in enumerate([6, 7, 7, 8, 7, 7])]
+    seen, metric = DrapeTracker().track(captures_of(captured)), DrapeMetric()
+    same = [petals(n, phase=2.0 * k) for k, n in enumerate([7, 6, 8, 7])]  # other captures of the same cloth
+    five = [petals(5)] * 4
+    limp = [petals(7, mean=0.11)] * 4
+    score = metric(seen, rollout(same, five, limp))
+    assert score.value.argmin() == 0
+    assert score.value[0] < 0.3
+    names = [o.name for o in metric.objectives]
+    assert names == ["drape_coefficient", "folds", "depth", "unevenness"]
+    assert score.objectives[1, 1] == pytest.approx(2.0, abs=0.1)  # Wasserstein's distance from 5 to about 7
+    assert score.objectives[2, 0] == pytest.approx(100 * (0.125**2 - 0.11**2) / (DISC**2 - PLATE**2), abs=0.6)
+    assert score.value == pytest.approx(np.sqrt(np.mean((score.objectives / score.spread) ** 2, axis=1)))
+    low, high = metric.interval(seen, rollout(five), 1)
+    assert low < score.value[1] < high
+    assert 0 < metric.floor(seen) < 2
+
+
+def test_the_metric_takes_some_quantities_only():
+    seen = DrapeTracker().track(captures_of([petals(6), petals(7), petals(7), petals(6)]))
+    metric = DrapeMetric(quantities=["drape_coefficient"])
+    assert metric(seen, rollout([petals(12)])).objectives.shape == (1, 1)
+    with pytest.raises(ClothbenchError, match="quantities is"):
+        DrapeMetric(quantities=["colour"])
+    with pytest.raises(ClothbenchError, match="shows no drapes"):
+        metric(dataclasses.replace(seen, outlines=None), rollout([petals(6)]))
+
+
+# --- files ------------------------------------------------------------------------------------------------------------
+
+
+def test_a_recording_is_read_as_it_was_written(tmp_path):
+    drapes = captures_of([petals(6), petals(7)], notes={"who": "the kit"})
+    path = write(drapes, tmp_path / "petals.nc")
+    again = read_sheet(path)
+    assert again.hash == drapes.hash
+    assert again.notes == {"who": "the kit"}
+    assert np.array_equal(read_silhouettes(path).image, drapes.image)
+
+
+@pytest.mark.parametrize(
+    ("changes", "says"),
+    [
+        ({"pixel_size": 2.8e-3}, "found a shadow of"),
+        ({"pixel_size": 0.01}, "20 pixels across the plate's radius"),
+        ({"disc_radius": 0.08}, "expected more than plate_radius"),
+        ({"plate_radius": np.nan}, "attribute 'plate_radius'"),
+        ({"side": np.array([0, 3])}, "variable 'side': found 3"),
+        ({"areal_density": -1.0}, "attribute 'areal_density'"),
+        ({"split": "test"}, "attribute 'split'"),
+        ({"sample": np.array([1])}, "found 1 along 'capture', expected 2"),
+        ({"name": ""}, "attribute 'name'"),
+    ],
+)
+def test_what_is_wrong_is_said_in_one_line(changes, says):
+    with pytest.raises(ClothbenchError, match=says) as fault:
+        captures_of([petals(6), petals(7)], **changes)
+    assert "\n" not in str(fault.value)
+
+
+def test_a_bright_cloth_and_one_cut_off_are_refused():
+    image = np.stack([rendered(petals(6))])
+    with pytest.raises(ClothbenchError, match="that the cloth is dark"):
+        captures_of([petals(6)], image=255 - image)
+    with pytest.raises(ClothbenchError, match="reaches the picture's border"):
+        captures_of([petals(6)], image=np.roll(image, 50, axis=2))
+
+
+# --- scenes -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_drapemeter_is_simulated_from_several_first_shapes():
+    scenes = scenes_of(captures_of([petals(6)]), starts=3, thickness=5e-4, spacing=0.02)
+    assert len(scenes) == 3
+    first, second, _ = scenes
+    assert first.width == first.height == 2 * DISC
+    assert first.resolution == (16, 16)
+    assert first.thickness == 5e-4
+    assert first.obstacles[0].clamps
+    assert first.obstacles[0].radius == PLATE
+    assert np.array_equal(first.points, drape_points(PLATE, DISC))
+    assert not np.array_equal(first.start, second.start)
+    rim = np.concatenate([s.start[-SPOKES:, 2] for s in scenes_of(captures_of([petals(6)]), starts=40)])
+    assert np.sqrt(np.mean(rim**2)) == pytest.approx(2e-3, rel=0.15)
+    assert np.array_equal(
+        scenes_of(captures_of([petals(6)]), starts=3)[1].start, scenes_of(captures_of([petals(6)]))[1].start
+    )
+
+
+def test_settings_of_the_other_kind_are_refused():
+    with pytest.raises(ClothbenchError, match="setting 'scene.start' says nothing to recordings of kind 'silhouette'"):
+        scenes_of(captures_of([petals(6)]), start="measured")
+    with pytest.raises(ClothbenchError, match="'areal_density' is not known"):
+        scenes_of(captures_of([petals(6)], areal_density=np.nan))
+
+
+@pytest.mark.parametrize(
+    ("scene", "says"),
+    [
+        ({"outline": [[0, 0], [1, 1]]}, "three corners"),
+        ({"outline": [[0, 0], [1, 1], [1]]}, "a corner that is not"),
+        ({"obstacles": {"shape": "plane"}}, "expected a list"),
+        ({"obstacles": [{"radius": 1}]}, "states no shape"),
+        ({"obstacles": [{"shape": "cone"}]}, "shape is 'cone'"),
+        ({"obstacles": [{"shape": "plane", "height": 1}]}, "'height' is not known"),
+        ({"thickness": -1}, "scene.thickness"),
+        ({"starts": 0}, "scene.starts"),
+    ],
+)
+def test_supports_in_settings_are_checked(scene, says):
+    with pytest.raises(ClothbenchError, match=says):
+        scene_settings(scene)
+
+
+def test_supports_in_settings_reach_the_scene(recording):
+    told = scene_settings({"obstacles": [{"shape": "sphere", "centre": [0, 0, -1], "radius": 0.2}], "thickness": 1e-3})
+    scene = scene_of(recording, **told)
+    assert scene.obstacles[0].centre == (0, 0, -1)
+    assert scene.thickness == 1e-3
+
+
+def test_placements_are_frames_of_one_rollout():
+    from clothbench_models.mass_spring import MassSpring
+
+    model = MassSpring()
+    simulation = joined([model.prepare(s) for s in scenes_of(captures_of([petals(6)]), starts=2, spacing=0.03)])
+    theta = model.parameters.defaults[None].repeat(2, axis=0)
+    run = simulation.run(theta)
+    assert run.position.shape == (2, 2, RINGS * SPOKES, 3)
+    assert run.status == ("ok", "ok")
+    assert run.time.tolist() == [0.0, 1.0]
+    assert np.array_equal(run.position[0], run.position[1])
+
+
+# --- the importer -----------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def cusick(data_dir, tmp_path_factory):
+    source = data_dir / "cusick-drape-bdp"
+    if not source.is_dir():
+        pytest.skip(f"{source} is not there")
+    out = tmp_path_factory.mktemp("cusick")
+    convert(source, out)
+    return out
+
+
+def test_every_picture_is_imported_once(cusick):
+    report = json.loads((cusick / "import-report.json").read_text())
+    assert sum(r["frames_kept"] for r in report["recordings"]) == 669
+    copies = [line for r in report["recordings"] for line in r["notes"] if "the same bytes as" in line]
+    assert len(copies) == 47
+    fit, held = (read_silhouettes(cusick / "wool_red" / f"{split}.nc") for split in ("fit", "held_out"))
+    assert (len(fit.image), len(held.image)) == (32, 16)
+    assert not set(fit.sample) & set(held.sample)
+    assert fit.areal_density == 0.274
+
+
+@pytest.mark.parametrize(
+    ("fabric", "coefficient", "sd"),
+    [("cotton_blue", 0.707, 0.070), ("viscose_white", 0.138, 0.014), ("cotton_pink", 0.613, 0.045),
+     ("wool_red", 0.774, 0.018)],
+)  # fmt: skip
+def test_drape_coefficients_are_the_stated_ones(cusick, fabric, coefficient, sd):
+    """Within what the pixel's size leaves open: 0.4 % of it are 0.006 to 0.010 of the coefficient."""
+    found = np.concatenate(
+        [
+            DrapeTracker().track(read_silhouettes(cusick / fabric / f"{split}.nc")).outlines.coefficient()
+            for split in ("fit", "held_out")
+        ]
+    )
+    assert len(found) == 48
+    assert found.mean() == pytest.approx(coefficient, abs=0.010)
+    assert found.std(ddof=1) == pytest.approx(sd, abs=0.002)
