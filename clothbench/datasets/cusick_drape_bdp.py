@@ -6,11 +6,10 @@ One recording of kind "silhouette" for each fabric and split: two thirds of its 
 - Nothing states how large a pixel is. The meshes that were made of the shadows say 1.385 mm; the innermost troughs of
   limp fabrics then lie on the plate's rim, 90.2 mm from the middle.
 - Fabrics 2 to 5 have no name and no mass in their folders, but their pictures are those of named ones in another
-folder,
-  byte by byte; so they get both. `cotton_white` is in that other folder only. The mass of all others is not known.
+  folder, byte by byte; so they get both. `cotton_white`, and one more capture of `cotton_blue`, are in that other
+  folder only. The mass of all others is not known.
 - Which side was up is stated for named pictures only: where the same bytes lie in both folders, the first two captures
-  of a specimen show its face up, the others face down. So it is read for fabrics 2 to 5; for all others it is not
-  known.
+  of a specimen show its face up, the others face down. So it is read for fabrics 2 to 5; of the others nobody knows.
 - The meshes are no measurements (straight from plate to shadow) and are not read.
 """
 

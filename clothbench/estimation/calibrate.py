@@ -14,6 +14,7 @@ from clothbench.core.progress import Progress
 from clothbench.core.protocols import Evaluation, Optimizer
 from clothbench.core.rollout import Rollout
 from clothbench.engine.checkpoint import Checkpoint
+from clothbench.estimation.front import chosen, on_front
 from clothbench.estimation.intervals import intervals
 from clothbench.estimation.search import drive
 from clothbench.estimation.trials import Trial, evaluate
@@ -23,10 +24,11 @@ from clothbench.estimation.trials import Trial, evaluate
 class Fit:
     """What a calibration found. P parameters, E evaluations.
 
-    best: (P,); low, high: (P,), 95 % intervals (NaN where there are none); at_bound: (P,); theta: (E, P) and
-    value: (E,), the history; condition: of the scaled Jacobian; status: ok, diverged (nothing could be simulated)
-    or timeout (stopped by the clock, best so far); wall_s: s, with that of stopped runs; start: (P,), where the search
-    set out from after its first look around, if it says so; looked: evaluations that this look took.
+    best: (P,); low, high: (P,), 95 % intervals (NaN where there are none); at_bound: (P,); theta: (E, P) and value:
+    (E,), the history; condition: of the scaled Jacobian; status: ok, diverged (nothing could be simulated) or timeout
+    (stopped by the clock, best so far); wall_s: s, with that of stopped runs; start: (P,), where the search set out
+    from after its first look around, if it says so; looked: evaluations that this look took; objectives: (E, M), in
+    units of their spread, of a metric with several, or None.
     """
 
     space: ParameterSpace
@@ -42,10 +44,23 @@ class Fit:
     wall_s: float
     start: np.ndarray | None = None
     looked: int = 0
+    objectives: np.ndarray | None = None
 
     @property
     def evaluations(self) -> int:
         return len(self.value)
+
+    @property
+    def lost(self) -> int:
+        """How many evaluations came to nothing: runs that diverged or took too long."""
+        return int((~np.isfinite(self.value)).sum())
+
+    @property
+    def front(self) -> np.ndarray:
+        """Numbers of the evaluations that no other is as good as in all objectives; the best's, where there is one."""
+        if self.objectives is None:
+            return np.flatnonzero(np.isfinite(self.value) & (self.value == np.nanmin(self.value)))[:1]
+        return np.flatnonzero(on_front(self.objectives))
 
 
 def remembered(trials: Sequence[Trial], theta: np.ndarray, checkpoint: Checkpoint | None) -> Evaluation:
@@ -54,10 +69,10 @@ def remembered(trials: Sequence[Trial], theta: np.ndarray, checkpoint: Checkpoin
     key = batch_key(theta)
     known = checkpoint.recall(key)
     if known is not None and "value" in known:
-        return Evaluation(known["value"], known.get("residual"))
+        return Evaluation(known["value"], known.get("residual"), known.get("objectives"))
     evaluation, _ = evaluate(trials, theta)
-    residual = {} if evaluation.residual is None else {"residual": evaluation.residual}
-    checkpoint.keep(key, value=evaluation.value, **residual)
+    more = {"residual": evaluation.residual, "objectives": evaluation.objectives}
+    checkpoint.keep(key, value=evaluation.value, **{name: array for name, array in more.items() if array is not None})
     return evaluation
 
 
@@ -75,20 +90,25 @@ def calibrate(
     progress: Progress | None = None,
     checkpoint: Checkpoint | None = None,
     bounded: bool = True,
+    choice: str = "nearest",
 ) -> Fit:
     """Run the search to its end (or to `timeout` seconds) on the fit recordings together.
 
     `progress(evaluations, best value)` is called after every batch. A member that diverges is told to the optimizer
-    as NaN and spoils no other. What `checkpoint` holds of a run that was stopped is not simulated again. Without
-    `bounded` the parameters get no intervals, which cost 2 P + 1 evaluations.
+    as NaN and spoils no other. choice: which of the front is best, where the metric has several objectives. What
+    `checkpoint` holds of a run that was stopped is not simulated again. Without `bounded` the parameters get no
+    intervals, which cost 2 P + 1 evaluations.
     """
     checkpoint = checkpoint or Checkpoint()
     thetas: list[np.ndarray] = []
     values: list[np.ndarray] = []
+    several: list[np.ndarray] = []
     stopped, looked = "", 0
     for theta, evaluation in drive(optimizer, lambda theta: remembered(trials, theta, checkpoint)):
         thetas.append(theta)
         values.append(evaluation.value)
+        if evaluation.objectives is not None:
+            several.append(evaluation.objectives)
         if not looked and start_of(optimizer) is not None:
             looked = sum(map(len, values))
         if progress is not None:
@@ -99,7 +119,9 @@ def calibrate(
     theta, value = np.concatenate(thetas), np.concatenate(values)
     simulated = bool(np.isfinite(value).any())
     nothing = np.full(len(space), np.nan)  # no member ran to its end: there is no best
-    best = theta[int(np.argmin(np.where(np.isfinite(value), value, np.inf)))] if simulated else nothing
+    objectives = np.concatenate(several) if several else None
+    first = chosen(value[:, None] if objectives is None else objectives, value, choice)
+    best = theta[first] if simulated else nothing
     low, high, condition = intervals(trials, space, best) if simulated and bounded else (nothing, nothing, np.nan)
     return Fit(
         space=space,
@@ -115,6 +137,7 @@ def calibrate(
         wall_s=checkpoint.seconds,
         start=start_of(optimizer),
         looked=looked,
+        objectives=objectives,
     )
 
 

@@ -11,7 +11,7 @@ SIZES = {"uv": 2, "space": 3}
 
 
 def check_shapes(arrays: Arrays, layout: Layout, where: str, may_be_empty: str = "") -> None:
-    """Every array has its dimensions, none of them empty but one that may be, and as long in one array as in another."""
+    """Every array has its dimensions, none empty but one that may be, each as long in one array as in another."""
     sizes: dict[str, tuple[str, int]] = {}
     for name, of in layout.variables.items():
         dims, shape = of.dims, arrays[name].shape

@@ -55,7 +55,7 @@ def waving(metric: Metric) -> MetricCase:
 
 
 def draped(metric: Metric) -> MetricCase:
-    """Six drapes of three discs on a plate, with six to eight folds, made by formula; the error draws their rims out."""
+    """Six drapes of three discs, six to eight folds each, made by formula; the error draws their rims out."""
     plate, disc = 0.09, 0.15
     out = np.linspace(0.0, 1.0, RINGS)[:, None]
     turn = 2 * np.pi * np.arange(SPOKES) / SPOKES

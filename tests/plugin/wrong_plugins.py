@@ -227,11 +227,18 @@ class Destructive(HonestMetric):
         return super().__call__(observation, rollout)
 
 
+class Aimless(HonestMetric):
+    def __call__(self, observation, rollout):
+        score = super().__call__(observation, rollout)
+        return dataclasses.replace(score, objectives=score.value[:, None], spread=np.ones(1))
+
+
 METRICS = [
     (Unitless, "has all members", "unit ''"),
     (Flat, "gives whole scores", "per_frame of shape (2,)"),
     (Offset, "is zero for a perfect rollout", "for a perfect rollout"),
     (Saturated, "grows with the error", "for an error doubled thrice"),
+    (Aimless, "says its objectives", "objectives of shape (2, 1)"),
     (SeeingTheUnseen, "ignores what was not seen", "when only unseen nodes move"),
     (Inventive, "gives no number for a lost rollout", "for rollouts that were lost"),
     (InventiveWithoutView, "gives no number where nothing was seen", "where no node was seen"),

@@ -36,7 +36,7 @@ def test_addresses_are_pinned_and_quoted():
 
 
 def test_unknown_data_set_names_the_known_ones():
-    with pytest.raises(ClothbenchError, match="known: iri_wam_cloth_swing"):
+    with pytest.raises(ClothbenchError, match="known: cusick_drape_bdp, iri_wam_cloth_swing"):
         registry.dataset("nothing")
 
 

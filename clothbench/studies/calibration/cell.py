@@ -31,8 +31,9 @@ class CalibrationCell:
 
     Plain data: it travels to worker processes, and its key is the hash of everything here except where files lie.
     fixed: parameters that are not searched for, with their values; analysis: what else is asked of the fit, by name;
-    rivals: other fabrics' recordings of the same trials, which these parameters are held against; published: figures of
-    a paper by metric and name, in the metric's unit, to stand beside the results.
+    rivals: other fabrics' recordings of the same trials, which these parameters are held against; published: figures
+    of a paper by metric and name, in the metric's unit, to stand beside the results; choice: which of the front is
+    the fit, where the metric has several objectives.
     """
 
     suite: str
@@ -55,6 +56,7 @@ class CalibrationCell:
     analysis: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     rivals: tuple[Source, ...] = ()
     published: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    choice: str = "nearest"
 
     study: ClassVar[str] = "calibration"
     counts: ClassVar[str] = "evaluations"
@@ -67,6 +69,8 @@ class CalibrationCell:
         question["recordings"] = sorted((s["hash"], s["split"]) for s in question["recordings"])
         question["options"] = {k: v for k, v in question["options"].items() if k in self._plugins()}
         question["rivals"] = sorted(s["hash"] for s in question["rivals"])
+        if question["choice"] == "nearest":
+            del question["choice"]
         for name in (
             "fixed",
             "analysis",

@@ -14,6 +14,7 @@ from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import Source, matching, plugin_versions, resplit
 from clothbench.engine.settings import require_plugins
 from clothbench.engine.suite import where
+from clothbench.estimation.front import CHOICES
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
@@ -50,6 +51,7 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
                 rivals=tuple(rivals(sources, cases)) if "confusion" in analysis else (),
                 report=tuple(settings["report"]),
                 published=suite["published"],
+                choice=choice_of(settings.get("choice")),
                 tracker=str(settings["tracker"]),
                 **{key: settings[key] for key in ("options", "bounds", "scene", "budget", "seed", "timeout")},
             )
@@ -58,6 +60,14 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
             cells[cell.key] = cell
     refuse_strays(settings["bounds"], searched)
     return list(cells.values())
+
+
+def choice_of(stated: Any) -> str:
+    """How one parameter set is chosen from a front."""
+    choice = stated or CHOICES[0]
+    if choice not in CHOICES:
+        raise ClothbenchError(f"setting 'choice' is {stated!r}, expected one of {', '.join(CHOICES)}")
+    return str(choice)
 
 
 def refuse_strays(bounds: Mapping[str, Any], searched: Sequence[set[str] | None]) -> None:

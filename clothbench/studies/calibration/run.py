@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.observation import Observation
-from clothbench.core.optional import HasInterval, ShowsSteps
+from clothbench.core.optional import HasInterval, ShowsSteps, objectives_of
 from clothbench.core.protocols import Metric, Score
 from clothbench.core.rollout import Rollout
 from clothbench.engine.rows import about_cell, failure, no_value
@@ -38,7 +38,7 @@ def run(cell: CalibrationCell, context: Context) -> Result:
     )  # fmt: skip
     fit = calibrate(
         bench.of_split("fit"), optimizer, bench.space, timeout=cell.timeout, progress=context.progress,
-        checkpoint=context.checkpoint,
+        checkpoint=context.checkpoint, choice=cell.choice,
     )  # fmt: skip
     if fit.status == "diverged":
         return failure(cell, "diverged", _why_lost(bench), evaluations=fit.evaluations, wall_s=fit.wall_s)
@@ -53,7 +53,14 @@ def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
         scores = [score_of(t, metric, r) for t, r in zip(bench.trials, rollouts, strict=True)]
         rows += _rows_of(bench, fit, metric, scores, rollouts)
         trace += _trace_of(bench, metric, scores)
-    tables = {"rows": rows, "parameters": _parameters_of(bench, fit), "history": _history_of(fit), "trace": trace}
+    tables = {
+        "rows": rows,
+        "parameters": _parameters_of(bench, fit),
+        "history": _history_of(bench, fit),
+        "trace": trace,
+    }
+    if fit.objectives is not None:
+        tables["front"] = _front_of(bench, fit)
     if bench.cell.published:
         tables["published"] = _published_of(bench)
     tables |= {"starts": starts_of(bench, fit)} | analyse(bench, fit, context.plugins, context.checkpoint)
@@ -210,13 +217,38 @@ def _published_of(bench: Bench) -> list[dict[str, Any]]:
     ]
 
 
-def _history_of(fit: Fit):
+def _history_of(bench: Bench, fit: Fit):
     import pandas as pd
 
+    names = [o.name for o in objectives_of(bench.trials[0].metric)]
+    several = {} if fit.objectives is None else dict(zip(names, fit.objectives.T, strict=True))
     return pd.DataFrame(
         {
             "evaluation": np.arange(1, fit.evaluations + 1),
             "value": fit.value,
+            **{f"objective:{name}": column for name, column in several.items()},
             **dict(zip(fit.space.names, fit.theta.T, strict=True)),
         }
     )
+
+
+def _front_of(bench: Bench, fit: Fit) -> list[dict[str, Any]]:
+    """Every objective of every evaluation on the front, in units of the spread and in its own."""
+    assert fit.objectives is not None
+    metric, seen = bench.trials[0].metric, bench.of_split("fit")
+    spreads = [score_of(t, t.metric, t.simulation.run(fit.best[None])).spread for t in seen]
+    spread = np.mean([s for s in spreads if s is not None], axis=0)
+    return [
+        {
+            "evaluation": int(k) + 1,
+            "value": finite(fit.value[k]),
+            "chosen": bool((fit.theta[k] == fit.best).all()),
+            "objective": objective.name,
+            "unit": objective.unit,
+            "distance": finite(fit.objectives[k, m] * spread[m]),
+            "spreads": finite(fit.objectives[k, m]),
+            "key": bench.cell.key,
+        }
+        for k in fit.front
+        for m, objective in enumerate(objectives_of(metric))
+    ]

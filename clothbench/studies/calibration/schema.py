@@ -48,9 +48,14 @@ MAP = {
 CONFUSION = {
     "case": _text, "fabric": _text, "recording": _text, "recorded_fabric": _text, "trial": _text, "value": _number,
     "metric": _text, "unit": _text, "reason": _text, "key": _text,
+}  # fmt: skip # Every objective of every evaluation that no other beats in all: distance in `unit`, and in spreads between recordings
+# of the same cloth; chosen: the one that is the fit.
+FRONT = {
+    "evaluation": _whole, "value": _number, "chosen": pa.bool_(), "objective": _text, "unit": _text,
+    "distance": _number, "spreads": _number, "key": _text,
 }  # fmt: skip
 ANALYSIS_TABLES = {
     "starts": START, "variability": VARIABILITY, "perturbations": PERTURBATION, "repeats": REPEAT,
     "sensitivity": SENSITIVITY, "map": MAP, "confusion": CONFUSION,
 }  # fmt: skip
-TABLES = {"parameters": PARAMETER, "trace": TRACE, "published": PUBLISHED, **ANALYSIS_TABLES}
+TABLES = {"parameters": PARAMETER, "trace": TRACE, "published": PUBLISHED, "front": FRONT, **ANALYSIS_TABLES}

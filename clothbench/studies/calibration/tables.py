@@ -29,6 +29,8 @@ def show(results: Results) -> list[Any]:
         out += [error_table(suite, mine), *overall(mine)]
         if fitted := [p for p in parameters if p["key"] in keys]:
             out.append(parameter_table(mine, fitted))
+        if front := [f for f in results.table("front") if f["key"] in keys]:
+            out.append(front_table(mine, front))
     return out + analyses(results.rows, {name: results.table(name) for name in ANALYSIS_TABLES})
 
 
@@ -109,5 +111,27 @@ def parameter_table(rows: Rows, parameters: Rows) -> Table:
             texts = (f"  {p['name']} ({p['symbol']})", value, _interval(p["low"], p["high"], ".3g"), *known,
                      p["unit"] + mark)  # fmt: skip
             table.add_row(*(escape(t) for t in texts))
+        table.add_section()
+    return table
+
+
+def front_table(rows: Rows, front: Rows) -> Table:
+    """What was reached in each of several objectives: by the fit, and at best by any evaluation on the front."""
+    title = "several objectives: the fit, and the least of each on the front"
+    table = Table(title=title, title_justify="left", title_style="bold")
+    table.add_column("objective", overflow="fold")
+    for name in ("fit", "in spreads", "least", "in spreads"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("unit", no_wrap=True)
+    about = {r["key"]: r for r in rows}
+    for key in dict.fromkeys(f["key"] for f in front):
+        mine = [f for f in front if f["key"] == key]
+        count = len({f["evaluation"] for f in mine})
+        table.add_row(f"[bold]{escape(cell_name(about[key]))}[/], {count} on the front")
+        for objective in dict.fromkeys(f["objective"] for f in mine):
+            some = [f for f in mine if f["objective"] == objective]
+            fit, least = next(f for f in some if f["chosen"]), min(some, key=lambda f: f["distance"])
+            numbers = (fit["distance"], fit["spreads"], least["distance"], least["spreads"])
+            table.add_row(f"  {objective}", *(f"{n:.3g}" for n in numbers), some[0]["unit"])
         table.add_section()
     return table

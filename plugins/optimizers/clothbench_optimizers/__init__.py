@@ -12,6 +12,16 @@ def clothbench_optimizers():
             "clothbench_optimizers.annealing:Annealing",
             "downhill simplex with Metropolis fluctuations, from the best of an exhaustive grid",
         ),
+        Registration(
+            "simple_ea",
+            "clothbench_optimizers.evolution:SimpleEa",
+            "evolution towards a front of several objectives (pymoo's NSGA-II)",
+        ),
+        Registration(
+            "hybrid_ea",
+            "clothbench_optimizers.evolution:HybridEa",
+            "the same with local search on the front, and a search of the stability domain",
+        ),
         Registration("nelder_mead", "clothbench_optimizers.nelder_mead:NelderMead", "SciPy's simplex, restarted"),
         Registration(
             "cma_es", "clothbench_optimizers.cma_es:CmaEs", "covariance matrix adaptation evolution strategy (pycma)"

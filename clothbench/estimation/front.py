@@ -1,0 +1,37 @@
+"""Several objectives at once: which parameter sets are on the front, and which of them is chosen."""
+
+from __future__ import annotations
+
+import numpy as np
+
+CHOICES = ("nearest", "knee")
+
+
+def on_front(objectives: np.ndarray) -> np.ndarray:
+    """Which of the rows (E, M), lower is better, no other row is at least as good in all and better in one: (E,) bool.
+
+    Rows that are not finite are never on it; of equal rows all are.
+    """
+    known = np.isfinite(objectives).all(axis=1)
+    out = known.copy()
+    for k in np.flatnonzero(known):
+        rows = objectives[known]
+        out[k] = not ((rows <= objectives[k]).all(axis=1) & (rows < objectives[k]).any(axis=1)).any()
+    return out
+
+
+def chosen(objectives: np.ndarray, value: np.ndarray, choice: str) -> int:
+    """The number of the row that is taken for the best, of objectives (E, M) with scalarised value (E,).
+
+    "nearest": the least value; "knee": the row of the front that lies farthest below the plane through its extremes,
+    each objective counted from its least (0) to its greatest (1) on the front (Das 1999, On characterizing the "knee"
+    of the Pareto curve); where they all have one extreme, the nearest.
+    """
+    finite = np.where(np.isfinite(value), value, np.inf)
+    front = np.flatnonzero(on_front(objectives))
+    if choice == "nearest" or len(front) < 2:
+        return int(finite.argmin())
+    rows = objectives[front]
+    least, span = rows.min(axis=0), np.ptp(rows, axis=0)
+    share = np.divide(rows - least, span, out=np.zeros_like(rows), where=span > 0)
+    return int(front[share.sum(axis=1).argmin()])

@@ -1,0 +1,108 @@
+"""Several objectives at once: the front, the choice from it, and how they reach fits and searches."""
+
+import numpy as np
+import pytest
+from clothbench_optimizers.evolution import HybridEa, SimpleEa
+
+from clothbench import ClothbenchError, Evaluation
+from clothbench.estimation.front import chosen, on_front
+from clothbench.studies.calibration.plan import choice_of
+from clothbench.testing.toys import bowl, partly_lost
+
+
+def test_the_front_is_what_nothing_beats_in_all():
+    rows = np.array([[1, 4], [2, 2], [4, 1], [3, 3], [2, 2], [np.nan, 0]], dtype=float)
+    assert on_front(rows).tolist() == [True, True, True, False, True, False]
+
+
+def test_the_front_agrees_with_pymoos():
+    from pymoo.util.nds.non_dominated_sorting import NonDominatedSorting
+
+    rows = np.random.default_rng(2).random((200, 3))
+    theirs = NonDominatedSorting().do(rows, only_non_dominated_front=True)
+    assert set(np.flatnonzero(on_front(rows))) == set(theirs)
+
+
+def test_nearest_and_knee_are_different_choices():
+    bend = np.array([[0.0, 1.0], [0.15, 0.2], [1.0, 0.0], [0.05, 0.05 + 1]])
+    value = np.array([0.7, 0.5, 0.1, 9.0])
+    assert chosen(bend, value, "nearest") == 2
+    assert chosen(bend, value, "knee") == 1
+    assert chosen(bend[:, :1], bend[:, 0], "knee") == 0
+    assert chosen(np.full((3, 2), np.nan), np.array([np.nan, 3.0, 2.0]), "knee") == 2
+
+
+def test_an_unknown_choice_is_refused():
+    assert choice_of(None) == "nearest"
+    with pytest.raises(ClothbenchError, match="expected one of nearest, knee"):
+        choice_of("best")
+
+
+def two_goals(unit):
+    """Distances to two points: the front is the line between them."""
+    return np.stack([np.linalg.norm(unit - goal, axis=1) for goal in (0.3, 0.7)], axis=1)
+
+
+def searched(factory, seed, budget=160):
+    """What a search finds of two goals, and how many times it asked: objectives (E, 2)."""
+    space, found = bowl(3).space, []
+    search = factory(space, seed=seed, budget=budget)
+    while not search.done:
+        theta = search.ask()
+        goals = two_goals(space.to_unit(theta))
+        found.append(goals)
+        search.tell(theta, Evaluation(goals.sum(axis=1), residual=goals, objectives=goals))
+    return np.concatenate(found)
+
+
+@pytest.mark.parametrize("factory", [SimpleEa, HybridEa])
+def test_evolution_spreads_over_the_front(factory):
+    found = np.array([searched(factory, seed) for seed in range(3)])
+    assert found.shape == (3, 160, 2)
+    ends = np.sqrt(3) * 0.4
+    for rows in found:
+        front = rows[on_front(rows)]
+        assert (front.sum(axis=1) < 1.35 * ends).any()  # near the line
+        assert np.ptp(front[:, 0]) > 0.5 * ends  # and not in one place
+
+
+def test_local_search_gets_nearer_with_as_many_evaluations():
+    """Over ten seeds, the best sum of two squares: a bowl in six parameters."""
+    problem = bowl(6)
+
+    def best(factory, seed):
+        search, lowest = factory(problem.space, seed=seed, budget=150), np.inf
+        while not search.done:
+            theta = search.ask()
+            evaluation = problem.evaluate(theta)
+            lowest = min(lowest, evaluation.value.min())
+            search.tell(theta, evaluation)
+        return lowest
+
+    hybrid, simple = (np.array([best(f, seed) for seed in range(10)]) for f in (HybridEa, SimpleEa))
+    assert np.median(hybrid) < 0.5 * np.median(simple)
+    assert (hybrid < simple).sum() >= 9
+
+
+def test_lost_runs_are_counted_and_the_border_is_crossed_less():
+    problem, lost = partly_lost(), {}
+    for factory in (HybridEa, SimpleEa):
+        lost[factory] = []
+        for seed in range(5):
+            search = factory(problem.space, seed=seed, budget=200)
+            while not search.done:
+                theta = search.ask()
+                search.tell(theta, problem.evaluate(theta))
+            assert search.stopped == f"budget spent, {search.lost} runs lost"
+            lost[factory].append(search.lost)
+    assert max(lost[HybridEa]) < 0.15 * 200
+    assert np.mean(lost[HybridEa]) <= 1.3 * np.mean(lost[SimpleEa])
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [({"population": 3}, "population is 3"), ({"local": 0}, "local is 0"), ({"radius": 1.0}, "radius is 1.0")],
+)
+def test_wrong_options_are_refused(options, says):
+    with pytest.raises(ClothbenchError, match=says):
+        HybridEa(bowl(3).space, seed=0, budget=100, **options)
