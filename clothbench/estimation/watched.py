@@ -12,6 +12,7 @@ from clothbench.core.optional import kinds_read
 from clothbench.core.protocols import Tracker
 from clothbench.engine.cells import digest, plugin_versions
 from clothbench.plugins.discovery import OWN, Catalogue
+from clothbench.recordings.kinds import AnyRecording
 from clothbench.recordings.nodes import Recording, read_recording, write_recording
 from clothbench.recordings.silhouette import Silhouettes
 from clothbench.recordings.tracked import Images, nodes_of, seen_in
@@ -27,6 +28,17 @@ def require_readable(images: Images | Silhouettes, tracker: str, plugins: Catalo
         f"{images.path}: found kind {images.kind!r}, which the tracker {tracker!r} does not read; "
         f"take tracker={' or '.join(able)}"
     )
+
+
+def require_comparable(recording: AnyRecording, metric: str, plugins: Catalogue) -> None:
+    """Refuse a metric of drapes on sheets of points, or one of points on drapes."""
+    drapes, wanted = isinstance(recording, Silhouettes), "silhouette" in kinds_read(plugins.load("metrics", metric))
+    if drapes != wanted:
+        shows = "drapes, of which no point is seen" if drapes else "points of a sheet"
+        raise ClothbenchError(
+            f"{recording.path or recording.name}: found {shows}, which the metric {metric!r} does not compare; take "
+            + ("metric=drape" if drapes else "recordings of kind 'silhouette'")
+        )
 
 
 def watched(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -17,7 +18,7 @@ from clothbench.engine.cells import Skipped, Source, digest, seed_of
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.placements import joined
 from clothbench.estimation.trials import Trial
-from clothbench.estimation.watched import require_readable, watched
+from clothbench.estimation.watched import require_comparable, require_readable, watched
 from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
@@ -150,9 +151,13 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
     """
     try:
         mine = [recordings[s.path] for s in cell.recordings]
+        for recording, name in itertools.product(mine, (cell.metric, *cell.report)):
+            require_comparable(recording, name, plugins)
         if not all(isinstance(r, Recording) for r in mine):  # images are tracked when the cell is run
             for images in (r for r in mine if not isinstance(r, Recording)):
                 require_readable(images, cell.tracker, plugins)
+                if isinstance(images, Silhouettes):
+                    scenes_of(images, **cell.scene)
             plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
             return None
         scenes = [scene for recording in mine for scene in scenes_of(recording, **cell.scene)]

@@ -16,7 +16,7 @@ from clothbench.studies.calibration.analysis_page import analysis_section
 from clothbench.studies.calibration.figures import panels
 from clothbench.studies.calibration.leaderboard import leaderboard
 from clothbench.studies.calibration.published import published_section
-from clothbench.studies.calibration.schema import ANALYSIS_TABLES, FRAMES, PICTURES
+from clothbench.studies.calibration.schema import ANALYSIS_TABLES, DRAPES, FRAMES, PICTURES
 
 Rows = Sequence[dict[str, Any]]
 STEPS = '<p class="soft">The middle frame of the first recording, step by step.</p>'
@@ -79,6 +79,7 @@ def sections(results: Results) -> list[Section]:
         beside,
         steps(results),
         pictures_of_fits(results),
+        pictures_of_drapes(results),
         analyses,
         fits(results.rows, results.table("parameters")),
     ]
@@ -114,14 +115,25 @@ def steps(results: Results) -> Section | None:
 
 def pictures_of_fits(results: Results) -> Section | None:
     """Frames of a video, tracked and fitted, of each cell that has some."""
+    note = "Left as it was tracked, right the best fit, on frames of the first recording."
+    return _pictures(results, FRAMES, "*.jpg", "Tracked and fitted", note)
+
+
+def pictures_of_drapes(results: Results) -> Section | None:
+    """Outlines of drapes, captured and simulated, of each cell that has some."""
+    note = "Outlines from above: all captures in grey, the best fit from several first shapes in red; circles are the "
+    return _pictures(results, DRAPES, "*.png", "Drapes, captured and simulated", note + "plate and the flat specimen.")
+
+
+def _pictures(results: Results, folder: str, pattern: str, title: str, about: str) -> Section | None:
+    """The pictures that cells have in a folder, cell by cell."""
     parts = []
     for key in sorted({r["key"] for r in results.rows}):
         row = next(r for r in results.rows if r["key"] == key)
-        if pictures := sorted((results.store.cell(key) / FRAMES).glob("*.jpg")):
+        if pictures := sorted((results.store.cell(key) / folder).glob(pattern)):
             name = f"{text(row['case'])} · {model_name(row)} · {text(row['optimizer'])}"
             parts.append(f"<h3>{name}</h3>{strip(pictures)}")
-    note = '<p class="soft">Left as it was tracked, right the best fit, on frames of the first recording.</p>'
-    return Section(f"<h2>Tracked and fitted</h2>{note}{''.join(parts)}") if parts else None
+    return Section(f'<h2>{title}</h2><p class="soft">{about}</p>{"".join(parts)}') if parts else None
 
 
 def strip(pictures: Sequence[Path]) -> str:

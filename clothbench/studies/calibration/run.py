@@ -25,8 +25,9 @@ from clothbench.recordings.silhouette import Silhouettes
 from clothbench.recordings.tracked import Images
 from clothbench.studies.calibration.analysis import analyse, starts_of, truth_of
 from clothbench.studies.calibration.cell import Bench, CalibrationCell, set_up
+from clothbench.studies.calibration.drapes import write_drapes
 from clothbench.studies.calibration.frames import at_most, write_frames
-from clothbench.studies.calibration.schema import FRAMES, PICTURES
+from clothbench.studies.calibration.schema import DRAPES, FRAMES, PICTURES
 
 
 def run(cell: CalibrationCell, context: Context) -> Result:
@@ -73,6 +74,8 @@ def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
             write_pictures(folder / PICTURES, raw, seen, bench.cell, context)
         if isinstance(raw, ColourVideo) and seen.sight is not None:
             write_frames(folder / FRAMES, raw.frames(), seen, rollouts[0])
+        if isinstance(raw, Silhouettes):
+            write_drapes(folder / DRAPES, bench.cell.recordings, bench.trials, rollouts)
         if context.rerun:
             write_rerun(folder / "fit.rrd", bench, rollouts)
 

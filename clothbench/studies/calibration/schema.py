@@ -14,6 +14,7 @@ PARAMETER = {
 # Error of every recording, frame by frame.
 TRACE = {"recording": _text, "split": _text, "metric": _text, "time": _number, "value": _number, "unit": _text}
 FRAMES = "frames"  # folder of a cell with frames of a video, tracked and fitted
+DRAPES = "drapes"  # folder of a cell with outlines of drapes, captured and simulated
 PICTURES = "tracker"  # folder of a cell with what its tracker made of one frame
 # What a paper says of a metric, in its `unit`.
 PUBLISHED = {"metric": _text, "name": _text, "value": _number, "unit": _text, "key": _text}
@@ -48,8 +49,9 @@ MAP = {
 CONFUSION = {
     "case": _text, "fabric": _text, "recording": _text, "recorded_fabric": _text, "trial": _text, "value": _number,
     "metric": _text, "unit": _text, "reason": _text, "key": _text,
-}  # fmt: skip # Every objective of every evaluation that no other beats in all: distance in `unit`, and in spreads between recordings
-# of the same cloth; chosen: the one that is the fit.
+}  # fmt: skip
+# Objectives of each evaluation that no other beats in all: distance in `unit`, and in spreads between recordings of the
+# same cloth; chosen: the one that is the fit.
 FRONT = {
     "evaluation": _whole, "value": _number, "chosen": pa.bool_(), "objective": _text, "unit": _text,
     "distance": _number, "spreads": _number, "key": _text,
