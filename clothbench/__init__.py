@@ -60,6 +60,7 @@ _HOME = {
     "HasObjectives": "core.optional",
     "HasStart": "core.optional",
     "KnowsMaterials": "core.optional",
+    "KnowsTextiles": "core.optional",
     "MayBeAbsent": "core.optional",
     "ReadsKinds": "core.optional",
     "Refinable": "core.optional",

@@ -100,6 +100,17 @@ class KnowsMaterials(Protocol):
 
 
 @runtime_checkable
+class KnowsTextiles(Protocol):
+    """A model that says what is to be searched for in a type of textile. Without it: all its parameters, everywhere.
+
+    textiles: for each type ("soft", "medium", "stiff"), by parameter, a pair of bounds within which it is free, or the
+    one value at which it is held; what is not named stays as the model has it.
+    """
+
+    textiles: Mapping[str, Mapping[str, float | tuple[float, float]]]
+
+
+@runtime_checkable
 class AnswersCurves(Protocol):
     """A model that answers force-extension curves, which it says with the capability "curve"."""
 
@@ -168,6 +179,15 @@ def why_skipped(model: Any, scene: Scene) -> str | None:
     if (scene.outline is not None or clamped) and "outline" not in model.capabilities:
         return "the model simulates whole rectangles held by grips, and the scene has a cut or a clamped cloth"
     return model.skip(scene) if isinstance(model, RefusesScenes) else None
+
+
+def textile_of(model: Any, textile: str | None) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
+    """Bounds of the parameters that a type of textile leaves free, and values of those that it holds; nothing of a
+    model that does not say, or where no type is stated.
+    """
+    told = model.textiles.get(textile, {}) if isinstance(model, KnowsTextiles) and textile else {}
+    free = {name: (float(v[0]), float(v[1])) for name, v in told.items() if isinstance(v, tuple)}
+    return free, {name: float(v) for name, v in told.items() if not isinstance(v, tuple)}
 
 
 def kind_of_model(model: Any) -> str:

@@ -112,11 +112,11 @@ class Cover:
         """Which share of its box is cloth, for all that spans di ≥ 0 cells to the right and dj ≥ 0 down: between lines
         where it spans any, else half-way to the lines beside it, (nv − dj, nu − di).
         """
-        rows, wide = _spans(self.v, dj)
-        columns, high = _spans(self.u, di)
+        rows, high = _spans(self.v, dj)
+        columns, wide = _spans(self.u, di)
         total = np.pad(self.quarter.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
         held = np.diff(np.diff(total[rows][:, :, columns], axis=1)[:, 0], axis=-1)[..., 0]
-        return held / np.outer(wide, high)
+        return held / np.outer(high, wide)
 
     @cached_property
     def _node_area(self) -> np.ndarray:

@@ -11,6 +11,7 @@ from clothbench.core.optional import (
     MODEL_KINDS,
     FoldsStrips,
     KnowsMaterials,
+    KnowsTextiles,
     Refinable,
     absent,
     bench_options_of,
@@ -20,6 +21,7 @@ from clothbench.core.optional import (
     repeatability_of,
     runs_in_threads,
     takes_option,
+    textile_of,
     why_skipped,
 )
 from clothbench.core.parameters import ParameterSpace
@@ -113,6 +115,12 @@ def keeps_what_it_offers(case: ModelCase) -> None:
     if isinstance(model, Refinable):
         finer = model.refined(2.0)
         require(finer.parameters.names == model.parameters.names, "other parameters of refined(2)", "the model's own")
+    for textile, told in model.textiles.items() if isinstance(model, KnowsTextiles) else ():
+        strangers = sorted(set(told) - set(model.parameters.names))
+        require(not strangers, f"textile {textile!r} with parameters {strangers}", "the model's own")
+        free, held = textile_of(model, textile)
+        sound = all(low < high for low, high in free.values()) and np.isfinite([*held.values()]).all()
+        require(sound, f"textile {textile!r} with {dict(told)}", "bounds (low, high) or finite values")
     if "fold" in model.capabilities:
         require(isinstance(model, FoldsStrips), "capability 'fold' and no strip(length)", "one")
 

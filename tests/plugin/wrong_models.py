@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import ClassVar
 
 import numpy as np
 
@@ -223,6 +224,12 @@ class Standing(Faulty):
         return dataclasses.replace(scene, velocity=None)
 
 
+class Worn(Faulty):
+    """Says of a textile what it has no parameter for."""
+
+    textiles: ClassVar = {"soft": {"threadbare": 1.0}}
+
+
 class Uncut(Faulty):
     """Simulates the whole rectangle, whatever has been cut off."""
 
@@ -342,6 +349,7 @@ CASES = [
     (Unsteady, "converges with smaller steps", "on halving the step twice"),
     (Metronome, "respects uneven time stamps", "at the same moment of scene"),
     (Standing, "goes on from a motion", "a sheet thrown at 1.4 m/s that is"),
+    (Worn, "keeps what it offers", "textile 'soft' with parameters"),
     (Uncut, "cuts along the outline", "a sheet cut to 60 %"),
     (Unclamped, "cuts along the outline", "clamped cloth 17"),
     (Sleepwalking, "rests when held still", "a sheet that moves by"),

@@ -11,11 +11,13 @@ from clothbench_trackers.drape import Drape as DrapeTracker
 from clothbench import ClothbenchError, Rollout, Silhouettes, outline_in, outlines_of_points, read_silhouettes
 from clothbench import write_silhouettes as write
 from clothbench.core.drape import RINGS, SPOKES, drape_coefficient, drape_points
+from clothbench.core.optional import textile_of
 from clothbench.datasets.cusick_drape_bdp import convert
 from clothbench.engine.settings import scene_settings
 from clothbench.estimation.placements import joined
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.scenes import scene_of, scenes_of
+from clothbench.studies.calibration.settings import suite_settings
 from clothbench.vision.drape import drape_quantities, folds_of, quantity_sigma, smoothed
 
 PIXEL, PLATE, DISC = 1.4e-3, 0.09, 0.15
@@ -313,3 +315,24 @@ def test_drape_coefficients_are_the_stated_ones(cusick, fabric, captures, coeffi
     assert len(found) == captures
     assert found.mean() == pytest.approx(coefficient, abs=0.010)
     assert found.std(ddof=1) == pytest.approx(sd, abs=0.002)
+
+
+# --- what is searched for in a type of textile ------------------------------------------------------------------------
+
+
+def test_a_model_says_what_is_free_in_a_soft_textile():
+    from clothbench_models.mass_spring import MassSpring
+    from clothbench_models.mass_spring_verlet import MassSpringVerlet
+
+    for textile in ("soft", "medium", "stiff"):
+        free, held = textile_of(MassSpringVerlet(), textile)
+        assert set(free) | set(held) == set(MassSpringVerlet.parameters.names)
+        assert all(0 < low < high for low, high in free.values())
+    assert len(textile_of(MassSpringVerlet(), "soft")[0]) < len(textile_of(MassSpringVerlet(), "stiff")[0])
+    assert textile_of(MassSpringVerlet(), None) == textile_of(MassSpring(), "soft") == ({}, {})
+
+
+def test_a_suite_names_the_type_of_its_textiles():
+    assert suite_settings({"textile": {"wool*": "stiff"}})["textile"] == {"wool*": "stiff"}
+    with pytest.raises(ClothbenchError, match="expected one of soft, medium, stiff"):
+        suite_settings({"textile": {"wool*": "woolly"}})

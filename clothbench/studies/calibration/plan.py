@@ -10,12 +10,13 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.optional import textile_of
 from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import Source, matching, plugin_versions, resplit
 from clothbench.engine.settings import require_plugins
 from clothbench.engine.suite import where
 from clothbench.estimation.front import CHOICES
-from clothbench.plugins.discovery import Catalogue
+from clothbench.plugins.discovery import Catalogue, PluginBroken
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
 from clothbench.studies.calibration.cell import CalibrationCell, rehearse, uses
@@ -37,7 +38,9 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     searched: list[set[str] | None] = []
     for case, sources in cases.items():
         analysis = {n: _told(a) for n, a in analyses.items() if _matches(case, a["cases"])}
+        textile = next((t for p, t in suite["textile"].items() if _matches(case, [p])), None)
         for model, optimizer, metric in itertools.product(*(settings[key] for key in PRODUCT)):
+            free, held = gene_set(plugins, model, textile)
             cell = CalibrationCell(
                 suite=suite.get("name") or "single",
                 case=case,
@@ -46,20 +49,34 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
                 optimizer=optimizer,
                 metric=metric,
                 effects=tuple(dict.fromkeys([*settings["effects"], *suite["effects"].get(model, [])])),
-                fixed={n: v for p, values in suite["fixed"].items() if _matches(case, [p]) for n, v in values.items()},
+                fixed=held
+                | {n: v for p, values in suite["fixed"].items() if _matches(case, [p]) for n, v in values.items()},
                 analysis=analysis,
                 rivals=tuple(rivals(sources, cases)) if "confusion" in analysis else (),
                 report=tuple(settings["report"]),
                 published=suite["published"],
                 choice=choice_of(settings.get("choice")),
                 tracker=str(settings["tracker"]),
-                **{key: settings[key] for key in ("options", "bounds", "scene", "budget", "seed", "timeout")},
+                bounds=free | settings["bounds"],
+                **{key: settings[key] for key in ("options", "scene", "budget", "seed", "timeout")},
             )
             cell = dataclasses.replace(cell, versions=plugin_versions(uses(cell), plugins))
             searched.append(rehearse(cell, plugins, {r.path: r for r in recordings}))
             cells[cell.key] = cell
     refuse_strays(settings["bounds"], searched)
     return list(cells.values())
+
+
+def gene_set(
+    plugins: Catalogue, model: str, textile: str | None
+) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:
+    """What a model says of a type of textile: bounds of what is free, and values of what is held."""
+    if textile is None:
+        return {}, {}
+    try:
+        return textile_of(plugins.load("models", model), textile)
+    except PluginBroken:  # its own cell says so
+        return {}, {}
 
 
 def choice_of(stated: Any) -> str:

@@ -8,7 +8,8 @@ from typing import Any
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.settings import known_words, mapping, number, whole, words
 
-SUITE_WORDS = frozenset({"recordings", "select", "case", "each", "fixed", "effects", "published"})
+SUITE_WORDS = frozenset({"textile", "recordings", "select", "case", "each", "fixed", "effects", "published"})
+TEXTILES = ("soft", "medium", "stiff")
 CASES = ("fabric", "experiment", "motion", "recording", "all")
 # What can be asked of a finished fit, with the options of each and their defaults.
 ANALYSES: dict[str, dict[str, Any]] = {
@@ -36,11 +37,18 @@ def suite_settings(suite: Mapping[str, Any]) -> dict[str, Any]:
         }
         for metric, values in mapping("suite.published", out.get("published")).items()
     }
+    out["textile"] = {p: _textile(p, t) for p, t in mapping("suite.textile", out.get("textile")).items()}
     if out.get("case", "fabric") not in CASES:
         raise ClothbenchError(f"setting 'suite.case' is {out['case']!r}, expected one of {', '.join(CASES)}")
     out["select"] = words("suite.select", out.get("select")) or ["*"]
     out["each"] = words("suite.each", out.get("each"))
     return out
+
+
+def _textile(pattern: str, stated: Any) -> str:
+    if stated not in TEXTILES:
+        raise ClothbenchError(f"setting 'suite.textile.{pattern}' is {stated!r}, expected one of {', '.join(TEXTILES)}")
+    return str(stated)
 
 
 def analysis_settings(given: dict[str, Any]) -> dict[str, dict[str, Any]]:

@@ -32,6 +32,25 @@ DIRECTIONS = (("H", "horizontal", (1, 0)), ("V", "vertical", (0, 1)), ("D", "dia
 STIFFNESS = {1: (1.0, 1000.0, 60.0), 2: (0.01, 100.0, 1.0), 3: (0.01, 100.0, 0.3), 4: (0.01, 100.0, 0.1)}  # N/m
 
 
+# What is searched for in a type of textile. Springs to the next particle hold the threads' lengths, whatever the cloth;
+# diagonal ones shear; those farther away bend, and the softer the cloth, the weaker and the fewer of them count.
+THREADS = {"H1": 50.0, "V1": 50.0, "damping": 1.0}
+TEXTILES: dict[str, dict[str, float | tuple[float, float]]] = {
+    "soft": {
+        **THREADS, "D1": (0.005, 2.0), "H2": (1e-4, 0.1), "V2": (1e-4, 0.1), "D2": (1e-4, 0.1), "H3": (1e-5, 0.01),
+        "V3": (1e-5, 0.01), "D3": 1e-5, "H4": 1e-5, "V4": 1e-5, "D4": 1e-5,
+    },
+    "medium": {
+        **THREADS, "D1": (0.1, 20.0), "H2": (1e-3, 1.0), "V2": (1e-3, 1.0), "D2": (0.01, 3.0), "H3": (1e-4, 0.1),
+        "V3": (1e-4, 0.1), "D3": (1e-4, 0.1), "H4": 1e-4, "V4": 1e-4, "D4": 1e-4,
+    },
+    "stiff": {
+        **THREADS, "D1": (1.0, 50.0), "H2": (1e-3, 3.0), "V2": (1e-3, 3.0), "D2": (0.1, 10.0), "H3": (1e-3, 1.0),
+        "V3": (1e-3, 1.0), "D3": (1e-3, 1.0), "H4": (1e-4, 0.1), "V4": (1e-4, 0.1), "D4": (1e-4, 0.1),
+    },
+}  # fmt: skip
+
+
 def _families() -> Families:
     """All sixteen, the shortest first; parameters are numbered H1…H4, V1…V4, D1…D4."""
     found = []
@@ -65,6 +84,7 @@ class MassSpringVerlet:
     version = 1
     kind = "explicit"
     parameters = _parameters()
+    textiles = TEXTILES
     capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start", "outline"})
 
     def __init__(

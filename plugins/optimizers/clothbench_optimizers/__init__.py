@@ -22,6 +22,9 @@ def clothbench_optimizers():
             "clothbench_optimizers.evolution:HybridEa",
             "the same with local search on the front, and a search of the stability domain",
         ),
+        Registration(
+            "tpe", "clothbench_optimizers.tpe:Tpe", "model-based search towards one goal or several (Optuna's TPE)"
+        ),
         Registration("nelder_mead", "clothbench_optimizers.nelder_mead:NelderMead", "SciPy's simplex, restarted"),
         Registration(
             "cma_es", "clothbench_optimizers.cma_es:CmaEs", "covariance matrix adaptation evolution strategy (pycma)"
