@@ -59,6 +59,10 @@ def test_a_front_is_searched_shown_and_kept(clothbench, drapes, tmp_path):
     assert (cell / "fit.rrd").stat().st_size > 10_000
     page = (tmp_path / "runs" / "report.html").read_text()
     assert "Drapes, captured and simulated" in page
+    assert "<h2>Fronts</h2>" in page
+    figures = json.loads(page.split('id="fronts">')[1].split("</script>")[0])
+    assert len(figures) == 7  # parallel coordinates, and four objectives in pairs
+    assert sum(line["line"]["width"] > 1 for line in figures[0]["data"]) == 1
     assert "What the tracker made of the images" in page
 
 
@@ -93,4 +97,4 @@ def test_the_metric_refuses_sheets_and_improve_refuses_drapes(clothbench, drapes
     assert "points of a sheet, which the metric 'drape' does not compare" in sheet.stderr
     improve = clothbench("improve", "recordings=drapes", "model=mass_spring")
     assert improve.returncode == 2
-    assert "drapes at rest" in improve.stderr
+    assert "cloth at rest" in improve.stderr

@@ -14,6 +14,7 @@ from clothbench.display.section import Section
 from clothbench.engine.study import Results
 from clothbench.studies.calibration.analysis_page import analysis_section
 from clothbench.studies.calibration.figures import panels
+from clothbench.studies.calibration.front_page import front_section
 from clothbench.studies.calibration.leaderboard import leaderboard
 from clothbench.studies.calibration.published import published_section
 from clothbench.studies.calibration.schema import ANALYSIS_TABLES, DRAPES, FRAMES, PICTURES
@@ -80,6 +81,7 @@ def sections(results: Results) -> list[Section]:
         steps(results),
         pictures_of_fits(results),
         pictures_of_drapes(results),
+        front_section(results),
         analyses,
         fits(results.rows, results.table("parameters")),
     ]

@@ -20,6 +20,7 @@ from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.codec import kind_of
 from clothbench.recordings.curve import read_curve
 from clothbench.recordings.kinds import read_sheet
+from clothbench.recordings.silhouette import LAYOUT as DRAPES
 from clothbench.studies.improve.candidates import candidates_of, names
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.fitting import search_settings
@@ -142,10 +143,10 @@ def scene_of_settings(settings: Mapping[str, Any], model: Any) -> dict[str, Any]
 
 def read_kind(path: Path, kind: str) -> Any:
     """A recording of the kind that all of them have to be of."""
-    if kind_of(path) == "silhouette":
+    if kind_of(path) == DRAPES.kind:
         raise ClothbenchError(
-            f"{path}: found kind 'silhouette', drapes at rest, expected sheets that move or curves; calibrate with "
-            "`clothbench run metric=drape tracker=drape`"
+            f"{path}: found kind {DRAPES.kind!r}, cloth at rest, expected sheets that move or curves; calibrate it "
+            "with `clothbench run`"
         )
     if kind == "nodes":
         return read_sheet(path)
