@@ -63,7 +63,7 @@ def by_objective(front: Rows) -> dict[str, Rows]:
 def parallel(front: Rows) -> dict[str, Any]:
     """Parallel coordinates: a line for each evaluation over the objectives, in spreads."""
     columns = by_objective(front)
-    data = []
+    data: list[dict[str, Any]] = []
     for n, first in enumerate(next(iter(columns.values()))):
         y = rounded([some[n]["spreads"] for some in columns.values()])
         look = {"color": COLOURS[1], "width": 4} if first["chosen"] else {"color": GREY, "width": 1}
@@ -76,7 +76,7 @@ def parallel(front: Rows) -> dict[str, Any]:
         "xaxis": {"type": "category"},
         "yaxis": {"title": {"text": "distance [spreads]"}, "rangemode": "tozero"},
     }
-    return {"data": data, "layout": {**axes, "height": 320, "margin": MARGIN}}
+    return {"data": data, "layout": axes | {"height": 320, "margin": MARGIN}}
 
 
 def pairs(front: Rows) -> list[dict[str, Any]]:
@@ -94,5 +94,5 @@ def pairs(front: Rows) -> list[dict[str, Any]]:
             side: {"title": {"text": f"{name} [{some[0]['unit']}]"}, "rangemode": "tozero"}
             for side, name, some in (("xaxis", x_name, xs), ("yaxis", y_name, ys))
         }
-        out.append({"data": [dots], "layout": {**axes, "height": 280, "margin": MARGIN}})
+        out.append({"data": [dots], "layout": axes | {"height": 280, "margin": MARGIN}})
     return out
