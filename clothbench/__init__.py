@@ -78,6 +78,7 @@ _HOME = {
     "takes_option": "core.optional",
     "FoldState": "core.folding",
     "for_each": "core.parallel",
+    "on_front": "estimation.front",
     "Surface": "vision.surface",
     "surface_of": "vision.surface",
     "silhouettes": "vision.render",

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 
@@ -22,8 +23,19 @@ HEADER = (*TEXTS, "cloth_width", "cloth_height", "areal_density", "gravity")  # 
 JUMP = 8.0  # times the usual time between frames beyond which stamps have jumped
 
 
+class Stating(Protocol):
+    """What every recording of images states in its header."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def areal_density(self) -> float: ...
+    @property
+    def split(self) -> str: ...
+
+
 @dataclass(frozen=True, eq=False, kw_only=True)
-class RawRecording:
+class RawRecording(ABC):
     """What recordings of images of one run have in common, whatever took them. Arrays are read-only; all SI.
 
     time: (T,) s; cloth_width, cloth_height: m; grips: None where they are not known; areal_density: kg/m² (NaN = not
@@ -52,9 +64,9 @@ class RawRecording:
         freeze(self, self.layout)
         self.check(self.path or self.name)
 
+    @abstractmethod
     def check(self, where: str) -> None:
         """Every rule of the kind, in the order in which a reader would trip over it."""
-        raise NotImplementedError
 
     @property
     def kind(self) -> str:
@@ -131,8 +143,8 @@ def check_grips(r: RawRecording, where: str) -> None:
     check_overlap(r.time, grips.time, where)
 
 
-def check_stated(r: RawRecording, where: str, lengths: tuple[str, ...] = ("cloth_width", "cloth_height")) -> None:
-    """The header of a raw recording; lengths: attributes [m] that have to be above 0."""
+def check_stated(r: Stating, where: str, lengths: tuple[str, ...] = ("cloth_width", "cloth_height")) -> None:
+    """The header of a recording of images; lengths: attributes [m] that have to be above 0."""
     if not r.name:
         raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
     for name in lengths:

@@ -22,9 +22,9 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.codec import freeze, hash_of, read, write
-from clothbench.recordings.layout import SPLITS, Layout, Variable
+from clothbench.recordings.layout import Layout, Variable
 from clothbench.recordings.nodes_rules import check_shapes
-from clothbench.recordings.rig import TEXTS
+from clothbench.recordings.rig import TEXTS, check_stated
 
 SIDES = {0: "not known", 1: "face up", 2: "face down"}
 LEAST_PIXELS = 20  # across the plate's radius
@@ -97,12 +97,7 @@ def write_silhouettes(silhouettes: Silhouettes, path: str | os.PathLike[str]) ->
 def _check(r: Silhouettes, where: str) -> None:
     """Every rule of the kind, in the order in which a reader would trip over it."""
     check_shapes({name: getattr(r, name) for name in LAYOUT.variables}, LAYOUT, where)
-    if not r.name:
-        raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
-    for name in ("pixel_size", "plate_radius", "disc_radius"):
-        value = getattr(r, name)
-        if not (math.isfinite(value) and value > 0):
-            raise ClothbenchError(f"{where}: attribute '{name}': found {value}, expected metres above 0")
+    check_stated(r, where, ("pixel_size", "plate_radius", "disc_radius"))
     if r.disc_radius <= r.plate_radius:
         raise ClothbenchError(
             f"{where}: attribute 'disc_radius': found {r.disc_radius} m, expected more than plate_radius "
@@ -113,12 +108,8 @@ def _check(r: Silhouettes, where: str) -> None:
             f"{where}: attribute 'pixel_size': found {r.pixel_size} m, expected at most "
             f"{r.plate_radius / LEAST_PIXELS:g}: {LEAST_PIXELS} pixels across the plate's radius"
         )
-    for name in ("areal_density", "thickness"):
-        value = getattr(r, name)
-        if value <= 0 or math.isinf(value):
-            raise ClothbenchError(f"{where}: attribute '{name}': found {value}, expected a number above 0, or NaN")
-    if r.split not in SPLITS:
-        raise ClothbenchError(f"{where}: attribute 'split': found {r.split!r}, expected 'fit', 'held_out' or ''")
+    if r.thickness <= 0 or math.isinf(r.thickness):
+        raise ClothbenchError(f"{where}: attribute 'thickness': found {r.thickness}, expected metres above 0, or NaN")
     if wrong := sorted(set(r.side.tolist()) - set(SIDES)):
         raise ClothbenchError(f"{where}: variable 'side': found {wrong[0]}, expected 0, 1 (face up) or 2 (face down)")
     _check_shadows(r, where)

@@ -11,6 +11,7 @@ from clothbench.display.names import cell_name
 from clothbench.display.plotly import COLOURS, GREY, rounded
 from clothbench.display.section import Section
 from clothbench.engine.study import Results
+from clothbench.studies.calibration.tables import by_objective, fit_and_least
 
 Rows = Sequence[dict[str, Any]]
 NOTE = """<p class="soft">Every evaluation that no other beats in all objectives, a line each, in spreads between
@@ -45,19 +46,10 @@ def front_section(results: Results) -> Section | None:
 def least_table(front: Rows) -> str:
     """Of one cell: what the fit reached in each objective, and the least on the front."""
     body = []
-    for objective, some in by_objective(front).items():
-        fit, least = next(f for f in some if f["chosen"]), min(some, key=lambda f: f["distance"])
+    for objective, fit, least in fit_and_least(front):
         numbers = [f"{n:.3g}" for n in (fit["distance"], fit["spreads"], least["distance"], least["spreads"])]
-        body.append([text(objective), *numbers, text(some[0]["unit"])])
+        body.append([text(objective), *numbers, text(fit["unit"])])
     return table(["objective", "fit", "in spreads", "least", "in spreads", "unit"], body, numeric={1, 2, 3, 4})
-
-
-def by_objective(front: Rows) -> dict[str, Rows]:
-    """The rows of one cell's front for each objective, evaluations in one order."""
-    ordered = sorted(front, key=lambda f: f["evaluation"])
-    return {
-        name: [f for f in ordered if f["objective"] == name] for name in dict.fromkeys(f["objective"] for f in front)
-    }
 
 
 def parallel(front: Rows) -> dict[str, Any]:

@@ -50,8 +50,10 @@ def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
     """All tables of the best parameters."""
     rollouts = [best_rollout(t, fit) for t in bench.trials]
     rows, trace = [], []
+    fitted: list[Score] = []
     for metric in [bench.trials[0].metric, *bench.others]:
         scores = [score_of(t, metric, r) for t, r in zip(bench.trials, rollouts, strict=True)]
+        fitted = fitted or scores
         rows += _rows_of(bench, fit, metric, scores, rollouts)
         trace += _trace_of(bench, metric, scores)
     tables = {
@@ -61,7 +63,7 @@ def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
         "trace": trace,
     }
     if fit.objectives is not None:
-        tables["front"] = _front_of(bench, fit)
+        tables["front"] = _front_of(bench, fit, fitted)
     if bench.cell.published:
         tables["published"] = _published_of(bench)
     tables |= {"starts": starts_of(bench, fit)} | analyse(bench, fit, context.plugins, context.checkpoint)
@@ -235,12 +237,14 @@ def _history_of(bench: Bench, fit: Fit):
     )
 
 
-def _front_of(bench: Bench, fit: Fit) -> list[dict[str, Any]]:
-    """Every objective of every evaluation on the front, in units of the spread and in its own."""
+def _front_of(bench: Bench, fit: Fit, scores: Sequence[Score]) -> list[dict[str, Any]]:
+    """Every objective of every evaluation on the front, in units of the spread and in its own.
+
+    scores: of the metric that was fitted, one for each recording.
+    """
     assert fit.objectives is not None
-    metric, seen = bench.trials[0].metric, bench.of_split("fit")
-    spreads = [score_of(t, t.metric, t.simulation.run(fit.best[None])).spread for t in seen]
-    spread = np.mean([s for s in spreads if s is not None], axis=0)
+    pairs = zip(bench.cell.recordings, scores, strict=True)
+    spread = np.mean([s.spread for source, s in pairs if source.split == "fit" and s.spread is not None], axis=0)
     return [
         {
             "evaluation": int(k) + 1,
@@ -253,5 +257,5 @@ def _front_of(bench: Bench, fit: Fit) -> list[dict[str, Any]]:
             "key": bench.cell.key,
         }
         for k in fit.front
-        for m, objective in enumerate(objectives_of(metric))
+        for m, objective in enumerate(objectives_of(bench.trials[0].metric))
     ]

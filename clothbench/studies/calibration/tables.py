@@ -128,10 +128,23 @@ def front_table(rows: Rows, front: Rows) -> Table:
         mine = [f for f in front if f["key"] == key]
         count = len({f["evaluation"] for f in mine})
         table.add_row(f"[bold]{escape(cell_name(about[key]))}[/], {count} on the front")
-        for objective in dict.fromkeys(f["objective"] for f in mine):
-            some = [f for f in mine if f["objective"] == objective]
-            fit, least = next(f for f in some if f["chosen"]), min(some, key=lambda f: f["distance"])
+        for objective, fit, least in fit_and_least(mine):
             numbers = (fit["distance"], fit["spreads"], least["distance"], least["spreads"])
-            table.add_row(f"  {objective}", *(f"{n:.3g}" for n in numbers), some[0]["unit"])
+            table.add_row(f"  {objective}", *(f"{n:.3g}" for n in numbers), fit["unit"])
         table.add_section()
     return table
+
+
+def by_objective(front: Rows) -> dict[str, Rows]:
+    """The rows of one cell's front for each objective, evaluations in one order."""
+    ordered = sorted(front, key=lambda f: f["evaluation"])
+    names = dict.fromkeys(f["objective"] for f in front)
+    return {name: [f for f in ordered if f["objective"] == name] for name in names}
+
+
+def fit_and_least(front: Rows) -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
+    """Of one cell's front: each objective, its row of the fit, and the row with the least of it."""
+    return [
+        (objective, next(f for f in some if f["chosen"]), min(some, key=lambda f: f["distance"]))
+        for objective, some in by_objective(front).items()
+    ]

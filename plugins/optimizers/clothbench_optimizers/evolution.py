@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from clothbench import ClothbenchError, Evaluation, ParameterSpace
+from clothbench import ClothbenchError, Evaluation, ParameterSpace, on_front
 from clothbench_optimizers.search import GeneratorSearch, Steps, check_between, spread
 
 WORST = 1e6  # what a lost run has in every objective: worse than any that is not
@@ -181,15 +181,7 @@ class _Seen:
 
     def front(self) -> np.ndarray:
         """Numbers of the sound points that no other is as good as in all objectives."""
-        rows = self.wanted
-        return np.array(
-            [
-                k
-                for k in np.flatnonzero(self.sound)
-                if not ((rows <= rows[k]).all(axis=1) & (rows < rows[k]).any(axis=1)).any()
-            ],
-            dtype=np.int64,
-        )
+        return np.flatnonzero(on_front(np.where(self.sound[:, None], self.wanted, np.nan)))
 
     def near(self, here: np.ndarray, count: int) -> np.ndarray:
         """Numbers of the sound points nearest to one (P,), that with known differences."""
