@@ -22,6 +22,7 @@ class Sheet(NamedTuple):
     area: np.ndarray  # (T,) rest area [m²]
     hinge: np.ndarray  # (H, 4) edge start, edge end, the two nodes opposite
     hinge_stiffness: np.ndarray  # (H,) [N m]
+    hinge_rest: np.ndarray  # (H,) angle that costs nothing [rad]
     mass: np.ndarray  # (N,) [kg]
     stiffness: np.ndarray  # (4,) c11, c22, c12, shear [N/m]
     damping: np.ndarray  # (4,) stretch [s], shear [s], bending [s], mass-proportional [1/s]
@@ -122,22 +123,22 @@ def _hinge(sheet, h, x):
 
 @kernel
 def bending_energy(sheet, x):
-    """Σ ½ k θ² over the hinges [J]; k = D l²/(A₁+A₂) is set by the mesh (see `reference_mesh.hinges`)."""
+    """Σ ½ k (θ − θ₀)² over the hinges [J]; k = D l²/(A₁+A₂) is set by the mesh (see `mesh.hinges`)."""
     total = 0.0
     for h in range(len(sheet.hinge)):
-        total += 0.5 * sheet.hinge_stiffness[h] * _hinge(sheet, h, x)[0] ** 2
+        total += 0.5 * sheet.hinge_stiffness[h] * (_hinge(sheet, h, x)[0] - sheet.hinge_rest[h]) ** 2
     return total
 
 
 @kernel
 def bending_force(sheet, x, v, force):
-    """f = −k (θ + β θ̇) ∇θ: discrete-shell hinges (Grinspun et al., SCA 2003) with Kelvin–Voigt damping."""
+    """f = −k (θ − θ₀ + β θ̇) ∇θ: discrete-shell hinges (Grinspun et al., SCA 2003) with Kelvin–Voigt damping."""
     beta = sheet.damping[2]
     for h in range(len(sheet.hinge)):
         angle, gp, gq, ga, gb = _hinge(sheet, h, x)
         p, q, a, b = sheet.hinge[h]
         rate = _dot(gp, v[p]) + _dot(gq, v[q]) + _dot(ga, v[a]) + _dot(gb, v[b])
-        moment = -sheet.hinge_stiffness[h] * (angle + beta * rate)
+        moment = -sheet.hinge_stiffness[h] * (angle - sheet.hinge_rest[h] + beta * rate)
         _add(force, p, _mix(moment, gp, 0.0, gp))
         _add(force, q, _mix(moment, gq, 0.0, gq))
         _add(force, a, _mix(moment, ga, 0.0, ga))

@@ -166,9 +166,10 @@ def catenary_sag(length: float, span: float, weight: float, stiffness: float = m
     return pull / weight * (math.sqrt(1 + a**2) - 1) + weight * length**2 / (8 * stiffness)
 
 
-def clamped_annulus_sag(inner: float, outer: float, load: float) -> float:
+def clamped_annulus_sag(inner: float, outer: float, load: float, poisson: float = 0.0) -> float:
     """How far the rim of a flat ring sags under its own weight, clamped at `inner` m and free at `outer` m, where it
-    sags by little [m]. load: weight per area over bending rigidity [1/m³]; no cross contraction.
+    sags by little [m]. load: weight per area over bending rigidity [1/m³]; poisson: ratio of cross
+    contraction in bending.
 
     Timoshenko and Woinowsky-Krieger 1959, Theory of Plates and Shells, section 17: w = q r⁴/64D + c₀ + c₁ r² + c₂ ln r
     + c₃ r² ln r with w = w' = 0 at the clamp, and neither moment nor shear at the rim.
@@ -178,10 +179,15 @@ def clamped_annulus_sag(inner: float, outer: float, load: float) -> float:
         [
             [1.0, a**2, np.log(a), a**2 * np.log(a)],
             [0.0, 2 * a, 1 / a, 2 * a * np.log(a) + a],
-            [0.0, 2.0, -1 / b**2, 2 * np.log(b) + 3.0],  # w'' = 0 where ν = 0
+            [  # w'' + ν w'/r = 0
+                0.0,
+                2.0 + 2.0 * poisson,
+                (poisson - 1.0) / b**2,
+                2 * np.log(b) + 3.0 + poisson * (2 * np.log(b) + 1.0),
+            ],
             [0.0, 0.0, 0.0, 4 / b],  # (∇²w)' = 0
         ]
     )
-    right = -load * np.array([a**4 / 64, a**3 / 16, 3 * b**2 / 16, b / 2])
+    right = -load * np.array([a**4 / 64, a**3 / 16, (3.0 + poisson) * b**2 / 16, b / 2])
     constant = np.linalg.solve(rows, right)
     return float(load * b**4 / 64 + constant @ np.array([1.0, b**2, np.log(b), b**2 * np.log(b)]))

@@ -1,6 +1,7 @@
-"""Mesh of the reference simulation: rows of nearly equilateral triangles, every second row shifted by half.
+"""Meshes of the reference simulation: rows of nearly equilateral triangles, every second row shifted by half; and the
+same lattice cut to a ring.
 
-Why this mesh: all inner nodes are alike (a Bravais lattice), so a sheet of uniform curvature is in balance
+Why this lattice: all inner nodes are alike (a Bravais lattice), so a sheet of uniform curvature is in balance
 node by node and none can relax into a checkerboard, which spoils hinge bending where diagonals alternate.
 """
 
@@ -9,6 +10,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+
+EVENED = 12  # times that a ring's nodes near its rims are moved to the middle of their neighbours
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,57 @@ def build(width: float, height: float, columns: int, rows: int) -> Mesh:
     v = np.repeat(np.arange(rows + 1) * height / rows, np.diff(start))
     strips = [_strip(start[j], start[j + 1], columns, j % 2 == 1) for j in range(rows)]
     return Mesh(np.column_stack([np.concatenate(levels), v]), np.concatenate(strips), start)
+
+
+def ring(inner: float, outer: float, edge: float) -> tuple[Mesh, np.ndarray]:
+    """What of a disc hangs over a plate: a ring of the lattice about (0, 0), from `inner` to `outer` m, and the numbers
+    of its nodes on and within the plate's rim, which the plate holds. edge: m, of the triangles.
+
+    Nodes stand on both rims, and on one more circle within the inner, so that the plate holds the slope too. Between
+    them the lattice, evened out where it meets them. It has no rows: row_start says all nodes are one.
+    """
+    from scipy.spatial import Delaunay
+
+    height = edge * np.sqrt(3) / 2
+    j, i = (np.arange(-k, k + 1) for k in (int(outer / height) + 1, int(outer / edge) + 2))
+    lattice = np.stack(np.meshgrid(i * edge, j * height), axis=-1)
+    lattice[1::2, :, 0] += edge / 2
+    points = lattice.reshape(-1, 2)
+    away = np.linalg.norm(points, axis=1)
+    points = points[(away > inner + 0.6 * edge) & (away < outer - 0.6 * edge)]
+    rims = [_circle(radius, edge) for radius in (inner - height, inner, outer)]
+    fixed = np.concatenate(rims)
+    for _ in range(EVENED):
+        material = np.concatenate([fixed, points])
+        triangle = _between(Delaunay(material).simplices, material, inner - height, outer)
+        moved = material.copy()
+        near = abs(np.linalg.norm(material, axis=1) - (inner + outer) / 2) > (outer - inner) / 2 - 2.5 * edge
+        near[: len(fixed)] = False
+        total, count = np.zeros_like(material), np.zeros(len(material))
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            for p, q in ((triangle[:, a], triangle[:, b]), (triangle[:, b], triangle[:, a])):
+                np.add.at(total, p, material[q])
+                np.add.at(count, p, 1.0)
+        moved[near] = total[near] / count[near, None]
+        points = moved[len(fixed) :]
+    material = np.concatenate([fixed, points])
+    triangle = _between(Delaunay(material).simplices, material, inner - height, outer)
+    return Mesh(material, triangle, np.array([0, len(material)])), np.arange(len(rims[0]) + len(rims[1]))
+
+
+def _circle(radius: float, edge: float) -> np.ndarray:
+    """Points (K, 2) m evenly on a circle, about an edge apart."""
+    turn = 2 * np.pi * np.arange(round(2 * np.pi * radius / edge)) / round(2 * np.pi * radius / edge)
+    return radius * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+
+
+def _between(triangle: np.ndarray, material: np.ndarray, inner: float, outer: float) -> np.ndarray:
+    """The triangles (T, 3) whose middle lies in a ring, turned so that their area in (u, v) is positive."""
+    middle = np.linalg.norm(material[triangle].mean(axis=1), axis=1)
+    triangle = triangle[(middle > inner) & (middle < outer)]
+    a, b = _edges(Mesh(material, triangle, np.zeros(1)))
+    left = a[:, 0] * b[:, 1] > a[:, 1] * b[:, 0]
+    return np.where(left[:, None], triangle, triangle[:, ::-1])
 
 
 def _strip(upper: int, lower: int, columns: int, upper_is_shifted: bool) -> np.ndarray:

@@ -33,7 +33,7 @@ class Fabric:
     weft_stiffness: float  # c22, N/m
     coupling: float  # c12, N/m
     shear_stiffness: float  # G, N/m
-    bending_rigidity: float  # D of a cylinder in any direction, N m
+    bending_rigidity: float  # D of a cylinder in any direction, or of one bent along u, N m
     stretch_damping: float = 0.0  # β of c11, c22, c12, s
     shear_damping: float = 0.0  # β of G, s
     bending_damping: float = 0.0  # β of D, s
@@ -42,6 +42,8 @@ class Fabric:
     tangential_drag: float = 0.0  # C_T, both faces together
     linear_drag: float = 0.0  # k_T, tangential, kg/(m² s)
     drag_decline: float = 0.0  # k_f, s²/m²
+    weft_bending: float = 1.0  # D of a cylinder bent along v over that of one bent along u, below 9
+    rest_curvature: float = 0.0  # 1/m, along u, of the sheet without load; towards (u × v) above 0
 
 
 @dataclass
@@ -58,6 +60,7 @@ class State:
 def discretise(fabric: Fabric, mesh: Mesh, gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)) -> Sheet:
     """The fabric on the mesh, as the kernels want it."""
     hinge, shape = hinges(mesh)
+    rigidity, rest = bending_by_direction(fabric, mesh, hinge)
     membrane = (fabric.warp_stiffness, fabric.weft_stiffness, fabric.coupling, fabric.shear_stiffness)
     damping = (fabric.stretch_damping, fabric.shear_damping, fabric.bending_damping, fabric.mass_damping)
     quadratic = 0.5 * AIR_DENSITY * np.array([fabric.normal_drag, fabric.tangential_drag])
@@ -66,7 +69,8 @@ def discretise(fabric: Fabric, mesh: Mesh, gravity: tuple[float, float, float] =
         slope=np.ascontiguousarray(slopes(mesh)),
         area=mesh.area,
         hinge=hinge,
-        hinge_stiffness=fabric.bending_rigidity * shape,
+        hinge_stiffness=rigidity * shape,
+        hinge_rest=rest,
         mass=lumped_mass(mesh, fabric.areal_density),
         stiffness=np.array(membrane),
         damping=np.array(damping),
@@ -74,6 +78,40 @@ def discretise(fabric: Fabric, mesh: Mesh, gravity: tuple[float, float, float] =
         gravity=np.array(gravity),
         wind=np.zeros(3),
     )
+
+
+def bending_by_direction(fabric: Fabric, mesh: Mesh, hinge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Bending rigidity [N m] and rest angle [rad] of each hinge (H,).
+
+    A hinge whose normal lies at φ to u turns by θ = h (κ_nn − κ_tt/3) (see `mesh.hinges`). On the lattice, normals at
+    ±30° and 90°, hinges of a D at 90° and b D at ±30° make D_v = a D and D_u = (a + 8 b)/9 D; between these directions
+    the rigidity goes as a second harmonic.
+    """
+    edge = mesh.material[hinge[:, 1]] - mesh.material[hinge[:, 0]]
+    length = np.linalg.norm(edge, axis=1)
+    along = np.square(edge[:, 1] / length)  # cos² φ: the normal is the edge turned by 90°
+    at_90, at_30 = fabric.weft_bending, (9.0 - fabric.weft_bending) / 8.0
+    share = at_90 + (at_30 - at_90) * along / 0.75
+    sides = _sides(mesh.material[hinge])
+    # Turned over where the first of its two triangles is the right one.
+    height = -np.sign(sides[:, 0]) * np.abs(sides).mean(axis=1) / length
+    return fabric.bending_rigidity * share, fabric.rest_curvature * height * (along - (1.0 - along) / 3.0)
+
+
+def clamped(sheet: Sheet, held: np.ndarray) -> Sheet:
+    """The sheet whose nodes `held` are clamped: an edge between two of them has a half only that can bend, which turns
+    by half as much at the same curvature, at half the cost.
+    """
+    still = np.isin(sheet.hinge[:, :2], held).all(axis=1)
+    stiffer, less = np.where(still, 2.0, 1.0), np.where(still, 0.5, 1.0)
+    return sheet._replace(hinge_stiffness=stiffer * sheet.hinge_stiffness, hinge_rest=less * sheet.hinge_rest)
+
+
+def _sides(corner: np.ndarray) -> np.ndarray:
+    """Twice the signed areas (H, 2) m² of the two triangles of hinges (H, 4, 2): edge start, end, opposite nodes."""
+    edge = corner[:, 1] - corner[:, 0]
+    opposite = corner[:, 2:] - corner[:, :1]
+    return edge[:, :1] * opposite[..., 1] - edge[:, 1:] * opposite[..., 0]
 
 
 def fastest_waves(fabric: Fabric, mesh: Mesh) -> np.ndarray:
@@ -85,7 +123,8 @@ def fastest_waves(fabric: Fabric, mesh: Mesh) -> np.ndarray:
     longest = np.linalg.norm(corner - np.roll(corner, 1, axis=1), axis=2).max(axis=1)
     wave = 2.0 / (2.0 * mesh.area / longest).min()
     stiffest = max(fabric.warp_stiffness, fabric.weft_stiffness, fabric.shear_stiffness) + fabric.coupling
-    return wave * np.sqrt(np.array([stiffest, fabric.bending_rigidity * wave**2]) / fabric.areal_density)
+    rigidity = max(1.0, fabric.weft_bending) * fabric.bending_rigidity
+    return wave * np.sqrt(np.array([stiffest, rigidity * wave**2]) / fabric.areal_density)
 
 
 def stable_step(fabric: Fabric, mesh: Mesh, safety: float = 0.8) -> float:

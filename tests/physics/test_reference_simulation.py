@@ -9,13 +9,15 @@ import numpy as np
 import pytest
 
 from clothbench.reference import kernels
-from clothbench.reference.mesh import Mesh, build, tracking_weights
+from clothbench.reference.mechanics import clamped_annulus_sag
+from clothbench.reference.mesh import Mesh, build, ring, tracking_weights
 from clothbench.reference.simulation import (
     AIR_DENSITY,
     Fabric,
     State,
     bowed,
     calmed,
+    clamped,
     discretise,
     implicit_step,
     settle,
@@ -285,3 +287,46 @@ def test_the_recordings_are_what_the_script_makes():
     assert np.abs(made.video.frame.astype(int) - stored.video.frame).mean() < 0.1
     np.testing.assert_allclose(made.grip_position, stored.grip_position, atol=2e-5)
     assert made.notes == stored.notes
+
+
+# --- rings, and bending that differs by direction --------------------------------------------------------------------
+
+
+def rolled(mesh: Mesh, axis: int, radius: float) -> np.ndarray:
+    """The sheet rolled along u (0) or v (1), towards u × v where the radius is above 0."""
+    along, across = mesh.material[:, axis], mesh.material[:, 1 - axis]
+    place = np.empty((len(along), 3))
+    place[:, axis], place[:, 1 - axis] = radius * np.sin(along / radius), across
+    place[:, 2] = radius * (1 - np.cos(along / radius))
+    return place
+
+
+def test_bending_may_differ_between_warp_and_weft():
+    mesh = build(0.1, 0.1, 40, 46)
+    alike = kernels.bending_energy(discretise(SATIN, mesh), rolled(mesh, 0, 0.05))
+    ribbed = discretise(replace(SATIN, weft_bending=3.0), mesh)
+    assert kernels.bending_energy(ribbed, rolled(mesh, 0, 0.05)) == pytest.approx(alike, rel=0.03)
+    assert kernels.bending_energy(ribbed, rolled(mesh, 1, 0.05)) == pytest.approx(3 * alike, rel=0.03)
+
+
+def test_a_sheet_that_curls_by_itself_costs_nothing_in_its_own_curvature():
+    mesh = build(0.1, 0.1, 20, 23)
+    curled = discretise(replace(SATIN, rest_curvature=20.0), mesh)
+    flat_energy = kernels.bending_energy(curled, rolled(mesh, 0, 1e6))
+    assert kernels.bending_energy(curled, rolled(mesh, 0, 0.05)) < 0.01 * flat_energy
+    assert kernels.bending_energy(curled, rolled(mesh, 0, -0.05)) == pytest.approx(4 * flat_energy, rel=0.02)
+
+
+def test_a_ring_has_its_area_and_a_clamp_that_holds_the_slope():
+    mesh, held = ring(0.09, 0.15, 0.006)
+    assert mesh.area.min() > 0.5 * mesh.area.mean()
+    below = 0.006 * np.sqrt(3) / 2
+    assert mesh.area.sum() == pytest.approx(np.pi * (0.15**2 - (0.09 - below) ** 2), rel=0.002)
+    load = 0.15 * 0.02 / 1.5e-5  # so little weight that the sag is a tenth of a millimetre
+    fabric = Fabric("plain", 0.15, 60.0, 50.0, 5.0, 10.0, 1.5e-5)
+    sheet = clamped(discretise(fabric, mesh, (0.0, 0.0, -0.02)), held)
+    start = np.column_stack([mesh.material, 0 * mesh.material[:, 0]])
+    place = settle(sheet, start, held, keep(start[held]), stable_step(fabric, mesh), at_rest=1e-6)
+    sag = -place[np.hypot(*mesh.material.T) > 0.1499, 2].mean()
+    # Hinges on this lattice make a plate whose cross contraction is −1/3 (see `hinges`).
+    assert sag == pytest.approx(clamped_annulus_sag(0.09, 0.15, load, poisson=-1 / 3), rel=0.06)

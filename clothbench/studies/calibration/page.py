@@ -18,6 +18,7 @@ from clothbench.studies.calibration.front_page import front_section
 from clothbench.studies.calibration.leaderboard import leaderboard
 from clothbench.studies.calibration.published import published_section
 from clothbench.studies.calibration.schema import ANALYSIS_TABLES, DRAPES, FRAMES, PICTURES
+from clothbench.studies.calibration.searches_page import searches_section
 
 Rows = Sequence[dict[str, Any]]
 STEPS = '<p class="soft">The middle frame of the first recording, step by step.</p>'
@@ -82,6 +83,7 @@ def sections(results: Results) -> list[Section]:
         pictures_of_fits(results),
         pictures_of_drapes(results),
         front_section(results),
+        searches_section(results),
         analyses,
         fits(results.rows, results.table("parameters")),
     ]

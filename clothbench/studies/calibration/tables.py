@@ -12,6 +12,7 @@ from clothbench.display.names import cell_name
 from clothbench.engine.study import Results
 from clothbench.studies.calibration.analysis_tables import analyses
 from clothbench.studies.calibration.schema import ANALYSIS_TABLES
+from clothbench.studies.calibration.searches_page import contest_tables
 
 Rows = Sequence[dict[str, Any]]
 MANY = 24  # recordings in one cell beyond which only the totals are printed
@@ -31,6 +32,7 @@ def show(results: Results) -> list[Any]:
             out.append(parameter_table(mine, fitted))
         if front := [f for f in results.table("front") if f["key"] in keys]:
             out.append(front_table(mine, front))
+    out += contest_tables(results)
     return out + analyses(results.rows, {name: results.table(name) for name in ANALYSIS_TABLES})
 
 

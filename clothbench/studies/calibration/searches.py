@@ -1,0 +1,112 @@
+"""Searches beside each other: several optimizers on one question, each with several seeds, at equal evaluations."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from clothbench.engine.store import read_table
+from clothbench.engine.study import Results
+from clothbench.estimation.front import on_front
+from clothbench.estimation.intervals import mean_interval
+
+LEAST_SEEDS = 3  # of each search, from which on they are compared
+WORST = 3.0  # spreads between recordings of the same cloth: the corner that hypervolumes are counted from
+GOAL = 0.75  # share of all runs that come to the error that searches are timed to
+Interval = tuple[float, float, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Search:
+    """What one optimizer came to, over its seeds.
+
+    optimizer, seeds: of R runs; best: (R, E) least error so far after each of E evaluations, NaN where none was known;
+    error: mean of the last, with its 95 % interval (Student's t over seeds); volume: the same of the hypervolume, None
+    for a metric of one objective; reached, evaluations: in how many runs the goal was reached, and the median of how
+    many evaluations that took (infinite where most did not); lost: share of evaluations that could not be simulated.
+    """
+
+    optimizer: str
+    best: np.ndarray
+    error: Interval
+    volume: Interval | None
+    reached: int
+    evaluations: float
+    lost: float
+
+    @property
+    def seeds(self) -> int:
+        return len(self.best)
+
+
+@dataclass(frozen=True)
+class Contest:
+    """Searches that answered one question. goal: the error that three quarters of all their runs came to, in `unit`."""
+
+    case: str
+    model: str
+    metric: str
+    unit: str
+    goal: float
+    searches: tuple[Search, ...]
+
+
+def contests(results: Results) -> list[Contest]:
+    """Every question that two optimizers or more were asked with `LEAST_SEEDS` seeds or more, alike in all else."""
+    asked: dict[tuple[str, ...], dict[str, dict[str, dict[str, Any]]]] = {}
+    for row in results.rows:
+        if row["split"] == "fit" and row["recording"] is None and row["metric"] == row["objective"]:
+            question = tuple(str(row[name] or "") for name in ("suite", "case", "model", "effects", "metric", "unit"))
+            asked.setdefault(question, {}).setdefault(row["optimizer"], {})[row["key"]] = row
+    out = []
+    for (_, case, model, effects, metric, unit), by_optimizer in sorted(asked.items()):
+        kept = {name: keys for name, keys in by_optimizer.items() if len(keys) >= LEAST_SEEDS}
+        if len(kept) < 2:
+            continue
+        runs = {name: [_history(results, key) for key in keys] for name, keys in sorted(kept.items())}
+        goal = float(np.quantile([np.fmin.reduce(v) for some in runs.values() for v, _ in some], GOAL))
+        found = tuple(_search(name, some, goal) for name, some in runs.items())
+        out.append(Contest(case, " + ".join(filter(None, (model, effects))), metric, unit, goal, found))
+    return out
+
+
+def hypervolume(objectives: np.ndarray) -> float:
+    """Share of the box from 0 to `WORST` in every objective that some row (E, M) is at least as good as (Zitzler and
+    Thiele 1998, Multiobjective optimization using evolutionary algorithms).
+    """
+    from pymoo.indicators.hv import HV
+
+    count = objectives.shape[1]
+    inside = objectives[np.isfinite(objectives).all(axis=1) & (objectives < WORST).all(axis=1)]
+    if not len(inside):
+        return 0.0
+    return float(HV(ref_point=np.full(count, WORST))(inside[on_front(inside)])) / WORST**count
+
+
+def _history(results: Results, key: str) -> tuple[np.ndarray, np.ndarray | None]:
+    """The error of every evaluation of a cell (E,), NaN where it was lost, and its objectives (E, M) if it has some."""
+    table = read_table(results.store.cell(key) / "history.parquet")
+    names = [name for name in table.column_names if name.startswith("objective:")]
+    columns = [table[name].to_numpy().astype(float) for name in ["value", *names]]
+    return np.where(np.isfinite(columns[0]), columns[0], np.nan), np.stack(columns[1:], axis=1) if names else None
+
+
+def _search(name: str, runs: Sequence[tuple[np.ndarray, np.ndarray | None]], goal: float) -> Search:
+    length = max(len(values) for values, _ in runs)
+    best = np.stack([np.pad(np.fmin.accumulate(v), (0, length - len(v)), mode="edge") for v, _ in runs])
+    until = [float(1 + np.argmax(row <= goal)) if (row <= goal).any() else np.inf for row in best]
+    volumes = [hypervolume(objectives) for _, objectives in runs if objectives is not None]
+    return Search(
+        name, best, _mean(best[:, -1]), _mean(np.array(volumes)) if len(volumes) == len(runs) else None,
+        int(np.isfinite(until).sum()), float(np.median(until)), float(np.mean([np.isnan(v).mean() for v, _ in runs])),
+    )  # fmt: skip
+
+
+def _mean(values: np.ndarray) -> Interval:
+    """A mean with its 95 % interval; nothing is known of it where one of the values is not."""
+    if not np.isfinite(values).all():
+        return np.nan, np.nan, np.nan
+    return float(values.mean()), *mean_interval(list(values), [0.0] * len(values))

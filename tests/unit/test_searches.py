@@ -1,0 +1,65 @@
+"""Searches beside each other: hypervolume, and what is said of several optimizers over several seeds."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from clothbench.engine.store import write_table
+from clothbench.engine.study import Results
+from clothbench.studies.calibration.searches import WORST, contests, hypervolume
+from clothbench.studies.calibration.searches_page import contest_tables, searches_section
+
+
+def test_hypervolume_of_known_fronts():
+    assert hypervolume(np.array([[0.0, 0.0]])) == pytest.approx(1.0)
+    assert hypervolume(np.array([[WORST / 2, WORST / 2]])) == pytest.approx(0.25)
+    steps = np.array([[0.0, WORST / 2], [WORST / 2, 0.0], [WORST / 2, WORST / 2], [np.nan, 0.0]])
+    assert hypervolume(steps) == pytest.approx(0.75)
+    assert hypervolume(np.array([[2 * WORST, 0.0], [np.nan, np.nan]])) == 0.0
+
+
+def results_of(tmp_path, histories):
+    """A store's results: histories[optimizer][seed] is the error of each evaluation."""
+    rows = []
+    for optimizer, runs in histories.items():
+        for seed, values in enumerate(runs):
+            key = f"{optimizer}-{seed}"
+            (tmp_path / key).mkdir()
+            table = pd.DataFrame({"value": values, "objective:a": values, "objective:b": values})
+            write_table(tmp_path / key / "history.parquet", table)
+            rows.append(
+                {"suite": "s", "case": "c", "model": "m", "effects": "", "metric": "d", "objective": "d", "unit": "sd",
+                 "split": "fit", "recording": None, "optimizer": optimizer, "key": key}
+            )  # fmt: skip
+    return Results(SimpleNamespace(cell=lambda key: tmp_path / key), rows)
+
+
+def test_searches_are_told_apart_by_what_they_reach_and_how_soon(tmp_path):
+    quick = [[2.0, 0.5, np.nan, 0.5], [1.0, 0.4, 0.4, 0.4], [1.0, 0.6, 0.6, 0.6]]
+    slow = [[2.0, 2.0, 2.0, 1.0], [2.0, 2.0, 1.5, 1.5], [2.0, 2.0, 2.0, 2.0]]
+    results = results_of(tmp_path, {"quick": quick, "slow": slow, "once": [[0.1]]})
+    (found,) = contests(results)
+    by_name = {s.optimizer: s for s in found.searches}
+    assert set(by_name) == {"quick", "slow"}  # of one seed nothing can be said
+    assert by_name["quick"].error[0] == pytest.approx(0.5)
+    assert by_name["quick"].error[1] < 0.5 < by_name["quick"].error[2]
+    assert found.goal == pytest.approx(1.375)  # the upper quartile of 0.4, 0.5, 0.6, 1, 1.5, 2
+    assert (by_name["quick"].reached, by_name["quick"].evaluations) == (3, 1.0)
+    assert by_name["slow"].reached == 1
+    assert by_name["slow"].evaluations == np.inf
+    assert by_name["quick"].lost == pytest.approx(1 / 12)
+    assert by_name["quick"].volume[0] > by_name["slow"].volume[0]
+    (shown,) = contest_tables(results)
+    assert list(shown.columns[0].cells) == ["quick", "slow"]
+    assert "> 4" in list(shown.columns[5].cells)
+    section = searches_section(results)
+    assert "1.38 sd" in section.html
+    assert len(section.data["contests"][0]["data"]) == 6  # a line and a band for each
+
+
+def test_one_search_is_no_contest(tmp_path):
+    results = results_of(tmp_path, {"quick": [[1.0]] * 5})
+    assert contests(results) == []
+    assert searches_section(results) is None
