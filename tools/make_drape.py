@@ -2,7 +2,7 @@
 
 Discs of 30 cm on a plate of 18 cm, as in a Cusick drapemeter, from the reference simulation (`clothbench.reference`): a
 ring of triangles beyond the plate's rim, clamped there, that comes to rest under its weight. Its bending is known, and
-its discretisation is none of the models'. Nine specimens of each fabric, whose rigidity differs by 8 %, are draped face
+its discretisation is none of the models'. Twelve specimens of each fabric, whose rigidity differs by 8 %, are draped face
 up and face down, each time laid on anew:
 
 limp, medium, stiff   fabrics that bend alike in all directions
@@ -31,10 +31,10 @@ from clothbench.vision.drape import drape_quantities, outline_in
 FOLDER = Path(__file__).resolve().parent.parent / "suites" / "embedded" / "drape"
 PLATE, DISC, PIXEL, PIXELS = 0.09, 0.15, 1.4e-3, 256
 EDGE = 6e-3  # m, of the triangles
-SPECIMENS, FITTED = 9, 6
+SPECIMENS, FITTED = 12, 8
 SCATTER, TURNED = 0.08, 2.0  # relative, of the rigidity from specimen to specimen; degrees, by which they lie askew
 WAVES, ROUGH = range(2, 15), 2e-3  # around the rim, of a first shape; m rms there
-BLUR, NOISE, FINER = 0.7, 3.0, 8  # px; of 255; points along a pixel's side
+BLUR, NOISE, FINER = 0.7, 1.5, 8  # px; of 255; points along a pixel's side
 DECLARED = "gravity,elasticity,bending"
 SOFT = {"warp_stiffness": 60.0, "weft_stiffness": 50.0, "coupling": 5.0, "shear_stiffness": 10.0}
 FABRICS = {

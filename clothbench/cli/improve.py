@@ -96,7 +96,7 @@ def remarks(cell: ImproveCell, plugins: Catalogue, all_tried: bool) -> list[str]
     """
     out = [f"no candidate: {reason}" for reason in (unusable(plugins) if all_tried else ())]
     fitted, least = len(cell.of_split("fit")), LOOP.least_recordings
-    if fitted < least:
+    if fitted < least and cell.kind != "silhouette":  # of which each holds several specimens
         out.append(f"{fitted} recordings to fit; an effect can be named from {least} on")
     if cell.split_by_seed:
         held = ", ".join(s.name for s in cell.of_split("held_out")) or "none"

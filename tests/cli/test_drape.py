@@ -1,12 +1,13 @@
 """Drapes as a user calibrates them: from silhouettes to the front, the pictures and the page."""
 
+import dataclasses
 import json
 
 import numpy as np
 import pandas as pd
 import pytest
 
-from clothbench import Silhouettes, write_recording, write_silhouettes
+from clothbench import Silhouettes, read_silhouettes, write_recording, write_silhouettes
 
 PIXEL, PLATE, DISC = 2.0e-3, 0.09, 0.15
 
@@ -90,11 +91,55 @@ def test_what_does_not_fit_together_is_one_line(clothbench, drapes, settings, sa
     assert "Traceback" not in done.stderr
 
 
-def test_the_metric_refuses_sheets_and_improve_refuses_drapes(clothbench, drapes, recording, tmp_path):
+def test_the_metric_refuses_sheets(clothbench, recording, tmp_path):
     write_recording(recording, tmp_path / "sheet.nc")
     sheet = clothbench("run", "model=mass_spring", "metric=drape", "optimizer=cma_es", "recording=sheet.nc")
     assert sheet.returncode == 2
     assert "points of a sheet, which the metric 'drape' does not compare" in sheet.stderr
-    improve = clothbench("improve", "recordings=drapes", "model=mass_spring")
-    assert improve.returncode == 2
-    assert "cloth at rest" in improve.stderr
+
+
+@pytest.mark.parametrize(
+    ("settings", "says"),
+    [
+        (("model=mass_spring",), "take tracker=drape"),
+        (("model=linear_stretch", "tracker=drape"), "expected one that can be cut to a disc and takes effects"),
+        (("model=mass_spring", "tracker=drape", "candidates=clock_offset"), "drapes have none; take it out"),
+        (("model=mass_spring", "tracker=drape", "scene.start=measured"), "begin from several first shapes"),
+    ],
+)
+def test_improve_refuses_what_means_nothing_to_drapes(clothbench, drapes, settings, says):
+    done = clothbench("improve", "recordings=drapes", *settings)
+    assert done.returncode == 2, done.stdout + done.stderr
+    assert says in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_improve_refuses_drapes_of_two_fabrics_and_films_among_them(clothbench, drapes, recording, tmp_path):
+    settings = ("model=mass_spring", "tracker=drape", "recordings=drapes")
+    other = dataclasses.replace(read_silhouettes(drapes / "fit.nc"), name="other/fit", fabric="other", path="")
+    write_silhouettes(other, drapes / "other.nc")
+    mixed = clothbench("improve", *settings)
+    assert mixed.returncode == 2
+    assert "found other, petals among 3 recordings, expected one fabric" in mixed.stderr
+    write_recording(recording, drapes / "sheet.nc")
+    among = clothbench("improve", *settings)
+    assert among.returncode == 2
+    assert "found kind 'nodes' among others, expected one kind in a folder" in among.stderr
+
+
+@pytest.mark.slow
+def test_improve_asks_what_drapes_hide(clothbench, drapes, tmp_path):
+    done = clothbench(
+        "improve", "recordings=drapes", "model=mass_spring", "tracker=drape", "candidates=rest_curvature",
+        "resolution=11", "out=found",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stdout + done.stderr
+    verdict = json.loads((tmp_path / "found" / "verdict.json").read_text())
+    assert (verdict["kind"], verdict["error"]["unit"]) == ("silhouette", "sd")
+    assert verdict["error_mm"]["fit"]["before"] is None
+    assert len(verdict["error"]["held_out"]["per_recording"]) == 2  # specimens
+    assert set(verdict["parameters"]) == {"k2"}  # of what a drape coefficient tells
+    page = (tmp_path / "found" / "index.html").read_text()
+    assert "Drapes, side by side" in page
+    table = pd.read_parquet(tmp_path / "found" / "tables" / "drapes.parquet")
+    assert set(table["quantity"]) == {"drape_coefficient", "elongation"}

@@ -20,7 +20,7 @@ def candidates_of(
     named; sensors first. pictures: whether points were seen in a camera's picture, not in space.
     """
     effects = asked_for(given, plugins)
-    acts = acts_on_curves if kind == "curve" else acts_on_sheets
+    acts = ACTS.get(kind, acts_on_sheets)
     blind = {name for name, effect in effects.items() if needs_a_picture(effect) and not pictures}
     acting = {name: effect for name, effect in effects.items() if acts(effect) and name not in blind}
     if given is not None and (stray := next((name for name in effects if name not in acting), None)):
@@ -31,9 +31,19 @@ def candidates_of(
     return tuple(sorted(rest, key=lambda name: ORDER.get(rest[name].place, len(ORDER))))
 
 
+def acts_on_drapes(effect: Effect) -> bool:
+    """Whether it is a force: a drape has no grips, and no clock or marker saw it."""
+    return acts_on_sheets(effect) and effect.place == "dynamics"
+
+
+ACTS = {"curve": acts_on_curves, "silhouette": acts_on_drapes}
+
+
 def why_stray(name: str, kind: str, plugins: Catalogue, blind: bool = False) -> str:
     if blind:
         return f"effect {name!r} acts on pictures only, and these recordings have none; take it out of candidates"
+    if kind == "silhouette":
+        return f"effect {name!r} acts on grips, sensors or curves, and drapes have none; take it out of candidates"
     if kind != "curve":
         return f"effect {name!r} acts on force-extension curves only; take it out of candidates"
     known = [other for other, effect in plugins.made("effects")[0].items() if acts_on_curves(effect)]

@@ -18,7 +18,7 @@ class ImproveCell:
     where files lie.
 
     recordings: all of one kind, with their splits;
-    kind: of them, "nodes" or "curve";
+    kind: of them, "nodes", "curve" or "silhouette";
     model: name of its plugin;
     base: effects that belong to it from the start;
     candidates: effects that it may lack, in the order of trying;
@@ -28,6 +28,7 @@ class ImproveCell:
     scene: areal_density, kg/m², where a recording does not know it (None: each has to), air_density, kg/m³, and
         resolution, nodes along the longer side of the mesh; empty where nothing is simulated on a mesh;
     bounds: of parameters, by name, in place of those that the plugins state;
+    fixed: values of parameters that are not searched for, by name;
     seed: of all random draws;
     timeout: s after which no further round is begun; None: no limit;
     versions: "kind/name" → distribution and version of every plugin that it uses;
@@ -45,6 +46,7 @@ class ImproveCell:
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     scene: Mapping[str, Any] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    fixed: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
     timeout: float | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
@@ -68,6 +70,8 @@ class ImproveCell:
         question["options"] = {name: options for name, options in question["options"].items() if name in used}
         for name in ("split_by_seed", "suite", "case"):  # the splits say it; a name changes no answer
             del question[name]
+        if not question["fixed"]:  # as cells were asked before there were any
+            del question["fixed"]
         return digest([question, asdict(LOOP), __version__])
 
     @property

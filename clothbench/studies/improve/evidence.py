@@ -2,7 +2,7 @@
 
 The loop's arithmetic works on residual vectors (M,), simulated minus measured, in the SI unit that the evidence states.
 What they are of (node positions, forces over stretch), how chance would scramble them, whether a finer mesh changes
-them, and which tables show them is said here, once for each kind: `sheets` and `curves`.
+them, and which tables show them is said here, once for each kind: `sheets`, `curves` and `drapes`.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ class Evidence(Protocol):
 
     @property
     def kind(self) -> str:
-        """As recording files state it: "nodes" or "curve"."""
+        """As recording files state it: "nodes", "curve" or "silhouette"."""
         ...
 
     @property

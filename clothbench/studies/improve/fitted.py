@@ -72,17 +72,22 @@ def jackknife_interval(
     space: ParameterSpace, theta: np.ndarray, residual: Parts, jacobian: Parts
 ) -> tuple[np.ndarray, np.ndarray]:
     """95 % intervals (P,), (P,): how far the fit moves, to first order, when one recording is left out."""
-    whole = normal_equations(residual, jacobian)
     count = len(residual)
     unit = space.to_unit(theta)
     if count < LOOP.least_recordings:
         return np.full(len(space), np.nan), np.full(len(space), np.nan)
-    parts = [normal_equations(residual[r : r + 1], jacobian[r : r + 1]) for r in range(count)]
-    moved = np.array([solve_damped(whole[0] - part[0], whole[1] - part[1]) for part in parts])
+    moved = jackknife_moves(residual, jacobian)
     half = student.ppf(0.975, count - 1) * np.sqrt(
         (count - 1) / count * ((moved - moved.mean(axis=0)) ** 2).sum(axis=0)
     )
     return space.from_unit(unit - half), space.from_unit(unit + half)
+
+
+def jackknife_moves(residual: Parts, jacobian: Parts) -> np.ndarray:
+    """By how much the fit moves in the unit cube (R, P), to first order, when each recording is left out."""
+    whole = normal_equations(residual, jacobian)
+    parts = [normal_equations(residual[r : r + 1], jacobian[r : r + 1]) for r in range(len(residual))]
+    return np.array([solve_damped(whole[0] - part[0], whole[1] - part[1]) for part in parts])
 
 
 def with_discrepancy(fitted: Fitted, doubt: Parts, noise: float) -> Fitted:

@@ -124,11 +124,12 @@ def confirmed(state: State, found: Round, account: Account) -> tuple[State, bool
         size = f"{unit.scale * doubt:.2g} {unit.reported}"
         why = f"what it explains may be the mesh's doing, which with it may be wrong by {size}"
         return with_round(dataclasses.replace(state, floor=floor), withdrawn(found, floor, why)), False
-    if not (why := unphysical(name, after)):
+    together = problem.evidence.search.together
+    if not (why := unphysical(name, after, together)):
         account.stage(f"round {len(state.rounds) + 1}: intervals", 0, 1)
         narrow, after, count = profile_intervals(problem, after)
         account.count(count)
-        why = unphysical(name, narrow)
+        why = unphysical(name, narrow, together)
     if why:
         why = f"{why} once the errors of mesh and model are allowed for"
         return with_round(state, withdrawn(found, floor, why)), False

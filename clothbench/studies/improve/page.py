@@ -18,6 +18,7 @@ from clothbench.studies.improve.words import errors_of, floor_word, remains, sen
 Rows = Sequence[dict[str, Any]]
 Tables = Mapping[str, Rows]
 SURE = {"complete": "ok", "attributed": "ok"}
+OVER = {"mm": "visible node coordinates", "N": "steps of stretch", "sd": "sides and quantities"}
 LEGEND = '<div class="menu top"><div id="legend"></div></div>'
 FOOTER = """<footer>The same as data: <code>verdict.json</code> and the Parquet files in <code>tables</code>. See a
 recording beside the model before and after: <code>clothbench view RECORDING --out FOLDER</code>.</footer>"""
@@ -25,6 +26,9 @@ recording beside the model before and after: <code>clothbench view RECORDING --o
 CANDIDATES = """<p class="soft">Share: how much of what the calibrated model leaves only this effect could explain, to
 first order. p: how often chance does as well with the best of all candidates. Those that beat chance were fitted in
 earnest; the gain is by how much the mean square fell. Best in: of as many rounds with one recording left out.</p>"""
+DRAPES = """<p class="soft">A cloth whose faces and threads are alike drapes alike on either side, and is as long one
+way as the other. Elongation: second harmonic of the outline, along the line of the picture along which, or across
+which, this fabric's drapes are long.</p>"""
 DRIFT = """The calibrated model fitted to each recording alone. Line and band: all together, 95 % interval. Diamonds lie
 outside it: a parameter that drifts from recording to recording is a sign of missing physics."""
 
@@ -41,6 +45,7 @@ def page_html(found: Mapping[str, Any], tables: Tables) -> str:
         effect_section(found),
         candidate_section(tables["candidates"]),
         curve_section(tables["curves"], bool(found["effects"]), blocks),
+        drape_section(tables["drapes"], bool(found["effects"])),
         frame_section(found, tables["frames"], blocks),
         map_section(found, tables["nodes"], blocks),
         direction_section(found, tables["portrait"], blocks),
@@ -108,7 +113,7 @@ def error_section(found: Mapping[str, Any], errors: Rows, blocks: list[dict[str,
     if not errors:
         return ""
     error = errors_of(found)
-    over = "visible node coordinates" if error["unit"] == "mm" else "steps of stretch"
+    over = OVER[error["unit"]]
     caption = f"Root-mean-square over {over}. Dots: recordings that were fitted; diamonds: held out, never used to "
     caption += f"decide. Grey: the floor, {floor_word(error['unit'])}."
     fall = error["held_out"]["ci95"]
@@ -167,6 +172,26 @@ def curve_section(curves: Rows, changed: bool, blocks: list[dict[str, Any]]) -> 
         return ""
     caption = "Dots: measured, medians over steps of stretch. Lines: the model."
     return "<h2>Force over stretch</h2>" + block("curves", caption, draw.curve_figures(curves, changed), blocks)
+
+
+def drape_section(drapes: Rows, changed: bool) -> str:
+    """Mean over the specimens of each split of what was measured, beside the model."""
+    if not drapes:
+        return ""
+    body = []
+    for (side, quantity, split), rows in group(drapes, lambda r: (r["side"], r["quantity"], r["split"])).items():
+        known = [[r[name] for r in rows if r[name] is not None] for name in ("measured", "before", "after")]
+        mean, before, after = (sum(each) / len(each) if each else None for each in known)
+        model = f"{signed(before)} → {signed(after)}" if changed else signed(before)
+        name = text(quantity.replace("_", " "))
+        body.append([name, text(side), text(split.replace("_", " ")), str(len(rows)), signed(mean),
+                     f"{rows[0]['spread']:.2f}", model, text(rows[0]["unit"])])  # fmt: skip
+    head = ["quantity", "side", "specimens", "number", "measured", "spread between specimens", "model", "unit"]
+    return "<h2>Drapes, side by side</h2>" + DRAPES + table(head, body, numeric={3, 4, 5, 6})
+
+
+def signed(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
 
 
 def frame_section(found: Mapping[str, Any], frames: Rows, blocks: list[dict[str, Any]]) -> str:

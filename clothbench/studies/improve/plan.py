@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.optional import absent, kind_of_model
+from clothbench.core.optional import absent, kind_of_model, textile_of
 from clothbench.core.progress import FileProgress
 from clothbench.core.scene import AIR_DENSITY
 from clothbench.engine.cells import Source, matching, plugin_versions, resplit
@@ -18,11 +18,13 @@ from clothbench.engine.suite import where
 from clothbench.modelling.curves import answers_curves
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.codec import kind_of
+from clothbench.recordings.curve import LAYOUT as CURVES
 from clothbench.recordings.curve import read_curve
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.silhouette import LAYOUT as DRAPES
 from clothbench.studies.improve.candidates import candidates_of, names
 from clothbench.studies.improve.cell import ImproveCell
+from clothbench.studies.improve.drapes import DrapeEvidence
 from clothbench.studies.improve.fitting import search_settings
 from clothbench.studies.improve.prepare import prepare
 from clothbench.studies.improve.problem import Problem
@@ -31,7 +33,12 @@ from clothbench.studies.improve.problem import Problem
 # what a coarser mesh does to them is known better, since they converge.
 NODES, IMPLICIT_NODES = 13, 9
 LEAST_NODES = 5
+DRAPE_NODES = 19  # across a disc: eight folds take five to six cells each
 SUITE_WORDS = frozenset({"candidates", "base", "damping", "resolution", "select", "case"})
+NEEDED = {  # capabilities, by kind of recording
+    "nodes": ("moves", frozenset({"dynamic", "effects"})),
+    DRAPES.kind: ("can be cut to a disc", frozenset({"outline", "effects"})),
+}
 NOT_ASKED = ("metric", "report", "analysis")
 
 
@@ -47,7 +54,8 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
                 "side, and leave it out"
             )
     paths = where(settings, progress)
-    kind = "curve" if kind_of(paths[0]) == "curve" else "nodes"
+    stated = kind_of(paths[0])
+    kind = stated if stated in (CURVES.kind, DRAPES.kind) else "nodes"
     recordings = [read_kind(path, kind) for path in paths]
     return [
         cell_of(case, model, optimizer, kind, sources, settings, plugins)
@@ -84,16 +92,20 @@ def cell_of(
     if reason := absent(loaded):
         raise ClothbenchError(f"model {model!r}: {reason}")
     require_able(kind, model, settings["options"].get(model, {}), plugins)
-    if kind == "curve":
+    if kind == CURVES.kind:
         refuse_what_needs_a_mesh(settings)
     cell = ImproveCell(
         recordings=tuple(resplit(list(sources), settings["seed"])), kind=kind, model=model, base=(), candidates=(),
-        tracker=settings["tracker"] if kind == "nodes" else None, optimizer=optimizer, options=settings["options"],
-        scene={} if kind == "curve" else scene_of_settings(settings, loaded), seed=settings["seed"],
+        tracker=settings["tracker"] if kind != CURVES.kind else None, optimizer=optimizer, options=settings["options"],
+        scene={} if kind == CURVES.kind else scene_of_settings(settings, loaded, kind), seed=settings["seed"],
         timeout=settings["timeout"], bounds=settings["bounds"], split_by_seed=not any(s.split for s in sources),
         suite=suite.get("name") or "improve", case=case,
     )  # fmt: skip
     problem = prepare(cell, plugins, kept=Path(settings["out"]) / TRACKED)
+    if isinstance(problem.evidence, DrapeEvidence):  # what a drape coefficient cannot tell is held
+        free, held = textile_of(loaded, problem.evidence.textile)
+        cell = dataclasses.replace(cell, bounds=free | dict(settings["bounds"]), fixed=held)
+        problem = prepare(cell, plugins, kept=Path(settings["out"]) / TRACKED)
     base = base_of(settings, problem)
     candidates = candidates_of(suite.get("candidates"), kind, base, plugins, problem.evidence.in_pictures)
     cell = dataclasses.replace(cell, base=base, candidates=candidates)
@@ -103,17 +115,19 @@ def cell_of(
 
 def require_able(kind: str, model: str, options: Mapping[str, Any], plugins: Catalogue) -> None:
     """Refuse a model that can do nothing with recordings of this kind."""
-    if kind == "curve":
+    if kind == CURVES.kind:
         if not answers_curves(plugins.load("models", model)):
             able = [name for name in plugins.names("models") if answers_curves(plugins.load("models", name))]
             raise ClothbenchError(
                 f"model {model!r} answers no force-extension curves, and the recordings are such; "
                 f"those that do: {', '.join(able)}"
             )
-    elif not {"dynamic", "effects"} <= (able := plugins.make("models", model, **options).capabilities):
+        return
+    what, needed = NEEDED.get(kind, NEEDED["nodes"])
+    if not needed <= (able := plugins.make("models", model, **options).capabilities):
         raise ClothbenchError(
-            f"model {model!r}: found the capabilities {', '.join(sorted(able))}, expected one that moves and takes "
-            "effects ('dynamic', 'effects')"
+            f"model {model!r}: found the capabilities {', '.join(sorted(able))}, expected one that {what} and takes "
+            f"effects ({', '.join(map(repr, sorted(needed)))})"
         )
 
 
@@ -127,12 +141,15 @@ def refuse_what_needs_a_mesh(settings: Mapping[str, Any]) -> None:
             raise ClothbenchError(f"found {key}=…, which force-extension curves have no use for; leave it out")
 
 
-def scene_of_settings(settings: Mapping[str, Any], model: Any) -> dict[str, Any]:
+def scene_of_settings(settings: Mapping[str, Any], model: Any, kind: str) -> dict[str, Any]:
     """How fine the mesh is, the density of air, and that of cloth where a recording does not know it."""
     nodes, scene = settings["suite"].get("resolution"), settings["scene"]
     if nodes is None:
         nodes = IMPLICIT_NODES if kind_of_model(model) == "implicit" else NODES
+        nodes = DRAPE_NODES if kind == DRAPES.kind else nodes
     begins = {"start": scene["start"]} if "start" in scene else {}
+    if begins and kind == DRAPES.kind:
+        raise ClothbenchError("setting 'scene.start': drapes begin from several first shapes; leave it out")
     if begins and "moving_start" not in model.capabilities:
         raise ClothbenchError(f"model {model.name!r} starts from rest only; leave scene.start=measured out")
     return begins | {
@@ -143,16 +160,10 @@ def scene_of_settings(settings: Mapping[str, Any], model: Any) -> dict[str, Any]
 
 def read_kind(path: Path, kind: str) -> Any:
     """A recording of the kind that all of them have to be of."""
-    if kind_of(path) == DRAPES.kind:
-        raise ClothbenchError(
-            f"{path}: found kind {DRAPES.kind!r}, cloth at rest, expected sheets that move or curves; calibrate it "
-            "with `clothbench run`"
-        )
-    if kind == "nodes":
-        return read_sheet(path)
-    if (stated := kind_of(path)) != kind:
-        raise ClothbenchError(f"{path}: found kind {stated!r} among curves, expected one kind in a folder")
-    return read_curve(path)
+    stated = kind_of(path)
+    if stated != kind and {stated, kind} & {CURVES.kind, DRAPES.kind}:
+        raise ClothbenchError(f"{path}: found kind {stated!r} among others, expected one kind in a folder")
+    return read_curve(path) if kind == CURVES.kind else read_sheet(path)
 
 
 def sources_of(recordings: Sequence[Any], seed: int) -> list[Source]:
@@ -185,7 +196,7 @@ def base_of(settings: Mapping[str, Any], problem: Problem) -> tuple[str, ...]:
             problem.plugins.find("effects", name)
         return tuple(base)
     damping = settings["suite"].get("damping")
-    if problem.evidence.kind == "curve" or damping not in problem.plugins.names("effects"):
+    if problem.evidence.kind in (CURVES.kind, DRAPES.kind) or damping not in problem.plugins.names("effects"):
         return ()
     unit = problem.make("effects", damping).parameters.parameters[0].unit
     return () if any(p.unit == unit for p in problem.space(())) else (damping,)

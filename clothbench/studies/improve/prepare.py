@@ -9,14 +9,17 @@ from typing import Any
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.cells import Source
 from clothbench.engine.checkpoint import Checkpoint
-from clothbench.estimation.watched import watched
+from clothbench.estimation.watched import require_readable, watched
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.curve import Curve
 from clothbench.recordings.kinds import read_any
 from clothbench.recordings.nodes import Recording
-from clothbench.recordings.scenes import scene_of
+from clothbench.recordings.scenes import drapes_of, scene_of
+from clothbench.recordings.silhouette import Silhouettes
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.curves import CurveEvidence, curve_evidence
+from clothbench.studies.improve.drape_quantities import specimens_of
+from clothbench.studies.improve.drapes import DrapeCase, DrapeEvidence, Drapemeter, quartered
 from clothbench.studies.improve.evidence import Evidence
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.sheets import SheetCase, SheetEvidence
@@ -70,10 +73,52 @@ def evidence_of_sheets(
     return SheetEvidence(tuple(map(case, cell.recordings, recordings)))
 
 
+def evidence_of_drapes(
+    cell: ImproveCell, recordings: Sequence[Silhouettes], plugins: Catalogue, kept: Path | None = None
+) -> DrapeEvidence:
+    assert cell.tracker is not None  # as of sheets
+    for recording in recordings:
+        require_readable(recording, cell.tracker, plugins)
+    require_one_drapemeter(recordings)
+    tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
+    seen = [tracker.track(recording).outlines for recording in recordings]
+    found, sides = specimens_of(seen, [r.side for r in recordings], [s.split == "fit" for s in cell.recordings])
+    nodes = cell.scene["resolution"]
+    scenes = drapes_of(
+        recordings[0], areal_density=cell.scene["areal_density"], air_density=cell.scene["air_density"],
+        resolution=(nodes, nodes), starts=FIRST_SHAPES,
+    )  # fmt: skip
+    scenes += [quartered(scene) for scene in scenes]
+    meter = Drapemeter(tuple(scenes), sides, recordings[0].plate_radius, recordings[0].disc_radius, cell.fixed)
+    return DrapeEvidence(
+        tuple(
+            DrapeCase(f"{source.name}, specimen {number}", source.split, specimen, meter)
+            for source, some in zip(cell.recordings, found, strict=True)
+            for number, specimen in some
+        )
+    )
+
+
+def require_one_drapemeter(recordings: Sequence[Silhouettes]) -> None:
+    """Refuse recordings of several fabrics or instruments: one model is one cloth."""
+    for what in ("fabric", "disc_radius", "plate_radius", "areal_density"):
+        found = sorted({str(getattr(r, what)) for r in recordings})
+        if len(found) > 1:
+            raise ClothbenchError(
+                f"{recordings[0].path}: attribute {what!r}: found {', '.join(found)} among {len(recordings)} "
+                f"recordings, expected one {what}; give one fabric's with recordings=FOLDER, or suite.case=fabric"
+            )
+
+
 def shape_of(recording: Recording, nodes: int) -> tuple[int, int]:
     """Nodes along (u, v) of cells as nearly square as may be, so many along the longer side."""
     cell = max(recording.cloth_width, recording.cloth_height) / (nodes - 1)
     return max(3, round(recording.cloth_width / cell) + 1), max(3, round(recording.cloth_height / cell) + 1)
 
 
-EVIDENCE: Mapping[str, Callable[..., Evidence]] = {"nodes": evidence_of_sheets, "curve": evidence_of_curves}
+# Beside it the same turned by a quarter, of each side: neither a drape coefficient nor an elongation hangs much on
+# which folds there are.
+FIRST_SHAPES = 1
+EVIDENCE: Mapping[str, Callable[..., Evidence]] = {
+    "nodes": evidence_of_sheets, "curve": evidence_of_curves, "silhouette": evidence_of_drapes,
+}  # fmt: skip

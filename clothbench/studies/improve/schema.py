@@ -45,6 +45,11 @@ CURVE = {
     "recording": _text, "split": _text, "stretch": _number, "force": _number, "before": _number, "after": _number,
     "unit": _text,
 }  # fmt: skip
+# Of drapes: each quantity of each specimen in `unit`, as measured and of the model; spread: between specimens.
+DRAPE = {
+    "recording": _text, "split": _text, "side": _text, "quantity": _text, "measured": _number, "spread": _number,
+    "before": _number, "after": _number, "unit": _text,
+}  # fmt: skip
 STAGE = {"stage": _text, "wall_s": _number, "evaluations": _whole}
 # value: fitted to this recording alone; joint, low, high: fitted to all together, with its 95 % interval.
 DRIFT = {
@@ -54,5 +59,5 @@ DRIFT = {
 
 IMPROVE_TABLES = {
     "candidates": CANDIDATE, "parameters": PARAMETER, "errors": ERROR, "portrait": PORTRAIT, "against": BIN,
-    "frames": FRAME, "nodes": NODE, "curves": CURVE, "stages": STAGE, "drift": DRIFT,
+    "frames": FRAME, "nodes": NODE, "curves": CURVE, "drapes": DRAPE, "stages": STAGE, "drift": DRIFT,
 }  # fmt: skip

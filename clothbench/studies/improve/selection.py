@@ -7,9 +7,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.stats import f as fisher
+from scipy.stats import t as student
 
 from clothbench.core.parameters import ParameterSpace
-from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.fitted import Fitted, jackknife_moves
 from clothbench.studies.improve.settings import LOOP
 
 
@@ -47,7 +49,7 @@ def least_fall(current: Fitted, floor: float, noise: float) -> float:
     return LOOP.least_explained_at_floor * max(mean_square - noise**2, 1e-12)
 
 
-def assess(current: Fitted, gain: float, tried: Sequence[Candidate]) -> list[Candidate]:
+def assess(current: Fitted, gain: float, tried: Sequence[Candidate], together: bool = False) -> list[Candidate]:
     """What speaks against each of them, if anything; and in how many leave-one-out rounds it is the best and explains
     enough. What is left out there is a recording's say: nothing is fitted again.
     """
@@ -68,7 +70,7 @@ def assess(current: Fitted, gain: float, tried: Sequence[Candidate]) -> list[Can
             why = f"explains only {max(candidate.gain, 0) / gain:.0%} of what a name has to"
         elif helped < count - 1:
             why = f"helps in {helped} of {count} recordings only"
-        elif candidate.fitted is not None and (fault := unphysical(candidate.name, candidate.fitted)):
+        elif candidate.fitted is not None and (fault := unphysical(candidate.name, candidate.fitted, together)):
             why = fault
         elif wins < count - 1:
             why = f"falls short or behind another when a recording is left out (stands in {wins} of {count})"
@@ -76,8 +78,8 @@ def assess(current: Fitted, gain: float, tried: Sequence[Candidate]) -> list[Can
     return sorted(out, key=lambda c: -c.gain)
 
 
-def unphysical(name: str, fitted: Fitted) -> str:
-    """Why the amounts that were fitted to an effect cannot stand, or ""."""
+def unphysical(name: str, fitted: Fitted, together: bool = False) -> str:
+    """Why the amounts that were fitted to an effect cannot stand, or "". together: see `SearchSettings`."""
     space, amounts = fitted.space, amounts_of(fitted.space, name)
     null = np.array([space.parameters[i].null for i in amounts])
     if np.isnan(fitted.low[amounts]).all():
@@ -89,9 +91,29 @@ def unphysical(name: str, fitted: Fitted) -> str:
     if not far.any():
         return "its amount is fitted to nothing"
     low, high = fitted.low[amounts], fitted.high[amounts]
-    if not (far & ((low > null) | (high < null))).any():
+    alone = (far & ((low > null) | (high < null))).any()
+    if not alone and not (together and told_from_nothing(fitted, amounts, null)):
         return "its amount cannot be told from nothing"
     return ""
+
+
+def told_from_nothing(fitted: Fitted, amounts: Sequence[int], null: np.ndarray) -> bool:
+    """Whether amounts together differ from null, though each alone may not: Hotelling's T² over recordings left out
+    one at a time, each amount as unsure as its interval says.
+    """
+    count, size = len(fitted.residual), len(amounts)
+    if count <= size:
+        return False
+    moved = jackknife_moves(fitted.residual, fitted.jacobian)[:, list(amounts)]
+    covariance = (count - 1) ** 2 / count * np.atleast_2d(np.cov(moved, rowvar=False))
+    unit, low, high = (fitted.space.to_unit(end)[list(amounts)] for end in (fitted.theta, fitted.low, fitted.high))
+    half = np.maximum(high - unit, unit - low) / student.ppf(0.975, count - 1)
+    wider = np.maximum(half / np.sqrt(np.maximum(np.diag(covariance), 1e-300)), 1.0)
+    whole = fitted.theta.copy()
+    whole[list(amounts)] = null
+    away = (unit - fitted.space.to_unit(whole)[list(amounts)]) / wider
+    square = float(away @ np.linalg.pinv(covariance, hermitian=True) @ away)
+    return square * (count - size) / (size * (count - 1)) > fisher.ppf(1 - LOOP.significance, size, count - size)
 
 
 def amounts_of(space: ParameterSpace, effect: str) -> list[int]:

@@ -107,6 +107,9 @@ class SearchSettings:
     budget_factor: int = 1  # times the parameter sets that the rounds of a search take
     rounds: int = 3  # effects that can be named one after the other
     contention: float = 1.5  # times the least mean square that any leaves: a candidate that leaves more is given up
+    together: bool = (
+        False  # several amounts of one effect may do the same: it is enough that they together are something
+    )
     generalisation: float = 1.5  # times the floor: a model that leaves more on held-out recordings lacks something
 
 

@@ -13,14 +13,14 @@ WHITE = 0.3  # correlation of one frame with the next below which a residual loo
 
 
 def errors_of(found: Mapping[str, Any]) -> dict[str, Any]:
-    """The verdict's errors with their `unit`, mm of nodes or N of curves; `unexplained`, what is above the floor."""
-    if found.get("kind") == "curve":
+    """The verdict's errors with their `unit`, mm of nodes, N of curves, sd of drapes; `unexplained` above the floor."""
+    if "kind" in found:
         return {**found["error"], "unexplained": found["unexplained"]}
     return {"unit": "mm", **found["error_mm"], "unexplained": found["unexplained_mm"]}
 
 
 def size(value: float | None, unit: str) -> str:
-    """A number of millimetres to two places, of newtons to three digits; a dash where a run was stopped."""
+    """A number of millimetres to two places, of others to three digits; a dash where a run was stopped."""
     if value is None:
         return "–"
     return f"{value:.2f}" if unit == "mm" else f"{value:.3g}"
@@ -28,7 +28,7 @@ def size(value: float | None, unit: str) -> str:
 
 def floor_word(unit: str) -> str:
     """What the floor is made of."""
-    return "noise and mesh" if unit == "mm" else "spread between runs"
+    return {"mm": "noise and mesh", "sd": "spread between specimens"}.get(unit, "spread between runs")
 
 
 def sentence(found: Mapping[str, Any]) -> str:

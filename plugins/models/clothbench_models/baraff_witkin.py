@@ -59,6 +59,17 @@ PARAMETERS = ParameterSpace(
     )
 )
 
+# What is searched for in a type of textile at rest: threads hold their lengths, and nothing moves.
+THREADS = {
+    "stretch": 100.0, "bend_damping": 2e-7, "stretch_damping": 0.02, "shear_damping": 0.02, "quadratic_drag": 0.6,
+    "linear_drag": 0.02, "drag_decline": 0.05,
+}  # fmt: skip
+TEXTILES: dict[str, dict[str, float | tuple[float, float]]] = {
+    "soft": {**THREADS, "bend": (1e-7, 1e-5), "shear": (1.0, 100.0)},
+    "medium": {**THREADS, "bend": (1e-6, 1e-4), "shear": (1.0, 100.0)},
+    "stiff": {**THREADS, "bend": (1e-5, 1e-3), "shear": (1.0, 100.0)},
+}
+
 
 class BaraffWitkin:
     """Sheet of triangles with implicit or adaptive explicit steps; see the module for equations and sources.
@@ -74,6 +85,7 @@ class BaraffWitkin:
     version = 1
     kind = "implicit"
     parameters = PARAMETERS
+    textiles = TEXTILES
     capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start", "outline"})
     repeatability = 1e-5  # m: what the tolerance of the linear solver leaves open
     bench_options: tuple[dict[str, str], ...] = ({}, {"integrator": "implicit_euler"})

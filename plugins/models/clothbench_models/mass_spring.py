@@ -29,6 +29,13 @@ PARAMETERS = ParameterSpace(
     )
 )
 
+# What is searched for in a type of textile: threads hold their lengths, flexion springs do what is left.
+TEXTILES: dict[str, dict[str, float | tuple[float, float]]] = {
+    "soft": {"k1": 50.0, "k2": (1e-4, 1.0), "zeta": 0.05},
+    "medium": {"k1": 50.0, "k2": (1e-3, 30.0), "zeta": 0.05},
+    "stiff": {"k1": 50.0, "k2": (0.01, 100.0), "zeta": 0.05},
+}
+
 
 class MassSpring:
     """Provot's mass-spring-damper sheet, explicit leapfrog; see the module for equations and sources.
@@ -45,6 +52,7 @@ class MassSpring:
     version = 2
     kind = "explicit"
     parameters = PARAMETERS
+    textiles = TEXTILES
     capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start", "outline"})
 
     bench_options: tuple[dict[str, str], ...] = ({}, {"precision": "single"})

@@ -1,0 +1,99 @@
+"""What is read off the drapes of a specimen, side by side: see `drapes`."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clothbench.core.drape import Outlines, Quantity, drape_coefficient
+from clothbench.recordings.silhouette import SIDES
+
+QUANTITIES = (
+    Quantity("drape_coefficient", "DC", "%", 100.0, "share of the ring beyond the plate that lies in the shadow"),
+    Quantity("elongation", "a₂", "mm", 1e3, "second harmonic of the outline, along a line of the picture"),
+)
+LEAST_SPREAD = np.array([0.01, 0.7e-3])  # of each quantity: what other first shapes change of a simulated drape
+
+
+@dataclass(frozen=True, eq=False)
+class Specimen:
+    """The drapes of one specimen: means over the captures of each side.
+
+    mean: (S, Q) SI, of S sides, NaN where a side was not captured; known: (S, Q) bool, where it was, M times in all;
+    spread: (M,) between specimens, SI; labels: (M,) in words.
+    """
+
+    mean: np.ndarray
+    known: np.ndarray
+    spread: np.ndarray
+    labels: tuple[str, ...]
+
+
+def elongation(radius: np.ndarray) -> np.ndarray:
+    """A exp(2iψ) m of outlines (..., K) m: r(φ) has the second harmonic A cos 2(φ − ψ)."""
+    turn = 2 * np.pi * np.arange(radius.shape[-1]) / radius.shape[-1]
+    return 2 * np.mean(radius * np.exp(2j * turn), axis=-1)
+
+
+def specimens_of(
+    seen: Sequence[Outlines], side: Sequence[np.ndarray], fitted: Sequence[bool]
+) -> tuple[list[list[tuple[int, Specimen]]], tuple[int, ...]]:
+    """The specimens of each of several recordings of one fabric, by number; and which sides were up in any.
+
+    fitted: which recordings are to be fitted. The line along which drapes are long is taken from these alone; specimens
+    are taken to lie with their threads along the same lines of the picture, and to be turned over about a thread.
+    """
+    sides = tuple(sorted({int(s) for each in side for s in each}))
+    values = [
+        np.stack([drape_coefficient(o.radius, o.plate_radius, o.disc_radius), elongation(o.radius)], axis=1)
+        for o in seen
+    ]
+    means: list[dict[int, np.ndarray]] = [
+        {int(k): _means(v[o.sample == k], s[o.sample == k], sides) for k in np.unique(o.sample)}
+        for o, v, s in zip(seen, values, side, strict=True)
+    ]
+    known = np.stack([m for each, fit in zip(means, fitted, strict=True) if fit for m in each.values()])
+    turn = line_of(known[..., 1])
+    real = [{k: _along(m, turn) for k, m in each.items()} for each in means]
+    spread = spread_of(np.stack([_along(m, turn) for m in known]))
+    return [[(k, _specimen(m, spread, sides)) for k, m in each.items()] for each in real], sides
+
+
+def line_of(elongations: np.ndarray) -> complex:
+    """exp(2iψ) of the line along which, or across which, specimens (N, S) complex m are long on each side: the
+    principal axis of the sides' means.
+    """
+    mean = np.nanmean(elongations, axis=0)
+    square = complex(np.sum(mean**2))
+    return np.sqrt(square) / np.sqrt(abs(square)) if square else 1.0 + 0j
+
+
+def spread_of(values: np.ndarray) -> np.ndarray:
+    """Standard deviation between specimens (N, S, Q) of one side, pooled over sides (Q,)."""
+    count = np.isfinite(values).sum(axis=0)
+    away = values - np.nanmean(values, axis=0)
+    freedom = np.maximum(count - 1, 0).sum(axis=0)
+    squares = np.nansum(away**2, axis=(0, 1))
+    return np.maximum(np.sqrt(np.divide(squares, freedom, out=np.zeros_like(squares), where=freedom > 0)), LEAST_SPREAD)
+
+
+def _means(values: np.ndarray, side: np.ndarray, sides: Sequence[int]) -> np.ndarray:
+    """Means (S, Q) complex over the captures (T, Q) of each side, NaN where there is none."""
+    empty = np.full(values.shape[1], np.nan + 0j)
+    return np.stack([values[side == s].mean(axis=0) if (side == s).any() else empty for s in sides])
+
+
+def _along(mean: np.ndarray, turn: complex) -> np.ndarray:
+    """Means (S, Q) with the elongation along the line that `turn` stands for."""
+    return np.stack([mean[:, 0].real, (mean[:, 1] / turn).real], axis=1)
+
+
+def _specimen(mean: np.ndarray, spread: np.ndarray, sides: Sequence[int]) -> Specimen:
+    known = np.isfinite(mean)
+    at = np.argwhere(known)
+    words = {0: "", 1: " face up", 2: " face down"}
+    assert set(words) == set(SIDES)
+    labels = tuple(QUANTITIES[q].name.replace("_", " ") + words[sides[s]] for s, q in at)
+    return Specimen(mean, known, spread[at[:, 1]], labels)

@@ -1,0 +1,189 @@
+"""Evidence of drapes: what tells faces and threads apart, and that neither chance nor a mesh does."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from clothbench import Outlines, Silhouettes
+from clothbench.core.drape import outlines_of_points
+from clothbench.core.parameters import Parameter, ParameterSpace
+from clothbench.plugins.discovery import catalogue
+from clothbench.recordings.scenes import drapes_of
+from clothbench.studies.improve.candidates import candidates_of
+from clothbench.studies.improve.drape_quantities import LEAST_SPREAD, elongation, line_of, specimens_of, spread_of
+from clothbench.studies.improve.drapes import DrapeCase, DrapeEvidence, Drapemeter, quartered, turned
+from clothbench.studies.improve.fitted import Fitted, jackknife_interval
+from clothbench.studies.improve.problem import Problem, residuals
+from clothbench.studies.improve.selection import told_from_nothing
+from clothbench.studies.improve.settings import LOOP
+
+PLATE, DISC = 0.09, 0.15
+TURN = 2 * np.pi * np.arange(360) / 360
+
+
+def captured(specimens, long=0.004, at=0.6, up=0.0, seed=0, sides=(1, 2)):
+    """Outlines of specimens that are long along `at` rad, with DC that differs by the side."""
+    random = np.random.default_rng(seed)
+    radius, sample, side = [], [], []
+    for k in range(specimens):
+        for s in sides:
+            mean = 0.125 + random.normal(0, 2e-4) + (up if s == 1 else -up)
+            radius.append(mean + long * np.cos(2 * (TURN - at)) + 0.01 * np.cos(7 * TURN + random.uniform(0, 6)))
+            sample.append(k)
+            side.append(s)
+    return Outlines(np.array(radius), PLATE, DISC, np.array(sample), 1e-4, 1.4e-3), np.array(side)
+
+
+def evidence(specimens=8, resolution=13, **planted):
+    """Of the specimens all but the last two are fitted."""
+    seen, side = captured(specimens, **planted)
+    (found,), sides = specimens_of([seen], [side], [True])
+    drapes = Silhouettes(
+        name="petals", image=blank(), sample=np.array([0]), side=np.array([1]), pixel_size=1.4e-3, disc_radius=DISC,
+        plate_radius=PLATE, areal_density=0.15,
+    )  # fmt: skip
+    scenes = drapes_of(drapes, resolution=(resolution, resolution), starts=1)
+    held = {"k1": 50.0, "zeta": 0.05}
+    meter = Drapemeter((*scenes, *map(quartered, scenes)), sides, PLATE, DISC, held)
+    return DrapeEvidence(
+        tuple(DrapeCase(f"s{k}", "fit" if k < specimens - 2 else "held_out", one, meter) for k, one in found)
+    )
+
+
+def blank():
+    x, y = np.meshgrid(np.arange(256) - 127.5, np.arange(256) - 127.5)
+    return np.where(np.hypot(x, y) * 1.4e-3 < 0.12, 0, 255).astype(np.uint8)[None]
+
+
+# --- what is read off ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("at", [0.0, 0.6, 1.5, 2.9])
+def test_the_line_along_which_drapes_are_long_is_found_whatever_its_sign(at):
+    seen, side = captured(6, at=at)
+    found = elongation(seen.radius)
+    assert np.abs(found) == pytest.approx(0.004, rel=1e-6)
+    line = line_of(np.stack([found[side == s] for s in (1, 2)], axis=1))
+    assert np.abs((found / line).real) == pytest.approx(0.004, rel=1e-6)
+    assert np.abs((found / line).imag).max() < 1e-9
+
+
+def test_specimens_have_a_mean_for_each_side_and_share_a_spread():
+    seen, side = captured(5, up=0.003)
+    (found,), sides = specimens_of([seen], [side], [True])
+    assert sides == (1, 2)
+    number, first = found[0]
+    assert number == 0
+    assert first.mean.shape == (2, 2)
+    assert first.mean[0, 0] > first.mean[1, 0] + 0.05  # face up it covers more
+    assert first.labels == (
+        "drape coefficient face up", "elongation face up", "drape coefficient face down", "elongation face down",
+    )  # fmt: skip
+    assert (first.spread[[1, 3]] == LEAST_SPREAD[1]).all()  # all are alike; a floor keeps what nobody could tell apart
+
+
+def test_the_spread_is_pooled_over_sides_and_knows_missing_ones():
+    random = np.random.default_rng(1)
+    values = random.normal([[[0.5, 0.0]], [[0.7, 0.004]]], [0.05, 0.002], (2, 4000, 2)).swapaxes(0, 1)
+    assert spread_of(values) == pytest.approx([0.05, 0.002], rel=0.05)
+    values[::2, 1] = np.nan
+    assert spread_of(values) == pytest.approx([0.05, 0.002], rel=0.05)
+
+
+# --- symmetry --------------------------------------------------------------------------------------------------------
+
+
+def test_a_cloth_that_is_alike_on_both_sides_and_along_both_threads_leaves_nothing_to_tell():
+    found = evidence()
+    case = found.cases[0]
+    simulation = case.trial(catalogue().make("models", "mass_spring"), (), None).simulation
+    drape = simulation.run(simulation.parameters.from_unit(np.array([[0.4], [0.6]])))
+    assert drape.status == ("ok", "ok")
+    np.testing.assert_allclose(drape.quantity[:, 0], drape.quantity[:, 1], atol=1e-9)  # face up and face down
+    assert np.abs(drape.quantity[:, :, 1]).max() < 0.1e-3  # of two first shapes, a quarter apart
+    assert (drape.quantity[:, :, 0] > 0.2).all()
+
+
+def test_turning_over_twice_and_four_quarters_change_nothing():
+    scene = evidence().cases[0].meter.scenes[0]
+    again = turned(turned(scene))
+    assert again.gravity == scene.gravity
+    np.testing.assert_array_equal(again.start, scene.start)
+    four = quartered(quartered(quartered(quartered(scene))))
+    np.testing.assert_array_equal(four.start, scene.start)
+    before = elongation(outlines_of_points(bulged(scene.start), (0, 0, 0), PLATE))
+    after = elongation(outlines_of_points(bulged(quartered(scene).start), (0, 0, 0), PLATE))
+    assert after == pytest.approx(-before, abs=1e-5)
+
+
+def bulged(place):
+    """Places (N, 3) moved outwards by their height."""
+    away = place[:, :2] / np.linalg.norm(place[:, :2], axis=1, keepdims=True)
+    return np.column_stack([place[:, :2] + place[:, 2:] * away, place[:, 2]])
+
+
+def test_surrogates_are_turned_over_and_by_quarters():
+    case = evidence().cases[0]
+    draw, random = case.surrogates(np.array([1.0, 2.0, 3.0, 4.0])), np.random.default_rng(0)
+    drawn = {tuple(draw(random)) for _ in range(100)}
+    assert drawn == {(1, 2, 3, 4), (1, -2, 3, -4), (3, 4, 1, 2), (3, -4, 1, -2)}
+
+
+def test_a_curl_makes_faces_and_threads_differ_and_specimens_share_one_simulation():
+    found = evidence(up=0.004)
+    problem = Problem("mass_spring", found, catalogue(), "least_squares")
+    trials = problem.trials(("rest_curvature",), "fit")
+    assert len({id(trial.simulation) for trial in trials}) == 1
+    space = trials[0].simulation.parameters
+    assert space.names == ("k2", "rest_curvature.warp", "rest_curvature.weft")
+    flat, curled = (space.from_unit(space.to_unit(np.array([1.0, warp, 0.0]))) for warp in (0.0, 3e-4))
+    away = residuals(trials[0], np.stack([flat, curled]))
+    change = (away[1] - away[0]).reshape(2, 2)
+    assert change[0, 0] * change[1, 0] < 0  # one face up drapes more, the other less
+    assert change[0, 1] * change[1, 1] < 0  # and long lines of the one are short lines of the other
+
+
+def test_only_forces_are_candidates():
+    plugins = catalogue()
+    names = candidates_of(None, "silhouette", (), plugins)
+    assert {"rest_curvature", "bending_anisotropy"} <= set(names)
+    assert not {"clock_offset", "grip_slip", "load_offset"} & set(names)
+
+
+# --- amounts together ------------------------------------------------------------------------------------------------
+
+
+def fitted_amounts(amounts, random, count=8, noise=0.05):
+    """A fit of two amounts of which the data hold the sum much better than the difference."""
+    space = ParameterSpace(
+        tuple(Parameter(f"e.{n}", n, "1", (-1.0, 1.0), "linear", 0.1, n, "", 0.0) for n in ("a", "b"))
+    )
+    jacobian = [np.array([[2.0, 2.0], [0.02, -0.02]]) for _ in range(count)]
+    theta = np.array(amounts)
+    residual = [noise * random.standard_normal(2) for _ in range(count)]
+    low, high = jackknife_interval(space, theta, residual, jacobian)
+    return Fitted(("e",), space, theta, residual, jacobian, low, high, evaluations=1)
+
+
+def test_amounts_may_be_told_from_nothing_together_though_not_alone():
+    random = np.random.default_rng(2)
+    null = np.zeros(2)
+    found = fitted_amounts([0.2, 0.2], random)
+    assert (found.low < 0).all()
+    assert (found.high > 0).all()
+    assert told_from_nothing(found, [0, 1], null)
+
+
+def test_nothing_is_rarely_told_from_nothing():
+    random = np.random.default_rng(3)
+    null, wrong = np.zeros(2), 0
+    for _ in range(200):
+        noise = np.array([0.05, 0.05]) * random.standard_normal((8, 2))
+        found = fitted_amounts([0.0, 0.0], random)
+        moved = np.linalg.lstsq(np.vstack(found.jacobian), noise.ravel(), rcond=None)[0] * 2
+        found = dataclasses.replace(found, theta=moved)
+        wrong += told_from_nothing(found, [0, 1], null)
+    assert wrong / 200 < 2 * LOOP.significance
