@@ -2,8 +2,8 @@
 
 Discs of 30 cm on a plate of 18 cm, as in a Cusick drapemeter, from the reference simulation (`clothbench.reference`): a
 ring of triangles beyond the plate's rim, clamped there, that comes to rest under its weight. Its bending is known, and
-its discretisation is none of the models'. Twelve specimens of each fabric, whose rigidity differs by 8 %, are draped face
-up and face down, each time laid on anew:
+its discretisation is none of the models'. Twelve specimens of each fabric, whose rigidity differs by 8 %, are draped
+face up and face down, each time laid on anew:
 
 limp, medium, stiff   fabrics that bend alike in all directions
 curled                as `medium`, but it curls by itself: face up it droops more than face down

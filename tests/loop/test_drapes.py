@@ -13,7 +13,14 @@ from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.scenes import drapes_of
 from clothbench.studies.improve.candidates import candidates_of
-from clothbench.studies.improve.drape_quantities import LEAST_SPREAD, elongation, line_of, specimens_of, spread_of
+from clothbench.studies.improve.drape_quantities import (
+    LEAST_SPREAD,
+    alike,
+    elongation,
+    line_of,
+    specimens_of,
+    spread_of,
+)
 from clothbench.studies.improve.drapes import DrapeCase, DrapeEvidence, Drapemeter, quartered, turned
 from clothbench.studies.improve.fitted import Fitted, jackknife_interval
 from clothbench.studies.improve.problem import Problem, residuals
@@ -91,6 +98,19 @@ def test_the_spread_is_pooled_over_sides_and_knows_missing_ones():
     assert spread_of(values) == pytest.approx([0.05, 0.002], rel=0.05)
     values[::2, 1] = np.nan
     assert spread_of(values) == pytest.approx([0.05, 0.002], rel=0.05)
+
+
+def test_captures_of_one_drape_are_told_from_those_laid_on_anew():
+    seen, side = captured(6, long=0.0)
+    twice = Outlines(np.repeat(seen.radius, 2, axis=0), PLATE, DISC, np.repeat(seen.sample, 2), 1e-4, 1.4e-3)
+    remembered = {r["pairs"]: r for r in alike([twice], [np.repeat(side, 2)], seed=0)}
+    assert remembered["the same side of a specimen"]["correlation"] == pytest.approx(1.0)
+    assert remembered["the same side of a specimen"]["number"] == 12
+    assert remembered["the same side of a specimen"]["p_value"] < 0.01
+    assert abs(remembered["different specimens"]["correlation"]) < 0.3
+    anew = alike([seen], [side], seed=0)
+    assert [r["pairs"] for r in anew] == ["the two sides of a specimen", "different specimens"]
+    assert all(r["p_value"] > 0.05 for r in anew)
 
 
 # --- symmetry --------------------------------------------------------------------------------------------------------

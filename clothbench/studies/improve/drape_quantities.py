@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -14,6 +15,8 @@ QUANTITIES = (
     Quantity("drape_coefficient", "DC", "%", 100.0, "share of the ring beyond the plate that lies in the shadow"),
     Quantity("elongation", "a₂", "mm", 1e3, "second harmonic of the outline, along a line of the picture"),
 )
+PAIRS = ("the same side of a specimen", "the two sides of a specimen", "different specimens")
+PERMUTATIONS = 999
 LEAST_SPREAD = np.array([0.01, 0.7e-3])  # of each quantity: what other first shapes change of a simulated drape
 
 
@@ -59,6 +62,34 @@ def specimens_of(
     real = [{k: _along(m, turn) for k, m in each.items()} for each in means]
     spread = spread_of(np.stack([_along(m, turn) for m in known]))
     return [[(k, _specimen(m, spread, sides)) for k, m in each.items()] for each in real], sides
+
+
+def alike(seen: Sequence[Outlines], side: Sequence[np.ndarray], seed: int) -> list[dict[str, Any]]:
+    """How much the captures of one fabric look like each other in the picture: mean correlation of their outlines over
+    pairs of the same side of a specimen, of its two sides, and of different specimens; and how often captures dealt out
+    to specimens and sides by chance correlate as much.
+
+    Drapes that are laid on anew fold anew. Where captures of one side do not, folds are remembered, or the cloth was
+    not laid on anew; the pictures do not tell which, and the captures are not as many drapes.
+    """
+    radius = np.concatenate([o.radius - o.radius.mean(axis=1, keepdims=True) for o in seen])
+    shape = radius / np.maximum(np.linalg.norm(radius, axis=1, keepdims=True), 1e-300)
+    correlation = shape @ shape.T
+    specimen = np.concatenate([1000 * n + o.sample for n, o in enumerate(seen)])
+    up = np.concatenate([np.asarray(s) for s in side])
+    upper = np.triu(np.ones(correlation.shape, dtype=bool), 1)
+    same, turned = specimen[:, None] == specimen, up[:, None] != up
+    rows, random = [], np.random.default_rng(seed)
+    for name, pairs in zip(PAIRS, (same & ~turned & upper, same & turned & upper, ~same & upper), strict=True):
+        if not pairs.any():
+            continue
+        mean, at_least = float(correlation[pairs].mean()), 1
+        for _ in range(PERMUTATIONS):
+            order = random.permutation(len(correlation))
+            at_least += bool(correlation[np.ix_(order, order)][pairs].mean() >= mean)
+        p_value = at_least / (PERMUTATIONS + 1)
+        rows.append({"pairs": name, "number": int(pairs.sum()), "correlation": mean, "p_value": p_value})
+    return rows
 
 
 def line_of(elongations: np.ndarray) -> complex:

@@ -36,7 +36,7 @@ from clothbench.studies.improve.sheets import without_switches
 FACE_DOWN = 2
 DRAPES_AS = (("soft", 0.3), ("medium", 0.7))  # types of textile below these drape coefficients, in this order
 # Amounts of bending are small beside their ranges, and beyond them a disc stands out flat: differences must be short.
-SEARCH = SearchSettings(difference=0.02, tolerance=0.01, starts=15, walks=2, rounds=3, together=True)
+SEARCH = SearchSettings(difference=0.02, tolerance=0.01, starts=15, walks=2, rounds=2, together=True, steps=True)
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,9 +196,10 @@ class DrapeCase:
 
 @dataclass(frozen=True, eq=False)
 class DrapeEvidence:
-    """Drapes of one fabric. cases: one for each specimen."""
+    """Drapes of one fabric. cases: one for each specimen; captures: how much they look like each other, from `alike`."""
 
     cases: tuple[DrapeCase, ...]
+    captures: Rows = field(default_factory=list)
 
     kind: ClassVar[str] = "silhouette"
     unit: ClassVar[Unit] = Unit("sd", "sd", 1.0)
@@ -242,7 +243,9 @@ class DrapeEvidence:
         )
 
     def tables(self, comparisons: Sequence[Comparison]) -> Mapping[str, Rows]:
-        """Each quantity of each specimen as measured and as the model has it, in the unit that it is shown in."""
+        """Each quantity of each specimen as measured and as the model has it, in the unit that it is shown in; and how
+        much captures look like each other.
+        """
         rows: Rows = []
         for one in comparisons:
             seen = one.case.specimen
@@ -254,4 +257,4 @@ class DrapeEvidence:
                      "quantity": QUANTITIES[q].name, "measured": measured, "spread": spread, "before": before,
                      "after": after, "unit": QUANTITIES[q].unit}
                 )  # fmt: skip
-        return {"drapes": rows}
+        return {"drapes": rows, "captures": self.captures}

@@ -155,7 +155,8 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
     account.stage("held-out recordings", 0, 1)
     problem, base = state.problem, state.base
     before = held_out_errors(problem, base)
-    end = concluded(state, before, timed_out)
+    steps = problem.evidence.search.steps and state.final.effects
+    end = concluded(state, before, timed_out, held_out_errors(problem, state.final) if steps else ())
     placebo, spent = placebo_of(problem, end.fit, state.rounds)
     account.count(spent)
     after = held_out_errors(problem, end.fit) if end.fit.effects else before

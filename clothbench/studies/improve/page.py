@@ -29,6 +29,9 @@ earnest; the gain is by how much the mean square fell. Best in: of as many round
 DRAPES = """<p class="soft">A cloth whose faces and threads are alike drapes alike on either side, and is as long one
 way as the other. Elongation: second harmonic of the outline, along the line of the picture along which, or across
 which, this fabric's drapes are long.</p>"""
+CAPTURES = """<p class="soft">Drapes that are laid on anew fold anew. Where captures of one side of a specimen look
+alike beyond chance (p), folds are remembered or the cloth was not laid on anew, which pictures cannot tell apart: then
+there are fewer drapes than captures.</p>"""
 DRIFT = """The calibrated model fitted to each recording alone. Line and band: all together, 95 % interval. Diamonds lie
 outside it: a parameter that drifts from recording to recording is a sign of missing physics."""
 
@@ -45,7 +48,7 @@ def page_html(found: Mapping[str, Any], tables: Tables) -> str:
         effect_section(found),
         candidate_section(tables["candidates"]),
         curve_section(tables["curves"], bool(found["effects"]), blocks),
-        drape_section(tables["drapes"], bool(found["effects"])),
+        drape_section(tables["drapes"], tables["captures"], bool(found["effects"])),
         frame_section(found, tables["frames"], blocks),
         map_section(found, tables["nodes"], blocks),
         direction_section(found, tables["portrait"], blocks),
@@ -174,8 +177,8 @@ def curve_section(curves: Rows, changed: bool, blocks: list[dict[str, Any]]) -> 
     return "<h2>Force over stretch</h2>" + block("curves", caption, draw.curve_figures(curves, changed), blocks)
 
 
-def drape_section(drapes: Rows, changed: bool) -> str:
-    """Mean over the specimens of each split of what was measured, beside the model."""
+def drape_section(drapes: Rows, captures: Rows, changed: bool) -> str:
+    """Mean over the specimens of each split of what was measured, beside the model; how much captures look alike."""
     if not drapes:
         return ""
     body = []
@@ -187,7 +190,9 @@ def drape_section(drapes: Rows, changed: bool) -> str:
         body.append([name, text(side), text(split.replace("_", " ")), str(len(rows)), signed(mean),
                      f"{rows[0]['spread']:.2f}", model, text(rows[0]["unit"])])  # fmt: skip
     head = ["quantity", "side", "specimens", "number", "measured", "spread between specimens", "model", "unit"]
-    return "<h2>Drapes, side by side</h2>" + DRAPES + table(head, body, numeric={3, 4, 5, 6})
+    pairs = [[text(r["pairs"]), str(r["number"]), signed(r["correlation"]), f"{r['p_value']:.2g}"] for r in captures]
+    seen = table(["pairs of captures", "number", "correlation of outlines", "p"], pairs, numeric={1, 2, 3})
+    return f"<h2>Drapes, side by side</h2>{DRAPES}{table(head, body, numeric={3, 4, 5, 6})}{CAPTURES}{seen}"
 
 
 def signed(value: float | None) -> str:

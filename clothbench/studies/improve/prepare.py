@@ -18,7 +18,7 @@ from clothbench.recordings.scenes import drapes_of, scene_of
 from clothbench.recordings.silhouette import Silhouettes
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.curves import CurveEvidence, curve_evidence
-from clothbench.studies.improve.drape_quantities import specimens_of
+from clothbench.studies.improve.drape_quantities import alike, specimens_of
 from clothbench.studies.improve.drapes import DrapeCase, DrapeEvidence, Drapemeter, quartered
 from clothbench.studies.improve.evidence import Evidence
 from clothbench.studies.improve.problem import Problem
@@ -95,7 +95,8 @@ def evidence_of_drapes(
             DrapeCase(f"{source.name}, specimen {number}", source.split, specimen, meter)
             for source, some in zip(cell.recordings, found, strict=True)
             for number, specimen in some
-        )
+        ),
+        alike(seen, [r.side for r in recordings], cell.seed),
     )
 
 

@@ -50,6 +50,8 @@ DRAPE = {
     "recording": _text, "split": _text, "side": _text, "quantity": _text, "measured": _number, "spread": _number,
     "before": _number, "after": _number, "unit": _text,
 }  # fmt: skip
+# How much captures of drapes look like each other: mean correlation of their outlines, and by chance as much.
+CAPTURES = {"pairs": _text, "number": _whole, "correlation": _number, "p_value": _number}
 STAGE = {"stage": _text, "wall_s": _number, "evaluations": _whole}
 # value: fitted to this recording alone; joint, low, high: fitted to all together, with its 95 % interval.
 DRIFT = {
@@ -59,5 +61,6 @@ DRIFT = {
 
 IMPROVE_TABLES = {
     "candidates": CANDIDATE, "parameters": PARAMETER, "errors": ERROR, "portrait": PORTRAIT, "against": BIN,
-    "frames": FRAME, "nodes": NODE, "curves": CURVE, "drapes": DRAPE, "stages": STAGE, "drift": DRIFT,
+    "frames": FRAME, "nodes": NODE, "curves": CURVE, "drapes": DRAPE, "captures": CAPTURES,
+    "stages": STAGE, "drift": DRIFT,
 }  # fmt: skip

@@ -110,6 +110,7 @@ class SearchSettings:
     together: bool = (
         False  # several amounts of one effect may do the same: it is enough that they together are something
     )
+    steps: bool = False  # a name stands for what it adds, whatever else is missing, if it holds on what was held out
     generalisation: float = 1.5  # times the floor: a model that leaves more on held-out recordings lacks something
 
 

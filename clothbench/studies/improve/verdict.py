@@ -31,9 +31,14 @@ class Conclusion:
     dropped: str
 
 
-def concluded(state: State, held_out: Sequence[float], timed_out: bool = False) -> Conclusion:
-    """held_out: errors of the calibrated model on the recordings held out, base unit, NaN where a run was stopped."""
-    word = word_of(state)
+def concluded(
+    state: State, held_out: Sequence[float], timed_out: bool = False, held_out_after: Sequence[float] = ()
+) -> Conclusion:
+    """held_out: errors of the calibrated model on the recordings held out, base unit, NaN where a run was stopped;
+    held_out_after: the same with all that was named, where names have to hold there.
+    """
+    worse = (pooled(held_out_after) or np.inf) >= (pooled(held_out) or 0.0) if len(held_out_after) else False
+    word = "unexplained" if worse else word_of(state)
     fit = state.final if word in ("attributed", "tied") else state.base
     remark, rms, unseen = hint(state, word, fit), fit.rms, pooled(held_out) or 0.0
     names = [case.name for case in state.problem.of_split("held_out")]
@@ -50,7 +55,7 @@ def concluded(state: State, held_out: Sequence[float], timed_out: bool = False) 
     if timed_out:
         remark = "; ".join(filter(None, (remark, "time ran out before another round")))
     unexplained = max(rms**2 - state.floor**2, 0.0) ** 0.5
-    return Conclusion(word, fit, unexplained, remark, too_little(state) if state.final is not fit else "")
+    return Conclusion(word, fit, unexplained, remark, why_dropped(state, worse) if state.final is not fit else "")
 
 
 def pooled(values: Sequence[float]) -> float | None:
@@ -66,6 +71,8 @@ def word_of(state: State) -> str:
     named = [r for r in state.rounds if r.named]
     if not named:
         return "complete" if state.final.rms <= LOOP.floor_factor * state.floor else "unexplained"
+    if state.problem.evidence.search.steps:
+        return "tied" if any(len(r.named) > 1 for r in named) else "attributed"
     explained = LOOP.least_explained_in_all if above_floor(state) else LOOP.least_explained_at_floor
     if share_left(state) > 1 - explained:
         return "unexplained"
@@ -85,8 +92,10 @@ def above_floor(state: State) -> bool:
     return state.base.rms > LOOP.floor_factor * (state.rounds[0].floor if state.rounds else state.floor)
 
 
-def too_little(state: State) -> str:
-    """Why what passed every test of its own is no finding after all."""
+def why_dropped(state: State, worse: bool) -> str:
+    """Why what passed every test of its own is no finding after all. worse: on what was held out."""
+    if worse:
+        return "the error on the recordings held out does not fall with it"
     return f"{share_left(state):.0%} of what stands above the floor is left, so that something else must be missing"
 
 
