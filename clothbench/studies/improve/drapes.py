@@ -196,7 +196,7 @@ class DrapeCase:
 
 @dataclass(frozen=True, eq=False)
 class DrapeEvidence:
-    """Drapes of one fabric. cases: one for each specimen; captures: how much they look like each other, from `alike`."""
+    """Drapes of one fabric. cases: one for each specimen; captures: how much they look alike, from `alike`."""
 
     cases: tuple[DrapeCase, ...]
     captures: Rows = field(default_factory=list)
