@@ -37,7 +37,9 @@ def imports(name: str) -> set[str]:
 
 def test_the_stages_know_no_kind_of_evidence():
     knowing = {
-        p.stem for p in FOLDER.glob("*.py") if {f"{room.__name__}.{k}" for k in ("curves", "sheets")} & imports(p.stem)
+        p.stem
+        for p in FOLDER.glob("*.py")
+        if {f"{room.__name__}.{k}" for k in ("curves", "drapes", "sheets")} & imports(p.stem)
     }
     assert knowing == {"prepare"}
 

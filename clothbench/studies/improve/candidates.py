@@ -9,6 +9,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.protocols import Effect
 from clothbench.modelling.curves import acts_on_curves, acts_on_sheets, needs_a_picture
 from clothbench.plugins.discovery import Catalogue
+from clothbench.recordings.silhouette import LAYOUT as DRAPES
 
 ORDER = {"sensor": 0, "boundary": 1, "dynamics": 2}  # how the cloth was seen and held may look like physics
 
@@ -36,13 +37,13 @@ def acts_on_drapes(effect: Effect) -> bool:
     return acts_on_sheets(effect) and effect.place == "dynamics"
 
 
-ACTS = {"curve": acts_on_curves, "silhouette": acts_on_drapes}
+ACTS = {"curve": acts_on_curves, DRAPES.kind: acts_on_drapes}
 
 
 def why_stray(name: str, kind: str, plugins: Catalogue, blind: bool = False) -> str:
     if blind:
         return f"effect {name!r} acts on pictures only, and these recordings have none; take it out of candidates"
-    if kind == "silhouette":
+    if kind == DRAPES.kind:
         return f"effect {name!r} acts on grips, sensors or curves, and drapes have none; take it out of candidates"
     if kind != "curve":
         return f"effect {name!r} acts on force-extension curves only; take it out of candidates"

@@ -102,6 +102,7 @@ class CurveEvidence:
     unit: ClassVar[Unit] = Unit("N", "N", 1.0)
     search: ClassVar[SearchSettings] = SEARCH
     has_rerun: ClassVar[bool] = False
+    textile: ClassVar[None] = None
     in_pictures: ClassVar[bool] = False
 
     def restricted(self, cases: Sequence[CurveCase]) -> CurveEvidence:

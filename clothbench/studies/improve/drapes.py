@@ -27,11 +27,10 @@ from clothbench.engine.store import finite
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.placements import joined
 from clothbench.estimation.trials import Trial
-from clothbench.recordings.silhouette import SIDES
+from clothbench.recordings.silhouette import LAYOUT, SIDES
 from clothbench.studies.improve.drape_quantities import QUANTITIES, Specimen, elongation
-from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit
+from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit, without_switches
 from clothbench.studies.improve.settings import SearchSettings
-from clothbench.studies.improve.sheets import without_switches
 
 FACE_DOWN = 2
 DRAPES_AS = (("soft", 0.3), ("medium", 0.7))  # types of textile below these drape coefficients, in this order
@@ -201,7 +200,7 @@ class DrapeEvidence:
     cases: tuple[DrapeCase, ...]
     captures: Rows = field(default_factory=list)
 
-    kind: ClassVar[str] = "silhouette"
+    kind: ClassVar[str] = LAYOUT.kind
     unit: ClassVar[Unit] = Unit("sd", "sd", 1.0)
     search: ClassVar[SearchSettings] = SEARCH
     has_rerun: ClassVar[bool] = False

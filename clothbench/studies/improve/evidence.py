@@ -13,7 +13,8 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
-from clothbench.core.protocols import Effect, Model
+from clothbench.core.protocols import Effect, Model, Simulation
+from clothbench.estimation.fixed import holding
 from clothbench.estimation.trials import Trial
 from clothbench.studies.improve.settings import SearchSettings
 
@@ -115,6 +116,11 @@ class Evidence(Protocol):
         """Whether there is something to be seen in Rerun."""
         ...
 
+    @property
+    def textile(self) -> str | None:
+        """The type of textile, by which a model says what is to be searched for; None: all its parameters."""
+        ...
+
     def restricted(self, cases: Sequence[Any]) -> Self:
         """The same with some of the cases only."""
         ...
@@ -144,3 +150,8 @@ class Evidence(Protocol):
 
 def of_split(evidence: Evidence, split: str) -> list[Case]:
     return [case for case in evidence.cases if case.split == split]
+
+
+def without_switches(simulation: Simulation, own: int) -> Simulation:
+    """Physics of the first `own` parameters, the model's, that can be switched off, is: it is for the loop to find."""
+    return holding(simulation, {p.name: p.null for p in simulation.parameters.parameters[:own] if p.null is not None})

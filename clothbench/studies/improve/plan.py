@@ -24,7 +24,6 @@ from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.silhouette import LAYOUT as DRAPES
 from clothbench.studies.improve.candidates import candidates_of, names
 from clothbench.studies.improve.cell import ImproveCell
-from clothbench.studies.improve.drapes import DrapeEvidence
 from clothbench.studies.improve.fitting import search_settings
 from clothbench.studies.improve.prepare import prepare
 from clothbench.studies.improve.problem import Problem
@@ -102,8 +101,8 @@ def cell_of(
         suite=suite.get("name") or "improve", case=case,
     )  # fmt: skip
     problem = prepare(cell, plugins, kept=Path(settings["out"]) / TRACKED)
-    if isinstance(problem.evidence, DrapeEvidence):  # what a drape coefficient cannot tell is held
-        free, held = textile_of(loaded, problem.evidence.textile)
+    if textile := problem.evidence.textile:  # what its drapes cannot tell is held
+        free, held = textile_of(loaded, textile)
         cell = dataclasses.replace(cell, bounds=free | dict(settings["bounds"]), fixed=held)
         problem = prepare(cell, plugins, kept=Path(settings["out"]) / TRACKED)
     base = base_of(settings, problem)

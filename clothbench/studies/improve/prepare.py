@@ -15,6 +15,7 @@ from clothbench.recordings.curve import Curve
 from clothbench.recordings.kinds import read_any
 from clothbench.recordings.nodes import Recording
 from clothbench.recordings.scenes import drapes_of, scene_of
+from clothbench.recordings.silhouette import LAYOUT as DRAPES
 from clothbench.recordings.silhouette import Silhouettes
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.curves import CurveEvidence, curve_evidence
@@ -121,5 +122,5 @@ def shape_of(recording: Recording, nodes: int) -> tuple[int, int]:
 # which folds there are.
 FIRST_SHAPES = 1
 EVIDENCE: Mapping[str, Callable[..., Evidence]] = {
-    "nodes": evidence_of_sheets, "curve": evidence_of_curves, "silhouette": evidence_of_drapes,
+    "nodes": evidence_of_sheets, "curve": evidence_of_curves, DRAPES.kind: evidence_of_drapes,
 }  # fmt: skip

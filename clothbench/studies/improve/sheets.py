@@ -11,13 +11,12 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 
 from clothbench.core.observation import Observation
-from clothbench.core.protocols import Effect, Model, Score, Simulation
+from clothbench.core.protocols import Effect, Model, Score
 from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
-from clothbench.estimation.fixed import holding
 from clothbench.estimation.trials import Trial
 from clothbench.recordings.nodes import Recording
-from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit
+from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit, without_switches
 from clothbench.studies.improve.repeats import spread_of_repeats
 from clothbench.studies.improve.settings import SearchSettings
 from clothbench.studies.improve.sheet_tables import sheet_tables
@@ -124,6 +123,7 @@ class SheetEvidence:
     unit: ClassVar[Unit] = Unit("m", "mm", 1e3)
     search: ClassVar[SearchSettings] = SearchSettings()
     has_rerun: ClassVar[bool] = True
+    textile: ClassVar[None] = None
 
     @property
     def in_pictures(self) -> bool:
@@ -170,11 +170,6 @@ class SheetEvidence:
 
     def tables(self, comparisons: Sequence[Comparison]) -> Mapping[str, Rows]:
         return sheet_tables(comparisons, self.unit)
-
-
-def without_switches(simulation: Simulation, own: int) -> Simulation:
-    """Physics of the first `own` parameters, the model's, that can be switched off, is: it is for the loop to find."""
-    return holding(simulation, {p.name: p.null for p in simulation.parameters.parameters[:own] if p.null is not None})
 
 
 def refined(scene: Scene) -> Scene:
