@@ -14,8 +14,10 @@ from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.scenes import drapes_of
 from clothbench.studies.improve.candidates import candidates_of
 from clothbench.studies.improve.drape_quantities import (
+    CONTRASTS,
     LEAST_SPREAD,
     alike,
+    asymmetries,
     elongation,
     line_of,
     specimens_of,
@@ -207,3 +209,42 @@ def test_nothing_is_rarely_told_from_nothing():
         found = dataclasses.replace(found, theta=moved)
         wrong += told_from_nothing(found, [0, 1], null)
     assert wrong / 200 < 2 * LOOP.significance
+
+
+# --- what the drapes say themselves ----------------------------------------------------------------------------------
+
+
+def test_drapes_say_without_a_model_what_symmetry_forbids():
+    said = {}
+    for name, planted in {"plain": {"long": 0.0}, "ribbed": {}, "curled": {"long": 0.0, "up": 0.004}}.items():
+        seen, side = captured(8, **planted)
+        (found,), _ = specimens_of([seen], [side], [True])
+        said[name] = {r["contrast"]: r for r in asymmetries([s for _, s in found])}
+    faces, threads = CONTRASTS[0][0], CONTRASTS[1][0]
+    assert all(r["p_value"] > 0.05 and r["low"] < 0 < r["high"] for r in said["plain"].values())
+    assert abs(said["ribbed"][threads]["mean"]) == pytest.approx(4.0, abs=0.1)  # mm
+    assert said["ribbed"][threads]["p_value"] < 1e-3
+    assert said["ribbed"][faces]["p_value"] > 0.05
+    assert said["curled"][faces]["mean"] == pytest.approx(200 * 0.125 * 0.008 / (DISC**2 - PLATE**2), rel=0.05)  # %
+    assert said["curled"][faces]["p_value"] < 1e-3
+    seen, side = captured(2)
+    (few,), _ = specimens_of([seen], [side], [True])
+    assert asymmetries([s for _, s in few]) == []
+
+
+def test_a_name_must_not_contradict_the_drapes_themselves():
+    found, random = evidence(), np.random.default_rng(5)
+    noise = [0.1 * random.standard_normal(4) for _ in range(6)]
+    # Long one way on both sides, which the base does not know.
+    alike_faces = [r + np.array([0.0, 4.0, 0.0, 4.0]) for r in noise]
+    better = [r + np.array([0.0, 0.5, 0.0, 0.5]) for r in noise]
+    by_curling = [r + np.array([-2.0, 0.5, 2.0, 0.5]) for r in noise]  # at the price of faces that differ
+    assert found.spoiled(alike_faces, better) == ""
+    assert "drape coefficient, face up less face down" in found.spoiled(alike_faces, by_curling)
+    assert found.spoiled(alike_faces, alike_faces) == ""
+
+
+def test_where_one_side_is_known_only_threads_can_be_told():
+    seen, side = captured(5, sides=(1,))
+    (found,), _ = specimens_of([seen], [side], [True])
+    assert [r["contrast"] for r in asymmetries([s for _, s in found])] == [CONTRASTS[1][0]]

@@ -121,6 +121,10 @@ class CurveEvidence:
         """It is the noise already."""
         return 0.0
 
+    def spoiled(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
+        """No identity is known of such recordings."""
+        return ""
+
     def location(self, residual: Sequence[np.ndarray]) -> str:
         """A curve has no sheet on which to say where."""
         return ""

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from scipy.stats import t as student
 
 from clothbench.core.drape import Outlines, Quantity, drape_coefficient
 from clothbench.recordings.silhouette import SIDES
@@ -15,6 +16,12 @@ QUANTITIES = (
     Quantity("drape_coefficient", "DC", "%", 100.0, "share of the ring beyond the plate that lies in the shadow"),
     Quantity("elongation", "a₂", "mm", 1e3, "second harmonic of the outline, along a line of the picture"),
 )
+CONTRASTS = (  # (in words, number of the quantity)
+    ("drape coefficient, face up less face down", 0),
+    ("elongation, mean of both sides", 1),
+    ("elongation, half of face up less face down", 1),
+)
+LEAST_SPECIMENS = 3
 PAIRS = ("the same side of a specimen", "the two sides of a specimen", "different specimens")
 PERMUTATIONS = 999
 LEAST_SPREAD = np.array([0.01, 0.7e-3])  # of each quantity: what other first shapes change of a simulated drape
@@ -89,6 +96,37 @@ def alike(seen: Sequence[Outlines], side: Sequence[np.ndarray], seed: int) -> li
             at_least += bool(correlation[np.ix_(order, order)][pairs].mean() >= mean)
         p_value = at_least / (PERMUTATIONS + 1)
         rows.append({"pairs": name, "number": int(pairs.sum()), "correlation": mean, "p_value": p_value})
+    return rows
+
+
+def contrasts(field: np.ndarray) -> np.ndarray:
+    """What symmetry forbids, of quantities (..., S, Q) of S sides: what `CONTRASTS` name (..., C), NaN where a side is
+    not known.
+    """
+    covers, long = field[..., 0], field[..., 1]
+    if field.shape[-2] < 2:
+        nothing = np.full(long.shape[:-1], np.nan)
+        return np.stack([nothing, long[..., 0], nothing], axis=-1)
+    return np.stack(
+        [covers[..., -2] - covers[..., -1], long[..., -2:].mean(-1), np.diff(long[..., -2:])[..., 0] / -2], axis=-1
+    )
+
+
+def asymmetries(specimens: Sequence[Specimen]) -> list[dict[str, Any]]:
+    """What the drapes themselves say, without any model: mean of each contrast over specimens with its 95 % interval,
+    and p of Student's t. None of it could be if faces and threads were alike.
+    """
+    values, rows = contrasts(np.stack([s.mean for s in specimens])), []
+    for (name, quantity), each in zip(CONTRASTS, values.T, strict=True):
+        known, q = each[np.isfinite(each)], QUANTITIES[quantity]
+        if len(known) < LEAST_SPECIMENS:
+            continue
+        mean, error = known.mean(), max(known.std(ddof=1), LEAST_SPREAD[quantity]) / np.sqrt(len(known))
+        half = student.ppf(0.975, len(known) - 1) * error
+        rows.append(
+            {"contrast": name, "mean": q.scale * mean, "low": q.scale * (mean - half), "high": q.scale * (mean + half),
+             "unit": q.unit, "p_value": float(2 * student.sf(abs(mean) / error, len(known) - 1)), "number": len(known)}
+        )  # fmt: skip
     return rows
 
 

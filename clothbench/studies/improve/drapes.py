@@ -17,6 +17,7 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, cast
 
 import numpy as np
+from scipy.stats import t as student
 
 from clothbench.core.drape import RINGS, SPOKES, drape_coefficient, outlines_of_points
 from clothbench.core.parameters import ParameterSpace
@@ -28,11 +29,20 @@ from clothbench.estimation.fixed import holding
 from clothbench.estimation.placements import joined
 from clothbench.estimation.trials import Trial
 from clothbench.recordings.silhouette import LAYOUT, SIDES
-from clothbench.studies.improve.drape_quantities import QUANTITIES, Specimen, elongation
+from clothbench.studies.improve.drape_quantities import (
+    CONTRASTS,
+    LEAST_SPECIMENS,
+    QUANTITIES,
+    Specimen,
+    asymmetries,
+    contrasts,
+    elongation,
+)
 from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit, without_switches
 from clothbench.studies.improve.settings import SearchSettings
 
 FACE_DOWN = 2
+SURE = 0.01  # p below which a contrast is told
 DRAPES_AS = (("soft", 0.3), ("medium", 0.7))  # types of textile below these drape coefficients, in this order
 # Amounts of bending are small beside their ranges, and beyond them a disc stands out flat: differences must be short.
 SEARCH = SearchSettings(difference=0.02, tolerance=0.01, starts=15, walks=2, rounds=2, together=True, steps=True)
@@ -230,16 +240,30 @@ class DrapeEvidence:
         return 0.0
 
     def location(self, residual: Sequence[np.ndarray]) -> str:
-        """The side and the quantity that most of the mean over specimens is in."""
-        labels = max((case.specimen.labels for case in self.cases), key=len)
-        fitted = [case.specimen for case in self.cases if case.split == "fit"]
-        mean = [
-            np.mean([r[s.labels.index(label)] for s, r in zip(fitted, residual, strict=True) if label in s.labels])
-            for label in labels
-        ]
-        return (
-            f"most is left in the {labels[int(np.argmax(np.abs(mean)))]}, {np.abs(mean).max():.1f} spreads in the mean"
-        )
+        """What the drapes themselves say of faces and threads."""
+        sure = [r for r in asymmetries(self._of("fit")) if r["p_value"] < SURE]
+        each = (f"{r['contrast']}: {r['mean']:.1f} ({r['low']:.1f} … {r['high']:.1f}) {r['unit']}" for r in sure)
+        return "without any model, faces or threads are not alike: " + "; ".join(each) if sure else ""
+
+    def spoiled(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
+        """Which contrast between faces or threads a fit gets wrong, beyond chance, that it did not before."""
+        known = [s.known for s in self._of("fit")]
+        means, errors = [], []
+        for residual in (before, after):
+            values = contrasts(np.stack([_field(r, k) for r, k in zip(residual, known, strict=True)]))
+            count = np.isfinite(values).sum(axis=0)
+            enough = count >= LEAST_SPECIMENS
+            means.append(np.where(enough, np.nanmean(np.where(enough, values, 0.0), axis=0), 0.0))
+            spread = np.nanstd(np.where(enough, values, 0.0), axis=0, ddof=1)
+            errors.append(student.ppf(0.975, np.maximum(count - 1, 1)) * spread / np.sqrt(np.maximum(count, 1)))
+        worse = np.abs(means[1]) - np.abs(means[0]) - errors[1]
+        worst = int(np.argmax(worse))
+        if worse[worst] <= 0:
+            return ""
+        return f"it contradicts the drapes themselves: {CONTRASTS[worst][0]}"
+
+    def _of(self, split: str) -> list[Specimen]:
+        return [case.specimen for case in self.cases if case.split == split]
 
     def tables(self, comparisons: Sequence[Comparison]) -> Mapping[str, Rows]:
         """Each quantity of each specimen as measured and as the model has it, in the unit that it is shown in; and how
@@ -256,4 +280,12 @@ class DrapeEvidence:
                      "quantity": QUANTITIES[q].name, "measured": measured, "spread": spread, "before": before,
                      "after": after, "unit": QUANTITIES[q].unit}
                 )  # fmt: skip
-        return {"drapes": rows, "captures": self.captures}
+        said = [{"split": split, **row} for split in ("fit", "held_out") for row in asymmetries(self._of(split))]
+        return {"drapes": rows, "captures": self.captures, "asymmetries": said}
+
+
+def _field(residual: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """A residual (M,) back on its sides and quantities (S, Q), NaN where nothing was seen."""
+    out = np.full(known.shape, np.nan)
+    out[known] = residual
+    return out

@@ -139,6 +139,12 @@ class Evidence(Protocol):
         """
         ...
 
+    def spoiled(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
+        """What of the fit recordings a fit gets wrong, beyond chance, that the fit before it did not, by identities
+        that no model's fault can touch; "" if there is no such thing. before, after: what each leaves of them, (M,).
+        """
+        ...
+
     def location(self, residual: Sequence[np.ndarray]) -> str:
         """Where most of what a fit leaves of the fit recordings is, as a clause; "" where there is no where."""
         ...

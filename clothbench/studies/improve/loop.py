@@ -21,7 +21,7 @@ from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.profile import profile_intervals
 from clothbench.studies.improve.refinement import corrected
 from clothbench.studies.improve.rounds import one_round, withdrawn
-from clothbench.studies.improve.selection import least_fall, unphysical
+from clothbench.studies.improve.selection import faulty, least_fall
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round, State
 from clothbench.studies.improve.verdict import concluded
@@ -124,12 +124,11 @@ def confirmed(state: State, found: Round, account: Account) -> tuple[State, bool
         size = f"{unit.scale * doubt:.2g} {unit.reported}"
         why = f"what it explains may be the mesh's doing, which with it may be wrong by {size}"
         return with_round(dataclasses.replace(state, floor=floor), withdrawn(found, floor, why)), False
-    together = problem.evidence.search.together
-    if not (why := unphysical(name, after, together)):
+    if not (why := faulty(name, current, after, problem.evidence)):
         account.stage(f"round {len(state.rounds) + 1}: intervals", 0, 1)
         narrow, after, count = profile_intervals(problem, after)
         account.count(count)
-        why = unphysical(name, narrow, together)
+        why = faulty(name, current, narrow, problem.evidence)
     if why:
         why = f"{why} once the errors of mesh and model are allowed for"
         return with_round(state, withdrawn(found, floor, why)), False

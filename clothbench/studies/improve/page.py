@@ -27,8 +27,8 @@ CANDIDATES = """<p class="soft">Share: how much of what the calibrated model lea
 first order. p: how often chance does as well with the best of all candidates. Those that beat chance were fitted in
 earnest; the gain is by how much the mean square fell. Best in: of as many rounds with one recording left out.</p>"""
 DRAPES = """<p class="soft">A cloth whose faces and threads are alike drapes alike on either side, and is as long one
-way as the other. Elongation: second harmonic of the outline, along the line of the picture along which, or across
-which, this fabric's drapes are long.</p>"""
+way as the other. First what the drapes say without any model, then what the model has. Elongation: second harmonic of
+the outline, along the line of the picture along which, or across which, this fabric's drapes are long.</p>"""
 CAPTURES = """<p class="soft">Drapes that are laid on anew fold anew. Where captures of one side of a specimen look
 alike beyond chance (p), folds are remembered or the cloth was not laid on anew, which pictures cannot tell apart: then
 there are fewer drapes than captures.</p>"""
@@ -48,7 +48,7 @@ def page_html(found: Mapping[str, Any], tables: Tables) -> str:
         effect_section(found),
         candidate_section(tables["candidates"]),
         curve_section(tables["curves"], bool(found["effects"]), blocks),
-        drape_section(tables["drapes"], tables["captures"], bool(found["effects"])),
+        drape_section(tables, bool(found["effects"])),
         frame_section(found, tables["frames"], blocks),
         map_section(found, tables["nodes"], blocks),
         direction_section(found, tables["portrait"], blocks),
@@ -177,10 +177,16 @@ def curve_section(curves: Rows, changed: bool, blocks: list[dict[str, Any]]) -> 
     return "<h2>Force over stretch</h2>" + block("curves", caption, draw.curve_figures(curves, changed), blocks)
 
 
-def drape_section(drapes: Rows, captures: Rows, changed: bool) -> str:
+def drape_section(tables: Tables, changed: bool) -> str:
     """Mean over the specimens of each split of what was measured, beside the model; how much captures look alike."""
-    if not drapes:
+    if not (drapes := tables["drapes"]):
         return ""
+    said = [
+        [text(r["contrast"]), text(r["split"].replace("_", " ")), str(r["number"]), signed(r["mean"]),
+         f"{r['low']:.2f} … {r['high']:.2f}", text(r["unit"]), f"{r['p_value']:.2g}"]
+        for r in tables["asymmetries"]
+    ]  # fmt: skip
+    first = ["what symmetry forbids", "specimens", "number", "mean", "95 % interval", "unit", "p"]
     body = []
     for (side, quantity, split), rows in group(drapes, lambda r: (r["side"], r["quantity"], r["split"])).items():
         known = [[r[name] for r in rows if r[name] is not None] for name in ("measured", "before", "after")]
@@ -190,9 +196,13 @@ def drape_section(drapes: Rows, captures: Rows, changed: bool) -> str:
         body.append([name, text(side), text(split.replace("_", " ")), str(len(rows)), signed(mean),
                      f"{rows[0]['spread']:.2f}", model, text(rows[0]["unit"])])  # fmt: skip
     head = ["quantity", "side", "specimens", "number", "measured", "spread between specimens", "model", "unit"]
-    pairs = [[text(r["pairs"]), str(r["number"]), signed(r["correlation"]), f"{r['p_value']:.2g}"] for r in captures]
+    pairs = [
+        [text(r["pairs"]), str(r["number"]), signed(r["correlation"]), f"{r['p_value']:.2g}"]
+        for r in tables["captures"]
+    ]
     seen = table(["pairs of captures", "number", "correlation of outlines", "p"], pairs, numeric={1, 2, 3})
-    return f"<h2>Drapes, side by side</h2>{DRAPES}{table(head, body, numeric={3, 4, 5, 6})}{CAPTURES}{seen}"
+    alone = table(first, said, numeric={2, 3, 4, 6}) if said else ""
+    return f"<h2>Drapes, side by side</h2>{DRAPES}{alone}{table(head, body, numeric={3, 4, 5, 6})}{CAPTURES}{seen}"
 
 
 def signed(value: float | None) -> str:

@@ -56,10 +56,10 @@ def one_round(
         assert best is not None  # it was screened
         tried.append(refit(problem, current, candidate, found[best], goal, account))
     tried = refine_finalists(problem, current, fall, tried, account, turn)
-    assessed = assess(current, fall, tried, problem.evidence.search.together)
+    assessed = assess(current, fall, tried, problem.evidence)
     if named := choose(current, assessed):
         current = refit_null(problem, current, next(c.fitted for c in assessed if c.name == named[0]), fall, account)
-        assessed = assess(current, fall, tried, problem.evidence.search.together)
+        assessed = assess(current, fall, tried, problem.evidence)
         named = choose(current, assessed)
     others = [c for c in screened if c.name not in {t.name for t in assessed}]
     after = next((c.fitted for c in assessed if named and c.name == named[0]), None)

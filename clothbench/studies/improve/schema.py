@@ -52,6 +52,11 @@ DRAPE = {
 }  # fmt: skip
 # How much captures of drapes look like each other: mean correlation of their outlines, and by chance as much.
 CAPTURES = {"pairs": _text, "number": _whole, "correlation": _number, "p_value": _number}
+# What drapes say without any model: means over specimens of what symmetry forbids, with their 95 % intervals.
+ASYMMETRY = {
+    "split": _text, "contrast": _text, "mean": _number, "low": _number, "high": _number, "unit": _text,
+    "p_value": _number, "number": _whole,
+}  # fmt: skip
 STAGE = {"stage": _text, "wall_s": _number, "evaluations": _whole}
 # value: fitted to this recording alone; joint, low, high: fitted to all together, with its 95 % interval.
 DRIFT = {
@@ -61,6 +66,6 @@ DRIFT = {
 
 IMPROVE_TABLES = {
     "candidates": CANDIDATE, "parameters": PARAMETER, "errors": ERROR, "portrait": PORTRAIT, "against": BIN,
-    "frames": FRAME, "nodes": NODE, "curves": CURVE, "drapes": DRAPE, "captures": CAPTURES,
+    "frames": FRAME, "nodes": NODE, "curves": CURVE, "drapes": DRAPE, "captures": CAPTURES, "asymmetries": ASYMMETRY,
     "stages": STAGE, "drift": DRIFT,
 }  # fmt: skip

@@ -11,6 +11,7 @@ from scipy.stats import f as fisher
 from scipy.stats import t as student
 
 from clothbench.core.parameters import ParameterSpace
+from clothbench.studies.improve.evidence import Evidence
 from clothbench.studies.improve.fitted import Fitted, jackknife_moves
 from clothbench.studies.improve.settings import LOOP
 
@@ -49,7 +50,9 @@ def least_fall(current: Fitted, floor: float, noise: float) -> float:
     return LOOP.least_explained_at_floor * max(mean_square - noise**2, 1e-12)
 
 
-def assess(current: Fitted, gain: float, tried: Sequence[Candidate], together: bool = False) -> list[Candidate]:
+def assess(
+    current: Fitted, gain: float, tried: Sequence[Candidate], evidence: Evidence | None = None
+) -> list[Candidate]:
     """What speaks against each of them, if anything; and in how many leave-one-out rounds it is the best and explains
     enough. What is left out there is a recording's say: nothing is fitted again.
     """
@@ -70,12 +73,19 @@ def assess(current: Fitted, gain: float, tried: Sequence[Candidate], together: b
             why = f"explains only {max(candidate.gain, 0) / gain:.0%} of what a name has to"
         elif helped < count - 1:
             why = f"helps in {helped} of {count} recordings only"
-        elif candidate.fitted is not None and (fault := unphysical(candidate.name, candidate.fitted, together)):
+        elif candidate.fitted is not None and (fault := faulty(candidate.name, current, candidate.fitted, evidence)):
             why = fault
         elif wins < count - 1:
             why = f"falls short or behind another when a recording is left out (stands in {wins} of {count})"
         out.append(dataclasses.replace(candidate, selected=int(wins), why_not=why))
     return sorted(out, key=lambda c: -c.gain)
+
+
+def faulty(name: str, current: Fitted, fitted: Fitted, evidence: Evidence | None) -> str:
+    """Why a fit with an effect cannot stand after the `current` one, by its amounts or what it contradicts, or ""."""
+    if evidence is None:
+        return unphysical(name, fitted)
+    return unphysical(name, fitted, evidence.search.together) or evidence.spoiled(current.residual, fitted.residual)
 
 
 def unphysical(name: str, fitted: Fitted, together: bool = False) -> str:

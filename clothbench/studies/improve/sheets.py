@@ -151,6 +151,10 @@ class SheetEvidence:
             ]
         )
 
+    def spoiled(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
+        """No identity is known of such recordings."""
+        return ""
+
     def location(self, residual: Sequence[np.ndarray]) -> str:
         """Where on the sheet, in which recording and when in it most is left."""
         cases = self._fitted()
