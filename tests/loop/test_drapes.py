@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -26,7 +27,7 @@ from clothbench.studies.improve.drape_quantities import (
 from clothbench.studies.improve.drapes import DrapeCase, DrapeEvidence, Drapemeter, quartered, turned
 from clothbench.studies.improve.fitted import Fitted, jackknife_interval
 from clothbench.studies.improve.problem import Problem, residuals
-from clothbench.studies.improve.selection import told_from_nothing
+from clothbench.studies.improve.selection import Candidate, assess, choose, told_from_nothing
 from clothbench.studies.improve.settings import LOOP
 
 PLATE, DISC = 0.09, 0.15
@@ -248,3 +249,29 @@ def test_where_one_side_is_known_only_threads_can_be_told():
     seen, side = captured(5, sides=(1,))
     (found,), _ = specimens_of([seen], [side], [True])
     assert [r["contrast"] for r in asymmetries([s for _, s in found])] == [CONTRASTS[1][0]]
+
+
+def test_what_contradicts_the_drapes_is_no_rival_of_the_others():
+    random = np.random.default_rng(6)
+    residual = [np.array([4.0, 1.0]) + 0.1 * random.standard_normal(2) for _ in range(6)]
+    current = fitted_with((), residual)
+    wrong = Candidate("wrong", 0.9, 0.01, fitted=fitted_with(("wrong",), [0.1 * r for r in residual]))
+    right = Candidate("right", 0.9, 0.01, fitted=fitted_with(("right",), [0.3 * r for r in residual]))
+    search = SimpleNamespace(together=False)
+    strict = SimpleNamespace(
+        search=search, spoiled=lambda before, after: "no" if after is wrong.fitted.residual else ""
+    )
+    lenient = SimpleNamespace(search=search, spoiled=lambda before, after: "")
+    for evidence_of, named in ((strict, ("right",)), (lenient, ("wrong",))):
+        assessed = assess(current, 1.0, [wrong, right], evidence_of)
+        assert choose(current, assessed) == named
+    assert {c.name: c.why_not for c in assess(current, 1.0, [wrong, right], strict)}["wrong"] == "no"
+
+
+def fitted_with(effects, residual):
+    """A fit whose one amount, if it has an effect, is far from nothing."""
+    names = [f"{e}.amount" for e in effects]
+    space = ParameterSpace(tuple(Parameter(n, "a", "1", (-1.0, 1.0), "linear", 0.1, n, "", 0.0) for n in names))
+    theta, half = np.full(len(names), 0.5), np.full(len(names), 0.1)
+    jacobian = [np.ones((2, len(names))) for _ in residual]
+    return Fitted(effects, space, theta, residual, jacobian, theta - half, theta + half, evaluations=1)

@@ -54,10 +54,14 @@ def assess(
     current: Fitted, gain: float, tried: Sequence[Candidate], evidence: Evidence | None = None
 ) -> list[Candidate]:
     """What speaks against each of them, if anything; and in how many leave-one-out rounds it is the best and explains
-    enough. What is left out there is a recording's say: nothing is fitted again.
+    enough. What is left out there is a recording's say: nothing is fitted again. What contradicts the recordings is no
+    rival of the others.
     """
     count = len(current.mean_squares)
     square = np.array([c.fitted.mean_squares for c in tried if c.fitted is not None]).reshape(-1, count)
+    faults = [faulty(c.name, current, c.fitted, evidence) if c.fitted is not None else "" for c in tried]
+    spoilt = [evidence.spoiled(current.residual, c.fitted.residual) if evidence and c.fitted else "" for c in tried]
+    rivals = [k for k, why in enumerate(spoilt) if not why]
     allowed = allowances(current, tried)
     out = []
     for k, candidate in enumerate(tried):
@@ -65,7 +69,8 @@ def assess(
         wins = 0
         for left_out in range(count):
             rest = [r for r in range(count) if r != left_out] or [0]
-            best = (square[k, rest].mean() <= allowed[:, k] * square[:, rest].mean(axis=1)).all()
+            others = square[np.ix_(rivals, rest)].mean(axis=1)
+            best = (square[k, rest].mean() <= allowed[rivals, k] * others).all()
             wins += bool(best and (current.mean_squares - square[k])[rest].mean() >= gain)
         helped = int((square[k] < current.mean_squares).sum())
         why = ""
@@ -73,8 +78,8 @@ def assess(
             why = f"explains only {max(candidate.gain, 0) / gain:.0%} of what a name has to"
         elif helped < count - 1:
             why = f"helps in {helped} of {count} recordings only"
-        elif candidate.fitted is not None and (fault := faulty(candidate.name, current, candidate.fitted, evidence)):
-            why = fault
+        elif faults[k]:
+            why = faults[k]
         elif wins < count - 1:
             why = f"falls short or behind another when a recording is left out (stands in {wins} of {count})"
         out.append(dataclasses.replace(candidate, selected=int(wins), why_not=why))

@@ -29,10 +29,10 @@ PARAMETERS = ParameterSpace(
     )
 )
 
-# What is searched for in a type of textile: threads hold their lengths, flexion springs do what is left.
+# What is searched for in a type of textile: threads hold their lengths to a percent, flexion springs do what is left.
 TEXTILES: dict[str, dict[str, float | tuple[float, float]]] = {
-    "soft": {"k1": 50.0, "k2": (1e-4, 1.0), "zeta": 0.05},
-    "medium": {"k1": 50.0, "k2": (1e-3, 30.0), "zeta": 0.05},
+    "soft": {"k1": 3.0, "k2": (1e-4, 1.0), "zeta": 0.05},
+    "medium": {"k1": 15.0, "k2": (1e-3, 30.0), "zeta": 0.05},
     "stiff": {"k1": 50.0, "k2": (0.01, 100.0), "zeta": 0.05},
 }
 
