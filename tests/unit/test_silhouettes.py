@@ -321,15 +321,19 @@ def test_drape_coefficients_are_the_stated_ones(cusick, fabric, captures, coeffi
 
 
 def test_a_model_says_what_is_free_in_a_soft_textile():
+    from clothbench_models.baraff_witkin import BaraffWitkin
+    from clothbench_models.inextensible import Inextensible
     from clothbench_models.mass_spring import MassSpring
     from clothbench_models.mass_spring_verlet import MassSpringVerlet
 
-    for textile in ("soft", "medium", "stiff"):
-        free, held = textile_of(MassSpringVerlet(), textile)
-        assert set(free) | set(held) == set(MassSpringVerlet.parameters.names)
-        assert all(0 < low < high for low, high in free.values())
+    for model in (MassSpringVerlet(), MassSpring(), BaraffWitkin()):
+        for textile in ("soft", "medium", "stiff"):
+            free, held = textile_of(model, textile)
+            assert set(free) | set(held) <= set(model.parameters.names)
+            assert not set(free) & set(held)
+            assert all(0 < low < high for low, high in free.values())
     assert len(textile_of(MassSpringVerlet(), "soft")[0]) < len(textile_of(MassSpringVerlet(), "stiff")[0])
-    assert textile_of(MassSpringVerlet(), None) == textile_of(MassSpring(), "soft") == ({}, {})
+    assert textile_of(MassSpringVerlet(), None) == textile_of(Inextensible(), "soft") == ({}, {})
 
 
 def test_a_suite_names_the_type_of_its_textiles():
