@@ -233,16 +233,19 @@ def test_drapes_say_without_a_model_what_symmetry_forbids():
     assert asymmetries([s for _, s in few]) == []
 
 
-def test_a_name_must_not_contradict_the_drapes_themselves():
+def test_a_name_explains_what_tells_faces_or_threads_apart_and_contradicts_none_of_it():
     found, random = evidence(), np.random.default_rng(5)
     noise = [0.1 * random.standard_normal(4) for _ in range(6)]
     # Long one way on both sides, which the base does not know.
     alike_faces = [r + np.array([0.0, 4.0, 0.0, 4.0]) for r in noise]
     better = [r + np.array([0.0, 0.5, 0.0, 0.5]) for r in noise]
     by_curling = [r + np.array([-2.0, 0.5, 2.0, 0.5]) for r in noise]  # at the price of faces that differ
-    assert found.spoiled(alike_faces, better) == ""
-    assert "drape coefficient, face up less face down" in found.spoiled(alike_faces, by_curling)
-    assert found.spoiled(alike_faces, alike_faces) == ""
+    assert found.objection(alike_faces, better) == ""
+    assert "drape coefficient, face up less face down" in found.objection(alike_faces, by_curling)
+    assert "stay as unlike" in found.objection(alike_faces, alike_faces)
+    heavier = [r + np.array([9.0, 0.0, 9.0, 0.0]) for r in noise]  # what stiffness, weight or the mesh would do as well
+    assert "as alike as chance" in found.objection(heavier, noise)
+    assert "stay as unlike" in found.objection([a + h for a, h in zip(alike_faces, heavier, strict=True)], alike_faces)
 
 
 def test_where_one_side_is_known_only_threads_can_be_told():
@@ -259,9 +262,9 @@ def test_what_contradicts_the_drapes_is_no_rival_of_the_others():
     right = Candidate("right", 0.9, 0.01, fitted=fitted_with(("right",), [0.3 * r for r in residual]))
     search = SimpleNamespace(together=False)
     strict = SimpleNamespace(
-        search=search, spoiled=lambda before, after: "no" if after is wrong.fitted.residual else ""
+        search=search, objection=lambda before, after: "no" if after is wrong.fitted.residual else ""
     )
-    lenient = SimpleNamespace(search=search, spoiled=lambda before, after: "")
+    lenient = SimpleNamespace(search=search, objection=lambda before, after: "")
     for evidence_of, named in ((strict, ("right",)), (lenient, ("wrong",))):
         assessed = assess(current, 1.0, [wrong, right], evidence_of)
         assert choose(current, assessed) == named

@@ -11,8 +11,9 @@ loop (`loop`, `state`) goes through its stages, a file for each, to a frozen `fi
    `selection` names one or two that are tied, `profile` gives their amounts intervals by profile likelihood;
 6. `held_out`: the one look at the recordings held out, and the placebo; `verdict`: a word and a hint.
 
-Recordings come in as evidence with a unit (`evidence`), of two kinds: `sheets` (with `sheet_tables`) and `curves` (with
-`curve_steps`); the stages know neither. What is written is made from the finding alone: `document` (verdict.json),
-`tables` (`schema`), `page` (with `words`, `figures`, `style`), `rerun_file`, and `files`, which puts them in a folder.
+Recordings come in as evidence with a unit (`evidence`), of three kinds: `sheets` (with `sheet_tables`), `curves` (with
+`curve_steps`) and `drapes` (with `drape_quantities`); the stages know none of them. What is written is made from the
+finding alone: `document` (verdict.json), `tables` (`schema`), `page` (with `words`, `figures`, `style`), `rerun_file`,
+and `files`, which puts them in a folder.
 `settings` holds every constant, `account` what each stage took.
 """

@@ -121,7 +121,7 @@ class CurveEvidence:
         """It is the noise already."""
         return 0.0
 
-    def spoiled(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
+    def objection(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
         """No identity is known of such recordings."""
         return ""
 

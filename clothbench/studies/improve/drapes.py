@@ -39,11 +39,11 @@ from clothbench.studies.improve.drape_quantities import (
     elongation,
 )
 from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit, without_switches
-from clothbench.studies.improve.settings import SearchSettings
+from clothbench.studies.improve.settings import LOOP, SearchSettings
 
 FACE_DOWN = 2
-SURE = 0.01  # p below which a contrast is told
-DRAPES_AS = (("soft", 0.3), ("medium", 0.7))  # types of textile below these drape coefficients, in this order
+SURE = 0.01  # p below which a contrast is told, and may be explained
+DRAPES_AS = (("soft", 0.4), ("medium", 0.7))  # types of textile below these drape coefficients, in this order
 # Amounts of bending are small beside their ranges, and beyond them a disc stands out flat: differences must be short.
 SEARCH = SearchSettings(difference=0.02, tolerance=0.01, starts=15, walks=2, rounds=2, together=True, steps=True)
 
@@ -245,22 +245,25 @@ class DrapeEvidence:
         each = (f"{r['contrast']}: {r['mean']:.1f} ({r['low']:.1f} … {r['high']:.1f}) {r['unit']}" for r in sure)
         return "without any model, faces or threads are not alike: " + "; ".join(each) if sure else ""
 
-    def spoiled(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
-        """Which contrast between faces or threads a fit gets wrong, beyond chance, that it did not before."""
+    def objection(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
+        """A contrast between faces or threads that the fit gets wrong and the one before did not; or that there is none
+        to be explained, or that it is not explained: the rest, stiffness or weight would do as well.
+        """
         known = [s.known for s in self._of("fit")]
-        means, errors = [], []
-        for residual in (before, after):
-            values = contrasts(np.stack([_field(r, k) for r, k in zip(residual, known, strict=True)]))
-            count = np.isfinite(values).sum(axis=0)
-            enough = count >= LEAST_SPECIMENS
-            means.append(np.where(enough, np.nanmean(np.where(enough, values, 0.0), axis=0), 0.0))
-            spread = np.nanstd(np.where(enough, values, 0.0), axis=0, ddof=1)
-            errors.append(student.ppf(0.975, np.maximum(count - 1, 1)) * spread / np.sqrt(np.maximum(count, 1)))
-        worse = np.abs(means[1]) - np.abs(means[0]) - errors[1]
+        was, now = (
+            _contrast_means([_field(r, k) for r, k in zip(each, known, strict=True)]) for each in (before, after)
+        )
+        worse = np.abs(now.mean) - np.abs(was.mean) - now.half_width(0.05)
         worst = int(np.argmax(worse))
-        if worse[worst] <= 0:
-            return ""
-        return f"it contradicts the drapes themselves: {CONTRASTS[worst][0]}"
+        if worse[worst] > 0:
+            return f"it contradicts the drapes themselves: {CONTRASTS[worst][0]}"
+        if not (np.abs(was.mean) > was.half_width(SURE)).any():
+            return (
+                "faces and threads are as alike as chance leaves them; the rest, stiffness or weight would do as well"
+            )
+        if np.sum(now.mean**2) > (1 - LOOP.least_explained) * np.sum(was.mean**2):
+            return "faces and threads stay as unlike as they were; the rest, stiffness or weight would do as well"
+        return ""
 
     def _of(self, split: str) -> list[Specimen]:
         return [case.specimen for case in self.cases if case.split == split]
@@ -282,6 +285,29 @@ class DrapeEvidence:
                 )  # fmt: skip
         said = [{"split": split, **row} for split in ("fit", "held_out") for row in asymmetries(self._of(split))]
         return {"drapes": rows, "captures": self.captures, "asymmetries": said}
+
+
+@dataclass(frozen=True, eq=False)
+class _ContrastMeans:
+    """Means (C,) of contrasts over specimens, 0 where too few are known; error: their standard errors (C,); freedom."""
+
+    mean: np.ndarray
+    error: np.ndarray
+    freedom: np.ndarray
+
+    def half_width(self, level: float) -> np.ndarray:
+        """Half of the interval (C,) outside of which chance leads with a probability of `level`."""
+        return np.asarray(student.isf(level / 2, self.freedom) * self.error)
+
+
+def _contrast_means(fields: Sequence[np.ndarray]) -> _ContrastMeans:
+    """Of residuals (S, Q) of each specimen."""
+    values = contrasts(np.stack(fields))
+    count = np.isfinite(values).sum(axis=0)
+    values = np.where(count >= LEAST_SPECIMENS, values, 0.0)
+    freedom = np.maximum(count - 1, 1)
+    error = np.nanstd(values, axis=0, ddof=1) / np.sqrt(np.maximum(count, 1))
+    return _ContrastMeans(np.nanmean(values, axis=0), error, freedom)
 
 
 def _field(residual: np.ndarray, known: np.ndarray) -> np.ndarray:

@@ -139,9 +139,9 @@ class Evidence(Protocol):
         """
         ...
 
-    def spoiled(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
-        """What of the fit recordings a fit gets wrong, beyond chance, that the fit before it did not, by identities
-        that no model's fault can touch; "" if there is no such thing. before, after: what each leaves of them, (M,).
+    def objection(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
+        """Why no effect can be concluded from what a fit with it leaves of the fit recordings (M,) beside what the fit
+        before left, by identities that no model's fault can touch; "" if there is nothing against it.
         """
         ...
 

@@ -60,8 +60,10 @@ def assess(
     count = len(current.mean_squares)
     square = np.array([c.fitted.mean_squares for c in tried if c.fitted is not None]).reshape(-1, count)
     faults = [faulty(c.name, current, c.fitted, evidence) if c.fitted is not None else "" for c in tried]
-    spoilt = [evidence.spoiled(current.residual, c.fitted.residual) if evidence and c.fitted else "" for c in tried]
-    rivals = [k for k, why in enumerate(spoilt) if not why]
+    objections = [
+        evidence.objection(current.residual, c.fitted.residual) if evidence and c.fitted else "" for c in tried
+    ]
+    rivals = [k for k, why in enumerate(objections) if not why]
     allowed = allowances(current, tried)
     out = []
     for k, candidate in enumerate(tried):
@@ -90,7 +92,7 @@ def faulty(name: str, current: Fitted, fitted: Fitted, evidence: Evidence | None
     """Why a fit with an effect cannot stand after the `current` one, by its amounts or what it contradicts, or ""."""
     if evidence is None:
         return unphysical(name, fitted)
-    return unphysical(name, fitted, evidence.search.together) or evidence.spoiled(current.residual, fitted.residual)
+    return unphysical(name, fitted, evidence.search.together) or evidence.objection(current.residual, fitted.residual)
 
 
 def unphysical(name: str, fitted: Fitted, together: bool = False) -> str:

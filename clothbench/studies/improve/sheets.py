@@ -151,7 +151,7 @@ class SheetEvidence:
             ]
         )
 
-    def spoiled(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
+    def objection(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
         """No identity is known of such recordings."""
         return ""
 
