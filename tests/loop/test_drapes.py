@@ -246,6 +246,8 @@ def test_a_name_explains_what_tells_faces_or_threads_apart_and_contradicts_none_
     heavier = [r + np.array([9.0, 0.0, 9.0, 0.0]) for r in noise]  # what stiffness, weight or the mesh would do as well
     assert "as alike as chance" in found.objection(heavier, noise)
     assert "stay as unlike" in found.objection([a + h for a, h in zip(alike_faces, heavier, strict=True)], alike_faces)
+    twins = [np.array([0.0, 0.7, 0.0, 0.7])] * 6  # alike to a hair: less than other first shapes change is nothing yet
+    assert "as alike as chance" in found.objection(twins, [0 * r for r in twins])
 
 
 def test_where_one_side_is_known_only_threads_can_be_told():

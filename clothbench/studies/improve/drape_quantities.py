@@ -116,18 +116,52 @@ def asymmetries(specimens: Sequence[Specimen]) -> list[dict[str, Any]]:
     """What the drapes themselves say, without any model: mean of each contrast over specimens with its 95 % interval,
     and p of Student's t. None of it could be if faces and threads were alike.
     """
-    values, rows = contrasts(np.stack([s.mean for s in specimens])), []
-    for (name, quantity), each in zip(CONTRASTS, values.T, strict=True):
-        known, q = each[np.isfinite(each)], QUANTITIES[quantity]
-        if len(known) < LEAST_SPECIMENS:
+    means, rows = contrast_means([s.mean for s in specimens]), []
+    half, p_value = means.half_width(0.05), means.p_value
+    for k, (name, quantity) in enumerate(CONTRASTS):
+        if means.number[k] < LEAST_SPECIMENS:
             continue
-        mean, error = known.mean(), max(known.std(ddof=1), LEAST_SPREAD[quantity]) / np.sqrt(len(known))
-        half = student.ppf(0.975, len(known) - 1) * error
+        mean, q = means.mean[k], QUANTITIES[quantity]
         rows.append(
-            {"contrast": name, "mean": q.scale * mean, "low": q.scale * (mean - half), "high": q.scale * (mean + half),
-             "unit": q.unit, "p_value": float(2 * student.sf(abs(mean) / error, len(known) - 1)), "number": len(known)}
+            {"contrast": name, "mean": q.scale * mean, "low": q.scale * (mean - half[k]),
+             "high": q.scale * (mean + half[k]), "unit": q.unit, "p_value": float(p_value[k]),
+             "number": int(means.number[k])}
         )  # fmt: skip
     return rows
+
+
+@dataclass(frozen=True, eq=False)
+class ContrastMeans:
+    """Means (C,) of contrasts over specimens, SI, 0 where too few are known; their standard errors (C,), which no row
+    of drapes that happen to be alike makes smaller than first shapes do; number (C,) of specimens.
+    """
+
+    mean: np.ndarray
+    error: np.ndarray
+    number: np.ndarray
+
+    def half_width(self, level: float) -> np.ndarray:
+        """Half of the interval (C,) outside of which chance leads with a probability of `level`."""
+        return np.asarray(student.isf(level / 2, self._freedom) * self.error)
+
+    @property
+    def p_value(self) -> np.ndarray:
+        """(C,), of Student's t against 0."""
+        return np.asarray(2 * student.sf(np.abs(self.mean) / self.error, self._freedom))
+
+    @property
+    def _freedom(self) -> np.ndarray:
+        return np.maximum(self.number - 1, 1)
+
+
+def contrast_means(fields: Sequence[np.ndarray]) -> ContrastMeans:
+    """Of quantities, or what a model leaves of them, (S, Q) SI of each specimen."""
+    values = contrasts(np.stack(fields))
+    number = np.isfinite(values).sum(axis=0)
+    values = np.where(number >= LEAST_SPECIMENS, values, 0.0)
+    least = LEAST_SPREAD[[quantity for _, quantity in CONTRASTS]]
+    spread = np.maximum(np.nanstd(values, axis=0, ddof=1), least)
+    return ContrastMeans(np.nanmean(values, axis=0), spread / np.sqrt(np.maximum(number, 1)), number)
 
 
 def line_of(elongations: np.ndarray) -> complex:

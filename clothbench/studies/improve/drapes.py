@@ -17,7 +17,6 @@ from dataclasses import dataclass, field
 from typing import Any, ClassVar, cast
 
 import numpy as np
-from scipy.stats import t as student
 
 from clothbench.core.drape import RINGS, SPOKES, drape_coefficient, outlines_of_points
 from clothbench.core.parameters import ParameterSpace
@@ -31,11 +30,10 @@ from clothbench.estimation.trials import Trial
 from clothbench.recordings.silhouette import LAYOUT, SIDES
 from clothbench.studies.improve.drape_quantities import (
     CONTRASTS,
-    LEAST_SPECIMENS,
     QUANTITIES,
     Specimen,
     asymmetries,
-    contrasts,
+    contrast_means,
     elongation,
 )
 from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit, without_switches
@@ -249,19 +247,17 @@ class DrapeEvidence:
         """A contrast between faces or threads that the fit gets wrong and the one before did not; or that there is none
         to be explained, or that it is not explained: the rest, stiffness or weight would do as well.
         """
-        known = [s.known for s in self._of("fit")]
-        was, now = (
-            _contrast_means([_field(r, k) for r, k in zip(each, known, strict=True)]) for each in (before, after)
-        )
-        worse = np.abs(now.mean) - np.abs(was.mean) - now.half_width(0.05)
+        seen = self._of("fit")
+        was, now = (contrast_means([_field(r, s) for r, s in zip(each, seen, strict=True)]) for each in (before, after))
+        worse = (np.abs(now.mean) - np.abs(was.mean) - now.half_width(0.05)) / now.error
         worst = int(np.argmax(worse))
         if worse[worst] > 0:
             return f"it contradicts the drapes themselves: {CONTRASTS[worst][0]}"
-        if not (np.abs(was.mean) > was.half_width(SURE)).any():
+        if not (was.p_value < SURE).any():
             return (
                 "faces and threads are as alike as chance leaves them; the rest, stiffness or weight would do as well"
             )
-        if np.sum(now.mean**2) > (1 - LOOP.least_explained) * np.sum(was.mean**2):
+        if np.sum((now.mean / was.error) ** 2) > (1 - LOOP.least_explained) * np.sum((was.mean / was.error) ** 2):
             return "faces and threads stay as unlike as they were; the rest, stiffness or weight would do as well"
         return ""
 
@@ -287,31 +283,8 @@ class DrapeEvidence:
         return {"drapes": rows, "captures": self.captures, "asymmetries": said}
 
 
-@dataclass(frozen=True, eq=False)
-class _ContrastMeans:
-    """Means (C,) of contrasts over specimens, 0 where too few are known; error: their standard errors (C,); freedom."""
-
-    mean: np.ndarray
-    error: np.ndarray
-    freedom: np.ndarray
-
-    def half_width(self, level: float) -> np.ndarray:
-        """Half of the interval (C,) outside of which chance leads with a probability of `level`."""
-        return np.asarray(student.isf(level / 2, self.freedom) * self.error)
-
-
-def _contrast_means(fields: Sequence[np.ndarray]) -> _ContrastMeans:
-    """Of residuals (S, Q) of each specimen."""
-    values = contrasts(np.stack(fields))
-    count = np.isfinite(values).sum(axis=0)
-    values = np.where(count >= LEAST_SPECIMENS, values, 0.0)
-    freedom = np.maximum(count - 1, 1)
-    error = np.nanstd(values, axis=0, ddof=1) / np.sqrt(np.maximum(count, 1))
-    return _ContrastMeans(np.nanmean(values, axis=0), error, freedom)
-
-
-def _field(residual: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """A residual (M,) back on its sides and quantities (S, Q), NaN where nothing was seen."""
-    out = np.full(known.shape, np.nan)
-    out[known] = residual
+def _field(residual: np.ndarray, seen: Specimen) -> np.ndarray:
+    """A residual (M,) back on its sides and quantities (S, Q), SI, NaN where nothing was seen."""
+    out = np.full(seen.known.shape, np.nan)
+    out[seen.known] = residual * seen.spread
     return out
