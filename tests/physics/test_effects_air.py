@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from effect_scenes import STIFF, G, cloth, fall, hanging, on_every_model, run, swing_frequency, terminal_speed
+from scipy.linalg import expm
 
 WEIGHT = 0.1 * G  # N/m² of the falling sheet
 AIR = 1.2  # kg/m³
@@ -52,6 +53,20 @@ def lean(name, *pairs):
     scene = hanging(0.1, 0.3, np.array([0.0, 0.1]), [(0.05, v) for v in along], (5, 13), density=0.1)
     y, z = run(name, scene, cloth(name, scene, STIFF)[0], *pairs)[0, :, 1:].T
     return np.arctan2(y[-1], -z[-1]), np.abs(y - z * y[-1] / z[-1]).max()
+
+
+@on_every_model
+@pytest.mark.parametrize("steady", [0.0, 0.4])
+def test_air_that_follows_late_lets_a_sheet_fall_as_its_equations_say(name, steady):
+    """ρ v̇ = −ρ g − h y − b v, ẏ = v̇ − y/τ: fast while the air follows, then to the terminal speed of b alone."""
+    late, density, times = 0.15, 0.1, np.array([0.0, 0.4, 0.6, 0.8, 1.2])
+    found = fall(name, times, ("air_memory", [0.8, steady, late])).mean(axis=1)[:, 2]
+    pull = np.array([-steady / density, -0.8 / density])  # v̇ of v and y
+    rates = np.zeros((4, 4))  # of height, v, y and 1
+    rates[0, 1], rates[1, 1:3], rates[1, 3] = 1.0, pull, -G
+    rates[2] = rates[1] - np.array([0.0, 0.0, 1 / late, 0.0])
+    expected = np.array([(expm(rates * t) @ [0.0, 0.0, 0.0, 1.0])[0] for t in times])
+    np.testing.assert_allclose(found[1:], expected[1:], rtol=0.01)
 
 
 @on_every_model

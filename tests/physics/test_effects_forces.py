@@ -198,6 +198,22 @@ def test_a_jet_blows_on_its_line_and_not_far_beside_it(crumpled):
     np.testing.assert_allclose(at_node[:, 19], still[:, 19], rtol=1e-6)
 
 
+@pytest.mark.parametrize("frequency", [0.35, 1.0, 3.0])
+def test_air_that_follows_late_is_drag_and_added_mass_by_the_frequency(crumpled, frequency):
+    """F = −A [(b + h (ωτ)²/(1 + (ωτ)²)) v_n + h τ/(1 + (ωτ)²) v̇_n] n once the beginning is forgotten."""
+    sheet, x, _ = crumpled
+    h, b, late, dt, turn = 0.7, 0.1, 0.15, 1e-3, 2 * np.pi * frequency
+    effect = effect_named("air_memory")
+    state, times = np.zeros(effect.state_size(sheet)), np.arange(0, 2.0 + 2 / frequency, dt)
+    forces = [push(effect, (h, b, late), sheet, x, np.cos(turn * t) * sheet.normal, state=state, t=t) for t in times]
+    along = -np.einsum("tcn,cn->tn", forces, sheet.normal)[times >= 2.0] / sheet.area
+    known = np.stack([np.cos(turn * times), -turn * np.sin(turn * times)], axis=1)[times >= 2.0]
+    drag, mass = np.linalg.lstsq(known, along, rcond=None)[0]
+    fast = (turn * late) ** 2
+    np.testing.assert_allclose(drag, b + h * fast / (1 + fast), rtol=0.01)
+    np.testing.assert_allclose(mass, h * late / (1 + fast), rtol=0.01)
+
+
 # --- mass -------------------------------------------------------------------------------------------------------------
 
 INERTIA = [

@@ -8,6 +8,7 @@ EFFECTS = (
     ("quadratic_drag", "QuadraticDrag", "air drag, quadratic in velocity"),
     ("drag_crisis", "DragCrisis", "air drag, quadratic when slow, that levels off with speed"),
     ("added_mass", "AddedMass", "air carried along by the normal acceleration"),
+    ("air_memory", "AirMemory", "air that follows the sheet late: added mass to slow motion, drag to fast"),
     ("steady_wind", "SteadyWind", "a steady, uniform wind"),
     ("local_jet", "LocalJet", "a draught along a horizontal line"),
     ("lift", "Lift", "lift of a sheet that moves at an angle through the air"),
