@@ -23,6 +23,7 @@ from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import Catalogue, catalogue
 from clothbench.studies.improve.candidates import unusable
 from clothbench.studies.improve.cell import ImproveCell
+from clothbench.studies.improve.common import common_document
 from clothbench.studies.improve.document import document_in, json_text
 from clothbench.studies.improve.files import publish
 from clothbench.studies.improve.settings import LOOP
@@ -43,24 +44,34 @@ WORDS = (*PLAIN, *SHORT, *NESTED, *sorted(KNOWN - {*PLAIN, *NESTED, "study", "su
 def command(words: Sequence[str], as_json: bool = False) -> int:
     """Run the loop with settings as KEY=VALUE words gave them, and print the verdict: in words, or as the document."""
     plugins, settings = catalogue(), settings_of(words)
-    cells = plan(settings, plugins)
-    if len(cells) > 1:
-        raise ClothbenchError("found several optimizers, expected one; for more: clothbench run +suite=improve …")
-    cell: ImproveCell = cells[0]  # type: ignore[assignment]
+    cells: list[ImproveCell] = plan(settings, plugins)  # type: ignore[assignment]
+    if len({(cell.optimizer, cell.case) for cell in cells}) > 1:
+        raise ClothbenchError(
+            "found several optimizers or fabrics, expected one; for more: clothbench run +suite=improve …"
+        )
     out = Path(settings["out"])
     store = Store(out)
-    for remark in remarks(cell, plugins, all_tried=settings["suite"]["candidates"] is None):
+    for remark in remarks(cells[0], plugins, all_tried=settings["suite"]["candidates"] is None):
         print(f"clothbench: {remark}", file=sys.stderr)
+    for cell in cells:
+        judge(cell, store, out, settings["rerun"], cell.model if len(cells) > 1 else "")
+    finished = [cell for cell in cells if store.has(cell.key)]
+    if finished:
+        document = published([store.cell(cell.key) for cell in finished], out, several=len(cells) > 1)
+        print(json_text(document)) if as_json else say(document, out)
+    missing = [cell for cell in cells if cell not in finished]
+    return max((failed(store, cell.key) for cell in missing), default=0)
+
+
+def judge(cell: ImproveCell, store: Store, out: Path, rerun: bool, named: str) -> None:
+    """Run a cell, unless that was done before. named: what the stages of one among several are told under."""
     if store.has(cell.key):
-        print(f"{out}: kept, these recordings were judged with the same settings before", file=sys.stderr)
-    else:
-        with StageBar() as bar:
-            run_cell(cell, out, rerun=settings["rerun"], stage=bar.stage)
-        if not store.has(cell.key):
-            return failed(store, cell.key)
-    document = published(store.cell(cell.key), out)
-    print(json_text(document)) if as_json else say(document, out)
-    return 0
+        which = f" {named}:" if named else ""
+        print(f"{out}:{which} kept, these recordings were judged with the same settings before", file=sys.stderr)
+        return
+    before = f"{named}: " if named else ""
+    with StageBar() as bar:
+        run_cell(cell, out, rerun=rerun, stage=lambda name, done, of: bar.stage(before + name, done, of))
 
 
 def settings_of(words: Sequence[str]) -> dict[str, Any]:
@@ -86,8 +97,13 @@ def settings_of(words: Sequence[str]) -> dict[str, Any]:
         place = settings
         for name in above:
             place = place[name]
-        place[last] = value
+        place[last] = models_of(value) if key == "model" else value
     return settings
+
+
+def models_of(value: str) -> list[str]:
+    """The models that "mass_spring" or "[mass_spring,inextensible]" names."""
+    return [name.strip() for name in value.removeprefix("[").removesuffix("]").split(",") if name.strip()]
 
 
 def remarks(cell: ImproveCell, plugins: Catalogue, all_tried: bool) -> list[str]:
@@ -114,13 +130,21 @@ def failed(store: Store, key: str) -> int:
     return 1
 
 
-def published(cell: Path, out: Path) -> dict[str, Any]:
-    """Lay what a finished cell holds on top of `out`, unless it lies there already; returns the verdict."""
-    document = document_in(cell)
-    if document is None:
-        raise ClothbenchError(f"{cell}: found no verdict that can be read; delete the folder and run again")
+def published(cells: Sequence[Path], out: Path, several: bool = False) -> dict[str, Any]:
+    """Lay what finished cells hold on top of `out`, unless it lies there already; returns the verdict. several: models
+    were asked about, so that the verdict is on what they have in common.
+    """
+    documents = [verdict_in(cell) for cell in cells]
+    document = common_document(documents) if several else documents[0]
     if (there := document_in(out)) is None or there.get("key") != document["key"]:
-        publish(cell, out)
+        nearest = next(c for c, d in zip(cells, documents, strict=True) if d["model"] == document["model"])
+        publish(nearest, out, document if several else None)
+    return document
+
+
+def verdict_in(cell: Path) -> dict[str, Any]:
+    if (document := document_in(cell)) is None:
+        raise ClothbenchError(f"{cell}: found no verdict that can be read; delete the folder and run again")
     return document
 
 

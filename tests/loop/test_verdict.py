@@ -56,7 +56,7 @@ def state():
         # Its fit came to less than it had promised: that is what counts.
         Candidate("quadratic_drag", 0.4, 0.005, 0.05 * base.rms**2, fitted=drag),
     )
-    return State(problem, base, base, 1e-3, 1e-3, (Round(base, 1e-3, tried, (), ()),))
+    return State(problem, base, base, 1e-3, 0.0, (Round(base, 1e-3, tried, (), ()),))
 
 
 @pytest.mark.parametrize(
@@ -75,6 +75,20 @@ def test_complete_is_what_carries_over_to_recordings_held_out(state, held_out, v
     assert found.word == verdict
     assert said in found.hint
     assert 1e3 * found.unexplained == pytest.approx(left, abs=0.01)
+
+
+def test_nothing_is_complete_where_the_mesh_may_be_wrong_by_more_than_the_noise(state):
+    state.problem.of_split = lambda split: [SimpleNamespace(name=name) for name in ("third", "fourth")]
+    base = fitted([np.full(9, 1.1e-3)] * 2)
+    coarse = replace(state, base=base, final=base, noise=0.5e-3, mesh=1e-3)
+    assert coarse.floor == pytest.approx(np.hypot(0.5e-3, 1e-3))
+    found = concluded(coarse, [1.2e-3, 1.2e-3])
+    assert found.word == "unexplained"
+    assert (
+        "1.1 mm, is below what this mesh can tell: it may be wrong by 0.98 mm, beside a noise of 0.5 mm" in found.hint
+    )
+    finer = concluded(replace(coarse, noise=1e-3, mesh=0.9e-3), [1.2e-3, 1.2e-3])
+    assert finer.word == "complete"
 
 
 def test_hint_says_who_comes_nearest_and_where_and_when_most_is_left(state):
@@ -100,7 +114,7 @@ def test_hint_of_a_tie_says_how_alike_the_two_are_and_where_they_differ(state):
     ]
     final = pair[0].fitted
     rounds = (Round(base, 5e-4, tuple(pair), (), names, final),)
-    found = concluded(replace(state, final=final, noise=5e-4, floor=5e-4, rounds=rounds), [])
+    found = concluded(replace(state, final=final, noise=5e-4, mesh=0.0, rounds=rounds), [])
     assert found.word == "tied"
     assert "correlates with 1.00" in found.hint
     assert "differ most in second, by 0.58 mm, around 1.5 s" in found.hint

@@ -125,6 +125,10 @@ class CurveEvidence:
         """No identity is known of such recordings."""
         return ""
 
+    def law(self, seed: int) -> None:
+        """Nothing moves."""
+        return
+
     def location(self, residual: Sequence[np.ndarray]) -> str:
         """A curve has no sheet on which to say where."""
         return ""

@@ -34,6 +34,7 @@ def verdict_document(finding: Finding) -> dict[str, Any]:
         "effects": effect_entries(finding),
         "error_mm": error if in_mm else nulls(error), "unexplained_mm": unexplained if in_mm else None,
         "hint": finding.hint,
+        "description": description_entry(finding, in_mm),
         "candidates": candidate_entries(finding),
         "condition": finite(np.linalg.cond(final.weighted_jacobian)),
         "evaluations": finding.evaluations, "wall_s": finding.wall_s, "seed": finding.seed,
@@ -76,7 +77,24 @@ def error_entry(finding: Finding) -> dict[str, Any]:
             ],
             "placebo": placebo and {"name": placebo.name, "after": pooled([scale * e for e in placebo.errors])},
         },
-        "noise_floor": scale * finding.floor,
+        "noise": scale * finding.noise, "mesh": scale * finding.mesh, "noise_floor": scale * finding.floor,
+    }  # fmt: skip
+
+
+def description_entry(finding: Finding, in_mm: bool) -> dict[str, Any] | None:
+    """The law of a force that no effect has a name for; torques are about the grips, rms over recordings left out."""
+    if (found := finding.description) is None:
+        return None
+    law, scale = found.law, finding.evidence.unit.scale
+    error = {"held_out": {"before": scale * found.before, "after": scale * found.after}}
+    return {
+        "formula": law.formula,
+        "terms": [
+            {"term": a.term.name, "value": a.value, "low": a.low, "high": a.high, "unit": a.term.unit}
+            for a in law.amounts
+        ],
+        "p_value": law.p_value, "error_mm": error if in_mm else nulls(error),
+        "torque": {"before": law.before, "after": law.after, "noise": law.noise, "unit": "N·m"},
     }  # fmt: skip
 
 

@@ -237,6 +237,10 @@ class DrapeEvidence:
         """It is the noise already."""
         return 0.0
 
+    def law(self, seed: int) -> None:
+        """Nothing moves."""
+        return
+
     def location(self, residual: Sequence[np.ndarray]) -> str:
         """What the drapes themselves say of faces and threads."""
         sure = [r for r in asymmetries(self._of("fit")) if r["p_value"] < SURE]

@@ -16,6 +16,7 @@ import numpy as np
 from clothbench.core.protocols import Effect, Model, Simulation
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.trials import Trial
+from clothbench.studies.improve.law import Law
 from clothbench.studies.improve.settings import SearchSettings
 
 Rows = list[dict[str, Any]]
@@ -142,6 +143,12 @@ class Evidence(Protocol):
     def objection(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
         """Why no effect can be concluded from what a fit with it leaves of the fit recordings (M,) beside what the fit
         before left, by identities that no model's fault can touch; "" if there is nothing against it.
+        """
+        ...
+
+    def law(self, seed: int) -> Law | None:
+        """What acts on what was measured from outside, beside damping, told from the fit recordings without any model;
+        None where nothing can be told.
         """
         ...
 

@@ -12,12 +12,13 @@ from __future__ import annotations
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from clothbench.core.files import file_name, whole_files
 from clothbench.studies.improve.document import VERDICT, json_text, verdict_document
 from clothbench.studies.improve.evidence import Comparison, Rows
 from clothbench.studies.improve.finding import Finding
-from clothbench.studies.improve.page import page_html
+from clothbench.studies.improve.page import common_html, page_html
 from clothbench.studies.improve.rerun_file import write_recording_file
 from clothbench.studies.improve.schema import IMPROVE_TABLES
 
@@ -37,13 +38,17 @@ def write_files(folder: Path, finding: Finding, tables: Mapping[str, Rows], reru
         write_recording_file(path, one, label(finding), finding.floor, finding.evidence.unit)
 
 
-def publish(cell: Path, out: Path) -> None:
+def publish(cell: Path, out: Path, common: Mapping[str, Any] | None = None) -> None:
     """Copy what lies in a finished cell's folder to `out`, all or nothing; what an earlier run left there is replaced,
-    other files stay.
+    other files stay. common: the verdict on several models, in place of the one on this cell's.
     """
     with whole_files(out, instead_of=OLD) as part:
-        for name in (VERDICT, "index.html"):
-            shutil.copy(cell / name, part / name)
+        if common is None:
+            for name in (VERDICT, "index.html"):
+                shutil.copy(cell / name, part / name)
+        else:
+            (part / VERDICT).write_text(json_text(common) + "\n", encoding="utf-8")
+            (part / "index.html").write_text(common_html(common), encoding="utf-8")
         (part / "tables").mkdir()
         for name in IMPROVE_TABLES:
             shutil.copy(cell / f"{name}.parquet", part / "tables" / f"{name}.parquet")

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+import numpy as np
+
 from clothbench.studies.improve.evidence import Comparison, Evidence
 from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.law import Law
 from clothbench.studies.improve.state import Round
 
 
@@ -30,6 +33,17 @@ class Placebo:
     errors: tuple[float, ...]
 
 
+@dataclass(frozen=True)
+class Description:
+    """The law of a force that no effect has a name for. before, after: error without and with it, on the recordings
+    held out, or on those fitted where there are none, base unit.
+    """
+
+    law: Law
+    before: float
+    after: float
+
+
 @dataclass(frozen=True, eq=False)
 class Finding:
     """What a run of the loop came to. Errors are rms in the evidence's base unit; NaN is a run that was stopped.
@@ -40,7 +54,7 @@ class Finding:
     verdict: "complete", "attributed", "tied" or "unexplained";
     hint: what the reader may want to know or do next;
     noise: of the recordings;
-    floor: of noise and mesh;
+    mesh: what the model's mesh may still be wrong by;
     unexplained: what is left above the floor;
     calibrated: the fit of the base;
     final: the fit that the verdict stands by, with what was named, or the calibrated one;
@@ -54,6 +68,7 @@ class Finding:
     evaluations: parameter sets that were simulated, on all fit recordings each;
     wall_s: s, those of stopped runs included;
     stages: (stage, s, evaluations), where both went;
+    description: of what is missing, where it has no name; None where it has one, or nothing could be told;
     timed_out: whether a further round was not begun for want of time.
     """
 
@@ -65,7 +80,7 @@ class Finding:
     verdict: str
     hint: str
     noise: float
-    floor: float
+    mesh: float
     unexplained: float
     calibrated: Fitted
     final: Fitted
@@ -79,4 +94,10 @@ class Finding:
     evaluations: int
     wall_s: float
     stages: tuple[tuple[str, float, int], ...]
+    description: Description | None = None
     timed_out: bool = False
+
+    @property
+    def floor(self) -> float:
+        """Of noise and mesh together."""
+        return float(np.hypot(self.noise, self.mesh))

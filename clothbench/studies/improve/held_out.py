@@ -34,7 +34,6 @@ def held_out_residuals(problem: Problem, fitted: Fitted) -> list[np.ndarray]:
     corrected = plain = problem.uncorrected()
     if problem.corrections:
         changes = discretisation_error(plain, fitted, "held_out")
-        assert changes is not None  # there were some on the fit recordings
         names = [case.name for case in plain.of_split("held_out")]
         corrected = dataclasses.replace(plain, corrections=dict(zip(names, changes, strict=True)))
     found = over(corrected.trials(fitted.effects, "held_out"), lambda trial: residuals(trial, fitted.theta[None])[0])

@@ -12,6 +12,7 @@ import numpy as np
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import StageProgress
 from clothbench.studies.improve.account import Account
+from clothbench.studies.improve.description import description_of
 from clothbench.studies.improve.finding import Finding, Note
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import better_of, fit, planned_evaluations
@@ -56,7 +57,7 @@ def all_rounds(
 
 
 def initial_state(problem: Problem, account: Account) -> State:
-    """The base calibrated, on all recordings and on each alone; noise and floor."""
+    """The base calibrated, on all recordings and on each alone; what noise and mesh leave open."""
     base = calibrated(problem, account)
     noise = max(problem.evidence.noise(), problem.evidence.repeat_spread(base.residual))
     if not np.isfinite(base.rms):
@@ -69,8 +70,8 @@ def initial_state(problem: Problem, account: Account) -> State:
             "noise_sigma: found NaN in recordings too short to show their noise, expected "
             f"{problem.evidence.unit.base}; state it in the recordings"
         )
-    problem, base, floor = corrected(problem, base, noise, account)
-    return State(problem, base, base, noise, floor, alone=each_alone(problem, base, account))
+    problem, base, mesh = corrected(problem, base, noise, account)
+    return State(problem, base, base, noise, mesh, alone=each_alone(problem, base, account))
 
 
 def calibrated(problem: Problem, account: Account) -> Fitted:
@@ -115,15 +116,16 @@ def confirmed(state: State, found: Round, account: Account) -> tuple[State, bool
     of mesh and model are allowed for; without, and with the reason, if not.
     """
     assert found.after is not None
-    name, current, noise, floor = found.named[0], state.final, state.noise, state.floor
+    name, current, noise = found.named[0], state.final, state.noise
     fitted = continued(state.problem, found.after, account)
-    problem, after, doubt = corrected(state.problem, fitted, noise, account)
-    if found.before.rms**2 - found.after.rms**2 < least_fall(current, max(floor, doubt), noise):
-        # The fits are near each other: how far a finer mesh changes them is known no better than the two agree.
-        unit, floor = problem.evidence.unit, max(floor, doubt)
-        size = f"{unit.scale * doubt:.2g} {unit.reported}"
+    problem, after, mesh = corrected(state.problem, fitted, noise, account)
+    # The fits are near each other: how far a finer mesh changes them is known no better than the two agree.
+    doubtful = dataclasses.replace(state, mesh=max(state.mesh, mesh))
+    if found.before.rms**2 - found.after.rms**2 < least_fall(current, doubtful.floor, noise):
+        unit = problem.evidence.unit
+        size = f"{unit.scale * mesh:.2g} {unit.reported}"
         why = f"what it explains may be the mesh's doing, which with it may be wrong by {size}"
-        return with_round(dataclasses.replace(state, floor=floor), withdrawn(found, floor, why)), False
+        return with_round(doubtful, withdrawn(found, doubtful.floor, why)), False
     if not (why := faulty(name, current, after, problem.evidence)):
         account.stage(f"round {len(state.rounds) + 1}: intervals", 0, 1)
         narrow, after, count = profile_intervals(problem, after)
@@ -131,8 +133,8 @@ def confirmed(state: State, found: Round, account: Account) -> tuple[State, bool
         why = faulty(name, current, narrow, problem.evidence)
     if why:
         why = f"{why} once the errors of mesh and model are allowed for"
-        return with_round(state, withdrawn(found, floor, why)), False
-    state = dataclasses.replace(state, problem=problem, final=after, floor=doubt)
+        return with_round(state, withdrawn(found, state.floor, why)), False
+    state = dataclasses.replace(state, problem=problem, final=after, mesh=mesh)
     return with_round(state, dataclasses.replace(found, after=after)), True
 
 
@@ -150,7 +152,7 @@ def continued(problem: Problem, named: Fitted, account: Account) -> Fitted:
 
 
 def finding_of(state: State, account: Account, timed_out: bool = False) -> Finding:
-    """Stage 6: the only look at the held-out recordings, and all that is told of the run."""
+    """Stages 6 and 7: the only look at the held-out recordings, and all that is told of the run."""
     account.stage("held-out recordings", 0, 1)
     problem, base = state.problem, state.base
     before = held_out_errors(problem, base)
@@ -159,15 +161,16 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
     placebo, spent = placebo_of(problem, end.fit, state.rounds)
     account.count(spent)
     after = held_out_errors(problem, end.fit) if end.fit.effects else before
+    description = description_of(problem, base, before, account) if end.word == "unexplained" else None
     comparisons = comparisons_of(problem, base, end.fit)
     account.stop()
     return Finding(
         key=problem.question, model=problem.model, base=problem.base, seed=problem.seed, evidence=problem.evidence,
-        verdict=end.word, hint=end.hint, noise=state.noise, floor=state.floor, unexplained=end.unexplained,
+        verdict=end.word, hint=end.hint, noise=state.noise, mesh=state.mesh_left, unexplained=end.unexplained,
         calibrated=base, final=end.fit, rounds=tuple(dataclasses.replace(r, probes=()) for r in state.rounds),
         dropped=end.dropped, notes=notes(problem, state.rounds), alone=state.alone,
         held_out=tuple(zip((c.name for c in problem.of_split("held_out")), before, after, strict=True)),
-        placebo=placebo, comparisons=comparisons, evaluations=account.evaluations,
+        placebo=placebo, description=description, comparisons=comparisons, evaluations=account.evaluations,
         wall_s=problem.checkpoint.seconds, stages=account.table, timed_out=timed_out,
     )  # fmt: skip
 

@@ -26,6 +26,9 @@ recording beside the model before and after: <code>clothbench view RECORDING --o
 CANDIDATES = """<p class="soft">Share: how much of what the calibrated model leaves only this effect could explain, to
 first order. p: how often chance does as well with the best of all candidates. Those that beat chance were fitted in
 earnest; the gain is by how much the mean square fell. Best in: of as many rounds with one recording left out.</p>"""
+DESCRIBED = """A description, not a name: a force per area that acts on the cloth from outside, from the balance of
+torques about the grips, an identity of mechanics that needs no model. n: normal, v: velocity, a: acceleration, s: from
+the upper edge down to H, g: gravity."""
 DRAPES = """<p class="soft">A cloth whose faces and threads are alike drapes alike on either side, and is as long one
 way as the other. First what the drapes say without any model, then what the model has. Elongation: second harmonic of
 the outline, along the line of the picture along which, or across which, this fabric's drapes are long.</p>"""
@@ -46,6 +49,7 @@ def page_html(found: Mapping[str, Any], tables: Tables) -> str:
         LEGEND,
         error_section(found, tables["errors"], blocks),
         effect_section(found),
+        description_section(found.get("description")),
         candidate_section(tables["candidates"]),
         curve_section(tables["curves"], bool(found["effects"]), blocks),
         drape_section(tables, bool(found["effects"])),
@@ -60,6 +64,32 @@ def page_html(found: Mapping[str, Any], tables: Tables) -> str:
     ]
     drawn = Section(FOOTER, {"found": {"legend": legend(found), "blocks": blocks}}, BLOCKS, STYLE)
     return whole_page(f"improve {text(found['model'])}", [*map(Section, sections), drawn])
+
+
+def common_html(found: Mapping[str, Any]) -> str:
+    """The page of several models: the verdict on what they lack in common, and of each what it lacks, with a link to
+    its own page. found: as `common.common_document` makes it.
+    """
+    models = " and ".join(one["name"] for one in found["models"])
+    rows = []
+    for one in found["models"]:
+        error = errors_of({**found, **one})
+        split = "fit" if error["held_out"]["before"] is None else "held_out"
+        own = f" ({', '.join(one['own'])}: a fault of its own)" if one["own"] else ""
+        rows.append(
+            [f'<a href="cells/{one["key"]}/index.html">{text(one["name"])}</a>', text(one["verdict"]),
+             text(", ".join(entry["name"] for entry in one["effects"]) + own),
+             " → ".join(size(error[split][fit], error["unit"]) for fit in ("before", "after")) + f" {error['unit']}",
+             size(error["noise"], error["unit"]), size(error["mesh"], error["unit"])]
+        )  # fmt: skip
+    heads = ["model", "verdict", "lacks", "error before → after", "noise", "mesh"]
+    parts = [
+        f"<h1>What do {text(models)} lack in common?</h1>", verdict_box(found), table(heads, rows, numeric={3, 4, 5}),
+        "<p class='soft'>What all lack that have something to say is physics or the sensor; what one lacks and another "
+        "does not is its own fault. Error: on the recordings held out.</p>",
+        effect_section(found),
+    ]  # fmt: skip
+    return whole_page(f"improve {text(models)}", [Section("".join(parts), style=STYLE)])
 
 
 def sections(results: Results) -> list[Section]:
@@ -106,7 +136,11 @@ def tiles(found: Mapping[str, Any]) -> str:
     if placebo := error["held_out"].get("placebo"):
         word = f"{unit}, held out, with the placebo {placebo['name']} added"
         shown.append((size(placebo["after"], unit), word))
-    shown.append((size(error["noise_floor"], unit), f"{unit}, floor: {floor_word(unit)}"))
+    if error.get("mesh"):
+        shown.append((size(error["noise"], unit), f"{unit}, noise"))
+        shown.append((size(error["mesh"], unit), f"{unit} that the mesh may be wrong by"))
+    else:
+        shown.append((size(error["noise_floor"], unit), f"{unit}, floor: {floor_word(unit)}"))
     shown.append((size(error["unexplained"], unit), f"{unit} above the floor remain"))
     inside = "".join(f'<div class="tile"><b>{text(value)}</b>{text(word)}</div>' for value, word in shown)
     return f'<div class="tiles">{inside}</div>'
@@ -143,6 +177,22 @@ def effect_section(found: Mapping[str, Any], level: str = "h2") -> str:
         for name, p in effect["parameters"].items():
             body.append([text(name), f"{p['value']:.4g}", interval(p, ".4g") or "–", text(unit(p))])
     return f"<{level}>Named</{level}>" + table(["effect", "amount", "95 % interval", "unit"], body, numeric={1, 2})
+
+
+def description_section(found: Mapping[str, Any] | None) -> str:
+    """The law of a force that has no name."""
+    if found is None:
+        return ""
+    body = [[text(t["term"]), f"{t['value']:.4g}", interval(t, ".4g") or "–", text(unit(t))] for t in found["terms"]]
+    error, torque = found["error_mm"]["held_out"], found["torque"]
+    said = (
+        f"{DESCRIBED} The torque that is left on recordings left out falls from {1e3 * torque['before']:.3g} to "
+        f"{1e3 * torque['after']:.3g} mN·m (noise {1e3 * torque['noise']:.2g}), p = {found['p_value']:.2g}; with this "
+        f"force in the model its error falls from {size(error['before'], 'mm')} to {size(error['after'], 'mm')} mm."
+    )
+    heads = ["goes with", "coefficient", "95 % interval", "unit"]
+    shown = table(heads, body, numeric={1, 2})
+    return f"<h2>Described</h2><p><b>{text(found['formula'])}</b></p>{shown}<p class='soft'>{said}</p>"
 
 
 def candidate_section(candidates: Rows) -> str:

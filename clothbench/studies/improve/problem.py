@@ -16,6 +16,7 @@ from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect
 from clothbench.engine.cells import digest
 from clothbench.engine.checkpoint import Checkpoint
+from clothbench.estimation.fixed import holding
 from clothbench.estimation.trials import Trial
 from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.improve.evidence import Case, Evidence, of_split
@@ -36,7 +37,8 @@ class Problem:
     question: key of the cell, below which all that is kept of an unfinished run is keyed;
     step_scale: times the model's own step, for models that have that option;
     refinement: how often the cells were halved;
-    corrections: (M,) by recording, see `Case.trial`;
+    made: effects that are no plugins, by name, some of whose numbers are held (`held`);
+    corrections: (M,) by recording, see `Case.trial`; halvings: of the cells, that they come from;
     checkpoint: what was computed already.
     """
 
@@ -51,7 +53,9 @@ class Problem:
     question: str = ""
     step_scale: float = 1.0
     refinement: int = 0
+    made: Mapping[str, Any] = field(default_factory=dict)
     corrections: Mapping[str, np.ndarray] = field(default_factory=dict)
+    halvings: int = 0
     checkpoint: Checkpoint = field(default_factory=Checkpoint)
 
     def of_split(self, split: str) -> list[Case]:
@@ -77,7 +81,9 @@ class Problem:
         return takes_option(self.plugins.load("models", self.model), option)
 
     def make(self, kind: str, name: str, *args: Any, **settings: Any) -> Any:
-        """A plugin's object with its options, which have the last word."""
+        """A plugin's object with its options, which have the last word; or an effect that was made here."""
+        if kind == "effects" and name in self.made:
+            return self.made[name]
         return self.plugins.make(kind, name, *args, **settings | dict(self.options.get(name, {})))
 
     def effects(self, names: Sequence[str]) -> list[Effect]:
@@ -93,7 +99,9 @@ class Problem:
     def trials(self, names: Sequence[str], split: str) -> list[Trial]:
         """One simulation for each recording of a split, with these effects beside the base."""
         effects = self.effects(names)
-        return [case.trial(self._model, effects, self.corrections.get(case.name)) for case in self.of_split(split)]
+        held = {f"{name}.{own}": value for name, e in self.made.items() for own, value in e.held.items()}
+        found = [case.trial(self._model, effects, self.corrections.get(case.name)) for case in self.of_split(split)]
+        return [dataclasses.replace(t, simulation=holding(t.simulation, held)) for t in found] if held else found
 
     def space(self, names: Sequence[str]) -> ParameterSpace:
         return self.bounded(self.trials(names, "fit")[0].simulation.parameters)
@@ -112,9 +120,9 @@ class Problem:
         """16 hexadecimal digits of everything that a result on the way depends on."""
         corrections = {name: array_digest(c) for name, c in self.corrections.items()}
         cases = [(case.name, case.split) for case in self.evidence.cases]
-        return digest(
-            [self.question, self.model, self.base, cases, self.step_scale, self.refinement, corrections, more]
-        )
+        made = [sorted(effect.held.items()) for effect in self.made.values()]
+        question = [self.question, self.model, self.base, cases, self.step_scale, self.refinement, corrections, more]
+        return digest([*question, made] if made else question)
 
 
 def residuals(trial: Trial, theta: np.ndarray) -> np.ndarray:

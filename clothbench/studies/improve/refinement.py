@@ -1,9 +1,9 @@
-"""Stage 2: what the mesh and the step have to do with the residual, and the floor of noise and mesh."""
+"""Stage 2: what the mesh and the step have to do with the residual, and what they may still be wrong by."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
@@ -19,43 +19,59 @@ STAGE = "mesh and step refined"
 
 
 def corrected(problem: Problem, fitted: Fitted, noise: float, account: Account) -> tuple[Problem, Fitted, float]:
-    """The problem with the mesh's error near this fit taken away, the fit again, the floor of noise and mesh; all as
-    they are, and the noise, where nothing is discretised.
+    """The problem with the mesh's error near this fit taken away, the fit again, and what the mesh may still be wrong
+    by (rms, base unit); all as they are, and 0, where nothing is discretised.
+
+    Cells are halved until that lies below the noise, `LOOP.halvings` times at most, and not again where halving leads
+    away from what was seen.
     """
-    account.stage(STAGE, 0, 2)
-    plain = problem.uncorrected()
-    changes = discretisation_error(plain, beside_fit(problem, fitted), "fit")
-    account.stage(STAGE, 1, 2)
-    if changes is None:
-        return plain, with_discrepancy(fitted, [0 * r for r in fitted.residual], noise), noise
-    doubt = numerical_floor(fitted, changes)
-    if unexplained_with(fitted, changes) >= unexplained_with(fitted, [0 * c for c in changes]):
-        # What a finer mesh changes is no step towards what was seen: the model does not converge to it, and all of the
-        # change is doubt.
-        return plain, with_discrepancy(fitted, changes, noise), float(np.hypot(noise, 2 * doubt))
+    account.stage(STAGE, 0, LOOP.halvings)
+    plain, mesh = problem.uncorrected(), 0.0
+    changes, converges = [0 * r for r in fitted.residual], True
+    for halvings, (error, step) in enumerate(refinements(plain, beside_fit(problem, fitted), "fit"), 1):
+        account.stage(STAGE, halvings, LOOP.halvings)
+        plain, changes, mesh = dataclasses.replace(plain, halvings=halvings), error, numerical_doubt(fitted, step)
+        # Where what a finer mesh changes is no step towards what was seen, the model does not converge to it, and all
+        # of the change is doubt.
+        if not (converges := unexplained_with(fitted, error) < unexplained_with(fitted, [0 * c for c in error])):
+            mesh *= 2
+        if mesh <= noise or not converges:
+            break
+    if not plain.halvings or not converges:
+        return plain, with_discrepancy(fitted, changes, noise), mesh
     names = [case.name for case in problem.of_split("fit")]
-    problem = dataclasses.replace(problem, corrections=dict(zip(names, changes, strict=True)))
+    problem = dataclasses.replace(plain, corrections=dict(zip(names, changes, strict=True)))
     again = fit(problem, fitted.effects, fitted.theta, LOOP.refit_rounds)
     account.count(again.evaluations)
-    return problem, with_discrepancy(again, [c / 3 for c in changes], noise), float(np.hypot(noise, doubt))
+    return problem, with_discrepancy(again, [c / 3 for c in changes], noise), mesh
 
 
-def discretisation_error(problem: Problem, fitted: Fitted, split: str) -> list[np.ndarray] | None:
-    """What a mesh and step of half the size would change, carried on to the limit (Richardson extrapolation), (M,) per
-    recording; None where nothing is discretised.
+def discretisation_error(problem: Problem, fitted: Fitted, split: str) -> list[np.ndarray]:
+    """The mesh's error (M,) of each recording, from as many halvings as the problem's corrections come from."""
+    *_, (error, _) = refinements(problem, fitted, split, problem.halvings)
+    return error
 
-    Added to the coarse model's residual it takes the error of the mesh away where the model converges as the square of
-    the cell's size; a third of it is what may be left (`numerical_floor`).
+
+def refinements(
+    problem: Problem, fitted: Fitted, split: str, halvings: int = LOOP.halvings
+) -> Iterator[tuple[list[np.ndarray], list[np.ndarray]]]:
+    """With one halving of cells and step after the other: what that comes to, carried on to the limit (Richardson
+    extrapolation), and how much of it the last halving is, (M,) per recording; none where nothing is discretised.
+
+    Added to the coarse model's residual the first takes the error of the mesh away where the model converges as the
+    square of the cell's size; a third of the second is what may be left (`numerical_doubt`).
     """
-    if (refined := problem.refined()) is None:
-        return None
-    coarse, fine = problem.trials(fitted.effects, split), refined.trials(fitted.effects, split)
-    runs = over([*coarse, *fine], lambda trial: residuals(trial, fitted.theta[None])[0])
-    out = []
-    for a, b in zip(runs[: len(coarse)], runs[len(coarse) :], strict=True):
-        change = b - a
-        out.append(LOOP.richardson * change if np.isfinite(change).all() else np.zeros_like(change))
-    return out
+    known = over(problem.trials(fitted.effects, split), lambda trial: residuals(trial, fitted.theta[None])[0])
+    so_far = [0 * r for r in known]
+    for _ in range(halvings):
+        if (finer := problem.refined()) is None:
+            return
+        problem = finer
+        found = over(problem.trials(fitted.effects, split), lambda trial: residuals(trial, fitted.theta[None])[0])
+        steps = [b - a if np.isfinite(b - a).all() else np.zeros_like(b) for a, b in zip(known, found, strict=True)]
+        last = [LOOP.richardson * step for step in steps]
+        yield [a + b for a, b in zip(so_far, last, strict=True)], last
+        so_far, known = [a + b for a, b in zip(so_far, steps, strict=True)], found
 
 
 def beside_fit(problem: Problem, fitted: Fitted) -> Fitted:
@@ -70,10 +86,10 @@ def beside_fit(problem: Problem, fitted: Fitted) -> Fitted:
     return dataclasses.replace(fitted, theta=shifted(fitted, shift))
 
 
-def numerical_floor(fitted: Fitted, corrections: Sequence[np.ndarray]) -> float:
-    """What the mesh may still be wrong by (rms): a third of the correction, less what a refit takes up."""
-    rest = projected_out(fitted.weighted_jacobian, (np.concatenate(corrections) * fitted.weights)[:, None])
-    return float(np.sqrt(np.square(rest).sum() / len(corrections))) / 3
+def numerical_doubt(fitted: Fitted, step: Sequence[np.ndarray]) -> float:
+    """What the mesh may still be wrong by (rms): a third of its last step, less what a refit takes up."""
+    rest = projected_out(fitted.weighted_jacobian, (np.concatenate(step) * fitted.weights)[:, None])
+    return float(np.sqrt(np.square(rest).sum() / len(step))) / 3
 
 
 def unexplained_with(fitted: Fitted, changes: Sequence[np.ndarray]) -> float:

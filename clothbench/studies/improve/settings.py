@@ -34,6 +34,7 @@ class LoopSettings:
     model_discrepancy: float = 0.2  # share (amplitude) of the residual above the noise that may look like a parameter
 
     # Discretisation.
+    halvings: int = 2  # of the cells, at most, until what the mesh may be wrong by lies below the noise
     richardson: float = 4 / 3  # times the change by halved cells: the whole error, where it is of second order
     refinement_offset: float = 0.05  # how far from a fit the mesh's error is looked at, of the scaled range
 

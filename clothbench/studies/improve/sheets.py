@@ -16,7 +16,9 @@ from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
 from clothbench.estimation.trials import Trial
 from clothbench.recordings.nodes import Recording
+from clothbench.studies.improve.balance import motion_of
 from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit, without_switches
+from clothbench.studies.improve.law import Law, law_of
 from clothbench.studies.improve.repeats import spread_of_repeats
 from clothbench.studies.improve.settings import SearchSettings
 from clothbench.studies.improve.sheet_tables import sheet_tables
@@ -154,6 +156,10 @@ class SheetEvidence:
     def objection(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
         """No identity is known of such recordings."""
         return ""
+
+    def law(self, seed: int) -> Law | None:
+        motions = [motion_of(case.observation, case.scene) for case in self._fitted()]
+        return law_of([m for m in motions if m is not None], seed)
 
     def location(self, residual: Sequence[np.ndarray]) -> str:
         """Where on the sheet, in which recording and when in it most is left."""

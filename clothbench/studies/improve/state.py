@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from clothbench.studies.improve.attribution import Probe
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.problem import Problem
@@ -38,7 +40,9 @@ class State:
     problem: with the mesh's error taken away, where that is known;
     base: the calibrated model;
     final: the same with all that was named so far;
-    noise, floor: of the noise, and of noise and mesh, base unit;
+    noise: of the recordings, base unit;
+    mesh: what the model's mesh changes that a refit does not take up, as far as first order tells, base unit: what
+        decisions are made by;
     rounds: so far;
     alone: the base fitted to each recording by itself, by its name.
     """
@@ -47,6 +51,21 @@ class State:
     base: Fitted
     final: Fitted
     noise: float
-    floor: float
+    mesh: float
     rounds: tuple[Round, ...] = ()
     alone: Mapping[str, Fitted] = field(default_factory=dict)
+
+    @property
+    def floor(self) -> float:
+        """Of noise and mesh together, base unit."""
+        return float(np.hypot(self.noise, self.mesh))
+
+    @property
+    def fine_enough(self) -> bool:
+        """Whether what the mesh may be wrong by is less than the noise, so that a small residual says something."""
+        return self.mesh_left <= self.noise
+
+    @property
+    def mesh_left(self) -> float:
+        """What the mesh may be wrong by in the last fit, base unit: no more than is left of it above the noise."""
+        return min(self.mesh, float(np.sqrt(max(self.final.rms**2 - self.noise**2, 0.0))))

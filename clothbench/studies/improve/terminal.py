@@ -7,7 +7,7 @@ from typing import Any
 
 from clothbench.engine.study import Results
 from clothbench.studies.improve.document import document_in
-from clothbench.studies.improve.words import errors_of, size
+from clothbench.studies.improve.words import errors_of, floor_line, size
 
 
 def show(results: Results) -> Iterator[str]:
@@ -24,7 +24,10 @@ def what(found: Mapping[str, Any]) -> str:
 
 def verdict_lines(found: Mapping[str, Any]) -> Iterator[str]:
     """What `verdict.json` holds, in a few lines."""
-    yield f"verdict: {found['verdict']}"
+    for one in found.get("models", ()):
+        names = ", ".join(entry["name"] for entry in one["effects"])
+        yield f"{one['name']}: {one['verdict']}{f' ({names})' if names else ''}; {error_line({**found, **one})}"
+    yield f"verdict{' in common' if found.get('models') else ''}: {found['verdict']}"
     for effect in found["effects"]:
         tied = f", tied with {', '.join(effect['tied_with'])}" if effect["tied_with"] else ""
         yield f"  {effect['name']} ({effect['place']}): {effect['summary']}{tied}"
@@ -33,6 +36,12 @@ def verdict_lines(found: Mapping[str, Any]) -> Iterator[str]:
             low, high = (("?" if p[k] is None else f"{p[k]:.4g}") for k in ("low", "high"))
             yield f"    {name} = {p['value']:.4g} {p['unit']} ({low} … {high})"
     yield error_line(found)
+    if described := found.get("description"):
+        yield f"  described, without a name: {described['formula']}, p = {described['p_value']:.3g}"
+        for term in described["terms"]:
+            yield f"    {term['term']}: {term['value']:.4g} {term['unit']} ({term['low']:.4g} … {term['high']:.4g})"
+        error = described["error_mm"]["held_out"]
+        yield f"    with it in the model: {size(error['before'], 'mm')} → {size(error['after'], 'mm')} mm"
     if found["hint"]:
         yield f"hint: {found['hint']}"
     yield f"{found['evaluations']} evaluations, {found['wall_s']:.0f} s"
@@ -46,5 +55,4 @@ def error_line(found: Mapping[str, Any]) -> str:
         return f"{size(error[split]['before'], unit)} → {size(error[split]['after'], unit)} {unit}"
 
     held = "" if error["held_out"]["before"] is None else f"; held out: {fall('held_out')}"
-    floor = "of noise and mesh" if unit == "mm" else "between runs"
-    return f"fit recordings: {fall('fit')}{held}; floor {floor}: {size(error['noise_floor'], unit)} {unit}"
+    return f"fit recordings: {fall('fit')}{held}; {floor_line(error)}"

@@ -70,13 +70,18 @@ def word_of(state: State) -> str:
     """The verdict by the fit recordings alone."""
     named = [r for r in state.rounds if r.named]
     if not named:
-        return "complete" if state.final.rms <= LOOP.floor_factor * state.floor else "unexplained"
+        return "complete" if at_floor(state) and state.fine_enough else "unexplained"
     if state.problem.evidence.search.steps:
         return "tied" if any(len(r.named) > 1 for r in named) else "attributed"
     explained = LOOP.least_explained_in_all if above_floor(state) else LOOP.least_explained_at_floor
     if share_left(state) > 1 - explained:
         return "unexplained"
     return "tied" if any(len(r.named) > 1 for r in named) else "attributed"
+
+
+def at_floor(state: State) -> bool:
+    """Whether what is left is no more than noise and mesh account for."""
+    return state.final.rms <= LOOP.floor_factor * state.floor
 
 
 def share_left(state: State) -> float:
@@ -103,11 +108,12 @@ def hint(state: State, word: str, fit: Fitted) -> str:
     """What the reader may want to know or do next, in one or two sentences. fit: what the verdict stands by."""
     if word == "complete":
         return "nothing is left above the noise and the mesh"
-    if word == "attributed":
-        return ""
-    if word == "tied":
-        return "; ".join(undecided(state, r) for r in state.rounds if len(r.named) > 1)
+    if word in ("attributed", "tied"):
+        pairs = [undecided(state, r) for r in state.rounds if len(r.named) > 1]
+        return "; ".join([*pairs, below_mesh(state)] if at_floor(state) and not state.fine_enough else pairs)
     said, dropped = [], state.final.effects
+    if at_floor(state) and not state.fine_enough and not dropped:
+        return below_mesh(state)
     if dropped:
         fall = 1 - state.final.rms / state.base.rms
         said.append(f"{' and '.join(dropped)} would lower the error of the fit by {fall:.0%}, too little for a name")
@@ -119,6 +125,18 @@ def hint(state: State, word: str, fit: Fitted) -> str:
         return "the residual stands above the noise, and no candidate could be tried"
     where = state.problem.evidence.location(fit.residual)
     return "; ".join(filter(None, (f"a hint, no finding: {'; '.join(said)}", where)))
+
+
+def below_mesh(state: State) -> str:
+    """That a small residual says nothing on a mesh which may be wrong by more than the noise."""
+    unit = state.problem.evidence.unit
+    rms, mesh, noise = (
+        f"{unit.scale * e:.2g} {unit.reported}" for e in (state.final.rms, state.mesh_left, state.noise)
+    )
+    return (
+        f"what is left, {rms}, is below what this mesh can tell: it may be wrong by {mesh}, beside a noise of {noise}; "
+        "a finer one (suite.resolution) or a model that converges sooner would tell whether anything else is missing"
+    )
 
 
 def nearest(state: State, near: dict[Candidate, float], beside: str) -> str:

@@ -31,14 +31,27 @@ def floor_word(unit: str) -> str:
     return {"mm": "noise and mesh", "sd": "spread between specimens"}.get(unit, "spread between runs")
 
 
+def floor_line(error: Mapping[str, Any]) -> str:
+    """The floor; of a model on a mesh, noise and mesh apart."""
+    unit = error["unit"]
+    if error.get("mesh"):
+        noise, mesh = (size(error[name], unit) for name in ("noise", "mesh"))
+        return f"noise {noise} {unit}, and the mesh may be wrong by {mesh} {unit}"
+    return f"the floor ({floor_word(unit)}) is {size(error['noise_floor'], unit)} {unit}"
+
+
 def sentence(found: Mapping[str, Any]) -> str:
     """The verdict as HTML."""
     error, model = errors_of(found), f"<b>{text(found['model'])}</b>"
+    if several := found.get("models"):
+        model = f"each of <b>{text(', '.join(one['name'] for one in several))}</b>"
     unit = error["unit"]
     split = "held_out" if error["held_out"]["before"] is not None else "fit"
     where = "held-out" if split == "held_out" else "fit"
-    floor = f"the floor ({floor_word(unit)}) is {size(error['noise_floor'], unit)} {unit}"
+    floor = floor_line(error)
     before, after = (size(error[split][fit], unit) for fit in ("before", "after"))
+    if found["verdict"] == "complete" and several:
+        return f"No physics is missing in {model}: {before} {unit} on the {where} recordings; {floor}."
     if found["verdict"] == "complete":
         return f"{model} lacks nothing above the noise: {before} {unit} on the {where} recordings; {floor}."
     if not found["effects"]:

@@ -1,0 +1,39 @@
+"""Stage 7: what no effect has a name for is described: the law of the missing force, put into the model and judged."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+from clothbench.studies.improve.account import Account
+from clothbench.studies.improve.described import NAME, Described
+from clothbench.studies.improve.finding import Description
+from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.fitting import fit
+from clothbench.studies.improve.held_out import held_out_errors
+from clothbench.studies.improve.problem import Problem
+from clothbench.studies.improve.settings import LOOP
+from clothbench.studies.improve.verdict import pooled
+
+
+def description_of(problem: Problem, base: Fitted, before: Sequence[float], account: Account) -> Description | None:
+    """The law of what the calibrated model leaves, where one beats chance without any model, and the model does better
+    with it on recordings held out (on those fitted, where there are none). before: errors of the base there.
+    """
+    account.stage("missing force described", 0, 2)
+    if (law := problem.evidence.law(problem.seed)) is None:
+        return None
+    account.stage("missing force described", 1, 2)
+    effect = Described(law)
+    problem = dataclasses.replace(problem, made={NAME: effect})
+    start = np.concatenate([base.theta, [effect.start[slot] for slot in sorted(effect.start)]])
+    fitted = fit(problem, (NAME,), start, LOOP.refit_rounds)
+    account.count(fitted.evaluations)
+    was, now = pooled(before), pooled(held_out_errors(problem, fitted))
+    if not before:
+        was, now = base.rms, fitted.rms
+    if was is None or now is None or now >= was:
+        return None
+    return Description(law, was, now)

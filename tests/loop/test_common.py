@@ -1,0 +1,69 @@
+"""What several models lack in common, and what is a fault of one."""
+
+from __future__ import annotations
+
+from clothbench.studies.improve.common import common_document
+from clothbench.studies.improve.page import common_html
+
+
+def verdict(model, *effects, word=None, after=1.0):
+    """A verdict with effects by name, or as (name, tied with)."""
+    pairs = [(e, []) if isinstance(e, str) else (e[0], [e[1]]) for e in effects]
+    error = {
+        "fit": {"before": 5.0, "after": after},
+        "held_out": {"before": 5.0, "after": after, "ci95": [3.0, 5.0], "per_recording": [{"recording": "a"}]},
+        "noise": 0.5, "mesh": 0.2, "noise_floor": 0.54,
+    }  # fmt: skip
+    return {
+        "model": model, "verdict": word or ("attributed" if effects else "unexplained"), "key": model, "hint": "",
+        "effects": [
+            {"name": name, "tied_with": tied, "place": "dynamics", "summary": name, "p_value": 0.005,
+             "selected_in": "4/4", "parameters": {"size": {"value": 1.0, "low": 0.5, "high": 2.0, "unit": "1"}}}
+            for name, tied in pairs
+        ],
+        "error_mm": error, "unexplained_mm": 0.5, "evaluations": 10, "wall_s": 60.0,
+    }  # fmt: skip
+
+
+def said(*documents):
+    found = common_document(documents)
+    return found["verdict"], [e["name"] for e in found["effects"]], {m["name"]: m["own"] for m in found["models"]}
+
+
+def test_what_all_lack_is_common_and_what_one_lacks_its_own():
+    springs = verdict("springs", "drag", "bending", after=2.0)
+    triangles = verdict("triangles", "drag")
+    assert said(springs, triangles) == ("attributed", ["drag"], {"springs": ["bending"], "triangles": []})
+    found = common_document([springs, triangles])
+    assert found["model"] == "triangles"  # it comes nearer
+    assert found["evaluations"] == 20
+    assert "springs lacks bending, which triangles does not lack: a fault of its own" in found["hint"]
+
+
+def test_a_tie_holds_what_all_of_them_tie():
+    both = verdict("a", ("drag", "memory")), verdict("b", ("memory", "drag"), after=2.0)
+    found = common_document(both)
+    assert (found["verdict"], found["effects"][0]["name"]) == ("tied", "drag")
+    assert found["effects"][0]["tied_with"] == ["memory"]
+    decided = common_document([verdict("a", ("drag", "memory")), verdict("b", "memory", after=2.0)])
+    assert (decided["verdict"], decided["effects"][0]["name"]) == ("attributed", "memory")
+    assert decided["effects"][0]["tied_with"] == []
+
+
+def test_a_model_that_lacks_nothing_makes_the_lacks_of_others_their_own():
+    assert said(verdict("a", "bending"), verdict("b", word="complete")) == ("complete", [], {"a": ["bending"], "b": []})
+
+
+def test_a_model_without_a_name_neither_bears_out_nor_contradicts():
+    silent = verdict("c", after=9.0)
+    assert said(verdict("a", "drag"), verdict("b", "drag"), silent)[:2] == ("attributed", ["drag"])
+    found = common_document([verdict("a", "drag"), silent])
+    assert (found["verdict"], found["effects"]) == ("unexplained", [])
+    assert "fewer than 2 models have something to say" in found["hint"]
+
+
+def test_the_page_shows_every_model_and_where_its_own_page_is():
+    page = common_html(common_document([verdict("springs", "drag", "bending"), verdict("triangles", "drag")]))
+    for words in ("each of <b>springs, triangles</b> lacks <b>drag</b>", 'href="cells/springs/index.html"',
+                  "drag, bending (bending: a fault of its own)", "5.00 → 1.00 mm"):  # fmt: skip
+        assert words in page

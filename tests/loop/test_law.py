@@ -1,0 +1,145 @@
+"""Forces that nobody declared: told from the balance of torques, without a model, and described by the sparsest law."""
+
+from __future__ import annotations
+
+import json
+from functools import lru_cache
+
+import numpy as np
+import pytest
+
+from clothbench import Observation, Recording, Scene, write_recording
+from clothbench.cli.improve import command
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.improve.balance import motion_of, terms
+from clothbench.studies.improve.described import NUMBERS, Described
+from clothbench.studies.improve.law import Amount, Law, law_of
+
+WIDTH, HEIGHT, DENSITY, NOISE = 0.3, 0.35, 0.18, 1e-3
+NAMED = {term.name: term for term in terms()}
+
+
+def law(**coefficients):
+    """A law by the names of its terms."""
+    return Law(tuple(Amount(NAMED[name], v, v, v) for name, v in coefficients.items()), 0.0, 0.005, 1.0, 0.5, 0.1)
+
+
+def swung(number: int) -> Scene:
+    """A sheet held at its upper corners, which are moved to and fro across it, in each recording another way."""
+    time = np.arange(0.0, 4.0, 1 / 30)
+    rate, size = ((0.6, 0.05), (0.9, 0.04), (1.3, 0.03), (0.8, 0.06), (1.1, 0.035))[number % 5]
+    clock = np.linspace(0.0, 4.0, 601)
+    held = np.array([[0.0, 0.0, 0.0], [WIDTH, 0.0, 0.0]])
+    ramp = np.minimum(clock / 0.5, 1.0)
+    away = size * ramp * np.sin(2 * np.pi * rate * clock + number)
+    path = held + np.stack([0.3 * away, away, 0 * away], axis=1)[:, None]
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, WIDTH, 9), np.linspace(0, HEIGHT, 9)))
+    return Scene(WIDTH, HEIGHT, DENSITY, clock, held[:, [0, 2]], path, time, np.stack([u, v], axis=1),
+                 resolution=(13, 15))  # fmt: skip
+
+
+@lru_cache
+def simulated(number: int, planted: tuple[tuple[str, float], ...], effect: str = "") -> tuple[Scene, np.ndarray]:
+    """Positions (T, N, 3) m of one recording, damped, with a law or an effect planted, without noise."""
+    scene, model = swung(number), catalogue().make("models", "mass_spring")
+    truth = {"k1": 200.0, "k2": 2.0, "zeta": 0.05, "linear_drag.coefficient": 0.1}
+    effects = [catalogue().make("effects", "linear_drag")]
+    if planted and not effect:
+        described = Described(law(**dict(planted)))
+        effects.append(described)
+        names = [name for name, _ in NUMBERS]
+        values = described.held | {names[slot]: value for slot, value in described.start.items()}
+        truth |= {f"described.{name}": value for name, value in values.items()}
+    elif effect:
+        effects.append(catalogue().make("effects", effect))
+        truth |= {f"{effect}.{name}": value for name, value in planted}
+    simulation = model.prepare(scene, effects)
+    theta = [truth.get(p.name, p.default if p.null is None else p.null) for p in simulation.parameters]
+    rollout = simulation.run(np.array([theta]))
+    assert rollout.status == ("ok",)
+    return scene, rollout.position[0]
+
+
+def motions(planted=(), effect="", seed=0, count=5):
+    """What is seen of `count` recordings, with noise."""
+    out, random = [], np.random.default_rng(seed)
+    for number in range(count):
+        scene, position = simulated(number, planted, effect)
+        seen = position + random.normal(0, NOISE, position.shape)
+        visible = random.random(position.shape[:2]) > 0.01
+        observation = Observation(scene.times, np.where(visible[..., None], seen, np.nan), visible, NOISE, scene.points)
+        found = motion_of(observation, scene)
+        assert found is not None
+        out.append(found)
+    return out
+
+
+def test_weight_and_inertia_balance_what_acts_from_outside():
+    """Without any air but what is declared, the torque that is missing is that of the declared damping."""
+    for motion in motions():
+        declared = 0.1 * motion.torque(-motion.v)
+        left = motion.missing - declared
+        assert np.sqrt(np.mean(left**2)) < 0.4 * np.sqrt(np.mean(declared**2))
+
+
+PLANTED = [
+    ("normal velocity to the power 2", (("normal", 1.1),), "quadratic_drag", 0.5 * 1.2 * 1.1),
+    ("normal velocity to the power 1.5", (("normal velocity to the power 1.5", 0.5),), "", 0.5),
+    ("place along y", (("place along y", 6.0),), "", 6.0),
+    ("mass along the lower edge", (("mass along the lower edge", 0.01),), "", 0.01),
+    ("a steady force along y", (("a steady force along y", 0.15),), "", 0.15),
+]
+
+
+@pytest.mark.parametrize(("name", "planted", "effect", "amount"), PLANTED, ids=[p[0] for p in PLANTED])
+def test_a_planted_law_is_found_with_its_amount(name, planted, effect, amount):
+    found = law_of(motions(planted, effect))
+    assert found is not None
+    assert [a.term.name for a in found.amounts] == [name]
+    assert found.amounts[0].value == pytest.approx(amount, rel=0.15)
+    assert found.p_value < 0.05
+    assert found.after < 0.6 * found.before
+
+
+def test_the_past_is_told_from_the_present():
+    """Air that follows late (`air_memory`): neither drag nor added mass says it."""
+    found = law_of(motions((("coefficient", 0.8), ("time", 0.15)), "air_memory"))
+    assert found is not None
+    assert found.amounts[0].term.slot == 5
+    assert 0.1 <= found.amounts[0].term.shape[1] <= 0.25
+    assert found.amounts[0].value == pytest.approx(0.8, rel=0.25)
+
+
+def test_nothing_is_described_where_nothing_is_missing():
+    assert [law_of(motions(seed=seed), seed) for seed in range(20)] == [None] * 20
+
+
+def test_few_recordings_tell_no_law():
+    assert law_of(motions(count=2)) is None
+
+
+@pytest.mark.slow
+def test_what_has_no_name_is_described_put_into_the_model_and_judged(tmp_path):
+    """A force that pulls the sheet back to a plane, which no effect knows: the loop names nothing, and describes it."""
+    planted, random = (("place along y", 8.0),), np.random.default_rng(4)
+    for number in range(6):
+        scene, position = simulated(number, planted)
+        seen = position + random.normal(0, NOISE, position.shape)
+        recording = Recording(
+            name=f"swung-{number}", fabric="made", split="fit" if number < 4 else "held_out", time=scene.times,
+            material=scene.points, position=seen, grip_time=scene.grip_time, grip_material=scene.grip_material,
+            grip_position=scene.grip_position, cloth_width=WIDTH, cloth_height=HEIGHT, areal_density=DENSITY,
+            noise_sigma=NOISE,
+        )  # fmt: skip
+        write_recording(recording, tmp_path / "rec" / f"{recording.name}.nc")
+    words = [f"recordings={tmp_path / 'rec'}", "model=mass_spring", f"out={tmp_path / 'out'}", "resolution=9"]
+    assert command([*words, "candidates=clock_offset,frame_scale", "rerun=false"]) == 0
+    found = json.loads((tmp_path / "out" / "verdict.json").read_text())
+    assert found["verdict"] == "unexplained"
+    described = found["description"]
+    assert [term["term"] for term in described["terms"]] == ["place along y"]
+    assert described["terms"][0]["value"] == pytest.approx(8.0, rel=0.2)
+    error = described["error_mm"]["held_out"]
+    assert error["before"] == pytest.approx(found["error_mm"]["held_out"]["before"])
+    assert error["after"] < 0.6 * error["before"]
+    assert described["formula"] in (tmp_path / "out" / "index.html").read_text()

@@ -1,0 +1,93 @@
+"""What a coarse mesh has to do with the residual: halved cells, carried on to the limit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from clothbench.core.parameters import Parameter, ParameterSpace
+from clothbench.studies.improve import refinement
+from clothbench.studies.improve.account import Account
+from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.refinement import corrected, discretisation_error, refinements
+
+SPACE = ParameterSpace((Parameter("stiffness", "k", "N/m", (0.0, 1.0), "linear", 0.5, "of the model", "made up"),))
+OTHERWISE = [np.array([[2.0], [1.0], [0.0]]), np.array([[0.0], [1.0], [0.0]])]  # what it does: nothing like the pattern
+PATTERN = np.array([[1.0, -2.0, 0.5], [0.3, 0.0, 1.0]])  # of the mesh's error in two recordings [m]
+
+
+@dataclass(frozen=True)
+class Meshed:
+    """A problem whose residuals are `left` plus an error that falls with the square (or another power) of the cell."""
+
+    left: float
+    order: float = 2.0
+    cell: float = 1.0
+    halvings: int = 0
+    corrections: dict | None = None
+    seed: int = 0
+
+    def uncorrected(self):
+        return Meshed(self.left, self.order, self.cell, self.halvings)
+
+    def refined(self):
+        return Meshed(self.left, self.order, self.cell / 2)
+
+    def space(self, names):
+        return SPACE
+
+    def of_split(self, split):
+        return [SimpleNamespace(name=name) for name in ("first", "second")]
+
+    def trials(self, names, split):
+        return [self._trial(name, row) for name, row in zip(("first", "second"), PATTERN, strict=True)]
+
+    def _trial(self, name, row):
+        found = (self.left + row * self.cell**self.order)[None]
+        if self.corrections:
+            found = found + self.corrections[name]
+        run = SimpleNamespace(run=lambda theta: None)
+        return SimpleNamespace(observation=None, simulation=run, metric=lambda *_: SimpleNamespace(residual=found))
+
+
+def fit_of(problem, *_):
+    """There is nothing to be fitted: what the problem's mesh leaves."""
+    residual = [t.metric().residual[0] for t in problem.trials((), "fit")]
+    middle = np.full(1, 0.5)
+    return Fitted((), SPACE, middle, residual, OTHERWISE, middle - 0.1, middle + 0.1, 1)
+
+
+@pytest.fixture
+def judged(monkeypatch):
+    """Runs `corrected` on a meshed problem, with that fit in place of a search."""
+    monkeypatch.setattr(refinement, "fit", fit_of)
+    return lambda problem, noise: corrected(problem, fit_of(problem), noise, Account(lambda *_: None))
+
+
+def test_halved_cells_tell_the_error_of_the_mesh_where_it_falls_with_their_square():
+    problem = Meshed(0.1)
+    for error, _ in refinements(problem, fit_of(problem), "fit"):
+        np.testing.assert_allclose(error, -PATTERN, atol=1e-12)
+    steps = [np.linalg.norm(step) for _, step in refinements(problem, fit_of(problem), "fit")]
+    np.testing.assert_allclose(steps, np.linalg.norm(PATTERN) * np.array([1.0, 0.25]))
+
+
+def test_cells_are_halved_until_what_is_open_lies_below_the_noise(judged):
+    once = np.sqrt(np.mean(PATTERN**2)) / 3  # a third of the first step
+    for noise, halvings, mesh in ((1.1 * once, 1, once), (0.9 * once, 2, once / 4), (0.1 * once, 2, once / 4)):
+        problem, after, doubt = judged(Meshed(0.1), noise)
+        assert problem.halvings == halvings
+        assert doubt == pytest.approx(mesh)
+        np.testing.assert_allclose(after.residual, 0.1, atol=1e-12)
+        np.testing.assert_allclose(discretisation_error(problem.uncorrected(), after, "held_out"), -PATTERN, atol=1e-12)
+
+
+def test_a_model_that_does_not_converge_is_not_corrected(judged):
+    """What finer cells change leads away from what was seen: all of it is doubt, and the residual stays."""
+    problem, after, doubt = judged(Meshed(0.1, order=-1.0), 0.01)
+    assert not problem.corrections
+    np.testing.assert_allclose(after.residual, 0.1 + PATTERN)
+    assert doubt > np.sqrt(np.mean(PATTERN**2)) / 3
