@@ -292,3 +292,24 @@ def test_wrong_use_is_one_line_and_exit_2(place, tmp_path, settings, found):
     assert found in only_line(ran.stderr)
     assert ran.stdout == ""
     assert sorted(tmp_path.rglob("*")) == before
+
+
+def test_several_models_are_judged_by_what_they_have_in_common(place):
+    """Both lack the planted clock offset, which is then common; each model's own page lies in its cell."""
+    models = "model=[mass_spring, mass_spring_verlet]"
+    words = ("recordings=rec", models, "resolution=5", "base=", "candidates=clock_offset,gravity_tilt", "out=both")
+    ran = improve(place, *words, "rerun=false")
+    assert ran.returncode == 0, ran.stderr
+    found = json.loads((place / "both" / "verdict.json").read_text())
+    assert [one["name"] for one in found["models"]] == ["mass_spring", "mass_spring_verlet"]
+    assert (found["verdict"], [e["name"] for e in found["effects"]]) == ("attributed", ["clock_offset"])
+    assert set(found) >= KEYS
+    assert "verdict in common: attributed" in ran.stdout
+    page = (place / "both" / "index.html").read_text()
+    for one in found["models"]:
+        assert set(one) >= {"name", "verdict", "effects", "error_mm", "own"}
+        assert f"cells/{one['key']}/index.html" in page
+        assert (place / "both" / "cells" / one["key"] / "index.html").is_file()
+    again = improve(place, *words, "rerun=false")
+    assert again.returncode == 0
+    assert again.stderr.count("kept, these recordings were judged with the same settings before") == 2

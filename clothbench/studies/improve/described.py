@@ -15,7 +15,7 @@ SOURCE = "the balance of torques about the grips (Law)"
 # The numbers that a law may have, in the order of `missing_force`.
 NUMBERS = (
     ("normal", "kg/(m²·s)"), ("power", "N/m² (s/m)^n"), ("exponent", "1"), ("isotropic", "kg/m³"),
-    ("added_mass", "kg/m²"), ("memory", "kg/(m²·s)"), ("time", "s"), ("lower", "kg/(m²·s)"), ("edge_mass", "kg/m"),
+    ("normal_mass", "kg/m²"), ("memory", "kg/(m²·s)"), ("time", "s"), ("lower", "kg/(m²·s)"), ("edge_mass", "kg/m"),
     ("lower_mass", "kg/m²"), ("x", "N/m²"), ("y", "N/m²"), ("z", "N/m²"), ("at_x", "N/m³"), ("at_y", "N/m³"),
     ("at_z", "N/m³"),
 )  # fmt: skip
