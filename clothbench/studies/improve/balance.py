@@ -230,8 +230,8 @@ def terms() -> tuple[Term, ...]:
     return (
         Term("normal velocity", "−k v_n n", "kg/(m²·s)", lambda m: power(m, 1.0), 0),
         *(
-            Term(f"normal velocity to the power {p:g}", f"−k |v_n|^{p - 1:g} v_n n", f"N/m² (s/m)^{p:g}",
-                 partial(power, exponent=p), 1, (2, p))
+            Term(f"normal velocity to the power {p:g}", f"−k |v_n|{'' if p == 2 else f'^{p - 1:g}'} v_n n",
+                 f"N/m² (s/m)^{p:g}", partial(power, exponent=p), 1, (2, p))
             for p in POWERS
         ),
         Term("speed squared", "−k |v| v", "kg/m³", lambda m: -np.linalg.norm(m.v, axis=2, keepdims=True) * m.v, 3),

@@ -57,13 +57,6 @@ class Law:
             parts.append(("−" if negative else "+" if parts else "") + (" " if parts else "") + body)
         return "f = " + " ".join(parts)
 
-    @property
-    def sentence(self) -> str:
-        """ "normal velocity to the power 2: 0.64 kg/m³ (0.6 … 0.7)", a clause for each term."""
-        return ", ".join(
-            f"{a.term.name}: {a.value:.3g} {a.term.unit} ({a.low:.3g} … {a.high:.3g})" for a in self.amounts
-        )
-
 
 @dataclass(frozen=True, eq=False)
 class Series:
