@@ -79,7 +79,7 @@ def motions(kind: str, seed: int) -> list[Motion]:
         seen = position + random.normal(0, NOISE, position.shape)
         visible = random.random(position.shape[:2]) > UNSEEN
         observation = Observation(scene.times, np.where(visible[..., None], seen, np.nan), visible, NOISE, scene.points)
-        if (motion := motion_of(observation, scene)) is not None and np.isfinite(position).all():
+        if (motion := motion_of(observation, scene, NOISE)) is not None and np.isfinite(position).all():
             out.append(motion)
     return out
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
@@ -68,7 +69,7 @@ def motions(planted=(), effect="", seed=0, count=5):
         seen = position + random.normal(0, NOISE, position.shape)
         visible = random.random(position.shape[:2]) > 0.01
         observation = Observation(scene.times, np.where(visible[..., None], seen, np.nan), visible, NOISE, scene.points)
-        found = motion_of(observation, scene)
+        found = motion_of(observation, scene, NOISE)
         assert found is not None
         out.append(found)
     return out
@@ -112,6 +113,24 @@ def test_the_past_is_told_from_the_present():
 
 def test_nothing_is_described_where_nothing_is_missing():
     assert [law_of(motions(seed=seed), seed) for seed in range(20)] == [None] * 20
+
+
+def test_a_balance_needs_a_line_of_grips_and_most_of_the_sheet():
+    scene, position = simulated(0, ())
+    visible = np.ones(position.shape[:2], dtype=bool)
+    seen = Observation(scene.times, position, visible, NOISE, scene.points)
+    assert motion_of(seen, scene, NOISE) is not None
+    single = replace(scene, grip_material=scene.grip_material[:1], grip_position=scene.grip_position[:, :1])
+    assert motion_of(seen, single, NOISE) is None
+    third = np.array([[0.5 * WIDTH, 0.5 * HEIGHT]]), scene.grip_position[:, :1] + [0.5 * WIDTH, 0.0, -0.2]
+    beside = replace(scene, grip_material=np.concatenate([scene.grip_material, third[0]]),
+                     grip_position=np.concatenate([scene.grip_position, third[1]], axis=1))  # fmt: skip
+    assert motion_of(seen, beside, NOISE) is None
+    visible[:, scene.points[:, 1] > 0.8 * HEIGHT] = False
+    assert motion_of(replace(seen, visible=visible), scene, NOISE) is None
+    row = scene.points[:, 1] == 0.0
+    line = Observation(scene.times, position[:, row], visible[:, row], NOISE, scene.points[row])
+    assert motion_of(line, scene, NOISE) is None
 
 
 def test_few_recordings_tell_no_law():

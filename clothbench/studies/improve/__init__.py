@@ -10,8 +10,8 @@ loop (`loop`, `state`) goes through its stages, a file for each, to a frozen `fi
 5. `rounds`: the best are fitted in earnest (`refits`, with `jumps` along valleys and fits of `constrained` parameters),
    `selection` names one or two that are tied, `profile` gives their amounts intervals by profile likelihood;
 6. `held_out`: the one look at the recordings held out, and the placebo; `verdict`: a word and a hint;
-7. `description`, where nothing has a name: the torque about the grips without any model (`balance`), the sparsest law that
-   predicts it (`law`), and that law as an effect (`described`), fitted and judged like one.
+7. `description`, where nothing has a name: the torque about the grips without any model (`balance`), the sparsest law
+   that predicts it (`law`), and that law as an effect (`described`), fitted and judged like one.
 
 Recordings come in as evidence with a unit (`evidence`), of three kinds: `sheets` (with `sheet_tables`), `curves` (with
 `curve_steps`) and `drapes` (with `drape_quantities`); the stages know none of them. What is written is made from the

@@ -21,6 +21,7 @@ from clothbench.core.scene import Scene
 
 SMOOTHED = 0.3  # s, over which positions are taken for a parabola to get velocity and acceleration
 LEAST_FRAMES = 20  # that are left of a recording
+LEAST_COVERED = 0.9  # of the sheet, that lies between nodes seen in all frames but for short gaps
 LONGEST_GAP = 3  # frames, that a node which was not seen is carried over
 STRAIGHT = 0.02  # of the length of the line of the grips, by which one may lie beside it
 ORDER = 4
@@ -85,9 +86,10 @@ class Motion:
         return np.einsum("tnc,tnc->tn", self.v, self.normal)
 
 
-def motion_of(observation: Observation, scene: Scene) -> Motion | None:
+def motion_of(observation: Observation, scene: Scene, noise: float) -> Motion | None:
     """The motion between the first and the last smoothed frame; None where the balance says nothing: grips on no line,
-    frames that are too few or uneven, nodes in a picture, other contacts.
+    frames that are too few or uneven, nodes in a picture or on too little of the sheet, other contacts. noise: m, σ of
+    a coordinate.
     """
     time = observation.time
     if observation.sight is not None or scene.obstacles or len(time) < LEAST_FRAMES or scene.outline is not None:
@@ -99,18 +101,20 @@ def motion_of(observation: Observation, scene: Scene) -> Motion | None:
     seen = carried_over(seen)
     whole = np.asarray(np.isfinite(seen).all(axis=(0, 2)))
     window = window_of(step)
-    if whole.sum() < max(6, 0.5 * len(whole)) or len(time) < LEAST_FRAMES + window:
-        return None
     seen, material = seen[:, whole], observation.material[whole]
+    if len(time) < LEAST_FRAMES + window or len(material) < 3 or np.linalg.matrix_rank(material - material[0]) < 2:
+        return None
+    triangles = oriented(material, Delaunay(material).simplices)
+    if signed_area(material, triangles).sum() < LEAST_COVERED * scene.width * scene.height:
+        return None
     inside = slice(window // 2, len(time) - window // 2)
     x, v, a = (savgol_filter(seen, window, ORDER, deriv=d, delta=step, axis=0)[inside] for d in range(3))
     middle, direction = (each[inside] for each in line)
-    triangles = Delaunay(material).simplices
     return Motion(
-        time=time[inside], x=x, v=v, a=a, normal=normals(x, oriented(material, triangles)),
+        time=time[inside], x=x, v=v, a=a, normal=normals(x, triangles),
         lever=np.cross(direction[:, None], x - middle[:, None]), area=shares(material, triangles, scene),
         along=material / [scene.width, scene.height], width=scene.width, density=scene.areal_density,
-        gravity=np.array(scene.gravity), noise=observation.sigma,
+        gravity=np.array(scene.gravity), noise=noise,
     )  # fmt: skip
 
 
@@ -175,7 +179,7 @@ def normals(x: np.ndarray, triangles: np.ndarray) -> np.ndarray:
 
 def shares(material: np.ndarray, triangles: np.ndarray, scene: Scene) -> np.ndarray:
     """(N,) m²: a third of each triangle that a node is a corner of, together the whole sheet."""
-    area, out = np.abs(signed_area(material, triangles)), np.zeros(len(material))
+    area, out = signed_area(material, triangles), np.zeros(len(material))
     for k in range(3):
         np.add.at(out, triangles[:, k], area / 3)
     return out * scene.width * scene.height / out.sum()

@@ -158,7 +158,7 @@ class SheetEvidence:
         return ""
 
     def law(self, seed: int) -> Law | None:
-        motions = [motion_of(case.observation, case.scene) for case in self._fitted()]
+        motions = [motion_of(case.observation, case.scene, noise_of(case.observation)) for case in self._fitted()]
         return law_of([m for m in motions if m is not None], seed)
 
     def location(self, residual: Sequence[np.ndarray]) -> str:
