@@ -22,22 +22,25 @@ def corrected(problem: Problem, fitted: Fitted, noise: float, account: Account) 
     """The problem with the mesh's error near this fit taken away, the fit again, and what the mesh may still be wrong
     by (rms, base unit); all as they are, and 0, where nothing is discretised.
 
-    Cells are halved until that lies below the noise, `LOOP.halvings` times at most, and not again where halving leads
+    Cells are halved until that lies below the noise, `LOOP.halvings` times at most, and no further where that leads
     away from what was seen.
     """
     account.stage(STAGE, 0, LOOP.halvings)
-    plain, mesh = problem.uncorrected(), 0.0
-    changes, converges = [0 * r for r in fitted.residual], True
+    plain, mesh = dataclasses.replace(problem.uncorrected(), halvings=0), 0.0
+    changes = nothing = [0 * r for r in fitted.residual]
     for halvings, (error, step) in enumerate(refinements(plain, beside_fit(problem, fitted), "fit"), 1):
         account.stage(STAGE, halvings, LOOP.halvings)
-        plain, changes, mesh = dataclasses.replace(plain, halvings=halvings), error, numerical_doubt(fitted, step)
-        # Where what a finer mesh changes is no step towards what was seen, the model does not converge to it, and all
-        # of the change is doubt.
-        if not (converges := unexplained_with(fitted, error) < unexplained_with(fitted, [0 * c for c in error])):
-            mesh *= 2
-        if mesh <= noise or not converges:
+        doubt = numerical_doubt(fitted, step)
+        if unexplained_with(fitted, error) >= unexplained_with(fitted, nothing):
+            # What a finer mesh changes is no step towards what was seen: the model does not converge to it. Where the
+            # first halving shows that, all of the change is doubt; else what was known before stands.
+            if halvings == 1:
+                return plain, with_discrepancy(fitted, error, noise), 2 * doubt
             break
-    if not plain.halvings or not converges:
+        plain, changes, mesh = dataclasses.replace(plain, halvings=halvings), error, doubt
+        if mesh <= noise:
+            break
+    if not plain.halvings:
         return plain, with_discrepancy(fitted, changes, noise), mesh
     names = [case.name for case in problem.of_split("fit")]
     problem = dataclasses.replace(plain, corrections=dict(zip(names, changes, strict=True)))
