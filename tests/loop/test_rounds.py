@@ -79,7 +79,7 @@ def test_an_effect_with_several_shape_parameters_is_sought_in_other_valleys(monk
         rms = 1e-3 if start[2] > 0 else 4e-3
         return Fitted(("wind",), space, start, [np.full(9, rms)] * 2, [np.ones((9, len(space)))] * 2, start, start, 10)
 
-    def fit(problem, names, start, rounds, goal):
+    def fit(problem, names, start, rounds, goal, unless):
         goals.append(goal)
         return ended(start)
 

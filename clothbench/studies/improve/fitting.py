@@ -30,14 +30,18 @@ def fit(
     rounds: int,
     goal: float = np.inf,
     account: Account | None = None,
+    unless: Fitted | None = None,
 ) -> Fitted:
     """Least squares from the best of `start` (S, P) or (P,), or from the defaults and a spread of others if None; ended
     after so many `rounds`, if it does not end before; and once it is plain that its mean square will stay above `goal`.
 
-    account: is told how far the search is, as the stage that runs.
+    account: is told how far the search is, as the stage that runs; unless: a fit of the same effects, which is returned
+    with this search's evaluations if the search comes to nothing better: what is not kept needs no Jacobian.
     """
     settings = search_settings(problem, start is None)
-    key = problem.key("fitted", names, None if start is None else np.asarray(start).tolist(), rounds, goal, settings)
+    origin = None if start is None else np.asarray(start).tolist()
+    limit = None if unless is None else unless.rms
+    key = problem.key("fitted", names, origin, rounds, goal, settings, limit)
     trials = problem.trials(names, "fit")
     space = problem.bounded(trials[0].simulation.parameters)
     known = problem.checkpoint.recall(key)
@@ -50,12 +54,16 @@ def fit(
         )
         given_up = partial(cannot_reach, goal, planned_evaluations(space, 1), budget)
         tell = None if account is None else lambda count: account.stage(account.now, min(count, planned), planned)
-        theta, count = search(trials, optimizer, begin, tell, given_up)
-        residual, jacobian, spent = finite_differences(trials, space, theta, problem.evidence.search.difference)
-        known = {"theta": theta, "count": np.array(count + spent)}
-        known |= {f"residual-{k}": r for k, r in enumerate(residual)}
-        known |= {f"jacobian-{k}": j for k, j in enumerate(jacobian)}
+        theta, square, count = search(trials, optimizer, begin, tell, given_up)
+        known = {"theta": theta, "square": np.array(square), "count": np.array(count)}
+        if unless is None or square < unless.rms**2:
+            residual, jacobian, spent = finite_differences(trials, space, theta, problem.evidence.search.difference)
+            known["count"] += spent
+            known |= {f"residual-{k}": r for k, r in enumerate(residual)}
+            known |= {f"jacobian-{k}": j for k, j in enumerate(jacobian)}
         problem.checkpoint.keep(key, **known)
+    if unless is not None and not known["square"] < unless.rms**2:
+        return dataclasses.replace(unless, evaluations=int(known["count"]))
     theta = known["theta"]
     residual, jacobian = ([known[f"{what}-{k}"] for k in range(len(trials))] for what in ("residual", "jacobian"))
     low, high = jackknife_interval(space, theta, residual, jacobian)
@@ -88,7 +96,7 @@ def better_of(
     """The better of a fit that is known and one more of the same effects from `start` (P,); and how many sets the
     latter took.
     """
-    again = fit(problem, known.effects, start, rounds, goal=goal)
+    again = fit(problem, known.effects, start, rounds, goal=goal, unless=known)
     return min(known, again, key=lambda f: f.rms), again.evaluations
 
 
@@ -147,8 +155,10 @@ def search(
     space: ParameterSpace,
     tell: Callable[[int], None] | None = None,
     given_up: Callable[[Trace], bool] = lambda trace: False,
-) -> tuple[np.ndarray, int]:
-    """The best point that the optimizer comes to (P,), and how many it asked for; `tell` hears that number."""
+) -> tuple[np.ndarray, float, int]:
+    """The best point that the optimizer comes to (P,), its mean square, and how many points were asked for; `tell`
+    hears that number.
+    """
     theta, value, count = space.defaults, np.inf, 0
     trace: Trace = []
     for asked, evaluation in drive(optimizer, lambda theta: evaluate(trials, theta)[0]):
@@ -163,7 +173,7 @@ def search(
             tell(count)
         if given_up(trace):
             break
-    return theta, count
+    return theta, value, count
 
 
 def best_start(trials: list[Trial], space: ParameterSpace, starts: np.ndarray) -> np.ndarray:

@@ -21,11 +21,11 @@ class LeastSquares(GeneratorSearch):
     to walk, one after the other; difference: step of the forward differences, in units of the scaled range, long enough
     to look over the ripples that folding cloth leaves in the error; tolerance: relative gain in the sum of squares
     below which two rounds in a row end a walk. Each round simulates the Jacobian's points as one batch, where the
-    last one got anywhere, then four dampings as another.
+    last one gained more than that, then four dampings as another.
     """
 
     name = "least_squares"
-    version = 2
+    version = 3
     needs_residual = True
 
     def __init__(
@@ -65,7 +65,7 @@ class LeastSquares(GeneratorSearch):
             gain = (cost_here - cost[best]) / max(cost_here, np.finfo(float).tiny)
             if gain > 0:
                 here, residual, cost_here, damping = trials[best], evaluation.residual[best], cost[best], used[best]
-                jacobian = None
+                jacobian = None if gain >= self.tolerance else jacobian
             else:
                 damping *= DAMPINGS[-1]
             idle = idle + 1 if gain < self.tolerance else 0
