@@ -75,6 +75,7 @@ _HOME = {
     "ShiftsTimes": "core.optional",
     "ShowsSteps": "core.optional",
     "Stiffens": "core.optional",
+    "VariesByRecording": "core.optional",
     "takes_option": "core.optional",
     "FoldState": "core.folding",
     "for_each": "core.parallel",

@@ -4,7 +4,9 @@ Every case is a piece of cloth that the reference simulation beside this file mo
 than any model's, explicit steps, noise, dropouts), with something in it that its recordings do not say. `clothbench
 improve` sees the recordings only; its verdict is then held against what was planted. Cases 0–5 hold nothing beyond
 elasticity, gravity and damping; 6–25 one effect each out of ten, drawn by the case's number; 26–27 two at once; 28–31
-something that no effect of the library describes.
+something that no effect of the library describes; 32–39 one effect whose amounts are other ones in each recording;
+40–51 two or three effects at once; 52–63 are judged with other models than springs: nothing, one effect, two, and
+something that has no name.
 """
 
 from __future__ import annotations
@@ -28,6 +30,7 @@ from clothbench.reference.simulation import Fabric, State, bowed, discretise, se
 NOISE, GRIP_NOISE, DROPOUT = 1e-3, 1e-4, 0.01
 HEIGHT, RATE = 1.0, 30.0  # m, Hz
 NONE, ONE, TWO, UNKNOWN = range(6), range(6, 26), range(26, 28), range(28, 32)
+VARYING, SEVERAL, OTHER_MODELS = range(32, 40), range(40, 52), range(52, 64)
 RESULTS = Path(__file__).resolve().parent.parent / "results" / "blind_test.json"
 
 
@@ -60,7 +63,10 @@ class World:
     clock: Callable[[np.ndarray], np.ndarray] = lambda time: time  # when the cloth was as a stamp shows it
     seen: Callable[[np.ndarray, np.ndarray], np.ndarray] = lambda time, position: position
     planted: dict[str, dict[str, float]] = field(default_factory=dict)
+    anew: list[Callable[[World, np.random.Generator], object]] = field(default_factory=list)  # before each recording
 
+
+Plants = Sequence[Callable[[World, np.random.Generator], dict[str, float]]]
 
 # --- what can be planted: each changes the world and notes what it did -----------------------------------------------
 
@@ -163,6 +169,40 @@ def frame_scale(world: World, random: np.random.Generator) -> dict[str, float]:
     return {"ratio": ratio}
 
 
+# The same with amounts of its own in each recording: only the name is noted.
+
+
+def each_clock(world: World, random: np.random.Generator) -> dict[str, float]:
+    def started(world: World, random: np.random.Generator) -> None:
+        delay = random.uniform(-0.06, 0.06)
+        world.clock = lambda time: time - delay
+
+    world.anew.append(started)
+    return {}
+
+
+def each_slip(world: World, random: np.random.Generator) -> dict[str, float]:
+    """The cloth slips in two runs out of three, each time at another moment."""
+
+    def gripped(world: World, random: np.random.Generator) -> None:
+        world.grips = lambda time, position: position
+        if random.random() < 2 / 3:
+            grip_slip(world, random)
+
+    world.anew.append(gripped)
+    return {}
+
+
+def each_frame(world: World, random: np.random.Generator) -> dict[str, float]:
+    world.anew.append(frame_rotation)
+    return {}
+
+
+def each_grip(world: World, random: np.random.Generator) -> dict[str, float]:
+    world.anew.append(grip_offset)
+    return {}
+
+
 # Nothing of this is in the library.
 
 
@@ -195,9 +235,23 @@ EFFECTS = (
     grip_slip, frame_scale,
 )  # fmt: skip
 NOT_IN_LIBRARY = (drifting_clock, swaying_camera, stiff_seam, wet_half)
+EACH = {each_clock: clock_offset, each_slip: grip_slip, each_frame: frame_rotation, each_grip: grip_offset}
+AT_ONCE = (
+    (heavy_hem, frame_rotation), (steady_wind, clock_offset), (gravity_tilt, frame_scale), (point_mass, clock_offset),
+    (quadratic_drag, grip_offset), (grip_slip, heavy_hem), (quadratic_drag, heavy_hem), (steady_wind, frame_scale),
+    (heavy_hem, clock_offset, frame_scale), (quadratic_drag, clock_offset, frame_rotation),
+    (point_mass, grip_offset, frame_scale), (steady_wind, heavy_hem, clock_offset),
+)  # fmt: skip
+BY_OTHERS: tuple[tuple[str, Plants], ...] = (
+    ("baraff_witkin", ()), ("baraff_witkin", (quadratic_drag,)), ("baraff_witkin", (heavy_hem,)),
+    ("baraff_witkin", (clock_offset,)), ("baraff_witkin", (heavy_hem, clock_offset)), ("baraff_witkin", (wet_half,)),
+    ("inextensible", ()), ("inextensible", (steady_wind,)), ("inextensible", (grip_offset,)),
+    ("[mass_spring,baraff_witkin]", ()), ("[mass_spring,baraff_witkin]", (steady_wind,)),
+    ("[mass_spring,baraff_witkin]", (frame_scale,)),
+)  # fmt: skip
 
 
-def drawn(case: int) -> Sequence[Callable[[World, np.random.Generator], dict[str, float]]]:
+def drawn(case: int) -> Plants:
     """What a case holds: each of the ten effects comes twice among the twenty, in an order of its own."""
     if case in ONE:
         order = np.random.default_rng(20).permutation(2 * len(EFFECTS))
@@ -205,6 +259,12 @@ def drawn(case: int) -> Sequence[Callable[[World, np.random.Generator], dict[str
     if case in TWO:
         pairs = ((clock_offset, heavy_hem), (quadratic_drag, frame_scale))
         return pairs[case - TWO[0]]
+    if case in VARYING:
+        return [list(EACH)[(case - VARYING[0]) % len(EACH)]]
+    if case in SEVERAL:
+        return AT_ONCE[case - SEVERAL[0]]
+    if case in OTHER_MODELS:
+        return BY_OTHERS[case - OTHER_MODELS[0]][1]
     return [NOT_IN_LIBRARY[case - UNKNOWN[0]]] if case in UNKNOWN else []
 
 
@@ -222,7 +282,7 @@ def make(case: int, folder: Path, size: Size = FULL) -> dict[str, dict[str, floa
     )  # fmt: skip
     world = World(fabric, side, side * random.uniform(0.85, 1.15))
     for plant in drawn(case):
-        world.planted[plant.__name__] = plant(world, random)
+        world.planted[EACH.get(plant, plant).__name__] = plant(world, random)
     rows = 2 * round(1.155 * size.cells * world.height / world.width / 2)
     mesh = build(world.width, world.height, size.cells, rows)
     sheet = discretise(world.fabric, mesh, tuple(world.gravity))._replace(wind=world.wind)
@@ -240,6 +300,9 @@ def make(case: int, folder: Path, size: Size = FULL) -> dict[str, dict[str, floa
     )
     hung.settle(mesh)
     for number, split in enumerate(size.split):
+        for happens in world.anew:
+            happens(world, random)
+            hung.settle(mesh)
         record = measured(hung, f"{fabric.name}/rec-{number + 1:02d}", split, size.seconds, random)
         write_recording(record, folder / f"rec-{number + 1:02d}.nc")
     return world.planted
@@ -346,7 +409,7 @@ def judged(planted: dict[str, dict[str, float]], found: dict) -> dict[str, objec
 
 def run(case: int, folder: Path, model: str, size: Size = FULL) -> dict[str, object]:
     """Make one case, let the installed command loose on it, and judge what it says."""
-    recordings, out = folder / f"case-{case:02d}", folder / f"verdict-{case:02d}-{model}"
+    recordings, out = folder / f"case-{case:02d}", folder / f"verdict-{case:02d}-{model.strip('[]').replace(',', '-')}"
     planted_file = folder / f"case-{case:02d}.json"
     if not planted_file.is_file():
         planted_file.write_text(json.dumps(make(case, recordings, size)))
@@ -357,6 +420,11 @@ def run(case: int, folder: Path, model: str, size: Size = FULL) -> dict[str, obj
     if done.returncode:
         raise SystemExit(f"case {case}: {done.stderr.strip().splitlines()[-1]}")
     return {"case": case, "model": model} | judged(planted, json.loads((out / "verdict.json").read_text()))
+
+
+def judge_of(case: int) -> str:
+    """The model that a case is judged with; several at once in brackets."""
+    return BY_OTHERS[case - OTHER_MODELS[0]][0] if case in OTHER_MODELS else "mass_spring"
 
 
 def mm(error: float | None) -> str:
@@ -391,17 +459,19 @@ def keep(rows: Sequence[dict]) -> None:
     """The rows for programs, and a table for people beside them."""
     RESULTS.write_text(json.dumps({"summary": summary(rows), "cases": rows}, indent=1, ensure_ascii=False) + "\n")
     lines = [
-        f"`python tools/blind_test.py --out FOLDER --keep`, model `{rows[0]['model']}`: {summary(rows)}.\n",
+        "`python tools/blind_test.py --out FOLDER --keep`, judged with springs where nothing else is said: "
+        f"{summary(rows)}.\n",
         "| case | planted | verdict | named | held out: before | after | floor | p | amounts inside | time |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
     for row in rows:
+        by = "" if row["model"] == judge_of(0) else f", judged with {row['model'].strip('[]').replace(',', ' and ')}"
         planted = " and ".join(
             name + (f" ({', '.join(f'{key} {value:.3g}' for key, value in amounts.items())})" if amounts else "")
             for name, amounts in row["planted"].items()
         )
         cells = [
-            str(row["case"]), planted or "nothing", row["verdict"] + ("" if row["right"] else " (wrong)"),
+            str(row["case"]), (planted or "nothing") + by, row["verdict"] + ("" if row["right"] else " (wrong)"),
             "; ".join(" or ".join(group) for group in row["named"]),
             *(f"{mm(error)} mm" for error in (*row["held_out_mm"], row["floor_mm"])),
             "" if row["p_value"] is None else f"{row['p_value']:.3g}",
@@ -422,16 +492,16 @@ def main() -> None:
     parser.add_argument(
         "--out", type=Path, required=True, help="folder for recordings and verdicts; kept, so resumable"
     )
-    parser.add_argument("--cases", default=f"0-{UNKNOWN[-1]}", help="FIRST-LAST or N, several of them with commas")
-    parser.add_argument("--model", default="mass_spring")
+    parser.add_argument("--cases", default=f"0-{OTHER_MODELS[-1]}", help="FIRST-LAST or N, several of them with commas")
+    parser.add_argument("--model", help="in place of what a case is judged with: springs, or as it says itself")
     parser.add_argument("--keep", action="store_true", help=f"write the table to results/{RESULTS.stem}")
     options = parser.parse_args()
-    if options.keep and numbers(options.cases) != list(range(UNKNOWN[-1] + 1)):
+    if options.keep and numbers(options.cases) != list(range(OTHER_MODELS[-1] + 1)):
         parser.error("the table that is kept is of all cases; leave out --cases or --keep")
     options.out.mkdir(parents=True, exist_ok=True)
     rows = []
     for case in numbers(options.cases):
-        rows.append(run(case, options.out, options.model))
+        rows.append(run(case, options.out, options.model or judge_of(case)))
         print(line(rows[-1]), flush=True)
     print(summary(rows))
     if options.keep:

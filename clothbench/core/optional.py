@@ -253,6 +253,15 @@ class SaysNormals(Protocol):
 
 
 @runtime_checkable
+class VariesByRecording(Protocol):
+    """by_recording: names of its parameters that may well differ from one recording to the next, since each time
+    something is set up, gripped or started anew. Without it: what is true of one recording is true of all.
+    """
+
+    by_recording: tuple[str, ...]
+
+
+@runtime_checkable
 class ShiftsTimes(Protocol):
     """A sensor effect that shifts when the simulation is looked at. One without it and `positions` does nothing."""
 
@@ -277,6 +286,11 @@ class ShiftsSight(Protocol):
     def sights(self, time: np.ndarray, position: np.ndarray, camera: Camera, phi: np.ndarray) -> np.ndarray:
         """Where the camera takes points, truly at position (T, N, 3) m, to be at the stamps (T,) s."""
         ...
+
+
+def varying_of(effect: Any) -> tuple[str, ...]:
+    """Names of an effect's parameters that may differ from recording to recording, () if none may."""
+    return tuple(effect.by_recording) if isinstance(effect, VariesByRecording) else ()
 
 
 def reads_normals(effect: Any) -> bool:

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.optional import Remembers, SaysNormals, Stiffens
+from clothbench.core.optional import Remembers, SaysNormals, Stiffens, varying_of
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Model
 from clothbench.modelling.bound_effects import PLACES
@@ -51,6 +51,8 @@ def keeps_what_it_offers(case: EffectCase) -> None:
             require(fine, f"a stiffness of {added.tolist()}", "two numbers, N/m and N·m, 0 or above")
     if isinstance(effect, SaysNormals):
         require(isinstance(effect.normals, bool), f"normals {effect.normals!r}", "True or False")
+    unknown = [name for name in varying_of(effect) if name not in effect.parameters.names]
+    require(not unknown, f"by_recording with {', '.join(map(repr, unknown))}", "names of its own parameters")
 
 
 def has_all_members(case: EffectCase) -> None:

@@ -1,6 +1,6 @@
 """The blind test in small: `clothbench improve` beside cloth that the reference simulation moves.
 
-All of it (32 cases of full size, hours): `python tools/blind_test.py --out FOLDER --keep`.
+All of it (64 cases of full size, hours): `python tools/blind_test.py --out FOLDER --keep`.
 """
 
 import blind_test

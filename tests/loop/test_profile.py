@@ -171,7 +171,8 @@ def rippled(theta):
 def test_a_search_that_stopped_in_a_ripple_jumps_along_the_valley(monkeypatch, law, end):
     monkeypatch.setattr(constrained, "evaluate", simulated_by(law))
     monkeypatch.setattr(
-        "clothbench.studies.improve.fitting.fit", lambda problem, effects, theta, rounds, goal, unless: fitted(law, HEM, theta)
+        "clothbench.studies.improve.fitting.fit",
+        lambda problem, effects, theta, rounds, goal, unless: fitted(law, HEM, theta),
     )
     before = fitted(law, HEM, START)
     after, count = jumps.jump_along_valley(OneParameterBase(), before)

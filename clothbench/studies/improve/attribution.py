@@ -21,6 +21,8 @@ from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.problem import Problem, array_digest, residuals
 from clothbench.studies.improve.settings import LOOP
 
+Setting = tuple[np.ndarray, tuple[int, ...], np.ndarray]  # an effect's phi, numbers of its amounts, their steps
+
 
 @dataclass(frozen=True, eq=False)
 class Probe:
@@ -42,9 +44,7 @@ class Probe:
     columns: list[np.ndarray]
 
 
-def shape_settings(
-    space: ParameterSpace, seed: int, duration: float = np.inf
-) -> Iterator[tuple[np.ndarray, tuple[int, ...], np.ndarray]]:
+def shape_settings(space: ParameterSpace, seed: int, duration: float = np.inf) -> Iterator[Setting]:
     """(phi with amounts at null, numbers of the amounts, their steps) for each setting of an effect's shape parameters:
     default amounts at the default setting, large ones at it and at all others.
 
@@ -87,13 +87,8 @@ def probe_candidate(problem: Problem, fitted: Fitted, name: str) -> tuple[list[P
     a tangent. In return, what is small may drown in the ripples of wrinkling cloth.
     """
     space = problem.space_of(name)
-    duration = max(case.duration for case in problem.of_split("fit"))
-    settings = list(shape_settings(space, problem.seed, duration))
-    rows = [(phi, i, step) for phi, amounts, steps in settings for i, step in zip(amounts, steps, strict=True)]
-    still = np.zeros(len(fitted.theta))
-    alone = response(problem, fitted, name, np.array([with_effect(fitted, still, *row) for row in rows]))
-    count, evaluations = len(settings[0][1]), len(rows)
-    tangent = [[c[k * count : (k + 1) * count] for c in alone] for k in range(len(settings))]
+    settings, tangent = tangents(problem, fitted, name)
+    evaluations = sum(len(amounts) for _, amounts, _ in settings)
     chosen = sorted(range(len(settings)), key=lambda k: -explained_share(fitted, tangent[k]))
     out = []
     for k in chosen[: LOOP.exchanged_settings if len(settings) > 2 + LOOP.shape_settings else 1]:
@@ -108,6 +103,19 @@ def probe_candidate(problem: Problem, fitted: Fitted, name: str) -> tuple[list[P
             if all(np.isfinite(c).all() for c in columns):
                 out.append(Probe(name, phi, amounts, used, shift, [c.T for c in columns]))
     return out, evaluations
+
+
+def tangents(problem: Problem, fitted: Fitted, name: str) -> tuple[list[Setting], list[list[np.ndarray]]]:
+    """The settings of an effect's shape, and at each what its amounts alone change of the rollout, (k, M) for each fit
+    recording.
+    """
+    duration = max(case.duration for case in problem.of_split("fit"))
+    settings = list(shape_settings(problem.space_of(name), problem.seed, duration))
+    rows = [(phi, i, step) for phi, amounts, steps in settings for i, step in zip(amounts, steps, strict=True)]
+    still = np.zeros(len(fitted.theta))
+    alone = response(problem, fitted, name, np.array([with_effect(fitted, still, *row) for row in rows]))
+    count = len(settings[0][1])
+    return settings, [[c[k * count : (k + 1) * count] for c in alone] for k in range(len(settings))]
 
 
 def explained_share(fitted: Fitted, change: list[np.ndarray]) -> float:

@@ -77,6 +77,10 @@ class CurveCase:
         """Forces (M,) N."""
         return rollout.force[0]
 
+    def moved(self, way: float, speed: float) -> None:
+        """Nothing moves it."""
+        return None
+
     def surrogates(self, residual: np.ndarray) -> Surrogate:
         """Moved round a circle of the curve and its reverse, and turned over or not."""
         count = len(residual)

@@ -128,7 +128,8 @@ def effect_entries(finding: Finding) -> list[dict[str, Any]]:
     """What was named in each round, with its amounts as the last fit has them."""
     if not finding.final.effects:
         return []
-    return [effect_entry(finding, found) for found in finding.rounds if found.named]
+    latest = {found.named[0]: found for found in finding.rounds if found.named}  # one may be refined by recording
+    return [effect_entry(finding, found) for found in latest.values()]
 
 
 def effect_entry(finding: Finding, found: Round) -> dict[str, Any]:
@@ -138,9 +139,26 @@ def effect_entry(finding: Finding, found: Round) -> dict[str, Any]:
     return {
         "name": name, "place": note.place, "summary": note.summary,
         "parameters": {own: amount(final, i) for own, i in parameters_of(final.space, name).items()},
+        "by_recording": own_entries(finding, name),
         "tied_with": list(found.named[1:]), "p_value": candidate.p_value,
         "selected_in": f"{candidate.selected}/{len(final.residual)}",
     }  # fmt: skip
+
+
+def own_entries(finding: Finding, name: str) -> list[dict[str, Any]] | None:
+    """What is each recording's own of an effect; None where one amount holds for all. That of a recording held out was
+    fitted to it, with everything that is shared as the others have it.
+    """
+    if name not in finding.own:
+        return None
+    split = {case.name: case.split for case in finding.evidence.cases}
+    return [
+        {
+            "recording": recording, "split": split[recording],
+            "parameters": {own: amount(fitted, i) for own, i in parameters_of(fitted.space, name).items()},
+        }
+        for recording, fitted in finding.own[name].items()
+    ]  # fmt: skip
 
 
 def candidate_entries(finding: Finding) -> list[dict[str, Any]]:

@@ -182,6 +182,10 @@ class DrapeCase:
         """Quantities (M,) of the sides that were seen, SI."""
         return rollout.quantity[0][self.specimen.known]
 
+    def moved(self, way: float, speed: float) -> None:
+        """Nothing moves it."""
+        return None
+
     def surrogates(self, residual: np.ndarray) -> Surrogate:
         """Turned over or not, and turned by a quarter or not: where faces and threads are alike, a specimen might as
         well have been laid on so.

@@ -81,6 +81,10 @@ class Case(Protocol):
         """What the sensor would see of the first member of a rollout of that simulation."""
         ...
 
+    def moved(self, way: float, speed: float) -> Self | None:
+        """The same with its motion so many times as far and as fast; None where nothing moves it."""
+        ...
+
     def surrogates(self, residual: np.ndarray) -> Surrogate:
         """Draws of the residual (M,) out of step with the model but with its own correlation (surrogate data)."""
         ...

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -69,6 +69,7 @@ class Finding:
     wall_s: s, those of stopped runs included;
     stages: (stage, s, evaluations), where both went;
     description: of what is missing, where it has no name; None where it has one, or nothing could be told;
+    own: by effect and recording, those held out included, the amounts that are each recording's own;
     timed_out: whether a further round was not begun for want of time.
     """
 
@@ -95,6 +96,7 @@ class Finding:
     wall_s: float
     stages: tuple[tuple[str, float, int], ...]
     description: Description | None = None
+    own: Mapping[str, Mapping[str, Fitted]] = field(default_factory=dict)
     timed_out: bool = False
 
     @property

@@ -12,6 +12,7 @@ import numpy as np
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import StageProgress
 from clothbench.studies.improve.account import Account
+from clothbench.studies.improve.by_recording import on_held_out, with_own_amounts
 from clothbench.studies.improve.description import description_of
 from clothbench.studies.improve.finding import Finding, Note
 from clothbench.studies.improve.fitted import Fitted
@@ -53,7 +54,7 @@ def all_rounds(
         state, goes_on = next_round(state, candidates, account)
         if not goes_on:
             break
-    return state, False
+    return with_own_amounts(state, candidates, account), False
 
 
 def initial_state(problem: Problem, account: Account) -> State:
@@ -158,6 +159,10 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
     before = held_out_errors(problem, base)
     steps = problem.evidence.search.steps and state.final.effects
     end = concluded(state, before, timed_out, held_out_errors(problem, state.final) if steps else ())
+    own = dict(state.own) if end.fit is state.final else {}
+    for name, fitted in own.items():
+        problem, unseen = on_held_out(problem, end.fit, name)
+        own[name] = {**fitted, **unseen}
     placebo, spent = placebo_of(problem, end.fit, state.rounds)
     account.count(spent)
     after = held_out_errors(problem, end.fit) if end.fit.effects else before
@@ -170,7 +175,8 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
         calibrated=base, final=end.fit, rounds=tuple(dataclasses.replace(r, probes=()) for r in state.rounds),
         dropped=end.dropped, notes=notes(problem, state.rounds), alone=state.alone,
         held_out=tuple(zip((c.name for c in problem.of_split("held_out")), before, after, strict=True)),
-        placebo=placebo, description=description, comparisons=comparisons, evaluations=account.evaluations,
+        placebo=placebo, description=description, own=own,
+        comparisons=comparisons, evaluations=account.evaluations,
         wall_s=problem.checkpoint.seconds, stages=account.table, timed_out=timed_out,
     )  # fmt: skip
 

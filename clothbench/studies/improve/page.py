@@ -26,6 +26,10 @@ recording beside the model before and after: <code>clothbench view RECORDING --o
 CANDIDATES = """<p class="soft">Share: how much of what the calibrated model leaves only this effect could explain, to
 first order. p: how often chance does as well with the best of all candidates. Those that beat chance were fitted in
 earnest; the gain is by how much the mean square fell. Best in: of as many rounds with one recording left out.</p>"""
+OWN = (
+    "Amounts in a recording are its own: one that holds for all would not do. Those of a recording held out are fitted "
+    "to it, while everything that is shared stays as the others have it; the interval is from parts of its time."
+)
 DESCRIBED = """A description, not a name: a force per area that acts on the cloth from outside, from the balance of
 torques about the grips, an identity of mechanics that needs no model. n: normal, v: velocity, a: acceleration, s: from
 the upper edge down to H, g: gravity."""
@@ -176,7 +180,15 @@ def effect_section(found: Mapping[str, Any], level: str = "h2") -> str:
                      f"{sure}</small>"])  # fmt: skip
         for name, p in effect["parameters"].items():
             body.append([text(name), f"{p['value']:.4g}", interval(p, ".4g") or "–", text(unit(p))])
-    return f"<{level}>Named</{level}>" + table(["effect", "amount", "95 % interval", "unit"], body, numeric={1, 2})
+        for one in effect.get("by_recording") or ():
+            held = ", held out" if one["split"] == "held_out" else ""
+            for name, p in one["parameters"].items():
+                shown = f"{text(name)} <small>in {text(one['recording'])}{held}</small>"
+                body.append([shown, f"{p['value']:.4g}", interval(p, ".4g") or "–", text(unit(p))])
+    own = f"<p class='soft'>{OWN}</p>" if any(effect.get("by_recording") for effect in found["effects"]) else ""
+    return (
+        f"<{level}>Named</{level}>" + table(["effect", "amount", "95 % interval", "unit"], body, numeric={1, 2}) + own
+    )
 
 
 def description_section(found: Mapping[str, Any] | None) -> str:

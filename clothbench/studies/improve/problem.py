@@ -38,6 +38,7 @@ class Problem:
     step_scale: times the model's own step, for models that have that option;
     refinement: how often the cells were halved;
     made: effects that are no plugins, by name, some of whose numbers are held (`held`);
+    own: by recording, parameters that are held in it alone, by name: amounts that differ from recording to recording;
     corrections: (M,) by recording, see `Case.trial`; halvings: of the cells, that they come from;
     checkpoint: what was computed already.
     """
@@ -54,6 +55,7 @@ class Problem:
     step_scale: float = 1.0
     refinement: int = 0
     made: Mapping[str, Any] = field(default_factory=dict)
+    own: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     corrections: Mapping[str, np.ndarray] = field(default_factory=dict)
     halvings: int = 0
     checkpoint: Checkpoint = field(default_factory=Checkpoint)
@@ -100,8 +102,11 @@ class Problem:
         """One simulation for each recording of a split, with these effects beside the base."""
         effects = self.effects(names)
         held = {f"{name}.{own}": value for name, e in self.made.items() for own, value in e.held.items()}
-        found = [case.trial(self._model, effects, self.corrections.get(case.name)) for case in self.of_split(split)]
-        return [dataclasses.replace(t, simulation=holding(t.simulation, held)) for t in found] if held else found
+        found = [(c.name, c.trial(self._model, effects, self.corrections.get(c.name))) for c in self.of_split(split)]
+        return [
+            dataclasses.replace(trial, simulation=holding(trial.simulation, {**held, **self.own.get(name, {})}))
+            for name, trial in found
+        ]
 
     def space(self, names: Sequence[str]) -> ParameterSpace:
         return self.bounded(self.trials(names, "fit")[0].simulation.parameters)
@@ -122,7 +127,8 @@ class Problem:
         cases = [(case.name, case.split) for case in self.evidence.cases]
         made = [sorted(effect.held.items()) for effect in self.made.values()]
         question = [self.question, self.model, self.base, cases, self.step_scale, self.refinement, corrections, more]
-        return digest([*question, made] if made else question)
+        own = sorted((name, sorted(values.items())) for name, values in self.own.items())
+        return digest([*question, *([made] if made else []), *([own] if own else [])])
 
 
 def residuals(trial: Trial, theta: np.ndarray) -> np.ndarray:

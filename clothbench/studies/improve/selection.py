@@ -166,8 +166,8 @@ def correction_correlation(current: Fitted, tried: Sequence[Candidate]) -> np.nd
 
 def choose(current: Fitted, judged: Sequence[Candidate]) -> tuple[str, ...]:
     """The one that stands; of several as good as each other the one with the fewest parameters, and of these the fewest
-    that only give it its shape; or two as tied: equally simple ones, or one that corrects the same and is hardly less
-    simple.
+    that only give it its shape; or several as tied: equally simple ones, or such as correct the same and are hardly
+    less simple.
     """
     standing = [c for c in judged if not c.why_not and c.fitted is not None]
     if not standing:
@@ -181,4 +181,4 @@ def choose(current: Fitted, judged: Sequence[Candidate]) -> tuple[str, ...]:
     others = [
         k for k in close if k != first and (size[k] == size[first] or (alike[k, first] and size[k] == size[first] + 1))
     ]
-    return tuple(standing[k].name for k in [first, *sorted(others, key=lambda k: square[k])][:2])
+    return tuple(standing[k].name for k in [first, *sorted(others, key=lambda k: square[k])][: LOOP.tied])

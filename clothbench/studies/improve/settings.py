@@ -66,7 +66,13 @@ class LoopSettings:
     tie_margin: float = 0.1  # share of what two candidates leave (mean square) by which they cannot be told apart
     alike_correlation: float = 0.9  # of what two candidates correct, from which on they may be one and the same
     parameter_penalty: float = 0.05  # share of the mean square that every further parameter has to pay
+    tied: int = 3  # effects that are named together at most, where they cannot be told apart
     finalists: int = 3  # candidates whose fits are made sure of before they are compared
+
+    # Amounts by recording.
+    fitted_by_recording: int = 2  # effects that are fitted so
+    turns_by_recording: int = 3  # times what is shared and what is each recording's own are fitted in turn, at most
+    parts_of_recording: int = 8  # parts of its time, each left out once for an interval
 
     # Profile likelihood.
     profile_start: float = 1.5  # half-widths to be reported at which a parameter is held first

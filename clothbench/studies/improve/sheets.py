@@ -80,6 +80,20 @@ class SheetCase:
         """Positions (T, N, 3) m."""
         return rollout.position[0]
 
+    def moved(self, way: float, speed: float) -> SheetCase | None:
+        """The grips' way from where they began, so many times as long and as fast, seen as often as it was."""
+        scene, seen = self.scene, self.observation
+        if scene.velocity is not None or not len(scene.grip_material):
+            return None
+        first, begin = scene.grip_position[0], scene.start_time
+        moved = dataclasses.replace(
+            scene, grip_position=first + way * (scene.grip_position - first),
+            grip_time=begin + (scene.grip_time - begin) / speed, times=begin + (scene.times - begin) / speed,
+        )  # fmt: skip
+        return dataclasses.replace(
+            self, scene=moved, observation=dataclasses.replace(seen, time=begin + (seen.time - begin) / speed)
+        )
+
     def field(self, residual: np.ndarray) -> np.ndarray:
         """The residual (M,) m back on its frames and nodes (T, N, 3), 0 where nothing was seen."""
         return field_of(self.observation, residual)

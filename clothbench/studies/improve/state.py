@@ -22,7 +22,8 @@ class Round:
     candidates: with what was tried of them;
     probes: of the candidates, for the next round; none in a finding;
     named: the effect that was named, and one that is tied with it, if any;
-    after: the fit with the first of them.
+    after: the fit with the first of them;
+    by_recording: whether its candidates' amounts were each recording's own.
     """
 
     before: Fitted
@@ -31,6 +32,7 @@ class Round:
     probes: tuple[Probe, ...]
     named: tuple[str, ...]
     after: Fitted | None = None
+    by_recording: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,7 +46,8 @@ class State:
     mesh: what the model's mesh changes that a refit does not take up, as far as first order tells, base unit: what
         decisions are made by;
     rounds: so far;
-    alone: the base fitted to each recording by itself, by its name.
+    alone: the base fitted to each recording by itself, by its name;
+    own: by effect and recording, the amounts that are each recording's own.
     """
 
     problem: Problem
@@ -54,6 +57,7 @@ class State:
     mesh: float
     rounds: tuple[Round, ...] = ()
     alone: Mapping[str, Fitted] = field(default_factory=dict)
+    own: Mapping[str, Mapping[str, Fitted]] = field(default_factory=dict)
 
     @property
     def floor(self) -> float:

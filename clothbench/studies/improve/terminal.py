@@ -35,6 +35,7 @@ def verdict_lines(found: Mapping[str, Any]) -> Iterator[str]:
         for name, p in effect["parameters"].items():
             low, high = (("?" if p[k] is None else f"{p[k]:.4g}") for k in ("low", "high"))
             yield f"    {name} = {p['value']:.4g} {p['unit']} ({low} … {high})"
+        yield from (f"    {line}" for line in own_lines(effect))
     yield error_line(found)
     if described := found.get("description"):
         yield f"  described, without a name: {described['formula']}, p = {described['p_value']:.3g}"
@@ -45,6 +46,13 @@ def verdict_lines(found: Mapping[str, Any]) -> Iterator[str]:
     if found["hint"]:
         yield f"hint: {found['hint']}"
     yield f"{found['evaluations']} evaluations, {found['wall_s']:.0f} s"
+
+
+def own_lines(effect: Mapping[str, Any]) -> Iterator[str]:
+    """What is each recording's own of an effect."""
+    for one in effect.get("by_recording") or ():
+        amounts = ", ".join(f"{name} = {p['value']:.3g} {p['unit']}" for name, p in one["parameters"].items())
+        yield f"{one['recording']} ({one['split'].replace('_', ' ')}): {amounts}"
 
 
 def error_line(found: Mapping[str, Any]) -> str:

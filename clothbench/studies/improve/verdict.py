@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
+from clothbench.studies.improve.experiment import parting_experiment
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.selection import Candidate, correction_correlation, parameters_of
 from clothbench.studies.improve.settings import LOOP
@@ -166,16 +168,40 @@ def with_amounts(candidate: Candidate, share: float) -> str:
 
 
 def undecided(state: State, found: Round) -> str:
-    """How much alike a tied pair corrects, where the two differ most in these recordings, and what would decide."""
-    pair = [next(c for c in found.candidates if c.name == name) for name in found.named]
-    one, other = (c.fitted.residual for c in pair if c.fitted is not None)
-    apart = [a - b for a, b in zip(one, other, strict=True)]
-    size = [float(np.sqrt(np.mean(a**2))) for a in apart]
-    most = int(np.argmax(size))
+    """How much alike tied effects correct, where two of them differ most in these recordings, and what would decide."""
+    tied = [next(c for c in found.candidates if c.name == name) for name in found.named]
+    alike = correction_correlation(found.before, tied)[np.triu_indices(len(tied), 1)]
+    correlation = " … ".join(dict.fromkeys(f"{value:.2f}" for value in (alike.min(), alike.max())))
+    size, pair, most, apart = 0.0, (tied[0], tied[1]), 0, found.before.residual[0]
+    for one, other in combinations(tied, 2):
+        assert one.fitted is not None  # what is named was fitted
+        assert other.fitted is not None
+        for k, (a, b) in enumerate(zip(one.fitted.residual, other.fitted.residual, strict=True)):
+            if (by := float(np.sqrt(np.mean((a - b) ** 2)))) >= size:
+                size, pair, most, apart = by, (one, other), k, a - b
     case, unit = state.problem.of_split("fit")[most], state.problem.evidence.unit
+    which = f"{pair[0].name} and {pair[1].name}" if len(tied) > 2 else "they"
     return (
-        f"{' and '.join(found.named)} fit alike (what they correct correlates with "
-        f"{correction_correlation(found.before, pair)[0, 1]:.2f}); they differ most in {case.name}, by "
-        f"{unit.scale * size[most]:.2g} {unit.reported}, around "
-        f"{case.peak(apart[most])}: a recording that goes further there would tell them apart"
+        f"{listed(found.named)} fit alike (what they correct correlates with {correlation}); {which} differ most in "
+        f"{case.name}, by {unit.scale * size:.2g} {unit.reported}, around {case.peak(apart)}: "
+        f"{what_would_part(state, pair, size)}"
     )
+
+
+def what_would_part(state: State, pair: tuple[Candidate, Candidate], size: float) -> str:
+    """The motion in which two fits differ most, and by how much; or what to look for where none can be simulated."""
+    one, other = pair
+    assert one.fitted is not None
+    assert other.fitted is not None
+    best, unit = parting_experiment(state.problem, one.fitted, other.fitted), state.problem.evidence.unit
+    if best is None or best.apart <= size:
+        return "a recording that goes further there would tell them apart"
+    return (
+        f"moved as in {best.case} but {best.how}, for {best.seconds:.1f} s, they would differ by "
+        f"{unit.scale * best.apart:.2g} {unit.reported}, {best.apart / max(state.noise, 1e-300):.1f} times the noise"
+    )
+
+
+def listed(names: Sequence[str]) -> str:
+    """ "one, two and three" """
+    return " and ".join(filter(None, (", ".join(names[:-1]), names[-1])))

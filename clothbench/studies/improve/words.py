@@ -67,6 +67,8 @@ def named(effect: Mapping[str, Any]) -> str:
         f"{text(name)} = {p['value']:.3g}{'' if p['unit'] == '1' else ' ' + text(unit(p))}"
         for name, p in effect["parameters"].items()
     )
+    if effect.get("by_recording"):
+        amounts = ", ".join(filter(None, (amounts, "its amounts each recording's own")))
     others = "".join(f" or <b>{text(n)}</b>" for n in effect["tied_with"])
     return f"<b>{text(effect['name'])}</b> ({amounts}){others}" + (
         ", which these recordings cannot tell apart" if others else ""

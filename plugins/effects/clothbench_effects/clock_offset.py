@@ -10,6 +10,7 @@ class ClockOffset:
     version = 1
     place = "sensor"
     summary = "positions are stamped late or early against the grips"
+    by_recording = ("delay",)
     parameters = ParameterSpace(
         (
             Parameter(

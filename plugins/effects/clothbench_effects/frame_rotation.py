@@ -15,6 +15,7 @@ class FrameRotation:
     version = 1
     place = "sensor"
     summary = "the camera's frame turned against the grips'"
+    by_recording = ("rx", "ry", "rz")
     parameters = ParameterSpace(
         (
             Parameter("rx", "r_x", "rad", (-0.2, 0.2), "linear", 0.0, "rotation vector, x", SOURCE, null=0.0),

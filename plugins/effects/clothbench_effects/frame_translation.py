@@ -12,6 +12,7 @@ class FrameTranslation:
     version = 1
     place = "sensor"
     summary = "the camera's frame shifted against the grips'"
+    by_recording = ("dx", "dy", "dz")
     parameters = ParameterSpace(
         (
             Parameter("dx", "d_x", "m", (-0.05, 0.05), "linear", 0.0, "seen shifted along x", SOURCE, null=0.0),

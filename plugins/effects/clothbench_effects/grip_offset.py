@@ -12,6 +12,7 @@ class GripOffset:
     version = 1
     place = "boundary"
     summary = "grips shifted against their recorded positions"
+    by_recording = ("dx", "dy", "dz")
     parameters = ParameterSpace(
         (
             Parameter("dx", "δ_x", "m", (-0.05, 0.05), "linear", 0.0, "all grips shifted along x", SOURCE, null=0.0),

@@ -18,6 +18,7 @@ class GripRotation:
     version = 1
     place = "boundary"
     summary = "grips turned against their recorded pose"
+    by_recording = ("about_vertical", "about_line")
     parameters = ParameterSpace(
         (
             Parameter(

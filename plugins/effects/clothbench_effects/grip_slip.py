@@ -19,6 +19,7 @@ class GripSlip:
     version = 1
     place = "boundary"
     summary = "cloth that slips down in its grips, once"
+    by_recording = ("distance", "time")
     parameters = ParameterSpace(
         (
             Parameter(

@@ -24,6 +24,7 @@ class SteadyWind:
     version = 1
     place = "dynamics"
     summary = "a steady, uniform wind, and the quadratic drag through which it acts"
+    by_recording = ("wx", "wy", "wz")
     force = staticmethod(blow)
     parameters = ParameterSpace(
         (

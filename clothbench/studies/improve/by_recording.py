@@ -1,0 +1,252 @@
+"""Stage 5b: effects whose amounts differ from recording to recording, where no one amount for all of them would do.
+
+A grip slips in some runs, each at its own time; a camera's clock is set anew for every take; the air in the room has
+moved on. An effect says which of its parameters may do that (`VariesByRecording`); they are then each recording's own,
+and all others stay shared. The freedom is paid for: a screening test in which chance has the same, a share of the mean
+square for every further parameter, and the verdict's own demand that next to nothing is left.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import qmc
+
+from clothbench.core.optional import varying_of
+from clothbench.core.parameters import ParameterSpace
+from clothbench.studies.improve.account import Account
+from clothbench.studies.improve.attribution import null_point, tangents
+from clothbench.studies.improve.fitted import Fitted, jackknife_interval
+from clothbench.studies.improve.fitting import fit
+from clothbench.studies.improve.permutation import span_of
+from clothbench.studies.improve.problem import Problem
+from clothbench.studies.improve.selection import Candidate, allowances, least_fall
+from clothbench.studies.improve.settings import LOOP
+from clothbench.studies.improve.state import Round, State
+
+Own = Mapping[str, Fitted]  # by recording: the parameters that are its own, fitted to it alone
+
+
+def with_own_amounts(state: State, candidates: Sequence[str], account: Account) -> State:
+    """One round more, after those in which an amount holds for all recordings: the state with an effect whose amounts
+    are each recording's own, if one explains what those have left.
+    """
+    problem, current = state.problem, state.final
+    floor = state.floor if current.effects else state.noise
+    if len(current.residual) < LOOP.least_recordings or current.rms <= LOOP.floor_factor * floor:
+        return state
+    names = dict.fromkeys([*candidates, *current.effects])
+    account.stage("amounts by recording", 0, 1)
+    fall = least_fall(current, state.floor, state.noise)
+    screened = screen(problem, current, list(names))
+    promising = [c for c in screened if not c.why_not and c.share * current.rms**2 >= fall / LOOP.first_order_optimism]
+    tried: list[Candidate] = []
+    own: dict[str, Own] = {}
+    for k, candidate in enumerate(promising[: LOOP.fitted_by_recording]):
+        account.stage("amounts by recording", k, LOOP.fitted_by_recording)
+        fitted, amounts, count = fitted_by_recording(problem, current, candidate.name)
+        account.count(count)
+        own[candidate.name] = amounts
+        gain = current.rms**2 - fitted.rms**2
+        more = sum(len(one.theta) for one in amounts.values())
+        why = too_little(state, fitted, gain, more, fall)
+        tried.append(dataclasses.replace(candidate, gain=gain, fitted=fitted, why_not=why))
+    named = chosen(current, tried, [sum(len(one.theta) for one in own[c.name].values()) for c in tried])
+    if not named:
+        return state
+    others = [c for c in screened if c.name not in own]
+    after = next(c.fitted for c in tried if c.name == named[0])
+    assert after is not None  # all that were tried were fitted
+    last = Round(current, state.floor, (*tried, *others), (), named, after, by_recording=True)
+    return dataclasses.replace(
+        state, problem=with_own(problem, own[named[0]]), final=after, rounds=(*state.rounds, last),
+        own={named[0]: own[named[0]]},
+    )  # fmt: skip
+
+
+def own_names(problem: Problem, name: str) -> tuple[str, ...]:
+    """Names of an effect's parameters that may be each recording's own, with the effect's before."""
+    return tuple(f"{name}.{own}" for own in varying_of(problem.make("effects", name)))
+
+
+def screen(problem: Problem, current: Fitted, names: Sequence[str]) -> list[Candidate]:
+    """What each effect explains if every recording may have its own of it, beside chance; the best first.
+
+    Each recording takes what explains most of it, at whichever setting of the effect's shape, beside a base of its own:
+    so much freedom has the residual itself, and so much have the surrogates (as in `permutation_test`).
+    """
+    cases, spans = problem.of_split("fit"), {}
+    bases = [span_of(jacobian / len(jacobian) ** 0.5) for jacobian in current.jacobian]
+    for name in names:
+        try:
+            if not own_names(problem, name):
+                continue
+            settings = settings_of(problem, current, name)
+        except Exception:  # a stranger's effect may do anything; the rounds before have said what is wrong with it
+            continue
+        spans[name] = [[at_right_angles(base, c) for c in some] for base, some in zip(bases, settings, strict=True)]
+    if not spans:
+        return []
+    random = np.random.default_rng(problem.seed)
+    draws = [case.surrogates(residual) for case, residual in zip(cases, current.residual, strict=True)]
+    seen = [(len(r) ** -0.5 * r)[None] for r in current.residual]
+    parts, left = explained(bases, spans, seen)
+    share = parts.sum(axis=0)[0] / left.sum(axis=0)[0]
+    maxima = []
+    for first in range(0, LOOP.permutations, LOOP.permutation_batch):
+        count = min(LOOP.permutation_batch, LOOP.permutations - first)
+        drawn = [np.array([draw(random) for _ in range(count)]) for draw in draws]
+        by_chance, chance_left = explained(bases, spans, [len(d.T) ** -0.5 * d for d in drawn])
+        maxima.append((by_chance.sum(axis=0) / chance_left.sum(axis=0)[:, None]).max(axis=1))
+    null = np.concatenate(maxima)
+    wins = np.argmax(parts[:, 0].sum(axis=0) - parts[:, 0], axis=1)  # of each recording left out
+    out = []
+    for k, name in enumerate(spans):
+        # Twice the value: amounts that hold for all recordings were tested before, on the same residual.
+        p_value = min(1.0, 2 * (1 + (null >= share[k]).sum()) / (1 + len(null)))
+        why = "" if p_value < LOOP.significance else f"explains no more than chance would (p = {p_value:.2g})"
+        out.append(Candidate(name, float(share[k]), float(p_value), selected=int((wins == k).sum()), why_not=why))
+    return sorted(out, key=lambda c: -c.share)
+
+
+def settings_of(problem: Problem, current: Fitted, name: str) -> list[list[np.ndarray]]:
+    """For each fit recording what the effect changes of it, (M, k) weighted, at each setting of its shape; of an effect
+    that is in the model already, by the parameters that may be each recording's own.
+    """
+    if name in current.effects:
+        own = [current.space.names.index(n) for n in own_names(problem, name)]
+        return [[jacobian[:, own] / len(jacobian) ** 0.5] for jacobian in current.jacobian]
+    _, tangent = tangents(problem, current, name)
+    finite = [columns for columns in tangent if all(np.isfinite(c).all() for c in columns)]
+    return [[columns[r].T / columns[r].shape[1] ** 0.5 for columns in finite] for r in range(len(current.residual))]
+
+
+def at_right_angles(base: np.ndarray, columns: np.ndarray) -> np.ndarray:
+    """An orthonormal basis of what the columns (M, k) span beside the base (M, P)."""
+    return span_of(columns - base @ (base.T @ columns), np.square(columns).sum())
+
+
+def explained(
+    bases: Sequence[np.ndarray], spans: Mapping[str, list[list[np.ndarray]]], residuals: Sequence[np.ndarray]
+) -> tuple[np.ndarray, np.ndarray]:
+    """(R, D, E): the sum of squares of each residual (D, M) of R recordings that each of E effects explains, at its
+    best setting; and (R, D) what the base leaves of it.
+    """
+    left = [
+        np.square(r).sum(axis=1) - np.square(r @ base).sum(axis=1) for r, base in zip(residuals, bases, strict=True)
+    ]
+    parts = [
+        [np.max([np.square(r @ span).sum(axis=1) for span in some[k]], axis=0) for some in spans.values()]
+        for k, r in enumerate(residuals)
+    ]
+    return np.array(parts).transpose(0, 2, 1), np.array(left)
+
+
+def fitted_by_recording(problem: Problem, current: Fitted, name: str) -> tuple[Fitted, Own, int]:
+    """Everything refitted with what is each recording's own: in turn that, with all that is shared held, and what is
+    shared with that held, as long as it pays; and how many parameter sets that took.
+    """
+    effects = current.effects if name in current.effects else (*current.effects, name)
+    mine = own_names(problem, name)
+    shared = dict(zip(current.space.names, current.theta, strict=True))
+    shared |= {f"{name}.{p.name}": shared.get(f"{name}.{p.name}", p.default) for p in problem.space_of(name)}
+    cases, count = problem.of_split("fit"), 0
+    fitted, own = current, None
+    for _ in range(LOOP.turns_by_recording):
+        before = fitted.rms**2
+        own = own_amounts(problem, effects, name, shared, cases, own)
+        count += sum(one.evaluations for one in own.values()) // len(cases)
+        free = with_own(problem, own)
+        start = np.array([shared[n] for n in free.space(effects).names])
+        fitted = fit(free, effects, start, LOOP.refit_rounds)
+        count += fitted.evaluations
+        shared |= dict(zip(fitted.space.names, fitted.theta, strict=True))
+        if fitted.rms**2 > (1 - LOOP.tie_margin) * before:
+            break
+    assert own is not None
+    assert not set(mine) & set(fitted.space.names)
+    return fitted, own, count
+
+
+def own_amounts(
+    problem: Problem, effects: tuple[str, ...], name: str, shared: Mapping[str, float], cases: Sequence[Any],
+    known: Own | None = None,
+) -> dict[str, Fitted]:  # fmt: skip
+    """What is each recording's own, fitted to it with all that is shared held. known: from where to set out, if not
+    from places spread over all that it can be.
+    """
+    mine, out = own_names(problem, name), {}
+    held = {n: value for n, value in shared.items() if n not in mine}
+    for case in cases:
+        alone = problem.restricted(dataclasses.replace(case, split="fit"))
+        alone = dataclasses.replace(alone, own={case.name: {**problem.own.get(case.name, {}), **held}})
+        space = alone.space(effects)
+        start = places(space, case.duration, problem.seed) if known is None else known[case.name].theta
+        fitted = fit(alone, effects, start, LOOP.refit_rounds)
+        low, high = interval_over_time(fitted)
+        out[case.name] = dataclasses.replace(fitted, low=low, high=high)
+    return out
+
+
+def places(space: ParameterSpace, duration: float, seed: int) -> np.ndarray:
+    """Where the search for what is a recording's own sets out, (S, P): nothing of it, the defaults, and a spread."""
+    spread = qmc.Sobol(len(space), rng=np.random.default_rng(seed)).random(LOOP.multistart_points)
+    points = space.from_unit(spread)
+    for i, parameter in enumerate(space):
+        if parameter.unit == "s" and parameter.null is None:  # a moment: none after the recording's end
+            points[:, i] = space.low[i] + spread[:, i] * (min(space.high[i], duration) - space.low[i])
+    return np.vstack([null_point(space), space.defaults, points])
+
+
+def interval_over_time(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
+    """95 % intervals (P,), (P,) of what one recording alone says: how far the fit moves when a part of its time is left
+    out. Frames near each other hang together; parts as long as these hardly do.
+    """
+    parts = LOOP.parts_of_recording
+    residual, jacobian = (np.array_split(of[0], parts) for of in (fitted.residual, fitted.jacobian))
+    return jackknife_interval(fitted.space, fitted.theta, residual, jacobian)
+
+
+def with_own(problem: Problem, own: Own) -> Problem:
+    """The problem with these amounts held, each in its recording."""
+    held = {
+        name: {**problem.own.get(name, {}), **dict(zip(one.space.names, one.theta, strict=True))}
+        for name, one in own.items()
+    }
+    return dataclasses.replace(problem, own={**problem.own, **held})
+
+
+def on_held_out(problem: Problem, fitted: Fitted, name: str) -> tuple[Problem, dict[str, Fitted]]:
+    """The problem with what is each held-out recording's own of an effect fitted to it, and that; what is shared stays
+    as the fit recordings have it.
+    """
+    shared = dict(zip(fitted.space.names, fitted.theta, strict=True))
+    own = own_amounts(problem, fitted.effects, name, shared, problem.of_split("held_out"))
+    return with_own(problem, own), own
+
+
+def too_little(state: State, fitted: Fitted, gain: float, more: int, fall: float) -> str:
+    """Why what was fitted by recording cannot stand, or "". more: parameters that it has beyond the shared ones."""
+    if gain < fall:
+        return "its amounts by recording explain too little"
+    if gain < LOOP.parameter_penalty * more * fitted.rms**2:
+        return f"what it explains does not pay for {more} parameters"
+    shared = [c for c in state.rounds[-1].candidates if c.fitted is not None] if state.rounds else []
+    if any(c.fitted.rms**2 <= (1 + LOOP.parameter_penalty * more) * fitted.rms**2 for c in shared if c.fitted):
+        return "an amount that holds for all recordings explains as much"
+    return ""
+
+
+def chosen(current: Fitted, tried: Sequence[Candidate], more: Sequence[int]) -> tuple[str, ...]:
+    """The one that leaves least, `more` parameters of its own paid for, and others that cannot be told from it."""
+    standing = [k for k, c in enumerate(tried) if not c.why_not]
+    if not standing:
+        return ()
+    square = [np.inf if c.fitted is None else c.fitted.rms**2 for c in tried]
+    cost = {k: square[k] * (1 + LOOP.parameter_penalty * more[k]) for k in standing}
+    allowed, order = allowances(current, tried), sorted(standing, key=lambda k: cost[k])
+    close = [k for k in order if cost[k] <= allowed[order[0], k] * cost[order[0]]]
+    return tuple(tried[k].name for k in close[: LOOP.tied])
