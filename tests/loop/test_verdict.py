@@ -38,7 +38,7 @@ def state():
             "fit",
             None,
             Observation(TIME, np.zeros((60, 3, 3)), np.ones((60, 3), bool), 1e-3, MATERIAL),
-            SimpleNamespace(height=1.0),
+            SimpleNamespace(height=1.0, velocity=None, grip_material=()),
         )
         for name in ("first", "second")
     ]

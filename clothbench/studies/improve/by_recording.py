@@ -1,4 +1,4 @@
-"""Stage 5b: effects whose amounts differ from recording to recording, where no one amount for all of them would do.
+"""Stage 5, by recording: effects whose amounts differ from recording to recording, where no amount for all would do.
 
 A grip slips in some runs, each at its own time; a camera's clock is set anew for every take; the air in the room has
 moved on. An effect says which of its parameters may do that (`VariesByRecording`); they are then each recording's own,
@@ -30,19 +30,19 @@ from clothbench.studies.improve.state import Round, State
 Own = Mapping[str, Fitted]  # by recording: the parameters that are its own, fitted to it alone
 
 
-def with_own_amounts(state: State, candidates: Sequence[str], account: Account) -> State:
-    """One round more, after those in which an amount holds for all recordings: the state with an effect whose amounts
-    are each recording's own, if one explains what those have left.
+def with_own_amounts(state: State, found: Round, candidates: Sequence[str], account: Account) -> State | None:
+    """The state with an effect whose amounts are each recording's own, if one explains what no amount that holds for
+    all recordings does; None if none does.
+
+    found: the round in which amounts that hold for all were tried, from where the state is now.
     """
-    problem, current = state.problem, state.final
-    floor = state.floor if current.effects else state.noise
-    if len(current.residual) < LOOP.least_recordings or current.rms <= LOOP.floor_factor * floor:
-        return state
-    names = dict.fromkeys([*candidates, *current.effects])
+    problem, current = state.problem, found.before
+    if len(current.residual) < LOOP.least_recordings or state.own:
+        return None
     account.stage("amounts by recording", 0, 1)
     fall = least_fall(current, state.floor, state.noise)
-    screened = screen(problem, current, list(names))
-    promising = [c for c in screened if not c.why_not and c.share * current.rms**2 >= fall / LOOP.first_order_optimism]
+    screened = screen(problem, current, [name for name in candidates if name not in current.effects])
+    promising = with_rivals(screened, fall / LOOP.first_order_optimism / current.rms**2)
     tried: list[Candidate] = []
     own: dict[str, Own] = {}
     for k, candidate in enumerate(promising[: LOOP.fitted_by_recording]):
@@ -51,20 +51,33 @@ def with_own_amounts(state: State, candidates: Sequence[str], account: Account) 
         account.count(count)
         own[candidate.name] = amounts
         gain = current.rms**2 - fitted.rms**2
-        more = sum(len(one.theta) for one in amounts.values())
-        why = too_little(state, fitted, gain, more, fall)
+        why = too_little(found, fitted, gain, size_of(amounts), fall)
         tried.append(dataclasses.replace(candidate, gain=gain, fitted=fitted, why_not=why))
-    named = chosen(current, tried, [sum(len(one.theta) for one in own[c.name].values()) for c in tried])
+    named = chosen(current, tried, [size_of(own[c.name]) for c in tried])
     if not named:
-        return state
-    others = [c for c in screened if c.name not in own]
+        return None
+    others = [c for c in found.candidates if c.name not in own]
     after = next(c.fitted for c in tried if c.name == named[0])
     assert after is not None  # all that were tried were fitted
-    last = Round(current, state.floor, (*tried, *others), (), named, after, by_recording=True)
+    last = Round(current, state.floor, (*tried, *others), found.probes, named, after, by_recording=True)
     return dataclasses.replace(
         state, problem=with_own(problem, own[named[0]]), final=after, rounds=(*state.rounds, last),
         own={named[0]: own[named[0]]},
     )  # fmt: skip
+
+
+def with_rivals(screened: Sequence[Candidate], promise: float) -> list[Candidate]:
+    """Those that chance does not explain, the best first, and such as explain as much as the best of them: a shift of the
+    camera and one of the grips are the same, and a name for one alone would say too much.
+    """
+    least = max((c.share for c in screened if not c.why_not), default=np.inf)
+    rivals = [c for c in screened if not c.why_not or c.share >= (1 - LOOP.tie_margin) * least]
+    return [dataclasses.replace(c, why_not="") for c in rivals if c.share >= promise]
+
+
+def size_of(own: Own) -> int:
+    """How many numbers are each recording's own, of all recordings together."""
+    return sum(len(one.theta) for one in own.values())
 
 
 def own_names(problem: Problem, name: str) -> tuple[str, ...]:
@@ -113,12 +126,7 @@ def screen(problem: Problem, current: Fitted, names: Sequence[str]) -> list[Cand
 
 
 def settings_of(problem: Problem, current: Fitted, name: str) -> list[list[np.ndarray]]:
-    """For each fit recording what the effect changes of it, (M, k) weighted, at each setting of its shape; of an effect
-    that is in the model already, by the parameters that may be each recording's own.
-    """
-    if name in current.effects:
-        own = [current.space.names.index(n) for n in own_names(problem, name)]
-        return [[jacobian[:, own] / len(jacobian) ** 0.5] for jacobian in current.jacobian]
+    """For each fit recording what the effect changes of it, (M, k) weighted, at each setting of its shape."""
     _, tangent = tangents(problem, current, name)
     finite = [columns for columns in tangent if all(np.isfinite(c).all() for c in columns)]
     return [[columns[r].T / columns[r].shape[1] ** 0.5 for columns in finite] for r in range(len(current.residual))]
@@ -149,10 +157,9 @@ def fitted_by_recording(problem: Problem, current: Fitted, name: str) -> tuple[F
     """Everything refitted with what is each recording's own: in turn that, with all that is shared held, and what is
     shared with that held, as long as it pays; and how many parameter sets that took.
     """
-    effects = current.effects if name in current.effects else (*current.effects, name)
-    mine = own_names(problem, name)
+    effects = (*current.effects, name)
     shared = dict(zip(current.space.names, current.theta, strict=True))
-    shared |= {f"{name}.{p.name}": shared.get(f"{name}.{p.name}", p.default) for p in problem.space_of(name)}
+    shared |= {f"{name}.{p.name}": p.default for p in problem.space_of(name)}
     cases, count = problem.of_split("fit"), 0
     fitted, own = current, None
     for _ in range(LOOP.turns_by_recording):
@@ -167,7 +174,6 @@ def fitted_by_recording(problem: Problem, current: Fitted, name: str) -> tuple[F
         if fitted.rms**2 > (1 - LOOP.tie_margin) * before:
             break
     assert own is not None
-    assert not set(mine) & set(fitted.space.names)
     return fitted, own, count
 
 
@@ -228,15 +234,16 @@ def on_held_out(problem: Problem, fitted: Fitted, name: str) -> tuple[Problem, d
     return with_own(problem, own), own
 
 
-def too_little(state: State, fitted: Fitted, gain: float, more: int, fall: float) -> str:
-    """Why what was fitted by recording cannot stand, or "". more: parameters that it has beyond the shared ones."""
+def too_little(found: Round, fitted: Fitted, gain: float, more: int, fall: float) -> str:
+    """Why what was fitted by recording cannot stand, or "". more: numbers that are each recording's own."""
     if gain < fall:
         return "its amounts by recording explain too little"
     if gain < LOOP.parameter_penalty * more * fitted.rms**2:
         return f"what it explains does not pay for {more} parameters"
-    shared = [c for c in state.rounds[-1].candidates if c.fitted is not None] if state.rounds else []
-    if any(c.fitted.rms**2 <= (1 + LOOP.parameter_penalty * more) * fitted.rms**2 for c in shared if c.fitted):
-        return "an amount that holds for all recordings explains as much"
+    for shared in (c.fitted for c in found.candidates if c.fitted is not None and not c.why_not):
+        further = max(len(fitted.theta) + more - len(shared.theta), 0)
+        if shared.rms**2 <= (1 + LOOP.parameter_penalty * further) * fitted.rms**2:
+            return f"{shared.effects[-1]} explains as much with an amount that holds for all recordings"
     return ""
 
 

@@ -54,7 +54,7 @@ def all_rounds(
         state, goes_on = next_round(state, candidates, account)
         if not goes_on:
             break
-    return with_own_amounts(state, candidates, account), False
+    return state, False
 
 
 def initial_state(problem: Problem, account: Account) -> State:
@@ -103,6 +103,10 @@ def next_round(state: State, candidates: Sequence[str], account: Account) -> tup
     if found.before is not current:  # the refit without the effect came to a better fit of what there was
         base = state.base if state.rounds else found.before
         state = dataclasses.replace(state, base=base, final=found.before)
+    if found.after is None or not state.rounds:  # what differs between recordings may pass for what they share
+        own = with_own_amounts(state, found, rest, account)
+        if own is not None:
+            return own, True
     if found.after is None:
         return with_round(state, found), False
     return confirmed(state, found, account)
@@ -157,12 +161,11 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
     account.stage("held-out recordings", 0, 1)
     problem, base = state.problem, state.base
     before = held_out_errors(problem, base)
-    steps = problem.evidence.search.steps and state.final.effects
-    end = concluded(state, before, timed_out, held_out_errors(problem, state.final) if steps else ())
-    own = dict(state.own) if end.fit is state.final else {}
-    for name, fitted in own.items():
-        problem, unseen = on_held_out(problem, end.fit, name)
-        own[name] = {**fitted, **unseen}
+    own = dict(state.own)
+    for name, amounts in own.items():
+        problem, unseen = on_held_out(problem, state.final, name)
+        own[name] = {**amounts, **unseen}
+    end = concluded(state, before, timed_out, held_out_errors(problem, state.final) if state.final.effects else ())
     placebo, spent = placebo_of(problem, end.fit, state.rounds)
     account.count(spent)
     after = held_out_errors(problem, end.fit) if end.fit.effects else before
@@ -175,7 +178,7 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
         calibrated=base, final=end.fit, rounds=tuple(dataclasses.replace(r, probes=()) for r in state.rounds),
         dropped=end.dropped, notes=notes(problem, state.rounds), alone=state.alone,
         held_out=tuple(zip((c.name for c in problem.of_split("held_out")), before, after, strict=True)),
-        placebo=placebo, description=description, own=own,
+        placebo=placebo, description=description, own=own if end.fit.effects else {},
         comparisons=comparisons, evaluations=account.evaluations,
         wall_s=problem.checkpoint.seconds, stages=account.table, timed_out=timed_out,
     )  # fmt: skip

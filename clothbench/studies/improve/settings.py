@@ -70,7 +70,7 @@ class LoopSettings:
     finalists: int = 3  # candidates whose fits are made sure of before they are compared
 
     # Amounts by recording.
-    fitted_by_recording: int = 2  # effects that are fitted so
+    fitted_by_recording: int = 4  # effects that are fitted so
     turns_by_recording: int = 3  # times what is shared and what is each recording's own are fitted in turn, at most
     parts_of_recording: int = 8  # parts of its time, each left out once for an interval
 

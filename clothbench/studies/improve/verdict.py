@@ -37,7 +37,7 @@ def concluded(
     state: State, held_out: Sequence[float], timed_out: bool = False, held_out_after: Sequence[float] = ()
 ) -> Conclusion:
     """held_out: errors of the calibrated model on the recordings held out, base unit, NaN where a run was stopped;
-    held_out_after: the same with all that was named, where names have to hold there.
+    held_out_after: the same with all that was named, none if nothing was: names have to hold there.
     """
     worse = (pooled(held_out_after) or np.inf) >= (pooled(held_out) or 0.0) if len(held_out_after) else False
     word = "unexplained" if worse else word_of(state)

@@ -1,0 +1,132 @@
+"""Amounts that differ from recording to recording: when they are named, what they come to, and what chance gives."""
+
+from __future__ import annotations
+
+import dataclasses
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.ndimage import gaussian_filter1d
+
+from clothbench import Parameter, ParameterSpace
+from clothbench.core.optional import varying_of
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.improve import by_recording
+from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.selection import Candidate
+from clothbench.studies.improve.settings import LOOP
+from clothbench.studies.improve.state import Round
+
+DELAY = Parameter("late.delay", "τ", "s", (-0.5, 0.5), "linear", 0.02, "how late", "a test", null=0.0)
+STIFFNESS = Parameter("k", "k", "N/m", (0.0, 2.0), "linear", 1.0, "stiffness", "a test")
+FRAMES = 400
+
+
+def waves(random: np.random.Generator, count: int = 4) -> list[np.ndarray]:
+    """What one amount would change of each recording (M, 1): slow, so that chance has much to find."""
+    return [4 * gaussian_filter1d(random.normal(size=(FRAMES, 1)), 10, axis=0, mode="wrap") for _ in range(count)]
+
+
+def fitted_to(residual: list[np.ndarray], random: np.random.Generator) -> Fitted:
+    space = ParameterSpace((STIFFNESS,))
+    jacobian = [np.cumsum(random.normal(size=(FRAMES, 1)), axis=0) / 20 for _ in residual]
+    return Fitted((), space, np.array([1.0]), residual, jacobian, np.array([0.9]), np.array([1.1]), 5)
+
+
+def shifted(residual: np.ndarray):
+    """Surrogates: the residual moved round in time."""
+    return lambda random: np.roll(residual, random.integers(len(residual)))
+
+
+def screened(residual, columns, random, monkeypatch):
+    current = fitted_to(residual, random)
+    problem = SimpleNamespace(
+        seed=0, of_split=lambda split: [SimpleNamespace(surrogates=shifted) for _ in residual],
+        make=lambda kind, name: SimpleNamespace(by_recording=("delay",)),
+    )  # fmt: skip
+    monkeypatch.setattr(by_recording, "settings_of", lambda problem, current, name: [[c / 20] for c in columns[name]])
+    return by_recording.screen(problem, current, list(columns))
+
+
+def test_what_goes_another_way_in_each_recording_is_seen(monkeypatch):
+    random = np.random.default_rng(1)
+    columns = {"late": waves(random), "other": waves(random)}
+    noise = [0.1 * random.normal(size=FRAMES) for _ in range(4)]
+    amounts = [1.0, -1.0, 0.8, -0.8]  # nothing on the whole
+    residual = [a * c[:, 0] + n for a, c, n in zip(amounts, columns["late"], noise, strict=True)]
+    found = screened(residual, columns, random, monkeypatch)
+    assert found[0].name == "late"
+    assert found[0].p_value < LOOP.significance
+    assert found[0].selected == 4
+    assert found[1].why_not
+
+
+def test_chance_seldom_explains_as_much(monkeypatch):
+    """Residuals as slow as the columns, but with nothing to do with them."""
+    random, alarms = np.random.default_rng(2), 0
+    for _ in range(60):
+        residual = [c[:, 0] for c in waves(random)]
+        found = screened(residual, {"late": waves(random), "other": waves(random)}, random, monkeypatch)
+        alarms += found[0].p_value < LOOP.significance
+    assert alarms <= 6  # 5 % of 60 are three; seven or more come once in thirty
+
+
+def test_an_interval_of_one_recording_holds_the_truth():
+    """White noise: 95 % of the intervals from parts of the time should; the part left out is one of eight."""
+    random, space, inside = np.random.default_rng(3), ParameterSpace((DELAY,)), 0
+    column = np.sin(np.linspace(0, 30, FRAMES))[:, None]
+    for _ in range(100):
+        noise = 0.1 * random.normal(size=FRAMES)
+        by = float(np.linalg.lstsq(column, noise, rcond=None)[0][0])  # what noise moves the fit by, of the range
+        fit = Fitted(("late",), space, np.array([-by]), [noise - column[:, 0] * by], [column], *2 * [np.zeros(1)], 1)
+        low, high = by_recording.interval_over_time(fit)
+        inside += bool(low[0] <= 0.0 <= high[0])
+    assert 88 <= inside <= 100
+
+
+def candidate(name: str, rms: float, why_not: str = "") -> Candidate:
+    space = ParameterSpace((STIFFNESS,))
+    # What each corrects is its own, so that only how much is left decides.
+    residual = [np.where(np.arange(FRAMES) % 2 == (name == "b"), rms * 2**0.5, 0.0)] * 3
+    fit = Fitted((name,), space, np.array([1.0]), residual, [np.ones((FRAMES, 1))] * 3, *2 * [np.ones(1)], 1)
+    return Candidate(name, 0.9, 0.01, fitted=fit, why_not=why_not)
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "more", "named"),
+    [
+        (1.0, 2.0, (4, 4), ("a",)),
+        (1.0, 1.02, (4, 4), ("a", "b")),
+        (1.0, 1.02, (12, 4), ("b",)),  # a third of the parameters, hardly more left
+    ],
+)
+def test_every_amount_is_paid_for(a, b, more, named):
+    current = dataclasses.replace(fitted_to([np.full(FRAMES, 5.0)] * 3, np.random.default_rng(0)))
+    assert by_recording.chosen(current, [candidate("a", a), candidate("b", b)], more) == named
+    assert by_recording.chosen(current, [candidate("a", a, "no"), candidate("b", b, "no")], more) == ()
+
+
+def test_what_holds_for_all_recordings_comes_first():
+    before, own = fitted_to([np.full(FRAMES, 5.0)] * 3, np.random.default_rng(0)), candidate("a", 1.0).fitted
+    shared = Round(before, 1.0, (candidate("a", 1.1),), (), ())
+    refused = Round(before, 1.0, (candidate("a", 1.1, "unphysical"),), (), ())
+    assert "a explains as much" in by_recording.too_little(shared, own, 24.0, 8, 5.0)
+    assert by_recording.too_little(refused, own, 24.0, 8, 5.0) == ""
+    assert "too little" in by_recording.too_little(refused, own, 4.0, 8, 5.0)
+    assert "pay for 8" in by_recording.too_little(refused, candidate("a", 4.5).fitted, 4.75, 8, 1.0)
+
+
+def test_what_explains_as_much_as_the_best_is_fitted_with_it():
+    found = [Candidate("a", 0.95, 0.01), Candidate("b", 0.94, 0.07, why_not="chance"), Candidate("c", 0.3, 0.02),
+             Candidate("d", 0.2, 0.5, why_not="chance"), Candidate("e", 0.05, 0.02)]  # fmt: skip
+    assert [c.name for c in by_recording.with_rivals(found, 0.1)] == ["a", "b", "c"]
+    assert not by_recording.with_rivals(found[1:2], 0.1)
+
+
+def test_what_may_vary_is_among_the_parameters():
+    plugins = catalogue()
+    found = {name: varying_of(plugins.load("effects", name)) for name in plugins.names("effects")}
+    assert sum(bool(own) for own in found.values()) >= 5
+    for name, own in found.items():
+        assert set(own) <= set(plugins.make("effects", name).parameters.names)
