@@ -8,8 +8,10 @@ loop (`loop`, `state`) goes through its stages, a file for each, to a frozen `fi
 3. attribution: what only a candidate could explain, to first order;
 4. screening: `permutation`, a test with the max-statistic over all candidates;
 5. `rounds`: the best are fitted in earnest (`refits`, with `jumps` along valleys and fits of `constrained` parameters),
-   `selection` names one or two that are tied, `profile` gives their amounts intervals by profile likelihood;
-6. `held_out`: the one look at the recordings held out, and the placebo; `verdict`: a word and a hint;
+   `selection` names one, or several that are tied, `profile` gives their amounts intervals by profile likelihood;
+   `by_recording` tries effects whose amounts differ from recording to recording beside them;
+6. `held_out`: the one look at the recordings held out, and the placebo; `verdict`: a word and a hint, with the
+   `experiment` that would part what is tied;
 7. `description`, where nothing has a name: the torque about the grips without any model (`balance`), the sparsest law
    that predicts it (`law`), and that law as an effect (`described`), fitted and judged like one.
 

@@ -67,8 +67,8 @@ def with_own_amounts(state: State, found: Round, candidates: Sequence[str], acco
 
 
 def with_rivals(screened: Sequence[Candidate], promise: float) -> list[Candidate]:
-    """Those that chance does not explain, the best first, and such as explain as much as the best of them: a shift of the
-    camera and one of the grips are the same, and a name for one alone would say too much.
+    """Those that chance does not explain, the best first, and such as explain as much as the best of them: a shift of
+    the camera and one of the grips are the same, and a name for one alone would say too much.
     """
     least = max((c.share for c in screened if not c.why_not), default=np.inf)
     rivals = [c for c in screened if not c.why_not or c.share >= (1 - LOOP.tie_margin) * least]
