@@ -15,7 +15,7 @@ from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.selection import Candidate
 from clothbench.studies.improve.sheets import SheetCase, SheetEvidence
 from clothbench.studies.improve.state import Round, State
-from clothbench.studies.improve.verdict import concluded
+from clothbench.studies.improve.verdict import concluded, fails_to_hold
 
 TIME = np.arange(60) / 20.0
 MATERIAL = np.array([[0.0, 0.1], [0.0, 0.5], [0.0, 0.9]])
@@ -118,3 +118,17 @@ def test_hint_of_a_tie_says_how_alike_the_two_are_and_where_they_differ(state):
     assert found.word == "tied"
     assert "correlates with 1.00" in found.hint
     assert "differ most in second, by 0.58 mm, around 1.5 s" in found.hint
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "fails"),
+    [
+        ([4.0, 2.0], [2.0, 2.0], False),
+        ([4.0, 2.0], [4.0, 3.0], True),
+        ([4.0, np.nan], [9.0, 9.0], False),  # the calibrated model could not be simulated there
+        ([4.0, 2.0], [1.0, np.nan], True),
+        ([4.0], [], False),
+    ],
+)
+def test_a_name_has_to_hold_on_what_was_held_out(before, after, fails):
+    assert fails_to_hold(before, after) is fails

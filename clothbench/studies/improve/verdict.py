@@ -39,7 +39,7 @@ def concluded(
     """held_out: errors of the calibrated model on the recordings held out, base unit, NaN where a run was stopped;
     held_out_after: the same with all that was named, none if nothing was: names have to hold there.
     """
-    worse = (pooled(held_out_after) or np.inf) >= (pooled(held_out) or 0.0) if len(held_out_after) else False
+    worse = fails_to_hold(held_out, held_out_after)
     word = "unexplained" if worse else word_of(state)
     fit = state.final if word in ("attributed", "tied") else state.base
     remark, rms, unseen = hint(state, word, fit), fit.rms, pooled(held_out) or 0.0
@@ -58,6 +58,16 @@ def concluded(
         remark = "; ".join(filter(None, (remark, "time ran out before another round")))
     unexplained = max(rms**2 - state.floor**2, 0.0) ** 0.5
     return Conclusion(word, fit, unexplained, remark, why_dropped(state, worse) if state.final is not fit else "")
+
+
+def fails_to_hold(before: Sequence[float], after: Sequence[float]) -> bool:
+    """Whether what was named does not lower the error on the recordings held out; with it all of them have to be
+    simulated, without it not.
+    """
+    if not len(after):
+        return False
+    error, without = pooled(after), pooled(before)
+    return error is None or (without is not None and error >= without)
 
 
 def pooled(values: Sequence[float]) -> float | None:
