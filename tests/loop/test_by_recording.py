@@ -98,7 +98,8 @@ def candidate(name: str, rms: float, why_not: str = "") -> Candidate:
     [
         (1.0, 2.0, (4, 4), ("a",)),
         (1.0, 1.02, (4, 4), ("a", "b")),
-        (1.0, 1.02, (12, 4), ("b",)),  # a third of the parameters, hardly more left
+        (1.0, 1.02, (12, 4), ("b", "a")),  # a third of the parameters, hardly more left
+        (1.0, 1.1, (4, 4), ("a",)),
     ],
 )
 def test_every_amount_is_paid_for(a, b, more, named):
@@ -115,6 +116,13 @@ def test_what_holds_for_all_recordings_comes_first():
     assert by_recording.too_little(refused, own, 24.0, 8, 5.0) == ""
     assert "too little" in by_recording.too_little(refused, own, 4.0, 8, 5.0)
     assert "pay for 8" in by_recording.too_little(refused, candidate("a", 4.5).fitted, 4.75, 8, 1.0)
+
+
+@pytest.mark.parametrize(("delay", "why"), [(0.02, ""), (0.5, "its delay runs to the bound 0.5 in rec-01"), (0.0, "")])
+def test_an_amount_at_its_bound_speaks_against_all(delay, why):
+    space, theta = ParameterSpace((DELAY,)), np.array([delay])
+    own = {"rec-01": Fitted(("late",), space, theta, [np.ones(9)], [np.ones((9, 1))], theta, theta, 1)}
+    assert by_recording.beyond_bounds(own) == why
 
 
 def test_what_explains_as_much_as_the_best_is_fitted_with_it():

@@ -51,7 +51,7 @@ def with_own_amounts(state: State, found: Round, candidates: Sequence[str], acco
         account.count(count)
         own[candidate.name] = amounts
         gain = current.rms**2 - fitted.rms**2
-        why = too_little(found, fitted, gain, size_of(amounts), fall)
+        why = beyond_bounds(amounts) or too_little(found, fitted, gain, size_of(amounts), fall)
         tried.append(dataclasses.replace(candidate, gain=gain, fitted=fitted, why_not=why))
     named = chosen(current, tried, [size_of(own[c.name]) for c in tried])
     if not named:
@@ -234,6 +234,16 @@ def on_held_out(problem: Problem, fitted: Fitted, name: str) -> tuple[Problem, d
     return with_own(problem, own), own
 
 
+def beyond_bounds(own: Own) -> str:
+    """Which amount runs to its bound in which recording, or "". Shapes may: a moment at the end is none at all."""
+    for recording, fitted in own.items():
+        for i, parameter in enumerate(fitted.space):
+            if parameter.null is not None and fitted.at_bound[i] and not np.isclose(fitted.theta[i], parameter.null):
+                name = parameter.name.partition(".")[2]
+                return f"its {name} runs to the bound {fitted.theta[i]:.3g} in {recording}"
+    return ""
+
+
 def too_little(found: Round, fitted: Fitted, gain: float, more: int, fall: float) -> str:
     """Why what was fitted by recording cannot stand, or "". more: numbers that are each recording's own."""
     if gain < fall:
@@ -248,12 +258,15 @@ def too_little(found: Round, fitted: Fitted, gain: float, more: int, fall: float
 
 
 def chosen(current: Fitted, tried: Sequence[Candidate], more: Sequence[int]) -> tuple[str, ...]:
-    """The one that leaves least, `more` parameters of its own paid for, and others that cannot be told from it."""
+    """The one that leaves least, `more` parameters of its own paid for, and others that cannot be told from it, paid
+    for or not: what one has more of may be next to nothing.
+    """
     standing = [k for k, c in enumerate(tried) if not c.why_not]
     if not standing:
         return ()
     square = [np.inf if c.fitted is None else c.fitted.rms**2 for c in tried]
     cost = {k: square[k] * (1 + LOOP.parameter_penalty * more[k]) for k in standing}
     allowed, order = allowances(current, tried), sorted(standing, key=lambda k: cost[k])
-    close = [k for k in order if cost[k] <= allowed[order[0], k] * cost[order[0]]]
+    best = order[0]
+    close = [k for k in order if min(cost[k] / cost[best], square[k] / square[best]) <= allowed[best, k]]
     return tuple(tried[k].name for k in close[: LOOP.tied])

@@ -103,7 +103,8 @@ def next_round(state: State, candidates: Sequence[str], account: Account) -> tup
     if found.before is not current:  # the refit without the effect came to a better fit of what there was
         base = state.base if state.rounds else found.before
         state = dataclasses.replace(state, base=base, final=found.before)
-    if found.after is None or not state.rounds:  # what differs between recordings may pass for what they share
+    if found.after is None or (not state.rounds and found.after.rms > LOOP.floor_factor * state.floor):
+        # What differs from recording to recording may pass, in part, for something that they share.
         own = with_own_amounts(state, found, rest, account)
         if own is not None:
             return own, True
