@@ -118,9 +118,10 @@ def test_what_holds_for_all_recordings_comes_first():
     assert "pay for 8" in by_recording.too_little(refused, candidate("a", 4.5).fitted, 4.75, 8, 1.0)
 
 
-@pytest.mark.parametrize(("delay", "why"), [(0.02, ""), (0.5, "its delay runs to the bound 0.5 in rec-01"), (0.0, "")])
+@pytest.mark.parametrize(("delay", "why"), [(0.02, ""), (0.5, "its delay runs to the bound 0.5 in rec-01"), (1e-6, "")])
 def test_an_amount_at_its_bound_speaks_against_all(delay, why):
-    space, theta = ParameterSpace((DELAY,)), np.array([delay])
+    bounded = dataclasses.replace(DELAY, bounds=(0.0, 0.5))
+    space, theta = ParameterSpace((bounded,)), np.array([delay])
     own = {"rec-01": Fitted(("late",), space, theta, [np.ones(9)], [np.ones((9, 1))], theta, theta, 1)}
     assert by_recording.beyond_bounds(own) == why
 
@@ -130,6 +131,12 @@ def test_what_explains_as_much_as_the_best_is_fitted_with_it():
              Candidate("d", 0.2, 0.5, why_not="chance"), Candidate("e", 0.05, 0.02)]  # fmt: skip
     assert [c.name for c in by_recording.with_rivals(found, 0.1)] == ["a", "b", "c"]
     assert not by_recording.with_rivals(found[1:2], 0.1)
+
+
+def test_what_beat_chance_for_all_recordings_need_not_beat_it_again():
+    screened = [Candidate("a", 0.5, 0.14, why_not="chance"), Candidate("b", 0.4, 0.3, why_not="chance")]
+    known = by_recording.with_what_is_known(screened, [Candidate("a", 0.3, 0.01), Candidate("b", 0.2, 0.2)])
+    assert [(c.name, c.p_value, c.why_not) for c in known] == [("a", 0.01, ""), ("b", 0.3, "chance")]
 
 
 def test_what_may_vary_is_among_the_parameters():

@@ -42,6 +42,7 @@ def with_own_amounts(state: State, found: Round, candidates: Sequence[str], acco
     account.stage("amounts by recording", 0, 1)
     fall = least_fall(current, state.floor, state.noise)
     screened = screen(problem, current, [name for name in candidates if name not in current.effects])
+    screened = with_what_is_known(screened, found.candidates)
     promising = with_rivals(screened, fall / LOOP.first_order_optimism / current.rms**2)
     tried: list[Candidate] = []
     own: dict[str, Own] = {}
@@ -64,6 +65,17 @@ def with_own_amounts(state: State, found: Round, candidates: Sequence[str], acco
         state, problem=with_own(problem, own[named[0]]), final=after, rounds=(*state.rounds, last),
         own={named[0]: own[named[0]]},
     )  # fmt: skip
+
+
+def with_what_is_known(screened: Sequence[Candidate], shared: Sequence[Candidate]) -> list[Candidate]:
+    """The candidates, with the better p-value of those that beat chance with amounts for all recordings: that they are
+    there is then known, and how much of them is in each recording is a question of what its numbers cost.
+    """
+    beaten = {c.name: c.p_value for c in shared if c.p_value < LOOP.significance}
+    return [
+        dataclasses.replace(c, p_value=min(c.p_value, beaten[c.name]), why_not="") if c.name in beaten else c
+        for c in screened
+    ]
 
 
 def with_rivals(screened: Sequence[Candidate], promise: float) -> list[Candidate]:
@@ -238,7 +250,9 @@ def beyond_bounds(own: Own) -> str:
     """Which amount runs to its bound in which recording, or "". Shapes may: a moment at the end is none at all."""
     for recording, fitted in own.items():
         for i, parameter in enumerate(fitted.space):
-            if parameter.null is not None and fitted.at_bound[i] and not np.isclose(fitted.theta[i], parameter.null):
+            if parameter.null is None or not fitted.at_bound[i]:
+                continue
+            if abs(fitted.theta[i] - parameter.null) > LOOP.away_from_null * np.ptp(parameter.bounds):
                 name = parameter.name.partition(".")[2]
                 return f"its {name} runs to the bound {fitted.theta[i]:.3g} in {recording}"
     return ""

@@ -101,7 +101,7 @@ def unphysical(name: str, fitted: Fitted, together: bool = False) -> str:
     null = np.array([space.parameters[i].null for i in amounts])
     if np.isnan(fitted.low[amounts]).all():
         return f"fewer than {LOOP.least_recordings} recordings to fit give its amount no interval"
-    far = np.abs(fitted.theta[amounts] - null) > 1e-3 * (space.high - space.low)[amounts]
+    far = np.abs(fitted.theta[amounts] - null) > LOOP.away_from_null * (space.high - space.low)[amounts]
     at_bound = [i for i, away in zip(amounts, far, strict=True) if away and fitted.at_bound[i]]
     if at_bound:
         return f"its {space.names[at_bound[0]]} runs to the bound {fitted.theta[at_bound[0]]:.3g}"

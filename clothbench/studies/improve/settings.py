@@ -66,6 +66,7 @@ class LoopSettings:
     tie_margin: float = 0.1  # share of what two candidates leave (mean square) by which they cannot be told apart
     alike_correlation: float = 0.9  # of what two candidates correct, from which on they may be one and the same
     parameter_penalty: float = 0.05  # share of the mean square that every further parameter has to pay
+    away_from_null: float = 1e-3  # of its range: an amount this near to its null value is none
     tied: int = 3  # effects that are named together at most, where they cannot be told apart
     finalists: int = 3  # candidates whose fits are made sure of before they are compared
 
