@@ -145,3 +145,11 @@ def test_what_may_vary_is_among_the_parameters():
     assert sum(bool(own) for own in found.values()) >= 5
     for name, own in found.items():
         assert set(own) <= set(plugins.make("effects", name).parameters.names)
+
+
+def test_no_moment_after_the_end_is_looked_at():
+    slip = catalogue().make("effects", "grip_slip").parameters
+    assert by_recording.moments_within(slip, "grip_slip", 2.5) == {"grip_slip.time": (0.0, 2.5)}
+    assert (
+        by_recording.moments_within(catalogue().make("effects", "clock_offset").parameters, "clock_offset", 2.5) == {}
+    )

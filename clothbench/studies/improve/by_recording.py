@@ -200,23 +200,30 @@ def own_amounts(
     held = {n: value for n, value in shared.items() if n not in mine}
     for case in cases:
         alone = problem.restricted(dataclasses.replace(case, split="fit"))
-        alone = dataclasses.replace(alone, own={case.name: {**problem.own.get(case.name, {}), **held}})
-        space = alone.space(effects)
-        start = places(space, case.duration, problem.seed) if known is None else known[case.name].theta
+        alone = dataclasses.replace(
+            alone, own={case.name: {**problem.own.get(case.name, {}), **held}},
+            bounds={**problem.bounds, **moments_within(problem.space_of(name), name, case.duration)},
+        )  # fmt: skip
+        start = places(alone.space(effects), problem.seed) if known is None else known[case.name].theta
         fitted = fit(alone, effects, start, LOOP.refit_rounds)
         low, high = interval_over_time(fitted)
         out[case.name] = dataclasses.replace(fitted, low=low, high=high)
     return out
 
 
-def places(space: ParameterSpace, duration: float, seed: int) -> np.ndarray:
+def moments_within(space: ParameterSpace, name: str, duration: float) -> dict[str, tuple[float, float]]:
+    """Bounds for the moments [s] among an effect's shapes: none after the recording's end, where steps of a search
+    that are shares of the range would else lead.
+    """
+    return {
+        f"{name}.{p.name}": (p.bounds[0], min(p.bounds[1], duration)) for p in space if p.unit == "s" and p.null is None
+    }
+
+
+def places(space: ParameterSpace, seed: int) -> np.ndarray:
     """Where the search for what is a recording's own sets out, (S, P): nothing of it, the defaults, and a spread."""
     spread = qmc.Sobol(len(space), rng=np.random.default_rng(seed)).random(LOOP.multistart_points)
-    points = space.from_unit(spread)
-    for i, parameter in enumerate(space):
-        if parameter.unit == "s" and parameter.null is None:  # a moment: none after the recording's end
-            points[:, i] = space.low[i] + spread[:, i] * (min(space.high[i], duration) - space.low[i])
-    return np.vstack([null_point(space), space.defaults, points])
+    return np.vstack([null_point(space), space.defaults, space.from_unit(spread)])
 
 
 def interval_over_time(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
