@@ -1,7 +1,9 @@
 """Fit the rig of a session: where the hanger sits on the tool, how the camera was turned, what time it was.
 
 The cloth hangs from a straight rigid bar on the robot's tool. At rest and in motion its upper row stays on a
-straight line within the noise (2-3 mm at 0.4 m/s), so the whole upper edge is held, not just two corners.
+straight line within the noise (2-3 mm at 0.4 m/s), so the whole upper edge is held, not just two corners. The
+outline slides on the sheet in motion (up to 20 mm below the hanger are not seen), so the time is read across the
+sheet only, and how far down it begins is told from the hanger.
 The bar's place on the tool is the same in all recordings of a session and lattice size; so is the camera's
 pose, whose stated orientation is off by 1-3° (a hand-eye calibration by a hand-held board). Both are
 estimated together.
@@ -23,10 +25,11 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.datasets.iri_rig import SLOW, Rig, Take, lateness, resting
 
 POSITION_SIGMA = 0.004  # m, how well the mean of an upper row is seen while it moves
-GRAVITY_SIGMA = 0.005  # rad, how far from plumb the mean column of a resting cloth may hang
+GRAVITY_SIGMA = 0.001  # rad, how far from plumb the mean column of a resting cloth may hang: only weight pulls
 SEARCH = np.arange(-0.5, 1.0, 0.02)  # s, offsets tried before anything is known
 LEAST_JITTER = 0.005  # s, the shutter and a 30 Hz camera allow no less
-UNDETERMINED = 0.02  # s; with a larger uncertainty the session's median serves better
+UNDETERMINED = 0.02  # s; with a larger uncertainty a motion says nothing of its clock
+CLOCK_HOLDS = 0.06  # s, within which all offsets of a session are taken for one
 
 
 def fit_rig(takes: list[Take]) -> Rig:
@@ -63,30 +66,35 @@ def _first_guess(takes: list[Take]) -> tuple[np.ndarray, list[float]]:
 
 
 def _fit_places(rig: Rig, takes: list[Take], offsets: list[float]) -> Rig:
-    """Hanger and camera for given clock offsets: upper rows on the hanger, resting columns plumb; robust."""
-    matrices, places, edges, rest = [], [], [], []
-    for take, offset in zip(takes, offsets, strict=True):
-        when = take.time - rig.age(take, offset)
-        position, rotation = take.tool.at(when)
-        matrices.append(rotation.as_matrix())
-        places.append(position)
-        edges.append(take.edge)
-        rest.append(take.column[resting(take.tool, when)])
-    matrix, place, edge = np.concatenate(matrices), np.concatenate(places), np.concatenate(edges)
+    """Hanger and camera for given clock offsets: upper rows on the hanger, resting columns plumb; robust. How far down
+    the sheet a row lies counts at rest only: in motion the outline slides.
+    """
+    parts = [_placed(take, take.time - rig.age(take, offset)) for take, offset in zip(takes, offsets, strict=True)]
+    matrix, place, edge, hang, still, column = (np.concatenate(each) for each in zip(*parts, strict=True))
     seen = np.isfinite(edge).all(axis=-1)
-    plumb = np.nanmedian(np.concatenate(rest), axis=0) if sum(map(len, rest)) else np.array([0.0, 0.0, -1.0])
+    plumb = np.nanmedian(column[still], axis=0) if still.any() else np.array([0.0, 0.0, -1.0])
+    slides = np.where(still[:, None], 0.0, np.nan_to_num(hang))
     u = takes[0].u
 
     def misses(p: np.ndarray) -> np.ndarray:
         trial = _with(rig, p)
         expected = place[:, None] + np.einsum("tij,nj->tni", matrix, trial.held(u))
-        miss = (trial.corrected(edge) - expected)[seen] / (2 * POSITION_SIGMA)
+        miss, down = trial.corrected(edge) - expected, trial.turned(slides)[:, None]
+        miss = (miss - (miss * down).sum(axis=-1, keepdims=True) * down)[seen] / (2 * POSITION_SIGMA)
         lean = Rotation.from_rotvec(trial.turn).apply(plumb)[:2] / GRAVITY_SIGMA * np.sqrt(len(miss) / 100)
         return np.concatenate([miss.ravel(), lean])
 
     start = np.concatenate([rig.turn, rig.centre, rig.direction[[0, 2]] / rig.direction[1]])
     found = least_squares(misses, start, loss="soft_l1", x_scale=[0.02, 0.02, 0.02, 0.01, 0.01, 0.01, 0.02, 0.02])
     return _with(rig, found.x)
+
+
+def _placed(take: Take, when: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Of one take at `when` (T,) s: the tool's rotation (T, 3, 3) and place (T, 3) m, the upper row, its direction down
+    the sheet, whether the tool rests (T,), and the mean column.
+    """
+    position, rotation = take.tool.at(when)
+    return rotation.as_matrix(), position, take.edge, take.hang, resting(take.tool, when), take.column
 
 
 def _with(rig: Rig, p: np.ndarray) -> Rig:
@@ -104,7 +112,7 @@ def _refine(rig: Rig, take: Take, offset: float) -> tuple[float, float]:
     """
     sigma = np.inf
     for _ in range(8):
-        late, speed, _ = lateness(rig, take, offset)
+        late, speed = lateness(rig, take, offset)
         use = np.isfinite(late) & (speed > SLOW)
         if use.sum() < 5:
             return offset, np.inf
@@ -120,7 +128,7 @@ def _fit_latency(rig: Rig, takes: list[Take], offsets: list[float]) -> Rig:
     """How an image's age grows with the gap before its stamp, and how much its stamp still scatters."""
     rows = []
     for take, offset in zip(takes, offsets, strict=True):
-        late, speed, _ = lateness(rig, take, offset)
+        late, speed = lateness(rig, take, offset)
         use = np.isfinite(late) & (speed > 3 * SLOW)
         rows.append(np.stack([late, take.gap - rig.usual_gap, speed], axis=-1)[use])
     late, gap, speed = np.concatenate(rows).T
@@ -139,11 +147,16 @@ def _fit_latency(rig: Rig, takes: list[Take], offsets: list[float]) -> Rig:
 
 
 def clock_offset(rig: Rig, take: Take) -> tuple[float, float, bool]:
-    """One take's clock offset and uncertainty in s, and whether its own motion determined it."""
+    """One take's clock offset and uncertainty in s, and whether its own motion determined it.
+
+    Two clocks stay together over a session, while what one motion tells of them is also the way in which its cloth
+    bends away from the hanger: the session's median serves, but for a take that differs from it plainly.
+    """
     offset, sigma = _refine(rig, take, rig.offset)
-    if sigma <= UNDETERMINED:
+    determined = sigma <= UNDETERMINED
+    if determined and abs(offset - rig.offset) > CLOCK_HOLDS:
         return offset, sigma, True
-    return rig.offset, float(rig.jitter), False
+    return rig.offset, sigma if determined else float(rig.jitter), determined
 
 
 def capture_times(rig: Rig, take: Take, offset: float) -> np.ndarray:
@@ -153,7 +166,7 @@ def capture_times(rig: Rig, take: Take, offset: float) -> np.ndarray:
     it is known: its estimate is shrunk by jitter² / (jitter² + (position sigma / speed)²), so at rest
     nothing is moved.
     """
-    late, speed, _ = lateness(rig, take, offset)
+    late, speed = lateness(rig, take, offset)
     trust = rig.jitter**2 / (rig.jitter**2 + (POSITION_SIGMA / np.maximum(speed, 1e-6)) ** 2)
     own = np.where(np.isfinite(late) & (speed > SLOW), trust * late, 0.0)
     own = np.where(np.abs(own) <= 3 * rig.jitter, own, 0.0)

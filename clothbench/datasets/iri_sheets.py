@@ -5,7 +5,7 @@ left out.
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -20,21 +20,31 @@ ENOUGH_NODES = 0.5  # of a frame's nodes
 SIZE_SLACK = 0.15  # of the side; a frame that lost more of its width or height shows another outline, not this cloth
 FLAT_SLACK = 0.10  # of the node spacing; a lattice that misses flatness by more is torn or folded over itself
 
+BY_FRAME = ("stamp", "gap", "surface", "jumped", "flat", "position")
+
 
 @dataclass(eq=False)
 class Sheet:
-    """stamp (T,) ns; position (T, n·n, 3) m in the robot's base, NaN = not seen; frames_in; dropped and
-    masked: counts.
+    """What became of one mesh file.
+
+    stamp: (T,) ns; gap: (T,) s to the stamp before;
+    surface: (T, n, n, 3) m in the robot's base, the measured lattices in order, NaN = not seen;
+    jumped: (T, n·n), nodes that were taken out of it;
+    flat: (T, n·n, 2) m, where these nodes lie when the sheet is unrolled onto its outline;
+    position: (T, n·n, 3) m, the surface at the nominal material points, labelled by the outline;
+    frames_in, reordered: counts; dropped: counts by reason.
     """
 
     source: Source
     stamp: np.ndarray
     gap: np.ndarray
+    surface: np.ndarray
+    jumped: np.ndarray
+    flat: np.ndarray
     position: np.ndarray
     frames_in: int
     reordered: int
     dropped: Counter[str] = field(default_factory=Counter)
-    masked: Counter[str] = field(default_factory=Counter)
 
     @property
     def material(self) -> np.ndarray:
@@ -45,7 +55,24 @@ class Sheet:
         """Drop the frames that are not `good` (T,) and count them under `why`."""
         if not good.all():
             self.dropped[why] += int((~good).sum())
-            self.stamp, self.gap, self.position = self.stamp[good], self.gap[good], self.position[good]
+            self.__dict__.update(vars(self.of(good)))
+
+    def of(self, good: np.ndarray) -> Sheet:
+        """The same with the frames that are `good` (T,) only."""
+        return replace(self, **{name: getattr(self, name)[good] for name in BY_FRAME})
+
+    def labelled(self, further: np.ndarray) -> tuple[np.ndarray, Counter[str]]:
+        """The surface at the nominal material points (T, n·n, 3), each frame's nodes `further` (T,) m down the sheet
+        than its outline says; and how many are masked, by reason.
+        """
+        moved = self.flat + np.stack([np.zeros_like(further), further], axis=-1)[:, None]
+        position, unseen, outside = lattice.resample(self.surface, moved, SIDE)
+        faults = {
+            "jumped away from its neighbours": self.jumped,
+            "not seen near by": unseen & ~self.jumped,
+            "outside the seen outline": outside,
+        }
+        return position, Counter({why: int(bad.sum()) for why, bad in faults.items() if bad.any()})
 
 
 def read_sheet(source: Source) -> Sheet:
@@ -58,22 +85,21 @@ def read_sheet(source: Source) -> Sheet:
     seen = np.isfinite(frames).all(axis=-1).mean(axis=(1, 2))
     gap = np.diff(stamp[later], prepend=np.nan) * 1e-9
     gap[0] = np.median(gap[1:]) if len(gap) > 1 else 0.1
-    empty = np.empty((int(later.sum()), source.n**2, 3))
-    sheet = Sheet(source, stamp[later], gap, empty, count, 0)
-    sheet.dropped.update({"duplicate or backward stamp": int((~later).sum())} if not later.all() else {})
     frames = frames[later]
+    empty = np.empty((len(frames), source.n**2, 3))
+    none = np.zeros(empty.shape[:2], dtype=bool)
+    sheet = Sheet(source, stamp[later], gap, frames, none, empty[..., :2], empty, count, 0)
+    sheet.dropped.update({"duplicate or backward stamp": int((~later).sum())} if not later.all() else {})
     whole = seen[later] >= ENOUGH_NODES
     sheet.keep(whole, "fewer than half of the nodes seen")
     if whole.any():
-        _relabel(sheet, frames[whole], rotation.as_matrix()[:, 0])
+        _relabel(sheet, rotation.as_matrix()[:, 0])
     return sheet
 
 
-def _relabel(sheet: Sheet, frames: np.ndarray, right: np.ndarray) -> None:
-    """Positions at the nominal material points; drops frames that do not unroll to a square of the cloth's
-    size.
-    """
-    ordered, sheet.reordered = put_in_order(frames, right)
+def _relabel(sheet: Sheet, right: np.ndarray) -> None:
+    """Unroll the surface, label it by its outline; drop frames that do not unroll to a square of the cloth's size."""
+    ordered, sheet.reordered = put_in_order(sheet.surface, right)
     jumped = jumped_nodes(ordered)
     ordered[jumped] = np.nan
     flat, stress = lattice.unroll(lattice.filled(ordered), SIDE)
@@ -81,15 +107,8 @@ def _relabel(sheet: Sheet, frames: np.ndarray, right: np.ndarray) -> None:
     flat_enough = (stress <= FLAT_SLACK * SIDE / (n - 1)) & ~torn(ordered, SIDE)
     width, height = _extent(flat.reshape(len(flat), n, n, 2))
     right_size = (np.abs(width / SIDE - 1) <= SIZE_SLACK) & (np.abs(height / SIDE - 1) <= SIZE_SLACK)
-    placed = lattice.place(flat, SIDE)
-    sheet.position, unseen, outside = lattice.resample(ordered, placed, SIDE)
-    good = flat_enough & right_size
-    faults = {
-        "jumped away from its neighbours": jumped.reshape(len(good), -1),
-        "not seen near by": unseen & ~jumped.reshape(len(good), -1),
-        "outside the seen outline": outside,
-    }
-    sheet.masked.update({why: int(bad[good].sum()) for why, bad in faults.items() if bad[good].any()})
+    sheet.surface, sheet.jumped, sheet.flat = ordered, jumped.reshape(len(flat), -1), lattice.place(flat, SIDE)
+    sheet.position, _ = sheet.labelled(np.zeros(len(flat)))
     sheet.keep(flat_enough, "torn or folded: does not unroll")
     sheet.keep(right_size[flat_enough], "wrong size: more than 15 % of width or height lost or gained")
     enough = np.isfinite(sheet.position).all(axis=-1).mean(axis=1) >= ENOUGH_NODES

@@ -1,9 +1,10 @@
 """Importer for `iri_wam_cloth_swing`: a 30 × 30 cm cloth on a hanger, swung by a robot arm, meshed by a
 depth camera.
 
-What is done to the data, in this order: nodes ordered and relabelled (lattice, iri_sheets); camera, hanger
+What is done to the data, in this order: nodes ordered and the sheet unrolled (lattice, iri_sheets); camera, hanger
 and clocks brought together per session and lattice size (iri_alignment); frames at odds with the tool
-dropped, the start cut to a rest, and one recording written per mesh file (iri_recording).
+dropped, the start cut to a rest, nodes labelled by their way from the hanger, and one recording written per mesh
+file (iri_recording).
 `import-report.json` says what became of each.
 """
 

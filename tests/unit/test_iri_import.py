@@ -325,6 +325,21 @@ def test_camera_error_is_found_and_put_right(tmp_path):
     assert report.grip_residual_m < 0.004
 
 
+def test_sheet_whose_upper_edge_is_not_seen_is_labelled_from_the_hanger(tmp_path):
+    lab = Lab()
+    moving = lab.capture()[1] > lab.still
+    frames = lab.frames()
+    down = np.where(moving, 0.02, 0.0)[:, None] * (1 - np.linspace(0, 1, lab.n))  # m, the lattice spans what is seen
+    frames[..., 2] -= down[:, :, None]
+    lab.write(session(tmp_path), "range60_rep1", frames)
+    report = run(tmp_path)["range60_rep1"]
+    error = truth_error(report, lab)
+    # What is seen lies in the middle of the cloth's own outline, 10 mm higher than it is.
+    assert float(read_recording(report.output).notes["outline_begins_rms_m"]) == pytest.approx(0.010, abs=0.003)
+    assert np.nanmedian(error) < 0.003
+    assert np.nanpercentile(error, 95) < 0.006
+
+
 def test_start_in_motion_is_cut_to_the_first_rest(tmp_path):
     lab = Lab()
     lab.write(session(tmp_path), "range60_rep2")
