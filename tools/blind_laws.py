@@ -19,9 +19,10 @@ from scipy.stats import f as fisher
 
 from clothbench import Observation, Scene
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.improve.balance import Motion, motion_of, terms
+from clothbench.studies.improve.balance import terms
 from clothbench.studies.improve.described import NUMBERS, Described
 from clothbench.studies.improve.law import Amount, Law, law_of
+from clothbench.studies.improve.motion import Motion, motion_of
 
 NOISE, UNSEEN, RATE = 1e-3, 0.01, 30.0  # m, share, 1/s
 TERMS = {term.name: term for term in terms()}

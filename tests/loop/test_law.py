@@ -12,9 +12,10 @@ import pytest
 from clothbench import Observation, Recording, Scene, write_recording
 from clothbench.cli.improve import command
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.improve.balance import motion_of, terms
+from clothbench.studies.improve.balance import terms
 from clothbench.studies.improve.described import NUMBERS, Described
 from clothbench.studies.improve.law import Amount, Law, law_of
+from clothbench.studies.improve.motion import motion_of
 
 WIDTH, HEIGHT, DENSITY, NOISE = 0.3, 0.35, 0.18, 1e-3
 NAMED = {term.name: term for term in terms()}

@@ -129,9 +129,13 @@ class CurveEvidence:
         """No identity is known of such recordings."""
         return ""
 
-    def law(self, seed: int) -> None:
+    def balance(self, seed: int) -> None:
         """Nothing moves."""
         return
+
+    def whereabouts(self, residual: Sequence[np.ndarray], seed: int) -> Rows:
+        """Nothing moves."""
+        return []
 
     def location(self, residual: Sequence[np.ndarray]) -> str:
         """A curve has no sheet on which to say where."""

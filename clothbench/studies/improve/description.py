@@ -13,19 +13,19 @@ from clothbench.studies.improve.finding import Description
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import fit
 from clothbench.studies.improve.held_out import held_out_errors
+from clothbench.studies.improve.law import Law
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.verdict import pooled
 
 
-def description_of(problem: Problem, base: Fitted, before: Sequence[float], account: Account) -> Description | None:
-    """The law of what the calibrated model leaves, where one beats chance without any model, and the model does better
-    with it on recordings held out (on those fitted, where there are none). before: errors of the base there.
+def description_of(
+    problem: Problem, law: Law, base: Fitted, before: Sequence[float], account: Account
+) -> Description | None:
+    """The law of what the calibrated model leaves, if the model does better with it on recordings held out (on those
+    fitted, where there are none). before: errors of the base there.
     """
-    account.stage("missing force described", 0, 2)
-    if (law := problem.evidence.law(problem.seed)) is None:
-        return None
-    account.stage("missing force described", 1, 2)
+    account.stage("missing force described", 0, 1)
     effect = Described(law)
     problem = dataclasses.replace(problem, made={NAME: effect})
     start = np.concatenate([base.theta, [effect.start[slot] for slot in sorted(effect.start)]])

@@ -34,7 +34,8 @@ def verdict_document(finding: Finding) -> dict[str, Any]:
         "effects": effect_entries(finding),
         "error_mm": error if in_mm else nulls(error), "unexplained_mm": unexplained if in_mm else None,
         "hint": finding.hint,
-        "description": description_entry(finding, in_mm),
+        "description": description_entry(finding, in_mm), "balance": balance_entry(finding),
+        "whereabouts": [dict(row) for row in finding.whereabouts],
         "candidates": candidate_entries(finding),
         "condition": finite(np.linalg.cond(final.weighted_jacobian)),
         "evaluations": finding.evaluations, "wall_s": finding.wall_s, "seed": finding.seed,
@@ -95,6 +96,21 @@ def description_entry(finding: Finding, in_mm: bool) -> dict[str, Any] | None:
         ],
         "p_value": law.p_value, "error_mm": error if in_mm else nulls(error),
         "torque": {"before": law.before, "after": law.after, "noise": law.noise, "unit": "N·m"},
+    }  # fmt: skip
+
+
+def balance_entry(finding: Finding) -> dict[str, Any] | None:
+    """What the torque about the grips goes with, without any model: shares of its mean square that are predicted on
+    recordings left out, the kernel over lag, and the law, if there is one.
+    """
+    if (found := finding.balance) is None:
+        return None
+    past, law = found.past, found.law
+    return {
+        "shares": dict(past.shares),
+        "kernel": {"lag_s": list(past.lag), "value": list(past.value), "low": list(past.low), "high": list(past.high),
+                   "unit": "kg/(m²·s)"},
+        "formula": law and law.formula, "p_value": law and law.p_value,
     }  # fmt: skip
 
 

@@ -241,9 +241,13 @@ class DrapeEvidence:
         """It is the noise already."""
         return 0.0
 
-    def law(self, seed: int) -> None:
+    def balance(self, seed: int) -> None:
         """Nothing moves."""
         return
+
+    def whereabouts(self, residual: Sequence[np.ndarray], seed: int) -> Rows:
+        """Nothing moves."""
+        return []
 
     def location(self, residual: Sequence[np.ndarray]) -> str:
         """What the drapes themselves say of faces and threads."""

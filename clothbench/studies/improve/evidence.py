@@ -16,8 +16,8 @@ import numpy as np
 from clothbench.core.protocols import Effect, Model, Simulation
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.trials import Trial
-from clothbench.studies.improve.law import Law
 from clothbench.studies.improve.settings import SearchSettings
+from clothbench.studies.improve.torque import Balance
 
 Rows = list[dict[str, Any]]
 Surrogate = Callable[[np.random.Generator], np.ndarray]  # draws one residual (M,) that chance could have made
@@ -150,9 +150,15 @@ class Evidence(Protocol):
         """
         ...
 
-    def law(self, seed: int) -> Law | None:
+    def balance(self, seed: int) -> Balance | None:
         """What acts on what was measured from outside, beside damping, told from the fit recordings without any model;
         None where nothing can be told.
+        """
+        ...
+
+    def whereabouts(self, residual: Sequence[np.ndarray], seed: int) -> Rows:
+        """Where and when there is more than elsewhere of what a fit leaves of the fit recordings, beside chance: rows
+        of the table `whereabouts`; none where there is no where.
         """
         ...
 

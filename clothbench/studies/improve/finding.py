@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from clothbench.studies.improve.evidence import Comparison, Evidence
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.law import Law
 from clothbench.studies.improve.state import Round
+from clothbench.studies.improve.torque import Balance
 
 
 @dataclass(frozen=True)
@@ -68,6 +70,8 @@ class Finding:
     evaluations: parameter sets that were simulated, on all fit recordings each;
     wall_s: s, those of stopped runs included;
     stages: (stage, s, evaluations), where both went;
+    balance: what the recordings say without any model, None where they say nothing so;
+    whereabouts: rows of that table: where and when more is left than elsewhere;
     description: of what is missing, where it has no name; None where it has one, or nothing could be told;
     own: by effect and recording, those held out included, the amounts that are each recording's own;
     timed_out: whether a further round was not begun for want of time.
@@ -95,7 +99,9 @@ class Finding:
     evaluations: int
     wall_s: float
     stages: tuple[tuple[str, float, int], ...]
+    balance: Balance | None = None
     description: Description | None = None
+    whereabouts: tuple[Mapping[str, Any], ...] = ()
     own: Mapping[str, Mapping[str, Fitted]] = field(default_factory=dict)
     timed_out: bool = False
 

@@ -14,7 +14,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.stats import t as student
 
-from clothbench.studies.improve.balance import Motion, Term, terms
+from clothbench.studies.improve.balance import Term, terms
+from clothbench.studies.improve.motion import Motion
 from clothbench.studies.improve.settings import LOOP
 
 MOST_TERMS = 3
@@ -112,16 +113,18 @@ def law_of(motions: Sequence[Motion], seed: int = 0) -> Law | None:
     """
     if len(motions) < LOOP.least_recordings:
         return None
-    known = terms()
+    known = [term for term in terms() if all(m.sees(term.force(m)) for m in motions)]
     series = Series(
-        [m.missing for m in motions], [m.torque(-m.v) for m in motions],
-        [np.column_stack([m.torque(term.force(m)) for term in known]) for m in motions],
+        [m.missing[m.counted] for m in motions], [m.torque(-m.v)[m.counted] for m in motions],
+        [np.column_stack([m.torque(term.force(m)) for term in known])[m.counted] for m in motions],
         float(np.sqrt(np.mean([m.missing_sigma**2 for m in motions]))),
         [term.slot for term in known], np.array([term.positive for term in known]),
     )  # fmt: skip
     before = series.errors(())
-    chosen, after = selected(series, before)
     above = before.mean() - series.noise**2
+    if rms(before) <= LOOP.floor_factor * series.noise:
+        return None
+    chosen, after = selected(series, before)
     if not chosen or before.mean() - after.mean() < LEAST_SHARE * above:
         return None
     p_value = chance(series, chosen[0], before, seed)

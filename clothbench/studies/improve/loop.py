@@ -170,7 +170,10 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
     placebo, spent = placebo_of(problem, end.fit, state.rounds)
     account.count(spent)
     after = held_out_errors(problem, end.fit) if end.fit.effects else before
-    description = description_of(problem, base, before, account) if end.word == "unexplained" else None
+    account.stage("without any model", 0, 1)
+    balance, description = problem.evidence.balance(problem.seed), None
+    if end.word == "unexplained" and balance is not None and balance.law is not None:
+        description = description_of(problem, balance.law, base, before, account)
     comparisons = comparisons_of(problem, base, end.fit)
     account.stop()
     return Finding(
@@ -179,8 +182,9 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
         calibrated=base, final=end.fit, rounds=tuple(dataclasses.replace(r, probes=()) for r in state.rounds),
         dropped=end.dropped, notes=notes(problem, state.rounds), alone=state.alone,
         held_out=tuple(zip((c.name for c in problem.of_split("held_out")), before, after, strict=True)),
-        placebo=placebo, description=description, own=own if end.fit.effects else {},
-        comparisons=comparisons, evaluations=account.evaluations,
+        placebo=placebo, balance=balance, description=description,
+        whereabouts=tuple(problem.evidence.whereabouts(end.fit.residual, problem.seed)),
+        own=own if end.fit.effects else {}, comparisons=comparisons, evaluations=account.evaluations,
         wall_s=problem.checkpoint.seconds, stages=account.table, timed_out=timed_out,
     )  # fmt: skip
 

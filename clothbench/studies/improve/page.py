@@ -12,6 +12,7 @@ from clothbench.engine.store import system_info
 from clothbench.engine.study import Results
 from clothbench.studies.improve import figures as draw
 from clothbench.studies.improve.document import document_in
+from clothbench.studies.improve.missing_page import balance_section, block, description_section, whereabouts_section
 from clothbench.studies.improve.style import BLOCKS, STYLE
 from clothbench.studies.improve.words import errors_of, floor_word, remains, sentence, size
 
@@ -30,9 +31,6 @@ OWN = (
     "Amounts in a recording are its own: one that holds for all would not do. Those of a recording held out are fitted "
     "to it, while everything that is shared stays as the others have it; the interval is from parts of its time."
 )
-DESCRIBED = """A description, not a name: a force per area that acts on the cloth from outside, from the balance of
-torques about the grips, an identity of mechanics that needs no model. n: normal, v: velocity, a: acceleration, s: from
-the upper edge down to H, g: gravity."""
 DRAPES = """<p class="soft">A cloth whose faces and threads are alike drapes alike on either side, and is as long one
 way as the other. First what the drapes say without any model, then what the model has. Elongation: second harmonic of
 the outline, along the line of the picture along which, or across which, this fabric's drapes are long.</p>"""
@@ -54,11 +52,13 @@ def page_html(found: Mapping[str, Any], tables: Tables) -> str:
         error_section(found, tables["errors"], blocks),
         effect_section(found),
         description_section(found.get("description")),
+        balance_section(found.get("balance"), tables["kernel"], blocks),
         candidate_section(tables["candidates"]),
         curve_section(tables["curves"], bool(found["effects"]), blocks),
         drape_section(tables, bool(found["effects"])),
         frame_section(found, tables["frames"], blocks),
         map_section(found, tables["nodes"], blocks),
+        whereabouts_section(tables["whereabouts"]),
         direction_section(found, tables["portrait"], blocks),
         against_section(found, tables["against"], blocks),
         parameter_section(tables["parameters"], bool(found["effects"]), found.get("condition")),
@@ -189,22 +189,6 @@ def effect_section(found: Mapping[str, Any], level: str = "h2") -> str:
     return (
         f"<{level}>Named</{level}>" + table(["effect", "amount", "95 % interval", "unit"], body, numeric={1, 2}) + own
     )
-
-
-def description_section(found: Mapping[str, Any] | None) -> str:
-    """The law of a force that has no name."""
-    if found is None:
-        return ""
-    body = [[text(t["term"]), f"{t['value']:.4g}", interval(t, ".4g") or "–", text(unit(t))] for t in found["terms"]]
-    error, torque = found["error_mm"]["held_out"], found["torque"]
-    said = (
-        f"{DESCRIBED} The torque that is left on recordings left out falls from {1e3 * torque['before']:.3g} to "
-        f"{1e3 * torque['after']:.3g} mN·m (noise {1e3 * torque['noise']:.2g}), p = {found['p_value']:.2g}; with this "
-        f"force in the model its error falls from {size(error['before'], 'mm')} to {size(error['after'], 'mm')} mm."
-    )
-    heads = ["goes with", "coefficient", "95 % interval", "unit"]
-    shown = table(heads, body, numeric={1, 2})
-    return f"<h2>Described</h2><p><b>{text(found['formula'])}</b></p>{shown}<p class='soft'>{said}</p>"
 
 
 def candidate_section(candidates: Rows) -> str:
@@ -356,24 +340,6 @@ def stage_section(found: Mapping[str, Any], stages: Rows, blocks: list[dict[str,
 def remains_section(found: Mapping[str, Any], tables: Tables) -> str:
     lines = "".join(f"<li>{line}</li>" for line in remains(found, tables))
     return f"<h2>What remains</h2><ul>{lines}</ul>"
-
-
-def block(
-    name: str, caption: str, views: Mapping[str, list[Any]], blocks: list[dict[str, Any]], menu: str = "Recording"
-) -> str:
-    """Figures with a caption; a menu above them where there are several views. Adds itself to `blocks`.
-
-    `caption` and the names of views are HTML.
-    """
-    blocks.append({"id": name, "views": dict(views)})
-    most = max(len(figures) for figures in views.values())
-    places = "".join(f'<div id="{name}-{n}"></div>' for n in range(most))
-    choice = ""
-    if len(views) > 1:
-        options = "".join(f'<option value="{key}">{key}</option>' for key in views)
-        choice = f'<div class="menu"><label for="{name}-view">{menu}</label>'
-        choice += f'<select id="{name}-view">{options}</select></div>'
-    return f'{choice}<figure><figcaption>{caption}</figcaption><div class="beside">{places}</div></figure>'
 
 
 def legend(found: Mapping[str, Any]) -> list[list[str]]:

@@ -64,8 +64,15 @@ DRIFT = {
     "at_bound": _flag, "joint": _number, "low": _number, "high": _number, "outside": _flag,
 }  # fmt: skip
 
+# Where and when more is left than elsewhere. kind: "where" or "when"; ratio: of the rms there to that of all.
+WHEREABOUTS = {
+    "kind": _text, "part": _text, "rms": _number, "unit": _text, "ratio": _number, "p_value": _number,
+}  # fmt: skip
+# The kernel over lag of the force that is missing, told without a model: kg/(m²·s) with 95 % intervals.
+KERNEL = {"lag": _number, "value": _number, "low": _number, "high": _number}
+
 IMPROVE_TABLES = {
     "candidates": CANDIDATE, "parameters": PARAMETER, "errors": ERROR, "portrait": PORTRAIT, "against": BIN,
     "frames": FRAME, "nodes": NODE, "curves": CURVE, "drapes": DRAPE, "captures": CAPTURES, "asymmetries": ASYMMETRY,
-    "stages": STAGE, "drift": DRIFT,
+    "stages": STAGE, "drift": DRIFT, "whereabouts": WHEREABOUTS, "kernel": KERNEL,
 }  # fmt: skip

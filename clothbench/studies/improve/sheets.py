@@ -16,12 +16,13 @@ from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
 from clothbench.estimation.trials import Trial
 from clothbench.recordings.nodes import Recording
-from clothbench.studies.improve.balance import motion_of
 from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit, without_switches
-from clothbench.studies.improve.law import Law, law_of
+from clothbench.studies.improve.motion import motion_of
 from clothbench.studies.improve.repeats import spread_of_repeats
 from clothbench.studies.improve.settings import SearchSettings
 from clothbench.studies.improve.sheet_tables import sheet_tables
+from clothbench.studies.improve.torque import Balance, balance_of
+from clothbench.studies.improve.whereabouts import whereabouts
 
 THIRDS = ("upper", "middle", "lower")  # of a hanging sheet, along v
 
@@ -171,9 +172,15 @@ class SheetEvidence:
         """No identity is known of such recordings."""
         return ""
 
-    def law(self, seed: int) -> Law | None:
+    def balance(self, seed: int) -> Balance | None:
         motions = [motion_of(case.observation, case.scene, noise_of(case.observation)) for case in self._fitted()]
-        return law_of([m for m in motions if m is not None], seed)
+        return balance_of([m for m in motions if m is not None], seed)
+
+    def whereabouts(self, residual: Sequence[np.ndarray], seed: int) -> Rows:
+        fields = [
+            (case.observation, case.scene, case.field(r)) for case, r in zip(self._fitted(), residual, strict=True)
+        ]
+        return whereabouts(fields, self.unit.scale, self.unit.reported, seed)
 
     def location(self, residual: Sequence[np.ndarray]) -> str:
         """Where on the sheet, in which recording and when in it most is left."""

@@ -21,6 +21,8 @@ def finding_tables(finding: Finding) -> Mapping[str, Rows]:
         "errors": error_rows(finding),
         "stages": stage_rows(finding),
         "drift": drift_rows(finding),
+        "whereabouts": [dict(row) for row in finding.whereabouts],
+        "kernel": kernel_rows(finding),
     }
     shown = finding.evidence.tables(finding.comparisons)
     return {name: [] for name in IMPROVE_TABLES} | own | dict(shown)
@@ -67,6 +69,17 @@ def error_rows(finding: Finding) -> Rows:
          "after": finite(unit.scale * b), "floor": unit.scale * finding.floor}
         for name, split, a, b in rows
     ]  # fmt: skip
+
+
+def kernel_rows(finding: Finding) -> Rows:
+    """The kernel of the missing force over lag."""
+    if finding.balance is None:
+        return []
+    past = finding.balance.past
+    return [
+        {"lag": lag, "value": value, "low": low, "high": high}
+        for lag, value, low, high in zip(past.lag, past.value, past.low, past.high, strict=True)
+    ]
 
 
 def stage_rows(finding: Finding) -> Rows:

@@ -1,0 +1,142 @@
+"""Where and when something is missing: which part of the cloth and which phase of the motion, beside chance.
+
+A part of the cloth is told when more is left there than elsewhere in recording after recording (Student's t of the
+logarithm of the ratio over recordings, times the number of parts: Bonferroni). A phase is told when more is left in it
+than in the same residual moved round in time (max-statistic over all phases): a residual that is everywhere alike in
+time has no phase, however large it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from clothbench.core.observation import Observation
+from clothbench.core.scene import Scene
+from clothbench.studies.improve.settings import LOOP
+
+Rows = list[dict[str, Any]]  # of the table `whereabouts`
+DOWN, ACROSS = ("upper", "middle", "lower"), ("left", "middle", "right")
+MOVES = 0.1  # of the grips' greatest speed: above that they move
+LEAST_FRAMES = 5  # of a phase in a recording, for it to have a say
+SPEED_OVER = 0.1  # s, over which speeds are taken
+
+
+def whereabouts(seen: Sequence[tuple[Observation, Scene, np.ndarray]], scale: float, unit: str, seed: int = 0) -> Rows:
+    """A row for each part of the cloth and each phase of the motion. seen: of each recording the observation, the scene
+    and what a fit leaves (T, N, 3) m, 0 where nothing was seen; scale: how many of `unit` a metre is.
+    """
+    return where(seen, scale, unit) + when(seen, scale, unit, seed)
+
+
+def row(kind: str, part: str, square: float, ratio: float, p_value: float, scale: float, unit: str) -> dict[str, Any]:
+    return {"kind": kind, "part": part, "rms": scale * float(np.sqrt(square)), "unit": unit, "ratio": float(ratio),
+            "p_value": float(p_value)}  # fmt: skip
+
+
+def where(seen: Sequence[tuple[Observation, Scene, np.ndarray]], scale: float, unit: str) -> Rows:
+    """Of the nine parts of the cloth. ratio: of the rms there to that of all of it."""
+    squares: dict[str, list[tuple[float, float]]] = {}
+    for observation, scene, field in seen:
+        place = observation.material / [scene.width, scene.height]
+        third = np.minimum((3 * place).astype(int), 2)
+        counted = observation.visible * observation.coordinates
+        every = np.square(field).sum(axis=2)
+        whole = every.sum() / max(counted.sum(), 1)
+        for down in range(3):
+            for across in range(3):
+                mine = (third[:, 1] == down) & (third[:, 0] == across)
+                if counted[:, mine].sum() and whole > 0:
+                    name = f"{DOWN[down]} {ACROSS[across]}"
+                    squares.setdefault(name, []).append((every[:, mine].sum() / counted[:, mine].sum(), whole))
+    out = []
+    for name, pairs in squares.items():
+        part, whole = np.array(pairs).T
+        ratio = np.log(np.maximum(part, 1e-300) / whole) / 2
+        out.append(row("where", name, part.mean(), np.exp(ratio.mean()), len(squares) * above_zero(ratio), scale, unit))
+    return [{**one, "p_value": min(one["p_value"], 1.0)} for one in out]
+
+
+def above_zero(values: np.ndarray) -> float:
+    """p: how often a mean as high comes of values about zero (Student's t, one side)."""
+    if len(values) < 2 or values.std() == 0:
+        return 1.0
+    return float(student.sf(values.mean() / values.std(ddof=1) * np.sqrt(len(values)), len(values) - 1))
+
+
+def when(seen: Sequence[tuple[Observation, Scene, np.ndarray]], scale: float, unit: str, seed: int) -> Rows:
+    """Of the phases of the motion. ratio: of the rms in it to that of all of it."""
+    series = [per_frame(observation, field) for observation, _, field in seen]
+    phases = [phases_of(observation, scene) for observation, scene, _ in seen]
+    names = sorted({name for one in phases for name, frames in one.items() if frames.sum() >= LEAST_FRAMES})
+    if not names:
+        return []
+
+    def ratios(drawn: Sequence[np.ndarray]) -> np.ndarray:
+        out = []
+        for name in names:
+            mine = [s[p[name]].mean() / s.mean() for s, p in zip(drawn, phases, strict=True)
+                    if p[name].sum() >= LEAST_FRAMES and s.mean() > 0]  # fmt: skip
+            out.append(float(np.mean(mine)) if mine else 1.0)
+        return np.array(out)
+
+    random = np.random.default_rng(seed)
+    chance = np.array([ratios([moved(s, random) for s in series]) for _ in range(LOOP.permutations)])
+    middle, spread = chance.mean(axis=0), np.maximum(chance.std(axis=0), 1e-12)
+    found, most = ratios(series), ((chance - middle) / spread).max(axis=1)
+    out = []
+    for k, name in enumerate(names):
+        p_value = (1 + (most >= (found[k] - middle[k]) / spread[k]).sum()) / (1 + len(most))
+        square = np.mean([s[p[name]].mean() for s, p in zip(series, phases, strict=True) if p[name].any()])
+        out.append(row("when", name, float(square), np.sqrt(found[k]), p_value, scale, unit))
+    return out
+
+
+def per_frame(observation: Observation, field: np.ndarray) -> np.ndarray:
+    """(T,) m², mean square of a residual (T, N, 3) over what was seen of each frame."""
+    counted = observation.visible.sum(axis=1) * observation.coordinates
+    return np.asarray(np.square(field).sum(axis=(1, 2)) / np.maximum(counted, 1))
+
+
+def moved(series: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """The series (T,) moved round a circle of itself and its reverse, so that no jump comes in."""
+    at = (np.arange(len(series)) + random.integers(2 * len(series))) % (2 * len(series))
+    return series[np.minimum(at, 2 * len(series) - 1 - at)]
+
+
+def phases_of(observation: Observation, scene: Scene) -> Mapping[str, np.ndarray]:
+    """Which frames (T,) are in each phase: by what the grips do, and by how fast the cloth moves."""
+    time = observation.time
+    out = grip_phases(time, scene)
+    x = np.where(observation.visible[..., None], observation.position, np.nan)
+    steps = np.diff(time)[:, None, None]
+    jump = np.linalg.norm(np.diff(x, axis=0) / steps, axis=2)
+    seen = np.isfinite(jump)
+    speed = np.where(seen, jump, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
+    speed = np.concatenate([speed[:1], (speed[1:] + speed[:-1]) / 2, speed[-1:]])
+    slow, fast = np.quantile(speed, [1 / 3, 2 / 3])
+    return out | {"the cloth is slow": speed <= slow, "the cloth is fast": speed >= fast}
+
+
+def grip_phases(time: np.ndarray, scene: Scene) -> dict[str, np.ndarray]:
+    """Of the grips: before they move, while they speed up, slow down or turn, and after they stopped."""
+    middle = scene.grip_position.mean(axis=1)
+
+    def at(when: np.ndarray) -> np.ndarray:
+        return np.stack([np.interp(when, scene.grip_time, middle[:, c]) for c in range(3)], axis=1)
+
+    def speed(when: np.ndarray) -> np.ndarray:
+        return np.linalg.norm(at(when + SPEED_OVER / 2) - at(when - SPEED_OVER / 2), axis=1) / SPEED_OVER
+
+    now, rising = speed(time), speed(time + SPEED_OVER / 2) > speed(time - SPEED_OVER / 2)
+    moving = now > MOVES * max(now.max(), 1e-9)
+    first, last = (int(np.argmax(moving)), len(time) - 1 - int(np.argmax(moving[::-1]))) if moving.any() else (0, -1)
+    frame = np.arange(len(time))
+    return {
+        "before the grips move": frame < first, "the grips speed up": moving & rising,
+        "the grips slow down": moving & ~rising,
+        "the grips turn": ~moving & (frame > first) & (frame < last), "after the grips stopped": frame > last,
+    }  # fmt: skip
