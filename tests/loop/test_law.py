@@ -16,6 +16,7 @@ from clothbench.studies.improve.balance import terms
 from clothbench.studies.improve.described import NUMBERS, Described
 from clothbench.studies.improve.law import Amount, Law, law_of
 from clothbench.studies.improve.motion import motion_of
+from clothbench.studies.improve.torque import past_of
 
 WIDTH, HEIGHT, DENSITY, NOISE = 0.3, 0.35, 0.18, 1e-3
 NAMED = {term.name: term for term in terms()}
@@ -114,6 +115,48 @@ def test_the_past_is_told_from_the_present():
 
 def test_nothing_is_described_where_nothing_is_missing():
     assert [law_of(motions(seed=seed), seed) for seed in range(20)] == [None] * 20
+
+
+def at_some_frames(seed=0):
+    """Of a memory: every third frame or so, unevenly, and a lower corner that is not seen for half a second."""
+    out, random = [], np.random.default_rng(seed)
+    for number in range(5):
+        scene, position = simulated(number, (("coefficient", 0.8), ("time", 0.15)), "air_memory")
+        frames = np.flatnonzero(random.random(len(scene.times)) < 0.36)
+        seen = position[frames] + random.normal(0, NOISE, position[frames].shape)
+        visible = np.ones(seen.shape[:2], dtype=bool)
+        visible[10:15, -1] = False
+        observation = Observation(scene.times[frames], seen, visible, NOISE, scene.points)
+        found = motion_of(observation, scene, NOISE)
+        assert found is not None
+        out.append(found)
+    return out
+
+
+def test_a_memory_is_told_from_frames_that_come_unevenly():
+    found = law_of(at_some_frames())
+    assert found is not None
+    assert found.amounts[0].term.slot == 5
+    assert found.amounts[0].value == pytest.approx(0.8, rel=0.25)
+
+
+def test_the_kernel_of_a_memory_is_told_without_its_form():
+    found = past_of(motions((("coefficient", 0.8), ("time", 0.15)), "air_memory"))
+    assert found is not None
+    shares = dict(found.shares)
+    assert shares["velocity and its past"] > 0.9
+    assert shares["velocity and its past"] > shares["velocity"] + 0.1
+    lag, value = np.array(found.lag), np.array(found.value)
+    early = (lag >= 0.05) & (lag <= 0.3)
+    assert np.abs(value - 0.8 * np.exp(-lag / 0.15))[early].max() < 0.12
+    assert np.abs(value[lag >= 0.75]).max() < 0.1
+
+
+def test_without_a_memory_the_past_says_no_more_than_the_present():
+    found = past_of(motions((("normal", 1.1),), "quadratic_drag"))
+    assert found is not None
+    shares = dict(found.shares)
+    assert shares["velocity and its past"] < shares["velocity"] + 0.05
 
 
 def test_a_balance_needs_a_line_of_grips_and_most_of_the_sheet():

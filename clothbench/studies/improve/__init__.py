@@ -12,12 +12,13 @@ loop (`loop`, `state`) goes through its stages, a file for each, to a frozen `fi
    `by_recording` tries effects whose amounts differ from recording to recording beside them;
 6. `held_out`: the one look at the recordings held out, and the placebo; `verdict`: a word and a hint, with the
    `experiment` that would part what is tied;
-7. `description`, where nothing has a name: the torque about the grips without any model (`balance`), the sparsest law
-   that predicts it (`law`), and that law as an effect (`described`), fitted and judged like one.
+7. beside it, without any model: the torque about the grips (`motion`, `balance`), what it goes with and how long the
+   past counts (`torque`), the sparsest law that predicts it (`law`); and where nothing has a name, that law as an
+   effect (`described`), fitted and judged like one (`description`). `whereabouts`: where and when something is left.
 
 Recordings come in as evidence with a unit (`evidence`), of three kinds: `sheets` (with `sheet_tables`), `curves` (with
 `curve_steps`) and `drapes` (with `drape_quantities`); the stages know none of them. What is written is made from the
-finding alone: `document` (verdict.json), `tables` (`schema`), `page` (with `words`, `figures`, `style`), `rerun_file`,
-and `files`, which puts them in a folder; `common` joins the verdicts of several models.
+finding alone: `document` (verdict.json), `tables` (`schema`), `page` (with `missing_page`, `words`, `figures`,
+`style`), `rerun_file`, and `files`, which puts them in a folder; `common` joins the verdicts of several models.
 `settings` holds every constant, `account` what each stage took.
 """

@@ -216,7 +216,7 @@ def kernel_figure(kernel: Rows) -> Figure:
     x = [r["lag"] for r in kernel]
     band = curve(x + x[::-1], [r["high"] for r in kernel] + [r["low"] for r in reversed(kernel)], AFTER, None, width=0)
     line = curve(x, [r["value"] for r in kernel], AFTER, "%{y} kg/(m²·s) after %{x} s", "lines+markers")
-    filled = {**band, "fill": "toself", "fillcolor": "rgba(0,114,178,0.18)", "hoverinfo": "skip"}
+    filled = {**band, "fill": "toself", "fillcolor": "rgba(0,119,187,0.18)", "hoverinfo": "skip"}
     y_axis = {"title": {"text": "K [kg/(m²·s)]"}, "rangemode": "normal", "zeroline": True}
     return figure([filled, {**line, "meta": "kernel"}], "lag [s]", y_axis, height=300)
 

@@ -13,11 +13,11 @@ Rows = Sequence[dict[str, Any]]
 DESCRIBED = """A description, not a name: a force per area that acts on the cloth from outside, from the balance of
 torques about the grips, an identity of mechanics that needs no model. n: normal, v: velocity, a: acceleration, s: from
 the upper edge down to H, g: gravity."""
-BALANCE = """Weight and inertia of the cloth as it was seen, about the line of its grips, have to balance what acts from
-outside, whatever the cloth is made of and whatever a model makes of it."""
-WHEREABOUTS = """Rms of what is left, and how many times that of the whole. p, of a part of the cloth: how often it would be
-above the rest in recording after recording by chance; of a phase: how often as much would be left in it of the same
-residual moved round in time, the best of all phases."""
+BALANCE = """Weight and inertia of the cloth as it was seen, about the line of its grips, have to balance what acts
+from outside, whatever the cloth is made of and whatever a model makes of it."""
+WHEREABOUTS = """Rms of what is left, and how many times that of the whole. p, of a part of the cloth: how often it
+would be above the rest in recording after recording by chance; of a phase: how often as much would be left in it of
+the same residual moved round in time, the best of all phases."""
 SURE = 0.05
 
 

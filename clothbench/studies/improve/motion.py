@@ -39,10 +39,10 @@ STRAIGHT = 0.02  # of the length of the line of the grips, by which one may lie 
 class Motion:
     """A sheet as it was seen to move, and how much of it each node stands for.
 
-    time: (T,) s; x, v, a: (T, N, 3) m, m/s, m/s²; normal: (T, N, 3); line: (T, 3), along the grips; lever: (T, N, 3) m, how a node moves by one radian
-    about the line of the grips; area: (N,) m²; along: (N, 2), place on the sheet, 0 to 1 from left to right and from
-    the upper edge to the lower; width: m; density: kg/m²; gravity: (3,) m/s²; noise: m, σ of a coordinate; rate: 1/s,
-    of the frames; fastest: Hz, motion that is kept; counted: (T,), times that are not in a gap between frames.
+    time: (T,) s; x, v, a: (T, N, 3) m, m/s, m/s²; normal: (T, N, 3); line: (T, 3), along the grips; lever: (T, N, 3) m,
+    how a node moves by one radian about it; area: (N,) m²; along: (N, 2), place on the sheet, 0 to 1 from left to right
+    and from the upper edge to the lower; width: m; density: kg/m²; gravity: (3,) m/s²; noise: m, σ of a coordinate;
+    rate: 1/s, of the frames; fastest: Hz, motion that is kept; counted: (T,), times that are in no gap between frames.
     """
 
     time: np.ndarray
@@ -131,10 +131,10 @@ def motion_of(observation: Observation, scene: Scene, noise: float) -> Motion | 
     middle, direction = (smoothed(time, each[:, None], at, fastest)[0][:, 0] for each in line)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     return Motion(
-        time=at, x=x, v=v, a=a, normal=normals(x, triangles), line=direction, lever=np.cross(direction[:, None], x - middle[:, None]),
-        area=shares(material, triangles, scene), along=material / [scene.width, scene.height], width=scene.width,
-        density=scene.areal_density, gravity=np.array(scene.gravity), noise=noise, rate=1 / step, fastest=fastest,
-        counted=counted,
+        time=at, x=x, v=v, a=a, normal=normals(x, triangles), line=direction,
+        lever=np.cross(direction[:, None], x - middle[:, None]), area=shares(material, triangles, scene),
+        along=material / [scene.width, scene.height], width=scene.width, density=scene.areal_density,
+        gravity=np.array(scene.gravity), noise=noise, rate=1 / step, fastest=fastest, counted=counted,
     )  # fmt: skip
 
 

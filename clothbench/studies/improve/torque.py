@@ -1,7 +1,7 @@
 """What the torque about the grips goes with: present motion, or its past as well; and how long the past counts.
 
-The past is a kernel over lag, without any form given beforehand: f = −b v_n n − n ∫ K(s) v̇_n(t − s) ds, K linear between
-a few lags and zero beyond the last. Air that follows the sheet with one relaxation time has K = h exp(−s/τ)
+The past is a kernel over lag, without any form given beforehand: f = −b v_n n − n ∫ K(s) v̇_n(t − s) ds, K linear
+between a few lags and zero beyond the last. Air that follows the sheet with one relaxation time has K = h exp(−s/τ)
 (`air_memory`), drag without a memory none, and added mass all of K at s = 0. Coefficients by least squares with a
 penalty on the kernel's second difference, which is chosen by recordings left out.
 """

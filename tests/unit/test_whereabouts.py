@@ -1,0 +1,65 @@
+"""Where and when something is left: found where it was put, and not in noise that is everywhere alike."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from clothbench import Observation, Scene
+from clothbench.studies.improve.whereabouts import grip_phases, whereabouts
+
+SIDE, RECORDINGS = 0.3, 5
+
+
+def recordings(seed: int, more=lambda time, place: 1.0):
+    """Noise of 1 mm on sheets whose grips move for two of four seconds, times `more` by time and place (0 to 1)."""
+    random = np.random.default_rng(seed)
+    time, clock = np.arange(0.0, 4.0, 1 / 30), np.linspace(0.0, 4.0, 401)
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, SIDE, 9), np.linspace(0, SIDE, 9)))
+    material, out = np.stack([u, v], axis=1), []
+    for number in range(RECORDINGS):
+        away = (
+            0.1 * np.sin(np.pi * np.clip(clock - 1.0, 0.0, 2.0) * (1 + 0.1 * number)) ** 2 * (clock > 1) * (clock < 3)
+        )
+        held = np.array([[0.0, 0.0, 0.0], [SIDE, 0.0, 0.0]])
+        path = held + np.stack([0 * away, away, 0 * away], axis=1)[:, None]
+        scene = Scene(SIDE, SIDE, 0.2, clock, held[:, [0, 2]], path, time, material)
+        swing = np.interp(time, clock, away)[:, None, None] * [0.0, 1.0, 0.0]
+        position = np.stack([u, 0 * u, -v], axis=1) + swing
+        visible = random.random((len(time), len(u))) > 0.02
+        seen = Observation(time, np.where(visible[..., None], position, np.nan), visible, 1e-3, material)
+        size = np.array([[more(t, place) for place in material / SIDE] for t in time])
+        field = 1e-3 * random.standard_normal((len(time), len(u), 3)) * size[..., None] * visible[..., None]
+        out.append((seen, scene, field))
+    return out
+
+
+def telling(rows):
+    return {row["part"] for row in rows if row["p_value"] < 0.05}
+
+
+def test_noise_has_no_whereabouts():
+    found = [telling(whereabouts(recordings(seed), 1e3, "mm", seed)) for seed in range(6)]
+    assert sum(map(bool, found)) <= 1
+
+
+def test_a_part_of_the_cloth_is_told():
+    rows = whereabouts(recordings(1, lambda t, place: 2.0 if place[0] > 0.7 and place[1] > 0.7 else 1.0), 1e3, "mm")
+    assert telling(rows) == {"lower right"}
+    one = next(row for row in rows if row["part"] == "lower right")
+    assert one["rms"] == pytest.approx(2.0, rel=0.1)
+    assert one["ratio"] == pytest.approx(2.0 / np.sqrt((72 + 9 * 4) / 81), rel=0.1)
+
+
+def test_a_phase_of_the_motion_is_told():
+    rows = whereabouts(recordings(2, lambda t, place: 2.0 if t > 3.0 else 1.0), 1e3, "mm")
+    assert "after the grips stopped" in telling(rows)
+    assert "before the grips move" not in telling(rows)
+
+
+def test_every_frame_is_in_one_phase_of_the_grips():
+    seen, scene, _ = recordings(3)[0]
+    phases = grip_phases(seen.time, scene)
+    assert (np.sum(list(phases.values()), axis=0) == 1).all()
+    assert phases["before the grips move"][:25].all()
+    assert phases["after the grips stopped"][-25:].all()
