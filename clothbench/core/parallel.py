@@ -11,6 +11,7 @@ from typing import Any
 from clothbench.core.errors import ClothbenchError
 
 _threads = 0
+_share: Callable[[], int] | None = None
 _places: tuple[int, threading.Semaphore] | None = None
 _lock = threading.Lock()
 
@@ -21,17 +22,29 @@ def available_cores() -> int:
 
 
 def thread_count() -> int:
-    """How many threads a batch may use: as set, else CLOTHBENCH_THREADS, else all cores this process may run on."""
+    """How many threads a batch may use: as set, else this process's share of the cores where several have one, else
+    CLOTHBENCH_THREADS, else all cores this process may run on.
+    """
     stated = os.environ.get("CLOTHBENCH_THREADS", "0")
     if not stated.isdecimal():
         raise ClothbenchError(f"CLOTHBENCH_THREADS is {stated!r}, expected a whole number")
-    return _threads or int(stated) or available_cores()
+    return _threads or (_share() if _share else 0) or int(stated) or available_cores()
 
 
 def set_thread_count(count: int) -> None:
     """Set the number of threads for this process; 0 goes back to the default."""
     global _threads
     _threads = count
+
+
+def share_cores(processes: Callable[[], int]) -> None:
+    """Let this process use its share of the cores from now on, by how many `processes` there are at the time."""
+    global _share
+
+    def share() -> int:
+        return max(1, available_cores() // max(1, processes()))
+
+    _share = share
 
 
 def for_each(work: Callable[[Any], None], items: Sequence[Any]) -> None:

@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import atexit
+import functools
 import os
+import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
+from typing import Literal
 
-from clothbench.core.parallel import available_cores
+import numpy as np
+
+from clothbench.core.parallel import available_cores, share_cores
 from clothbench.engine.run import CellProgress, failed_with, keep, run_cell
 from clothbench.engine.store import Store
 from clothbench.engine.study import Cell
@@ -28,7 +34,8 @@ def run_cells(
 ) -> None:
     """Run every cell that the store lacks, `jobs` processes at a time (0: one per core); `done(cell, status)` after.
 
-    A single cell runs in this process with all cores; several run in a pool of processes with the cores shared out.
+    A single cell runs in this process with all cores; several run in a pool of processes that share the cores, anew
+    whenever one of them has nothing more to do: the last cell has all of them.
     """
     store = Store(out)
     missing = [c for c in cells if not store.has(c.key)]
@@ -55,19 +62,21 @@ def _run_in_processes(
 
     waiting = list(cells)[::-1]
     running: dict[Future, Cell] = {}
-    threads = max(1, available_cores() // workers)
+    running_now = _counter(_count_file())
     executor = _pool(workers)
     while waiting or running:
         try:
             while waiting and len(running) < workers:
-                running[executor.submit(run_cell, waiting[-1], out, threads=threads, rerun=rerun)] = waiting[-1]
+                running[executor.submit(run_cell, waiting[-1], out, rerun=rerun)] = waiting[-1]
                 waiting.pop()
+            running_now[0] = len(running)
             for future in _first(running):
                 status = future.result()
                 done(running.pop(future), status)
         except BrokenProcessPool:
             suspects = list(running.values())
             running.clear()
+            running_now[0] = 1
             for cell in suspects:
                 done(cell, _run_alone(cell, out, rerun))
             executor = _pool(workers)
@@ -96,12 +105,36 @@ def _pool(workers: int):
     from loky import get_reusable_executor
 
     return get_reusable_executor(
-        max_workers=workers, timeout=300, kill_workers=True, initializer=_end_with, initargs=(os.getpid(),)
+        max_workers=workers, timeout=300, kill_workers=True, initializer=_begin, initargs=(os.getpid(), _count_file())
     )
 
 
+@functools.cache
+def _count_file() -> Path:
+    """Where this process tells its workers how many of them are at work; a file, since a worker may be killed at any
+    time and must leave no lock behind.
+    """
+    handle, name = tempfile.mkstemp(prefix="clothbench-")
+    os.close(handle)
+    atexit.register(Path(name).unlink, missing_ok=True)
+    np.memmap(name, np.int64, "w+", shape=1).flush()
+    return Path(name)
+
+
+def _counter(path: Path, mode: Literal["r", "r+"] = "r+") -> np.memmap:
+    """The number of workers at work (1,), as all processes see it."""
+    return np.memmap(path, np.int64, mode, shape=1)
+
+
+def _begin(parent: int, count_file: Path) -> None:
+    """In a worker, before its first cell."""
+    running_now = _counter(count_file, "r")
+    share_cores(lambda: int(running_now[0]))
+    _end_with(parent)
+
+
 def _end_with(parent: int) -> None:
-    """In a worker: end as soon as the process that gives it work has been killed, not when its cell is done."""
+    """End as soon as the process that gives this one work has been killed, not when its cell is done."""
 
     def watch() -> None:
         while os.getppid() == parent:

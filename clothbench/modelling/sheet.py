@@ -27,6 +27,7 @@ or clamped; gripped: G; grip: (3, G + S) m, where they are;
 columns, spacing, slots: for loops over all triangles at once, see `triangle_slots`.
 """
 
+WIDE = 8  # nodes at a time: doubles in one vector register of AVX-512
 VECTOR = types.float64[::1]
 ROWS = types.float64[:, ::1]
 BLOCKS = types.float64[:, :, ::1]
@@ -91,23 +92,34 @@ def grid_normals(x, nu, normal):
     A node where the sheet has collapsed gets the zero vector: nothing can push on it along a normal.
     """
     n = x.shape[1]
+    # All inner rows at once first, as if rows did not end: without branches the compiler can use the vector unit. What
+    # does not fill a register goes with the last ones that do: one by one it would take as long as the rest.
     inner = n - 2 * nu
-    # All inner rows at once first, as if rows did not end: without branches the compiler can use the vector unit.
-    lx, ly, lz = x[0, nu - 1 : nu - 1 + inner], x[1, nu - 1 : nu - 1 + inner], x[2, nu - 1 : nu - 1 + inner]
-    rx, ry, rz = x[0, nu + 1 : nu + 1 + inner], x[1, nu + 1 : nu + 1 + inner], x[2, nu + 1 : nu + 1 + inner]
-    tx, ty, tz = x[0, :inner], x[1, :inner], x[2, :inner]
-    bx, by, bz = x[0, 2 * nu : 2 * nu + inner], x[1, 2 * nu : 2 * nu + inner], x[2, 2 * nu : 2 * nu + inner]
-    ox, oy, oz = normal[0, nu : nu + inner], normal[1, nu : nu + inner], normal[2, nu : nu + inner]
-    for e in range(inner):
-        px, py, pz = bx[e] - tx[e], by[e] - ty[e], bz[e] - tz[e]
-        qx, qy, qz = rx[e] - lx[e], ry[e] - ly[e], rz[e] - lz[e]
-        ox[e], oy[e], oz[e] = _unit_cross(px, py, pz, qx, qy, qz)
+    over = inner % WIDE if inner >= WIDE else 0
+    _row_normals(x, nu, 0, inner - over, normal)
+    if over:
+        _row_normals(x, nu, inner - WIDE, WIDE, normal)
     for i in range(nu):
-        _border_normal(x, nu, i, normal)
-        _border_normal(x, nu, n - nu + i, normal)
+        _border_normal(x, nu, i, i, normal)
+        _border_normal(x, nu, n - nu + i, i, normal)
     for j in range(1, n // nu - 1):
-        _border_normal(x, nu, j * nu, normal)
-        _border_normal(x, nu, j * nu + nu - 1, normal)
+        _border_normal(x, nu, j * nu, 0, normal)
+        _border_normal(x, nu, j * nu + nu - 1, nu - 1, normal)
+
+
+@kernel
+def _row_normals(x, nu, first, count, normal):
+    """Normals of `count` nodes from place `first` of the second row on, central differences all along."""
+    e, left, right, above, below = first + nu, first + nu - 1, first + nu + 1, first, first + 2 * nu
+    lx, ly, lz = x[0, left : left + count], x[1, left : left + count], x[2, left : left + count]
+    rx, ry, rz = x[0, right : right + count], x[1, right : right + count], x[2, right : right + count]
+    tx, ty, tz = x[0, above : above + count], x[1, above : above + count], x[2, above : above + count]
+    bx, by, bz = x[0, below : below + count], x[1, below : below + count], x[2, below : below + count]
+    ox, oy, oz = normal[0, e : e + count], normal[1, e : e + count], normal[2, e : e + count]
+    for k in range(count):
+        px, py, pz = bx[k] - tx[k], by[k] - ty[k], bz[k] - tz[k]
+        qx, qy, qz = rx[k] - lx[k], ry[k] - ly[k], rz[k] - lz[k]
+        ox[k], oy[k], oz[k] = _unit_cross(px, py, pz, qx, qy, qz)
 
 
 @kernel
@@ -150,9 +162,9 @@ def _unit_cross(px, py, pz, qx, qy, qz):
 
 
 @kernel
-def _border_normal(x, nu, e, normal):
-    """The same at one node of the border, with one-sided differences."""
-    i, n = e % nu, x.shape[1]
+def _border_normal(x, nu, e, i, normal):
+    """The same at one node e of the border, the i-th of its row, with one-sided differences."""
+    n = x.shape[1]
     left, right = e - (1 if i > 0 else 0), e + (1 if i < nu - 1 else 0)
     top, bottom = e - (nu if e >= nu else 0), e + (nu if e < n - nu else 0)
     px, py, pz = x[0, bottom] - x[0, top], x[1, bottom] - x[1, top], x[2, bottom] - x[2, top]

@@ -5,7 +5,8 @@ import time
 
 import pytest
 
-from clothbench.core.parallel import for_each, set_thread_count, side_by_side
+from clothbench.core import parallel
+from clothbench.core.parallel import for_each, set_thread_count, share_cores, side_by_side, thread_count
 
 
 @pytest.fixture(autouse=True)
@@ -39,3 +40,17 @@ def test_no_more_at_a_time_than_threads():
     side_by_side(lambda _: for_each(work, range(4)), range(5))
     assert running == 0
     assert most == 2
+
+
+def test_who_is_left_has_all_the_cores(monkeypatch):
+    """Several processes share the cores by how many of them are at work at the time."""
+    monkeypatch.setattr(parallel, "available_cores", lambda: 6)
+    monkeypatch.setattr(parallel, "_share", parallel._share)
+    set_thread_count(0)
+    at_work = 4
+    share_cores(lambda: at_work)
+    assert thread_count() == 1
+    at_work = 2
+    assert thread_count() == 3
+    at_work = 1
+    assert thread_count() == 6

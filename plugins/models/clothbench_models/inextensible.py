@@ -58,7 +58,7 @@ class Inextensible:
     """
 
     name = "inextensible"
-    version = 1
+    version = 2
     kind = "implicit"
     parameters = PARAMETERS
     capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start", "outline"})
