@@ -2,7 +2,8 @@
 
     python tools/real_cloth.py knits DATA_DIR    docs/images/knit-curves.svg, docs/images/knit-errors.svg
     python tools/real_cloth.py folds             docs/images/fold-heights.svg
-    python tools/real_cloth.py swings DATA_DIR   docs/images/robot-swings.svg (15 minutes; a stopped run goes on)
+    python tools/real_cloth.py swings DATA_DIR   docs/images/swing-kernel.svg, docs/images/robot-swings.svg
+                                                 (two hours; a stopped run goes on)
 
 knits: every run of every swatch is held out once; what `improve` finds on the other four is judged on it.
 folds: ten fabrics, each left out once.
@@ -229,7 +230,13 @@ def draw_folds(axes: Sequence[Any]) -> None:
 
 
 def robot_swings(data_dir: str, out: Path) -> None:
-    found = swings.stories(data_dir, out)
+    recordings = swings.imported(data_dir, out)
+    balances = swings.balances(recordings)
+    swings.print_balances(balances)
+    with figure_file("swing-kernel.svg", 1, 2, (7.2, 2.9)) as axes:
+        swings.draw_balances(balances, axes, (LOCKING, LINEAR, LIMIT))
+    swings.print_calibrations(swings.calibrations(recordings, out), recordings, out / "airs")
+    found = swings.stories(out)
     swings.print_table(found)
     with figure_file("robot-swings.svg", 1, 2, (7.2, 3.2)) as axes:
         swings.draw_stories(found, axes, (LINEAR, LOCKING))
