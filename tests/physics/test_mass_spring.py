@@ -6,7 +6,7 @@ from clothbench_effects.added_mass import AddedMass
 from clothbench_effects.clock_offset import ClockOffset
 from clothbench_effects.quadratic_drag import QuadraticDrag
 from clothbench_models.mass_spring import MassSpring
-from clothbench_models.mass_spring_kernels import add_pairwise, family_forces
+from clothbench_models.mass_spring_kernels import add_pairwise, spring_forces
 from clothbench_models.spring_grid import FAMILIES, SpringGrid
 from scipy.optimize import curve_fit
 
@@ -45,12 +45,10 @@ def energy(grid: SpringGrid, k: np.ndarray, x: np.ndarray) -> float:
 
 
 def forces(grid: SpringGrid, k: np.ndarray, c: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-    margin = grid.strides.max()
-    out, g = np.zeros_like(x), np.zeros((3, margin + x.shape[1]))
+    out, g = np.zeros_like(x), np.empty_like(x)
     for f in range(len(FAMILIES)):
-        stiffness, damping = k[f] * grid.share[f], c * grid.share[f]
-        family_forces(x, v, grid.strides[f], grid.rest[f], stiffness, damping, True, g, margin)
-        add_pairwise(out, g, grid.strides[f], margin)
+        spring_forces(x, v, grid.strides[f], grid.rest[f], k[f] * grid.share[f], c * grid.share[f], g)
+        add_pairwise(out, g, grid.strides[f])
     return out
 
 

@@ -46,86 +46,61 @@ from clothbench.modelling import (
 __all__ = ["DIVERGED", "OK", "SLOTS", "Settling", "Springs", "run_block"]
 
 TINY = 1e-30  # m²; keeps the length of a masked spring between two coinciding nodes above 0
-WIDE = 8  # springs at a time: doubles in one vector register of AVX-512
 CHECK_EVERY = 64  # steps between two looks for rest and for divergence
 SWEEPS = 30  # at most, over all limited springs after one step
 SLACK = 0.001  # of a spring's length; strain beyond the limit that needs no further sweep
 
 
 @kernel
-def spring_forces(x, v, first, count, stride, rest, stiffness, damping, g, margin):
-    """Force of `count` springs of one family, from node `first` on, on their first nodes: g (3, margin + n) N, where
-    node e has the place margin + e:
+def spring_forces(x, v, stride, rest, stiffness, damping, g):
+    """Force of one family of springs on its first nodes, g (3, n − stride) N:
 
     g = [k (1 − L/l) + c (ḋ·d)/l²] d, with d = x_b − x_a, l = |d|: a linear spring and a dashpot along it
     (Provot 1995, section 3). `rest` L m, `stiffness` k N/m and `damping` c N·s/m per entry.
     """
-    a, b, o = first, first + stride, margin + first
-    ax, ay, az = x[0, a : a + count], x[1, a : a + count], x[2, a : a + count]
-    bx, by, bz = x[0, b : b + count], x[1, b : b + count], x[2, b : b + count]
-    au, av, aw = v[0, a : a + count], v[1, a : a + count], v[2, a : a + count]
-    bu, bv, bw = v[0, b : b + count], v[1, b : b + count], v[2, b : b + count]
-    gx, gy, gz = g[0, o : o + count], g[1, o : o + count], g[2, o : o + count]
-    length, k, c = rest[a : a + count], stiffness[a : a + count], damping[a : a + count]
+    n = x.shape[1] - stride
+    ax, ay, az = x[0, :n], x[1, :n], x[2, :n]
+    bx, by, bz = x[0, stride : stride + n], x[1, stride : stride + n], x[2, stride : stride + n]
+    au, av, aw = v[0, :n], v[1, :n], v[2, :n]
+    bu, bv, bw = v[0, stride : stride + n], v[1, stride : stride + n], v[2, stride : stride + n]
+    gx, gy, gz = g[0, :n], g[1, :n], g[2, :n]
     one, tiny = x.dtype.type(1.0), x.dtype.type(TINY)  # a double constant would pull single precision up to double
-    for e in range(count):
+    for e in range(n):
         dx, dy, dz = bx[e] - ax[e], by[e] - ay[e], bz[e] - az[e]
         closing = (bu[e] - au[e]) * dx + (bv[e] - av[e]) * dy + (bw[e] - aw[e]) * dz
         inverse = one / np.sqrt(dx * dx + dy * dy + dz * dz + tiny)
-        q = k[e] * (one - length[e] * inverse) + c[e] * closing * inverse * inverse
+        q = stiffness[e] * (one - rest[e] * inverse) + damping[e] * closing * inverse * inverse
         gx[e] = q * dx
         gy[e] = q * dy
         gz[e] = q * dz
 
 
 @kernel
-def elastic_forces(x, first, count, stride, rest, stiffness, g, margin):
+def elastic_forces(x, stride, rest, stiffness, g):
     """`spring_forces` without dashpots: g = k (1 − L/l) d."""
-    a, b, o = first, first + stride, margin + first
-    ax, ay, az = x[0, a : a + count], x[1, a : a + count], x[2, a : a + count]
-    bx, by, bz = x[0, b : b + count], x[1, b : b + count], x[2, b : b + count]
-    gx, gy, gz = g[0, o : o + count], g[1, o : o + count], g[2, o : o + count]
-    length, k = rest[a : a + count], stiffness[a : a + count]
+    n = x.shape[1] - stride
+    ax, ay, az = x[0, :n], x[1, :n], x[2, :n]
+    bx, by, bz = x[0, stride : stride + n], x[1, stride : stride + n], x[2, stride : stride + n]
+    gx, gy, gz = g[0, :n], g[1, :n], g[2, :n]
     one, tiny = x.dtype.type(1.0), x.dtype.type(TINY)
-    for e in range(count):
+    for e in range(n):
         dx, dy, dz = bx[e] - ax[e], by[e] - ay[e], bz[e] - az[e]
-        q = k[e] * (one - length[e] / np.sqrt(dx * dx + dy * dy + dz * dz + tiny))
+        q = stiffness[e] * (one - rest[e] / np.sqrt(dx * dx + dy * dy + dz * dz + tiny))
         gx[e] = q * dx
         gy[e] = q * dy
         gz[e] = q * dz
 
 
 @kernel
-def family_forces(x, v, stride, rest, stiffness, damping, damped, g, margin):
-    """The forces of all springs of a family, `damped` or not.
-
-    As many as fill vector registers, then the last of them once more with those that are over: one by one these took
-    as long as all the others (measured on 143 nodes: a third of the whole step).
-    """
-    count = x.shape[1] - stride
-    over = count % WIDE if count >= WIDE else 0
-    if damped:
-        spring_forces(x, v, 0, count - over, stride, rest, stiffness, damping, g, margin)
-        if over:
-            spring_forces(x, v, count - WIDE, WIDE, stride, rest, stiffness, damping, g, margin)
-    else:
-        elastic_forces(x, 0, count - over, stride, rest, stiffness, g, margin)
-        if over:
-            elastic_forces(x, count - WIDE, WIDE, stride, rest, stiffness, g, margin)
-
-
-@kernel
-def add_pairwise(f, g, stride, margin):
-    """f_a += g, f_b −= g for springs from node a to node b = a + stride, in one pass over the nodes: each takes its own
-    spring's force and gives up that of the spring before it; g (3, margin + n) has zeros before its first node.
-    """
-    n = f.shape[1]
+def add_pairwise(f, g, stride):
+    """f_a += g, f_b −= g: two passes, since one loop over overlapping rows could not be vectorised."""
+    n = f.shape[1] - stride
     for c in range(3):
-        for e in range(margin + n - stride, margin + n):  # no spring begins there, but one of another family may have
-            g[c, e] = 0.0
-        force, own, before = f[c], g[c, margin : margin + n], g[c, margin - stride : margin - stride + n]
+        first, second, force = f[c, :n], f[c, stride : stride + n], g[c, :n]
         for e in range(n):
-            force[e] = (force[e] + own[e]) - before[e]
+            first[e] += force[e]
+        for e in range(n):
+            second[e] -= force[e]
 
 
 @kernel
@@ -279,8 +254,7 @@ def _run_block(
     entries = n * lanes
     x, v = begins.x, begins.v
     f = np.empty((3, entries), x.dtype)
-    margin, damped = strides.max(), damping.shape[0] > 0
-    g, weights = np.zeros((3, margin + entries), x.dtype), np.empty((3, entries), x.dtype)
+    g, weights = np.empty((3, entries), x.dtype), np.empty((3, entries), x.dtype)
     inverse_mass, step = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
     kick, keep = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
     held = pins.shape[0] > 0
@@ -321,11 +295,11 @@ def _run_block(
                 for e in range(lane, entries, lanes):
                     kick[e] = dt[lane]
         for family in range(strides.shape[0]):
-            family_forces(
-                x, v, strides[family], rest[family], stiffness[family], dashpots[family if damped else 0], damped, g,
-                margin,
-            )  # fmt: skip
-            add_pairwise(f, g, strides[family], margin)
+            if damping.shape[0] > 0:
+                spring_forces(x, v, strides[family], rest[family], stiffness[family], dashpots[family], g)
+            else:
+                elastic_forces(x, strides[family], rest[family], stiffness[family], g)
+            add_pairwise(f, g, strides[family])
         if n_effects > 0:
             t = start + max(0, count - began[0]) * dt[0] if began[0] >= 0 else start
             xd, vd, fd = as_double(x), as_double(v), as_double(f)
