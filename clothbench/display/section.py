@@ -3,29 +3,44 @@
 from __future__ import annotations
 
 import json
+import zlib
+from base64 import b64encode
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
+
+LONG = 100_000  # characters of data from which on they are packed
 
 
 @dataclass(frozen=True)
 class Section:
     """html: what stands there; data: JSON by the id of the element that holds it; script: draws it, once plotly.js and
-    the helpers of `display.style.DRAWING` are there; style: of its own, behind the page's.
+    the helpers of `assets/figures.js` are there; early: runs at once, without them (`await dataOf(id)` gives data);
+    style: of its own, behind the page's.
     """
 
     html: str
     data: Mapping[str, Any] = field(default_factory=dict)
     script: str = ""
     style: str = ""
+    early: str = ""
 
     @property
     def whole(self) -> str:
         """The section with its data, as the page has it."""
-        return self.html + "".join(
-            f'\n<script type="application/json" id="{name}">{json_text(content)}</script>'
-            for name, content in self.data.items()
-        )
+        return self.html + "".join(f"\n{element(name, json_text(content))}" for name, content in self.data.items())
+
+
+def element(name: str, data: str) -> str:
+    """The element that holds some data: as they are, or packed where they are long."""
+    if len(data) < LONG:
+        return f'<script type="application/json" id="{name}">{data}</script>'
+    return f'<script type="text/plain" data-packed id="{name}">{packed(data)}</script>'
+
+
+def packed(text: str) -> str:
+    """Text deflated and in letters, as `unpacked` of `assets/start.js` reads it."""
+    return b64encode(zlib.compress(text.encode(), 9)).decode()
 
 
 def json_text(content: Any) -> str:

@@ -23,7 +23,7 @@ SPLITS = {"fit": ("fit", "circle"), "held_out": ("held out", "diamond-open")}
 
 
 def panels(store: Store, rows: Rows) -> list[dict[str, Any]]:
-    """What the page's menu offers: {"title", "legend", "errors", "convergence", "traces"} per panel.
+    """What the page's menu offers: {"title", "case", "metric", "legend", "errors", "convergence", "traces"} per panel.
 
     traces: figures by recording; legend: [name, colour, dash] per cell, whose lines carry its name as `meta`.
     """
@@ -37,7 +37,7 @@ def panels(store: Store, rows: Rows) -> list[dict[str, Any]]:
         keys = sorted({r["key"] for r in mine}, key=lambda k: names[k])
         styles = {key: style(number, names[key]) for number, key in enumerate(keys)}
         out.append({
-            "title": f"{suite} · {case} · {metric}",
+            "title": f"{suite} · {case} · {metric}", "case": f"{suite} · {case}", "metric": metric,
             "legend": [[names[k], look["colour"], look["dash"]] for k, look in styles.items()],
             "errors": error_figure(mine, styles),
             "convergence": convergence_figure(metric, styles, tables),

@@ -155,7 +155,9 @@ def _status(fit: Fit, score: Score, rollout: Rollout) -> tuple[str, str]:
 
 
 def _total(about: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """The mean over the recordings of one split; without a number if one of them has none."""
+    """The mean over the recordings of one split; without a number if one of them has none. One recording is its own
+    mean, with its own interval.
+    """
     total = {**about, "recording": None, "split": rows[0]["split"]}
     bad = [r for r in rows if r["value"] is None]
     if bad:
@@ -163,6 +165,8 @@ def _total(about: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
     values = [r["value"] for r in rows]
     known = all(r["low"] is not None for r in rows)
     low, high = mean_interval(values, [(r["high"] - r["low"]) / 2 for r in rows]) if known else (None, None)
+    if len(rows) == 1:
+        low, high = rows[0]["low"], rows[0]["high"]
     floors = [r["floor"] for r in rows]
     floor = float(np.mean(floors)) if all(f is not None for f in floors) else None
     return {
@@ -204,6 +208,9 @@ def _parameters_of(bench: Bench, fit: Fit) -> list[dict[str, Any]]:
             "at_bound": bool(fit.at_bound[i]),
             "start": None if fit.start is None else finite(fit.start[i]),
             "truth": truth_of(bench, p.name),
+            "lower": p.bounds[0],
+            "upper": p.bounds[1],
+            "scale": p.scale,
             "meaning": p.meaning,
             "key": bench.cell.key,
         }

@@ -1,0 +1,36 @@
+"""How the page of calibrations says numbers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+from clothbench.studies.calibration.ranking import Overall
+
+
+def size(value: float | None) -> str:
+    """Three digits: "0.00012", "3.68", "1130"; a dash where there is no number."""
+    if value is None or not math.isfinite(value):
+        return "–"
+    if value == 0 or 1e-3 <= abs(value) < 1e5:
+        digits = 2 if value == 0 else max(0, 2 - math.floor(math.log10(abs(value))))
+        return f"{value:.{digits}f}"
+    return f"{value:.2e}".replace("e-0", "e-").replace("e+0", "e")
+
+
+def counted(count: int, word: str) -> str:
+    return f"{count} {word}" + ("" if count == 1 else "s")
+
+
+def times(one: Overall) -> str:
+    """ "1.8 times as far off (1.4 … 2.2, 15 recordings)"."""
+    sure = f"{one.low:.2f} … {one.high:.2f}, " if one.low is not None and one.high is not None else ""
+    return f"{one.ratio:.2f} times as far off ({sure}{counted(one.recordings, 'recording')})"
+
+
+def listed(names: Sequence[str], most: int = 4) -> str:
+    """ "a, b and c", "a, b, c, d and 3 more"."""
+    shown = list(names[:most])
+    if more := len(names) - len(shown):
+        return f"{', '.join(shown)} and {more} more"
+    return " and ".join(filter(None, (", ".join(shown[:-1]), *shown[-1:])))
