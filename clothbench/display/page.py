@@ -60,9 +60,8 @@ def script_of(sections: Sequence[Section]) -> str:
     drawn = "".join(s.script for s in sections if s.script)
     parts = ['"use strict";\n', *(asset(name) for name in BEFORE_FIGURES), early]
     if drawn:
-        unpack = 'for (const place of document.querySelectorAll("[data-packed]:not(#plotly)")) await dataOf(place.id);'
-        begin = 'await painted();\nawait library("plotly");'
-        parts += [asset("figures.js"), f"(async () => {{\n{begin}\n{unpack}\n{drawn}\n}})();\n"]
+        begin = 'await painted();\nawait library("plotly");\nawait unpackAll();'
+        parts += [asset("figures.js"), f"(async () => {{\n{begin}\n{drawn}\n}})();\n"]
     return "".join(parts)
 
 

@@ -16,7 +16,7 @@ LONG = 100_000  # characters of data from which on they are packed
 class Section:
     """html: what stands there; data: JSON by the id of the element that holds it; script: draws it, once plotly.js and
     the helpers of `assets/figures.js` are there; early: runs at once, without them (`await dataOf(id)` gives data);
-    style: of its own, behind the page's.
+    style: of its own, behind the page's; later: data that are unpacked only when they are asked for.
     """
 
     html: str
@@ -24,18 +24,26 @@ class Section:
     script: str = ""
     style: str = ""
     early: str = ""
+    later: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def whole(self) -> str:
         """The section with its data, as the page has it."""
-        return self.html + "".join(f"\n{element(name, json_text(content))}" for name, content in self.data.items())
+        data = [element(name, json_text(content)) for name, content in self.data.items()]
+        data += [packed_element(name, json_text(content), later=True) for name, content in self.later.items()]
+        return "\n".join([self.html, *data])
 
 
 def element(name: str, data: str) -> str:
     """The element that holds some data: as they are, or packed where they are long."""
     if len(data) < LONG:
         return f'<script type="application/json" id="{name}">{data}</script>'
-    return f'<script type="text/plain" data-packed id="{name}">{packed(data)}</script>'
+    return packed_element(name, data)
+
+
+def packed_element(name: str, data: str, later: bool = False) -> str:
+    mark = " data-later" if later else ""
+    return f'<script type="text/plain" data-packed{mark} id="{name}">{packed(data)}</script>'
 
 
 def packed(text: str) -> str:

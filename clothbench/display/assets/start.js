@@ -15,6 +15,9 @@ async function dataOf(id) {
   }
   return JSON.parse(place.textContent);
 }
+async function unpackAll() {
+  for (const place of document.querySelectorAll("[data-packed]:not(#plotly, [data-later])")) await dataOf(place.id);
+}
 const painted = () => new Promise((done) => requestAnimationFrame(() => setTimeout(done)));
 async function library(id) {
   const script = document.createElement("script");

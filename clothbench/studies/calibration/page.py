@@ -15,6 +15,7 @@ from clothbench.engine.study import Results
 from clothbench.studies.calibration.analysis_page import analysis_section
 from clothbench.studies.calibration.answer import answer_section
 from clothbench.studies.calibration.budget import histories_of
+from clothbench.studies.calibration.cloth_page import clips_of, cloth_section
 from clothbench.studies.calibration.figures import panels
 from clothbench.studies.calibration.front_page import front_section
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
@@ -87,10 +88,13 @@ KINDS = {".png": "png", ".jpg": "jpeg"}
 def sections(results: Results) -> list[Section]:
     """What the page shows of calibrations."""
     analyses = analysis_section(results.rows, {name: results.table(name) for name in ANALYSIS_TABLES})
-    histories = histories_of(results.store, results.keys)
+    histories, clips = histories_of(results.store, results.keys), clips_of(results)
+    looks = [matrix_section(results, clips.cases.keys()), cloth_section(clips)]
+    if len({model_name(r) for r in results.rows}) == 1:  # nothing to compare: the cloth says more than a table
+        looks.reverse()
     found = [
         answer_section(results, histories),
-        matrix_section(results, ()),
+        *looks,
         pictures_of_fits(results),
         pictures_of_drapes(results),
         fits(results.rows, results.table("parameters")),

@@ -25,9 +25,10 @@ from clothbench.recordings.silhouette import Silhouettes
 from clothbench.recordings.tracked import Images
 from clothbench.studies.calibration.analysis import analyse, starts_of, truth_of
 from clothbench.studies.calibration.cell import Bench, CalibrationCell, set_up
+from clothbench.studies.calibration.cloth import films_of, write_films
 from clothbench.studies.calibration.drapes import write_drapes
 from clothbench.studies.calibration.frames import at_most, write_frames
-from clothbench.studies.calibration.schema import DRAPES, FRAMES, PICTURES
+from clothbench.studies.calibration.schema import DRAPES, FILMS, FRAMES, PICTURES
 
 
 def run(cell: CalibrationCell, context: Context) -> Result:
@@ -67,6 +68,7 @@ def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
     if bench.cell.published:
         tables["published"] = _published_of(bench)
     tables |= {"starts": starts_of(bench, fit)} | analyse(bench, fit, context.plugins, context.checkpoint)
+    films = films_of(bench, fit, rollouts)
 
     def attach(folder: Path) -> None:
         from clothbench.studies.calibration.rerun_file import write_rerun
@@ -78,6 +80,8 @@ def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
             write_frames(folder / FRAMES, raw.frames(), seen, rollouts[0])
         if isinstance(raw, Silhouettes):
             write_drapes(folder / DRAPES, bench.cell.recordings, bench.trials, rollouts)
+        if films:
+            write_films(folder / FILMS, films)
         if context.rerun:
             write_rerun(folder / "fit.rrd", bench, rollouts)
 

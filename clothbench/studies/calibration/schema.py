@@ -15,6 +15,7 @@ PARAMETER = {
 }  # fmt: skip
 # Error of every recording, frame by frame.
 TRACE = {"recording": _text, "split": _text, "metric": _text, "time": _number, "value": _number, "unit": _text}
+FILMS = "films"  # folder of a cell with films: recordings beside what was made of them
 FRAMES = "frames"  # folder of a cell with frames of a video, tracked and fitted
 DRAPES = "drapes"  # folder of a cell with outlines of drapes, captured and simulated
 PICTURES = "tracker"  # folder of a cell with what its tracker made of one frame
