@@ -75,7 +75,7 @@ def results(tmp_path_factory) -> Path:
 
 def test_page_shows_what_was_run(results):
     page = write_page(results)
-    text, checker = checked(page)
+    text, _ = checked(page)
     assert page == results / "report.html"
     assert text.count("<script>") == 1
     assert text.count("plotly.js v") == 1

@@ -14,6 +14,7 @@ from clothbench.estimation.intervals import error_interval
 from clothbench.studies.calibration.budget import late_fall, settled
 from clothbench.studies.calibration.estimates import contained, estimates
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
+from clothbench.studies.calibration.parameters_page import strip_of, truth_said
 from clothbench.studies.calibration.ranking import best_of, overall, standings, way_of
 from clothbench.studies.calibration.words import listed, size
 
@@ -159,3 +160,29 @@ def test_numbers_have_three_digits():
     ]
     assert listed(["a", "b", "c"]) == "a, b and c"
     assert listed(list("abcdef")) == "a, b, c, d and 2 more"
+
+
+def test_an_interval_is_drawn_where_it_lies_and_the_truth_beside_it():
+    strip = strip_of(estimates([parameter()])[0])
+    assert strip is not None
+    assert strip.kind == "sure"
+    assert strip.left <= strip.dot <= strip.left + strip.width
+    assert strip.mark == pytest.approx(60.8, abs=0.1)  # a range of five powers of ten from 1e-7
+    assert "interval 5.00e-5 … 2.00e-4, true 1.10e-4" in strip.said
+    grey = strip_of(estimates([parameter(low=1e-7, high=1e-2)])[0])
+    assert grey is not None
+    assert (grey.kind, grey.left, grey.width) == ("grey", 0.0, 100.0)
+    assert "any value of the range would do" in grey.said
+
+
+def test_a_truth_outside_of_its_interval_is_marked_and_counted():
+    found = estimates([parameter(), parameter(name="stretch", truth=1e-6), parameter(name="shear", truth=None)])
+    outside = strip_of(found[1])
+    assert outside is not None
+    assert outside.kind == "outside"
+    about = [{"key": "k", "case": "linen"}]
+    said = truth_said(found, about, lambda row: row["case"])
+    assert said == (
+        "The truth is known: 1 of 2 intervals of determined parameters hold it, not those of stretch of linen."
+    )
+    assert truth_said(found[2:], about, lambda row: row["case"]) == ""

@@ -128,7 +128,7 @@ def test_tables_are_sorted_and_taken_along(page, swings):
         }
         return Promise.all(blobs.map((blob) => blob.text()));"""
     csv, document = shown.run(saved)
-    assert csv.splitlines()[0].startswith("case,")
+    assert csv.splitlines()[0].startswith("fit,model,parameter,")
     assert document.startswith("[")
     assert shown.faults() == []
 
@@ -210,3 +210,33 @@ def test_the_page_of_improve_has_no_fault(page, tmp_path):
     assert shown.run(HEADINGS) == []
     assert shown.run(ANCHORS) == []
     assert shown.faults() == []
+
+
+@pytest.mark.parametrize("which", ["swings", "filmed"])
+def test_values_lie_in_their_intervals(page, which, request):
+    """As the page shows them: every value of every table with an interval beside it, and every dot on its bar."""
+    shown = page(request.getfixturevalue(which))
+    script = """const out = [];
+        for (const table of document.querySelectorAll("table")) {
+            const heads = [...table.tHead.rows[0].cells].map((head) => head.textContent);
+            const [value, low, high] = ["value", "low", "high"].map((name) => heads.indexOf(name));
+            const wide = (head) => head.includes("from … to") || head === "95 % interval";
+            const pairs = heads.flatMap((head, i) => (wide(head) ? [i] : []));
+            for (const row of table.tBodies[0].rows) {
+                const text = (i) => row.cells[i].textContent;
+                if (low > 0 && text(low)) out.push([+text(low), +text(value), +text(high)]);
+                for (const i of pairs) {
+                    const ends = text(i).match(/^(\\S+) … (\\S+)/);
+                    if (ends) out.push([+ends[1], +text(i - 1), +ends[2]]);
+                }
+            }
+        }
+        for (const axis of document.querySelectorAll(".axis")) {
+            const [bar, dot] = [axis.querySelector("i"), axis.querySelector("b")].map((part) => part?.style);
+            const [left, width] = [parseFloat(bar?.left), parseFloat(bar?.width)];
+            if (bar) out.push([left - 0.2, parseFloat(dot.left), left + width + 0.2]);
+        }
+        return out;"""
+    found = shown.run(script)
+    assert len(found) > 10
+    assert [one for one in found if not one[0] <= one[1] <= one[2]] == []

@@ -1,12 +1,17 @@
 // Tables people can use: sorted by a click on a heading, filtered by a word, taken along as text, CSV or JSON.
 (() => {
   const SHORT = 4, LONG = 12;  // lines below which a table gets no tools, and from which on it gets a filter
-  const cells = (row) => [...row.cells].map((cell) => cell.innerText.replace(/\s+/g, " ").trim());
+  function words(cell) {  // not innerText, which is empty where a table is folded away
+    const walker = document.createTreeWalker(cell, NodeFilter.SHOW_TEXT), out = [];
+    while (walker.nextNode()) out.push(walker.currentNode.data);
+    return out.join(" ").replace(/\s+/g, " ").trim();
+  }
+  const cells = (row) => [...row.cells].map(words);
   const lines = (table) => [...table.tBodies[0].rows].filter((row) => !row.hidden);
   const single = (row) => row.classList.contains("group");
   // "3.7 mm", "1e-5" and "> 100 %" are ordered as numbers, all else as words.
   const number = (text) => { const found = text.match(/-?\d[\d,]*(\.\d+)?(e[-+]?\d+)?/i); return found ? +found[0] : NaN; };
-  const value = (row, column) => row.cells[column]?.dataset.sort ?? row.cells[column]?.innerText ?? "";
+  const value = (row, column) => (row.cells[column] ? words(row.cells[column]) : "");
   function compare(a, b, column) {
     const [x, y] = [value(a, column), value(b, column)], [p, q] = [number(x), number(y)];
     if (Number.isNaN(p) || Number.isNaN(q)) return Number.isNaN(p) - Number.isNaN(q) || x.localeCompare(y);

@@ -9,7 +9,6 @@ from typing import Any
 
 from clothbench.display.html import group, text
 from clothbench.display.names import model_name
-from clothbench.display.parameters import parameters
 from clothbench.display.section import Section
 from clothbench.engine.study import Results
 from clothbench.studies.calibration.analysis_page import analysis_section
@@ -20,6 +19,7 @@ from clothbench.studies.calibration.figures import panels
 from clothbench.studies.calibration.front_page import front_section
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
 from clothbench.studies.calibration.matrix import matrix_section
+from clothbench.studies.calibration.parameters_page import parameter_section
 from clothbench.studies.calibration.published import published_section
 from clothbench.studies.calibration.schema import ANALYSIS_TABLES, DRAPES, FRAMES, PICTURES
 from clothbench.studies.calibration.searches_page import searches_section
@@ -97,7 +97,7 @@ def sections(results: Results) -> list[Section]:
         *looks,
         pictures_of_fits(results),
         pictures_of_drapes(results),
-        fits(results.rows, results.table("parameters")),
+        parameter_section(results),
         analyses,
         figures(results),
         published_section(results),
@@ -170,13 +170,3 @@ def strip(pictures: Sequence[Path]) -> str:
         for p in pictures
     )
     return f'<div class="strip">{"".join(each)}</div>'
-
-
-def fits(rows: Rows, fitted: Rows) -> Section:
-    """The parameters of each suite's cells."""
-    suites = sorted({r["suite"] for r in rows})
-    note = '<p class="soft">Best values, below them the 95 % interval.</p>'
-    return Section("".join(
-        f"<h2>{text(s)}: parameters</h2>{note}" + parameters([r for r in rows if r["suite"] == s], fitted)
-        for s in suites
-    ))  # fmt: skip
