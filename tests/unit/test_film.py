@@ -119,7 +119,7 @@ def test_films_that_find_no_room_are_counted(results, monkeypatch):
     monkeypatch.setattr(cloth_page, "ROOM", 10)
     clips = cloth_page.clips_of(results)
     assert clips.left_out == 2
-    assert cloth_page.cloth_section(clips) is None
+    assert cloth_page.cloth_section(clips, results.rows) is None
 
 
 def test_takes_are_told_apart_where_several_models_made_them():

@@ -17,7 +17,7 @@ from clothbench.studies.calibration.budget import Histories, settled
 from clothbench.studies.calibration.estimates import Estimate, estimates
 from clothbench.studies.calibration.ranking import Overall, Standing, best_cell, overall, standings, t_interval, way_of
 from clothbench.studies.calibration.transfer import confusions
-from clothbench.studies.calibration.words import size, times
+from clothbench.studies.calibration.words import listed, size, times
 
 Rows = Sequence[dict[str, Any]]
 HERE = Path(__file__).parent
@@ -26,12 +26,13 @@ ENOUGH = 5  # recordings from which on a mean gets an interval; below, the page 
 
 @dataclass(frozen=True)
 class Card:
-    """One part of the answer: a word above, what is to be known, and what it rests on."""
+    """One part of the answer: a word above, what is to be known, and what it rests on; said: for the first sentence."""
 
     title: str
     value: str
     detail: str
     good: bool | None = None
+    said: str = ""
 
 
 def answer_section(results: Results, histories: Histories) -> Section:
@@ -44,7 +45,7 @@ def answer_section(results: Results, histories: Histories) -> Section:
         parts.append(
             rendered(
                 HERE, "answer.html", suite=suite, lead=lead(ranked, found),
-                cards=cards(rows, results, metric, ranked, histories), failed=not ranked,
+                cards={card.title: card for card in cards(rows, results, metric, ranked, histories)}, failed=not ranked,
             )
         )  # fmt: skip
     return Section("".join(parts))
@@ -99,13 +100,15 @@ def error_card(rows: Rows, metric: str) -> Card:
     shown = metric_with_floor(rows) or metric
     split = "held_out" if any(r["split"] == "held_out" for r in rows) else "fit"
     value, detail, floor = mean_of(rows, shown, split)
+    times_noise = ""
     if floor:
-        detail += f"; {value_of(rows, shown, split) / floor:.2g} × what noise alone gives ({size(floor)})"
+        times_noise = f"{value_of(rows, shown, split) / floor:.2g} times what noise alone gives"
+        detail += f"; {times_noise} ({size(floor)})"
     if shown != metric:
         other, _, _ = mean_of(rows, metric, split)
         detail += f". By {metric}, which was minimised: {other}"
-    title = "Error on recordings it never saw" if split == "held_out" else "Error on what it was fitted to"
-    return Card(title, value, f"{shown}, {detail}")
+    title = "Held-out error" if split == "held_out" else "Error on what it was fitted to"
+    return Card(title, value, f"{shown}, {detail}", said=f"{value}{', ' if floor else ''}{times_noise}")
 
 
 def recordings_of(rows: Rows, metric: str, split: str) -> dict[str, list[dict[str, Any]]]:
@@ -143,7 +146,8 @@ def fabric_card(results: Results, keys: set[str]) -> Card | None:
     shown = matrices[0]
     wrong = [f"{f} is taken for {shown.nearest(f)}" for f in shown.fabrics if shown.nearest(f) != f]
     said = "; ".join(wrong) or "each fabric's own parameters come nearest to its recordings"
-    return Card("Fabrics recognised", f"{shown.right} of {len(shown.fabrics)}", said, good=not wrong)
+    value = f"{shown.right} of {len(shown.fabrics)}"
+    return Card("Fabrics recognised", value, said, good=not wrong, said=value)
 
 
 def parameter_cards(results: Results, keys: set[str]) -> list[Card]:
@@ -151,14 +155,13 @@ def parameter_cards(results: Results, keys: set[str]) -> list[Card]:
     found = [e for e in estimates(results.table("parameters")) if e.key in keys]
     if not found:
         return []
-    sure = [e for e in found if e.determined]
-    by_name = group_estimates(found)
-    some = [
-        f"{n} in {sum(e.determined for e in es)} of {len(es)}" for n, es in by_name if any(e.determined for e in es)
-    ]
-    never = [n for n, es in by_name if not any(e.determined for e in es)]
+    sure, by_name = [e for e in found if e.determined], group_estimates(found)
+    counts = {name: sum(e.determined for e in mine) for name, mine in by_name}
+    some = [f"{name} in {counts[name]} of {len(mine)}" for name, mine in by_name if counts[name]]
+    never = [name for name, count in counts.items() if not count]
     detail = "; ".join(filter(None, (", ".join(some), f"never: {', '.join(never)}" if never else "")))
-    out = [Card("Parameters determined", f"{len(sure)} of {len(found)}", detail)]
+    best = [name for name, mine in by_name if counts[name] * 2 >= len(mine)]
+    out = [Card("Parameters determined", f"{len(sure)} of {len(found)}", detail, said=listed(best))]
     if judged := [e for e in sure if e.found is not None]:
         right = sum(bool(e.found) for e in judged)
         detail = "of the determined ones, the 95 % interval holds the true value"

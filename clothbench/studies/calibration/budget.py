@@ -13,6 +13,7 @@ from clothbench.studies.calibration.words import counted, listed
 
 Rows = Sequence[dict[str, Any]]
 Histories = Mapping[str, np.ndarray]  # value (E,) of every evaluation of a cell, by its key
+FEW = 3  # cases that are named one by one
 LATE, MUCH = 0.75, 0.02  # of a search, behind which a fall of the error by this share says that it was not done
 
 
@@ -47,12 +48,13 @@ def settled(rows: Rows, way: Callable[[dict[str, Any]], str], histories: Histori
     value = counted(counts[-1], "evaluation") if len(counts) == 1 else f"{counts[0]} … {counts[-1]} evaluations"
     falling = sorted({about[k]["case"] for k in about if late_fall(histories[k]) > MUCH})
     fits = sum(late_fall(histories[k]) > MUCH for k in about)
+    late = "a fit; in the last quarter"
     if not fits:
-        said = "a fit; in the last quarter no error fell by more than 2 %: more would change little"
+        said = f"{late} no error fell by more than 2\u00a0%: more would change little"
     else:
+        which = f" ({listed(falling)})" if len(falling) <= FEW else ""
         said = (
-            f"a fit; in the last quarter the error still fell by more than 2 % in {fits} of {len(about)} "
-            f"({listed(falling)}): more (budget=N) would lower it"
+            f"{late} the error still fell by more than 2\u00a0% in {fits} of {len(about)}{which}: more would lower it"
         )
     return value, "; ".join(filter(None, (said, order_said(about, way, histories))))
 

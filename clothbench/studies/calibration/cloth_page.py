@@ -14,6 +14,7 @@ from clothbench.display.templates import asset, rendered
 from clothbench.engine.study import Results
 from clothbench.studies.calibration.ranking import way_of
 from clothbench.studies.calibration.schema import FILMS
+from clothbench.studies.calibration.words import case_name
 
 Rows = Sequence[dict[str, Any]]
 ROOM = 9_000_000  # characters of all films together, before they are packed: with the rest the page stays below 15 MB
@@ -89,12 +90,13 @@ def told(words: Sequence[tuple[str, str]]) -> list[str]:
     return [f"{take}, {way}" if several else take for take, way in words]
 
 
-def cloth_section(clips: Clips) -> Section | None:
+def cloth_section(clips: Clips, rows: Rows) -> Section | None:
     """The player; None where nothing was filmed."""
+    called = case_name(rows)
     if not clips.cases:
         return None
     index = [
-        {"case": f"{suite} · {case}", "recordings": [{**clip, "words": told(clip["words"])} for clip in some.values()]}
+        {"case": called(suite, case), "recordings": [{**clip, "words": told(clip["words"])} for clip in some.values()]}
         for (suite, case), some in sorted(clips.cases.items())
     ]
     html = rendered(Path(__file__).parent, "cloth.html", left_out=clips.left_out)

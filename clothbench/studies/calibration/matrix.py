@@ -17,7 +17,7 @@ from clothbench.display.templates import asset_of, rendered
 from clothbench.engine.study import Results
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration.ranking import Standing, best_of, standings
-from clothbench.studies.calibration.words import counted, size
+from clothbench.studies.calibration.words import case_name, counted, size
 
 Rows = Sequence[dict[str, Any]]
 Links = Callable[[str, str], str]  # (suite, case) → where a click on it leads, nothing where there is no more of it
@@ -55,11 +55,11 @@ class Matrix:
 
 def matrix_section(results: Results, filmed: Collection[tuple[str, str]]) -> Section:
     """A table per suite and metric. filmed: (suite, case) of cases whose cloth can be looked at."""
-    drawn = {(r["suite"], r["case"]) for r in results.rows if r["recording"]}
+    drawn, called = {(r["suite"], r["case"]) for r in results.rows if r["recording"]}, case_name(results.rows)
 
     def links(suite: str, case: str) -> str:
         place = "cloth" if (suite, case) in filmed else "figures" if (suite, case) in drawn else ""
-        return f"#{place}?{urlencode({'case': f'{suite} · {case}'})}" if place else ""
+        return f"#{place}?{urlencode({'case': called(suite, case)})}" if place else ""
 
     parts = []
     for suite, rows in sorted(group(results.rows, lambda r: r["suite"]).items()):

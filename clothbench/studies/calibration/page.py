@@ -89,7 +89,7 @@ def sections(results: Results) -> list[Section]:
     """What the page shows of calibrations."""
     analyses = analysis_section(results.rows, {name: results.table(name) for name in ANALYSIS_TABLES})
     histories, clips = histories_of(results.store, results.keys), clips_of(results)
-    looks = [matrix_section(results, clips.cases.keys()), cloth_section(clips)]
+    looks = [matrix_section(results, clips.cases.keys()), cloth_section(clips, results.rows)]
     if len({model_name(r) for r in results.rows}) == 1:  # nothing to compare: the cloth says more than a table
         looks.reverse()
     found = [

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from typing import Any
 
 from clothbench.studies.calibration.ranking import Overall
 
@@ -34,3 +35,9 @@ def listed(names: Sequence[str], most: int = 4) -> str:
     if more := len(names) - len(shown):
         return f"{', '.join(shown)} and {more} more"
     return " and ".join(filter(None, (", ".join(shown[:-1]), *shown[-1:])))
+
+
+def case_name(rows: Sequence[dict[str, Any]]) -> Callable[[str, str], str]:
+    """(suite, case) → what a case is called on the page and in addresses: with its suite where there are several."""
+    several = len({r["suite"] for r in rows}) > 1
+    return lambda suite, case: f"{suite} · {case}" if several else case
