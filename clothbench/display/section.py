@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import json
+import re
 import zlib
 from base64 import b64encode
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-LONG = 100_000  # characters of data from which on they are packed
+LONG = 100_000  # characters of data, or of HTML that may come later, from which on they are packed
+LATER = re.compile(r"<!--later-->(.*?)<!--/later-->", re.DOTALL)
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,23 @@ class Section:
         """The section with its data, as the page has it."""
         data = [element(name, json_text(content)) for name, content in self.data.items()]
         data += [packed_element(name, json_text(content), later=True) for name, content in self.later.items()]
-        return "\n".join([self.html, *data])
+        return "\n".join([with_fragments(self.html), *data])
+
+
+def later(html: str) -> str:
+    """HTML that the page may fill in when it comes near the window, or is unfolded: it does where it is long."""
+    return f"<!--later-->{html}<!--/later-->"
+
+
+def with_fragments(html: str) -> str:
+    """What may come later, as it is where it is short, packed where it is long."""
+
+    def packed_if_long(found: re.Match[str]) -> str:
+        if len(found[1]) < LONG:
+            return found[1]
+        return f'<div class="later"><script type="text/plain" data-fragment>{packed(found[1])}</script></div>'
+
+    return LATER.sub(packed_if_long, html)
 
 
 def element(name: str, data: str) -> str:

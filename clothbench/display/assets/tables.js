@@ -99,9 +99,9 @@
     }
     return (place?.textContent ?? "table").trim().slice(0, 40).replace(/[^\w-]+/g, "-").toLowerCase() || "table";
   }
-  for (const table of document.querySelectorAll(".scroll > table")) {
+  function equip(table) {
     const count = table.tBodies[0]?.rows.length ?? 0;
-    if (!table.tHead || count < SHORT || table.dataset.plain !== undefined) continue;
+    if (!table.tHead || count < SHORT || table.dataset.plain !== undefined) return;
     sortable(table);
     const tools = document.createElement("div");
     tools.className = "tools";
@@ -113,4 +113,18 @@
     );
     table.closest(".scroll").before(tools);
   }
+  // Long parts of the page are packed until they come near the window, or what folds them away is opened.
+  async function fill(place) {
+    const script = place.querySelector("[data-fragment]");
+    if (!script) return;
+    script.removeAttribute("data-fragment");
+    place.innerHTML = await unpacked(script);
+    place.querySelectorAll(".scroll > table").forEach(equip);
+  }
+  const close = new IntersectionObserver((entries) => {
+    for (const { target } of entries.filter((entry) => entry.isIntersecting)) { close.unobserve(target); fill(target); }
+  }, { rootMargin: "800px" });
+  document.querySelectorAll(".scroll > table").forEach(equip);
+  document.querySelectorAll(".later").forEach((place) => close.observe(place));
+  addEventListener("beforeprint", () => document.querySelectorAll(".later").forEach(fill));
 })();

@@ -7,16 +7,17 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from clothbench.display.html import table, text
+from clothbench.display.html import group, table, text
 from clothbench.display.names import cell_name
 from clothbench.display.plotly import COLOURS
-from clothbench.display.section import Section
+from clothbench.display.section import Section, later
 from clothbench.display.templates import rendered
 from clothbench.studies.calibration.analysis_tables import MUCH, missing, percent, spread, unit_of
 from clothbench.studies.calibration.matrix import HOTTEST
 from clothbench.studies.calibration.transfer import Confusion, Transfer, confusions, transfers
 
 Rows = Sequence[dict[str, Any]]
+MANY = 6  # figures of one kind that all are shown at once
 VARIABILITY = f"""By how many percent a parameter has to change to change the error by 1 %. Low: well determined. Tall:
 not determined; what would take more than {MUCH:g} % is drawn as that."""
 SENSITIVITY = {
@@ -39,7 +40,8 @@ def analysis_section(rows: Rows, tables: dict[str, Rows]) -> Section | None:
     """Everything about transfer and analyses; None where there is nothing."""
     about, moved = {r["key"]: cell_name(r) for r in rows}, transfers(rows, tables["starts"])
     matrices = confusions(tables["confusion"], rows, tables["starts"])
-    parts = [confusion(c) for c in matrices]
+    parts = ["<h2>Which fabric is it?</h2>"] if matrices else []
+    parts += [confusion(c, title=len(matrices) > 1) for c in matrices]
     parts += [f"<h2>Trial by trial</h2>{transfer(moved)}"] if moved else []
     parts += [repeats(tables["repeats"], about)] if tables["repeats"] else []
     shown = variability_figures(tables["variability"], about)
@@ -47,16 +49,26 @@ def analysis_section(rows: Rows, tables: dict[str, Rows]) -> Section | None:
     parts += [f'<p class="soft">{text(reason)}</p>' for reason in missing(tables, about)]
     if not parts and not shown:
         return None
-    said: set[str] = set()
-    for n, one in enumerate(shown):
-        kind = one["title"].partition(":")[0]
-        caption = "" if kind in said else f"<figcaption>{text(one['about'])}</figcaption>"
-        said.add(kind)
-        parts.append(f'<h3>{text(one["title"])}</h3><figure>{caption}<div id="analysis-{n}"></div></figure>')
+    numbered = [{**one, "number": n} for n, one in enumerate(shown)]
+    kinds = group(numbered, lambda one: one["title"].partition(":")[0])
+    parts += [figures_of(some) for some in kinds.values()]
     if not moved:
-        parts.insert(len(matrices), "<h2>What else was asked of the fits</h2>")
+        parts.insert(len(matrices) + bool(matrices), "<h2>What else was asked of the fits</h2>")
     html = "".join(parts)
     return Section(html, {"analyses": [one["figure"] for one in shown]}, SCRIPT) if shown else Section(html)
+
+
+def figures_of(some: Rows) -> str:
+    """Figures of one kind: what they show is said once, and of many all but the first are folded away."""
+    drawn = [f'<h3>{text(one["title"])}</h3><figure><div id="analysis-{one["number"]}"></div></figure>' for one in some]
+    about = f'<p class="soft">{text(some[0]["about"])}</p>'
+    first, _, rest = drawn[0].partition("<figure>")
+    drawn[0] = f"{first}{about}<figure>{rest}"
+    if len(drawn) <= MANY:
+        return "".join(drawn)
+    kind = text(some[0]["title"].partition(":")[0])
+    folded = f"<details><summary>{kind} of {len(drawn) - 1} more fits</summary>{''.join(drawn[1:])}</details>"
+    return drawn[0] + folded
 
 
 def transfer(moved: Sequence[Transfer]) -> str:
@@ -72,17 +84,17 @@ def transfer(moved: Sequence[Transfer]) -> str:
         '<p class="soft">Error where the search set out from, at its result, and what that result makes of recordings '
     )
     note += "it never saw. ✓: the fit with the least sum over the trials of its group.</p>"
-    return note + table(head, body, numeric={1, 2, 4})
+    return note + later(table(head, body, numeric={1, 2, 4}))
 
 
-def confusion(c: Confusion) -> str:
-    """A heat map: a line for each recorded fabric, a column for each fabric's parameters."""
+def confusion(c: Confusion, title: bool) -> str:
+    """A heat map: a line for each recorded fabric, a column for each fabric's parameters; with a title, if wanted."""
     lines = []
     for recorded in c.fabrics:
         errors = [c.error[s].get(recorded) for s in c.fabrics]
         least = min((e for e in errors if e is not None), default=0.0)
         lines.append((recorded, [(_number(e), heat(e, least), e == least) for e in errors]))
-    return rendered(Path(__file__).parent, "confusion.html", found=c, lines=lines)
+    return rendered(Path(__file__).parent, "confusion.html", found=c, lines=lines, title=title)
 
 
 def heat(error: float | None, least: float) -> float:

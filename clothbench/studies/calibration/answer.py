@@ -17,7 +17,7 @@ from clothbench.studies.calibration.budget import Histories, settled
 from clothbench.studies.calibration.estimates import Estimate, estimates
 from clothbench.studies.calibration.ranking import Overall, Standing, best_cell, overall, standings, t_interval, way_of
 from clothbench.studies.calibration.transfer import confusions
-from clothbench.studies.calibration.words import listed, size, times
+from clothbench.studies.calibration.words import headed, listed, size, times
 
 Rows = Sequence[dict[str, Any]]
 HERE = Path(__file__).parent
@@ -44,7 +44,7 @@ def answer_section(results: Results, histories: Histories) -> Section:
         ranked = overall(found)
         parts.append(
             rendered(
-                HERE, "answer.html", suite=suite, lead=lead(ranked, found),
+                HERE, "answer.html", title=headed(results.rows)(suite, "the answer"), lead=lead(ranked, found),
                 cards={card.title: card for card in cards(rows, results, metric, ranked, histories)}, failed=not ranked,
             )
         )  # fmt: skip

@@ -17,7 +17,8 @@ from clothbench.studies.calibration.schema import FILMS
 from clothbench.studies.calibration.words import case_name
 
 Rows = Sequence[dict[str, Any]]
-ROOM = 9_000_000  # characters of all films together, before they are packed: with the rest the page stays below 15 MB
+ROOM = 8_000_000  # characters of all films together, before they are packed: with the rest the page stays below 15 MB
+FULL = 0.95  # of it
 
 
 @dataclass
@@ -32,9 +33,13 @@ class Clips:
 
 
 def clips_of(results: Results) -> Clips:
-    """Films of all cells: of every case first one recording of its best cell, then further ones while there is room."""
+    """Films of all cells, as many as there is room for."""
     clips = Clips()
-    for rows, word, film in in_turn(results):
+    for rows, word, path in in_turn(results):
+        if clips.size > FULL * ROOM:  # hardly any film would find room: none of the others is read
+            clips.left_out += 1
+            continue
+        film = read_film(path)
         takes = [take_data(take) for take in film.takes.values()]
         more = 0 if film.identity in clips.known else len(json_text(recording_data(film)))
         size = more + len(json_text(takes))
@@ -46,8 +51,10 @@ def clips_of(results: Results) -> Clips:
     return clips
 
 
-def in_turn(results: Results) -> Iterator[tuple[Rows, str, Film]]:
-    """(rows of a cell, what tells it from others of its case, film): the first film of every cell, then the second."""
+def in_turn(results: Results) -> Iterator[tuple[Rows, str, Path]]:
+    """(rows of a cell, what tells it from others of its case, its film): all films of the best cell of every case, the
+    first ones before the second ones, then those of the second best.
+    """
     cells = group(results.rows, lambda r: r["key"])
     rank = {key: n for mine in group(results.rows, lambda r: (r["suite"], r["case"])).values() for n, key in enumerate(
         sorted({r["key"] for r in mine}, key=lambda k: fitted_error(cells[k])))}  # fmt: skip
@@ -57,7 +64,7 @@ def in_turn(results: Results) -> Iterator[tuple[Rows, str, Film]]:
     for n, _, key in sorted(order, key=lambda one: (one[1], one[0], cells[one[2]][0]["case"])):
         first = cells[key][0]
         seed = f" · seed {first['seed']}" if first["seed"] else ""
-        yield cells[key], names[first["suite"]](first) + seed, read_film(files[key][n])
+        yield cells[key], names[first["suite"]](first) + seed, files[key][n]
 
 
 def fitted_error(rows: Rows) -> float:

@@ -7,6 +7,7 @@ from typing import Any
 
 from clothbench.display.html import group, pill, table, text
 from clothbench.display.names import model_name
+from clothbench.display.section import later
 from clothbench.studies.calibration.estimates import contained
 from clothbench.studies.calibration.words import size
 
@@ -37,7 +38,7 @@ def leaderboard(rows: Rows) -> str:
     ]
     if all(r["status"] == "ok" for r in rows):
         columns = [c for c in columns if c[0] != "status"]
-    return _filled(columns, lines) + single_recordings([r for r in rows if r["recording"]])
+    return later(_filled(columns, lines)) + single_recordings([r for r in rows if r["recording"]])
 
 
 NAMES: tuple[Column, ...] = (
@@ -114,7 +115,8 @@ def single_recordings(rows: Rows) -> str:
     ]
     if all(r["status"] == "ok" for r in rows):
         columns = columns[:-1]
-    return f"<details><summary>{len(rows)} errors of single recordings</summary>{_filled(columns, rows)}</details>"
+    summary = f"{len(rows)} errors of single recordings"
+    return f"<details><summary>{summary}</summary>{later(_filled(columns, rows))}</details>"
 
 
 def _of_row(make: Callable[[Any], str]) -> Callable[[Any], str]:

@@ -17,7 +17,7 @@ from clothbench.display.templates import asset_of, rendered
 from clothbench.engine.study import Results
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration.ranking import Standing, best_of, standings
-from clothbench.studies.calibration.words import case_name, counted, size
+from clothbench.studies.calibration.words import case_name, counted, headed, size
 
 Rows = Sequence[dict[str, Any]]
 Links = Callable[[str, str], str]  # (suite, case) → where a click on it leads, nothing where there is no more of it
@@ -66,7 +66,8 @@ def matrix_section(results: Results, filmed: Collection[tuple[str, str]]) -> Sec
         ways = {way for case in standings(rows, "").values() for way in case}
         make = several_ways if len(ways) > 1 else one_way
         found = [make(suite, metric, rows, links) for metric in metrics_of(rows)]
-        parts.append(rendered(HERE, "matrix.html", suite=suite, matrices=found, several=len(ways) > 1))
+        title = headed(results.rows)(suite, "models by cases" if len(ways) > 1 else "case by case")
+        parts.append(rendered(HERE, "matrix.html", title=title, matrices=found, several=len(ways) > 1))
     return Section("".join(parts), early=asset_of(HERE, "matrix.js"))
 
 

@@ -23,6 +23,7 @@ from clothbench.studies.calibration.parameters_page import parameter_section
 from clothbench.studies.calibration.published import published_section
 from clothbench.studies.calibration.schema import ANALYSIS_TABLES, DRAPES, FRAMES, PICTURES
 from clothbench.studies.calibration.searches_page import searches_section
+from clothbench.studies.calibration.words import headed
 
 Rows = Sequence[dict[str, Any]]
 STEPS = '<p class="soft">The middle frame of the first recording, step by step.</p>'
@@ -73,7 +74,10 @@ function choosePanel(wanted) {
   byId("panel").selectedIndex = number;
   drawPanel();
 }
-byId("panel").addEventListener("change", () => { address.keep("case", current().case); drawPanel(); });
+byId("panel").addEventListener("change", () => { address.keep("case", current().case);
+  address.keep("metric", current().metric);
+  drawPanel();
+});
 byId("recording").addEventListener("change", drawTrace);
 address.listen("case", (name) => choosePanel((p) => p.case === name && p.metric === current().metric));
 address.listen("metric", (name) => choosePanel((p) => p.metric === name && p.case === current().case));
@@ -114,7 +118,8 @@ def leaderboards(rows: Rows) -> Section:
     for suite, mine in sorted(group(rows, lambda r: r["suite"]).items()):
         same = same_in_all(mine)
         said = f'<p class="soft">In every line: {same}.</p>' if same else ""
-        parts.append(f'<h2 id="numbers">{text(suite)}: all numbers</h2>{ORDER}{said}{leaderboard(mine)}')
+        title = text(headed(rows)(suite, "all numbers"))
+        parts.append(f'<h2 id="numbers">{title}</h2>{ORDER}{said}{leaderboard(mine)}')
     return Section("".join(parts))
 
 

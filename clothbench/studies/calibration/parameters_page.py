@@ -14,7 +14,7 @@ from clothbench.display.templates import rendered
 from clothbench.engine.study import Results
 from clothbench.studies.calibration.estimates import Estimate, estimates
 from clothbench.studies.calibration.ranking import way_of
-from clothbench.studies.calibration.words import listed, size
+from clothbench.studies.calibration.words import headed, listed, size
 
 Rows = Sequence[dict[str, Any]]
 Called = Callable[[dict[str, Any]], str]
@@ -50,10 +50,13 @@ def parameter_section(results: Results) -> Section:
             model_table(model, some, found, named) for model, some in sorted(group(mine, model_name).items())
         ]  # fmt: skip
         sums = [e for r in mine for e in found[r["key"]]]
-        parts.append(rendered(
-            Path(__file__).parent, "parameters.html", suite=suite, models=models, truth=truth_said(sums, mine, named),
-            numbers=numbers(mine, found, named), count=len(sums),
-        ))  # fmt: skip
+        parts.append(
+            rendered(
+                Path(__file__).parent, "parameters.html", title=headed(results.rows)(suite, "parameters"),
+                models=models, truth=truth_said(sums, mine, named), numbers=numbers(mine, found, named),
+                count=len(sums),
+            )
+        )  # fmt: skip
     return Section("".join(parts))
 
 

@@ -50,12 +50,15 @@ class Standing:
 
 
 def way_of(rows: Rows) -> Callable[[dict[str, Any]], str]:
-    """What to call a row's way: the parts in which the ways of these rows differ, and its model in any case."""
+    """What to call a row's way: its model, with its effects where others are tried too, and whatever else differs."""
     parts = (("optimizer", "{}"), ("objective", "by {}"), ("budget", "{} evaluations"), ("settings", "settings {}"))
     told = [(name, word) for name, word in parts if _differ(rows, name)]
+    effects = group(rows, lambda r: r["model"])
+    plain = {model for model, some in effects.items() if len({r["effects"] or "" for r in some}) == 1}
 
     def name(row: dict[str, Any]) -> str:
-        return " · ".join([model_name(row), *(word.format(row.get(n)) for n, word in told)])
+        model = row["model"] if row["model"] in plain else model_name(row)
+        return " · ".join([model, *(word.format(row.get(n)) for n, word in told)])
 
     return name
 

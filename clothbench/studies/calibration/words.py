@@ -24,8 +24,10 @@ def counted(count: int, word: str) -> str:
 
 
 def times(one: Overall) -> str:
-    """ "1.8 times as far off (1.4 … 2.2, 15 recordings)"."""
-    sure = f"{one.low:.2f} … {one.high:.2f}, " if one.low is not None and one.high is not None else ""
+    """ "1.8 times as far off (95 % interval 1.4 … 2.2, 15 recordings)"."""
+    sure = (
+        f"95\u00a0% interval {one.low:.2f} … {one.high:.2f}, " if one.low is not None and one.high is not None else ""
+    )
     return f"{one.ratio:.2f} times as far off ({sure}{counted(one.recordings, 'recording')})"
 
 
@@ -41,3 +43,9 @@ def case_name(rows: Sequence[dict[str, Any]]) -> Callable[[str, str], str]:
     """(suite, case) → what a case is called on the page and in addresses: with its suite where there are several."""
     several = len({r["suite"] for r in rows}) > 1
     return lambda suite, case: f"{suite} · {case}" if several else case
+
+
+def headed(rows: Sequence[dict[str, Any]]) -> Callable[[str, str], str]:
+    """(suite, words) → a section's heading: with its suite where there are several."""
+    several = len({r["suite"] for r in rows}) > 1
+    return lambda suite, words: f"{suite}: {words}" if several else words[:1].upper() + words[1:]
