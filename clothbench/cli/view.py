@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import socket
 import subprocess
 import sys
@@ -40,10 +42,24 @@ def served(command: list[str]) -> int:
     )
     more = ["--serve-web", "--bind", HERE, "--port", str(data), "--web-viewer-port", str(page)]
     quiet = {**os.environ, "RUST_LOG": os.environ.get("RUST_LOG", "error")}
+    # A group of its own: the viewer is a child of a child, and must not stay behind when this one ends.
+    child = subprocess.Popen([*command, *more], env=quiet, start_new_session=True)
     try:
-        return subprocess.run([*command, *more], check=False, env=quiet).returncode
+        return child.wait()
     except KeyboardInterrupt:
         return 0
+    finally:
+        end_group(child)
+
+
+def end_group(child: subprocess.Popen[bytes]) -> None:
+    """End a process with all that it has started."""
+    if hasattr(os, "killpg"):
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)  # it has nothing to lose: it only shows a file
+    elif child.poll() is None:
+        child.kill()
+    child.wait()
 
 
 def free_ports(count: int) -> list[int]:

@@ -10,7 +10,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-LONG = 100_000  # characters of data, or of HTML that may come later, from which on they are packed
+LONG = 100_000  # characters of HTML that may come later, from which on it is packed
+LONG_DATA = 300_000
 LATER = re.compile(r"<!--later-->(.*?)<!--/later-->", re.DOTALL)
 
 
@@ -54,7 +55,7 @@ def with_fragments(html: str) -> str:
 
 def element(name: str, data: str) -> str:
     """The element that holds some data: as they are, or packed where they are long."""
-    if len(data) < LONG:
+    if len(data) < LONG_DATA:
         return f'<script type="application/json" id="{name}">{data}</script>'
     return packed_element(name, data)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 import signal
 import subprocess
 import sys
@@ -191,11 +190,17 @@ def run_without_rerun(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_view_takes_the_names_that_the_page_shows(run_without_rerun, name, monkeypatch, capsys):
     called = []
 
-    def run(command, **more):
-        called.append((command, Path(command[3]).stat().st_size))
-        return subprocess.CompletedProcess(command, 0)
+    class Child:
+        pid = 0
 
-    monkeypatch.setattr(view.subprocess, "run", run)
+        def __init__(self, command, **_):
+            called.append((command, Path(command[3]).stat().st_size))
+
+        def wait(self):
+            return 0
+
+    monkeypatch.setattr(view.subprocess, "Popen", Child)
+    monkeypatch.setattr(view, "end_group", lambda child: None)
     monkeypatch.setattr(view, "has_display", lambda: False)
     assert view.open_viewer(run_without_rerun, name) == 0
     ((command, size),) = called
@@ -209,12 +214,12 @@ def test_view_takes_the_names_that_the_page_shows(run_without_rerun, name, monke
 
 def test_the_web_viewer_answers_on_the_loopback_address(run_without_rerun):
     command = [sys.executable, "-m", "clothbench", "view", "swing-1", "--web", "--out", str(run_without_rerun)]
-    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True) as process:
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
         try:
             assert process.stdout is not None
             said = process.stdout.readline()
             address = said.split()[1]
-            deadline = time.monotonic() + 30
+            deadline = time.monotonic() + 120
             while True:
                 try:
                     with urllib.request.urlopen(address, timeout=5) as answer:
@@ -224,5 +229,8 @@ def test_the_web_viewer_answers_on_the_loopback_address(run_without_rerun):
                     assert time.monotonic() < deadline
                     time.sleep(0.2)
         finally:
-            os.killpg(process.pid, signal.SIGINT)
+            process.send_signal(signal.SIGINT)
+            process.wait(60)
     assert process.returncode == 0
+    with pytest.raises(OSError, match="refused"):
+        urllib.request.urlopen(address, timeout=5)

@@ -59,7 +59,7 @@ const panes = (() => {
     const forward = [-Math.cos(pitch) * Math.cos(yaw), -Math.cos(pitch) * Math.sin(yaw), -Math.sin(pitch)];
     const right = [-Math.sin(yaw), Math.cos(yaw), 0];
     const down = [0, 1, 2].map((i) => forward[(i + 1) % 3] * right[(i + 2) % 3] - forward[(i + 2) % 3] * right[(i + 1) % 3]);
-    const rotation = [right, down, forward], away = 4.2 * radius, focal = (0.62 * Math.min(width, height) * away) / radius;
+    const rotation = [right, down, forward], away = 4.2 * radius, focal = (0.54 * Math.min(width, height) * away) / radius;
     const place = centre.map((c, i) => c - away * forward[i]);
     const translation = rotation.map((row) => -row.reduce((sum, r, i) => sum + r * place[i], 0));
     const matrix = [[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1]];

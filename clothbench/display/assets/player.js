@@ -132,12 +132,13 @@
   function fill(select, names, chosen) {
     options(select, names);
     select.value = chosen;
-    select.closest("label").hidden = names.length < 2;
+    select.disabled = names.length < 2;
   }
   async function open(caseName, recordingName) {
     const one = index.find((c) => c.case === caseName) ?? liveliest;
     const clip = one.recordings.find((r) => r.name === recordingName) ?? one.recordings[0];
     fill(part("case"), index.map((c) => c.case), one.case);
+    part("case").closest("label").hidden = index.length < 2;
     options(part("recording"), []);
     part("recording").append(...one.recordings.map((r) => new Option(`${r.name} (${r.split.replace("_", " ")})`, r.name)));
     part("recording").value = clip.name;

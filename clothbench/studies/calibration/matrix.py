@@ -23,6 +23,7 @@ Rows = Sequence[dict[str, Any]]
 Links = Callable[[str, str], str]  # (suite, case) → where a click on it leads, nothing where there is no more of it
 HERE = Path(__file__).parent
 HOTTEST = 55  # %, the share of the heat's colour in the hottest square: text on it is still read with ease
+NARROW = math.log(4)  # span of a table's errors that is drawn from the coldest to the hottest, at least
 FOUR_TIMES = 2.0  # powers of two from the best of a line at which a square is at its hottest
 TRIALS = 6  # columns of recordings at most, beside the fitted one
 
@@ -133,7 +134,7 @@ def _judged(
     values = [r["value"] for r in rows if r["value"] is not None]
     if not values or len(values) < len(rows):
         return Square("") if not bad else Square(bad["status"], bad["reason"] or "", link=to)
-    mean, span = sum(values) / len(values), math.log(ends[1] / ends[0])
+    mean, span = sum(values) / len(values), max(math.log(ends[1] / ends[0]), NARROW)
     heat = HOTTEST * math.log(mean / ends[0]) / span if span > 0 and mean > 0 else 0.0
     floors, framed = [r["floor"] for r in rows], framed and any(r["split"] == "fit" for r in rows)
     below = f"floor {size(sum(floors) / len(floors))}" if floors and all(floors) else ""
