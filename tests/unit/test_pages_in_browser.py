@@ -15,6 +15,9 @@ from test_rerun_file import small_cell
 
 from clothbench import surface_of
 from clothbench.display.film import read_film
+from clothbench.display.html import table
+from clothbench.display.page import whole_page
+from clothbench.display.section import Section, later
 from clothbench.engine.cells import Source
 from clothbench.engine.run import run_cell
 from clothbench.engine.suite import where
@@ -240,3 +243,22 @@ def test_values_lie_in_their_intervals(page, which, request):
     found = shown.run(script)
     assert len(found) > 10
     assert [one for one in found if not one[0] <= one[1] <= one[2]] == []
+
+
+def test_a_long_table_comes_when_it_is_unfolded_and_has_tools(page, tmp_path):
+    long = later(table(["n", "square"], [[str(n), str(n * n)] for n in range(4000)], {0, 1}))
+    path = tmp_path / "long.html"
+    html = whole_page("long", [Section(f"<h2>Squares</h2><details><summary>4000 squares</summary>{long}</details>")])
+    assert len(html) < 80_000
+    path.write_text(html, encoding="utf-8")
+    shown = page(path)
+    assert shown.run('return document.querySelector("table") === null')
+    shown.run('document.querySelector("details").open = true')
+    shown.wait('document.querySelectorAll("tbody tr").length === 4000')
+    shown.wait('document.querySelector(".tools input")')
+    script = """const field = document.querySelector(".tools input");
+        field.value = "3481"; field.dispatchEvent(new Event("input"));
+        const rows = [...document.querySelectorAll("tbody tr")];
+        return rows.filter((row) => !row.hidden).map((row) => row.cells[0].textContent);"""
+    assert shown.run(script) == [str(n) for n in range(4000) if "3481" in f"{n} {n * n}"]
+    assert shown.faults() == []

@@ -84,10 +84,10 @@
     field.placeholder = "filter";
     field.ariaLabel = "filter the lines of the table below";
     field.addEventListener("input", () => {
-      const words = field.value.toLowerCase().split(/\s+/).filter(Boolean);
+      const wanted = field.value.toLowerCase().split(/\s+/).filter(Boolean);
       for (const row of table.tBodies[0].rows) {
-        const text = row.textContent.toLowerCase();
-        row.hidden = !single(row) && !words.every((word) => text.includes(word));
+        const text = cells(row).join(" ").toLowerCase();
+        row.hidden = !single(row) && !wanted.every((word) => text.includes(word));
       }
     });
     return field;
