@@ -35,9 +35,8 @@ def analyses(rows: Rows, tables: dict[str, Rows]) -> list[Any]:
 def missing(tables: dict[str, Rows], about: dict[str, str]) -> list[str]:
     """Why some cells have no map of the error, or were not held against other fabrics, one line each."""
     words = {"map": "no map of the error", "confusion": "not held against other fabrics"}
-    return [
-        f"{about[r['key']]}: {said}: {r['reason']}" for name, said in words.items() for r in tables[name] if r["reason"]
-    ]
+    failed = [(said, r) for name, said in words.items() for r in tables[name] if r.get("reason")]
+    return [f"{about[r['key']]}: {said}: {r['reason']}" for said, r in failed]
 
 
 def transfer_table(moved: Sequence[Transfer]) -> Table:
