@@ -147,9 +147,11 @@ def _report(sub: argparse.ArgumentParser) -> None:
 
 def _view(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
-        "cell", metavar="CELL",
-        help="key of a cell, or its beginning, as the leaderboard shows it; of `improve`, a recording's name",
+        "name", metavar="CELL|CASE|RECORDING",
+        help="key of a cell, or its beginning, or the name of a case or recording, as page and leaderboard show them; "
+        "of `improve`, a recording's name",
     )  # fmt: skip
+    sub.add_argument("--web", action="store_true", help="in a browser; so it is where there is no display, too")
     _store(sub)
 
 
@@ -307,7 +309,7 @@ def report(options: argparse.Namespace) -> int:
 def view(options: argparse.Namespace) -> int:
     from clothbench.cli.view import open_viewer
 
-    return open_viewer(Path(options.out), options.cell)
+    return open_viewer(Path(options.out), options.name, options.web)
 
 
 def new_plugin(options: argparse.Namespace) -> int:

@@ -135,7 +135,7 @@ def _say_where(store: Store, keys: Sequence[str]) -> None:
     write_page(store.folder)
     print(f"page:   {shown / 'report.html'}")
     print(f"tables: {shown / 'cells'}/KEY/*.parquet   (clothbench leaderboard --out {shown})")
-    if any((store.cell(k) / "fit.rrd").is_file() for k in keys):
+    if any((store.cell(k) / name).exists() for k in keys for name in ("fit.rrd", "films")):
         print(f"rerun:  clothbench view {keys[0]} --out {shown}")
 
 

@@ -1,24 +1,91 @@
-"""`clothbench view`: the Rerun viewer on a fit, or on a recording of `improve`."""
+"""`clothbench view`: the Rerun viewer on a fit, on a recording or case of a run, or on a recording of `improve`."""
 
 from __future__ import annotations
 
+import contextlib
+import os
+import signal
+import socket
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
+from typing import Any
 
 from clothbench.core.errors import ClothbenchError
 
+HERE = "127.0.0.1"
 
-def open_viewer(out: Path, name: str) -> int:
-    """Open the viewer on the cell of `out` whose key begins with `name`, or, where `out` is of `clothbench improve`,
-    on the recording of that name; returns the viewer's exit code.
+
+def open_viewer(out: Path, name: str, web: bool = False) -> int:
+    """Open the viewer on what `name` means in `out` (a cell's key or its beginning, a recording, a case); returns the
+    viewer's exit code. web: in a browser, served on the loopback address; so it is where there is no display, too.
     """
-    file = improved(out, name) if (out / "verdict.json").is_file() else find_cell(out, name) / "fit.rrd"
-    if not file.is_file():
-        raise ClothbenchError(
-            f"cell {file.parent.name} has no fit.rrd: it failed or ran with rerun=false; see the leaderboard"
-        )
-    return subprocess.run([sys.executable, "-m", "rerun", str(file)], check=False).returncode
+    with tempfile.TemporaryDirectory(prefix="clothbench-") as made:
+        file = improved(out, name) if (out / "verdict.json").is_file() else fitted(out, name, Path(made))
+        command = [sys.executable, "-m", "rerun", str(file)]
+        if not web and has_display():
+            return subprocess.run(command, check=False).returncode
+        return served(command)
+
+
+def has_display() -> bool:
+    """Whether a window can be opened here."""
+    return sys.platform != "linux" or bool(os.environ.get("DISPLAY") or os.environ.get("WAYLAND_DISPLAY"))
+
+
+def served(command: list[str]) -> int:
+    """Serve the web viewer until it is stopped; the link is printed first."""
+    data, page = free_ports(2)
+    print(
+        f"view:   http://{HERE}:{page}?url=rerun%2Bhttp%3A%2F%2F{HERE}%3A{data}%2Fproxy   (Ctrl+C ends it)", flush=True
+    )
+    more = ["--serve-web", "--bind", HERE, "--port", str(data), "--web-viewer-port", str(page)]
+    quiet = {**os.environ, "RUST_LOG": os.environ.get("RUST_LOG", "error")}
+    # A group of its own: the viewer is a child of a child, and must not stay behind when this one ends.
+    child = subprocess.Popen([*command, *more], env=quiet, start_new_session=True)
+    try:
+        return child.wait()
+    except KeyboardInterrupt:
+        return 0
+    finally:
+        end_group(child)
+
+
+def end_group(child: subprocess.Popen[bytes]) -> None:
+    """End a process with all that it has started."""
+    if hasattr(os, "killpg"):
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(child.pid, signal.SIGKILL)  # it has nothing to lose: it only shows a file
+    elif child.poll() is None:
+        child.kill()
+    child.wait()
+
+
+def free_ports(count: int) -> list[int]:
+    """Ports of the loopback address that nobody listens on."""
+    doors = [socket.socket() for _ in range(count)]
+    try:
+        for door in doors:
+            door.bind((HERE, 0))
+        return [door.getsockname()[1] for door in doors]
+    finally:
+        for door in doors:
+            door.close()
+
+
+def fitted(out: Path, name: str, made: Path) -> Path:
+    """The Rerun file of a cell; where its run wrote none, one of its films, below the folder `made`."""
+    from clothbench.studies.calibration.film_rerun import write_film_rerun
+
+    folder = find_cell(out, name)
+    if (file := folder / "fit.rrd").is_file():
+        return file
+    if films := sorted((folder / "films").glob("*.npz")):
+        return write_film_rerun(made / "films.rrd", folder.name, films)
+    raise ClothbenchError(
+        f"cell {folder.name} has neither fit.rrd nor films: it failed, or an older version ran it; see the leaderboard"
+    )
 
 
 def improved(out: Path, name: str) -> Path:
@@ -31,15 +98,40 @@ def improved(out: Path, name: str) -> Path:
     return out / "rerun" / f"{file_name(name)}.rrd"
 
 
-def find_cell(out: Path, beginning: str) -> Path:
-    """The one cell folder of `out` whose key begins so."""
+def find_cell(out: Path, name: str) -> Path:
+    """The one cell folder of `out` whose key begins so, or the best cell of a case or recording of that name."""
     cells = sorted(p for p in (out / "cells").glob("[0-9a-f]*") if p.is_dir())
-    found = [p for p in cells if p.name.startswith(beginning)]
+    found = [p for p in cells if p.name.startswith(name)]
     if len(found) == 1:
         return found[0]
     if not cells:
         raise ClothbenchError(f"{out}: found no cells; make some with: clothbench run +suite=static_dynamic")
-    what = "several cells" if found else "no cell"
+    if not found and (key := best_cell_of(out, name)):
+        return out / "cells" / key
+    what = "several cells" if found else "no case, no recording and no cell"
     names = [p.name for p in found or cells]
     listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
-    raise ClothbenchError(f"{out}: found {what} whose key begins with {beginning!r}; there are: {listed}")
+    raise ClothbenchError(f"{out}: found {what} whose key begins with {name!r}; there are: {listed}")
+
+
+def best_cell_of(out: Path, name: str) -> str | None:
+    """Key of the cell that comes nearest to what it was fitted to, of those whose case or recording is called so; those
+    that were fitted to it come first. Says which it is where there are several.
+    """
+    from clothbench.engine.store import Store
+
+    rows = [r for r in Store(out).rows() if r["value"] is not None and r["metric"] == r["objective"]]
+    mine = [r for r in rows if name in (r["case"], f"{r['suite']} · {r['case']}", r["recording"])]
+    if not mine:
+        return None
+    order = sorted(mine, key=lambda r: (r["split"] != "fit", r["value"], r["key"]))
+    keys = list(dict.fromkeys(r["key"] for r in order))
+    if len(keys) > 1:
+        print(f"view:   cell {keys[0][:8]} ({_about(order[0])}); further: {', '.join(k[:8] for k in keys[1:9])}")
+    return keys[0]
+
+
+def _about(row: dict[str, Any]) -> str:
+    from clothbench.display.names import cell_name
+
+    return cell_name(row)

@@ -3,6 +3,7 @@
 RUNS/cells/KEY/rows.parquet         what the leaderboard shows, with the system each row was computed on
 RUNS/cells/KEY/TABLE.parquet        what else the cell's study has to tell: each study's `schema` has the columns
 RUNS/cells/KEY/fit.rrd              of a calibration: recording beside rollout, for Rerun
+RUNS/cells/KEY/films/N.npz          of a calibration: the same thinned, for the page's player
 RUNS/tracked/KEY.nc                 what a tracker made of images: a recording of nodes
 RUNS/journal/KEY/                   what an unfinished cell has simulated so far
 """

@@ -79,7 +79,11 @@ def clusters(trials: Sequence[Trial], scores: Sequence[Score]) -> list[np.ndarra
 
 
 def error_interval(score: Score, observation: Observation, seed: int, draws: int = 1000) -> tuple[float, float]:
-    """95 % interval of one recording's error by a moving-block bootstrap over its frames (Künsch 1989)."""
+    """95 % interval of one recording's error by a moving-block bootstrap over its frames (Künsch 1989).
+
+    Quantiles are counted from the draws' own mean: blocks reach the first and the last frames less often than the
+    others, and of few frames the mean of all draws is not that of the frames. The interval holds the error.
+    """
     if score.per_frame is None or not np.isfinite(score.value[0]):
         return float("nan"), float("nan")
     trace = score.per_frame[0][np.isfinite(score.per_frame[0])]
@@ -88,8 +92,9 @@ def error_interval(score: Score, observation: Observation, seed: int, draws: int
     random = np.random.default_rng(seed)
     starts = random.integers(0, len(trace) - length + 1, (draws, -(-len(trace) // length)))
     frames = (starts[..., None] + np.arange(length)).reshape(draws, -1)[:, : len(trace)]
-    away = np.quantile(trace[frames].mean(axis=1), [0.025, 0.975]) - trace.mean()
-    return float(max(score.value[0] + away[0], 0.0)), float(score.value[0] + away[1])
+    means = trace[frames].mean(axis=1)
+    below, above = np.quantile(means, [0.025, 0.975]) - means.mean()
+    return float(max(score.value[0] + min(below, 0.0), 0.0)), float(score.value[0] + max(above, 0.0))
 
 
 def mean_interval(values: Sequence[float], halves: Sequence[float]) -> tuple[float, float]:

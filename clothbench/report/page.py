@@ -21,7 +21,7 @@ MACHINE = ("cpu", "cores", "threads", "platform", "python", "numpy", "numba", "c
 HINT = """<p>There are no results here yet. Run the default benchmark, which needs nothing else:</p>
 <p><code>clothbench run +suite=static_dynamic</code></p>
 <p>and then <code>clothbench report</code> again.</p>"""
-MORE = """<footer>See a fit beside its recording: <code>clothbench view CELL</code>. The same numbers as data:
+MORE = """<footer>See a fit beside its recording in Rerun: <code>clothbench view CELL</code>. The same numbers as data:
 <code>clothbench leaderboard --json</code>, or the Parquet files in <code>cells</code>.</footer>"""
 
 
@@ -39,10 +39,10 @@ def page_html(store: Store) -> str:
     rows = [row for _, results in found for row in results.rows]
     if not rows:
         return whole_page(title(rows), [Section(heading(found)), Section(HINT)])
-    sections = [Section(heading(found)), Section(overview(rows)), Section(failure_list(rows))]
+    sections = [Section(heading(found)), Section(failure_list(rows))]
     for study, results in found:
         sections += study.sections(results)
-    return whole_page(title(rows), [*sections, Section(machines(rows)), Section(MORE)])
+    return whole_page(title(rows), [*sections, Section(what_was_run(rows) + machines(rows)), Section(MORE)])
 
 
 def title(rows: Rows) -> str:
@@ -64,24 +64,19 @@ def heading(found: Sequence[tuple[Study, Results]]) -> str:
     return f"{top}<p class='soft'>{versions} · {when} · {text(on)}</p>"
 
 
-def overview(rows: Rows) -> str:
-    """Tiles: how much was run, and how much of it failed."""
+def what_was_run(rows: Rows) -> str:
+    """How much was run, and how much of it failed, in a line."""
     cells = {r["key"] for r in rows}
     skipped = {r["key"] for r in failures(rows) if r["status"] == "skipped"}
     bad = {r["key"] for r in failures(rows)} - skipped
-    tiles = [(len(cells), "cells", ""), (len(cells - bad - skipped), "finished well", "")]
-    tiles += [(len(bad), "failed", "bad")] if bad else []
-    tiles += [(len(skipped), "skipped", "")] if skipped else []
-    tiles.append((len({(r["suite"], r["case"]) for r in rows}), "cases", ""))
-    tiles.append((len({(r["suite"], r["case"], r["recording"]) for r in rows if r["recording"]}), "recordings", ""))
-    tiles.append((len({r["model"] for r in rows}), "models", ""))
-    tiles.append((len({r["optimizer"] for r in rows} - {None}), "optimizers", ""))
-    shown = (
-        f'<div class="tile {kind}"><b>{n}</b>{word if n != 1 else word.removesuffix("s")}</div>'
-        for n, word, kind in tiles
-        if n or word not in ("recordings", "optimizers")
-    )
-    return f'<div class="tiles">{"".join(shown)}</div>'
+    counts = [
+        (len(cells), "cells"), (len(cells - bad - skipped), "finished well"), (len(bad), "failed"),
+        (len(skipped), "skipped"), (len({(r["suite"], r["case"]) for r in rows}), "cases"),
+        (len({(r["suite"], r["case"], r["recording"]) for r in rows if r["recording"]}), "recordings"),
+        (len({r["model"] for r in rows}), "models"), (len({r["optimizer"] for r in rows} - {None}), "optimizers"),
+    ]  # fmt: skip
+    said = ", ".join(f"{n} {word if n != 1 else word.removesuffix('s')}" for n, word in counts if n)
+    return f"<h2>What was run</h2><p>{said}.</p>"
 
 
 def failure_list(rows: Rows) -> str:
@@ -108,7 +103,7 @@ def machines(rows: Rows) -> str:
     listed = "".join(f"<li>{text(p)}</li>" for p in plugins)
     shown = table([*MACHINE, "finished (UTC)", "cells"], body, numeric={1, 2, 9})
     folded = f"<details><summary>{len(plugins)} plugins and their versions</summary><ul>{listed}</ul></details>"
-    return f"<h2>Machines and versions</h2>{shown}{folded}"
+    return f"<h3>Machines and versions</h3>{shown}{folded}"
 
 
 def span(first: str, last: str) -> str:

@@ -60,7 +60,7 @@ def test_a_front_is_searched_shown_and_kept(clothbench, drapes, tmp_path):
     assert (cell / "fit.rrd").stat().st_size > 10_000
     page = (tmp_path / "runs" / "report.html").read_text()
     assert "Drapes, captured and simulated" in page
-    assert "<h2>Fronts</h2>" in page
+    assert ">Fronts</h2>" in page
     figures = json.loads(page.split('id="fronts">')[1].split("</script>")[0])
     assert len(figures) == 7  # parallel coordinates, and four objectives in pairs
     assert sum(line["line"]["width"] > 1 for line in figures[0]["data"]) == 1

@@ -34,7 +34,7 @@ def test_a_toy_study_joins_by_one_folder_and_one_registration(toss, tmp_path):
         ("toss", "mass_spring", "heads"), ("toss", "mujoco", "heads"),
     ]  # fmt: skip
     page = (tmp_path / "runs" / "report.html").read_text()
-    for word in ("Cloth models against chance", "<h2>Coins</h2>", 'id="coins">', "plotly.js v"):
+    for word in ("Cloth models against chance", '<h2 id="coins-2">Coins</h2>', 'id="coins">', "plotly.js v"):
         assert word in page
     assert "kept: 40 coins for mass_spring" in toss(*words).stderr
 

@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import signal
 import subprocess
 import sys
+import time
+import urllib.request
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +18,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.rollout import Rollout
 from clothbench.display import rerun as rerun_file
 from clothbench.engine.cells import Source
+from clothbench.engine.run import run_cell
 from clothbench.estimation.calibrate import best_rollout, calibrate
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.nodes import Recording, write_recording
@@ -141,8 +145,8 @@ def test_grips_are_shown_at_the_frames_times(fitted):
     ("cell", "expected"),
     [
         ("ab", "several cells .* ab12, ab34"),
-        ("ff", "no cell .* ab12, ab34, cd56"),
-        ("cd", "cell cd56 has no fit.rrd"),
+        ("ff", "no case, no recording and no cell .* ab12, ab34, cd56"),
+        ("cd", "cell cd56 has neither fit.rrd nor films"),
     ],
 )
 def test_view_names_what_there_is(tmp_path, cell, expected):
@@ -169,5 +173,64 @@ def test_view_opens_the_viewer_and_returns_its_exit_code(tmp_path, monkeypatch):
         return subprocess.CompletedProcess(command, 3)
 
     monkeypatch.setattr(view.subprocess, "run", run)
+    monkeypatch.setattr(view, "has_display", lambda: True)
     assert view.open_viewer(tmp_path, "ab") == 3
     assert called == [[sys.executable, "-m", "rerun", str(file)]]
+
+
+@pytest.fixture(scope="module")
+def run_without_rerun(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A results folder of a cell that wrote no Rerun file, as the default run does."""
+    folder = tmp_path_factory.mktemp("runs")
+    assert run_cell(small_cell(tmp_path_factory.mktemp("recordings")), folder, rerun=False) == "ok"
+    return folder
+
+
+@pytest.mark.parametrize("name", ["cotton <b>", "small · cotton <b>", "swing-1", "swing-22"])
+def test_view_takes_the_names_that_the_page_shows(run_without_rerun, name, monkeypatch, capsys):
+    called = []
+
+    class Child:
+        pid = 0
+
+        def __init__(self, command, **_):
+            called.append((command, Path(command[3]).stat().st_size))
+
+        def wait(self):
+            return 0
+
+    monkeypatch.setattr(view.subprocess, "Popen", Child)
+    monkeypatch.setattr(view, "end_group", lambda child: None)
+    monkeypatch.setattr(view, "has_display", lambda: False)
+    assert view.open_viewer(run_without_rerun, name) == 0
+    ((command, size),) = called
+    assert command[4:7] == ["--serve-web", "--bind", "127.0.0.1"]
+    assert size > 10_000
+    said = capsys.readouterr().out
+    data, page = (command[command.index(word) + 1] for word in ("--port", "--web-viewer-port"))
+    assert f"http://127.0.0.1:{page}?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{data}%2Fproxy" in said
+    assert not Path(command[3]).exists()
+
+
+def test_the_web_viewer_answers_on_the_loopback_address(run_without_rerun):
+    command = [sys.executable, "-m", "clothbench", "view", "swing-1", "--web", "--out", str(run_without_rerun)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        try:
+            assert process.stdout is not None
+            said = process.stdout.readline()
+            address = said.split()[1]
+            deadline = time.monotonic() + 120
+            while True:
+                try:
+                    with urllib.request.urlopen(address, timeout=5) as answer:
+                        assert b"html" in answer.read(2000).lower()
+                    break
+                except OSError:
+                    assert time.monotonic() < deadline
+                    time.sleep(0.2)
+        finally:
+            process.send_signal(signal.SIGINT)
+            process.wait(60)
+    assert process.returncode == 0
+    with pytest.raises(OSError, match="refused"):
+        urllib.request.urlopen(address, timeout=5)

@@ -2,17 +2,32 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
-from clothbench.display.html import table, text
+from clothbench.display.html import group, table, text
 from clothbench.display.names import cell_name
 from clothbench.display.plotly import COLOURS
-from clothbench.display.section import Section
-from clothbench.studies.calibration.analysis_tables import MUCH, percent, spread, unit_of, unmapped
+from clothbench.display.section import Section, later
+from clothbench.display.templates import rendered
+from clothbench.studies.calibration.analysis_tables import MUCH, missing, percent, spread, unit_of
+from clothbench.studies.calibration.matrix import HOTTEST
 from clothbench.studies.calibration.transfer import Confusion, Transfer, confusions, transfers
 
 Rows = Sequence[dict[str, Any]]
+MANY = 6  # figures of one kind that all are shown at once
+VARIABILITY = f"""By how many percent a parameter has to change to change the error by 1 %. Low: well determined. Tall:
+not determined; what would take more than {MUCH:g} % is drawn as that."""
+SENSITIVITY = {
+    "morris": """How much the error depends on each parameter over its whole range. μ*: mean size of its elementary
+effects, tall is important; σ: how much they differ from place to place, tall means curved, or bound up with others.""",
+    "sobol": """Shares of the error's variance over the whole ranges. S1: by this parameter alone; ST: with all that it
+is bound up with. Near 0: the data say nothing about it.""",
+}
+MAP = """The error over the ranges of two parameters, the others at their best; dark is low. A dark valley that runs
+across the map is a combination that the data do not tell apart."""
 SCRIPT = """
 const analyses = JSON.parse(document.getElementById("analyses").textContent);
 const drawAnalyses = () => analyses.forEach((figure, n) => draw("analysis-" + n, figure));
@@ -25,19 +40,35 @@ def analysis_section(rows: Rows, tables: dict[str, Rows]) -> Section | None:
     """Everything about transfer and analyses; None where there is nothing."""
     about, moved = {r["key"]: cell_name(r) for r in rows}, transfers(rows, tables["starts"])
     matrices = confusions(tables["confusion"], rows, tables["starts"])
-    parts = [transfer(moved)] if moved else []
-    parts += [confusion(c) for c in matrices]
+    parts = ["<h2>Which fabric is it?</h2>"] if matrices else []
+    parts += [confusion(c, title=len(matrices) > 1) for c in matrices]
+    parts += [f"<h2>Trial by trial</h2>{transfer(moved)}"] if moved else []
     parts += [repeats(tables["repeats"], about)] if tables["repeats"] else []
-    shown = [confusion_figure(c) for c in matrices] + variability_figures(tables["variability"], about)
+    shown = variability_figures(tables["variability"], about)
     shown += sensitivity_figures(tables["sensitivity"], about) + map_figures(tables["map"], about)
-    parts += [f'<p class="soft">{text(reason)}</p>' for reason in unmapped(tables["map"], about)]
+    parts += [f'<p class="soft">{text(reason)}</p>' for reason in missing(tables, about)]
     if not parts and not shown:
         return None
-    parts += [
-        f'<h3>{text(one["title"])}</h3><figure><div id="analysis-{n}"></div></figure>' for n, one in enumerate(shown)
-    ]
-    html = "<h2>Trial by trial</h2>" + "".join(parts)
+    numbered = [{**one, "number": n} for n, one in enumerate(shown)]
+    kinds = group(numbered, lambda one: one["title"].partition(":")[0])
+    parts += [figures_of(some) for some in kinds.values()]
+    if not moved:
+        parts.insert(len(matrices) + bool(matrices), "<h2>What else was asked of the fits</h2>")
+    html = "".join(parts)
     return Section(html, {"analyses": [one["figure"] for one in shown]}, SCRIPT) if shown else Section(html)
+
+
+def figures_of(some: Rows) -> str:
+    """Figures of one kind: what they show is said once, and of many all but the first are folded away."""
+    drawn = [f'<h3>{text(one["title"])}</h3><figure><div id="analysis-{one["number"]}"></div></figure>' for one in some]
+    about = f'<p class="soft">{text(some[0]["about"])}</p>'
+    first, _, rest = drawn[0].partition("<figure>")
+    drawn[0] = f"{first}{about}<figure>{rest}"
+    if len(drawn) <= MANY:
+        return "".join(drawn)
+    kind = text(some[0]["title"].partition(":")[0])
+    folded = f"<details><summary>{kind} of {len(drawn) - 1} more fits</summary>{''.join(drawn[1:])}</details>"
+    return drawn[0] + folded
 
 
 def transfer(moved: Sequence[Transfer]) -> str:
@@ -53,25 +84,24 @@ def transfer(moved: Sequence[Transfer]) -> str:
         '<p class="soft">Error where the search set out from, at its result, and what that result makes of recordings '
     )
     note += "it never saw. ✓: the fit with the least sum over the trials of its group.</p>"
-    return note + table(head, body, numeric={1, 2, 4})
+    return note + later(table(head, body, numeric={1, 2, 4}))
 
 
-def confusion(c: Confusion) -> str:
-    head = ["recorded", *(f"as {f}" for f in c.fabrics)]
-    body = []
+def confusion(c: Confusion, title: bool) -> str:
+    """A heat map: a line for each recorded fabric, a column for each fabric's parameters; with a title, if wanted."""
+    lines = []
     for recorded in c.fabrics:
-        cells = [_number(c.error[s].get(recorded)) for s in c.fabrics]
-        nearest = c.nearest(recorded)
-        body.append(
-            [text(recorded), *(f"<b>{v}</b>" if s == nearest else v for s, v in zip(c.fabrics, cells, strict=True))]
-        )
-    said = (
-        f"{text(c.way)}: errors [{text(c.unit)}] of each fabric's parameters on each fabric's recordings; the nearest "
-    )
-    said += f"is bold. Its own fabric for {c.right} of {len(c.fabrics)}."
-    return f'<h3>Which fabric is it?</h3><p class="soft">{said}</p>' + table(
-        head, body, numeric=set(range(1, len(head)))
-    )
+        errors = [c.error[s].get(recorded) for s in c.fabrics]
+        least = min((e for e in errors if e is not None), default=0.0)
+        lines.append((recorded, [(_number(e), heat(e, least), e == least) for e in errors]))
+    return rendered(Path(__file__).parent, "confusion.html", found=c, lines=lines, title=title)
+
+
+def heat(error: float | None, least: float) -> float:
+    """Share [%] of the heat's colour: none at the least error of a line, all of it from four times that on."""
+    if not error or not least:
+        return 0.0
+    return round(min(math.log2(error / least) / 2, 1.0) * HOTTEST, 1)
 
 
 def repeats(rows: Rows, about: dict[str, str]) -> str:
@@ -94,21 +124,8 @@ def repeats(rows: Rows, about: dict[str, str]) -> str:
     return "<h3>Repeated fits</h3>" + table(head, body, numeric={1, 3}) if body else ""
 
 
-def confusion_figure(c: Confusion) -> dict[str, Any]:
-    """A line per recorded fabric over the simulated ones; each should be lowest at its own (figure 14)."""
-    data = []
-    for number, recorded in enumerate(c.fabrics):
-        y = [c.error[s].get(recorded) for s in c.fabrics]
-        line = {"color": COLOURS[number % len(COLOURS)], "width": 2}
-        data.append({"type": "scatter", "mode": "lines+markers+text", "x": list(c.fabrics), "y": y, "line": line,
-                     "text": ["" if s != recorded else recorded for s in c.fabrics], "textposition": "bottom center",
-                     "hovertemplate": f"{recorded} as %{{x}}: %{{y:.4g}} {c.unit}<extra></extra>"})  # fmt: skip
-    layout = _layout("whose parameters", f"error [{c.unit}]", 380)
-    return {"title": f"Which fabric is it? {c.way}", "figure": {"data": data, "layout": layout}}
-
-
 def variability_figures(rows: Rows, about: dict[str, str]) -> list[dict[str, Any]]:
-    """Bars per cell: the change that changes the error by 1 %; low is well determined (figure 11)."""
+    """Bars per cell: the change that changes the error by 1 %; low is well determined, tall is not (figure 11)."""
     out = []
     for key in dict.fromkeys(r["key"] for r in rows):
         mine = [r for r in rows if r["key"] == key and r["percent"] is not None]
@@ -118,7 +135,8 @@ def variability_figures(rows: Rows, about: dict[str, str]) -> list[dict[str, Any
             look = {"type": "bar", "marker": {"color": COLOURS[0]}}
             bars = {**look, "x": [r["name"] for r in mine], "y": heights, **said}
             layout = _layout("", "change [%] for 1 % of error", 360)
-            out.append({"title": f"Variability: {about[key]}", "figure": {"data": [bars], "layout": layout}})
+            out.append({"title": f"Variability: {about[key]}", "about": VARIABILITY,
+                        "figure": {"data": [bars], "layout": layout}})  # fmt: skip
     return out
 
 
@@ -134,7 +152,8 @@ def sensitivity_figures(rows: Rows, about: dict[str, str]) -> list[dict[str, Any
                          "error_y": {"type": "data", "array": half},
                          "hovertemplate": f"{word} of %{{x}}: %{{y:.3g}}<extra></extra>"})  # fmt: skip
         layout = {**_layout("", f"{pair[0]} (first bar), {pair[1]}", 360), "barmode": "group"}
-        out.append({"title": f"Sensitivity ({method}): {about[key]}", "figure": {"data": data, "layout": layout}})
+        out.append({"title": f"Sensitivity ({method}): {about[key]}", "about": SENSITIVITY[method],
+                    "figure": {"data": data, "layout": layout}})  # fmt: skip
     return out
 
 
@@ -152,7 +171,8 @@ def map_figures(rows: Rows, about: dict[str, str]) -> list[dict[str, Any]]:
         for axis, values in (("xaxis", x), ("yaxis", y)):
             if min(values) > 0 and max(values) > 30 * min(values):
                 layout[axis] |= {"type": "log"}
-        out.append({"title": f"Error over two parameters: {about[key]}", "figure": {"data": [drawn], "layout": layout}})
+        out.append({"title": f"Error over two parameters: {about[key]}", "about": MAP,
+                    "figure": {"data": [drawn], "layout": layout}})  # fmt: skip
     return out
 
 

@@ -29,12 +29,14 @@ def analyses(rows: Rows, tables: dict[str, Rows]) -> list[Any]:
     ):
         if tables[name]:
             shown.append(make(tables[name], about))
-    return shown + [escape(reason) for reason in unmapped(tables["map"], about)]
+    return shown + [escape(reason) for reason in missing(tables, about)]
 
 
-def unmapped(rows: Rows, about: dict[str, str]) -> list[str]:
-    """Why some cells have no map of the error, one line each."""
-    return [f"{about[r['key']]}: no map of the error: {r['reason']}" for r in rows if r["reason"]]
+def missing(tables: dict[str, Rows], about: dict[str, str]) -> list[str]:
+    """Why some cells have no map of the error, or were not held against other fabrics, one line each."""
+    words = {"map": "no map of the error", "confusion": "not held against other fabrics"}
+    failed = [(said, r) for name, said in words.items() for r in tables[name] if r.get("reason")]
+    return [f"{about[r['key']]}: {said}: {r['reason']}" for said, r in failed]
 
 
 def transfer_table(moved: Sequence[Transfer]) -> Table:

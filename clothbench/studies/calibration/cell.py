@@ -207,6 +207,8 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
         if reason := next(filter(None, (why_skipped(model, scene) for scene in scenes)), None):
             raise Skipped(reason)
         simulation = joined([holding(model.prepare(scene, effects), cell.fixed) for scene in scenes])
+        if recording.hash not in seen:  # of another case, which the fit is held against
+            seen[recording.hash] = tracker.track(recording)
         return Trial(recording.name, seen[recording.hash], simulation, metric)
 
     recordings, seen, trials = [], {}, []

@@ -15,6 +15,7 @@ import numpy as np
 from clothbench.display.plotly import COLOURS, GREY, rounded
 from clothbench.engine.store import Store
 from clothbench.studies.calibration.figure_data import cell_tables, series_names
+from clothbench.studies.calibration.words import case_name
 
 Rows = Sequence[dict[str, Any]]
 DASHES = ("solid", "dash", "dot", "dashdot")
@@ -23,7 +24,7 @@ SPLITS = {"fit": ("fit", "circle"), "held_out": ("held out", "diamond-open")}
 
 
 def panels(store: Store, rows: Rows) -> list[dict[str, Any]]:
-    """What the page's menu offers: {"title", "legend", "errors", "convergence", "traces"} per panel.
+    """What the page's menu offers: {"title", "case", "metric", "legend", "errors", "convergence", "traces"} per panel.
 
     traces: figures by recording; legend: [name, colour, dash] per cell, whose lines carry its name as `meta`.
     """
@@ -31,13 +32,13 @@ def panels(store: Store, rows: Rows) -> list[dict[str, Any]]:
     per_trace = int(np.clip(POINTS / max(len(rows), 1), 40, 400))
     tables = {key: cell_tables(store.cell(key), per_trace) for key in {r["key"] for r in rows}}
     names = series_names(rows, {key: table["metric"] for key, table in tables.items()})
-    out = []
+    out, called = [], case_name(rows)
     for suite, case, metric in sorted({(r["suite"], r["case"], r["metric"]) for r in rows}):
         mine = [r for r in rows if (r["suite"], r["case"], r["metric"]) == (suite, case, metric)]
         keys = sorted({r["key"] for r in mine}, key=lambda k: names[k])
         styles = {key: style(number, names[key]) for number, key in enumerate(keys)}
         out.append({
-            "title": f"{suite} · {case} · {metric}",
+            "title": f"{suite} · {case} · {metric}", "case": called(suite, case), "metric": metric,
             "legend": [[names[k], look["colour"], look["dash"]] for k, look in styles.items()],
             "errors": error_figure(mine, styles),
             "convergence": convergence_figure(metric, styles, tables),

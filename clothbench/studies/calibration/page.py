@@ -7,25 +7,31 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from clothbench.display.html import text
+from clothbench.display.html import group, text
 from clothbench.display.names import model_name
-from clothbench.display.parameters import parameters
 from clothbench.display.section import Section
 from clothbench.engine.study import Results
 from clothbench.studies.calibration.analysis_page import analysis_section
+from clothbench.studies.calibration.answer import answer_section
+from clothbench.studies.calibration.budget import histories_of
+from clothbench.studies.calibration.cloth_page import clips_of, cloth_section
 from clothbench.studies.calibration.figures import panels
 from clothbench.studies.calibration.front_page import front_section
-from clothbench.studies.calibration.leaderboard import leaderboard
+from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
+from clothbench.studies.calibration.matrix import matrix_section
+from clothbench.studies.calibration.parameters_page import parameter_section
 from clothbench.studies.calibration.published import published_section
 from clothbench.studies.calibration.schema import ANALYSIS_TABLES, DRAPES, FRAMES, PICTURES
 from clothbench.studies.calibration.searches_page import searches_section
+from clothbench.studies.calibration.words import headed
 
 Rows = Sequence[dict[str, Any]]
 STEPS = '<p class="soft">The middle frame of the first recording, step by step.</p>'
-ORDER = """<p class="soft">Mean error over the recordings of a split, with its 95 % interval. Within a case
-and a metric the lowest held-out error comes first; where intervals overlap, that order may be chance.</p>"""
+ORDER = """<p class="soft">Mean error over the recordings of a split, low is good. From … to: its 95 % interval; of two
+to four recordings the least and the largest, since so few give no interval worth the name. Floor: what noise alone
+would give a perfect model. Cell: by this name <code>clothbench view</code> opens it.</p>"""
 FIGURES = """
-<h2 id="figures">Figures</h2>
+<h2 id="figures">Errors, recording by recording</h2>
 <div class="menu top"><label for="panel">Show</label><select id="panel"></select><div id="legend"></div></div>
 <h3>Error per recording</h3>
 <figure><figcaption>Mean error with its 95 % interval. Filled dots: recordings that were
@@ -33,7 +39,8 @@ fitted; open diamonds: held out. Grey line: what measurement noise alone would g
 a perfect model.</figcaption>
 <div id="errors"></div></figure>
 <div id="convergence-block"><h3>Convergence</h3>
-<figure><figcaption>Lowest error on the fit recordings so far, over evaluations.</figcaption>
+<figure><figcaption>Lowest error on the fit recordings so far, over evaluations: a line that is level at its right
+end was searched to its end.</figcaption>
 <div id="convergence"></div></figure></div>
 <div id="trace-block"><h3>Error over time</h3>
 <div class="menu"><label for="recording">Recording</label><select id="recording"></select></div>
@@ -61,8 +68,19 @@ function drawPanel() {
   drawTrace();
 }
 options(byId("panel"), panels.map((p) => p.title));
-byId("panel").addEventListener("change", drawPanel);
+function choosePanel(wanted) {
+  const [now, number] = [current(), panels.findIndex(wanted)];
+  if (number < 0 || panels[number] === now) return;
+  byId("panel").selectedIndex = number;
+  drawPanel();
+}
+byId("panel").addEventListener("change", () => { address.keep("case", current().case);
+  address.keep("metric", current().metric);
+  drawPanel();
+});
 byId("recording").addEventListener("change", drawTrace);
+address.listen("case", (name) => choosePanel((p) => p.case === name && p.metric === current().metric));
+address.listen("metric", (name) => choosePanel((p) => p.metric === name && p.case === current().case));
 matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawPanel);
 drawPanel();
 """
@@ -74,27 +92,35 @@ KINDS = {".png": "png", ".jpg": "jpeg"}
 def sections(results: Results) -> list[Section]:
     """What the page shows of calibrations."""
     analyses = analysis_section(results.rows, {name: results.table(name) for name in ANALYSIS_TABLES})
-    beside = published_section(results)
+    histories, clips = histories_of(results.store, results.keys), clips_of(results)
+    looks = [matrix_section(results, clips.cases.keys()), cloth_section(clips, results.rows)]
+    if len({model_name(r) for r in results.rows}) == 1:  # nothing to compare: the cloth says more than a table
+        looks.reverse()
     found = [
-        leaderboards(results.rows),
-        figures(results),
-        beside,
-        steps(results),
+        answer_section(results, histories),
+        *looks,
         pictures_of_fits(results),
         pictures_of_drapes(results),
+        parameter_section(results),
+        analyses,
+        figures(results),
+        published_section(results),
         front_section(results),
         searches_section(results),
-        analyses,
-        fits(results.rows, results.table("parameters")),
+        steps(results),
+        leaderboards(results.rows),
     ]
     return [section for section in found if section is not None]
 
 
 def leaderboards(rows: Rows) -> Section:
-    suites = sorted({r["suite"] for r in rows})
-    return Section("".join(
-        f"<h2>{text(s)}: leaderboard</h2>{ORDER}" + leaderboard([r for r in rows if r["suite"] == s]) for s in suites
-    ))  # fmt: skip
+    parts = []
+    for suite, mine in sorted(group(rows, lambda r: r["suite"]).items()):
+        same = same_in_all(mine)
+        said = f'<p class="soft">In every line: {same}.</p>' if same else ""
+        title = text(headed(rows)(suite, "all numbers"))
+        parts.append(f'<h2 id="numbers">{title}</h2>{ORDER}{said}{leaderboard(mine)}')
+    return Section("".join(parts))
 
 
 def figures(results: Results) -> Section | None:
@@ -149,13 +175,3 @@ def strip(pictures: Sequence[Path]) -> str:
         for p in pictures
     )
     return f'<div class="strip">{"".join(each)}</div>'
-
-
-def fits(rows: Rows, fitted: Rows) -> Section:
-    """The parameters of each suite's cells."""
-    suites = sorted({r["suite"] for r in rows})
-    note = '<p class="soft">Best values, below them the 95 % interval.</p>'
-    return Section("".join(
-        f"<h2>{text(s)}: parameters</h2>{note}" + parameters([r for r in rows if r["suite"] == s], fitted)
-        for s in suites
-    ))  # fmt: skip

@@ -25,9 +25,10 @@ from clothbench.recordings.silhouette import Silhouettes
 from clothbench.recordings.tracked import Images
 from clothbench.studies.calibration.analysis import analyse, starts_of, truth_of
 from clothbench.studies.calibration.cell import Bench, CalibrationCell, set_up
+from clothbench.studies.calibration.cloth import films_of, write_films
 from clothbench.studies.calibration.drapes import write_drapes
 from clothbench.studies.calibration.frames import at_most, write_frames
-from clothbench.studies.calibration.schema import DRAPES, FRAMES, PICTURES
+from clothbench.studies.calibration.schema import DRAPES, FILMS, FRAMES, PICTURES
 
 
 def run(cell: CalibrationCell, context: Context) -> Result:
@@ -67,6 +68,7 @@ def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
     if bench.cell.published:
         tables["published"] = _published_of(bench)
     tables |= {"starts": starts_of(bench, fit)} | analyse(bench, fit, context.plugins, context.checkpoint)
+    films = films_of(bench, fit, rollouts)
 
     def attach(folder: Path) -> None:
         from clothbench.studies.calibration.rerun_file import write_rerun
@@ -78,6 +80,8 @@ def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
             write_frames(folder / FRAMES, raw.frames(), seen, rollouts[0])
         if isinstance(raw, Silhouettes):
             write_drapes(folder / DRAPES, bench.cell.recordings, bench.trials, rollouts)
+        if films:
+            write_films(folder / FILMS, films)
         if context.rerun:
             write_rerun(folder / "fit.rrd", bench, rollouts)
 
@@ -155,7 +159,9 @@ def _status(fit: Fit, score: Score, rollout: Rollout) -> tuple[str, str]:
 
 
 def _total(about: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """The mean over the recordings of one split; without a number if one of them has none."""
+    """The mean over the recordings of one split; without a number if one of them has none. One recording is its own
+    mean, with its own interval.
+    """
     total = {**about, "recording": None, "split": rows[0]["split"]}
     bad = [r for r in rows if r["value"] is None]
     if bad:
@@ -163,6 +169,8 @@ def _total(about: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
     values = [r["value"] for r in rows]
     known = all(r["low"] is not None for r in rows)
     low, high = mean_interval(values, [(r["high"] - r["low"]) / 2 for r in rows]) if known else (None, None)
+    if len(rows) == 1:
+        low, high = rows[0]["low"], rows[0]["high"]
     floors = [r["floor"] for r in rows]
     floor = float(np.mean(floors)) if all(f is not None for f in floors) else None
     return {
@@ -204,6 +212,9 @@ def _parameters_of(bench: Bench, fit: Fit) -> list[dict[str, Any]]:
             "at_bound": bool(fit.at_bound[i]),
             "start": None if fit.start is None else finite(fit.start[i]),
             "truth": truth_of(bench, p.name),
+            "lower": p.bounds[0],
+            "upper": p.bounds[1],
+            "scale": p.scale,
             "meaning": p.meaning,
             "key": bench.cell.key,
         }

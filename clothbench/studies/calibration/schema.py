@@ -6,13 +6,16 @@ import pyarrow as pa
 
 _text, _number, _whole = pa.string(), pa.float64(), pa.int64()
 
-# Best values with intervals. start: where the search set out from; truth: what stand-in recordings state.
+# Best values with intervals. start: where the search set out from; truth: what stand-in recordings state; lower, upper:
+# the range that was searched, on a "linear" or "log" scale.
 PARAMETER = {
     "name": _text, "symbol": _text, "unit": _text, "value": _number, "low": _number, "high": _number,
-    "at_bound": pa.bool_(), "start": _number, "truth": _number, "meaning": _text, "key": _text,
+    "at_bound": pa.bool_(), "start": _number, "truth": _number, "lower": _number,
+    "upper": _number, "scale": _text, "meaning": _text, "key": _text,
 }  # fmt: skip
 # Error of every recording, frame by frame.
 TRACE = {"recording": _text, "split": _text, "metric": _text, "time": _number, "value": _number, "unit": _text}
+FILMS = "films"  # folder of a cell with films: recordings beside what was made of them
 FRAMES = "frames"  # folder of a cell with frames of a video, tracked and fitted
 DRAPES = "drapes"  # folder of a cell with outlines of drapes, captured and simulated
 PICTURES = "tracker"  # folder of a cell with what its tracker made of one frame

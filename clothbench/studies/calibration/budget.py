@@ -1,0 +1,78 @@
+"""Whether more evaluations would have helped: what the last quarter of every search still brought."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from clothbench.display.html import group
+from clothbench.engine.store import Store, read_table
+from clothbench.studies.calibration.words import counted, listed
+
+Rows = Sequence[dict[str, Any]]
+Histories = Mapping[str, np.ndarray]  # value (E,) of every evaluation of a cell, by its key
+FEW = 3  # cases that are named one by one
+LATE, MUCH = 0.75, 0.02  # of a search, behind which a fall of the error by this share says that it was not done
+
+
+def histories_of(store: Store, keys: Sequence[str]) -> dict[str, np.ndarray]:
+    """The errors of every evaluation, of the cells that have them."""
+    out = {}
+    for key in keys:
+        if (path := store.cell(key) / "history.parquet").is_file():
+            values = read_table(path)["value"].to_numpy().astype(float)
+            if np.isfinite(values).any():
+                out[key] = np.where(np.isfinite(values), values, np.inf)
+    return out
+
+
+def least(values: np.ndarray, share: float = 1.0) -> float:
+    """The least error in the first part of a search."""
+    return float(values[: max(1, round(share * len(values)))].min())
+
+
+def late_fall(values: np.ndarray) -> float:
+    """By what share the least error fell in the last quarter."""
+    before, end = least(values, LATE), least(values)
+    return 1.0 if not np.isfinite(before) else 0.0 if before == 0 else 1 - end / before
+
+
+def settled(rows: Rows, way: Callable[[dict[str, Any]], str], histories: Histories) -> tuple[str, str]:
+    """The budget in words, and whether more of it would lower errors or change the order of ways."""
+    about = {r["key"]: r for r in rows if r["key"] in histories}
+    if not about:
+        return "not known", "no search was kept"
+    counts = sorted({len(histories[k]) for k in about})
+    value = counted(counts[-1], "evaluation") if len(counts) == 1 else f"{counts[0]} … {counts[-1]} evaluations"
+    falling = sorted({about[k]["case"] for k in about if late_fall(histories[k]) > MUCH})
+    fits = sum(late_fall(histories[k]) > MUCH for k in about)
+    late = "a fit; in the last quarter"
+    if not fits:
+        said = f"{late} no error fell by more than 2\u00a0%: more would change little"
+    else:
+        which = f" ({listed(falling)})" if len(falling) <= FEW else ""
+        said = (
+            f"{late} the error still fell by more than 2\u00a0% in {fits} of {len(about)}{which}: more would lower it"
+        )
+    return value, "; ".join(filter(None, (said, order_said(about, way, histories))))
+
+
+def order_said(
+    about: Mapping[str, dict[str, Any]], way: Callable[[dict[str, Any]], str], histories: Histories
+) -> str:  # fmt: skip
+    """Whether the order of ways by what they were fitted to was the same before the last quarter."""
+    ways = group(list(about.values()), way)
+    if len(ways) < 2 or len({r["objective"] for r in about.values()}) > 1:
+        return ""
+
+    def order(share: float) -> list[str]:
+        logs = {
+            w: np.mean([np.log(max(least(histories[r["key"]], share), 1e-300)) for r in some])
+            for w, some in ways.items()
+        }
+        return sorted(logs, key=lambda w: logs[w])
+
+    same = order(LATE) == order(1.0)
+    return f"the order of models was {'the same' if same else 'another'} at three quarters of it"

@@ -1,0 +1,206 @@
+"""Which way to calibrate is better: errors recording by recording, paired, with all seeds; ties where noise decides.
+
+A way is a model with its effects, an optimizer and the metric that was minimised; seeds are repetitions of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from scipy.stats import t as student
+
+from clothbench.display.html import group
+from clothbench.display.names import model_name
+
+Rows = Sequence[dict[str, Any]]
+FEW = 3  # recordings (or seeds) from which on a spread says something
+
+
+@dataclass(frozen=True)
+class Standing:
+    """What one way comes to in one case by one metric.
+
+    key: of its best cell; value: mean over the recordings of a split, over all seeds; errors: by recording, the values
+    of all seeds, with half the width of their intervals where they are known; floor: of noise alone, or None.
+    """
+
+    way: str
+    case: str
+    key: str
+    split: str
+    value: float | None
+    errors: Mapping[str, tuple[float, ...]]
+    halves: Mapping[str, float] = field(default_factory=dict)
+    floor: float | None = None
+    status: str = "ok"
+    reason: str = ""
+
+    @property
+    def seeds(self) -> int:
+        return max(map(len, self.errors.values()), default=0)
+
+    @property
+    def means(self) -> dict[str, float]:
+        """The mean over seeds of each recording."""
+        return {name: float(np.mean(values)) for name, values in self.errors.items()}
+
+
+def way_of(rows: Rows) -> Callable[[dict[str, Any]], str]:
+    """What to call a row's way: its model, with its effects where others are tried too, and whatever else differs."""
+    parts = (("optimizer", "{}"), ("objective", "by {}"), ("budget", "{} evaluations"), ("settings", "settings {}"))
+    told = [(name, word) for name, word in parts if _differ(rows, name)]
+    effects = group(rows, lambda r: r["model"])
+    plain = {model for model, some in effects.items() if len({r["effects"] or "" for r in some}) == 1}
+
+    def name(row: dict[str, Any]) -> str:
+        model = row["model"] if row["model"] in plain else model_name(row)
+        return " · ".join([model, *(word.format(row.get(n)) for n, word in told)])
+
+    return name
+
+
+def _differ(rows: Rows, name: str) -> bool:
+    """Whether rows differ in this; of settings, rows of one model in one case: a fabric may have bounds of its own."""
+    known = group(rows, lambda r: (model_name(r), r["case"]) if name == "settings" else "all")
+    return any(len({r.get(name) for r in some}) > 1 for some in known.values())
+
+
+def standings(rows: Rows, metric: str) -> dict[str, dict[str, Standing]]:
+    """Case → way → standing by this metric: on held-out recordings, or on fitted ones where nothing is held out."""
+    name, out = way_of(rows), {}
+    split = "held_out" if any(r["split"] == "held_out" for r in rows) else "fit"
+    for case, mine in group(rows, lambda r: r["case"]).items():
+        ways = group(mine, name)
+        out[case] = {way: _standing(way, case, split, metric, some) for way, some in ways.items()}
+    return out
+
+
+def _standing(way: str, case: str, split: str, metric: str, rows: Rows) -> Standing:
+    mine = [r for r in rows if r["split"] == split and r["metric"] == metric and r["recording"]]
+    known = group([r for r in mine if r["value"] is not None], lambda r: r["recording"])
+    bad = next((r for r in rows if r["status"] != "ok"), None)
+    whole = bool(mine) and len(known) == len({r["recording"] for r in mine})
+    errors = {n: tuple(r["value"] for r in some) for n, some in known.items()}
+    halves = {n: float(np.mean([_half(r) for r in some])) for n, some in known.items()}
+    floors = [r["floor"] for r in mine]
+    return Standing(
+        way, case, best_cell(rows), split, float(np.mean([np.mean(e) for e in errors.values()])) if whole else None,
+        errors, halves, float(np.mean(floors)) if floors and None not in floors else None,
+        *((bad["status"], bad["reason"] or "") if bad else ("ok", "")),
+    )  # fmt: skip
+
+
+def _half(row: dict[str, Any]) -> float:
+    return math.nan if row["low"] is None or row["high"] is None else (row["high"] - row["low"]) / 2
+
+
+def best_cell(rows: Rows) -> str:
+    """Key of the cell with the least error on what it was fitted to, by what it was fitted by: of several seeds, the
+    one that somebody would take.
+    """
+    fitted = [
+        r for r in rows
+        if r["split"] == "fit" and not r["recording"] and r["metric"] == r["objective"] and r["value"] is not None
+    ]  # fmt: skip
+    return min(fitted, key=lambda r: (r["value"], r["key"]))["key"] if fitted else rows[0]["key"]
+
+
+def best_of(standing: Mapping[str, Standing]) -> list[str]:
+    """The way with the least error in a case, and all that are tied with it; nothing where no way has a number."""
+    known = {way: s for way, s in standing.items() if s.value is not None}
+    if not known:
+        return []
+    first = min(known, key=lambda w: known[w].value or 0.0)
+    return [first, *(w for w in known if w != first and tied(known[first], known[w]))]
+
+
+def tied(a: Standing, b: Standing) -> bool:
+    """Whether the 95 % interval of the mean difference, recording by recording, includes 0.
+
+    Student's t over recordings, each with the mean of its seeds; over seeds where there are too few recordings; where
+    there are too few of either, the intervals of the single errors together decide.
+    """
+    shared = sorted(set(a.errors) & set(b.errors))
+    if not shared:
+        return True
+    difference = np.array([a.means[n] - b.means[n] for n in shared])
+    if len(shared) >= FEW:
+        return includes_zero(difference)
+    seeds = min(len(x.errors[n]) for x in (a, b) for n in shared)
+    if seeds >= FEW:
+        by_seed = [[s.errors[n][k] for n in shared] for s in (a, b) for k in range(seeds)]
+        means = np.mean(by_seed, axis=1)
+        return unpaired_includes_zero(means[:seeds], means[seeds:])
+    halves = [x.halves.get(n, math.nan) for x in (a, b) for n in shared]
+    joint = float(np.sqrt(np.nansum(np.square(halves)))) / len(shared)
+    return bool(abs(difference.mean()) <= joint)
+
+
+def includes_zero(values: np.ndarray) -> bool:
+    """Whether the 95 % interval of the mean of some values (n,) includes 0 (Student's t)."""
+    low, high = t_interval(values)
+    return low <= 0 <= high
+
+
+def unpaired_includes_zero(a: np.ndarray, b: np.ndarray) -> bool:
+    """The same of the difference of two means, (n,) and (m,), with variances of their own (Welch 1947)."""
+    va, vb = a.var(ddof=1) / len(a), b.var(ddof=1) / len(b)
+    if va + vb == 0:
+        return bool(a.mean() == b.mean())
+    freedom = (va + vb) ** 2 / (va**2 / (len(a) - 1) + vb**2 / (len(b) - 1))
+    return bool(abs(a.mean() - b.mean()) <= student.ppf(0.975, freedom) * math.sqrt(va + vb))
+
+
+def t_interval(values: np.ndarray) -> tuple[float, float]:
+    """95 % interval of the mean of at least two values (n,)."""
+    half = student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / math.sqrt(len(values))
+    return float(values.mean() - half), float(values.mean() + half)
+
+
+@dataclass(frozen=True)
+class Overall:
+    """One way over all cases: ratio: geometric mean of its errors over the best way's, recording by recording, with its
+    95 % interval (None for the best itself, or of fewer than three recordings); tied: whether that includes 1.
+    """
+
+    way: str
+    ratio: float
+    low: float | None
+    high: float | None
+    tied: bool
+    recordings: int
+
+
+def overall(found: Mapping[str, Mapping[str, Standing]]) -> list[Overall]:
+    """All ways that have a number everywhere, the best first: cases differ in size, so ratios are compared."""
+    ways = {way for case in found.values() for way in case}
+    whole = [w for w in sorted(ways) if all(w in case and case[w].value is not None for case in found.values())]
+    logs = {way: log_errors(case[way] for case in found.values()) for way in whole}
+    if not logs or not all(logs.values()):
+        return []
+    mean = {way: float(np.mean(list(values.values()))) for way, values in logs.items()}
+    order = sorted(whole, key=lambda w: mean[w])
+    return [_overall(way, logs[way], logs[order[0]], way == order[0]) for way in order]
+
+
+def _overall(way: str, mine: dict[str, float], best: dict[str, float], first: bool) -> Overall:
+    difference = np.array([mine[n] - best[n] for n in mine if n in best])
+    ratio = float(np.exp(difference.mean())) if len(difference) else math.nan
+    if first or len(difference) < FEW:
+        return Overall(way, ratio, None, None, not first, len(difference))
+    low, high = t_interval(difference)
+    return Overall(way, ratio, math.exp(low), math.exp(high), low <= 0 <= high, len(difference))
+
+
+def log_errors(standing: Iterable[Standing]) -> dict[str, float]:
+    """Logarithm of the mean error of each recording; one that was held out in several cases counts once."""
+    values: dict[str, list[float]] = {}
+    for one in standing:
+        for name, mean in one.means.items():
+            if mean > 0:
+                values.setdefault(name, []).append(math.log(mean))
+    return {name: float(np.mean(some)) for name, some in values.items()}

@@ -1,0 +1,188 @@
+"""What the page answers: rankings with ties, what is determined, whether more budget would help; from rows alone."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any
+
+import numpy as np
+import pytest
+
+from clothbench.core.observation import Observation
+from clothbench.core.protocols import Score
+from clothbench.estimation.intervals import error_interval
+from clothbench.studies.calibration.budget import late_fall, settled
+from clothbench.studies.calibration.estimates import contained, estimates
+from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
+from clothbench.studies.calibration.parameters_page import strip_of, truth_said
+from clothbench.studies.calibration.ranking import best_of, overall, standings, way_of
+from clothbench.studies.calibration.words import listed, size
+
+
+def row(model: str, case: str, recording: str | None, value: float | None, **more: Any) -> dict[str, Any]:
+    known = {
+        "suite": "s", "case": case, "recording": recording, "split": "held_out", "model": model, "effects": "",
+        "optimizer": "ga", "objective": "fold", "metric": "fold", "unit": "px", "value": value, "low": None,
+        "high": None, "floor": None, "status": "ok" if value is not None else "diverged", "reason": "",
+        "evaluations": 9, "wall_s": 1.0, "seed": 0, "key": f"{model}-{case}", "budget": 9, "settings": "a",
+    }  # fmt: skip
+    return {**known, **more}
+
+
+def rows_of(errors: dict[str, list[float]], case: str = "linen") -> list[dict[str, Any]]:
+    return [row(m, case, f"{case}/{n}", v) for m, values in errors.items() for n, v in enumerate(values)]
+
+
+def test_a_model_that_is_better_on_every_recording_wins_however_much_they_differ():
+    found = standings(rows_of({"a": [1.0, 100.0, 10.0, 50.0], "b": [2.0, 102.0, 11.5, 52.0]}), "fold")
+    assert best_of(found["linen"]) == ["a"]
+    first, second = overall(found)
+    assert (first.way, second.way) == ("a", "b")
+    assert second.recordings == 4
+    assert second.ratio == pytest.approx(np.exp(np.mean(np.log([2.0, 1.02, 1.15, 1.04]))))
+
+
+def test_models_that_take_turns_are_tied():
+    found = standings(rows_of({"a": [1.0, 5.0, 3.0], "b": [1.2, 4.8, 3.1]}), "fold")
+    assert best_of(found["linen"]) == ["a", "b"]
+    assert overall(found)[1].tied
+
+
+def test_of_two_recordings_their_own_intervals_decide():
+    near = [row("a", "linen", "x", 1.0, low=0.5, high=1.5), row("b", "linen", "x", 1.4, low=0.9, high=1.9)]
+    far = [near[0], row("b", "linen", "x", 3.0, low=2.5, high=3.5)]
+    assert best_of(standings(near, "fold")["linen"]) == ["a", "b"]
+    assert best_of(standings(far, "fold")["linen"]) == ["a"]
+
+
+def test_seeds_are_repetitions_of_one_way():
+    some = [
+        row(m, "linen", "x", v + 0.1 * s, seed=s, key=f"{m}{s}")
+        for (m, v), s in itertools.product((("a", 1.0), ("b", 2.0)), range(3))
+    ]
+    found = standings(some, "fold")["linen"]
+    assert set(found) == {"a", "b"}
+    assert found["a"].seeds == 3
+    assert found["a"].value == pytest.approx(1.1)
+    assert best_of(found) == ["a"]
+
+
+def test_a_way_without_a_number_is_neither_ranked_nor_tied():
+    some = [*rows_of({"a": [1.0, 2.0, 3.0]}), row("b", "linen", None, None, split=None)]
+    found = standings(some, "fold")
+    assert best_of(found["linen"]) == ["a"]
+    assert found["linen"]["b"].status == "diverged"
+    assert [one.way for one in overall(found)] == ["a"]
+
+
+def test_a_way_is_called_by_what_tells_it_apart():
+    some = [row("a", "linen", "x", 1.0), row("a", "linen", "x", 1.0, optimizer="cma_es"), row("b", "linen", "x", 1.0)]
+    name = way_of(some)
+    assert [name(r) for r in some] == ["a · ga", "a · cma_es", "b · ga"]
+    assert way_of(some[:1])(some[0]) == "a"
+
+
+def parameter(**more: Any) -> dict[str, Any]:
+    known = {
+        "key": "k", "name": "bend", "symbol": "k", "unit": "N·m", "meaning": "", "value": 1e-4, "low": 5e-5,
+        "high": 2e-4, "at_bound": False, "truth": 1.1e-4, "lower": 1e-7, "upper": 1e-2, "scale": "log",
+    }  # fmt: skip
+    return {**known, **more}
+
+
+def test_a_parameter_is_determined_if_its_interval_leaves_most_of_the_range_out():
+    (good,) = estimates([parameter()])
+    assert good.determined
+    assert good.found
+    assert good.place(1e-7) == 0
+    assert good.place(1e-2) == 1
+    (whole,) = estimates([parameter(low=1e-7, high=1e-2)])
+    assert whole.why_not == "any value of the range would do"
+    assert whole.found is None
+    (half,) = estimates([parameter(low=1e-7, high=3e-4)])
+    assert "covers 70% of the range" in half.why_not
+    assert "bound" in estimates([parameter(at_bound=True)])[0].why_not
+    assert estimates([parameter(low=None, high=None)])[0].why_not == "no interval"
+    assert estimates([parameter(truth=1.0)])[0].found is False
+
+
+def test_results_without_a_range_take_the_widest_interval_for_it():
+    old = [
+        {n: v for n, v in parameter(**m).items() if n not in ("lower", "upper", "scale")} for m in ({}, {"high": 9.0})
+    ]
+    found = estimates(old)
+    assert {(e.lower, e.upper, e.log) for e in found} == {(5e-5, 9.0, True)}
+
+
+def test_an_interval_holds_its_value():
+    assert contained(1.0, 1.2, 2.0) == (1.0, 2.0)
+    assert contained(3.0, 1.2, 2.0) == (1.2, 3.0)
+    assert contained(3.0, None, 2.0) == (None, 2.0)
+
+
+def test_the_bootstrap_of_few_frames_holds_the_error():
+    """The last of four frames is far off: blocks of two reach it less often than its neighbours."""
+    trace = np.array([[1.0, 1.0, 1.0, 9.0]])
+    flat, time = np.zeros((4, 1, 3)), np.linspace(0, 0.3, 4)
+    seen = Observation(time, flat, np.ones((4, 1), bool), 1e-3, np.zeros((1, 2)))
+    low, high = error_interval(Score(trace.mean(axis=1), "mm", per_frame=trace), seen, seed=1)
+    assert low < trace.mean() < high
+
+
+def test_a_search_that_still_falls_asks_for_more():
+    steady, falling = np.array([9.0] + [5.0] * 19), np.linspace(9, 5, 20)
+    assert late_fall(steady) == 0
+    assert late_fall(falling) > 0.1
+    some = [row("a", "linen", "x", 1.0), row("b", "satin", "x", 1.0)]
+    value, said = settled(some, way_of(some), {"a-linen": steady, "b-satin": falling})
+    assert value == "20 evaluations"
+    assert "1 of 2 (satin)" in said
+    assert "the order of models was" in said
+
+
+def test_what_is_alike_in_all_lines_is_said_once():
+    some = rows_of({"a": [1.0, 2.0]})
+    assert same_in_all(some) == "model a, optimizer ga, seed 0"
+    heads = leaderboard(some).split("<tbody>")[0]
+    assert "optimizer" not in heads
+    assert "status" not in heads
+    assert "status" in leaderboard([*some, row("a", "satin", None, None)])
+
+
+def test_numbers_have_three_digits():
+    assert [size(v) for v in (0.00012, 3.6789, 1131.6, 74.0, 0.0, None)] == [
+        "1.20e-4",
+        "3.68",
+        "1132",
+        "74.0",
+        "0.00",
+        "–",
+    ]
+    assert listed(["a", "b", "c"]) == "a, b and c"
+    assert listed(list("abcdef")) == "a, b, c, d and 2 more"
+
+
+def test_an_interval_is_drawn_where_it_lies_and_the_truth_beside_it():
+    strip = strip_of(estimates([parameter()])[0])
+    assert strip is not None
+    assert strip.kind == "sure"
+    assert strip.left <= strip.dot <= strip.left + strip.width
+    assert strip.mark == pytest.approx(60.8, abs=0.1)  # a range of five powers of ten from 1e-7
+    assert "interval 5.00e-5 … 2.00e-4, true 1.10e-4" in strip.said
+    grey = strip_of(estimates([parameter(low=1e-7, high=1e-2)])[0])
+    assert grey is not None
+    assert (grey.kind, grey.left, grey.width) == ("grey", 0.0, 100.0)
+    assert "any value of the range would do" in grey.said
+
+
+def test_a_truth_outside_of_its_interval_is_marked_and_counted():
+    found = estimates([parameter(), parameter(name="stretch", truth=1e-6), parameter(name="shear", truth=None)])
+    outside = strip_of(found[1])
+    assert outside is not None
+    assert outside.kind == "outside"
+    about = [{"key": "k", "case": "linen"}]
+    said = truth_said(found, about, lambda row: row["case"])
+    assert said == (
+        "The truth is known: 1 of 2 intervals of determined parameters hold it, not those of stretch of linen."
+    )
+    assert truth_said(found[2:], about, lambda row: row["case"]) == ""
