@@ -7,6 +7,7 @@ from typing import Any
 
 from clothbench.display.html import interval, table, text, unit
 from clothbench.studies.improve import figures as draw
+from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.words import size
 
 Rows = Sequence[dict[str, Any]]
@@ -18,7 +19,6 @@ from outside, whatever the cloth is made of and whatever a model makes of it."""
 WHEREABOUTS = """Rms of what is left, and how many times that of the whole. p, of a part of the cloth: how often it
 would be above the rest in recording after recording by chance; of a phase: how often as much would be left in it of
 the same residual moved round in time, the best of all phases."""
-SURE = 0.05
 
 
 def description_section(found: Mapping[str, Any] | None) -> str:
@@ -58,7 +58,7 @@ def whereabouts_section(rows: Rows) -> str:
         return ""
     body = []
     for r in sorted(rows, key=lambda r: (r["kind"] != "where", r["p_value"], -r["ratio"])):
-        mark = ' <span class="pill note">more than elsewhere</span>' if r["p_value"] < SURE else ""
+        mark = ' <span class="pill note">more than elsewhere</span>' if r["p_value"] < LOOP.significance else ""
         body.append(
             [text(r["part"]) + mark, f"{size(r['rms'], r['unit'])}", f"{r['ratio']:.2f}", f"{r['p_value']:.2g}"]
         )

@@ -7,6 +7,7 @@ from typing import Any
 
 from clothbench.engine.study import Results
 from clothbench.studies.improve.document import document_in
+from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.words import errors_of, floor_line, size
 
 
@@ -43,6 +44,12 @@ def verdict_lines(found: Mapping[str, Any]) -> Iterator[str]:
             yield f"    {term['term']}: {term['value']:.4g} {term['unit']} ({term['low']:.4g} … {term['high']:.4g})"
         error = described["error_mm"]["held_out"]
         yield f"    with it in the model: {size(error['before'], 'mm')} → {size(error['after'], 'mm')} mm"
+    if balance := found.get("balance"):
+        shares = ", ".join(f"{what} {share:.0%}" for what, share in balance["shares"].items())
+        yield f"without any model, the torque about the grips goes with {shares} (on recordings left out)"
+    if telling := [row for row in found.get("whereabouts", ()) if row["p_value"] < LOOP.significance]:
+        places = ", ".join(f"{row['part']} ({row['ratio']:.2g} times)" for row in telling)
+        yield f"more is left than elsewhere: {places}"
     if found["hint"]:
         yield f"hint: {found['hint']}"
     yield f"{found['evaluations']} evaluations, {found['wall_s']:.0f} s"
