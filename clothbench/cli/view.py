@@ -44,6 +44,8 @@ def served(command: list[str]) -> int:
     quiet = {**os.environ, "RUST_LOG": os.environ.get("RUST_LOG", "error")}
     # A group of its own: the viewer is a child of a child, and must not stay behind when this one ends.
     child = subprocess.Popen([*command, *more], env=quiet, start_new_session=True)
+    for asked in (signal.SIGINT, signal.SIGTERM):  # a shell's background job would not hear the first by itself
+        signal.signal(asked, signal.default_int_handler)
     try:
         return child.wait()
     except KeyboardInterrupt:

@@ -3,7 +3,6 @@
 import numpy as np
 import pytest
 from clothbench_models.baraff_witkin import BaraffWitkin
-from clothbench_models.baraff_witkin_kernels import LONGEST, SHORTEST, relaxation
 from effect_scenes import falling, hanging
 from implicit_scenes import (
     BEAM,
@@ -192,22 +191,6 @@ def test_a_settled_sheet_stays_at_rest(integrator, scene):
     x = simulate(BaraffWitkin(integrator=integrator), scene(np.array([0.0, 0.01, 0.5])), *values(CLOTH))
     assert np.abs(x[1] - x[0]).max() / 0.01 < 1e-4  # m/s
     assert np.abs(x[2] - x[0]).max() < 1e-5
-
-
-@pytest.mark.parametrize("share", [0.55, 1.0, 1.8])
-def test_steps_towards_rest_that_creep_or_overshoot_are_set_right_at_once(share):
-    """Where whole steps are 1/share of what they should be, the second one's share is known from the first."""
-    direction = np.random.default_rng(0).normal(size=(3, 5))
-    before, taken = direction.copy(), 0.9 * share
-    left = 1.0 - taken / share
-    assert relaxation(taken, left * direction, before) == pytest.approx(share)
-    np.testing.assert_array_equal(before, left * direction)
-
-
-def test_no_step_towards_rest_is_too_short_or_too_long():
-    direction = np.ones((3, 2))
-    assert relaxation(1.0, 0.99 * direction, direction.copy()) == LONGEST
-    assert relaxation(0.2, -9.0 * direction, direction.copy()) == SHORTEST
 
 
 # --- batches, options, materials --------------------------------------------------------------------------------------

@@ -230,7 +230,11 @@ def test_the_web_viewer_answers_on_the_loopback_address(run_without_rerun):
                     time.sleep(0.2)
         finally:
             process.send_signal(signal.SIGINT)
-            process.wait(60)
+            try:
+                process.wait(60)
+            except subprocess.TimeoutExpired:
+                process.kill()
+                raise
     assert process.returncode == 0
     with pytest.raises(OSError, match="refused"):
         urllib.request.urlopen(address, timeout=5)

@@ -82,7 +82,7 @@ class BaraffWitkin:
     """
 
     name = "baraff_witkin"
-    version = 2
+    version = 1
     kind = "implicit"
     parameters = PARAMETERS
     textiles = TEXTILES

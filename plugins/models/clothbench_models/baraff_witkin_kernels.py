@@ -74,7 +74,6 @@ MEMBRANE = bundle_type(Membrane, *[types.float64[:, ::1]] * 4)
 PLATE = bundle_type(Plate, types.int64[::1], types.float64[:, ::1], types.float64, types.float64, types.float64[::1])
 SETTLE_ROUNDS = 2000
 ROUGH = 1e-2  # what settling leaves of a step's residual: the next step mends it, so that finer solves only cost time
-SHORTEST, LONGEST = 0.1, 2.0  # shares of a step towards rest that are taken
 AT_REST = 2e-8  # m that a node still moves in a settling step as long as a second
 
 
@@ -145,23 +144,6 @@ def add_outer(t, dt, x, v, f, nu, air, sheet, effects, terms, state, extra, grip
 
 
 @kernel
-def relaxation(relax, delta, before):
-    """Which share of the step delta (3, n) towards rest to take, after the share `relax` of the one `before` (3, n),
-    which is overwritten: Aitken's, −ω δ₋·(δ − δ₋)/|δ − δ₋|² (Irons and Tuck 1969).
-
-    The matrix leaves out what compression softens: full steps may go to and fro for ever, or creep.
-    """
-    along, square = 0.0, 0.0
-    for c in range(3):
-        for e in range(delta.shape[1]):
-            change = delta[c, e] - before[c, e]
-            along += change * before[c, e]
-            square += change * change
-            before[c, e] = delta[c, e]
-    return relax if square == 0.0 else min(max(-relax * along / square, SHORTEST), LONGEST)
-
-
-@kernel
 def largest(delta):
     """Largest length of a column of delta (3, n)."""
     top = 0.0
@@ -198,7 +180,7 @@ def _march_implicit(
         touch[pins[g]] = STICKS
         free[pins[g]] = 0.0
     settling, count, done, segment = pins.shape[0] > 0 and begins.settles, 0, 0, 0
-    rounds, h, t, relax, delta_before = 0, 0.01, start, 1.0, np.zeros((3, n if settling else 0))
+    rounds, h, t, relax, moved_before = 0, 0.01, start, 1.0, np.inf
     if not settling:
         step_before(x, v, dt, sheet.gravity, sheet.mass, pins, x_old, v_old)
         done = write_frames(x, v, x, v, start, start, done, sampling, grips)
@@ -248,7 +230,9 @@ def _march_implicit(
         if settling:
             moved = gamma * largest(delta)
             shrink = min(1.0, 0.1 * size / max(moved, 1e-300))
-            relax = relaxation(relax, delta, delta_before) if h >= 1.0 else 1.0
+            # Where the matrix leaves out what compression softens, full steps may go to and fro for ever.
+            relax = max(0.1, 0.7 * relax) if moved > 0.8 * moved_before else min(1.0, 1.2 * relax)
+            moved_before = moved
             for c in range(3):
                 for e in range(n):
                     x[c, e] = x_bar[c, e] + gamma * (guess[c, e] + relax * shrink * delta[c, e])

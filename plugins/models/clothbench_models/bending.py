@@ -21,8 +21,7 @@ from clothbench import Sheet
 class Diagonals:
     """A symmetric matrix (n, n) by its diagonals on and above the main one.
 
-    offsets: (S,), increasing from 0; values: (S, 3 n), values[s, c·n + i] couples coordinate c of node i with that of
-    node i + offsets[s]: the same for all three, which stand one after the other so that one loop runs over all of them.
+    offsets: (S,), increasing from 0; values: (S, n), values[s, i] couples node i with node i + offsets[s].
     """
 
     offsets: np.ndarray
@@ -44,4 +43,4 @@ def bending_matrix(sheet: Sheet) -> Diagonals:
     offsets = np.unique(offset)
     values = np.zeros((len(offsets), len(sheet.uv)))
     values[np.searchsorted(offsets, offset), row] = value
-    return Diagonals(offsets.astype(np.int64), np.tile(values, 3))
+    return Diagonals(offsets.astype(np.int64), values)

@@ -71,9 +71,7 @@ def invert_blocks(nu, mass, extra, heavier, edges, shear, bending, bend_scale, t
     """The 3 × 3 blocks of M + C + K on the diagonal, inverted: inverse (6, n) as xx, yy, zz, yz, xz, xy."""
     n, pad = mass.shape[0], nu + 1
     for i in range(n):
-        if touch[i] == STICKS:  # what is preconditioned stays 0 there
-            for k in range(6):
-                inverse[k, i] = 0.0
+        if touch[i] == STICKS:
             continue
         e = pad + i
         base = mass[i] + bend_scale * bending[0, i]
@@ -173,30 +171,25 @@ def solve(
     The filter of Baraff and Witkin 1998, section 5.3.
     """
     delta[:] = 0.0
-    slides = (touch == SLIDES).any()  # nodes that stick need no filter in here: the preconditioner holds them
     hold_back(r, touch, normal)
     invert_blocks(nu, mass, extra, heavier, edges, shear, bending, bend_scale, touch, inverse)
     rz = precondition(inverse, r, z)
-    if slides:
-        hold_back(z, touch, normal)
-        rz = dot(r, z)
+    hold_back(z, touch, normal)
+    rz = dot(r, z)
     goal = tolerance * tolerance * rz
     p[:] = z
     rounds = 0
     while rz > goal and rounds < most:
         multiply(p, nu, mass, extra, heavier, edges, shear, offsets, bending, bend_scale, q, work)
-        if slides:
-            hold_back(q, touch, normal)
-        pq = dot(p, q)  # p is 0 where a node sticks, whatever q is there
+        hold_back(q, touch, normal)
+        pq = dot(p, q)
         if not pq > 0.0:
             break
         advance(delta, r, p, q, rz / pq)
         before = rz
         rz = precondition(inverse, r, z)
-        if slides:
-            hold_back(z, touch, normal)
-            rz = dot(r, z)
+        hold_back(z, touch, normal)
+        rz = dot(r, z)
         turn(p, z, rz / before)
         rounds += 1
-    hold_back(r, touch, normal)
     return rounds

@@ -58,7 +58,7 @@ class Inextensible:
     """
 
     name = "inextensible"
-    version = 2
+    version = 1
     kind = "implicit"
     parameters = PARAMETERS
     capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start", "outline"})

@@ -101,21 +101,19 @@ def shear_fluxes(nu, du, dv, ru, rv, over_u, over_v, stiffness, damping, fu, fv,
 
 @kernel
 def add_diagonals(offsets, values, x, scale, out):
-    """out += scale · (K x) for the symmetric K given by its diagonals (`bending.Diagonals`), row by row of x (3, n).
-
-    Over all coordinates at once: where those of one end the values are 0.
-    """
-    x_flat, out_flat, size = x.reshape(x.size), out.reshape(out.size), x.size
+    """out += scale · (K x) for the symmetric K given by its diagonals, row by row of x (3, n)."""
+    n = x.shape[1]
     for s in range(offsets.shape[0]):
         k = offsets[s]
-        w = values[s, : size - k]
-        first, second = x_flat[: size - k], x_flat[k:]
-        low, high = out_flat[: size - k], out_flat[k:]
-        for e in range(size - k):
-            low[e] += scale * w[e] * second[e]
-        if k > 0:
-            for e in range(size - k):
-                high[e] += scale * w[e] * first[e]
+        w = values[s, : n - k]
+        for c in range(3):
+            first, second = x[c, : n - k], x[c, k:]
+            low, high = out[c, : n - k], out[c, k:]
+            for e in range(n - k):
+                low[e] += scale * w[e] * second[e]
+            if k > 0:
+                for e in range(n - k):
+                    high[e] += scale * w[e] * first[e]
 
 
 @fast_kernel
