@@ -32,6 +32,8 @@ SWINGS = tuple(
     (f"2021_07_05-n8-range{size}", f"oscillations, range {size}", ("mass_spring",)) for size in (30, 60, 90, 120)
 )
 SESSIONS = ("2021_07_05-n8", "2021_06_23-n13", "2021_06_23-n4")  # with the lattice on which it was seen
+# Springs that the swings do not determine: held, so that the airs alone are compared.
+HELD = ("+bounds.k1=[99,101]", "+bounds.k2=[0.99,1.01]", "+bounds.zeta=[0.099,0.101]")
 AIRS = ("linear_drag", "linear_drag,added_mass", "air_memory", "air_memory,gravity_tilt")
 
 RESTS = 1.0  # [s] the arm has not begun to move
@@ -97,7 +99,8 @@ def balances(recordings: Path) -> dict[str, Balance]:
 def beside(recording: Recording) -> tuple[Observation, Scene]:
     density = float(SETTINGS[0].partition("=")[2])
     seen = catalogue().make("trackers", "markers").track(recording)
-    return seen, scene_of(recording, areal_density=density, resolution=(8, 8))
+    nodes = max(8, len(np.unique(recording.grip_material[:, 0])))  # a mesh line through every clip of the bar
+    return seen, scene_of(recording, areal_density=density, resolution=(nodes, nodes))
 
 
 def print_balances(found: Mapping[str, Balance]) -> None:
