@@ -182,9 +182,17 @@ def chance(series: Series, first: int, before: np.ndarray, seed: int) -> float:
 
 
 def out_of_step(values: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """The series (T,) moved round a circle of itself and its reverse, so that no jump comes in, and either sign."""
+    """The series (T,) moved round in time, and either sign."""
+    moved = moved_round(values, random)
+    return random.choice([-1.0, 1.0]) * moved
+
+
+def moved_round(values: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """Values (T, ...) moved round a circle of themselves and their reverse: no jump comes in where the end meets the
+    beginning.
+    """
     at = (np.arange(len(values)) + random.integers(2 * len(values))) % (2 * len(values))
-    return random.choice([-1.0, 1.0]) * values[np.minimum(at, 2 * len(values) - 1 - at)]
+    return values[np.minimum(at, 2 * len(values) - 1 - at)]
 
 
 def jackknife(series: Series, chosen: Sequence[int]) -> np.ndarray:

@@ -17,6 +17,7 @@ from clothbench.core.scene import Scene
 from clothbench.estimation.trials import Trial
 from clothbench.recordings.nodes import Recording
 from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit, without_switches
+from clothbench.studies.improve.law import moved_round
 from clothbench.studies.improve.motion import motion_of
 from clothbench.studies.improve.repeats import spread_of_repeats
 from clothbench.studies.improve.settings import SearchSettings
@@ -107,12 +108,10 @@ class SheetCase:
         field, seen = self.field(residual), observation.visible
         if observation.sight is not None:
             field = observation.in_measured(field)
-        frames, image = len(field), mirror(self.observation.material)
+        image = mirror(self.observation.material)
 
         def draw(random: np.random.Generator) -> np.ndarray:
-            # Round a circle of the motion and its reverse, so that no jump comes in where the end meets the beginning.
-            at = (np.arange(frames) + random.integers(2 * frames)) % (2 * frames)
-            shifted = field[np.minimum(at, 2 * frames - 1 - at)]
+            shifted = moved_round(field, random)
             angle = random.uniform(0, 2 * np.pi)
             c, s = np.cos(angle), np.sin(angle)
             turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, random.choice([-1.0, 1.0])]])

@@ -16,6 +16,7 @@ from scipy.stats import t as student
 
 from clothbench.core.observation import Observation
 from clothbench.core.scene import Scene
+from clothbench.studies.improve.law import moved_round
 from clothbench.studies.improve.settings import LOOP
 
 Rows = list[dict[str, Any]]  # of the table `whereabouts`
@@ -84,7 +85,7 @@ def when(seen: Sequence[tuple[Observation, Scene, np.ndarray]], scale: float, un
         return np.array(out)
 
     random = np.random.default_rng(seed)
-    chance = np.array([ratios([moved(s, random) for s in series]) for _ in range(LOOP.permutations)])
+    chance = np.array([ratios([moved_round(s, random) for s in series]) for _ in range(LOOP.permutations)])
     middle, spread = chance.mean(axis=0), np.maximum(chance.std(axis=0), 1e-12)
     found, most = ratios(series), ((chance - middle) / spread).max(axis=1)
     out = []
@@ -99,12 +100,6 @@ def per_frame(observation: Observation, field: np.ndarray) -> np.ndarray:
     """(T,) m², mean square of a residual (T, N, 3) over what was seen of each frame."""
     counted = observation.visible.sum(axis=1) * observation.coordinates
     return np.asarray(np.square(field).sum(axis=(1, 2)) / np.maximum(counted, 1))
-
-
-def moved(series: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """The series (T,) moved round a circle of itself and its reverse, so that no jump comes in."""
-    at = (np.arange(len(series)) + random.integers(2 * len(series))) % (2 * len(series))
-    return series[np.minimum(at, 2 * len(series) - 1 - at)]
 
 
 def phases_of(observation: Observation, scene: Scene) -> Mapping[str, np.ndarray]:
