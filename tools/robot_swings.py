@@ -131,27 +131,21 @@ def calibrations(recordings: Path, out: Path) -> pd.DataFrame:
     """Rows of the leaderboard: `mass_spring` with each air, fitted to each session, judged on its held-out repeats."""
     store = out / "airs"
     for air in AIRS:
-        words = [
-            f"recordings={recordings}",
-            f"effects=[{air}]",
-            f"+bounds.k1={STIFFEST}",
-            "rerun=false",
-            f"out={store}",
-        ]
+        words = [f"recordings={recordings}", f"effects=[{air}]", *HELD, "budget=40", "rerun=false", f"out={store}"]
         command = [sys.executable, "-m", "clothbench", "run", "+suite=iri_swing", *words]
         subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
     command = [sys.executable, "-m", "clothbench", "leaderboard", "--json", "--out", str(store)]
     printed = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     rows = pd.DataFrame(json.loads(printed))
-    return rows[(rows.metric == "node_error") & rows.recording.ne("all") & rows.status.eq("ok")]
+    return rows[(rows.metric == "node_error") & rows.recording.notna() & rows.status.eq("ok")]
 
 
 def print_calibrations(rows: pd.DataFrame, recordings: Path, store: Path) -> None:
     """Mean node distance held out by session and range; amounts; and of each session with the amounts of another."""
     held = rows[rows.split == "held_out"].copy()
     held["range"] = held.recording.str.extract(r"-(range\d+|traj\d+)-")[0]
-    print(held.pivot_table("value", ["case", "range"], "effects", aggfunc="mean").round(1).to_markdown())
-    print(held.pivot_table("value", "case", "effects", aggfunc="mean").round(2).to_markdown())
+    print(held.pivot_table("value", ["case", "range"], "effects", aggfunc="mean").round(1).to_string())
+    print(held.pivot_table("value", "case", "effects", aggfunc="mean").round(2).to_string())
     for (case, air), mine in rows.groupby(["case", "effects"]):
         amounts = pd.read_parquet(store / "cells" / mine.key.iloc[0] / "parameters.parquet")
         said = ", ".join(f"{p.name} {p.value:.3g} ({p.low:.3g} … {p.high:.3g}) {p.unit}" for p in amounts.itertuples())
@@ -159,7 +153,7 @@ def print_calibrations(rows: pd.DataFrame, recordings: Path, store: Path) -> Non
         theta = dict(zip(amounts.name, amounts.value, strict=True))
         for session in SESSIONS:
             if not case.endswith(session):
-                error = unchanged(theta, tuple(air.split("+")), session, recordings)
+                error = unchanged(theta, tuple(air.split(",")), session, recordings)
                 print(f"  unchanged on {session}, held out: {error:.2f} mm")
 
 
