@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 import shutil
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -34,10 +35,12 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
+def whole_folder(path: str | os.PathLike[str], stays: Callable[[], bool] = lambda: False) -> Iterator[Path]:
     """A temporary folder beside `path` to fill; it takes the place of `path` when the block ends without a fault.
 
-    If two processes finish the same folder at once, the later one stays.
+    stays: asked when there is a folder already; if it stays, what was filled is dropped. Taking the place is one rename
+    that only succeeds where nothing is, so that of several processes that finish the same folder at once one comes
+    first, and what stays is never absent, not even for a moment.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -45,16 +48,50 @@ def whole_folder(path: str | os.PathLike[str]) -> Iterator[Path]:
     try:
         yield part
         os.chmod(part, 0o777 & ~_umask())
-        if path.exists():
-            old = Path(tempfile.mkdtemp(dir=path.parent, prefix=".old."))
-            os.replace(path, old / "old")
-            os.replace(part, path)
-            shutil.rmtree(old, ignore_errors=True)
-        else:
-            os.replace(part, path)
+        if not _renamed(part, path):
+            with _alone(path.parent):  # what is moved out of the way must still be what was asked about
+                _take_place(part, path, stays)
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
         raise
+
+
+def _take_place(part: Path, path: Path, stays: Callable[[], bool]) -> None:
+    """Put a folder in place of what is there, or drop it if that stays."""
+    while not _renamed(part, path):
+        if stays():
+            shutil.rmtree(part, ignore_errors=True)
+            return
+        old = Path(tempfile.mkdtemp(dir=path.parent, prefix=".old."))
+        os.replace(path, old / "old")
+        shutil.rmtree(old, ignore_errors=True)
+
+
+@contextmanager
+def _alone(folder: Path) -> Iterator[None]:
+    """One process at a time may be in here; the lock goes with a process that is killed."""
+    if os.name != "posix":  # no such lock; folders do not replace each other there either
+        yield
+        return
+    import fcntl
+
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX)
+        yield
+    finally:
+        os.close(handle)
+
+
+def _renamed(part: Path, path: Path) -> bool:
+    """Rename a folder, if nothing but an empty folder is in its way."""
+    try:
+        os.replace(part, path)
+    except OSError as fault:
+        if fault.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+            return False
+        raise
+    return True
 
 
 @contextmanager

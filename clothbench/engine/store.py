@@ -15,6 +15,7 @@ import json
 import math
 import os
 import platform
+import warnings
 from collections.abc import Callable, Iterable, Mapping
 from datetime import UTC, datetime
 from pathlib import Path
@@ -94,10 +95,8 @@ class Store:
 
     def has(self, key: str) -> bool:
         """Whether a cell is finished; one that ended in an error is not."""
-        rows = self.cell(key) / "rows.parquet"
-        if not rows.is_file():
-            return False
-        return all(status in FINISHED for status in read_table(rows)["status"].to_pylist())
+        rows = self.table("rows", [key])
+        return rows != [] and all(row["status"] in FINISHED for row in rows)
 
     def put(
         self,
@@ -106,17 +105,32 @@ class Store:
         extra: Callable[[Path], None] | None = None,
         columns: Mapping[str, Columns] | None = None,
     ) -> Path:
-        """Write a cell: tables, then whatever `extra(folder)` adds; it replaces an older result of the same key.
+        """Write a cell: tables, then whatever `extra(folder)` adds. It replaces an error; a finished cell stays, with a
+        warning if the two do not agree.
 
         columns: of the tables beside "rows", by name.
         """
         known = {"rows": {**ROW, **SYSTEM}, **(columns or {})}
-        with whole_folder(self.cell(key)) as part:
+        with whole_folder(self.cell(key), lambda: self._stands(key, tables["rows"])) as part:
             for name, content in tables.items():
                 write_table(part / f"{name}.parquet", content, known.get(name))
             if extra is not None:
                 extra(part)
         return self.cell(key)
+
+    def _stands(self, key: str, again: list[dict[str, Any]] | pd.DataFrame) -> bool:
+        """Whether a cell is finished, also against these rows of the same cell."""
+        if not self.has(key):
+            return False
+        before, after = pd.DataFrame(self.table("rows", [key])), pd.DataFrame(again)
+        first, second = (rows["value"].astype(float) for rows in (before, after))
+        if after["status"].isin(FINISHED).all() and not first.equals(second):
+            warnings.warn(
+                f"{self.cell(key)}: computed twice, first {first.tolist()}, which stays, then {second.tolist()}; "
+                "something in this cell does not go by its seed: a model, a tracker, or a library's threads",
+                stacklevel=3,
+            )
+        return True
 
     def rows(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
         """Rows of all cells, or of some, sorted by what they are about."""
@@ -133,7 +147,11 @@ class Store:
         out: list[dict[str, Any]] = []
         for folder in folders:
             if (path := folder / f"{name}.parquet").is_file():
-                out += read_table(path).to_pylist()
+                try:
+                    out += read_table(path).to_pylist()
+                except ClothbenchError:
+                    if path.is_file():  # else another process has just put a new attempt in place of this error
+                        raise
         return out
 
 
@@ -149,7 +167,8 @@ def write_table(path: Path, content: list[dict[str, Any]] | pd.DataFrame, column
 def read_table(path: Path) -> pa.Table:
     """One Parquet file of this schema version; a damaged or foreign one is refused in one line."""
     try:
-        table = pq.read_table(path)
+        with pq.ParquetFile(path) as file:
+            table = file.read()
     except (pa.ArrowInvalid, OSError) as fault:
         raise ClothbenchError(
             f"{path}: found a damaged table ({str(fault).splitlines()[0]}); delete its folder and run again"

@@ -1,5 +1,8 @@
 """The store: whole cells or none, one schema, errors tried again."""
 
+import subprocess
+import sys
+
 import pandas as pd
 import pytest
 
@@ -26,6 +29,43 @@ def test_an_error_is_not_finished(tmp_path):
     store.put("abc", {"rows": [one_row("diverged")]})
     assert store.has("abc")
     assert len(store.rows()) == 1
+
+
+def test_a_finished_cell_stays_and_a_disagreement_is_told(tmp_path):
+    store = Store(tmp_path)
+    store.put("abc", {"rows": [one_row(value=1.0), one_row("skipped")]})
+    store.put("abc", {"rows": [one_row(value=1.0), one_row("skipped")]})
+    with pytest.warns(UserWarning, match=r"computed twice, first \[1\.0, nan\], which stays, then \[2\.0, nan\]"):
+        store.put("abc", {"rows": [one_row(value=2.0), one_row("skipped")]})
+    assert store.rows()[0]["value"] == 1.0
+    assert [p.name for p in (tmp_path / "cells").iterdir()] == ["abc"]
+
+
+WRITES = """
+import sys
+from clothbench.engine.store import ROW, Store
+store = Store(sys.argv[1])
+for k in range(60):
+    status = "error" if k < 30 else "ok"
+    store.put(f"{k % 30:04x}", {"rows": [{**dict.fromkeys(ROW), "status": status, "value": float(k)}]})
+"""
+
+
+def test_processes_that_write_the_same_cells_lose_none_and_none_is_ever_absent(tmp_path):
+    """Three processes, each 30 errors and then their 30 finished cells, all at once; and one that looks on."""
+    store, seen = Store(tmp_path), set()
+    writers = [
+        subprocess.Popen([sys.executable, "-c", WRITES, str(tmp_path)], stderr=subprocess.PIPE, text=True)
+        for _ in range(3)
+    ]
+    while any(writer.poll() is None for writer in writers):
+        finished = {row["value"] for row in store.rows() if row["status"] == "ok"}
+        assert seen <= finished
+        seen = finished
+    assert [writer.communicate()[1] for writer in writers] == [""] * 3
+    assert [writer.returncode for writer in writers] == [0] * 3
+    assert sorted(row["value"] for row in store.rows()) == list(range(30, 60))
+    assert {p.name for p in (tmp_path / "cells").iterdir()} == {f"{k:04x}" for k in range(30)}
 
 
 def test_a_write_that_fails_leaves_the_old_cell_and_no_debris(tmp_path):
