@@ -31,14 +31,16 @@ def fit(
     goal: float = np.inf,
     account: Account | None = None,
     unless: Fitted | None = None,
+    tolerance: float = 0.0,
 ) -> Fitted:
     """Least squares from the best of `start` (S, P) or (P,), or from the defaults and a spread of others if None; ended
     after so many `rounds`, if it does not end before; and once it is plain that its mean square will stay above `goal`.
 
     account: is told how far the search is, as the stage that runs; unless: a fit of the same effects, which is returned
-    with this search's evaluations if the search comes to nothing better: what is not kept needs no Jacobian.
+    with this search's evaluations if the search comes to nothing better: what is not kept needs no Jacobian; tolerance:
+    relative gain below which two rounds in a row end the search, if more than what suits the evidence.
     """
-    settings = search_settings(problem, start is None)
+    settings = search_settings(problem, start is None, tolerance)
     origin = None if start is None else np.asarray(start).tolist()
     limit = None if unless is None else unless.rms
     key = problem.key("fitted", names, origin, rounds, goal, settings, limit)
@@ -70,7 +72,7 @@ def fit(
     return Fitted(names, space, theta, residual, jacobian, low, high, int(known["count"]))
 
 
-def search_settings(problem: Problem, first: bool) -> dict[str, Any]:
+def search_settings(problem: Problem, first: bool, tolerance: float = 0.0) -> dict[str, Any]:
     """What the optimizer is told beside its seed and budget: of what suits the evidence what it has a setting for, then
     the user's own options; but a search from a known point stays there.
     """
@@ -79,7 +81,8 @@ def search_settings(problem: Problem, first: bool) -> dict[str, Any]:
     again = {"starts": suited.restart_starts, "walks": suited.restart_walks}
     own = dict(problem.options.get(problem.optimizer, {}))
     known = options_of(problem.plugins.load("optimizers", problem.optimizer))
-    settings = {"difference": suited.difference, "tolerance": suited.tolerance, **(begin if first else again)}
+    settings = {"difference": suited.difference, "tolerance": max(suited.tolerance, tolerance)}
+    settings |= begin if first else again
     return {name: value for name, value in settings.items() if name in known} | {
         name: value for name, value in own.items() if first or name not in again
     }
@@ -91,17 +94,18 @@ def planned_evaluations(space: ParameterSpace, rounds: int) -> int:
 
 
 def better_of(
-    problem: Problem, known: Fitted, start: np.ndarray, rounds: int, goal: float = np.inf
+    problem: Problem, known: Fitted, start: np.ndarray, rounds: int, goal: float = np.inf, tolerance: float = 0.0
 ) -> tuple[Fitted, int]:
     """The better of a fit that is known and one more of the same effects from `start` (P,); and how many sets the
     latter took.
     """
-    again = fit(problem, known.effects, start, rounds, goal=goal, unless=known)
+    again = fit(problem, known.effects, start, rounds, goal=goal, unless=known, tolerance=tolerance)
     return min(known, again, key=lambda f: f.rms), again.evaluations
 
 
-def polish(problem: Problem, fitted: Fitted, rounds: int) -> tuple[Fitted, int]:
-    """The better of this fit and of one more from a good place nearby, and how many sets that took.
+def polish(problem: Problem, fitted: Fitted, rounds: int, goal: float = np.inf) -> tuple[Fitted, int]:
+    """The better of this fit and of one more from a good place nearby, and how many sets that took. The latter is given
+    up where it will not come below the goal.
 
     Cloth that wrinkles leaves ripples in the error, in which a search ends early; two candidates are compared fairly
     only when neither has ended in a ripple that the other has passed.
@@ -113,7 +117,7 @@ def polish(problem: Problem, fitted: Fitted, rounds: int) -> tuple[Fitted, int]:
     value = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value
     if not np.isfinite(value).any():
         return fitted, looks
-    fitted, count = better_of(problem, fitted, starts[int(np.nanargmin(value))], rounds)
+    fitted, count = better_of(problem, fitted, starts[int(np.nanargmin(value))], rounds, goal, LOOP.contest_tolerance)
     return fitted, looks + count
 
 
@@ -132,7 +136,7 @@ def multistart(problem: Problem, base: Fitted, fitted: Fitted, rounds: int) -> t
     value = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value
     for k in np.argsort(value)[: LOOP.multistart_fits]:  # what could not be simulated comes last
         if np.isfinite(value[k]):
-            fitted, spent = better_of(problem, fitted, starts[k], rounds, goal=fitted.rms**2)
+            fitted, spent = better_of(problem, fitted, starts[k], rounds, fitted.rms**2, LOOP.contest_tolerance)
             count += spent
     return fitted, count
 

@@ -5,7 +5,7 @@ valley decides between them.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import better_of, fit, multistart, polish
 from clothbench.studies.improve.jumps import jump_along_valley
 from clothbench.studies.improve.problem import Problem
-from clothbench.studies.improve.selection import Candidate
+from clothbench.studies.improve.selection import Candidate, allowance
 from clothbench.studies.improve.settings import LOOP
 
 
@@ -31,7 +31,8 @@ def refit(
     this may end in; given up where it will not come below the goal, above which it can be neither named nor tied.
     """
     names = (*current.effects, candidate.name)
-    fitted = fit(problem, names, first_order_starts(current, probe), LOOP.refit_rounds, goal=goal)
+    starts, tolerance = first_order_starts(current, probe), LOOP.contest_tolerance
+    fitted = fit(problem, names, starts, LOOP.refit_rounds, goal=goal, tolerance=tolerance)
     account.count(fitted.evaluations)
     fitted, count = jump_along_valley(problem, fitted)
     account.count(count)
@@ -67,31 +68,41 @@ def refine_finalists(
     most = min(current.rms**2 - fall / 2, problem.evidence.search.contention * least)
     within = [f for f in fits if f.rms**2 <= most]
     within = sorted(within, key=lambda f: f.rms)[: LOOP.finalists] if len(within) > 1 else []
-    better = {}
+    better: dict[tuple[str, ...], Fitted] = {}
     for k, fitted in enumerate(within):
         account.stage(f"round {turn + 1}: contest", k, 2 * len(within))
         fitted, count = multistart(problem, current, fitted, LOOP.refit_rounds)
         account.count(count)
-        better[fitted.effects] = polished(problem, fitted, account)
+        better[fitted.effects] = polished(problem, fitted, tying(better, fitted), account)
     best, shared = min(better.values(), key=lambda f: f.rms, default=current), len(current.theta)
     for k, (effects, fitted) in enumerate(better.items()):
         account.stage(f"round {turn + 1}: contest", len(within) + k, 2 * len(within))
         if fitted is not best:
             start = np.concatenate([best.theta[:shared], fitted.theta[shared:]])
-            better[effects], count = better_of(problem, fitted, start, LOOP.polish_rounds)
+            goal = tying(better, fitted)
+            better[effects], count = better_of(problem, fitted, start, LOOP.polish_rounds, goal, LOOP.contest_tolerance)
             account.count(count)
     return [
         c if c.fitted is None else dataclasses.replace(c, fitted=better.get(c.fitted.effects, c.fitted)) for c in tried
     ]
 
 
-def polished(problem: Problem, fitted: Fitted, account: Account) -> Fitted:
+def tying(better: Mapping[tuple[str, ...], Fitted], fitted: Fitted) -> float:
+    """The mean square that a fit has to come to if it is to be named beside, or instead of, those that are better."""
+    others = [other for effects, other in better.items() if effects != fitted.effects]
+    if not others:
+        return np.inf
+    best = min(others, key=lambda f: f.rms)
+    return float(allowance(len(fitted.theta) - len(best.theta), alike=True)) * best.rms**2
+
+
+def polished(problem: Problem, fitted: Fitted, goal: float, account: Account) -> Fitted:
     """The fit polished as long as that takes off what would decide between two candidates: the more parameters one has,
-    the more often its search ends in a ripple.
+    the more often its search ends in a ripple. Searches that will not come below the goal are given up.
     """
     for _ in range(LOOP.polish_limit):
         before = fitted.rms**2
-        fitted, count = polish(problem, fitted, LOOP.polish_rounds)
+        fitted, count = polish(problem, fitted, LOOP.polish_rounds, goal)
         account.count(count)
         if fitted.rms**2 > (1 - LOOP.tie_margin) * before:
             break

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from scipy.stats import f as fisher
@@ -153,6 +154,13 @@ def allowances(current: Fitted, tried: Sequence[Candidate]) -> np.ndarray:
     size = np.array([0 if c.fitted is None else len(c.fitted.theta) for c in tried])
     more = size[:, None] - size[None, :]
     alike = (correction_correlation(current, tried) >= LOOP.alike_correlation) & (np.abs(more) <= 1)
+    return allowance(more, alike)
+
+
+def allowance(more: Any, alike: Any) -> Any:
+    """Times what another leaves (mean squares) a candidate may leave to stand beside it, with so many `more` parameters
+    and what it corrects `alike` or not; numbers or arrays.
+    """
     return 1 + LOOP.tie_margin * np.where(alike, 2, 1) + LOOP.parameter_penalty * np.maximum(more, 0)
 
 

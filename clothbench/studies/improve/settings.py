@@ -70,6 +70,9 @@ class LoopSettings:
     parameter_penalty: float = 0.05  # share of the mean square that every further parameter has to pay
     away_from_null: float = 1e-3  # of its range: an amount this near to its null value is none
     tied: int = 3  # effects that are named together at most, where they cannot be told apart
+    contest_tolerance: float = (
+        0.02  # relative gain of a round that ends a search between candidates: far below the margin
+    )
     finalists: int = 3  # candidates whose fits are made sure of before they are compared
 
     # Amounts by recording.
