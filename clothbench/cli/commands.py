@@ -135,6 +135,7 @@ def _improve(sub: argparse.ArgumentParser) -> None:
 def _compare(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("base", metavar="BASE", help="results folder or leaderboard .json to hold against")
     sub.add_argument("new", metavar="NEW", help="results folder or leaderboard .json to judge")
+    sub.add_argument("--markdown", action="store_true", help="as Markdown, for a comment on a pull request")
 
 
 def _bench(sub: argparse.ArgumentParser) -> None:
@@ -272,10 +273,13 @@ def leaderboard(options: argparse.Namespace) -> int:
 
 def compare(options: argparse.Namespace) -> int:
     from clothbench.engine.store import load_rows
-    from clothbench.report.gate import compare_rows, print_gate
+    from clothbench.report.gate import compare_rows, markdown, print_gate
 
     verdict = compare_rows(load_rows(options.base), load_rows(options.new))
-    print_json(verdict) if options.json else print_gate(verdict)
+    if options.markdown and not options.json:
+        print(markdown(verdict), end="")
+    else:
+        print_json(verdict) if options.json else print_gate(verdict)
     return 0 if verdict["passed"] else 1
 
 

@@ -92,26 +92,54 @@ def _change(base: dict[str, Any], new: dict[str, Any] | None) -> dict[str, Any]:
     }
 
 
+COLUMNS = ("", "row", "base", "new", "reason")
+
+
 def print_gate(verdict: dict[str, Any]) -> None:
-    out = console()
-    rows = (
-        [("missing", r) for r in verdict["missing"]]
-        + [("worse", r) for r in verdict["worse"]]
-        + [("better", r) for r in verdict["better"]]
-    )
-    if rows:
+    if changes := _changes(verdict):
         table = Table()
-        for name in ("", "row", "base", "new", "reason"):
+        for name in COLUMNS:
             table.add_column(name, overflow="fold")
-        for side, r in rows:
-            label = " · ".join(str(r[n]) for n in IDENTITY if r[n] not in (None, ""))
-            base, new = (f"{r[n]:.4g} {r['unit'] or ''}" if r[n] is not None else r["status"] for n in ("base", "new"))
-            table.add_row(side, *(escape(t) for t in (label, base, new, r["reason"])))
-        out.print(table)
+        for change in changes:
+            table.add_row(*map(escape, change))
+        console().print(table)
     if not verdict["compared"]:
         print("no row is in both: nothing was compared")
+    print(_conclusion(verdict))
+
+
+def markdown(verdict: dict[str, Any], most: int = 100) -> str:
+    """The same for a comment on a pull request: the conclusion, then at most so many rows, the worst first."""
+    changes = _changes(verdict)
+    lines = [f"**{_conclusion(verdict)}**"]
+    if changes:
+        lines += ["", f"| {' | '.join(COLUMNS)} |", "|---|---|---:|---:|---|"]
+        lines += [f"| {' | '.join(map(_plain, change))} |" for change in changes[:most]]
+    if len(changes) > most:
+        lines += ["", f"and {len(changes) - most} more: `clothbench compare BASE NEW`"]
+    return "\n".join(lines) + "\n"
+
+
+def _plain(text: str) -> str:
+    """Text for a cell of a Markdown table. It may come from anybody's plugin: no markup, no link, no mention in it."""
+    shown = " ".join(text.split()).replace("`", "'").replace("|", "\\|")
+    return f"`{shown}`" if shown else ""
+
+
+def _changes(verdict: dict[str, Any]) -> list[tuple[str, ...]]:
+    """What is missing, worse and better, by `COLUMNS`."""
+    out = []
+    for side in ("missing", "worse", "better"):
+        for r in verdict[side]:
+            label = " · ".join(str(r[n]) for n in IDENTITY if r[n] not in (None, ""))
+            base, new = (f"{r[n]:.4g} {r['unit'] or ''}" if r[n] is not None else r["status"] for n in ("base", "new"))
+            out.append((side, label, base, new, r["reason"]))
+    return out
+
+
+def _conclusion(verdict: dict[str, Any]) -> str:
     word = "passed" if verdict["passed"] else "failed"
-    print(
+    return (
         f"gate {word}: {verdict['compared']} rows compared, {len(verdict['worse'])} worse, "
         f"{len(verdict['missing'])} missing, {len(verdict['better'])} better, {verdict['added']} only in NEW"
     )

@@ -2,7 +2,7 @@
 
 import pytest
 
-from clothbench.report.gate import IDENTITY, compare_rows
+from clothbench.report.gate import IDENTITY, compare_rows, markdown
 
 
 def row(value, half=1.0, status="ok", **changes):
@@ -48,3 +48,20 @@ def test_of_several_results_the_one_with_the_same_key_counts():
     assert verdict["passed"]
     assert verdict["missing"] == []
     assert compare_rows([row(5.0, key="b")], base)["passed"]
+
+
+def test_markdown_for_a_pull_request_says_the_worst_first_and_holds_no_strangers_markup():
+    strange = row(None, status="error", reason="fell | over\n[here](http://x) @all `code`")
+    base = [row(10.0), row(10.0, case="y"), row(3.0, case="z")]
+    lines = markdown(compare_rows(base, [row(8.0), {**strange, "case": "y"}])).splitlines()
+    assert lines[0] == "**gate failed: 2 rows compared, 1 worse, 1 missing, 1 better, 0 only in NEW**"
+    assert [line.split(" | ")[0] for line in lines[4:]] == ["| `missing`", "| `worse`", "| `better`"]
+    assert lines[5].endswith("| `10 mm` | `error` | `fell \\| over [here](http://x) @all 'code'` |")
+    many = compare_rows([row(1.0, case=str(k)) for k in range(9)], [])
+    assert markdown(many, most=4).splitlines()[-1] == "and 5 more: `clothbench compare BASE NEW`"
+
+
+def test_without_changes_markdown_is_one_line():
+    assert markdown(compare_rows([row(1.0)], [row(1.0)])).splitlines() == [
+        "**gate passed: 1 rows compared, 0 worse, 0 missing, 0 better, 0 only in NEW**"
+    ]

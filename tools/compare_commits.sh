@@ -1,0 +1,41 @@
+#!/usr/bin/env bash
+# Runs a suite at a base commit and at the checked-out one, each in an environment of its own, and compares them.
+#
+#   BASE=main WORDS="+suite=static_dynamic model=mass_spring" tools/compare_commits.sh
+#
+# INSTALL: what pip installs of either commit (default "."); CLOTHBENCH: a checkout of clothbench that is installed
+# first, where the repository is not clothbench itself; RESULTS: folder for environments, results and comment.md.
+# Exits with 0 whatever the comparison says, which stands in comment.md; in a job of GitHub Actions also in the
+# summary and in the output `passed`. Exits with another code if one of the two could not be run.
+set -euo pipefail
+
+base=${BASE:?give the commit to compare with}
+read -r -a words <<< "${WORDS:-+suite=static_dynamic}"
+read -r -a install <<< "${INSTALL:-.}"
+results=${RESULTS:-$(mktemp -d)}
+mkdir -p "$results"
+git worktree add --quiet --force --detach "$results/base-tree" "$base"
+trap 'git worktree remove --force "$results/base-tree"' EXIT
+
+run() { # NAME FOLDER: results of the commit that is checked out in FOLDER, in $results/NAME
+    python3 -m venv "$results/env-$1"
+    if [[ -n ${CLOTHBENCH:-} ]]; then
+        "$results/env-$1/bin/pip" install --quiet --disable-pip-version-check "$CLOTHBENCH"
+    fi
+    (cd "$2" && "$results/env-$1/bin/pip" install --quiet --disable-pip-version-check "${install[@]}")
+    # From an empty folder, so that what is installed is what runs. Cells that fail are rows of the comparison.
+    mkdir -p "$results/$1"
+    (cd "$results/$1" && "$results/env-$1/bin/clothbench" run "${words[@]}" rerun=false out="$results/$1/runs") ||
+        test $? = 1
+}
+run base "$results/base-tree"
+run head .
+
+passed=true
+"$results/env-head/bin/clothbench" compare --markdown "$results/base/runs" "$results/head/runs" \
+    > "$results/comment.md" || { test $? = 1; passed=false; }
+cat "$results/comment.md"
+if [[ -n ${GITHUB_OUTPUT:-} ]]; then
+    echo "passed=$passed" >> "$GITHUB_OUTPUT"
+    cat "$results/comment.md" >> "$GITHUB_STEP_SUMMARY"
+fi
