@@ -21,6 +21,8 @@ from clothbench.core.files import whole_file
 from clothbench.recordings.layout import Layout, Stated, Variable
 
 FORMAT, VERSION = "clothbench-recording", 1
+DEFLATE = 1032  # times smaller at best: zlib, whose blocks of zeros pack no denser
+UNSUSPICIOUS = 100_000_000  # bytes of an array that are nobody's memory problem
 HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
 
 Record = TypeVar("Record")
@@ -165,7 +167,20 @@ def variable(dataset, name: str, of: Variable, path: Path) -> np.ndarray:
     if unit != of.unit:
         hint = "" if of.exact else "; convert the values and the attribute"
         raise ClothbenchError(f"{path}: variable '{name}': found units {unit!r}, expected {of.unit!r}{hint}")
+    require_possible(found.shape, found.dtype, name, path)
     return _converted(np.asarray(found.values), name, of, path)
+
+
+def require_possible(shape: Sequence[int], dtype: np.dtype, name: str, path: Path) -> None:
+    """Refuse an array that is far larger than what its file can hold, before memory is taken for it: a header may claim
+    anything.
+    """
+    size, held = math.prod(shape) * dtype.itemsize, path.stat().st_size
+    if size > max(UNSUSPICIOUS, DEFLATE * held):
+        raise ClothbenchError(
+            f"{path}: variable '{name}': found a claim of {' × '.join(map(str, shape))} values ({size / 1e9:.3g} GB) "
+            f"in a file of {held} bytes, expected at most what such a file can hold; write the values as well"
+        )
 
 
 def _converted(values: np.ndarray, name: str, of: Variable, path: Path) -> np.ndarray:

@@ -90,6 +90,25 @@ def test_every_fault_is_one_line_with_file_and_field(tmp_path, change, found):
     assert "\n" not in str(caught.value)
 
 
+def test_a_header_that_claims_more_than_the_file_can_hold_is_refused_before_memory_is_taken(recording, tmp_path):
+    good, path = write_recording(recording, tmp_path / "good.nc"), tmp_path / "a.nc"
+    with h5netcdf.legacyapi.Dataset(good) as known, h5netcdf.legacyapi.Dataset(path, "w") as file:
+        for name in known.ncattrs():
+            file.setncattr(name, known.getncattr(name))
+        dims = {dim for variable in known.variables.values() for dim in variable.dimensions}
+        for name in dims:
+            file.createDimension(name, 10**9 if name == "node" else known.dimensions[name].size)
+        for name, variable in known.variables.items():
+            chunks = tuple(min(file.dimensions[d].size, 100) for d in variable.dimensions)
+            made = file.createVariable(name, variable.dtype, variable.dimensions, chunksizes=chunks, zlib=True)
+            made.setncattr("units", variable.getncattr("units"))
+    assert path.stat().st_size < 100_000
+    with pytest.raises(
+        ClothbenchError, match=r"a\.nc: variable '\w+': found a claim of .*1000000000 .* GB\) in a file of"
+    ):
+        read_recording(path)
+
+
 def test_a_file_cut_off_and_a_text_file_are_refused(recording, tmp_path):
     path = write_recording(recording, tmp_path / "a.nc")
     path.write_bytes(path.read_bytes()[:5000])
