@@ -7,7 +7,7 @@ import blind_test
 import pytest
 
 KNOWN = "candidates=" + ",".join(effect.__name__ for effect in blind_test.EFFECTS)
-SMALL = blind_test.Size(12, 1.6, ("fit", "fit", "fit", "held_out"), ("resolution=9", KNOWN))
+SMALL = blind_test.Size(12, 1.6, ("fit", "fit", "fit", "held_out"), ("resolution=7", KNOWN))
 
 
 def case_with(name: str) -> int:
