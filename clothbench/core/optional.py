@@ -93,8 +93,19 @@ class KnowsMaterials(Protocol):
     """A model whose parameters can be said from textbook stiffnesses. Without it: most tests of mechanics skip it."""
 
     def of_material(self, material: Material, scene: Scene) -> np.ndarray:
-        """Its parameters (P,) for a cloth of this material in this scene, damping as low as they go; or a
-        ClothbenchError that says what it has no parameter for.
+        """Its parameters (P,) for a cloth of this material in this scene, damping that the material does not state as
+        low as they go; or a ClothbenchError that says what it has no parameter for.
+        """
+        ...
+
+
+@runtime_checkable
+class SaysMaterials(Protocol):
+    """A model that says which textbook material its parameters make. Without it: its fits cannot be exported."""
+
+    def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
+        """The material that parameters theta (P,) make of a cloth in this scene; what a material has no place for, as
+        the drag of the air, is left out.
         """
         ...
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -118,6 +119,24 @@ class CalibrationCell:
 
     def option(self, name: str) -> dict[str, Any]:
         return dict(self.options.get(name, {}))
+
+
+def asked(cell: CalibrationCell) -> str:
+    """The cell as JSON text, of which `asked_again` makes it anew."""
+    return json.dumps(asdict(cell), sort_keys=True)
+
+
+def asked_again(text: str) -> CalibrationCell:
+    """The cell that `asked` wrote."""
+    told = json.loads(text)
+    for name in ("recordings", "rivals"):
+        told[name] = tuple(Source(**source) for source in told[name])
+    for name in ("effects", "report"):
+        told[name] = tuple(told[name])
+    told["bounds"] = {name: (pair[0], pair[1]) for name, pair in told["bounds"].items()}
+    if told["scene"].get("resolution") is not None:
+        told["scene"]["resolution"] = tuple(told["scene"]["resolution"])
+    return CalibrationCell(**told)
 
 
 def uses(cell: CalibrationCell) -> list[tuple[str, str]]:

@@ -102,14 +102,26 @@ class Mujoco:
         return reason_to_skip("mujoco", scene)
 
     def of_material(self, material: Material, scene: Scene) -> np.ndarray:
-        """E h and E h³/12 are the material's stretch and bending; ν = 0, with which shear is half the stretch."""
+        """E h and E h³/12 are the material's stretch and bending; ν = 0, with which shear is half the stretch.
+
+        One β damps all: the smaller of what the material states for bending and for stretch, so that neither is
+        held back more than it should be.
+        """
         thickness = math.sqrt(12 * material.bending / material.stretch)
         if not math.isclose(material.shear, material.stretch / 2, rel_tol=1e-3):
             raise ClothbenchError(
                 "mujoco: an isotropic shell without cross contraction has shear = stretch/2, it has no parameter for "
                 f"{material.shear:g} N/m beside {material.stretch:g} N/m"
             )
-        return np.array([material.stretch / thickness, 0.0, thickness, self.parameters["damping"].bounds[0]])
+        lates = [material.bending_damping / material.bending, material.stretch_damping / material.stretch]
+        late = min((value for value in lates if value > 0), default=self.parameters["damping"].bounds[0])
+        return np.array([material.stretch / thickness, 0.0, thickness, late])
+
+    def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
+        """E h free to narrow, E h³/12(1 − ν²), E h/2(1 + ν), and β times each as damping."""
+        young, poisson, thickness, late = (float(value) for value in theta[:4])
+        stretch, bending = young * thickness, young * thickness**3 / 12 / (1 - poisson**2)
+        return Material(bending, stretch, stretch / (2 * (1 + poisson)), late * bending, late * stretch)
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> MujocoSimulation:
         if reason := self.skip(scene):

@@ -116,8 +116,22 @@ class Newton:
         shape = grid_shape(scene, self.resolution)
         sheet = GridSimulation(scene, shape, BoundEffects(space, ())).sheet
         hinge = material.bending / unit_bending(sheet, self.solver)
-        area = shear if self.solver == "semi_implicit" else 0.0
-        return np.array([shear, area, space["tri_kd"].bounds[0], hinge, space["edge_kd"].bounds[0]])
+        area, edge_kd = shear if self.solver == "semi_implicit" else 0.0, space["edge_kd"].bounds[0]
+        if self.solver == "vbd" and material.bending_damping > 0:  # hinges damp by the rate of what they stiffen by
+            edge_kd = material.bending_damping / material.bending * hinge
+        return np.array([shear, area, max(space["tri_kd"].bounds[0], material.stretch_damping / 4), hinge, edge_kd])
+
+    def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
+        """Of a membrane free to narrow, 4μ(λ + μ)/(λ + 2μ) and μ; of the hinges, what this scene's mesh makes of them.
+
+        What edge_kd of "semi_implicit" is worth depends on the mesh in yet another way, and is left out.
+        """
+        mu, area, tri_kd, hinge, edge_kd = (float(value) for value in theta[:5])
+        lam = area - mu if self.solver == "semi_implicit" else area
+        sheet = GridSimulation(scene, grid_shape(scene, self.resolution), BoundEffects(self.parameters, ())).sheet
+        bending = hinge * unit_bending(sheet, self.solver)
+        damping = edge_kd / hinge * bending if self.solver == "vbd" else 0.0
+        return Material(bending, 4 * mu * (lam + mu) / (lam + 2 * mu), mu, damping, 4 * tri_kd)
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> NewtonSimulation:
         if reason := self.skip(scene):
