@@ -54,6 +54,8 @@ _HOME = {
     "Tracker": "core.protocols",
     "AnswersCurves": "core.optional",
     "BuiltOn": "core.optional",
+    "DocumentsUnits": "core.optional",
+    "Stated": "core.optional",
     "FoldsStrips": "core.optional",
     "HasBenchOptions": "core.optional",
     "HasEqualErrorOptions": "core.optional",

@@ -87,6 +87,9 @@ def parser() -> argparse.ArgumentParser:
     _add(commands, "report", report, "one self-contained page with figures", _report)
     _add(commands, "view", view, "open a fit in Rerun, recording beside rollout", _view)
     _add(commands, "export", export, "a calibrated cloth as a file that another simulator loads", _export)
+    _add(
+        commands, "units", units, "a simulator's parameters: as documented, and as measured by mechanics", _units, _json
+    )
     _add(commands, "new-plugin", new_plugin, "start a plugin distribution with a passing conformance test", _new)
     return out
 
@@ -166,6 +169,11 @@ def _export(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--to", required=True, metavar="TARGET", help="mujoco, newton, usd, ppf, json, or a plugin's")
     sub.add_argument("--out", type=Path, metavar="FILE", help="the file to write (default: named after the cell, here)")
     sub.add_argument("--runs", default=DEFAULT_OUT, metavar="FOLDER", help="results folder (default: runs)")
+
+
+def _units(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("name", metavar="MODEL", help="mujoco, newton, or any model that knows materials")
+    sub.add_argument("settings", nargs="*", metavar="OPTION=VALUE", help="options of the model, for example solver=vbd")
 
 
 def _new(sub: argparse.ArgumentParser) -> None:
@@ -329,6 +337,14 @@ def export(options: argparse.Namespace) -> int:
     from clothbench.cli.export import export as command
 
     return command(options.name, options.to, Path(options.runs), options.out)
+
+
+def units(options: argparse.Namespace) -> int:
+    from clothbench.cli.units import print_units, unit_rows
+
+    rows = unit_rows(options.name, options.settings)
+    print_json(rows) if options.json else print_units(options.name, rows)
+    return 0
 
 
 def new_plugin(options: argparse.Namespace) -> int:

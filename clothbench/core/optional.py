@@ -15,7 +15,8 @@ factory takes them (`takes_option`), are:
 from __future__ import annotations
 
 import inspect
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -108,6 +109,30 @@ class SaysMaterials(Protocol):
         the drag of the air, is left out.
         """
         ...
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a simulator's documentation says of its parameters.
+
+    quantity: "bending", "stretch" or "shear", N·m or N/m; formula: of parameters with the units that are documented;
+    worth: what that makes of parameters theta (P,), in SI; source: where it is said.
+    """
+
+    quantity: str
+    formula: str
+    worth: Callable[[np.ndarray], float]
+    source: str
+
+
+@runtime_checkable
+class DocumentsUnits(Protocol):
+    """A model whose parameters are another program's. Without it: they are worth what `material_of` says.
+
+    documented: what that program's documentation makes of them, for `clothbench units` to hold against mechanics.
+    """
+
+    documented: Sequence[Stated]
 
 
 @runtime_checkable

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene
+from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene, Stated
 from clothbench.modelling import BoundEffects, bear_inertia, check_number, check_resolution, grid_shape
 from clothbench_models.peers import missing
 from clothbench_models.peers.external import ExternalSimulation, reason_to_skip, refuse_mass
@@ -65,6 +65,14 @@ PARAMETERS = ParameterSpace(
     )
 )
 
+DOCUMENTED = (
+    Stated("bending", "young [Pa] · thickness³ [m³] / 12(1 − poisson²)",
+           lambda p: float(p[0] * p[2] ** 3 / 12 / (1 - p[1] ** 2)), SOURCE),
+    Stated("stretch", "young [Pa] · thickness [m]", lambda p: float(p[0] * p[2]), SOURCE),
+    Stated("shear", "young [Pa] · thickness [m] / 2(1 + poisson)", lambda p: float(p[0] * p[2] / 2 / (1 + p[1])),
+           SOURCE),
+)  # fmt: skip
+
 
 class Mujoco:
     """MuJoCo's flex sheet; see the module for its physics.
@@ -78,6 +86,7 @@ class Mujoco:
     version = 1
     parameters = PARAMETERS
     capabilities = frozenset({"dynamic", "static", "effects"})
+    documented = DOCUMENTED
     built_on = ("mujoco", "mujoco-core")
     bench_options: tuple[dict[str, str], ...] = ()  # `clothbench bench` measures the peer of the same name
 
