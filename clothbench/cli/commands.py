@@ -90,6 +90,7 @@ def parser() -> argparse.ArgumentParser:
     _add(
         commands, "units", units, "a simulator's parameters: as documented, and as measured by mechanics", _units, _json
     )
+    _add(commands, "presets", presets, "what measured fabrics are like, with spread and source", _presets, _json)
     _add(commands, "new-plugin", new_plugin, "start a plugin distribution with a passing conformance test", _new)
     return out
 
@@ -163,8 +164,8 @@ def _view(sub: argparse.ArgumentParser) -> None:
 def _export(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "name",
-        metavar="CELL",
-        help="a cell, a case or a recording, as for `view`",
+        metavar="CELL|PRESET",
+        help="a cell, a case or a recording, as for `view`; or a class of fabrics",
     )
     sub.add_argument("--to", required=True, metavar="TARGET", help="mujoco, newton, usd, ppf, json, or a plugin's")
     sub.add_argument("--out", type=Path, metavar="FILE", help="the file to write (default: named after the cell, here)")
@@ -174,6 +175,10 @@ def _export(sub: argparse.ArgumentParser) -> None:
 def _units(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("name", metavar="MODEL", help="mujoco, newton, or any model that knows materials")
     sub.add_argument("settings", nargs="*", metavar="OPTION=VALUE", help="options of the model, for example solver=vbd")
+
+
+def _presets(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("name", nargs="?", metavar="NAME", help="a class of fabrics (default: all)")
 
 
 def _new(sub: argparse.ArgumentParser) -> None:
@@ -344,6 +349,13 @@ def units(options: argparse.Namespace) -> int:
 
     rows = unit_rows(options.name, options.settings)
     print_json(rows) if options.json else print_units(options.name, rows)
+    return 0
+
+
+def presets(options: argparse.Namespace) -> int:
+    from clothbench.cli.presets import preset_rows, print_presets
+
+    print_json(preset_rows(options.name)) if options.json else print_presets(options.name)
     return 0
 
 

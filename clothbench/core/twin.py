@@ -77,7 +77,7 @@ class Twin:
     def unheld(self, target: str) -> list[str]:
         """A line on each part of the fit that is no material."""
         return [
-            f"{name}: {target} has no place for it; {value:.4g} {unit} is left out"
+            f"{name}: {target} has no place for it; {value:.4g}{unit and ' ' + unit} is left out"
             for name, (value, unit) in self.others.items()
             if value
         ]

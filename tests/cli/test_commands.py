@@ -27,7 +27,7 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
     assert bare.returncode == out.returncode == 0
     assert time.perf_counter() - began < 30  # the measured figure is in the benchmarks; this only catches a hang
     for command in ("run", "plugins", "validate", "datasets", "import", "leaderboard", "compare", "bench", "report",
-                    "view", "export", "units", "new-plugin"):  # fmt: skip
+                    "view", "export", "units", "presets", "new-plugin"):  # fmt: skip
         assert command in out.stdout
 
 

@@ -18,6 +18,7 @@ from clothbench.core.protocols import Effect, Metric
 from clothbench.engine.cells import Skipped, Source, digest, seed_of
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.placements import joined
+from clothbench.estimation.prior import begun
 from clothbench.estimation.trials import Trial
 from clothbench.estimation.watched import require_comparable, require_readable, watched
 from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
@@ -35,7 +36,7 @@ class CalibrationCell:
     fixed: parameters that are not searched for, with their values; analysis: what else is asked of the fit, by name;
     rivals: other fabrics' recordings of the same trials, which these parameters are held against; published: figures
     of a paper by metric and name, in the metric's unit, to stand beside the results; choice: which of the front is
-    the fit, where the metric has several objectives.
+    the fit, where the metric has several objectives; start: where a search that begins somewhere begins, by parameter.
     """
 
     suite: str
@@ -59,6 +60,7 @@ class CalibrationCell:
     rivals: tuple[Source, ...] = ()
     published: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     choice: str = "nearest"
+    start: Mapping[str, float] = field(default_factory=dict)
 
     study: ClassVar[str] = "calibration"
     counts: ClassVar[str] = "evaluations"
@@ -78,6 +80,7 @@ class CalibrationCell:
             "analysis",
             "rivals",
             "published",
+            "start",
         ):  # cells that have none keep the key they had before there were any
             if not question[name]:
                 del question[name]
@@ -191,7 +194,7 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
             space = holding(model.prepare(scenes[0], effects), cell.fixed).parameters
         except Exception:  # a model may refuse a scene; in a product of several that is its own cell's affair
             return None
-        space = bounded(space, cell.bounds)
+        space = begun(bounded(space, cell.bounds), cell.start)
         plugins.make("optimizers", cell.optimizer, space, seed=0, budget=cell.budget, **cell.option(cell.optimizer))
         return set(space.names)
     except PluginBroken:
@@ -244,6 +247,6 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
         seen[recording.hash] = observation
         recordings.append(recording)
         trials.append(make(recording))
-    space = bounded(trials[0].simulation.parameters, cell.bounds)
+    space = begun(bounded(trials[0].simulation.parameters, cell.bounds), cell.start)
     others = tuple(plugins.make("metrics", name, **cell.option(name)) for name in cell.report if name != cell.metric)
     return Bench(cell, space, tuple(recordings), tuple(trials), others, make)
