@@ -15,8 +15,7 @@ factory takes them (`takes_option`), are:
 from __future__ import annotations
 
 import inspect
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
 from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
@@ -24,7 +23,7 @@ import numpy as np
 from clothbench.core.camera import Camera
 from clothbench.core.folding import Folding
 from clothbench.core.observation import Observation
-from clothbench.core.protocols import Material, Model, Objective
+from clothbench.core.protocols import Material, Model, Objective, Stated
 from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
 
@@ -109,20 +108,6 @@ class SaysMaterials(Protocol):
         the drag of the air, is left out.
         """
         ...
-
-
-@dataclass(frozen=True)
-class Stated:
-    """What a simulator's documentation says of its parameters.
-
-    quantity: "bending", "stretch" or "shear", N·m or N/m; formula: of parameters with the units that are documented;
-    worth: what that makes of parameters theta (P,), in SI; source: where it is said.
-    """
-
-    quantity: str
-    formula: str
-    worth: Callable[[np.ndarray], float]
-    source: str
 
 
 @runtime_checkable

@@ -5,7 +5,7 @@ What it may offer beyond that is in `clothbench.core.optional`. Options reach ev
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -86,6 +86,20 @@ class Material:
     shear: float
     bending_damping: float = 0.0
     stretch_damping: float = 0.0
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a simulator's documentation says of its parameters.
+
+    quantity: "bending", "stretch" or "shear", N·m or N/m; formula: of parameters with the units that are documented;
+    worth: what that makes of parameters theta (P,), in SI; source: where it is said.
+    """
+
+    quantity: str
+    formula: str
+    worth: Callable[[np.ndarray], float]
+    source: str
 
 
 @runtime_checkable

@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from clothbench import ClothbenchError, Material, Parameter, ParameterSpace, Scene
-from clothbench.core.optional import DocumentsUnits, KnowsMaterials, SaysMaterials, Stated, why_skipped
+from clothbench import ClothbenchError, Material, Parameter, ParameterSpace, Scene, Stated
+from clothbench.core.optional import DocumentsUnits, KnowsMaterials, SaysMaterials, why_skipped
 from clothbench.reference import mechanics as references
 from clothbench.studies.mechanics import measures, scenes
 
