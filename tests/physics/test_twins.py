@@ -63,6 +63,22 @@ def test_newtons_script_runs_by_itself(held, tmp_path):
     assert np.isfinite(np.load(tmp_path / "out.npz")["position"]).all()
 
 
+def test_the_stage_is_whole_and_in_si(held, tmp_path):
+    pytest.importorskip("pxr")
+    from pxr import Usd, UsdGeom, UsdShade
+
+    file = tmp_path / "cloth.usda"
+    file.write_text(usd.export(held[0]).text)
+    stage = Usd.Stage.Open(str(file))
+    assert (UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)) == (1.0, "Z")
+    mesh = stage.GetDefaultPrim()
+    bound, _ = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial("physics")
+    (thickness,) = mesh.GetAttribute("physics:thicknesses").Get()
+    density = bound.GetPrim().GetAttribute("physics:density").Get()
+    assert density * thickness == pytest.approx(held[0].scene.areal_density, rel=1e-5)
+    assert bound.GetPrim().GetAttribute("physics:surfaceBendStiffness").Get() == pytest.approx(CLOTH.bending)
+
+
 def test_newton_reads_the_usd_stage(held, tmp_path):
     pytest.importorskip("pxr")
     pytest.importorskip("newton_usd_schemas")
