@@ -22,6 +22,7 @@ examples:
   clothbench improve recordings=DIR model=mass_spring  what does the model lack?
   clothbench import iri_wam_cloth_swing data_dir=DATA  real recordings of a robot
   clothbench leaderboard --json > results.json
+  clothbench export fleece/waving-1 --to mujoco        what was calibrated, for another simulator
 exit codes: 0 done; 1 some cells failed or the gate is broken; 2 wrong use or bad input"""
 
 
@@ -85,6 +86,11 @@ def parser() -> argparse.ArgumentParser:
     _add(commands, "bench", bench, "speed of every model beside the installed peers", _bench, _json)
     _add(commands, "report", report, "one self-contained page with figures", _report)
     _add(commands, "view", view, "open a fit in Rerun, recording beside rollout", _view)
+    _add(commands, "export", export, "a calibrated cloth as a file that another simulator loads", _export)
+    _add(
+        commands, "units", units, "a simulator's parameters: as documented, and as measured by mechanics", _units, _json
+    )
+    _add(commands, "presets", presets, "what measured fabrics are like, with spread and source", _presets, _json)
     _add(commands, "new-plugin", new_plugin, "start a plugin distribution with a passing conformance test", _new)
     return out
 
@@ -154,6 +160,26 @@ def _view(sub: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     sub.add_argument("--web", action="store_true", help="in a browser; so it is where there is no display, too")
     _store(sub)
+
+
+def _export(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "name",
+        metavar="CELL|PRESET",
+        help="a cell, a case or a recording, as for `view`; or a class of fabrics",
+    )
+    sub.add_argument("--to", required=True, metavar="TARGET", help="mujoco, newton, usd, ppf, json, or a plugin's")
+    sub.add_argument("--out", type=Path, metavar="FILE", help="the file to write (default: named after the cell, here)")
+    sub.add_argument("--runs", default=DEFAULT_OUT, metavar="FOLDER", help="results folder (default: runs)")
+
+
+def _units(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("name", metavar="MODEL", help="mujoco, newton, or any model that knows materials")
+    sub.add_argument("settings", nargs="*", metavar="OPTION=VALUE", help="options of the model, for example solver=vbd")
+
+
+def _presets(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("name", nargs="?", metavar="NAME", help="a class of fabrics (default: all)")
 
 
 def _new(sub: argparse.ArgumentParser) -> None:
@@ -314,6 +340,27 @@ def view(options: argparse.Namespace) -> int:
     from clothbench.cli.view import open_viewer
 
     return open_viewer(Path(options.out), options.name, options.web)
+
+
+def export(options: argparse.Namespace) -> int:
+    from clothbench.cli.export import export as command
+
+    return command(options.name, options.to, Path(options.runs), options.out)
+
+
+def units(options: argparse.Namespace) -> int:
+    from clothbench.cli.units import print_units, unit_rows
+
+    rows = unit_rows(options.name, options.settings)
+    print_json(rows) if options.json else print_units(options.name, rows)
+    return 0
+
+
+def presets(options: argparse.Namespace) -> int:
+    from clothbench.cli.presets import preset_rows, print_presets
+
+    print_json(preset_rows(options.name)) if options.json else print_presets(options.name)
+    return 0
 
 
 def new_plugin(options: argparse.Namespace) -> int:

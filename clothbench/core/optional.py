@@ -23,7 +23,7 @@ import numpy as np
 from clothbench.core.camera import Camera
 from clothbench.core.folding import Folding
 from clothbench.core.observation import Observation
-from clothbench.core.protocols import Material, Model, Objective
+from clothbench.core.protocols import Material, Model, Objective, Stated
 from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
 
@@ -93,10 +93,31 @@ class KnowsMaterials(Protocol):
     """A model whose parameters can be said from textbook stiffnesses. Without it: most tests of mechanics skip it."""
 
     def of_material(self, material: Material, scene: Scene) -> np.ndarray:
-        """Its parameters (P,) for a cloth of this material in this scene, damping as low as they go; or a
-        ClothbenchError that says what it has no parameter for.
+        """Its parameters (P,) for a cloth of this material in this scene, damping that the material does not state as
+        low as they go; or a ClothbenchError that says what it has no parameter for.
         """
         ...
+
+
+@runtime_checkable
+class SaysMaterials(Protocol):
+    """A model that says which textbook material its parameters make. Without it: its fits cannot be exported."""
+
+    def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
+        """The material that parameters theta (P,) make of a cloth in this scene; what a material has no place for, as
+        the drag of the air, is left out.
+        """
+        ...
+
+
+@runtime_checkable
+class DocumentsUnits(Protocol):
+    """A model whose parameters are another program's. Without it: they are worth what `material_of` says.
+
+    documented: what that program's documentation makes of them, for `clothbench units` to hold against mechanics.
+    """
+
+    documented: Sequence[Stated]
 
 
 @runtime_checkable

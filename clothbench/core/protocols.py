@@ -5,7 +5,7 @@ What it may offer beyond that is in `clothbench.core.optional`. Options reach ev
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, runtime_checkable
 
@@ -76,21 +76,38 @@ class Simulation(Protocol):
 class Material:
     """An elastic cloth as textbooks state it, for tests that have an analytic answer.
 
-    bending: rigidity D [N·m]; stretch: tensile stiffness [N/m]; shear: shear stiffness [N/m]. No internal friction,
-    no cross contraction.
+    bending: rigidity D [N·m]; stretch: tensile stiffness [N/m], infinite where nothing stretches; shear: shear
+    stiffness [N/m]; bending_damping [N·m·s] and stretch_damping [N·s/m]: viscosity, a moment per rate of curvature and
+    a tension per rate of strain. No cross contraction.
     """
 
     bending: float
     stretch: float
     shear: float
+    bending_damping: float = 0.0
+    stretch_damping: float = 0.0
+
+
+@dataclass(frozen=True)
+class Stated:
+    """What a simulator's documentation says of its parameters.
+
+    quantity: "bending", "stretch" or "shear", N·m or N/m; formula: of parameters with the units that are documented;
+    worth: what that makes of parameters theta (P,), in SI; source: where it is said.
+    """
+
+    quantity: str
+    formula: str
+    worth: Callable[[np.ndarray], float]
+    source: str
 
 
 @runtime_checkable
 class Model(Protocol):
     """A cloth model. Made by calling the registered attribute with its options as keywords.
 
-    Optional: `MayBeAbsent`, `BuiltOn`, `RefusesScenes`, `KnowsMaterials`, `Refinable`, `HasKind`, `Repeatable`,
-    `HasBenchOptions`, `HasEqualErrorOptions`; by capability `AnswersCurves`, `FoldsStrips`.
+    Optional: `MayBeAbsent`, `BuiltOn`, `RefusesScenes`, `KnowsMaterials`, `SaysMaterials`, `Refinable`, `HasKind`,
+    `Repeatable`, `HasBenchOptions`, `HasEqualErrorOptions`; by capability `AnswersCurves`, `FoldsStrips`.
     capabilities: "dynamic" (moves), "static" (finds rest), "effects" (takes them), "contact" (keeps out of the
     scene's obstacles), "self_contact" (keeps the scene's `thickness` between its own layers), "curve" (answers
     force-extension curves; with that alone, `prepare` refuses every scene), "fold" (folds strips on a desk, and says

@@ -20,7 +20,7 @@ from clothbench.plugins.discovery import Catalogue
 PLUGINS = ("model", "optimizer", "metric", "effects", "report", "recording", "recordings")  # names, or lists of them
 KNOWN = {
     *PLUGINS, "study", "tracker", "scene", "options", "bounds", "budget", "seed", "jobs", "timeout", "out", "data_dir",
-    "suite", "rerun", "analysis", "choice",
+    "suite", "rerun", "analysis", "choice", "prior",
 }  # fmt: skip
 STARTS = ("rest", "measured")
 SCENE_WORDS = {
@@ -48,6 +48,7 @@ def checked(config: Mapping[str, Any], plugins: Catalogue, suite_words: frozense
     bounds = flat(mapping("bounds", out.get("bounds")))
     out["bounds"] = {name: pair(f"bounds.{name}", b) for name, b in bounds.items()}
     out["options"] = option_settings(mapping("options", out.get("options")), plugins)
+    out["prior"] = None if out.get("prior") is None else one_word("prior", out["prior"])
     out["analysis"] = mapping("analysis", out.get("analysis"))
     for key in PLUGINS:
         out[key] = words(key, out.get(key))
@@ -166,6 +167,12 @@ def flat(nested: Mapping[str, Any], above: str = "") -> dict[str, Any]:
     for name, value in nested.items():
         out |= flat(value, f"{above}{name}.") if isinstance(value, Mapping) else {f"{above}{name}": value}
     return out
+
+
+def one_word(name: str, value: Any) -> str:
+    if not isinstance(value, str) or not value:
+        raise ClothbenchError(f"setting '{name}' is {value!r}, expected one name")
+    return value
 
 
 def words(name: str, value: Any) -> list[str]:

@@ -23,7 +23,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.plugins.hookspecs import Registration
 
 KINDS = ("models", "effects", "metrics", "optimizers", "trackers")
-ALL_KINDS = (*KINDS, "peers", "studies")
+ALL_KINDS = (*KINDS, "peers", "exporters", "studies")
 OWN = "clothbench"
 
 

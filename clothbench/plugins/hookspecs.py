@@ -72,6 +72,16 @@ def clothbench_peers() -> Iterable[Registration]:
 
 
 @hookspec
+def clothbench_exporters() -> Iterable[Registration]:
+    """What `clothbench export` writes: a calibrated cloth as a file of another simulator.
+
+    The target is a module with `skip_reason() -> str | None`, `suffix` (".xml") and `export(twin) -> Export`, which
+    takes a `clothbench.Twin` and writes nothing itself: the text goes to disk whole or not at all.
+    """
+    return ()
+
+
+@hookspec
 def clothbench_studies() -> Iterable[Registration]:
     """Kinds of study. The target is a module with the members of `clothbench.engine.study.Study`: how settings become
     cells, how a cell is run, and what terminal and page show of the results.

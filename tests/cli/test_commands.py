@@ -27,7 +27,7 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
     assert bare.returncode == out.returncode == 0
     assert time.perf_counter() - began < 30  # the measured figure is in the benchmarks; this only catches a hang
     for command in ("run", "plugins", "validate", "datasets", "import", "leaderboard", "compare", "bench", "report",
-                    "view", "new-plugin"):  # fmt: skip
+                    "view", "export", "units", "presets", "new-plugin"):  # fmt: skip
         assert command in out.stdout
 
 
@@ -95,7 +95,8 @@ def test_one_cell_end_to_end(clothbench, recordings_folder, tmp_path):
     assert floor == pytest.approx(1.596, abs=1e-3)  # σ √(8/π) at σ = 1 mm
     folder = tmp_path / "results" / "cells" / rows[0]["key"]
     assert {p.name for p in folder.iterdir()} == {
-        "rows.parquet", "parameters.parquet", "history.parquet", "starts.parquet", "trace.parquet", "fit.rrd", "films",
+        "rows.parquet", "parameters.parquet", "question.parquet", "history.parquet", "starts.parquet", "trace.parquet",
+        "fit.rrd", "films",
     }  # fmt: skip
     assert (tmp_path / "results" / "report.html").is_file()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["recordings", "results"]  # no Hydra litter

@@ -84,6 +84,37 @@ def test_friction_does_not_depend_on_the_pace(strip):
     np.testing.assert_allclose(quick.f, slow.f, atol=1e-3 * np.abs(slow.f).max())
 
 
+@pytest.mark.parametrize("direction", ["u", "v"])
+def test_below_yield_bending_is_given_back_and_above_it_costs_the_area_of_the_loop(strip, direction):
+    """∮ M dκ = 4 R κ_y (κ_m − κ_y) between ±κ_m, per area; nothing where κ_m < κ_y."""
+    rigidity, limit = 1e-5, 6.0
+    axis = "uv".index(direction)
+    counted = strip.face_area[(np.abs(strip.curvature[:, axis]) > 1e-9).any(axis=1)].sum()
+    for top, expected in ((5.0, 0.0), (10.0, 4 * rigidity * limit * (10.0 - limit))):
+        press = Press(strip, "crease", (rigidity, limit))
+        for k, phase in enumerate(2 * np.pi / 400 * np.arange(1101)):
+            press.to(bent(strip, top * np.sin(phase), direction))
+            if k == 700:
+                before = press.work
+        scale = 4 * rigidity * limit * limit
+        assert (press.work - before) / counted == pytest.approx(expected, rel=0.01, abs=1e-3 * scale)
+
+
+def test_a_strip_bent_beyond_yield_rests_at_the_curvature_that_stays(strip):
+    """Where the model's own D and what yielded balance: R (κ_m − κ_y)/(R + D)."""
+    rigidity, own, limit, top = 4e-5, 1e-5, 3.0, 10.0
+    press = Press(strip, "crease", (rigidity, limit))
+    for kappa in (0.0, 5.0, top):
+        press.to(bent(strip, kappa))
+    stays = bent(strip, rigidity * (top - limit) / (rigidity + own))
+    elastic = np.zeros_like(stays)
+    effect_named("bending_anisotropy").force(
+        0.0, 1e-3, stays, 0 * stays, elastic, strip, np.array([own, 0.0]), np.zeros(0)
+    )
+    left = press.to(stays) + elastic
+    assert np.abs(left).max() < 0.01 * np.abs(elastic).max()  # curvatures of chords are not quite a cylinder's
+
+
 def test_stress_fades_as_maxwell_says(strip):
     """Bent and stretched at once, then held: exp(−t/τ), whatever the step."""
     press = Press(strip, "viscoelasticity", (1e-4, 40.0, 0.3))

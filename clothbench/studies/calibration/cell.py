@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
+import json
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -17,6 +18,7 @@ from clothbench.core.protocols import Effect, Metric
 from clothbench.engine.cells import Skipped, Source, digest, seed_of
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.placements import joined
+from clothbench.estimation.prior import begun
 from clothbench.estimation.trials import Trial
 from clothbench.estimation.watched import require_comparable, require_readable, watched
 from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
@@ -34,7 +36,7 @@ class CalibrationCell:
     fixed: parameters that are not searched for, with their values; analysis: what else is asked of the fit, by name;
     rivals: other fabrics' recordings of the same trials, which these parameters are held against; published: figures
     of a paper by metric and name, in the metric's unit, to stand beside the results; choice: which of the front is
-    the fit, where the metric has several objectives.
+    the fit, where the metric has several objectives; start: where a search that begins somewhere begins, by parameter.
     """
 
     suite: str
@@ -58,6 +60,7 @@ class CalibrationCell:
     rivals: tuple[Source, ...] = ()
     published: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     choice: str = "nearest"
+    start: Mapping[str, float] = field(default_factory=dict)
 
     study: ClassVar[str] = "calibration"
     counts: ClassVar[str] = "evaluations"
@@ -77,6 +80,7 @@ class CalibrationCell:
             "analysis",
             "rivals",
             "published",
+            "start",
         ):  # cells that have none keep the key they had before there were any
             if not question[name]:
                 del question[name]
@@ -118,6 +122,24 @@ class CalibrationCell:
 
     def option(self, name: str) -> dict[str, Any]:
         return dict(self.options.get(name, {}))
+
+
+def asked(cell: CalibrationCell) -> str:
+    """The cell as JSON text, of which `asked_again` makes it anew."""
+    return json.dumps(asdict(cell), sort_keys=True)
+
+
+def asked_again(text: str) -> CalibrationCell:
+    """The cell that `asked` wrote."""
+    told = json.loads(text)
+    for name in ("recordings", "rivals"):
+        told[name] = tuple(Source(**source) for source in told[name])
+    for name in ("effects", "report"):
+        told[name] = tuple(told[name])
+    told["bounds"] = {name: (pair[0], pair[1]) for name, pair in told["bounds"].items()}
+    if told["scene"].get("resolution") is not None:
+        told["scene"]["resolution"] = tuple(told["scene"]["resolution"])
+    return CalibrationCell(**told)
 
 
 def uses(cell: CalibrationCell) -> list[tuple[str, str]]:
@@ -172,7 +194,7 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
             space = holding(model.prepare(scenes[0], effects), cell.fixed).parameters
         except Exception:  # a model may refuse a scene; in a product of several that is its own cell's affair
             return None
-        space = bounded(space, cell.bounds)
+        space = begun(bounded(space, cell.bounds), cell.start)
         plugins.make("optimizers", cell.optimizer, space, seed=0, budget=cell.budget, **cell.option(cell.optimizer))
         return set(space.names)
     except PluginBroken:
@@ -225,6 +247,6 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
         seen[recording.hash] = observation
         recordings.append(recording)
         trials.append(make(recording))
-    space = bounded(trials[0].simulation.parameters, cell.bounds)
+    space = begun(bounded(trials[0].simulation.parameters, cell.bounds), cell.start)
     others = tuple(plugins.make("metrics", name, **cell.option(name)) for name in cell.report if name != cell.metric)
     return Bench(cell, space, tuple(recordings), tuple(trials), others, make)

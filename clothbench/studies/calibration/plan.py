@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import fnmatch
 import itertools
@@ -10,15 +11,18 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.optional import textile_of
+from clothbench.core.optional import takes_option, textile_of
 from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import Source, matching, plugin_versions, resplit
 from clothbench.engine.settings import require_plugins
 from clothbench.engine.suite import where
 from clothbench.estimation.front import CHOICES
+from clothbench.estimation.prior import Prior, density_of, hanging, prior_of
 from clothbench.plugins.discovery import Catalogue, PluginBroken
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
+from clothbench.recordings.scenes import scenes_of
+from clothbench.reference.presets import Preset, preset
 from clothbench.studies.calibration.cell import CalibrationCell, rehearse, uses
 from clothbench.studies.calibration.settings import analysis_settings, suite_settings
 
@@ -34,6 +38,10 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     cases = group(recordings, by, suite["select"], settings["seed"], fitted=not each)
     if each:
         cases = one_by_one(cases, each)
+    prior = preset(str(settings["prior"])) if settings.get("prior") else None
+    if prior:
+        settings = with_prior(settings, prior, plugins)
+    by_path = {r.path: r for r in recordings}
     cells: dict[str, CalibrationCell] = {}
     searched: list[set[str] | None] = []
     for case, sources in cases.items():
@@ -41,6 +49,10 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
         textile = next((t for p, t in suite["textile"].items() if _matches(case, [p])), None)
         for model, optimizer, metric in itertools.product(*(settings[key] for key in PRODUCT)):
             free, held = gene_set(plugins, model, textile)
+            begin: dict[str, float] = {}
+            if prior:
+                known = known_before(prior, model, settings, by_path[sources[0].path], plugins)
+                free, begin = free | known.bounds, known.start
             cell = CalibrationCell(
                 suite=suite.get("name") or "single",
                 case=case,
@@ -56,12 +68,13 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
                 report=tuple(settings["report"]),
                 published=suite["published"],
                 choice=choice_of(settings.get("choice")),
+                start=begin,
                 tracker=str(settings["tracker"]),
                 bounds=free | settings["bounds"],
                 **{key: settings[key] for key in ("options", "scene", "budget", "seed", "timeout")},
             )
             cell = dataclasses.replace(cell, versions=plugin_versions(uses(cell), plugins))
-            searched.append(rehearse(cell, plugins, {r.path: r for r in recordings}))
+            searched.append(rehearse(cell, plugins, by_path))
             cells[cell.key] = cell
     refuse_strays(settings["bounds"], searched)
     return list(cells.values())
@@ -77,6 +90,32 @@ def gene_set(
         return textile_of(plugins.load("models", model), textile)
     except PluginBroken:  # its own cell says so
         return {}, {}
+
+
+def with_prior(settings: dict[str, Any], prior: Preset, plugins: Catalogue) -> dict[str, Any]:
+    """The settings of a search that begins at a class of fabrics: optimizers that can begin at the defaults do, and a
+    recording that does not know its weight has that of the class.
+    """
+    scene = {"areal_density": prior.numbers["areal_density"].value, **settings["scene"]}
+    options = dict(settings["options"])
+    for name in settings["optimizer"]:
+        with contextlib.suppress(PluginBroken):
+            if takes_option(plugins.load("optimizers", name), "start"):
+                options[name] = {"start": "defaults", **options.get(name, {})}
+    return {**settings, "scene": scene, "options": options}
+
+
+def known_before(prior: Preset, model: str, settings: dict[str, Any], recording: Any, plugins: Catalogue) -> Prior:
+    """What a class of fabrics says of a model's parameters in the scene of a recording, or in one of its size."""
+    try:
+        made = plugins.make("models", model, **settings["options"].get(model, {}))
+    except PluginBroken:  # its own cell says so
+        return Prior()
+    width, height = (getattr(recording, name, 0.3) for name in ("cloth_width", "cloth_height"))
+    scene = hanging(width, height, density_of(recording, prior))
+    if isinstance(recording, Recording):
+        scene = scenes_of(recording, **settings["scene"])[0]
+    return prior_of(prior, made, scene)
 
 
 def choice_of(stated: Any) -> str:

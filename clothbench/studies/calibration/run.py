@@ -24,7 +24,7 @@ from clothbench.recordings.nodes import Recording
 from clothbench.recordings.silhouette import Silhouettes
 from clothbench.recordings.tracked import Images
 from clothbench.studies.calibration.analysis import analyse, starts_of, truth_of
-from clothbench.studies.calibration.cell import Bench, CalibrationCell, set_up
+from clothbench.studies.calibration.cell import Bench, CalibrationCell, asked, set_up
 from clothbench.studies.calibration.cloth import films_of, write_films
 from clothbench.studies.calibration.drapes import write_drapes
 from clothbench.studies.calibration.frames import at_most, write_frames
@@ -60,6 +60,7 @@ def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
     tables = {
         "rows": rows,
         "parameters": _parameters_of(bench, fit),
+        "question": [{"question": asked(bench.cell), "key": bench.cell.key}],
         "history": _history_of(bench, fit),
         "trace": trace,
     }

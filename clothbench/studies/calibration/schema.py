@@ -13,6 +13,8 @@ PARAMETER = {
     "at_bound": pa.bool_(), "start": _number, "truth": _number, "lower": _number,
     "upper": _number, "scale": _text, "meaning": _text, "key": _text,
 }  # fmt: skip
+# The cell itself as JSON: with it a twin of its fit is made (`clothbench export`).
+QUESTION = {"question": _text, "key": _text}
 # Error of every recording, frame by frame.
 TRACE = {"recording": _text, "split": _text, "metric": _text, "time": _number, "value": _number, "unit": _text}
 FILMS = "films"  # folder of a cell with films: recordings beside what was made of them
@@ -63,4 +65,11 @@ ANALYSIS_TABLES = {
     "starts": START, "variability": VARIABILITY, "perturbations": PERTURBATION, "repeats": REPEAT,
     "sensitivity": SENSITIVITY, "map": MAP, "confusion": CONFUSION,
 }  # fmt: skip
-TABLES = {"parameters": PARAMETER, "trace": TRACE, "published": PUBLISHED, "front": FRONT, **ANALYSIS_TABLES}
+TABLES = {
+    "parameters": PARAMETER,
+    "question": QUESTION,
+    "trace": TRACE,
+    "published": PUBLISHED,
+    "front": FRONT,
+    **ANALYSIS_TABLES,
+}

@@ -18,7 +18,7 @@ from clothbench.plugins.discovery import Catalogue
 from clothbench.reference.fabrics import FABRICS, Fabric
 
 SUITE_WORDS = frozenset({"fold", "select"})
-NOT_RECORDED = ("recording", "recordings", "report", "analysis")
+NOT_RECORDED = ("recording", "recordings", "report", "analysis", "prior")
 VERSION = 1  # of the testbed: raised when its numbers change
 
 

@@ -38,7 +38,7 @@ NEEDED = {  # capabilities, by kind of recording
     "nodes": ("moves", frozenset({"dynamic", "effects"})),
     DRAPES.kind: ("can be cut to a disc", frozenset({"outline", "effects"})),
 }
-NOT_ASKED = ("metric", "report", "analysis")
+NOT_ASKED = ("metric", "report", "analysis", "prior")
 
 
 def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[ImproveCell]:

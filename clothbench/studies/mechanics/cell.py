@@ -20,7 +20,7 @@ from clothbench.studies.mechanics.checks import NAMES, Check, check_named
 
 MESHES = (9, 17, 33)
 SUITE_WORDS = frozenset({"tests", "meshes", "effects"})
-NOT_FITTED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis")
+NOT_FITTED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis", "prior")
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ class Check:
     textbook: needs the model's parameters for a textbook material, else its defaults will do; headline: the load
     whose value stands in the leaderboard; halved: also run on the coarsest mesh with half and a quarter of the step;
     order: what stands in the leaderboard is the observed order of convergence, which shows best on a mesh finer than
-    the others: it is added; finest: run on the finest mesh alone.
+    the others: it is added; finest: run on the finest mesh alone; viscous: the model must heed the cloth's viscosity.
     """
 
     name: str
@@ -73,6 +73,7 @@ class Check:
     halved: bool = False
     order: bool = False
     finest: bool = False
+    viscous: bool = False
 
     def meshes(self, given: Sequence[int]) -> list[int]:
         """On which meshes it is run where a suite gives these, from the coarsest on."""
@@ -138,6 +139,8 @@ FREE: dict[str, Any] = {"textbook": False, "limp": True}  # what needs no bendin
 MOVES, TAKES = ("dynamic",), ("dynamic", "effects")
 CHECKS = (
     Check("free_fall", "drop", "m", "½gt² in vacuum, after 0.5 s", trials.free_fall, MOVES, **FREE),
+    Check("free_fall_damped", "drop", "m", "the same with viscosity of the cloth on, which must not brake a fall",
+          trials.free_fall_damped, MOVES, textbook=True, limp=True, viscous=True),
     Check("cantilever_small", "tip_sag", "m", "tip sag LΓ/8 of a strip held level, Γ = ρgL³/D = 0.05",
           trials.cantilever_small),
     Check("cantilever", "sag_over_reach", "1", f"H/W of a strip held level, Γ from 1 to 1000, here 100: {ELASTICA}",

@@ -96,7 +96,11 @@ def parameters_for(model: Model, check: Check, trial: Trial) -> tuple[np.ndarray
     cloths = [trial.material] + [dataclasses.replace(trial.material, bending=0.0)] * check.limp
     for cloth in cloths if isinstance(model, KnowsMaterials) else ():
         try:
-            return np.asarray(model.of_material(cloth, trial.scene), dtype=float), ""
+            theta = np.asarray(model.of_material(cloth, trial.scene), dtype=float)
+            dry = dataclasses.replace(cloth, bending_damping=0.0, stretch_damping=0.0)
+            if check.viscous and (theta == model.of_material(dry, trial.scene)).all():
+                raise CannotDo("the model has no parameter for viscosity of the cloth")
+            return theta, ""
         except ClothbenchError as fault:
             reason = str(fault)
     if check.textbook:

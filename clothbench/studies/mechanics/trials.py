@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -13,6 +14,7 @@ from clothbench.studies.mechanics import measures, scenes
 from clothbench.studies.mechanics.scenes import DENSITY
 
 CLOTH = Material(bending=1e-5, stretch=300.0, shear=150.0)  # a light shirting
+VISCOUS = Material(1e-5, 300.0, 150.0, 1e-7, 0.03)  # the shirting, damped: 10 ms of its bending, 0.1 ms of its stretch
 CANVAS = Material(bending=1e-4, stretch=1000.0, shear=500.0)
 CARD = Material(bending=1e-2, stretch=1000.0, shear=500.0)  # as stiff as thin cardboard
 LIMP = Material(bending=1e-7, stretch=1000.0, shear=500.0)  # bends freely, hardly stretches
@@ -42,6 +44,11 @@ class Trial:
 def free_fall(along: int) -> list[Trial]:
     scene = scenes.level(0.2, along, np.array([0.0, FALL_TIME]))
     return [Trial(scene, CLOTH, measures.drop, references.fall(FALL_TIME))]
+
+
+def free_fall_damped(along: int) -> list[Trial]:
+    """The same with viscosity on, which works between the parts of a sheet and must not brake it as a whole."""
+    return [dataclasses.replace(free_fall(along)[0], material=VISCOUS)]
 
 
 def sag(along: int, load: float) -> Trial:

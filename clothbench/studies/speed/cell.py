@@ -14,7 +14,7 @@ from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.speed.bench import SIDES
 
 SUITE_WORDS = frozenset({"sides"})
-NOT_TIMED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis")
+NOT_TIMED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis", "prior")
 
 
 @dataclass(frozen=True)

@@ -110,8 +110,14 @@ class BaraffWitkin:
         return BaraffWitkinSimulation(scene, shape, bound, SCHEMES[self.integrator], self.dt, self.tolerance)
 
     def of_material(self, material: Material, scene: Scene) -> np.ndarray:
-        """The nine parameters (9,) of a textbook material: no inner damping, no air."""
-        return np.array([material.bending, material.stretch, material.shear, 0, 0, 0, 0, 0, 0], dtype=float)
+        """The nine parameters (9,) of a textbook material, shear damped as stretch is: no air."""
+        slide = material.stretch_damping * material.shear / material.stretch
+        elastic = [material.bending, material.stretch, material.shear]
+        return np.array([*elastic, material.bending_damping, material.stretch_damping, slide, 0, 0, 0], dtype=float)
+
+    def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
+        """The first five parameters are the material's own; damping of shear and the air have no place in it."""
+        return Material(*(float(value) for value in theta[:5]))
 
 
 @dataclass(frozen=True, eq=False)

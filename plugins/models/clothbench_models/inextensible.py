@@ -8,6 +8,7 @@ simulation of inextensible cloth). ρ is measured, not fitted, as in the paper: 
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -89,8 +90,14 @@ class Inextensible:
         return InextensibleSimulation(scene, shape, bound, scheme, dt * self.step_scale, self.tolerance, self.shear)
 
     def of_material(self, material: Material, scene: Scene) -> np.ndarray:
-        """θ, α, β (3,) of a textbook material: its bending alone, no damping; that it stretches is not modelled."""
-        return np.array([material.bending, 0.0, 0.0])
+        """θ, α, β (3,) of a textbook material: its bending and the damping of that; stretching is not modelled."""
+        late = material.bending_damping / material.bending if material.bending > 0 else 0.0
+        return np.array([material.bending, 0.0, late])
+
+    def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
+        """A cloth that bends and does not stretch; α, which brakes every motion, has no place in a material."""
+        bending = float(theta[0])
+        return Material(bending, math.inf, math.inf, float(theta[2]) * bending, 0.0)
 
 
 @dataclass(frozen=True, eq=False)

@@ -80,6 +80,12 @@ class KirchhoffLove:
         eta_m = float(np.clip(scene.areal_density / material.stretch, low, high))
         return np.array([scene.areal_density / material.bending, eta_m, 0.0])
 
+    def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
+        """ρ/η_b and ρ/η_m, less what cross contraction takes of the tensile stiffness."""
+        eta_b, eta_m, poisson = (float(value) for value in theta[:3])
+        stretch = (1 - poisson**2) * scene.areal_density / eta_m
+        return Material(scene.areal_density / eta_b, stretch, stretch / (2 * (1 + poisson)))
+
     def strip(self, length: float) -> FoldingStrip:
         """For the capability "fold": a strip `length` m long that is lifted off a desk."""
         return FoldingStrip(length, self.elements)

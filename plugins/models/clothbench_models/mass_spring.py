@@ -73,7 +73,7 @@ class MassSpring:
         return MassSpringSimulation(scene, grid_shape(scene, self.options.resolution), bound, self.options)
 
     def of_material(self, material: Material, scene: Scene) -> np.ndarray:
-        """Parameters (3,) of a textbook material: the tensile stiffness of a strip that is free to narrow, no damping.
+        """Parameters (3,) of a textbook material: the tensile stiffness of a strip that is free to narrow.
 
         The lattice has C11 = 2 k1, C12 = C66 = k1, so a free strip has C11 − C12²/C11 = 1.5 k1. Shear springs share
         k1: the shear stiffness comes out as k1, whatever the material's, and there is a cross contraction of 1/2.
@@ -82,7 +82,20 @@ class MassSpring:
             raise ClothbenchError(
                 "mass_spring: has no small-strain bending rigidity; flexion springs resist bending only to fourth order"
             )
-        return np.array([material.stretch / 1.5, self.parameters["k2"].bounds[0], 0.0])
+        k1 = material.stretch / 1.5
+        zeta = material.stretch_damping / material.stretch * np.sqrt(k1 / self._node_mass(scene)) / 2
+        return np.array([k1, self.parameters["k2"].bounds[0], zeta])
+
+    def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
+        """The inverse: no bending rigidity, and a damping c = 2ζ√(k₁m) that depends on the mesh."""
+        k1, zeta = float(theta[0]), float(theta[2])
+        late = 2 * zeta * float(np.sqrt(self._node_mass(scene) / k1))  # c/k₁ [s]
+        return Material(0.0, 1.5 * k1, k1, 0.0, late * 1.5 * k1)
+
+    def _node_mass(self, scene: Scene) -> float:
+        """Mass of a node inside the sheet [kg]."""
+        nu, nv = grid_shape(scene, self.options.resolution)
+        return scene.areal_density * scene.width * scene.height / ((nu - 1) * (nv - 1))
 
 
 @dataclass(frozen=True, eq=False)

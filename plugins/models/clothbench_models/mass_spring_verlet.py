@@ -116,6 +116,13 @@ class MassSpringVerlet:
         theta[-1] = 0.0
         return theta
 
+    def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
+        """All springs count, those r cells long r² times, both directions by their mean; no bending, no damping."""
+        reach = np.arange(1, REACH + 1) ** 2
+        across, down, diagonal = (float(reach @ theta[k * REACH : (k + 1) * REACH]) for k in range(3))
+        whole = (across + down) / 2 + diagonal
+        return Material(0.0, whole - diagonal**2 / whole, diagonal)
+
 
 @dataclass(frozen=True, eq=False)
 class VerletSimulation(SpringSimulation):

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene
+from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene, Stated
 from clothbench.modelling import BoundEffects, bear_inertia, check_number, check_resolution, grid_shape
 from clothbench_models.peers import missing
 from clothbench_models.peers.external import ExternalSimulation, reason_to_skip, refuse_mass
@@ -65,6 +65,14 @@ PARAMETERS = ParameterSpace(
     )
 )
 
+DOCUMENTED = (
+    Stated("bending", "young [Pa] · thickness³ [m³] / 12(1 − poisson²)",
+           lambda p: float(p[0] * p[2] ** 3 / 12 / (1 - p[1] ** 2)), SOURCE),
+    Stated("stretch", "young [Pa] · thickness [m]", lambda p: float(p[0] * p[2]), SOURCE),
+    Stated("shear", "young [Pa] · thickness [m] / 2(1 + poisson)", lambda p: float(p[0] * p[2] / 2 / (1 + p[1])),
+           SOURCE),
+)  # fmt: skip
+
 
 class Mujoco:
     """MuJoCo's flex sheet; see the module for its physics.
@@ -78,6 +86,7 @@ class Mujoco:
     version = 1
     parameters = PARAMETERS
     capabilities = frozenset({"dynamic", "static", "effects"})
+    documented = DOCUMENTED
     built_on = ("mujoco", "mujoco-core")
     bench_options: tuple[dict[str, str], ...] = ()  # `clothbench bench` measures the peer of the same name
 
@@ -102,14 +111,26 @@ class Mujoco:
         return reason_to_skip("mujoco", scene)
 
     def of_material(self, material: Material, scene: Scene) -> np.ndarray:
-        """E h and E h³/12 are the material's stretch and bending; ν = 0, with which shear is half the stretch."""
+        """E h and E h³/12 are the material's stretch and bending; ν = 0, with which shear is half the stretch.
+
+        One β damps all: the smaller of what the material states for bending and for stretch, so that neither is
+        held back more than it should be.
+        """
         thickness = math.sqrt(12 * material.bending / material.stretch)
         if not math.isclose(material.shear, material.stretch / 2, rel_tol=1e-3):
             raise ClothbenchError(
                 "mujoco: an isotropic shell without cross contraction has shear = stretch/2, it has no parameter for "
                 f"{material.shear:g} N/m beside {material.stretch:g} N/m"
             )
-        return np.array([material.stretch / thickness, 0.0, thickness, self.parameters["damping"].bounds[0]])
+        lates = [material.bending_damping / material.bending, material.stretch_damping / material.stretch]
+        late = min((value for value in lates if value > 0), default=self.parameters["damping"].bounds[0])
+        return np.array([material.stretch / thickness, 0.0, thickness, late])
+
+    def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
+        """E h free to narrow, E h³/12(1 − ν²), E h/2(1 + ν), and β times each as damping."""
+        young, poisson, thickness, late = (float(value) for value in theta[:4])
+        stretch, bending = young * thickness, young * thickness**3 / 12 / (1 - poisson**2)
+        return Material(bending, stretch, stretch / (2 * (1 + poisson)), late * bending, late * stretch)
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> MujocoSimulation:
         if reason := self.skip(scene):

@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene, Sheet
+from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene, Sheet, Stated
 from clothbench.modelling import BoundEffects, GridSimulation, check_number, check_resolution, grid_shape
 from clothbench_models.peers import missing
 from clothbench_models.peers.external import ExternalSimulation, reason_to_skip, refuse_mass
@@ -63,6 +63,15 @@ PARAMETERS = {
     ),
 }
 
+# Newton's documentation says no more of its attributes than this, and nothing of what the solvers make of them.
+ATTRIBUTES = "Newton 1.8, Model.tri_materials and Model.edge_bending_properties"
+DOCUMENTED = (
+    Stated("bending", "edge_ke [N·m/rad]", lambda p: float(p[3]), ATTRIBUTES),
+    Stated("stretch", "4 tri_ke (tri_ka + tri_ke) / (tri_ka + 2 tri_ke) [Pa]",
+           lambda p: float(4 * p[0] * (p[1] + p[0]) / (p[1] + 2 * p[0])), ATTRIBUTES),
+    Stated("shear", "tri_ke [Pa]", lambda p: float(p[0]), ATTRIBUTES),
+)  # fmt: skip
+
 
 class Newton:
     """Newton's cloth; see the module for its physics.
@@ -78,6 +87,7 @@ class Newton:
     parameters = PARAMETERS["semi_implicit"]
     capabilities = frozenset({"dynamic", "static", "effects"})
     precision = "single"
+    documented = DOCUMENTED
     repeatability = 5e-6  # m: rounding alone carries a sheet up to a micrometre away
     built_on = ("newton",)
     bench_options: tuple[dict[str, str], ...] = ()  # `clothbench bench` measures the peers of that name
@@ -116,8 +126,28 @@ class Newton:
         shape = grid_shape(scene, self.resolution)
         sheet = GridSimulation(scene, shape, BoundEffects(space, ())).sheet
         hinge = material.bending / unit_bending(sheet, self.solver)
-        area = shear if self.solver == "semi_implicit" else 0.0
-        return np.array([shear, area, space["tri_kd"].bounds[0], hinge, space["edge_kd"].bounds[0]])
+        area, edge_kd = shear if self.solver == "semi_implicit" else 0.0, space["edge_kd"].bounds[0]
+        if material.bending_damping > 0:
+            edge_kd = material.bending_damping / material.bending * hinge / self._brake(sheet)
+        tri_kd = material.stretch_damping / (1.0 if self.solver == "semi_implicit" else 4.0)
+        return np.array([shear, area, max(space["tri_kd"].bounds[0], tri_kd), hinge, edge_kd])
+
+    def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
+        """Of a membrane free to narrow, 4μ(λ + μ)/(λ + 2μ) and μ; of the hinges, what this mesh makes of them."""
+        mu, area, tri_kd, hinge, edge_kd = (float(value) for value in theta[:5])
+        semi = self.solver == "semi_implicit"
+        lam = area - mu if semi else area
+        sheet = GridSimulation(scene, grid_shape(scene, self.resolution), BoundEffects(self.parameters, ())).sheet
+        bending = hinge * unit_bending(sheet, self.solver)
+        damping = edge_kd * self._brake(sheet) / hinge * bending
+        stretch = 4 * mu * (lam + mu) / (lam + 2 * mu)
+        return Material(bending, stretch, mu, damping, tri_kd if semi else 4 * tri_kd)
+
+    def _brake(self, sheet: Sheet) -> float:
+        """What makes of edge_kd over edge_ke the time by which a hinge's damping lags its stiffness: 2 A for
+        "semi_implicit", whose hinges have 4 A² l edge_kd and 2 A l edge_ke, of the mean triangle here.
+        """
+        return 2 * float(sheet.face_area.mean()) if self.solver == "semi_implicit" else 1.0
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> NewtonSimulation:
         if reason := self.skip(scene):

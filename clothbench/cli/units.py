@@ -1,0 +1,66 @@
+"""`clothbench units`: what a simulator's parameters are documented to be, beside what mechanics finds."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import json
+from collections.abc import Sequence
+from typing import Any
+
+from rich.markup import escape
+from rich.table import Table
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.optional import absent
+from clothbench.display.terminal import console
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.mechanics.units import measured
+
+
+def unit_rows(name: str, settings: Sequence[str] = ()) -> list[dict[str, Any]]:
+    """One row for each quantity, mesh and density of a model with options, "solver=vbd"."""
+    plugins = catalogue()
+    factory = plugins.load("models", name)
+    if reason := absent(factory):
+        raise ClothbenchError(f"model {name!r}: {reason}")
+    options = dict(_option(word) for word in settings)
+    rows = []
+    for one in measured(lambda: plugins.make("models", name, **options)):
+        row = dataclasses.asdict(one)
+        row["factor"] = one.found / one.documented if one.found and one.documented else None
+        row["translation"] = one.found / one.asked if one.found else None
+        rows.append({"model": name, **row})
+    return rows
+
+
+def _option(word: str) -> tuple[str, Any]:
+    name, sign, value = word.partition("=")
+    if not sign:
+        raise ClothbenchError(f"found {word!r}, expected OPTION=VALUE of the model")
+    try:
+        return name, json.loads(value)
+    except json.JSONDecodeError:
+        return name, value
+
+
+def print_units(name: str, rows: list[dict[str, Any]]) -> None:
+    """A line for each quantity and mesh, the densities side by side."""
+    densities = sorted({row["density"] for row in rows})
+    table = Table(title=f"{name}: measured over documented, and over what export asks for", title_justify="left")
+    for column in ("quantity", "documented", "nodes"):
+        table.add_column(column, overflow="fold")
+    for what, density in itertools.product(("documented", "asked"), densities):
+        table.add_column(f"÷ {what}\n{density:g} kg/m²", justify="right", no_wrap=True)
+    for (quantity, along), group in itertools.groupby(rows, key=lambda row: (row["quantity"], row["along"])):
+        mine = list(group)
+        cells = [_number(row[part]) for part in ("factor", "translation") for row in mine]
+        about = mine[0]["formula"] or mine[0]["reason"]
+        table.add_row(f"{quantity} [{mine[0]['unit']}]".replace("[", "\\["), escape(about), str(along), *cells)
+    console().print(table)
+    for source in dict.fromkeys(row["source"] for row in rows if row["source"]):
+        print(f"documented in: {source}")
+
+
+def _number(value: float | None) -> str:
+    return "–" if value is None else f"{value:.3g}"

@@ -1,0 +1,91 @@
+"""The twin: a calibrated cloth on its way into another simulator, and the file that comes of it."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from clothbench.core.protocols import Material
+from clothbench.core.scene import Scene
+
+UNITS = {
+    "areal_density": "kg/m²", "bending": "N·m", "stretch": "N/m", "shear": "N/m", "bending_damping": "N·m·s",
+    "stretch_damping": "N·s/m",
+}  # fmt: skip
+STIFFEST = 5000.0  # N/m, what stands for a cloth that does not stretch at all
+LIMPEST = 1e-8  # N·m, what stands for one that does not resist bending
+CLOSE = 0.02  # share by which a value may be off before a file says so
+
+
+@dataclass(frozen=True, eq=False)
+class Twin:
+    """A cloth, how it is held and begins, and how sure its numbers are.
+
+    name: one line for people; scene: size, mass, grips and their path, gravity; material: SI; spread: low and high of
+    the quantities of `UNITS` that have an interval, in those units, "what" says of which kind it is; others: what
+    belongs to the fit and is no material, as drag, by "plugin.parameter", with its unit; provenance: plain data.
+    """
+
+    name: str
+    scene: Scene
+    material: Material
+    spread: Mapping[str, tuple[float, float]]
+    what: str
+    others: Mapping[str, tuple[float, str]] = field(default_factory=dict)
+    provenance: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def units(self) -> dict[str, str]:
+        """The unit of each of `values`."""
+        return dict(UNITS)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The quantities of `UNITS`, each in its unit."""
+        return {"areal_density": self.scene.areal_density, **dataclasses.asdict(self.material)}
+
+    def about(self) -> list[str]:
+        """Lines for the head of a file: values with intervals, where they come from."""
+        lines = [f"clothbench export: {self.name}"]
+        for name, value in self.values.items():
+            low, high = self.spread.get(name, (math.nan, math.nan))
+            interval = f" ({low:.3g} … {high:.3g}, {self.what})" if math.isfinite(low) else " (no interval)"
+            lines.append(f"{name.replace('_', ' ')}: {value:.4g} {UNITS[name]}{interval if value else ''}")
+        return lines + [f"{name}: {value}" for name, value in self.provenance.items()]
+
+    def isotropic(self, target: str) -> tuple[Material, list[str]]:
+        """The nearest material with shear = stretch/2, finite stretch and some bending, which is all that an isotropic
+        sheet without cross contraction can be; and a line on each thing that this changes.
+        """
+        m, lines = self.material, []
+        stretch, bending = min(m.stretch, STIFFEST), max(m.bending, LIMPEST)
+        if stretch < m.stretch:
+            lines.append(f"stretch: {target} holds a finite one: {stretch:g} N/m stands for {m.stretch:g}")
+        if bending > m.bending:
+            lines.append(f"bending: {target} holds some: {bending:g} N·m stands for {m.bending:g}")
+        if math.isfinite(m.shear) and abs(m.shear / (stretch / 2) - 1) > CLOSE:
+            factor = stretch / 2 / m.shear
+            lines.append(
+                f"shear: {target} has no parameter of its own for it: {stretch / 2:.4g} N/m stands for {m.shear:.4g} "
+                f"(factor {factor:.3g})"
+            )
+        return dataclasses.replace(m, bending=bending, stretch=stretch, shear=stretch / 2), lines
+
+    def unheld(self, target: str) -> list[str]:
+        """A line on each part of the fit that is no material."""
+        return [
+            f"{name}: {target} has no place for it; {value:.4g}{unit and ' ' + unit} is left out"
+            for name, (value, unit) in self.others.items()
+            if value
+        ]
+
+
+@dataclass(frozen=True)
+class Export:
+    """The text of a file, and one line on each thing that the target cannot hold, with the change that this brings."""
+
+    text: str
+    cannot: tuple[str, ...]

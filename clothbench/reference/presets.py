@@ -1,0 +1,72 @@
+"""What measured fabrics are like, class by class: each number with its spread, its unit and where it comes from.
+
+Derived by `tools/make_presets.py` from public data, of which only these summaries are here. Quantities: areal_density
+[kg/m²], bending_warp, bending_weft [N·m], stretch, shear [N/m]; where a drapemeter was at hand drape_coefficient [%]
+and folds [1].
+"""
+
+from __future__ import annotations
+
+import functools
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from types import MappingProxyType
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.protocols import Material
+
+
+@dataclass(frozen=True)
+class Range:
+    """A middle value with the range in which the class lies; source says how the range was made."""
+
+    value: float
+    low: float
+    high: float
+    unit: str
+    source: str
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A class of fabrics. numbers: by quantity; those of the mechanics are always there."""
+
+    name: str
+    about: str
+    numbers: Mapping[str, Range]
+
+    @property
+    def bending(self) -> Range:
+        """Of a sheet that bends alike along both threads: geometric mean of warp and weft, and the range of both."""
+        warp, weft = self.numbers["bending_warp"], self.numbers["bending_weft"]
+        low, high = min(warp.low, weft.low), max(warp.high, weft.high)
+        return Range(math.sqrt(warp.value * weft.value), low, high, warp.unit, warp.source)
+
+    @property
+    def material(self) -> Material:
+        """The middle of the class."""
+        return Material(self.bending.value, self.numbers["stretch"].value, self.numbers["shear"].value)
+
+
+@functools.cache
+def presets() -> Mapping[str, Preset]:
+    """All classes by name."""
+    told = json.loads((files(__package__) / "presets.json").read_text(encoding="utf-8"))
+    return MappingProxyType(
+        {
+            name: Preset(name, one["about"], {q: Range(**number) for q, number in one["numbers"].items()})
+            for name, one in told.items()
+        }
+    )
+
+
+def preset(name: str) -> Preset:
+    """The class of that name; else an error that says which there are."""
+    if name not in presets():
+        raise ClothbenchError(
+            f"no preset {name!r}: there is no measured fabric of that class at hand; there are: {', '.join(presets())}"
+        )
+    return presets()[name]

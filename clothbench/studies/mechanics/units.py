@@ -1,0 +1,196 @@
+"""What a model's parameters are worth, measured by mechanics: bending by a cantilever, stretch by a hanging strip,
+shear by a strip that hangs in its own plane between two held sides, inertia by a free fall; on two meshes, at two
+densities.
+
+A unit that its documentation states wrongly shows as a factor, and as one that changes with mesh or density.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from clothbench import ClothbenchError, Material, Parameter, ParameterSpace, Scene, Stated
+from clothbench.core.optional import DocumentsUnits, KnowsMaterials, SaysMaterials, why_skipped
+from clothbench.reference import mechanics as references
+from clothbench.studies.mechanics import measures, scenes
+
+MESHES, DENSITIES = (9, 17), (0.1, 0.3)  # nodes along the strip; kg/m²
+LOAD = 10.0  # Γ of the cantilever
+HANGING, SLIDING, FALLING = 0.3, 0.2, 0.3  # m, length of a hanging strip and width of a sliding one; s of fall
+STRAIN = 0.005  # of the hanging strip at its upper edge, and of the sliding one at its sides
+LIMP = 1e-4  # N·m, of strips that are stretched: so stiff that they stay flat
+
+
+@dataclass(frozen=True)
+class Measured:
+    """One quantity of one parameter set: asked, what the translation was asked for; documented, what documentation
+    makes of the parameters; found, by mechanics (None where it could not be measured, with the reason); in `unit`.
+    """
+
+    quantity: str
+    unit: str
+    formula: str
+    source: str
+    along: int
+    density: float
+    asked: float
+    documented: float | None
+    found: float | None
+    reason: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class Probe:
+    """A scene, the cloth in it, and how a quantity is read off the sheet at its end."""
+
+    quantity: str
+    unit: str
+    scene: Scene
+    material: Material
+    found: Callable[[np.ndarray], float]
+
+    @property
+    def asked(self) -> float:
+        return 1.0 if self.quantity == "inertia" else float(getattr(self.material, self.quantity))
+
+
+def bending(along: int, density: float) -> Probe:
+    """A cantilever whose Γ is 10: its H/W says which Γ it really has (heavy elastica, Bickley 1934)."""
+    rigidity = 1e-4 * density / scenes.DENSITY
+    length = scenes.tip_length(1e-4, LOAD)
+    scene = dataclasses.replace(scenes.clamped(length, along, LOAD), areal_density=density)
+
+    def found(x: np.ndarray) -> float:
+        from scipy.optimize import brentq
+
+        drop = measures.sag_over_reach(scene, x)
+        load = math.exp(brentq(lambda g: references.drop_over_reach(math.exp(g)) - drop, -5.0, 7.0, xtol=1e-6))
+        return density * references.G * length**3 / load
+
+    return Probe("bending", "N·m", scene, Material(rigidity, 1000.0, 500.0), found)
+
+
+def stretch(along: int, density: float) -> Probe:
+    """A strip that hangs from its upper edge gets longer by ρgL²/2K."""
+    weight = density * references.G
+    stiffness = weight * HANGING / STRAIN
+    across = scenes.nodes_across(along)
+    held = np.stack([np.linspace(0, HANGING / 4, across), np.zeros(across)], axis=1)
+    points = scenes._nodes(HANGING / 4, HANGING, across, along)
+    scene = _still(HANGING / 4, HANGING, (across, along), held, points, density)
+
+    def found(x: np.ndarray) -> float:
+        end = np.isclose(points[:, 1], HANGING)
+        return weight * HANGING**2 / 2 / (-x[-1, end, 2].mean() - HANGING)
+
+    return Probe("stretch", "N/m", scene, Material(LIMP, stiffness, stiffness / 2), found)
+
+
+def shear(along: int, density: float) -> Probe:
+    """A sheet held along its two upright sides, four times as high as wide, sags by ρgW²/8G half-way up."""
+    weight = density * references.G
+    modulus = weight * SLIDING / 2 / STRAIN
+    across, height = scenes.nodes_across(along), 4 * SLIDING
+    sides = scenes._nodes(SLIDING, height, 2, along)
+    points = scenes._nodes(SLIDING, height, across, along)
+    scene = _still(SLIDING, height, (across, along), sides, points, density)
+
+    def found(x: np.ndarray) -> float:
+        middle = np.isclose(points[:, 0], SLIDING / 2) & np.isclose(points[:, 1], height / 2)
+        return weight * SLIDING**2 / 8 / float((-x[-1, middle, 2] - points[middle, 1]).mean())
+
+    return Probe("shear", "N/m", scene, Material(LIMP, 2 * modulus, modulus), found)
+
+
+def inertia(along: int, density: float) -> Probe:
+    """What falls freely falls by gt²/2 whatever its mass: the ratio of the two, with viscosity on."""
+    scene = dataclasses.replace(scenes.level(0.2, along, np.array([0.0, FALLING])), areal_density=density)
+    cloth = Material(1e-5, 300.0, 150.0, 1e-7, 0.03)
+    return Probe("inertia", "1", scene, cloth, lambda x: measures.drop(scene, x) / references.fall(FALLING))
+
+
+PROBES = (bending, stretch, shear, inertia)
+
+
+def _still(width: float, height: float, shape, held: np.ndarray, points: np.ndarray, density: float) -> Scene:
+    """A sheet that hangs flat in the plane y = 0, to be looked at when it is at rest."""
+    at = np.stack([held[:, 0], 0 * held[:, 0], -held[:, 1]], axis=1)
+    start = np.stack([points[:, 0], 0 * points[:, 0], -points[:, 1]], axis=1)
+    return Scene(
+        width=width, height=height, areal_density=density, grip_time=np.array([0.0, 0.1]), grip_material=held,
+        grip_position=np.stack([at, at]), times=np.array([0.0, 0.1]), points=points, resolution=shape, start=start,
+    )  # fmt: skip
+
+
+def measured(
+    make: Callable[[], Any], meshes: Sequence[int] = MESHES, densities: Sequence[float] = DENSITIES
+) -> list[Measured]:
+    """Every quantity of a model that says how it is told a material, mesh by mesh, density by density."""
+    model = make()
+    if not isinstance(model, KnowsMaterials):
+        raise ClothbenchError(
+            f"model {model.name!r} does not say which of its parameters make a material (of_material)"
+        )
+    return [
+        _measured(make(), probe(along, density), along, density)
+        for probe in PROBES
+        for along in meshes
+        for density in densities
+    ]
+
+
+def _measured(model: Any, probe: Probe, along: int, density: float) -> Measured:
+    blank = Measured(probe.quantity, probe.unit, "", "", along, density, probe.asked, None, None)
+    if reason := why_skipped(model, probe.scene):
+        return dataclasses.replace(blank, reason=reason)
+    if probe.quantity == "inertia" and "dynamic" not in model.capabilities:
+        return dataclasses.replace(blank, reason="the model finds rest only")
+    cloth = probe.material
+    try:
+        theta = model.of_material(cloth, probe.scene)
+    except ClothbenchError as fault:
+        if probe.quantity == "bending":
+            return dataclasses.replace(blank, reason=str(fault))
+        try:
+            theta = model.of_material(dataclasses.replace(cloth, bending=0.0, bending_damping=0.0), probe.scene)
+        except ClothbenchError:
+            return dataclasses.replace(blank, reason=str(fault))
+    stated = _stated(model, probe, theta)
+    blank = dataclasses.replace(blank, formula=stated.formula, source=stated.source, documented=stated.worth(theta))
+    rollout = model.prepare(probe.scene).run(theta[None])
+    if rollout.status[0] != "ok":
+        return dataclasses.replace(blank, reason=rollout.reasons[0] if rollout.reasons else rollout.status[0])
+    try:
+        return dataclasses.replace(blank, found=probe.found(rollout.position[0]))
+    except (ClothbenchError, ValueError) as fault:
+        return dataclasses.replace(blank, reason=str(fault).splitlines()[0])
+
+
+def _stated(model: Any, probe: Probe, theta: np.ndarray) -> Stated:
+    """What documentation says of a quantity; where there is none, what the model itself says."""
+    if probe.quantity == "inertia":
+        return Stated("inertia", "mass: areal density × area of each node", lambda theta: 1.0, "mechanics")
+    for stated in model.documented if isinstance(model, DocumentsUnits) else ():
+        if stated.quantity == probe.quantity:
+            return stated
+    if not isinstance(model, SaysMaterials):
+        return Stated(probe.quantity, "not said", lambda theta: math.nan, "")
+
+    def worth(values: np.ndarray) -> float:
+        return float(getattr(model.material_of(values, probe.scene), probe.quantity))
+
+    moved: list[Parameter] = []
+    space: ParameterSpace = model.parameters  # type: ignore[attr-defined]  # every model has them
+    for k, p in enumerate(space):
+        other = theta.copy()
+        other[k] = 1.01 * theta[k] or 1e-9
+        if worth(other) != worth(theta):
+            moved.append(p)
+    formula = ", ".join(f"{p.name} [{p.unit}]" for p in moved) or "none"
+    return Stated(probe.quantity, formula, worth, "; ".join(dict.fromkeys(p.source for p in moved)))

@@ -1,0 +1,1 @@
+"""Twins: what was calibrated, made ready to leave for another simulator."""

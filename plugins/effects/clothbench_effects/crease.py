@@ -1,0 +1,68 @@
+"""`crease`: cloth that was bent sharply stays bent, as at a fold that was pressed.
+
+An elastic element that yields, beside the model's own bending, which does not: below the yield curvature it is one more
+rigidity and loses nothing; above, its moment stays what it was at yield, and what is bent beyond that is not undone.
+Left to itself a strip bent to κ_m and let go keeps R (κ_m − κ_y)/(R + D) of it, with D the model's own rigidity.
+"""
+
+from clothbench import Parameter, ParameterSpace, effect_kernel
+from clothbench.modelling import kernel
+from clothbench_effects.deformation import add_couples, bent
+
+
+@kernel
+def give_way(couple, set_, now, rigidity, limit):
+    """Couples (S,) R (κ − κ_p) at curvatures `now`; what is bent beyond ± limit goes into κ_p, in `set_`, for good."""
+    for e in range(now.shape[0]):
+        elastic = now[e] - set_[e]
+        if elastic > limit:
+            elastic = limit
+        elif elastic < -limit:
+            elastic = -limit
+        set_[e] = now[e] - elastic
+        couple[e] = rigidity * elastic
+
+
+@effect_kernel
+def keep(t, dt, x, v, f, sheet, p, state):
+    """Couples per width M = R (κ − κ_p), |κ − κ_p| ≤ κ_y, for κ_uu, κ_vv and κ_uv of each triangle by itself.
+
+    state: κ_p [1/m], three for each triangle; 0, as woven, when a run begins. Nothing depends on the step or the rate.
+    """
+    if p[0] == 0.0:
+        return
+    shape, slots = bent(x, sheet), sheet.slots.shape[1]
+    kept = state.reshape((3, slots))
+    couple = kept.copy()
+    for c in range(3):
+        give_way(couple[c], kept[c], shape.curvature[c], p[0], p[1])
+    add_couples(f, sheet, shape, couple)
+
+
+SOURCE = "Prandtl 1928, an elastic element that slips (elastic, ideally plastic), in bending"
+
+
+class Crease:
+    name = "crease"
+    version = 1
+    place = "dynamics"
+    normals = False
+    summary = "bending that yields, so that folds stay"
+    force = staticmethod(keep)
+    parameters = ParameterSpace(
+        (
+            Parameter(
+                "rigidity", "R", "N·m", (0.0, 1e-3), "linear", 1e-5, "bending rigidity that yields, beside the model's",
+                SOURCE, null=0.0,
+            ),
+            Parameter(
+                "curvature", "κ_y", "1/m", (1.0, 1000.0), "log", 50.0, "curvature at which it yields", SOURCE,
+            ),
+        )
+    )  # fmt: skip
+
+    def state_size(self, sheet):
+        return 3 * sheet.slots.shape[1]
+
+    def stiffness(self, phi):
+        return 0.0, phi[0]

@@ -1,0 +1,102 @@
+"""`mujoco`: MJCF that MuJoCo loads as it is, with the sheet as a two-dimensional flex.
+
+Every node is a body that slides along x, y and z, with the mass of the cloth that it stands for; grips are mocap
+bodies, to be moved through `data.mocap_pos`, to which held nodes are connected (a flex takes no mocap body itself).
+The numbers of the elastic shell are those of the model `mujoco`, which `clothbench units mujoco` holds against
+mechanics. Keyframe 0 is the shape from which the sheet settles.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from clothbench import Export, Twin, catalogue
+from clothbench_exporters.mesh import grip_nodes, sheet_of_twin
+
+suffix = ".xml"
+STEP = 1e-3  # s; longer ones cost a swing more energy than air does
+FILE = """<!--
+{head}
+Grips are the mocap bodies grip_0 …: set data.mocap_pos. Begin with mj_resetDataKeyframe(model, data, 0).
+-->
+<mujoco model="cloth">
+  <option timestep="{step}" integrator="discrete" solver="Newton" gravity="{gravity}">
+    <flag contact="disable" eulerdamp="disable"/>
+  </option>
+  <worldbody>
+{bodies}
+  </worldbody>
+  <deformable>
+    <flex name="cloth" dim="2" radius="5e-4" body="{names}" element="{triangles}">
+      <elasticity young="{young!r}" poisson="{poisson!r}" thickness="{thickness!r}" damping="{damping!r}"
+                  elastic2d="both"/>
+      <contact contype="0" conaffinity="0" selfcollide="none"/>
+    </flex>
+  </deformable>
+  <equality>
+{connections}
+  </equality>
+  <keyframe>
+    <key name="start" qpos="{qpos}" mpos="{mpos}"/>
+  </keyframe>
+</mujoco>
+"""
+FREE = """    <body name="node_{i}" pos="{at}">
+      <inertial pos="0 0 0" mass="{mass!r}" diaginertia="{inertia}"/>{slides}
+    </body>"""
+CONNECTED = (
+    """    <connect body1="grip_{g}" body2="node_{i}" anchor="0 0 0" solref="{late} 1" solimp="0.99 0.999 1e-3"/>"""
+)
+HELD = """    <body name="grip_{g}" pos="{at}" mocap="true"/>"""
+SLIDES = "".join(f'<joint type="slide" axis="{axis}"/>' for axis in ("1 0 0", "0 1 0", "0 0 1"))
+
+
+def skip_reason() -> str | None:
+    return None
+
+
+def export(twin: Twin) -> Export:
+    """The file, and what an isotropic shell has no parameter for."""
+    material, lines = twin.isotropic("MuJoCo")
+    sheet, start = sheet_of_twin(twin)
+    theta = catalogue().make("models", "mujoco").of_material(material, twin.scene)
+    lines += _damping(material, float(theta[3])) + twin.unheld("MuJoCo")
+    rest = np.hstack([sheet.uv, np.zeros((len(sheet.uv), 1))])
+    held = grip_nodes(twin, sheet).tolist()
+    bodies = [HELD.format(g=g, at=_words(rest[node])) for g, node in enumerate(held)]
+    bodies += [
+        FREE.format(i=i, at=_words(rest[i]), mass=float(sheet.mass[i]), inertia=_words(np.full(3, _inertia(sheet, i))),
+                    slides=SLIDES)
+        for i in range(len(rest))
+    ]  # fmt: skip
+    ties = [CONNECTED.format(g=g, i=node, late=2 * STEP) for g, node in enumerate(held)]
+    text = FILE.format(
+        head="\n".join(line.replace("--", "—") for line in (*twin.about(), *lines)), step=STEP,
+        gravity=_words(np.array(twin.scene.gravity)), bodies="\n".join(bodies), connections="\n".join(ties),
+        names=" ".join(f"node_{i}" for i in range(len(rest))),
+        triangles=_words(sheet.triangles), young=float(theta[0]), poisson=float(theta[1]), thickness=float(theta[2]),
+        damping=float(theta[3]), qpos=_words(start - rest), mpos=_words(start[held]),
+    )  # fmt: skip
+    return Export(text, tuple(lines))
+
+
+def _damping(material, late: float) -> list[str]:
+    """A line on what one damping for all makes of the material's two."""
+    stated = {
+        "bending": material.bending_damping / material.bending,
+        "stretch": material.stretch_damping / material.stretch,
+    }
+    return [
+        f"{name} damping: MuJoCo has one β for all: {late:.3g} s stands for {own:.3g} s (factor {late / own:.3g})"
+        for name, own in stated.items()
+        if own > 0 and abs(late / own - 1) > 0.02
+    ]
+
+
+def _inertia(sheet, i: int) -> float:
+    """Of a node's body, which never turns: MuJoCo wants one above 0."""
+    return float(sheet.mass[i]) * 1e-6
+
+
+def _words(numbers: np.ndarray) -> str:
+    return " ".join(map(repr, np.asarray(numbers).ravel().tolist()))

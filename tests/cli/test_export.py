@@ -1,0 +1,58 @@
+"""`clothbench export`: from a fit to a file; whatever is wrong is one line, and nothing is half-written."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+from conftest import swinging_recording
+
+from clothbench import write_recording
+
+CELL = ("model=baraff_witkin", "optimizer=ga", "metric=node_error", "+options.baraff_witkin.resolution=5", "budget=8")
+
+
+@pytest.fixture
+def fitted(clothbench, tmp_path):
+    """A folder with the results of one cell."""
+    write_recording(swinging_recording(), tmp_path / "swing.nc")
+    done = clothbench("run", *CELL, "effects=[added_mass]", "recording=swing.nc", "rerun=false")
+    assert done.returncode == 0, done.stderr
+    return tmp_path
+
+
+def test_a_fit_leaves_with_units_intervals_and_provenance(clothbench, fitted):
+    done = clothbench("export", "paper", "--to", "json")
+    assert (done.returncode, done.stderr) == (0, "")
+    document = json.loads((fitted / "paper.json").read_text())
+    assert document["material"]["stretch"]["unit"] == "N/m"
+    low, high = (document["material"]["stretch"][end] for end in ("low", "high"))
+    assert low <= document["material"]["stretch"]["value"] <= high
+    assert document["provenance"]["recordings"] == {"swing": swinging_recording().hash}
+    assert document["provenance"]["model"].startswith("baraff_witkin (clothbench")
+    assert document["others"]["added_mass.areal_density"]["unit"] == "kg/m²"
+
+    done = clothbench("export", "paper", "--to", "mujoco", "--out", "deep/cloth.xml")
+    assert done.returncode == 0, done.stderr
+    assert (fitted / "deep" / "cloth.xml").read_text().startswith("<!--\nclothbench export: paper")
+    assert "not held: shear: MuJoCo has no parameter of its own" in done.stderr
+    assert "altogether this moves baraff_witkin's own sheet by" in done.stderr
+
+    for arguments, found in (
+        (("nothing", "--to", "json"), "no cell whose key begins with 'nothing'"),
+        (("paper", "--to", "bullet"), "no exporter named 'bullet'"),
+        (("paper", "--to", "json", "--out", "deep"), "is a folder"),
+        (("paper", "--to", "json", "--out", "swing.nc/cloth.json"), "swing.nc"),
+        (("paper", "--to", "json", "--runs", "nowhere"), "nowhere"),
+    ):
+        before = sorted(p.name for p in fitted.rglob("*"))
+        done = clothbench("export", *arguments)
+        assert done.returncode == 2, done.stderr
+        assert len(done.stderr.strip().splitlines()) == 1, done.stderr
+        assert found in done.stderr
+        assert sorted(p.name for p in fitted.rglob("*")) == before
+
+    (fitted / "swing.nc").unlink()
+    done = clothbench("export", "paper", "--to", "json")
+    assert done.returncode == 2
+    assert "swing.nc: the recording of cell" in done.stderr
