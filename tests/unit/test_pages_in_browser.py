@@ -215,6 +215,23 @@ def test_the_page_of_improve_has_no_fault(page, tmp_path):
     assert shown.faults() == []
 
 
+def test_candidates_can_be_read_on_a_phone(page, tmp_path):
+    """Nothing of a candidate lies beyond the window's edge, and its numbers say what they are."""
+    path = tmp_path / "index.html"
+    path.write_text(page_html(verdict("attributed", {**EFFECT, "family": "clock"}), rows()), encoding="utf-8")
+    shown = page(path, width=390)
+    shown.wait(DRAWN)
+    script = """const cells = [...document.querySelectorAll(".candidates tbody td")];
+        const rest = (cell) => getComputedStyle(cell, "::before").content.replaceAll('"', "").trim();
+        return [Math.max(...cells.map((cell) => cell.getBoundingClientRect().right)),
+            document.querySelector(".candidates .scroll").scrollWidth, document.documentElement.scrollWidth,
+            cells.slice(0, 7).map(rest)];"""
+    right, inside, whole, words = shown.run(script)
+    assert max(right, inside, whole) <= 390
+    assert words == ["none", "none", "none", "p", "gain", "best in", "none"]
+    assert shown.faults() == []
+
+
 @pytest.mark.parametrize("which", ["swings", "filmed"])
 def test_values_lie_in_their_intervals(page, which, request):
     """As the page shows them: every value of every table with an interval beside it, and every dot on its bar."""
