@@ -9,8 +9,9 @@ import pytest
 from test_page import checked
 
 from clothbench.core.optional import EFFECT_FAMILIES
+from clothbench.display.names import duration
 from clothbench.studies.improve.drawings import DRAWINGS, drawing
-from clothbench.studies.improve.page import duration, page_html
+from clothbench.studies.improve.page import page_html
 from clothbench.studies.improve.schema import IMPROVE_TABLES
 from clothbench.studies.improve.words import chance, p_is, remains, sentence, sham
 

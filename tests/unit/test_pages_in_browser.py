@@ -23,6 +23,7 @@ from clothbench.engine.run import run_cell
 from clothbench.engine.suite import where
 from clothbench.recordings.kinds import read_sheet
 from clothbench.report.page import write_page
+from clothbench.report.watch import BESIDE, watching
 from clothbench.studies.calibration.cell import CalibrationCell
 from clothbench.studies.improve.page import page_html
 from clothbench.vision.render import striped
@@ -213,6 +214,22 @@ def test_the_page_of_improve_has_no_fault(page, tmp_path):
     assert shown.run(HEADINGS) == []
     assert shown.run(ANCHORS) == []
     assert shown.faults() == []
+
+
+def test_a_watched_page_loads_itself_anew_and_at_last_without_that(page, tmp_path):
+    def changed(state: str) -> None:
+        write_page(tmp_path, [watching(state)])
+        (tmp_path / BESIDE).write_text(f'self.clothbenchState = "{state}";')
+
+    changed("first")
+    shown = page(tmp_path / "report.html")
+    shown.wait('document.querySelector("[data-watched=first]")')
+    changed("second")
+    shown.wait('document.querySelector("[data-watched=second]")')
+    assert shown.faults() == []
+    write_page(tmp_path)
+    (tmp_path / BESIDE).unlink()
+    shown.wait('!document.querySelector("[data-watched]")')
 
 
 def test_candidates_can_be_read_on_a_phone(page, tmp_path):

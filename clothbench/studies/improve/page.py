@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clothbench.display.html import below, group, interval, table, text, unit
+from clothbench.display.names import duration
 from clothbench.display.page import whole_page
 from clothbench.display.section import Section
 from clothbench.engine.store import system_info
@@ -365,9 +366,3 @@ def legend(found: Mapping[str, Any]) -> list[list[str]]:
 
 def format_number(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}"
-
-
-def duration(seconds: float) -> str:
-    """ "42 s", "3 min 5 s"."""
-    whole = round(seconds)
-    return f"{whole} s" if whole < 60 else f"{whole // 60} min {whole % 60} s"

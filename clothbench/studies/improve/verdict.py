@@ -53,8 +53,8 @@ def concluded(
     elif word == "complete" and unseen > state.problem.evidence.search.generalisation * state.floor:
         word, rms = "unexplained", unseen
         remark = (
-            f"{AT_LIMIT}, but the error on held-out recordings is {unseen / state.floor:.1f} times that: what is "
-            "missing shows in their motions; let some of them be fitted too"
+            f"{AT_LIMIT}, but the error on held-out recordings stands at {unseen / state.floor:.1f} times that: "
+            "what is missing shows in their motions; let some of them be fitted too"
         )
     if timed_out:
         remark = "; ".join(filter(None, (remark, "time ran out before another round")))
