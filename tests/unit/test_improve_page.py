@@ -190,7 +190,7 @@ def test_the_placebo_is_told_in_words(after, said):
 def test_a_p_value_is_no_smaller_than_the_test_can_tell():
     assert (chance(0.005), chance(0.01), chance(0.001, 999)) == ("≤ 1/200", "0.01", "≤ 1/1000")
     assert (p_is(0.005), p_is(0.03)) == ("p ≤ 1/200", "p = 0.03")
-    assert "p ≤ 1/200; best in 3/3" in page_html(verdict("attributed", EFFECT), rows())
+    assert "p ≤ 1/200; best in 3/3 leave-one-out rounds" in page_html(verdict("attributed", EFFECT), rows())
 
 
 def test_every_family_of_effects_has_a_picture_and_no_other():

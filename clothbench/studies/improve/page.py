@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
+
+from markupsafe import Markup
 
 from clothbench.display.html import below, group, interval, table, text, unit
 from clothbench.display.names import duration
 from clothbench.display.page import whole_page
 from clothbench.display.section import Section
+from clothbench.display.templates import rendered
 from clothbench.engine.store import system_info
 from clothbench.engine.study import Results
 from clothbench.studies.improve import figures as draw
@@ -22,6 +26,7 @@ from clothbench.studies.improve.words import beyond, chance, errors_of, limits, 
 
 Rows = Sequence[dict[str, Any]]
 Tables = Mapping[str, Rows]
+HERE = Path(__file__).parent
 SURE = {"complete": "ok", "attributed": "ok"}
 OVER = {"mm": "visible node coordinates", "N": "steps of stretch", "sd": "sides and quantities"}
 LEGEND = '<div class="menu top"><div id="legend"></div></div>'
@@ -32,7 +37,6 @@ CANDIDATES = f"""<p class="soft">Share: how much of what the calibrated model le
 first order. p: how often chance does as well with the best of all candidates; {LOOP.permutations} draws can tell no p
 below 1/{1 + LOOP.permutations}. Those that beat chance were fitted in earnest; the gain is by how much the mean square
 fell. Best in: of as many rounds with one recording left out.</p>"""
-SKETCH = "Dashed: without it; solid: with it; arrows: what acts."
 OWN = (
     "Amounts in a recording are its own: one that holds for all would not do. Those of a recording held out are fitted "
     "to it, while everything that is shared stays as the others have it; the interval is from parts of its time."
@@ -54,9 +58,9 @@ def page_html(found: Mapping[str, Any], tables: Tables) -> str:
         heading(found),
         verdict_box(found),
         tiles(found),
+        effect_section(found),
         LEGEND,
         error_section(found, tables["errors"], blocks),
-        effect_section(found),
         description_section(found.get("description")),
         balance_section(found.get("balance"), tables["kernel"], blocks),
         candidate_section(tables["candidates"]),
@@ -183,19 +187,14 @@ def effect_section(found: Mapping[str, Any], level: str = "h2") -> str:
 
 
 def effect_card(effect: Mapping[str, Any]) -> str:
-    tied = f" <small>tied with {text(', '.join(effect['tied_with']))}</small>" if effect["tied_with"] else ""
-    picture = drawing(effect.get("family", ""), text(effect["summary"]))
-    body = [amount_row(name, p) for name, p in effect["parameters"].items()]
+    amounts = [amount_row(name, p) for name, p in effect["parameters"].items()]
     for one in effect.get("by_recording") or ():
         held = ", held out" if one["split"] == "held_out" else ""
         where = f" <small>in {text(one['recording'])}{held}</small>"
-        body += [amount_row(name, p, where) for name, p in one["parameters"].items()]
-    shown = table(["amount", "value", "95 % interval", "unit"], body, numeric={1, 2})
-    return (
-        f'<div class="lacking">{picture}<div><p><b>{text(effect["name"])}</b> ({text(effect["place"])}){tied}: '
-        f'{text(effect["summary"])}. <span class="soft">{SKETCH if picture else ""} {p_is(effect["p_value"])}; best in '
-        f"{text(effect['selected_in'])} leave-one-out rounds.</span></p>{shown}</div></div>"
-    )
+        amounts += [amount_row(name, p, where) for name, p in one["parameters"].items()]
+    picture = Markup(drawing(effect.get("family", ""), text(effect["summary"])))
+    sure = p_is(effect["p_value"])
+    return rendered(HERE, "effect.html", effect=effect, picture=picture, sure=sure, amounts=amounts)
 
 
 def amount_row(name: str, p: Mapping[str, Any], where: str = "") -> list[str]:
