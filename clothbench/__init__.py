@@ -59,6 +59,7 @@ _HOME = {
     "FoldsStrips": "core.optional",
     "HasBenchOptions": "core.optional",
     "HasEqualErrorOptions": "core.optional",
+    "HasFamily": "core.optional",
     "HasInterval": "core.optional",
     "HasKind": "core.optional",
     "HasObjectives": "core.optional",

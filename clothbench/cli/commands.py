@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import json
 import os
+import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -150,6 +152,7 @@ def _bench(sub: argparse.ArgumentParser) -> None:
 
 def _report(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("settings", nargs="*", metavar="KEY=VALUE", help="out=FOLDER with the results (default: runs)")
+    sub.add_argument("--watch", action="store_true", help="follow a run: the page refreshes itself while cells finish")
 
 
 def _view(sub: argparse.ArgumentParser) -> None:
@@ -331,8 +334,27 @@ def report(options: argparse.Namespace) -> int:
     from clothbench.report.page import write_page
 
     folder = Path(key_values(options.settings, ("out",)).get("out", DEFAULT_OUT))
+    if options.watch:
+        return watched(folder)
     results_in(folder)
     print(f"page: {write_page(folder)}")
+    return 0
+
+
+def watched(folder: Path) -> int:
+    """The page of a folder, in which a run may have yet to begin, followed until Ctrl+C."""
+    from clothbench.report.watch import watch
+
+    folder.mkdir(parents=True, exist_ok=True)
+    print(f"page: {folder / 'report.html'}   (open it once: it follows by itself; Ctrl+C ends that)", flush=True)
+
+    def told(page: Path, cells: int) -> None:
+        print(f"{page}: {cells} cells", file=sys.stderr, flush=True)
+
+    for asked in (signal.SIGINT, signal.SIGTERM):  # a shell's background job would not hear the first by itself
+        signal.signal(asked, signal.default_int_handler)
+    with contextlib.suppress(KeyboardInterrupt):
+        watch(folder, told)
     return 0
 
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import shutil
 import sys
 import tempfile
 import uuid
 from collections.abc import Sequence
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -16,21 +18,24 @@ import hydra
 from hydra import compose, initialize_config_module
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.hydra_config import HydraConfig
+from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.plugins import Plugins
 from hydra.errors import HydraException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
+from hydra.types import RunMode
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from clothbench.cli.results import print_results
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.pool import failed, run_cells
-from clothbench.engine.progress import CellBar, counting
+from clothbench.engine.progress import CellBar, Sweep, counting
 from clothbench.engine.settings import KNOWN, last_word
 from clothbench.engine.store import Store
 from clothbench.engine.suite import plan, suites_folder
 from clothbench.plugins.discovery import catalogue, config_groups
 
+JOBS = "CLOTHBENCH_RUN_JOBS"  # how many jobs a sweep has, for the jobs to say
 NOTES = "CLOTHBENCH_RUN_NOTES"  # folder in which the jobs of one command leave word for it, whatever launched them
 MAIN_SUITE = "static_dynamic"  # what a sweep is over if it names no recordings
 RECORDINGS = ("suite=", "recording=", "recordings=")  # how a command line names some
@@ -61,6 +66,8 @@ def run(arguments: Sequence[str]) -> int:
     notes = Path(tempfile.mkdtemp(prefix="clothbench-"))
     os.environ.update({NOTES: str(notes), "HYDRA_FULL_ERROR": "1"})
     os.environ.setdefault("CLOTHBENCH_SWEEP_DIR", str(notes / "sweep"))
+    os.environ[JOBS] = str(jobs_of(arguments) if sweep else 0)
+    sweep_so_far.cache_clear()
     sys.argv = ["clothbench run", *arguments]
     try:
         hydra.main(version_base="1.3", config_path="pkg://clothbench.conf", config_name="run")(job)()
@@ -69,6 +76,33 @@ def run(arguments: Sequence[str]) -> int:
         raise ClothbenchError(_one_line(fault)) from fault
     finally:
         shutil.rmtree(notes, ignore_errors=True)
+
+
+def jobs_of(words: Sequence[str]) -> int:
+    """How many jobs Hydra's own sweeper makes of the words of a sweep; 0 where another one decides."""
+    if any(word.startswith(("hydra/sweeper=", "hydra.sweeper")) for word in words):
+        return 0
+    try:
+        given = OverridesParser.create().parse_overrides([word for word in words if not word.startswith("-")])
+    except HydraException:  # said by Hydra itself, when it reads them
+        return 0
+    return math.prod(len(list(one.sweep_string_iterator())) for one in given if one.is_sweep_override())
+
+
+@cache
+def sweep_so_far() -> Sweep:
+    """The sweep that the jobs of this process belong to."""
+    return Sweep(int(os.environ[JOBS]))
+
+
+def sweep_now() -> Sweep | None:
+    """The sweep, with the job that begins now; None where there is none."""
+    asked = HydraConfig.get()
+    if asked.mode != RunMode.MULTIRUN:
+        return None
+    sweep = sweep_so_far()
+    sweep.passed = asked.job.num + 1
+    return sweep
 
 
 def composed(words: Sequence[str]) -> dict[str, Any]:
@@ -87,7 +121,7 @@ def job(config: Any) -> None:
     """One Hydra job. Leaves a note of its cells; a user's error is noted too, so that any launcher can carry it."""
     try:
         settings = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
-        note = _run(last_word(settings, HydraConfig.get().overrides.task))  # type: ignore[arg-type]
+        note = _run(last_word(settings, HydraConfig.get().overrides.task), sweep_now())  # type: ignore[arg-type]
     except ClothbenchError as fault:
         note = {"error": str(fault)}
     folder = Path(os.environ[NOTES])
@@ -95,7 +129,7 @@ def job(config: Any) -> None:
     (folder / f"{uuid.uuid4().hex}.json").write_text(json.dumps(note))
 
 
-def _run(config: Any) -> dict[str, Any]:
+def _run(config: Any, sweep: Sweep | None) -> dict[str, Any]:
     with counting("files") as told:
         cells = plan(config, catalogue(), told)
     out = Path(config["out"])
@@ -103,7 +137,7 @@ def _run(config: Any) -> dict[str, Any]:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as fault:
         raise ClothbenchError(f"setting 'out': {out} cannot be written to ({fault.strerror})") from fault
-    with CellBar(cells) as bar:
+    with CellBar(cells, sweep) as bar:
         run_cells(cells, out, jobs=int(config["jobs"]), rerun=bool(config["rerun"]), done=bar.done, progress=bar.tell)
     return {"out": str(out.absolute()), "cells": [c.key for c in cells]}
 
@@ -130,13 +164,16 @@ def _conclude(notes: Path, sweep: bool) -> int:
 
 def _say_where(store: Store, keys: Sequence[str]) -> None:
     from clothbench.report.page import write_page
+    from clothbench.studies.calibration.film_rerun import write_best
 
     shown = Path(os.path.relpath(store.folder)) if store.folder.is_relative_to(Path.cwd()) else store.folder
     write_page(store.folder)
     print(f"page:   {shown / 'report.html'}")
     print(f"tables: {shown / 'cells'}/KEY/*.parquet   (clothbench leaderboard --out {shown})")
-    if any((store.cell(k) / name).exists() for k in keys for name in ("fit.rrd", "films")):
-        print(f"rerun:  clothbench view {keys[0]} --out {shown}")
+    best = write_best(store, keys)
+    if best or any((store.cell(k) / "fit.rrd").exists() for k in keys):
+        files = f"   ({shown / 'rerun'}: the best fit of each case)" if best else ""
+        print(f"rerun:  clothbench view {keys[0]} --out {shown}{files}")
 
 
 def _one_line(fault: Exception) -> str:

@@ -77,14 +77,19 @@ def free_ports(count: int) -> list[int]:
 
 
 def fitted(out: Path, name: str, made: Path) -> Path:
-    """The Rerun file of a cell; where its run wrote none, one of its films, below the folder `made`."""
-    from clothbench.studies.calibration.film_rerun import write_film_rerun
+    """The Rerun file of a cell, or of the best fit of a case; where its run wrote none, one of its films, below the
+    folder `made`.
+    """
+    from clothbench.engine.store import Store
+    from clothbench.studies.calibration.film_rerun import BEST, write_film_rerun
 
     folder = find_cell(out, name)
     if (file := folder / "fit.rrd").is_file():
         return file
+    for best in (out / BEST).glob(f"*-{folder.name[:8]}.rrd"):
+        return best
     if films := sorted((folder / "films").glob("*.npz")):
-        return write_film_rerun(made / "films.rrd", folder.name, films)
+        return write_film_rerun(made / "films.rrd", Store(out), folder.name, films)
     raise ClothbenchError(
         f"cell {folder.name} has neither fit.rrd nor films: it failed, or an older version ran it; see the leaderboard"
     )

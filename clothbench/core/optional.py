@@ -29,6 +29,9 @@ from clothbench.core.scene import Scene
 
 TRACKED_KINDS = frozenset({"nodes", "depth", "video", "silhouette"})  # of recordings that a sheet can be tracked in
 MODEL_KINDS = ("explicit", "implicit", "static", "")
+EFFECT_FAMILIES = (
+    "air", "wind", "mass", "gravity", "stretch", "bending", "grip", "clamp", "clock", "camera", "load",
+)  # fmt: skip
 
 # --- of any plugin --------------------------------------------------------------------------------------------------
 
@@ -283,6 +286,15 @@ class VariesByRecording(Protocol):
 
 
 @runtime_checkable
+class HasFamily(Protocol):
+    """family: one of `EFFECT_FAMILIES`, which says what the effect is about: pages draw a small picture by it. Without
+    it: "", and there is no picture.
+    """
+
+    family: str
+
+
+@runtime_checkable
 class ShiftsTimes(Protocol):
     """A sensor effect that shifts when the simulation is looked at. One without it and `positions` does nothing."""
 
@@ -312,6 +324,11 @@ class ShiftsSight(Protocol):
 def varying_of(effect: Any) -> tuple[str, ...]:
     """Names of an effect's parameters that may differ from recording to recording, () if none may."""
     return tuple(effect.by_recording) if isinstance(effect, VariesByRecording) else ()
+
+
+def family_of(effect: Any) -> str:
+    """What an effect is about, one of `EFFECT_FAMILIES`; "" if it does not say."""
+    return effect.family if isinstance(effect, HasFamily) else ""
 
 
 def reads_normals(effect: Any) -> bool:

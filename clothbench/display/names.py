@@ -1,4 +1,4 @@
-"""What cells and models are called in tables and figures."""
+"""What cells, models and durations are called in tables and figures."""
 
 from __future__ import annotations
 
@@ -15,3 +15,9 @@ def cell_name(row: dict[str, Any]) -> str:
     model = " + ".join([row["model"], *(e for e in (row["effects"] or "").split(",") if e)])
     seed = [f"seed {row['seed']}"] if row["seed"] else []
     return " · ".join([*filter(None, (row["case"], model, row["optimizer"], row["objective"])), *seed])
+
+
+def duration(seconds: float) -> str:
+    """ "42 s", "3 min 5 s"."""
+    whole = round(seconds)
+    return f"{whole} s" if whole < 60 else f"{whole // 60} min {whole % 60} s"

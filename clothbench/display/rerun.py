@@ -19,6 +19,7 @@ SEEN, CLOTH, AWAY, HELD, NOISE = (
     (60, 170, 110),
     (150, 150, 150),
 )
+Colour = tuple[int, ...] | np.ndarray
 SLIVER = 0.05  # altitude over longest side below which a triangle only joins points along the hem
 
 
@@ -40,24 +41,34 @@ def log_points(
         stream.send_columns(path, at_times(time), columns.partition(np.full(len(time), position.shape[1])))
 
 
-def log_sheet(stream: Any, path: str, time: np.ndarray, position: np.ndarray, material: np.ndarray) -> None:
-    """The simulated nodes (T, N, 3) m: as a mesh, or as points where they all lie on one line."""
+def log_sheet(
+    stream: Any, path: str, time: np.ndarray, position: np.ndarray, material: np.ndarray, colour: Colour = CLOTH
+) -> None:
+    """The simulated nodes (T, N, 3) m: as a mesh, or as points where they all lie on one line. colour: of all, or of
+    each node in each frame (T, N, 3), 8 bits.
+    """
     triangles = triangulate(material)
     if len(triangles):
-        log_mesh(stream, path, time, position, triangles)
+        log_mesh(stream, path, time, position, triangles, colour)
     else:
-        log_points(stream, path, time, position, CLOTH, 0.12 * typical_distance(material))
+        one = CLOTH if isinstance(colour, np.ndarray) else colour
+        log_points(stream, path, time, position, one, 0.12 * typical_distance(material))
 
 
-def log_mesh(stream: Any, path: str, time: np.ndarray, position: np.ndarray, triangles: np.ndarray) -> None:
-    """The sheet (T, N, 3) m: triangles and colour once, positions and normals for every frame in one go."""
+def log_mesh(
+    stream: Any, path: str, time: np.ndarray, position: np.ndarray, triangles: np.ndarray, colour: Colour = CLOTH
+) -> None:
+    """The sheet (T, N, 3) m: triangles and one colour once, what changes for every frame in one go."""
     if not len(time):
         return
-    stream.log(path, rr.Mesh3D.from_fields(triangle_indices=triangles, albedo_factor=(*CLOTH, 190)), static=True)
+    by_node = isinstance(colour, np.ndarray)
+    albedo = None if by_node else (*colour, 190)
+    stream.log(path, rr.Mesh3D.from_fields(triangle_indices=triangles, albedo_factor=albedo), static=True)
     normals = vertex_normals(position, triangles)
     columns = rr.Mesh3D.columns(
         vertex_positions=np.float32(position.reshape(-1, 3)),
         vertex_normals=np.float32(normals.reshape(-1, 3)),
+        vertex_colors=np.reshape(colour, (-1, 3)) if by_node else None,
     )
     stream.send_columns(path, at_times(time), columns.partition(np.full(len(time), position.shape[1])))
 

@@ -8,7 +8,7 @@ import os
 import tempfile
 import threading
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
 from typing import Literal
@@ -20,7 +20,7 @@ from clothbench.engine.run import CellProgress, failed_with, keep, run_cell
 from clothbench.engine.store import Store
 from clothbench.engine.study import Cell
 
-WATCH = 0.5  # s between two looks at whether the parent still lives
+WATCH = 0.5  # s between two looks at whether the parent still lives, or at how far the cells are
 
 
 def run_cells(
@@ -47,12 +47,13 @@ def run_cells(
         for cell in missing:
             done(cell, run_cell(cell, out, rerun=rerun, progress=progress))
     elif missing:
-        _run_in_processes(missing, out, workers, rerun, done)
+        _run_in_processes(missing, out, workers, rerun, done, progress)
 
 
 def _run_in_processes(
-    cells: Sequence[Cell], out: Path, workers: int, rerun: bool, done: Callable[[Cell, str], None]
-) -> None:
+    cells: Sequence[Cell], out: Path, workers: int, rerun: bool, done: Callable[[Cell, str], None],
+    progress: CellProgress | None,
+) -> None:  # fmt: skip
     """Keep `workers` processes busy.
 
     If one dies, the cells that were running are tried again, each alone: the one that kills its process a second
@@ -62,15 +63,17 @@ def _run_in_processes(
 
     waiting = list(cells)[::-1]
     running: dict[Future, Cell] = {}
+    told, numbers = _told_file(len(cells)), {c.key: n for n, c in enumerate(cells)}
     running_now = _counter(_count_file())
     executor = _pool(workers)
     while waiting or running:
         try:
             while waiting and len(running) < workers:
-                running[executor.submit(run_cell, waiting[-1], out, rerun=rerun)] = waiting[-1]
+                cell = waiting[-1]
+                running[executor.submit(_run_and_tell, cell, out, rerun, told, numbers[cell.key])] = cell
                 waiting.pop()
             running_now[0] = len(running)
-            for future in _first(running):
+            for future in _first(running, told, numbers, progress):
                 status = future.result()
                 done(running.pop(future), status)
         except BrokenProcessPool:
@@ -82,8 +85,38 @@ def _run_in_processes(
             executor = _pool(workers)
 
 
-def _first(running: Iterable[Future]) -> Iterable[Future]:
-    return wait(list(running), return_when=FIRST_COMPLETED).done
+def _first(
+    running: Mapping[Future, Cell], told: Path, numbers: Mapping[str, int], progress: CellProgress | None
+) -> Iterable[Future]:
+    """Those that have ended, as soon as one has; until then `progress` hears how far the others are."""
+    while not (ended := wait(list(running), timeout=WATCH, return_when=FIRST_COMPLETED).done):
+        for cell in running.values() if progress is not None else ():
+            steps, value = _told(told, numbers[cell.key], "r")
+            if steps > 0 and progress is not None:
+                progress(cell, int(steps), float(value))
+    return ended
+
+
+def _run_and_tell(cell: Cell, out: Path, rerun: bool, told: Path, number: int) -> str:
+    """In a worker: run a cell, and leave word of how far it is for the process that asked for it."""
+    mine = _told(told, number)
+
+    def tell(_: Cell, steps: int, value: float) -> None:
+        mine[:] = steps, value
+
+    return run_cell(cell, out, rerun=rerun, progress=tell)
+
+
+def _told(path: Path, number: int, mode: Literal["r", "r+"] = "r+") -> np.memmap:
+    """Steps and value (2,) of the cell of that number, as all processes see them."""
+    return np.memmap(path, np.float64, mode, offset=16 * number, shape=2)
+
+
+def _told_file(cells: int) -> Path:
+    """Where workers leave word of their cells; a file, for the reason of `_count_file`."""
+    path = _shared_file()
+    np.memmap(path, np.float64, "w+", shape=2 * cells).flush()
+    return path
 
 
 def _run_alone(cell: Cell, out: Path, rerun: bool) -> str:
@@ -114,10 +147,16 @@ def _count_file() -> Path:
     """Where this process tells its workers how many of them are at work; a file, since a worker may be killed at any
     time and must leave no lock behind.
     """
+    path = _shared_file()
+    np.memmap(path, np.int64, "w+", shape=1).flush()
+    return path
+
+
+def _shared_file() -> Path:
+    """An empty file that goes when this process ends."""
     handle, name = tempfile.mkstemp(prefix="clothbench-")
     os.close(handle)
     atexit.register(Path(name).unlink, missing_ok=True)
-    np.memmap(name, np.int64, "w+", shape=1).flush()
     return Path(name)
 
 

@@ -1,34 +1,77 @@
-"""The progress bar of a run: cells done of those planned, the time left, and what is being searched."""
+"""What a run shows while it lasts: cells done of those planned, what each of them is at, and the time left."""
 
 from __future__ import annotations
 
 import sys
+import time
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass, field
 
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TaskID,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from clothbench.core.progress import FileProgress
+from clothbench.display.names import duration
 from clothbench.engine.study import Cell
 
 
-class CellBar:
-    """A bar on standard error; where that is no terminal, one line per finished cell instead."""
+@dataclass
+class Sweep:
+    """Where a sweep stands. jobs: how many there are, 0 if that is not known; done: of those that had something to run;
+    passed: of those that were begun, this one included; began: s of `time.monotonic()`.
+    """
 
-    def __init__(self, cells: Sequence[Cell]):
-        self.total, self.count = len(cells), 0
+    jobs: int = 0
+    done: int = 0
+    passed: int = 0
+    began: float = field(default_factory=time.monotonic)
+
+    @property
+    def name(self) -> str:
+        """ "job 3 of 8" """
+        return f"job {self.passed} of {self.jobs}" if self.jobs else f"job {self.passed}"
+
+    def left(self, share: float) -> float | None:
+        """Seconds until its end, with such a share of this job done; None if nobody can know."""
+        if not self.jobs or self.done + share <= 0:
+            return None
+        rest = self.jobs - self.passed + 1 - share
+        return (time.monotonic() - self.began) * rest / (self.done + share)
+
+
+class CellBar:
+    """Bars on standard error, one for all cells and one for each that is at work; where that is no terminal, one line
+    per finished cell instead. With one cell there is one bar, which counts what the cell counts. sweep: of whose jobs
+    this is one.
+    """
+
+    def __init__(self, cells: Sequence[Cell], sweep: Sweep | None = None):
+        self.total, self.count, self.kept, self.sweep = len(cells), 0, 0, sweep
+        self.began = time.monotonic()
+        self.shares: dict[str, float] = {}  # of each cell at work, how much of it is done
+        self.rows: dict[str, TaskID] = {}
         console = Console(stderr=True)
         self.live = console.is_terminal
         self.bar = Progress(
             TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn(),
-            TextColumn("left"), TimeRemainingColumn(), TextColumn("{task.fields[note]}"),
+            TextColumn("{task.fields[left]}"), TextColumn("{task.fields[note]}"),
             console=console, disable=not self.live,
         )  # fmt: skip
-        # With one cell the bar counts its evaluations or simulations, which is what there is to wait for.
         self.single = cells[0] if len(cells) == 1 else None
-        steps = self.single.budget if self.single else self.total
-        self.task = self.bar.add_task(self.single.counts if self.single else "cells", total=steps, note="")
+        word = self.single.counts if self.single else "cells"
+        self.whole = self.bar.add_task(
+            f"{sweep.name} · {word}" if sweep else word, total=self.single.budget if self.single else self.total,
+            left="", note=self.single.label if self.single else "",
+        )  # fmt: skip
 
     def __enter__(self) -> CellBar:
         self.bar.start()
@@ -37,20 +80,43 @@ class CellBar:
     def __exit__(self, *_: object) -> None:
         self.bar.stop()
 
-    def tell(self, cell: Cell, evaluations: int, best: float) -> None:
+    def tell(self, cell: Cell, steps: int, value: float) -> None:
         """Word from inside a cell: so many evaluations, the best value so far; or simulations, and the last value."""
-        note = f"{cell.value_word} {best:.4g}"
+        self.shares[cell.key] = min(steps / cell.budget, 1.0) if cell.budget else 0.0
+        note = f"{cell.value_word} {value:.4g}"
         if self.single:
-            self.bar.update(self.task, completed=evaluations, note=note)
-        else:
-            self.bar.update(self.task, note=f"{cell.label}: {evaluations} {cell.counts}, {note}")
+            self.bar.update(self.whole, completed=steps, note=f"{note} · {cell.label}", left=self._left())
+            return
+        if cell.key not in self.rows:
+            self.rows[cell.key] = self.bar.add_task(f"  {cell.label}", total=cell.budget, left=cell.counts, note="")
+        self.bar.update(self.rows[cell.key], completed=steps, note=note)
+        self.bar.update(self.whole, left=self._left())
 
     def done(self, cell: Cell, status: str) -> None:
+        """A cell has ended, with this status, or was "kept" from an earlier run."""
         self.count += 1
-        note = f"{status}: {cell.label}"
-        self.bar.update(self.task, completed=self.single.budget if self.single else self.count, note=note)
+        self.kept += status == "kept"
+        self.shares.pop(cell.key, None)
+        if (row := self.rows.pop(cell.key, None)) is not None:
+            self.bar.remove_task(row)
+        note, left = f"{status}: {cell.label}", "" if status == "kept" else self._left()
+        completed = self.single.budget if self.single else self.count
+        self.bar.update(self.whole, completed=completed, note=note, left=left)
         if not self.live:
-            print(f"[{self.count}/{self.total}] {note}", file=sys.stderr)
+            where = f"{self.sweep.name} " if self.sweep else ""
+            print(f"{where}[{self.count}/{self.total}] {note}{f' ({left})' if left else ''}", file=sys.stderr)
+        if self.sweep and self.count == self.total:
+            self.sweep.done += self.kept < self.total
+
+    def _left(self) -> str:
+        """ "about 4 min 10 s left": of the sweep, or of this run."""
+        asked = self.total - self.kept
+        share = (self.count - self.kept + sum(self.shares.values())) / asked if asked else 1.0
+        if self.sweep:
+            rest = self.sweep.left(share)
+        else:
+            rest = (time.monotonic() - self.began) * (1 - share) / share if share > 0 else None
+        return f"about {duration(rest)} left" if rest else ""
 
 
 @contextmanager

@@ -25,21 +25,23 @@ MORE = """<footer>See a fit beside its recording in Rerun: <code>clothbench view
 <code>clothbench leaderboard --json</code>, or the Parquet files in <code>cells</code>.</footer>"""
 
 
-def write_page(folder: Path) -> Path:
-    """Write FOLDER/report.html from the store in that folder, whole or not at all; returns its path."""
+def write_page(folder: Path, first: Sequence[Section] = ()) -> Path:
+    """Write FOLDER/report.html from the store in that folder, whole or not at all; returns its path. first: what stands
+    below the heading before anything else.
+    """
     page = Path(folder) / "report.html"
     with whole_file(page) as part:
-        part.write_text(page_html(Store(folder)), encoding="utf-8")
+        part.write_text(page_html(Store(folder), first), encoding="utf-8")
     return page
 
 
-def page_html(store: Store) -> str:
+def page_html(store: Store, first: Sequence[Section] = ()) -> str:
     """The whole page as text: what was run, what failed, then the sections of each study."""
     found = results_by_study(store, catalogue())
     rows = [row for _, results in found for row in results.rows]
     if not rows:
-        return whole_page(title(rows), [Section(heading(found)), Section(HINT)])
-    sections = [Section(heading(found)), Section(failure_list(rows))]
+        return whole_page(title(rows), [Section(heading(found)), *first, Section(HINT)])
+    sections = [Section(heading(found)), *first, Section(failure_list(rows))]
     for study, results in found:
         sections += study.sections(results)
     return whole_page(title(rows), [*sections, Section(what_was_run(rows) + machines(rows)), Section(MORE)])

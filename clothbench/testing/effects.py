@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.optional import Remembers, SaysNormals, Stiffens, varying_of
+from clothbench.core.optional import EFFECT_FAMILIES, HasFamily, Remembers, SaysNormals, Stiffens, varying_of
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Model
 from clothbench.modelling.bound_effects import PLACES
@@ -51,6 +51,8 @@ def keeps_what_it_offers(case: EffectCase) -> None:
             require(fine, f"a stiffness of {added.tolist()}", "two numbers, N/m and N·m, 0 or above")
     if isinstance(effect, SaysNormals):
         require(isinstance(effect.normals, bool), f"normals {effect.normals!r}", "True or False")
+    if isinstance(effect, HasFamily):
+        require(effect.family in EFFECT_FAMILIES, f"family {effect.family!r}", f"one of {', '.join(EFFECT_FAMILIES)}")
     unknown = [name for name in varying_of(effect) if name not in effect.parameters.names]
     require(not unknown, f"by_recording with {', '.join(map(repr, unknown))}", "names of its own parameters")
 

@@ -87,7 +87,7 @@ def test_improve_names_what_a_linear_sample_lacks(clothbench, curves, tmp_path):
     out = clothbench("improve", "recordings=rib", "model=linear_stretch", "out=found")
     assert out.returncode == 0, out.stderr
     assert "strain_locking" in out.stdout
-    assert " N; the floor (spread between runs) is " in out.stdout
+    assert " N; the spread between runs alone would give " in out.stdout
     found = json.loads((tmp_path / "found" / "verdict.json").read_text())
     assert found["verdict"] in ("attributed", "tied")
     assert found["error"]["unit"] == "N"

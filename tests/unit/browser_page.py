@@ -37,8 +37,18 @@ def started(folder: Path) -> Iterator[Any]:
         found.quit()
 
 
+UNFOLDED = """for (const part of document.querySelectorAll("details")) part.open = true;
+    for (let y = 0; y < document.documentElement.scrollHeight; y += 700) {
+        scrollTo(0, y);
+        await new Promise((next) => setTimeout(next, 60));
+    }
+    scrollTo(0, 0);"""
+
+
 class Page:
-    """One page in the browser. `faults()`: what the console says, and every request beyond the file itself."""
+    """One page in the browser. `faults()`: what the console says, and every request beyond the file itself;
+    `barriers()`: what axe-core finds that shuts people out.
+    """
 
     def __init__(self, browser: Any):
         self.browser = browser
@@ -70,6 +80,15 @@ class Page:
             await new Promise((next) => setTimeout(next, 50));
         }} return false;"""
         assert self.run(script), condition
+
+    def barriers(self) -> list[str]:
+        """One line for each element that breaks a rule, with all of the page unfolded and drawn."""
+        from axe_core_python.selenium import Axe
+
+        self.run(UNFOLDED)
+        self.wait('document.querySelectorAll(".later [data-fragment]").length === 0')
+        found = Axe().run(self.browser, options={"resultTypes": ["violations"]})
+        return [f"{rule['id']}: {one['html'][:200]}" for rule in found["violations"] for one in rule["nodes"]]
 
     def faults(self) -> list[str]:
         said = [entry["message"] for entry in self.browser.get_log("browser")]

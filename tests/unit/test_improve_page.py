@@ -8,9 +8,12 @@ import re
 import pytest
 from test_page import checked
 
-from clothbench.studies.improve.page import duration, page_html
+from clothbench.core.optional import EFFECT_FAMILIES
+from clothbench.display.names import duration
+from clothbench.studies.improve.drawings import DRAWINGS, drawing
+from clothbench.studies.improve.page import page_html
 from clothbench.studies.improve.schema import IMPROVE_TABLES
-from clothbench.studies.improve.words import remains, sentence
+from clothbench.studies.improve.words import chance, p_is, remains, sentence, sham
 
 NOTHING = {name: [] for name in IMPROVE_TABLES}
 EFFECT = {
@@ -83,14 +86,18 @@ def test_every_section_is_there_and_text_is_escaped(tmp_path):
     found = blocks(text)
     assert list(found) == ["errors", "frames", "map", "directions", "against", "drift", "stages"]
     assert list(found["frames"]) == ["b (held out)", "a &lt;b&gt; (fit)"]
-    assert {line["meta"] for line in found["frames"]["b (held out)"][0]["data"]} == {"before", "after", "floor"}
+    assert {line["meta"] for line in found["frames"]["b (held out)"][0]["data"]} == {
+        "before",
+        "after",
+        "noise and mesh",
+    }
     for name, views in found.items():
         assert len(views) < 2 or f'id="{name}-view"' in text
 
 
 def test_without_an_effect_there_is_one_curve_only():
     found = blocks(page_html(verdict("unexplained", hint="look at the wind"), rows()))
-    assert {line["meta"] for line in found["frames"]["b (held out)"][0]["data"]} == {"calibrated", "floor"}
+    assert {line["meta"] for line in found["frames"]["b (held out)"][0]["data"]} == {"calibrated", "noise and mesh"}
     assert len(found["map"]["b (held out)"]) == 1
 
 
@@ -119,7 +126,7 @@ def test_curves_are_told_in_newtons():
     about = {"recording": "run", "split": "fit", "unit": "N"}
     table = [{**about, "stretch": s, "force": s - 1, "before": 0.1, "after": s - 1} for s in (1.0, 1.1, 1.2)]
     text = page_html(found, {**NOTHING, "curves": table, "errors": [{**about, "before": 4.0, "after": 1.0}]})
-    assert "falls from 5 to 1.25 N; the floor (spread between runs) is 1 N." in text
+    assert "falls from 5 to 1.25 N; the spread between runs alone would give 1 N." in text
     shown = re.sub(r"<(script|style)[^>]*>.*?</\1>|<[^>]*>", "", text, flags=re.DOTALL)
     assert "mm" not in shown.replace("mm²", "")
     assert [line["meta"] for line in blocks(text)["curves"]["run (fit)"][0]["data"]] == ["measured", "before", "after"]
@@ -129,12 +136,15 @@ def test_curves_are_told_in_newtons():
     ("found", "said"),
     [
         (verdict("complete"), "lacks nothing above the noise: 5.00 mm on the held-out recordings"),
-        (verdict("unexplained"), "leaves 0.50 mm above the floor that no candidate explains"),
+        (verdict("unexplained"), "leaves 0.50 mm beyond noise and mesh that no candidate explains"),
         (
             verdict("attributed", EFFECT),
-            "lacks <b>lag</b> (delay = 0.05 s). The error on the held-out recordings falls",
+            "lacks <b>lag</b>: late &lt;i&gt; (delay = 0.05 s). The error on the held-out recordings falls",
         ),
-        (verdict("tied", {**EFFECT, "tied_with": ["twin"]}), "<b>lag</b> (delay = 0.05 s) or <b>twin</b>, which these"),
+        (
+            verdict("tied", {**EFFECT, "tied_with": ["twin"]}),
+            "<b>lag</b>: late &lt;i&gt; (delay = 0.05 s) or <b>twin</b>, which these",
+        ),
     ],
 )
 def test_the_verdict_is_one_sentence_or_two(found, said):
@@ -143,8 +153,58 @@ def test_the_verdict_is_one_sentence_or_two(found, said):
 
 def test_what_remains_says_where_when_and_how():
     said = " ".join(remains(verdict("attributed", EFFECT), rows()))
-    for word in ("0.50 mm above the floor", "normal 75 %", "u = 0 mm, v = 0 mm", "0.00 s of a &lt;b&gt;"):
+    for word in ("0.50 mm beyond noise and mesh", "normal 75 %", "u = 0 mm, v = 0 mm", "0.00 s of a &lt;b&gt;"):
         assert word in said
+
+
+def on_a_mesh(word: str, *effects: dict, placebo: float | None = None, **more) -> dict:
+    """A verdict that tells the mesh's error from the noise, with a placebo of that error on what was held out."""
+    found = verdict(word, *effects, **more)
+    found["error_mm"] |= {"noise": 1.0, "mesh": 1.4, "noise_floor": 1.72}
+    if placebo is not None:
+        found["error_mm"]["held_out"] |= {"placebo": {"name": "frame_scale", "after": placebo}}
+    return found
+
+
+def test_noise_and_mesh_stand_apart_and_neither_is_called_a_floor():
+    found = on_a_mesh("attributed", EFFECT, placebo=1.25)
+    text = page_html(found, rows())
+    shown = re.sub(r"<(script|style)[^>]*>.*?</\1>|<[^>]*>", " ", text, flags=re.DOTALL)
+    assert "noise alone would give 1.00 mm, and the mesh may be wrong by 1.40 mm" in shown
+    assert "floor" not in shown
+    lines = blocks(text)["frames"]["b (held out)"][0]["data"]
+    assert {line["meta"]: line["y"][0] for line in lines[2:]} == {"noise": 1.0, "noise and mesh": 1.72}
+    below = sentence(on_a_mesh("unexplained", unexplained_mm=0.0))
+    assert below.startswith("What <b>springs</b> leaves is less than its mesh can tell")
+
+
+@pytest.mark.parametrize(
+    ("after", "said"), [(1.26, "changes nothing"), (1.4, "makes it worse"), (1.1, "lowers it still further")]
+)
+def test_the_placebo_is_told_in_words(after, said):
+    found = on_a_mesh("attributed", EFFECT, placebo=after)
+    assert f"A sham effect (frame_scale) added on top {said}: 1.25 → {after:.2f} mm" in page_html(found, rows())
+    assert sham({**found["error_mm"], "unit": "mm"}).endswith(".")
+
+
+def test_a_p_value_is_no_smaller_than_the_test_can_tell():
+    assert (chance(0.005), chance(0.01), chance(0.001, 999)) == ("≤ 1/200", "0.01", "≤ 1/1000")
+    assert (p_is(0.005), p_is(0.03)) == ("p ≤ 1/200", "p = 0.03")
+    assert "p ≤ 1/200; best in 3/3 leave-one-out rounds" in page_html(verdict("attributed", EFFECT), rows())
+
+
+def test_every_family_of_effects_has_a_picture_and_no_other():
+    assert set(DRAWINGS) == set(EFFECT_FAMILIES)
+    for family in EFFECT_FAMILIES:
+        picture = drawing(family, "what &lt;it&gt; shows")
+        corners = [float(c) for at in re.findall(r'points="([^"]*)"', picture) for c in re.split("[ ,]", at)]
+        assert min(corners[::2]) >= 0
+        assert max(corners[::2]) <= 200
+        assert min(corners[1::2]) >= 0
+        assert max(corners[1::2]) <= 120
+    assert drawing("tarot", "a stranger's") == ""
+    assert '<svg class="sketch"' in page_html(verdict("attributed", {**EFFECT, "family": "clock"}), rows())
+    assert '<svg class="sketch"' not in page_html(verdict("attributed", EFFECT), rows())
 
 
 def test_durations():

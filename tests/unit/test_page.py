@@ -168,7 +168,7 @@ def test_only_failed_cells_make_a_page_without_figures(tmp_path):
 
 def test_failed_page_leaves_the_old_one(results, monkeypatch):
     before = write_page(results).read_bytes()
-    monkeypatch.setattr("clothbench.report.page.page_html", lambda _: 1 / 0)
+    monkeypatch.setattr("clothbench.report.page.page_html", lambda *_: 1 / 0)
     with pytest.raises(ZeroDivisionError):
         write_page(results)
     assert (results / "report.html").read_bytes() == before

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import re
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,9 @@ from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
 from clothbench.studies.calibration.parameters_page import strip_of, truth_said
 from clothbench.studies.calibration.ranking import best_of, overall, standings, way_of
 from clothbench.studies.calibration.words import listed, size
+from clothbench.studies.folding.answer import answer_of as folded
+from clothbench.studies.mechanics.answer import answer_of as meant
+from clothbench.studies.speed.answer import answer_of as paced
 
 
 def row(model: str, case: str, recording: str | None, value: float | None, **more: Any) -> dict[str, Any]:
@@ -186,3 +190,52 @@ def test_a_truth_outside_of_its_interval_is_marked_and_counted():
         "The truth is known: 1 of 2 intervals of determined parameters hold it, not those of stretch of linen."
     )
     assert truth_said(found[2:], about, lambda row: row["case"]) == ""
+
+
+def shown(html: str) -> str:
+    return " ".join(re.sub(r"<[^>]*>", " ", html).split())
+
+
+def test_of_models_against_mechanics_the_answer_counts_references_that_are_met():
+    def tested(model: str, case: str, value: float | None, reference: float, metric: str = "drop") -> dict[str, Any]:
+        return row(model, case, None, value, metric=metric, reference=reference)
+
+    rows = [
+        tested("a", "fall", 1.001, 1.0), tested("a", "sag", 1.05, 1.0), tested("a", "convergence", 1.7, 2.0, "order"),
+        tested("b", "fall", 1.0, 1.0), tested("b", "sag", 0.995, 1.0), tested("b", "convergence", None, 2.0, "order"),
+        tested("b", "fold_table:denim", 3000.0, 5200.0, "eta_b"),
+    ]  # fmt: skip
+    said = shown(meant("tests", rows))
+    assert "b meets the most references: 2 of 2 within 1 %" in said
+    assert "b 2 of 2 farthest off: sag, -0.5 %; 1 diverged a 1 of 3 farthest off: sag, +5 %; order 1.70" in said
+    assert "no model came to a value" in meant("tests", [rows[5]])
+
+
+def test_of_folds_the_answer_counts_fabrics_within_their_range():
+    def step(case: str, number: int, value: float) -> dict[str, Any]:
+        known = {"reference": 10.0, "reference_low": 8.0, "reference_high": 12.0, "friction": 0.3, "slips": False}
+        return {**known, "key": case, "case": case, "model": "m", "optimizer": "o", "step": number, "value": value,
+                "low": value - 1, "high": value + 1, "wall_s": 2.0}  # fmt: skip
+
+    steps = [step("denim", 1, 20.0), step("denim", 2, 10.5), step("twill", 1, 30.0), step("twill", 2, 13.0)]
+    said = shown(folded("folds", steps))
+    assert "m by o ends within the range of the reference for 1 of 2 fabrics, after 2 steps." in said
+    for words in ("outside: twill", "Off the reference 18 %", "at the first 1.5e+02 %", "1 of 2", "no step would slip"):
+        assert words in said
+
+
+def test_of_speed_the_answer_names_the_quickest_and_the_peers():
+    def timed(model: str, pace: float, **more: Any) -> dict[str, Any]:
+        known = {"kind": "explicit", "nodes": 441, "threads": 1, "batch": 64, "realtime_factor": 2.0, "peer": None,
+                 "ratio": None, "error_m": None}  # fmt: skip
+        return {**known, "model": model, "node_steps_per_s": pace, **more}
+
+    rows = [
+        timed("a", 5e6, peer="mujoco", ratio=2.0), timed("b", 9e6, kind="implicit", peer="mujoco", ratio=4.0),
+        timed("mujoco", 99e6), timed("c", 50e6, nodes=81), timed("a", 5e6, error_m=1e-3, realtime_factor=7.0),
+    ]  # fmt: skip
+    said = shown(paced(rows))
+    assert "The quickest steps are b 's: 9.0 million node-steps/s on 441 nodes." in said
+    assert "a is the quickest, 7 times real time" in said
+    assert "Beside mujoco 2 × … 4 × per core, over 2 measurements" in said
+    assert paced([]) == ""

@@ -14,15 +14,18 @@ from test_improve_page import EFFECT, rows, verdict
 from test_rerun_file import small_cell
 
 from clothbench import surface_of
+from clothbench.cli.run import composed
 from clothbench.display.film import read_film
 from clothbench.display.html import table
 from clothbench.display.page import whole_page
 from clothbench.display.section import Section, later
 from clothbench.engine.cells import Source
 from clothbench.engine.run import run_cell
-from clothbench.engine.suite import where
+from clothbench.engine.suite import plan, where
+from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.kinds import read_sheet
 from clothbench.report.page import write_page
+from clothbench.report.watch import BESIDE, watching
 from clothbench.studies.calibration.cell import CalibrationCell
 from clothbench.studies.improve.page import page_html
 from clothbench.vision.render import striped
@@ -76,6 +79,56 @@ def linen_cell() -> CalibrationCell:
         optimizer="annealing", metric="fold", tracker="stripes", report=("node_error",), budget=4,
         scene={"spacing": 0.0375},
     )  # fmt: skip
+
+
+def run_of(folder: Path, *words: str, cases: tuple[str, ...]) -> Path:
+    """The page of some cells of a suite."""
+    plugins = catalogue()
+    cells = [cell for cell in plan(composed(words), plugins) if set(cell.cases) & set(cases)]
+    for cell in cells:
+        run_cell(cell, folder)
+    return write_page(folder)
+
+
+@pytest.fixture(scope="module")
+def mechanical(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of `physical_validation`: some tests of one model, one of which it skips."""
+    words = ("+suite=physical_validation", "model=[mass_spring]", "suite.meshes=[5,9]")
+    cases = ("free_fall", "catenary", "swing_period", "cantilever_small")
+    return run_of(tmp_path_factory.mktemp("mechanical"), *words, cases=cases)
+
+
+@pytest.fixture(scope="module")
+def folded(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The page of `fold_phase_one`: two steps of one fabric."""
+    words = ("+suite=fold_phase_one", "suite.fold.steps=2", "budget=30")
+    return run_of(tmp_path_factory.mktemp("folded"), *words, cases=("chanel",))
+
+
+@pytest.fixture(scope="module")
+def improved(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("improved") / "index.html"
+    path.write_text(page_html(verdict("attributed", {**EFFECT, "family": "clock"}), rows()), encoding="utf-8")
+    return path
+
+
+@pytest.mark.parametrize("dark", [False, True])
+@pytest.mark.parametrize("which", ["filmed", "swings", "improved", "mechanical", "folded"])
+def test_nobody_is_shut_out(page, which, dark, request):
+    """Contrast, names, roles, what the keyboard reaches: by the rules of axe-core, all of the page unfolded."""
+    shown = page(request.getfixturevalue(which), dark=dark)
+    shown.wait("document.querySelector('.player.ready, .js-plotly-plot, [role=group]')")
+    assert shown.barriers() == []
+
+
+@pytest.mark.parametrize("which", ["mechanical", "folded"])
+def test_a_study_of_its_own_has_no_fault(page, which, request):
+    shown = page(request.getfixturevalue(which))
+    shown.run('document.querySelector("figure").scrollIntoView()')
+    shown.wait(DRAWN)
+    assert shown.run(HEADINGS) == []
+    assert shown.run(ANCHORS) == []
+    assert shown.faults() == []
 
 
 def test_a_product_of_models_has_no_fault(page, swings):
@@ -205,13 +258,42 @@ def test_a_sheet_without_video_is_shown_in_space(page, swings):
     assert 0.02 < covered < 0.9
 
 
-def test_the_page_of_improve_has_no_fault(page, tmp_path):
-    path = tmp_path / "index.html"
-    path.write_text(page_html(verdict("attributed", EFFECT), rows()), encoding="utf-8")
-    shown = page(path)
+def test_the_page_of_improve_has_no_fault(page, improved):
+    shown = page(improved)
     shown.wait(DRAWN)
     assert shown.run(HEADINGS) == []
     assert shown.run(ANCHORS) == []
+    assert shown.faults() == []
+
+
+def test_a_watched_page_loads_itself_anew_and_at_last_without_that(page, tmp_path):
+    def changed(state: str) -> None:
+        write_page(tmp_path, [watching(state)])
+        (tmp_path / BESIDE).write_text(f'self.clothbenchState = "{state}";')
+
+    changed("first")
+    shown = page(tmp_path / "report.html")
+    shown.wait('document.querySelector("[data-watched=first]")')
+    changed("second")
+    shown.wait('document.querySelector("[data-watched=second]")')
+    assert shown.faults() == []
+    write_page(tmp_path)
+    (tmp_path / BESIDE).unlink()
+    shown.wait('!document.querySelector("[data-watched]")')
+
+
+def test_candidates_can_be_read_on_a_phone(page, improved):
+    """Nothing of a candidate lies beyond the window's edge, and its numbers say what they are."""
+    shown = page(improved, width=390)
+    shown.wait(DRAWN)
+    script = """const cells = [...document.querySelectorAll(".candidates tbody td")];
+        const rest = (cell) => getComputedStyle(cell, "::before").content.replaceAll('"', "").trim();
+        return [Math.max(...cells.map((cell) => cell.getBoundingClientRect().right)),
+            document.querySelector(".candidates .scroll").scrollWidth, document.documentElement.scrollWidth,
+            cells.slice(0, 7).map(rest)];"""
+    right, inside, whole, words = shown.run(script)
+    assert max(right, inside, whole) <= 390
+    assert words == ["none", "none", "none", "p", "gain", "best in", "none"]
     assert shown.faults() == []
 
 

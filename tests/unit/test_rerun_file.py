@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import shutil
 import signal
 import subprocess
 import sys
@@ -19,12 +20,14 @@ from clothbench.core.rollout import Rollout
 from clothbench.display import rerun as rerun_file
 from clothbench.engine.cells import Source
 from clothbench.engine.run import run_cell
+from clothbench.engine.store import Store
 from clothbench.estimation.calibrate import best_rollout, calibrate
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.nodes import Recording, write_recording
 from clothbench.recordings.scenes import scene_of
 from clothbench.studies.calibration import rerun_file as fit_file
 from clothbench.studies.calibration.cell import Bench, CalibrationCell, set_up
+from clothbench.studies.calibration.film_rerun import about, best_rows, write_best
 
 TRUTH = np.array([[60.0, 1.0, 0.1]])
 
@@ -184,6 +187,50 @@ def run_without_rerun(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     assert run_cell(small_cell(tmp_path_factory.mktemp("recordings")), folder, rerun=False) == "ok"
     return folder
+
+
+def test_the_best_fit_of_each_case_has_a_small_file(run_without_rerun, tmp_path, monkeypatch):
+    """With all that is to be seen of it; it is written once, and `view` takes it."""
+    folder = tmp_path / "runs"
+    shutil.copytree(run_without_rerun, folder)
+    store = Store(folder)
+    keys = [path.name for path in (folder / "cells").iterdir()]
+    (path,) = write_best(store, keys)
+    assert path.parent == folder / "rerun"
+    assert path.stat().st_size < 400_000
+    listed = printed(path)
+    for entity in ("seen", "fitted", "off", "error/fitted", "error/noise"):
+        assert f"/fit/swing-1/{entity} " in listed
+        assert f"/held_out/swing-22/{entity} " in listed
+    for component in (
+        "/about ",
+        "Mesh3D:vertex_colors",
+        "TimePanelBlueprint:loop_mode",
+        "TimePanelBlueprint:play_state",
+    ):
+        assert component in listed
+    before = path.stat().st_mtime_ns
+    assert write_best(store, keys) == [path]
+    assert path.stat().st_mtime_ns == before
+    assert view.fitted(folder, "swing-1", tmp_path) == path
+
+
+def test_the_best_is_the_least_error_on_all_that_was_fitted():
+    row = {"suite": "s", "case": "c", "metric": "m", "objective": "m", "split": "fit", "recording": None}
+    rows = [
+        {**row, "key": "a", "value": 2.0}, {**row, "key": "b", "value": 1.0}, {**row, "key": "c", "value": None},
+        {**row, "key": "a", "value": 0.1, "recording": "one"}, {**row, "key": "a", "value": 0.2, "split": "held_out"},
+        {**row, "key": "a", "value": 0.3, "metric": "another"}, {**row, "key": "d", "value": 0.4},
+    ]  # fmt: skip
+    assert {at: r["key"] for at, r in best_rows(rows, ["a", "b", "c"]).items()} == {("s", "c"): "b"}
+
+
+def test_what_a_cell_came_to_stands_beside_it_in_words(run_without_rerun):
+    store = Store(run_without_rerun)
+    said = about(store.rows(), store.table("parameters"))
+    assert said.startswith("# cotton <b> · mass_spring · ga · node_error")
+    for line in ("| swing-1 | ", "| all held out | ", "| parameter | value | 95 % | true |", "N/m"):
+        assert line in said
 
 
 @pytest.mark.parametrize("name", ["cotton <b>", "small · cotton <b>", "swing-1", "swing-22"])

@@ -29,7 +29,7 @@ function draw(id, figure) {
   const place = byId(id);
   place.style.height = figure.layout.height + "px";
   const caption = place.closest("figure")?.querySelector("figcaption")?.textContent;
-  place.setAttribute("role", "img");
+  place.setAttribute("role", "group");  // not a picture: its buttons are to be reached
   place.setAttribute("aria-label", (caption ?? headingOf(place)).replace(/\s+/g, " ").trim());
   waiting.set(place, figure);
   near.unobserve(place);

@@ -113,6 +113,15 @@
     );
     table.closest(".scroll").before(tools);
   }
+  // What scrolls by itself is reached by the keyboard, what does not is no stop on the way.
+  const boxes = new ResizeObserver((entries) => {
+    for (const { target } of entries) {
+      const scrolls = target.scrollWidth > target.clientWidth || target.scrollHeight > target.clientHeight;
+      if (scrolls) target.tabIndex = 0;
+      else target.removeAttribute("tabindex");
+    }
+  });
+  const reachable = (place) => place.querySelectorAll(".scroll, .strip").forEach((box) => boxes.observe(box));
   // Long parts of the page are packed until they come near the window, or what folds them away is opened.
   async function fill(place) {
     const script = place.querySelector("[data-fragment]");
@@ -120,11 +129,13 @@
     script.removeAttribute("data-fragment");
     place.innerHTML = await unpacked(script);
     place.querySelectorAll(".scroll > table").forEach(equip);
+    reachable(place);
   }
   const close = new IntersectionObserver((entries) => {
     for (const { target } of entries.filter((entry) => entry.isIntersecting)) { close.unobserve(target); fill(target); }
   }, { rootMargin: "800px" });
   document.querySelectorAll(".scroll > table").forEach(equip);
+  reachable(document);
   document.querySelectorAll(".later").forEach((place) => close.observe(place));
   addEventListener("beforeprint", () => document.querySelectorAll(".later").forEach(fill));
 })();

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from clothbench.display.answer import Card, answer
 from clothbench.display.html import group
 from clothbench.display.section import Section
 from clothbench.display.templates import rendered
@@ -24,17 +24,6 @@ HERE = Path(__file__).parent
 ENOUGH = 5  # recordings from which on a mean gets an interval; below, the page says from where to where they go
 
 
-@dataclass(frozen=True)
-class Card:
-    """One part of the answer: a word above, what is to be known, and what it rests on; said: for the first sentence."""
-
-    title: str
-    value: str
-    detail: str
-    good: bool | None = None
-    said: str = ""
-
-
 def answer_section(results: Results, histories: Histories) -> Section:
     """The answer of each suite."""
     parts = []
@@ -42,12 +31,10 @@ def answer_section(results: Results, histories: Histories) -> Section:
         metric = leading_metric(rows)
         found = standings(rows, metric)
         ranked = overall(found)
-        parts.append(
-            rendered(
-                HERE, "answer.html", title=headed(results.rows)(suite, "the answer"), lead=lead(ranked, found),
-                cards={card.title: card for card in cards(rows, results, metric, ranked, histories)}, failed=not ranked,
-            )
-        )  # fmt: skip
+        told = cards(rows, results, metric, ranked, histories)
+        by_title = {card.title: card for card in told}
+        said = rendered(HERE, "lead.html", lead=lead(ranked, found), cards=by_title, failed=not ranked)
+        parts.append(answer(headed(results.rows)(suite, "the answer"), said, told))
     return Section("".join(parts))
 
 

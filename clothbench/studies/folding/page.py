@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.folding import circular_path, triangular_path
-from clothbench.display.html import pill, table, text
+from clothbench.display.html import group, pill, table, text
 from clothbench.display.parameters import parameters
 from clothbench.display.plotly import COLOURS, GREY, rounded
 from clothbench.display.section import Section
 from clothbench.engine.study import Results
-from clothbench.studies.folding.tables import inside, summary
+from clothbench.studies.folding.answer import answer_of
+from clothbench.studies.folding.tables import inside
 
 Rows = Sequence[dict[str, Any]]
 INTRO = """<p class="soft">A strip is lifted step by step; after each step its stiffness is estimated from a laser
@@ -40,6 +41,8 @@ def fold_section(rows: Rows, steps: Rows) -> Section:
     body = f"<h2>{text(suites)}: estimated while folding</h2>{INTRO}{fabrics(rows, steps)}"
     if not steps:
         return Section(body)
+    suite_of = {r["key"]: r["suite"] for r in rows}
+    found = "".join(answer_of(s, mine) for s, mine in sorted(group(steps, lambda s: suite_of[s["key"]]).items()))
     shown = (
         (last_figure(steps), "Reference with its ± 2σ (grey), and the last step's estimate with its interval."),
         (step_figure(steps), "The estimate after every step over the reference."),
@@ -49,7 +52,7 @@ def fold_section(rows: Rows, steps: Rows) -> Section:
         f'<figure><figcaption>{text(words)}</figcaption><div id="fold-{n}"></div></figure>'
         for n, (_, words) in enumerate(shown)
     )
-    html = f"{body}<p>{text(summary(steps))}</p>{figures}"
+    html = f"{found}{body}{figures}"
     return Section(html, {"folds": [figure for figure, _ in shown]}, SCRIPT)
 
 

@@ -136,7 +136,7 @@ def amount(fitted: Fitted, i: int) -> dict[str, Any]:
     """Parameter i with its interval, in its unit."""
     return {
         "value": float(fitted.theta[i]), "low": finite(fitted.low[i]), "high": finite(fitted.high[i]),
-        "unit": fitted.space.parameters[i].unit,
+        "unit": fitted.space.parameters[i].unit, "meaning": fitted.space.parameters[i].meaning,
     }  # fmt: skip
 
 
@@ -153,7 +153,7 @@ def effect_entry(finding: Finding, found: Round) -> dict[str, Any]:
     candidate = next(c for c in found.candidates if c.name == name)
     note = finding.notes[name]
     return {
-        "name": name, "place": note.place, "summary": note.summary,
+        "name": name, "place": note.place, "summary": note.summary, "family": note.family,
         "parameters": {own: amount(final, i) for own, i in parameters_of(final.space, name).items()},
         "by_recording": own_entries(finding, name),
         "tied_with": list(found.named[1:]), "p_value": candidate.p_value,

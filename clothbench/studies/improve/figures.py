@@ -13,10 +13,11 @@ from clothbench.display.plotly import COLOURS, GREY, rounded, thinned
 
 Rows = Sequence[dict[str, Any]]
 Figure = dict[str, Any]
+Limits = Sequence[tuple[str, float]]  # what an error cannot be told from: words and size, in the error's unit
 BEFORE, AFTER = {"name": "before", "colour": COLOURS[1]}, {"name": "after", "colour": COLOURS[0]}
 ONLY = {"name": "calibrated", "colour": COLOURS[1]}
-PLACEBO = {"name": "placebo", "colour": COLOURS[3]}
-FLOOR = {"name": "floor", "colour": GREY}
+PLACEBO = {"name": "with a sham effect on top", "colour": COLOURS[3]}
+LIMIT_DASHES = ("solid", "dot")  # of noise, and of noise and mesh together
 MEASURED = {"name": "measured", "colour": COLOURS[2]}
 POINTS = 400  # of one curve
 SPLIT_WORDS = {"fit": "fit", "held_out": "held out"}
@@ -28,9 +29,20 @@ def series(changed: bool) -> list[tuple[str, dict[str, str]]]:
     return [("before", BEFORE), ("after", AFTER)] if changed else [("before", ONLY)]
 
 
-def error_figure(errors: Rows, total: Mapping[str, Any], changed: bool) -> Figure:
+def limit_looks(limits: Limits) -> list[tuple[float, dict[str, str]]]:
+    """(size, look) of each line that stands for what an error cannot be told from."""
+    dashes = zip(limits, LIMIT_DASHES, strict=False)
+    return [(value, {"name": name, "colour": GREY, "dash": dash}) for (name, value), dash in dashes]
+
+
+def limit_lines(x: Any, limits: Limits, unit: str) -> list[Figure]:
+    """Level lines from the first to the last x."""
+    return [curve([x[0], x[-1]], [v] * 2, look, f"%{{y}} {unit}") for v, look in limit_looks(limits)]
+
+
+def error_figure(errors: Rows, total: Mapping[str, Any], limits: Limits, changed: bool) -> Figure:
     """Each recording's error before and after, joined by a line; above them what the recordings of a split have
-    together, with the placebo; an upright line where the floor is. total: errors of the verdict, with their unit.
+    together, with the placebo; upright lines at the limits. total: errors of the verdict, with their unit.
     """
     unit = total["unit"]
     lines: list[tuple[str, float, float, str]] = []
@@ -51,16 +63,17 @@ def error_figure(errors: Rows, total: Mapping[str, Any], changed: bool) -> Figur
         data.append(marks)
     if placebo := total["held_out"].get("placebo"):
         row = max(k for k, line in enumerate(lines) if line[3] == "held_out")
-        mark = curve([placebo["after"]], [row], PLACEBO, f"placebo {escape(placebo['name'])}: %{{x}} {unit}", "markers")
+        mark = curve([placebo["after"]], [row], PLACEBO, f"{escape(placebo['name'])}: %{{x}} {unit}", "markers")
         mark["marker"] |= {"size": 12, "symbol": "x-thin", "line": {"width": 3, "color": PLACEBO["colour"]}}
         data.append(mark)
-    data.append(curve([total["noise_floor"]] * 2, [-0.5, len(lines) - 0.5], FLOOR, f"%{{x}} {unit}", width=3))
+    ends = [-0.5, len(lines) - 0.5]
+    data += [curve([v] * 2, ends, look, f"%{{x}} {unit}", width=3) for v, look in limit_looks(limits)]
     y_axis = {"tickvals": list(range(len(names))), "ticktext": names, "automargin": True, "showgrid": False,
               "range": [-0.6, len(names) - 0.4]}  # fmt: skip
     return figure(data, f"error, rms [{unit}]", y_axis, height=int(np.clip(90 + 30 * len(names), 200, 1600)))
 
 
-def frame_figures(frames: Rows, floor: float, changed: bool) -> dict[str, list[Figure]]:
+def frame_figures(frames: Rows, limits: Limits, changed: bool) -> dict[str, list[Figure]]:
     """Error over time of each recording."""
     out = {}
     for name, mine in by_recording(frames).items():
@@ -69,7 +82,7 @@ def frame_figures(frames: Rows, floor: float, changed: bool) -> dict[str, list[F
         for column, look in series(changed):
             x, y = thinned(time, np.array([np.nan if r[column] is None else r[column] for r in mine]), POINTS)
             data.append(curve(x, y, look, f"%{{y}} {mine[0]['unit']} at %{{x}} s"))
-        data.append(curve(time[[0, -1]], [floor] * 2, FLOOR, f"%{{y}} {mine[0]['unit']}"))
+        data += limit_lines(time, limits, mine[0]["unit"])
         out[name] = [figure(data, "time [s]", {"title": {"text": f"error, rms [{mine[0]['unit']}]"}}, height=330)]
     return out
 
@@ -143,7 +156,7 @@ def directions(rows: Rows, changed: bool) -> Figure:
     return figure(data, "direction", {"title": {"text": f"rms of the component [{unit}]"}}, height=320)
 
 
-def against_figures(bins: Rows, floor: float, changed: bool) -> list[Figure]:
+def against_figures(bins: Rows, limits: Limits, changed: bool) -> list[Figure]:
     """Error against speed, acceleration and height, all recordings together."""
     out = []
     for name, mine in group(bins, lambda r: r["against"]).items():
@@ -158,7 +171,7 @@ def against_figures(bins: Rows, floor: float, changed: bool) -> list[Figure]:
             y = [row[column] for *_, row in joined]
             data.append(curve(x, y, look, f"%{{y}} {mine[0]['unit']} at %{{x}} {mine[0]['against_unit']}",
                               "lines+markers"))  # fmt: skip
-        data.append(curve([x[0], x[-1]], [floor] * 2, FLOOR, f"%{{y}} {mine[0]['unit']}"))
+        data += limit_lines(x, limits, mine[0]["unit"])
         title = f"{name} [{mine[0]['against_unit']}]"
         out.append(figure(data, title, {"title": {"text": f"error, rms [{mine[0]['unit']}]"}}, height=270))
     return out
@@ -258,7 +271,8 @@ def curve(x: Any, y: Any, look: dict[str, str], hover: str | None, mode: str = "
     """A line or marks; `meta` is what the legend switches it off by."""
     out = {
         "type": "scatter", "mode": mode, "x": with_gaps(x), "y": with_gaps(y), "meta": look["name"],
-        "line": {"color": look["colour"], "width": width}, "marker": {"color": look["colour"], "size": 7},
+        "line": {"color": look["colour"], "width": width, "dash": look.get("dash", "solid")},
+        "marker": {"color": look["colour"], "size": 7},
     }  # fmt: skip
     if hover is None:
         return {**out, "hoverinfo": "skip"}

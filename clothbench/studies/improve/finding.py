@@ -17,10 +17,11 @@ from clothbench.studies.improve.torque import Balance
 
 @dataclass(frozen=True)
 class Note:
-    """What an effect says of itself: where it acts, and a summary."""
+    """What an effect says of itself: where it acts, a summary, and what it is about ("" if it does not say)."""
 
     place: str
     summary: str
+    family: str = ""
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.optional import family_of
 from clothbench.core.progress import StageProgress
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.by_recording import on_held_out, with_own_amounts
@@ -192,4 +193,4 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
 def notes(problem: Problem, rounds: Sequence[Round]) -> dict[str, Note]:
     """What there is to say of every candidate."""
     effects = {c.name: problem.make("effects", c.name) for found in rounds for c in found.candidates}
-    return {name: Note(effect.place, effect.summary) for name, effect in effects.items()}
+    return {name: Note(effect.place, effect.summary, family_of(effect)) for name, effect in effects.items()}

@@ -8,7 +8,7 @@ from typing import Any
 from clothbench.display.html import interval, table, text, unit
 from clothbench.studies.improve import figures as draw
 from clothbench.studies.improve.settings import LOOP
-from clothbench.studies.improve.words import size
+from clothbench.studies.improve.words import chance, p_is, size
 
 Rows = Sequence[dict[str, Any]]
 DESCRIBED = """A description, not a name: a force per area that acts on the cloth from outside, from the balance of
@@ -29,7 +29,7 @@ def description_section(found: Mapping[str, Any] | None) -> str:
     error, torque = found["error_mm"]["held_out"], found["torque"]
     said = (
         f"{DESCRIBED} The torque that is left on recordings left out falls from {1e3 * torque['before']:.3g} to "
-        f"{1e3 * torque['after']:.3g} mN·m (noise {1e3 * torque['noise']:.2g}), p = {found['p_value']:.2g}; with this "
+        f"{1e3 * torque['after']:.3g} mN·m (noise {1e3 * torque['noise']:.2g}), {p_is(found['p_value'])}; with this "
         f"force in the model its error falls from {size(error['before'], 'mm')} to {size(error['after'], 'mm')} mm."
     )
     heads = ["goes with", "coefficient", "95 % interval", "unit"]
@@ -43,7 +43,7 @@ def balance_section(found: Mapping[str, Any] | None, kernel: Rows, blocks: list[
         return ""
     body = [[text(what), f"{100 * share:.0f} %"] for what, share in found["shares"].items()]
     shown = table(["goes with", "predicted on recordings left out"], body, numeric={1})
-    law = f" The sparsest law: {text(found['formula'])} (p = {found['p_value']:.2g})." if found["formula"] else ""
+    law = f" The sparsest law: {text(found['formula'])} ({p_is(found['p_value'])})." if found["formula"] else ""
     caption = (
         "How long the past counts: force per area against a change of the normal velocity, by the time that has passed "
         "since, with 95 % intervals. Zero everywhere: no memory; all of it at 0: air that is carried along."
@@ -59,9 +59,8 @@ def whereabouts_section(rows: Rows) -> str:
     body = []
     for r in sorted(rows, key=lambda r: (r["kind"] != "where", r["p_value"], -r["ratio"])):
         mark = ' <span class="pill note">more than elsewhere</span>' if r["p_value"] < LOOP.significance else ""
-        body.append(
-            [text(r["part"]) + mark, f"{size(r['rms'], r['unit'])}", f"{r['ratio']:.2f}", f"{r['p_value']:.2g}"]
-        )
+        p_value = chance(r["p_value"]) if r["kind"] == "when" else f"{r['p_value']:.2g}"
+        body.append([text(r["part"]) + mark, f"{size(r['rms'], r['unit'])}", f"{r['ratio']:.2f}", p_value])
     head = ["part or phase", f"left, rms [{rows[0]['unit']}]", "times the whole", "p"]
     return f"<h2>Where and when</h2><p class='soft'>{WHEREABOUTS}</p>{table(head, body, numeric={1, 2, 3})}"
 

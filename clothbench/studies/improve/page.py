@@ -3,30 +3,40 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
-from clothbench.display.html import group, interval, table, text, unit
+from markupsafe import Markup
+
+from clothbench.display.html import below, group, interval, table, text, unit
+from clothbench.display.names import duration
 from clothbench.display.page import whole_page
 from clothbench.display.section import Section
+from clothbench.display.templates import rendered
 from clothbench.engine.store import system_info
 from clothbench.engine.study import Results
 from clothbench.studies.improve import figures as draw
 from clothbench.studies.improve.document import document_in
+from clothbench.studies.improve.drape_quantities import PERMUTATIONS
+from clothbench.studies.improve.drawings import drawing
 from clothbench.studies.improve.missing_page import balance_section, block, description_section, whereabouts_section
+from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.style import BLOCKS, STYLE
-from clothbench.studies.improve.words import errors_of, floor_word, remains, sentence, size
+from clothbench.studies.improve.words import beyond, chance, errors_of, limits, p_is, remains, sentence, sham, size
 
 Rows = Sequence[dict[str, Any]]
 Tables = Mapping[str, Rows]
+HERE = Path(__file__).parent
 SURE = {"complete": "ok", "attributed": "ok"}
 OVER = {"mm": "visible node coordinates", "N": "steps of stretch", "sd": "sides and quantities"}
 LEGEND = '<div class="menu top"><div id="legend"></div></div>'
 FOOTER = """<footer>The same as data: <code>verdict.json</code> and the Parquet files in <code>tables</code>. See a
 recording beside the model before and after: <code>clothbench view RECORDING --out FOLDER</code>.</footer>"""
 
-CANDIDATES = """<p class="soft">Share: how much of what the calibrated model leaves only this effect could explain, to
-first order. p: how often chance does as well with the best of all candidates. Those that beat chance were fitted in
-earnest; the gain is by how much the mean square fell. Best in: of as many rounds with one recording left out.</p>"""
+CANDIDATES = f"""<p class="soft">Share: how much of what the calibrated model leaves only this effect could explain, to
+first order. p: how often chance does as well with the best of all candidates; {LOOP.permutations} draws can tell no p
+below 1/{1 + LOOP.permutations}. Those that beat chance were fitted in earnest; the gain is by how much the mean square
+fell. Best in: of as many rounds with one recording left out.</p>"""
 OWN = (
     "Amounts in a recording are its own: one that holds for all would not do. Those of a recording held out are fitted "
     "to it, while everything that is shared stays as the others have it; the interval is from parts of its time."
@@ -48,9 +58,9 @@ def page_html(found: Mapping[str, Any], tables: Tables) -> str:
         heading(found),
         verdict_box(found),
         tiles(found),
+        effect_section(found),
         LEGEND,
         error_section(found, tables["errors"], blocks),
-        effect_section(found),
         description_section(found.get("description")),
         balance_section(found.get("balance"), tables["kernel"], blocks),
         candidate_section(tables["candidates"]),
@@ -126,7 +136,8 @@ def heading(found: Mapping[str, Any], level: str = "h1") -> str:
 def verdict_box(found: Mapping[str, Any]) -> str:
     pill = f'<span class="pill {SURE.get(found["verdict"], "note")}">{text(found["verdict"])}</span>'
     hint = f'<p class="soft">Hint: {text(found["hint"])}.</p>' if found["hint"] else ""
-    return f'<div class="verdict">{pill}<p>{sentence(found)}</p>{hint}</div>'
+    control = f'<p class="soft">{said}</p>' if (said := sham(errors_of(found))) else ""
+    return f'<div class="verdict">{pill}<p>{sentence(found)}</p>{control}{hint}</div>'
 
 
 def tiles(found: Mapping[str, Any]) -> str:
@@ -137,15 +148,12 @@ def tiles(found: Mapping[str, Any]) -> str:
             value = size(error[split]["before"], unit)
             value += f" → {size(error[split]['after'], unit)}" if changed else ""
             shown.append((value, f"{unit}, {word}" + (", before → after" if changed else "")))
-    if placebo := error["held_out"].get("placebo"):
-        word = f"{unit}, held out, with the placebo {placebo['name']} added"
-        shown.append((size(placebo["after"], unit), word))
+    (noise, alone), *_ = limits(error)
+    shown.append((size(alone, unit), f"{unit}, {noise} alone"))
     if error.get("mesh"):
-        shown.append((size(error["noise"], unit), f"{unit}, noise"))
         shown.append((size(error["mesh"], unit), f"{unit} that the mesh may be wrong by"))
-    else:
-        shown.append((size(error["noise_floor"], unit), f"{unit}, floor: {floor_word(unit)}"))
-    shown.append((size(error["unexplained"], unit), f"{unit} above the floor remain"))
+    left, _, words = beyond(error).partition(" ")
+    shown.append((left, f"{words} remain"))
     inside = "".join(f'<div class="tile"><b>{text(value)}</b>{text(word)}</div>' for value, word in shown)
     return f'<div class="tiles">{inside}</div>'
 
@@ -156,39 +164,43 @@ def error_section(found: Mapping[str, Any], errors: Rows, blocks: list[dict[str,
     error = errors_of(found)
     over = OVER[error["unit"]]
     caption = f"Root-mean-square over {over}. Dots: recordings that were fitted; diamonds: held out, never used to "
-    caption += f"decide. Grey: the floor, {floor_word(error['unit'])}."
+    known = [name for name, _ in limits(error)]
+    caption += f"decide. Grey line: {known[0]} alone"
+    caption += f"; dotted: {known[1]}, below which this mesh tells nothing." if len(known) > 1 else "."
     fall = error["held_out"]["ci95"]
     if found["effects"] and fall[0] is not None:
         low, high = (size(v, error["unit"]) for v in fall)
         caption += f" The error of a held-out recording falls by {low} … {high} {error['unit']} in the mean (95 %, "
         caption += "paired over recordings)."
-    if error["held_out"].get("placebo"):
-        caption += " Cross: with one more effect that nothing speaks for; it must be no better."
-    views = {"": [draw.error_figure(errors, error, bool(found["effects"]))]}
+    if said := sham(error):
+        caption += f" Cross: {said}"
+    views = {"": [draw.error_figure(errors, error, limits(error), bool(found["effects"]))]}
     return "<h2>Error</h2>" + block("errors", caption, views, blocks)
 
 
 def effect_section(found: Mapping[str, Any], level: str = "h2") -> str:
-    """What was named: amounts with intervals and units."""
+    """What was named: each effect in words with its picture, then its amounts with intervals and units."""
     if not found["effects"]:
         return ""
-    body = []
-    for effect in found["effects"]:
-        tied = f" <small>tied with {text(', '.join(effect['tied_with']))}</small>" if effect["tied_with"] else ""
-        sure = f"p = {effect['p_value']:.2g}; best in {text(effect['selected_in'])} leave-one-out rounds"
-        body.append([f"{text(effect['name'])} ({text(effect['place'])}){tied}<br><small>{text(effect.get('summary'))}; "
-                     f"{sure}</small>"])  # fmt: skip
-        for name, p in effect["parameters"].items():
-            body.append([text(name), f"{p['value']:.4g}", interval(p, ".4g") or "–", text(unit(p))])
-        for one in effect.get("by_recording") or ():
-            held = ", held out" if one["split"] == "held_out" else ""
-            for name, p in one["parameters"].items():
-                shown = f"{text(name)} <small>in {text(one['recording'])}{held}</small>"
-                body.append([shown, f"{p['value']:.4g}", interval(p, ".4g") or "–", text(unit(p))])
     own = f"<p class='soft'>{OWN}</p>" if any(effect.get("by_recording") for effect in found["effects"]) else ""
-    return (
-        f"<{level}>Named</{level}>" + table(["effect", "amount", "95 % interval", "unit"], body, numeric={1, 2}) + own
-    )
+    return f"<{level}>Named</{level}>" + "".join(map(effect_card, found["effects"])) + own
+
+
+def effect_card(effect: Mapping[str, Any]) -> str:
+    amounts = [amount_row(name, p) for name, p in effect["parameters"].items()]
+    for one in effect.get("by_recording") or ():
+        held = ", held out" if one["split"] == "held_out" else ""
+        where = f" <small>in {text(one['recording'])}{held}</small>"
+        amounts += [amount_row(name, p, where) for name, p in one["parameters"].items()]
+    picture = Markup(drawing(effect.get("family", ""), text(effect["summary"])))
+    sure = p_is(effect["p_value"])
+    return rendered(HERE, "effect.html", effect=effect, picture=picture, sure=sure, amounts=amounts)
+
+
+def amount_row(name: str, p: Mapping[str, Any], where: str = "") -> list[str]:
+    """One amount, with what it means below its name."""
+    shown = text(name) + where + below(text(p.get("meaning")))
+    return [shown, f"{p['value']:.4g}", interval(dict(p), ".4g") or "–", text(unit(dict(p)))]
 
 
 def candidate_section(candidates: Rows) -> str:
@@ -196,13 +208,13 @@ def candidate_section(candidates: Rows) -> str:
     if not candidates:
         return ""
     rounds = group(candidates, lambda r: r["round"])
-    out = [f"<h2>Candidates</h2>{CANDIDATES}"]
+    out = [f'<div class="candidates"><h2>Candidates</h2>{CANDIDATES}']
     for number, rows in rounds.items():
         gain = f"gain [{rows[0]['unit']}]"
         head = ["candidate", "place", "share of the residual", "p", gain, "best in", "why not"]
         shown = table(head, [candidate_row(r) for r in rows], numeric={3, 4, 5})
         out.append((f"<h3>Round {number}</h3>" if len(rounds) > 1 else "") + shown)
-    return "".join(out)
+    return "".join([*out, "</div>"])
 
 
 def candidate_row(row: dict[str, Any]) -> list[str]:
@@ -213,7 +225,7 @@ def candidate_row(row: dict[str, Any]) -> list[str]:
     gain = "–" if row["gain"] is None else f"{round(row['gain'], 9):.3g}"
     best = "–" if row["gain"] is None else f"{row['selected']}/{row['of']}"
     why = '<span class="pill ok">named</span>' if row["named"] else text(row["why_not"])
-    return [name, text(row["place"]), bar, f"{row['p_value']:.2g}", gain, best, why]
+    return [name, text(row["place"]), bar, chance(row["p_value"]), gain, best, why]
 
 
 def curve_section(curves: Rows, changed: bool, blocks: list[dict[str, Any]]) -> str:
@@ -243,7 +255,7 @@ def drape_section(tables: Tables, changed: bool) -> str:
                      f"{rows[0]['spread']:.2f}", model, text(rows[0]["unit"])])  # fmt: skip
     head = ["quantity", "side", "specimens", "number", "measured", "spread between specimens", "model", "unit"]
     pairs = [
-        [text(r["pairs"]), str(r["number"]), signed(r["correlation"]), f"{r['p_value']:.2g}"]
+        [text(r["pairs"]), str(r["number"]), signed(r["correlation"]), chance(r["p_value"], PERMUTATIONS)]
         for r in tables["captures"]
     ]
     seen = table(["pairs of captures", "number", "correlation of outlines", "p"], pairs, numeric={1, 2, 3})
@@ -258,7 +270,7 @@ def signed(value: float | None) -> str:
 def frame_section(found: Mapping[str, Any], frames: Rows, blocks: list[dict[str, Any]]) -> str:
     if not frames:
         return ""
-    views = draw.frame_figures(frames, errors_of(found)["noise_floor"], bool(found["effects"]))
+    views = draw.frame_figures(frames, limits(errors_of(found)), bool(found["effects"]))
     return "<h2>Over time</h2>" + block("frames", "Error of each frame.", views, blocks)
 
 
@@ -290,7 +302,7 @@ def direction_section(found: Mapping[str, Any], portrait: Rows, blocks: list[dic
 
 
 def against_section(found: Mapping[str, Any], bins: Rows, blocks: list[dict[str, Any]]) -> str:
-    figures = draw.against_figures(bins, errors_of(found)["noise_floor"], bool(found["effects"]))
+    figures = draw.against_figures(bins, limits(errors_of(found)), bool(found["effects"]))
     if not figures:
         return ""
     caption = "Error in eight classes of equal size of how fast a node moves, how hard it is accelerated, and how high "
@@ -344,17 +356,12 @@ def remains_section(found: Mapping[str, Any], tables: Tables) -> str:
 
 def legend(found: Mapping[str, Any]) -> list[list[str]]:
     """[name, colour, dash] of what the figures draw."""
-    looks = [look for _, look in draw.series(bool(found["effects"]))] + [draw.FLOOR]
+    looks = [look for _, look in draw.series(bool(found["effects"]))]
+    looks += [look for _, look in draw.limit_looks(limits(errors_of(found)))]
     looks += [draw.PLACEBO] if errors_of(found)["held_out"].get("placebo") else []
     looks += [draw.MEASURED] if found.get("kind") == "curve" else []
-    return [[look["name"], look["colour"], "solid"] for look in looks]
+    return [[look["name"], look["colour"], look.get("dash", "solid")] for look in looks]
 
 
 def format_number(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}"
-
-
-def duration(seconds: float) -> str:
-    """ "42 s", "3 min 5 s"."""
-    whole = round(seconds)
-    return f"{whole} s" if whole < 60 else f"{whole // 60} min {whole % 60} s"

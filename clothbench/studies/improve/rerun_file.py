@@ -28,7 +28,8 @@ COLOURS = {"before": (213, 94, 0), "after": (0, 119, 187)}
 
 def write_recording_file(path: Path, one: Comparison, label: str, floor: float, unit: Unit) -> None:
     """Write one recording: below `before` and `after` the sheet with arrows to where its nodes were seen, on the
-    recording's own clock; below `error` the rms of each frame beside the floor, in the reported unit. floor: base unit.
+    recording's own clock; below `error` the rms of each frame beside what noise and mesh leave (floor: base
+    unit), in the reported unit.
 
     The sheet is as the sensor would see it; unlike the errors it has the mesh's own error in it.
     """
@@ -67,4 +68,4 @@ def _log(stream: Any, one: Comparison, floor: float, unit: Unit) -> None:
         known = np.array([(r["time"], r[fit]) for r in rows if r[fit] is not None]).reshape(-1, 2)
         log_curve(stream, f"error/{fit}", known[:, 0], known[:, 1], f"{fit} [{unit.reported}]", COLOURS[fit])
     line = np.full(2, unit.scale * floor)
-    log_curve(stream, "error/floor", seen.time[[0, -1]], line, f"noise and mesh [{unit.reported}]", NOISE)
+    log_curve(stream, "error/noise_and_mesh", seen.time[[0, -1]], line, f"noise and mesh [{unit.reported}]", NOISE)

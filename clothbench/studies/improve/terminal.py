@@ -8,7 +8,7 @@ from typing import Any
 from clothbench.engine.study import Results
 from clothbench.studies.improve.document import document_in
 from clothbench.studies.improve.settings import LOOP
-from clothbench.studies.improve.words import errors_of, floor_line, size
+from clothbench.studies.improve.words import errors_of, limit_line, p_is, size
 
 
 def show(results: Results) -> Iterator[str]:
@@ -32,14 +32,14 @@ def verdict_lines(found: Mapping[str, Any]) -> Iterator[str]:
     for effect in found["effects"]:
         tied = f", tied with {', '.join(effect['tied_with'])}" if effect["tied_with"] else ""
         yield f"  {effect['name']} ({effect['place']}): {effect['summary']}{tied}"
-        yield f"    p = {effect['p_value']:.3g}, chosen in {effect['selected_in']} of the leave-one-out rounds"
+        yield f"    {p_is(effect['p_value'])}, chosen in {effect['selected_in']} of the leave-one-out rounds"
         for name, p in effect["parameters"].items():
             low, high = (("?" if p[k] is None else f"{p[k]:.4g}") for k in ("low", "high"))
             yield f"    {name} = {p['value']:.4g} {p['unit']} ({low} … {high})"
         yield from (f"    {line}" for line in own_lines(effect))
     yield error_line(found)
     if described := found.get("description"):
-        yield f"  described, without a name: {described['formula']}, p = {described['p_value']:.3g}"
+        yield f"  described, without a name: {described['formula']}, {p_is(described['p_value'])}"
         for term in described["terms"]:
             yield f"    {term['term']}: {term['value']:.4g} {term['unit']} ({term['low']:.4g} … {term['high']:.4g})"
         error = described["error_mm"]["held_out"]
@@ -70,4 +70,4 @@ def error_line(found: Mapping[str, Any]) -> str:
         return f"{size(error[split]['before'], unit)} → {size(error[split]['after'], unit)} {unit}"
 
     held = "" if error["held_out"]["before"] is None else f"; held out: {fall('held_out')}"
-    return f"fit recordings: {fall('fit')}{held}; {floor_line(error)}"
+    return f"fit recordings: {fall('fit')}{held}; {limit_line(error)}"

@@ -1,4 +1,4 @@
-"""Stage 6: the verdict in a word, by what is left above the floor, and what is said beside it."""
+"""Stage 6: the verdict in a word, by what is left beyond noise and mesh, and what is said beside it."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.selection import Candidate, correction_correlation, parameters_of
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round, State
+
+AT_LIMIT = "the fit leaves no more than noise and mesh account for"
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,12 +49,12 @@ def concluded(
     stopped = [name for name, error in zip(names, held_out, strict=True) if np.isnan(error)]
     if word == "complete" and stopped:
         word = "unexplained"
-        remark = f"the fit stands at the floor, but {stopped[0]}, held out, could not be simulated with it"
+        remark = f"{AT_LIMIT}, but {stopped[0]}, held out, could not be simulated with it"
     elif word == "complete" and unseen > state.problem.evidence.search.generalisation * state.floor:
         word, rms = "unexplained", unseen
         remark = (
-            f"the fit stands at the floor, but the error on held-out recordings at {unseen / state.floor:.1f} times "
-            "of it: what is missing shows in their motions; let some of them be fitted too"
+            f"{AT_LIMIT}, but the error on held-out recordings stands at {unseen / state.floor:.1f} times that: "
+            "what is missing shows in their motions; let some of them be fitted too"
         )
     if timed_out:
         remark = "; ".join(filter(None, (remark, "time ran out before another round")))
@@ -113,7 +115,8 @@ def why_dropped(state: State, worse: bool) -> str:
     """Why what passed every test of its own is no finding after all. worse: on what was held out."""
     if worse:
         return "the error on the recordings held out does not fall with it"
-    return f"{share_left(state):.0%} of what stands above the floor is left, so that something else must be missing"
+    left = f"{share_left(state):.0%} of what noise and mesh do not account for is left"
+    return f"{left}, so that something else must be missing"
 
 
 def hint(state: State, word: str, fit: Fitted) -> str:

@@ -7,13 +7,18 @@ from typing import Any
 
 from clothbench.display.html import group, text, unit
 from clothbench.studies.improve.figures import pooled
+from clothbench.studies.improve.settings import LOOP
 
 Rows = Sequence[dict[str, Any]]
+MESHED = "noise and mesh"
+SAME = 0.02  # share of an error that is no change of it
 WHITE = 0.3  # correlation of one frame with the next below which a residual looks like noise
 
 
 def errors_of(found: Mapping[str, Any]) -> dict[str, Any]:
-    """The verdict's errors with their `unit`, mm of nodes, N of curves, sd of drapes; `unexplained` above the floor."""
+    """The verdict's errors with their `unit`, mm of nodes, N of curves, sd of drapes; `unexplained` beyond what noise
+    and mesh account for.
+    """
     if "kind" in found:
         return {**found["error"], "unexplained": found["unexplained"]}
     return {"unit": "mm", **found["error_mm"], "unexplained": found["unexplained_mm"]}
@@ -26,18 +31,57 @@ def size(value: float | None, unit: str) -> str:
     return f"{value:.2f}" if unit == "mm" else f"{value:.3g}"
 
 
-def floor_word(unit: str) -> str:
-    """What the floor is made of."""
-    return {"mm": "noise and mesh", "sd": "spread between specimens"}.get(unit, "spread between runs")
+def limits(error: Mapping[str, Any]) -> list[tuple[str, float]]:
+    """What an error cannot be told from, each in words with its size: noise, which a perfect model would leave; and of
+    a model on a mesh, as much as noise and the mesh's own error leave together, which is no floor of the cloth's.
+    """
+    if error.get("mesh"):
+        return [("noise", error["noise"]), (MESHED, error["noise_floor"])]
+    return [(noise_word(error), error["noise_floor"])]
 
 
-def floor_line(error: Mapping[str, Any]) -> str:
-    """The floor; of a model on a mesh, noise and mesh apart."""
+def noise_word(error: Mapping[str, Any]) -> str:
+    """What noise is here; where it was not told from the mesh's error, the two."""
+    spread = {"sd": "spread between specimens", "N": "spread between runs"}
+    return spread.get(error["unit"], "noise" if "mesh" in error else MESHED)
+
+
+def limit_line(error: Mapping[str, Any]) -> str:
+    """The noise; of a model on a mesh, what the mesh may be wrong by apart from it."""
     unit = error["unit"]
     if error.get("mesh"):
         noise, mesh = (size(error[name], unit) for name in ("noise", "mesh"))
-        return f"noise {noise} {unit}, and the mesh may be wrong by {mesh} {unit}"
-    return f"the floor ({floor_word(unit)}) is {size(error['noise_floor'], unit)} {unit}"
+        return f"noise alone would give {noise} {unit}, and the mesh may be wrong by {mesh} {unit}"
+    return f"the {noise_word(error)} alone would give {size(error['noise_floor'], unit)} {unit}"
+
+
+def beyond(error: Mapping[str, Any]) -> str:
+    """How much is left that noise and mesh do not account for: "0.5 mm beyond noise and mesh"."""
+    return f"{size(error['unexplained'], error['unit'])} {error['unit']} beyond {limits(error)[-1][0]}"
+
+
+def chance(p_value: float, draws: int = LOOP.permutations) -> str:
+    """A p-value in a permutation test of so many draws, of which it can tell no less than one in 1 + `draws`."""
+    least = 1 / (1 + draws)
+    return f"≤ 1/{1 + draws}" if p_value <= least * (1 + 1e-9) else f"{p_value:.2g}"
+
+
+def p_is(p_value: float, draws: int = LOOP.permutations) -> str:
+    """ "p = 0.03", "p ≤ 1/200" """
+    said = chance(p_value, draws)
+    return f"p {said}" if said.startswith("≤") else f"p = {said}"
+
+
+def sham(error: Mapping[str, Any]) -> str:
+    """What an effect that nothing speaks for does where it is added on top; "" where none was."""
+    held = error["held_out"]
+    if not (placebo := held.get("placebo")) or None in (placebo["after"], held["after"]):
+        return ""
+    unit, change = error["unit"], placebo["after"] / max(held["after"], 1e-300) - 1
+    does = "changes nothing" if abs(change) <= SAME else "makes it worse" if change > 0 else "lowers it still further"
+    fall = f"{size(held['after'], unit)} → {size(placebo['after'], unit)} {unit} on the held-out recordings"
+    doubt = ": more freedom alone helps here, so take what was named with care" if change < -SAME else ""
+    return f"A sham effect ({text(placebo['name'])}) added on top {does}: {fall}{doubt}."
 
 
 def sentence(found: Mapping[str, Any]) -> str:
@@ -48,21 +92,23 @@ def sentence(found: Mapping[str, Any]) -> str:
     unit = error["unit"]
     split = "held_out" if error["held_out"]["before"] is not None else "fit"
     where = "held-out" if split == "held_out" else "fit"
-    floor = floor_line(error)
+    floor = limit_line(error)
     before, after = (size(error[split][fit], unit) for fit in ("before", "after"))
     if found["verdict"] == "complete" and several:
         return f"No physics is missing in {model}: {before} {unit} on the {where} recordings; {floor}."
     if found["verdict"] == "complete":
         return f"{model} lacks nothing above the noise: {before} {unit} on the {where} recordings; {floor}."
     if not found["effects"]:
-        rest = f"{size(error['unexplained'], unit)} {unit} above the floor"
-        return f"{model} leaves {rest} that no candidate explains: {before} {unit} on the {where} recordings; {floor}."
+        rest = f"{before} {unit} on the {where} recordings; {floor}."
+        if not error["unexplained"] and error.get("mesh"):
+            return f"What {model} leaves is less than its mesh can tell, so that nothing is named: {rest}"
+        return f"{model} leaves {beyond(error)} that no candidate explains: {rest}"
     lacks = " and ".join(named(effect) for effect in found["effects"])
     return f"{model} lacks {lacks}. The error on the {where} recordings falls from {before} to {after} {unit}; {floor}."
 
 
 def named(effect: Mapping[str, Any]) -> str:
-    """ "clock_offset (delay = 0.05 s) or …, which these recordings cannot tell apart" """
+    """ "clock_offset: positions are stamped late (delay = 0.05 s); or …, which these recordings cannot tell apart" """
     amounts = ", ".join(
         f"{text(name)} = {p['value']:.3g}{'' if p['unit'] == '1' else ' ' + text(unit(p))}"
         for name, p in effect["parameters"].items()
@@ -70,7 +116,8 @@ def named(effect: Mapping[str, Any]) -> str:
     if effect.get("by_recording"):
         amounts = ", ".join(filter(None, (amounts, "its amounts each recording's own")))
     others = "".join(f" or <b>{text(n)}</b>" for n in effect["tied_with"])
-    return f"<b>{text(effect['name'])}</b> ({amounts}){others}" + (
+    means = f": {text(effect['summary'])}" if effect.get("summary") else ""
+    return f"<b>{text(effect['name'])}</b>{means} ({amounts}){others}" + (
         ", which these recordings cannot tell apart" if others else ""
     )
 
@@ -78,7 +125,7 @@ def named(effect: Mapping[str, Any]) -> str:
 def remains(found: Mapping[str, Any], tables: Mapping[str, Rows]) -> list[str]:
     """How large what is left is, where, when and in which direction: one HTML sentence each."""
     error = errors_of(found)
-    lines = [f"{size(error['unexplained'], error['unit'])} {error['unit']} above the floor."]
+    lines = [f"{beyond(error)}."]
     if found["hint"]:
         lines.append(f"Hint: {text(found['hint'])}.")
     after = [r for r in tables["portrait"] if r["fit"] == "after"]

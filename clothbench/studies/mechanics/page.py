@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
-from clothbench.display.html import pill, table, text
+from clothbench.display.html import group, pill, table, text
 from clothbench.display.section import Section
 from clothbench.engine.study import Results
+from clothbench.studies.mechanics.answer import answer_of
 from clothbench.studies.mechanics.checks import CHECKS
 from clothbench.studies.mechanics.figures import colours, error_figures, validation_figures
 from clothbench.studies.mechanics.tables import observed_orders, relative_error
@@ -36,7 +37,8 @@ def sections(results: Results) -> list[Section]:
     """Everything about models against mechanics."""
     rows, levels = results.rows, results.table("validation")
     suites = ", ".join(sorted({r["suite"] for r in rows}))
-    body = f"<h2>{text(suites)}: models against references</h2>{INTRO}{errors(rows)}{tests(rows, levels)}"
+    found = "".join(answer_of(suite, mine) for suite, mine in sorted(group(rows, lambda r: r["suite"]).items()))
+    body = f"{found}<h2>{text(suites)}: models against references</h2>{INTRO}{errors(rows)}{tests(rows, levels)}"
     shown = validation_figures(levels)
     return [_drawn(body, shown, error_figures(levels), levels) if shown else Section(body)]
 

@@ -12,6 +12,7 @@ from clothbench.display.html import table as html_table
 from clothbench.display.html import text
 from clothbench.display.section import Section
 from clothbench.engine.study import Results
+from clothbench.studies.speed.answer import answer_of
 from clothbench.studies.speed.bench import PEER_STEP, PROCESSES, Row
 from clothbench.studies.speed.timing import TOLERABLE
 
@@ -26,7 +27,8 @@ def sections(results: Results) -> list[Section]:
             "peer", "× peer, per core", "error [mm]"]  # fmt: skip
     body = [[text(cell) for cell in _page_line(row)] for row in results.table("speeds")]
     note = '<p class="soft">All in one run, after warm-up. With an error: at the longest step that keeps to it.</p>'
-    return [Section(f"<h2>Speed</h2>{note}" + html_table(head, body, numeric={4, 5, 6, 7, 8, 10, 11}))]
+    found = answer_of(results.table("speeds"))
+    return [Section(f"{found}<h2>Speed</h2>{note}" + html_table(head, body, numeric={4, 5, 6, 7, 8, 10, 11}))]
 
 
 def _page_line(row: Row) -> list[str]:

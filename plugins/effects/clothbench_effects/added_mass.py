@@ -24,6 +24,7 @@ class AddedMass:
     name = "added_mass"
     version = 1
     place = "dynamics"
+    family = "air"
     summary = "air carried along by the normal acceleration"
     inertia = staticmethod(carry_air)
     parameters = ParameterSpace(

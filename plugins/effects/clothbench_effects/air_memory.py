@@ -45,6 +45,7 @@ class AirMemory:
     name = "air_memory"
     version = 1
     place = "dynamics"
+    family = "air"
     summary = "air that follows the sheet late: added mass to slow motion, drag to fast"
     force = staticmethod(hold_back)
     parameters = ParameterSpace(

@@ -26,6 +26,7 @@ class BendingAnisotropy:
     name = "bending_anisotropy"
     version = 1
     place = "dynamics"
+    family = "bending"
     normals = False
     summary = "bending rigidity of warp and weft beyond the model's own"
     force = staticmethod(straighten)

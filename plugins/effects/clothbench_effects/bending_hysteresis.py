@@ -60,6 +60,7 @@ class BendingHysteresis:
     name = "bending_hysteresis"
     version = 1
     place = "dynamics"
+    family = "bending"
     normals = False
     summary = "internal friction in bending"
     force = staticmethod(rub)

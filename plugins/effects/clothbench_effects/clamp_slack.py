@@ -11,6 +11,7 @@ class ClampSlack:
     name = "clamp_slack"
     version = 1
     place = "boundary"
+    family = "clamp"
     summary = "zero of the stretch off: a sample loose or already drawn between its clamps at the start"
     parameters = ParameterSpace(
         (

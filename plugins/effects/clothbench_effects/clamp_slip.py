@@ -13,6 +13,7 @@ class ClampSlip:
     name = "clamp_slip"
     version = 1
     place = "boundary"
+    family = "clamp"
     summary = "cloth that slips out of its clamps from a certain stretch on"
     parameters = ParameterSpace(
         (

@@ -9,6 +9,7 @@ class ClockOffset:
     name = "clock_offset"
     version = 1
     place = "sensor"
+    family = "clock"
     summary = "positions are stamped late or early against the grips"
     by_recording = ("delay",)
     parameters = ParameterSpace(

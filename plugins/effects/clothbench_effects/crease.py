@@ -48,6 +48,7 @@ class Crease:
     place = "dynamics"
     normals = False
     summary = "bending that yields, so that folds stay"
+    family = "bending"
     force = staticmethod(keep)
     parameters = ParameterSpace(
         (

@@ -12,6 +12,7 @@ class FrameRate:
     name = "frame_rate"
     version = 1
     place = "sensor"
+    family = "clock"
     summary = "a video that runs too fast or too slow (pictures)"
     parameters = ParameterSpace(
         (

@@ -14,6 +14,7 @@ class FrameRotation:
     name = "frame_rotation"
     version = 1
     place = "sensor"
+    family = "camera"
     summary = "the camera's frame turned against the grips'"
     by_recording = ("rx", "ry", "rz")
     parameters = ParameterSpace(

@@ -12,6 +12,7 @@ class FrameScale:
     name = "frame_scale"
     version = 1
     place = "sensor"
+    family = "camera"
     summary = "lengths seen too long or too short"
     parameters = ParameterSpace(
         (

@@ -11,6 +11,7 @@ class FrameTranslation:
     name = "frame_translation"
     version = 1
     place = "sensor"
+    family = "camera"
     summary = "the camera's frame shifted against the grips'"
     by_recording = ("dx", "dy", "dz")
     parameters = ParameterSpace(

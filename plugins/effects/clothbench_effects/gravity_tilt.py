@@ -30,6 +30,7 @@ class GravityTilt:
     name = "gravity_tilt"
     version = 1
     place = "dynamics"
+    family = "gravity"
     normals = False
     summary = "a recording whose vertical is not quite vertical"
     force = staticmethod(tilt)

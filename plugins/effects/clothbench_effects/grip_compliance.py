@@ -17,6 +17,7 @@ class GripCompliance:
     name = "grip_compliance"
     version = 1
     place = "boundary"
+    family = "grip"
     summary = "grips that follow their path like a damped spring mount"
     parameters = ParameterSpace(
         (

@@ -11,6 +11,7 @@ class GripOffset:
     name = "grip_offset"
     version = 1
     place = "boundary"
+    family = "grip"
     summary = "grips shifted against their recorded positions"
     by_recording = ("dx", "dy", "dz")
     parameters = ParameterSpace(

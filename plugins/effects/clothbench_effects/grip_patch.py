@@ -63,6 +63,7 @@ class GripPatch:
     name = "grip_patch"
     version = 1
     place = "dynamics"
+    family = "grip"
     normals = False
     summary = "grips that hold a square patch each, not a point (a matter of the grips, though done by forces)"
     force = staticmethod(clasp)

@@ -17,6 +17,7 @@ class GripRotation:
     name = "grip_rotation"
     version = 1
     place = "boundary"
+    family = "grip"
     summary = "grips turned against their recorded pose"
     by_recording = ("about_vertical", "about_line")
     parameters = ParameterSpace(

@@ -18,6 +18,7 @@ class GripSlip:
     name = "grip_slip"
     version = 1
     place = "boundary"
+    family = "grip"
     summary = "cloth that slips down in its grips, once"
     by_recording = ("distance", "time")
     parameters = ParameterSpace(

@@ -51,6 +51,7 @@ class HeavyHem:
     name = "heavy_hem"
     version = 1
     place = "dynamics"
+    family = "mass"
     normals = False
     summary = "a hem along the lower edge, with its weight"
     force = staticmethod(weigh)

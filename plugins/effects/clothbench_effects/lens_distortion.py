@@ -11,6 +11,7 @@ class LensDistortion:
     name = "lens_distortion"
     version = 1
     place = "sensor"
+    family = "camera"
     summary = "a lens that bends the picture otherwise than is known (pictures)"
     parameters = ParameterSpace(
         (

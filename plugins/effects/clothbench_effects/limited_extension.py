@@ -17,6 +17,7 @@ class LimitedExtension:
     name = "limited_extension"
     version = 1
     place = "dynamics"
+    family = "stretch"
     summary = "tension that grows beyond all bounds towards a largest stretch"
     parameters = ParameterSpace(
         (

@@ -11,6 +11,7 @@ class LoadOffset:
     name = "load_offset"
     version = 1
     place = "sensor"
+    family = "load"
     summary = "forces read too high or too low by the same amount"
     parameters = ParameterSpace(
         (

@@ -32,6 +32,7 @@ class LocalJet:
     name = "local_jet"
     version = 1
     place = "dynamics"
+    family = "wind"
     summary = "a draught along a horizontal line, and the quadratic drag through which it acts"
     force = staticmethod(blow)
     parameters = ParameterSpace(

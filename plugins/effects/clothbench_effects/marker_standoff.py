@@ -16,6 +16,7 @@ class MarkerStandoff:
     name = "marker_standoff"
     version = 1
     place = "sensor"
+    family = "camera"
     summary = "markers that stand off the cloth"
     parameters = ParameterSpace(
         (

@@ -58,6 +58,7 @@ class PointMass:
     name = "point_mass"
     version = 1
     place = "dynamics"
+    family = "mass"
     normals = False
     summary = "a small mass on the cloth, such as a marker"
     force = staticmethod(weigh)

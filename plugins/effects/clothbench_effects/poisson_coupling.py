@@ -19,6 +19,7 @@ class PoissonCoupling:
     name = "poisson_coupling"
     version = 1
     place = "dynamics"
+    family = "stretch"
     normals = False
     summary = "cross contraction between warp and weft"
     force = staticmethod(couple_yarns)

@@ -20,6 +20,7 @@ class QuadraticDrag:
     name = "quadratic_drag"
     version = 1
     place = "dynamics"
+    family = "air"
     summary = "air drag, quadratic in normal velocity"
     force = staticmethod(push_back)
     parameters = ParameterSpace(

@@ -27,6 +27,7 @@ class RestCurvature:
     name = "rest_curvature"
     version = 1
     place = "dynamics"
+    family = "bending"
     normals = False
     summary = "cloth that curls by itself"
     force = staticmethod(curl)

@@ -12,6 +12,7 @@ class RollingShutter:
     name = "rolling_shutter"
     version = 1
     place = "sensor"
+    family = "clock"
     summary = "rows of a picture that are read one after the other (pictures)"
     parameters = ParameterSpace(
         (

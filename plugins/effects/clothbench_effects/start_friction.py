@@ -13,6 +13,7 @@ class StartFriction:
     name = "start_friction"
     version = 1
     place = "dynamics"
+    family = "stretch"
     summary = "friction between yarns, which has to be overcome at the start and then stays"
     parameters = ParameterSpace(
         (

@@ -23,6 +23,7 @@ class SteadyWind:
     name = "steady_wind"
     version = 1
     place = "dynamics"
+    family = "wind"
     summary = "a steady, uniform wind, and the quadratic drag through which it acts"
     by_recording = ("wx", "wy", "wz")
     force = staticmethod(blow)

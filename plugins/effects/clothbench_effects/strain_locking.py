@@ -17,6 +17,7 @@ class StrainLocking:
     name = "strain_locking"
     version = 1
     place = "dynamics"
+    family = "stretch"
     summary = "tension that grows exponentially with stretch, as the yarns lock"
     parameters = ParameterSpace(
         (

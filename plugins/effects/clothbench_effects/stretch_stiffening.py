@@ -31,6 +31,7 @@ class StretchStiffening:
     name = "stretch_stiffening"
     version = 1
     place = "dynamics"
+    family = "stretch"
     normals = False
     summary = "tension that grows with the square of the strain, as crimped yarns are pulled straight"
     force = staticmethod(pull_tight)

@@ -29,6 +29,7 @@ class TotalMass:
     name = "total_mass"
     version = 1
     place = "dynamics"
+    family = "mass"
     normals = False
     summary = "cloth heavier or lighter than stated"
     force = staticmethod(weigh)

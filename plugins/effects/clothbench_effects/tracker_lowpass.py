@@ -11,6 +11,7 @@ class TrackerLowpass:
     name = "tracker_lowpass"
     version = 1
     place = "sensor"
+    family = "clock"
     summary = "positions smoothed by a first-order filter"
     parameters = ParameterSpace(
         (

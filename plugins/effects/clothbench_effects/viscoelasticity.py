@@ -55,6 +55,7 @@ class Viscoelasticity:
     name = "viscoelasticity"
     version = 1
     place = "dynamics"
+    family = "bending"
     normals = False
     summary = "stress relaxation in bending and stretch"
     force = staticmethod(relax)

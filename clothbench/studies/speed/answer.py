@@ -1,0 +1,60 @@
+"""What the page on speed begins with: the quickest model, step by step and at equal error, and the peers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from clothbench.display.answer import Card, answer
+from clothbench.display.html import group, text
+from clothbench.studies.speed.bench import PROCESSES, Row
+from clothbench.studies.speed.timing import TOLERABLE
+
+
+def answer_of(rows: Sequence[Row]) -> str:
+    """The answer over all measurements, as HTML; "" where there are none."""
+    peers = {r["peer"] for r in rows} - {None, PROCESSES}
+    mine = [r for r in rows if r["model"] not in peers and r["peer"] != PROCESSES]
+    plain, equal = ([r for r in mine if (r["error_m"] is not None) == at_equal] for at_equal in (False, True))
+    if not plain:
+        return ""
+    fastest = max(largest(plain), key=lambda r: r["node_steps_per_s"])
+    lead = f"The quickest steps are <b>{text(fastest['model'])}</b>'s: {pace(fastest)} on {fastest['nodes']} nodes."
+    if equal:
+        best = max(largest(equal), key=lambda r: r["realtime_factor"])
+        limit, times = f"{1e3 * TOLERABLE:g} mm at most", f"{best['realtime_factor']:.3g} times real time"
+        lead += (
+            f" Steps are not worth the same: where each model is off its own converged motion by {limit}, "
+            f"<b>{text(best['model'])}</b> is the quickest, {times} on {best['nodes']} nodes."
+        )
+    return answer("Speed: the answer", lead, [*map(kind_card, kinds(plain)), *peer_cards(rows)])
+
+
+def largest(rows: Sequence[Row]) -> list[Row]:
+    """Those on the largest sheet."""
+    return [r for r in rows if r["nodes"] == max(each["nodes"] for each in rows)]
+
+
+def pace(row: Row) -> str:
+    return f"{row['node_steps_per_s'] / 1e6:.1f} million node-steps/s"
+
+
+def kinds(rows: Sequence[Row]) -> list[Row]:
+    """The quickest of each kind of step."""
+    some = group(largest(rows), lambda r: r["kind"] or "other")
+    return [max(mine, key=lambda r: r["node_steps_per_s"]) for _, mine in sorted(some.items())]
+
+
+def kind_card(row: Row) -> Card:
+    detail = f"{row['model']}, {row['nodes']} nodes, {row['batch']} at once, {row['threads']} threads"
+    return Card(f"Quickest {row['kind'] or 'other'} steps", pace(row), detail)
+
+
+def peer_cards(rows: Sequence[Row]) -> list[Card]:
+    """How many times as quick as each peer the models are, per core."""
+    out = []
+    known = [r for r in rows if r["ratio"] is not None and r["peer"] not in (None, PROCESSES)]
+    for peer, mine in sorted(group(known, lambda r: r["peer"]).items()):
+        low, high = (end(r["ratio"] for r in mine) for end in (min, max))
+        said = f"{low:.2g} × … {high:.2g} ×" if len(mine) > 1 else f"{low:.2g} ×"
+        out.append(Card(f"Beside {peer}", said, f"per core, over {len(mine)} measurements", good=low >= 1))
+    return out
