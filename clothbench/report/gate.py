@@ -128,7 +128,7 @@ def _plain(text: str) -> str:
 
 def _changes(verdict: dict[str, Any]) -> list[tuple[str, ...]]:
     """What is missing, worse and better, by `COLUMNS`."""
-    out = []
+    out: list[tuple[str, ...]] = []
     for side in ("missing", "worse", "better"):
         for r in verdict[side]:
             label = " · ".join(str(r[n]) for n in IDENTITY if r[n] not in (None, ""))
