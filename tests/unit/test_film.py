@@ -6,9 +6,12 @@ import base64
 
 import numpy as np
 import pytest
+from conftest import swinging_recording
 from test_rerun_file import small_cell
 
+from clothbench import read_recording, write_recording
 from clothbench.core.camera import Camera, Projector
+from clothbench.core.observation import Observation
 from clothbench.display.film import (
     FRAMES,
     Film,
@@ -27,7 +30,7 @@ from clothbench.engine.study import results_by_study
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration import cloth_page
 from clothbench.studies.calibration.cell import set_up
-from clothbench.studies.calibration.cloth import filmed
+from clothbench.studies.calibration.cloth import filmed, picture_of
 
 
 def film(**more) -> Film:
@@ -134,3 +137,16 @@ def test_a_recording_of_another_case_can_be_simulated_too(tmp_path):
     other = set_up(cell, catalogue()).recordings[1]
     assert alone.remake(other, None).name == "swing-22"
     assert filmed(alone) == [0]
+
+
+def test_nodes_seen_across_a_line_of_sight_have_no_picture(tmp_path):
+    path = tmp_path / "nodes.nc"
+    recording = read_recording(write_recording(swinging_recording(), path))
+    camera = Camera.looking_at(np.array([0.0, -2.0, 0.0]), np.zeros(3), (8, 6), 1.0)
+    known = np.isfinite(recording.position).all(axis=-1)
+    seen = Observation(recording.time, recording.position, known, 1e-3, recording.material, sight=camera)
+    picture, size, lens, projector = picture_of(recording, str(path), seen, np.arange(3))
+    one = film(picture=picture, size=size, camera=lens, projector=projector, flat=True)
+    write_film(tmp_path / "0.npz", one)
+    back = read_film(tmp_path / "0.npz")
+    assert (back.picture, back.size, back.camera, back.flat) == (b"", (0, 0), None, True)

@@ -90,7 +90,7 @@ def picture_of(recording: Any, path: str, seen: Observation, frames: np.ndarray)
     if isinstance(raw, DepthImages):
         picture, size = contact_sheet(as_grey(raw.depth[frames]))
         return picture, size, scaled(raw.camera, size), None
-    return b"", (0, 0), seen.sight, None
+    return b"", (0, 0), None, None  # nodes that were seen across a line of sight, too: there is no picture to draw in
 
 
 def picked(frames: Iterator[np.ndarray], numbers: np.ndarray) -> Iterator[np.ndarray]:
