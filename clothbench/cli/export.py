@@ -18,10 +18,10 @@ def fitted(name: str, results: Path) -> FittedCell | None:
     """The cell that is meant; None for a preset that no cell, case or recording is called like."""
     try:
         return FittedCell.of(results, find_cell(results, name).name)
-    except ClothbenchError:
+    except ClothbenchError as fault:
         if name in presets():
             return None
-        raise
+        raise ClothbenchError(f"{fault}; a class of fabrics can be exported, too: {', '.join(presets())}") from None
 
 
 def export(name: str, target: str, results: Path, out: Path | None) -> int:
