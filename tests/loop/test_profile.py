@@ -172,7 +172,7 @@ def test_a_search_that_stopped_in_a_ripple_jumps_along_the_valley(monkeypatch, l
     monkeypatch.setattr(constrained, "evaluate", simulated_by(law))
     monkeypatch.setattr(
         "clothbench.studies.improve.fitting.fit",
-        lambda problem, effects, theta, rounds, goal, unless: fitted(law, HEM, theta),
+        lambda problem, effects, theta, rounds, goal, unless, tolerance: fitted(law, HEM, theta),
     )
     before = fitted(law, HEM, START)
     after, count = jumps.jump_along_valley(OneParameterBase(), before)
@@ -192,7 +192,7 @@ def test_a_longer_search_may_set_out_from_a_jump_that_landed_in_a_ripple(monkeyp
     def landed(trials, before, which, where, corrections):
         return np.full(len(where), 1.1 * before.rms**2), np.array(where), len(where)
 
-    def fit(problem, effects, theta, rounds, goal, unless):
+    def fit(problem, effects, theta, rounds, goal, unless, tolerance):
         assert (rounds, goal) == (8, pytest.approx(goals[-1]))
         again = fitted(law, HEM, np.array([0.5, min(theta[1], 0.8), 0.09 / min(theta[1], 0.8)]))
         goals.append(min(goals[-1], again.rms**2))

@@ -47,7 +47,7 @@ def test_a_finalist_is_polished_as_long_as_that_pays(monkeypatch, falls, times):
     """falls: of the rms, from one polish to the next."""
     asked = []
 
-    def polish(problem, fit, rounds):
+    def polish(problem, fit, rounds, goal):
         asked.append(fit.rms)
         residual = [falls[len(asked) - 1] * r for r in fit.residual]
         return dataclasses.replace(fit, residual=residual), 7
@@ -73,13 +73,16 @@ def test_an_effect_with_several_shape_parameters_is_sought_in_other_valleys(monk
     """Made-up law: a fit ends at 4 mm where it starts with w0 < 0, at 1 mm where w0 > 0; the first one has w0 < 0."""
     effect, goals, one_valley = wind(shapes), [], shapes < LOOP.multistart_shapes
     space = ParameterSpace((*SPACE, *effect))
-    problem = SimpleNamespace(seed=0, space_of=lambda name: effect, trials=lambda names, split: None)
+    evidence = SimpleNamespace(search=SearchSettings())
+    problem = SimpleNamespace(
+        seed=0, evidence=evidence, space_of=lambda name: effect, trials=lambda names, split: None
+    )  # fmt: skip
 
     def ended(start):
         rms = 1e-3 if start[2] > 0 else 4e-3
         return Fitted(("wind",), space, start, [np.full(9, rms)] * 2, [np.ones((9, len(space)))] * 2, start, start, 10)
 
-    def fit(problem, names, start, rounds, goal, unless):
+    def fit(problem, names, start, rounds, goal, unless, tolerance):
         goals.append(goal)
         return ended(start)
 

@@ -270,7 +270,7 @@ def test_speeds_are_kept_and_shown_as_a_study(tmp_path, monkeypatch):
                 "realtime_factor": 9.0, "version": 2}  # fmt: skip
     rows = [measured | {"peer": p, "ratio": r} for p, r in (("one", 2.0), ("other", 4.0))]
     monkeypatch.setattr("clothbench.studies.speed.run.run_bench", lambda sides, chosen: rows)
-    nothing = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis")
+    nothing = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis", "prior")
     settings = {**dict.fromkeys(nothing, ()), "scene": {}, "suite": {"sides": [9]}, "model": ["mass_spring"]}
     (cell,) = plan(settings, catalogue())
     assert run_cell(cell, tmp_path) == "ok"

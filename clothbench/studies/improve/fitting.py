@@ -117,7 +117,8 @@ def polish(problem: Problem, fitted: Fitted, rounds: int, goal: float = np.inf) 
     value = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value
     if not np.isfinite(value).any():
         return fitted, looks
-    fitted, count = better_of(problem, fitted, starts[int(np.nanargmin(value))], rounds, goal, LOOP.contest_tolerance)
+    nearby, tolerance = starts[int(np.nanargmin(value))], problem.evidence.search.contest_tolerance
+    fitted, count = better_of(problem, fitted, nearby, rounds, goal, tolerance)
     return fitted, looks + count
 
 
@@ -136,7 +137,8 @@ def multistart(problem: Problem, base: Fitted, fitted: Fitted, rounds: int) -> t
     value = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value
     for k in np.argsort(value)[: LOOP.multistart_fits]:  # what could not be simulated comes last
         if np.isfinite(value[k]):
-            fitted, spent = better_of(problem, fitted, starts[k], rounds, fitted.rms**2, LOOP.contest_tolerance)
+            tolerance = problem.evidence.search.contest_tolerance
+            fitted, spent = better_of(problem, fitted, starts[k], rounds, fitted.rms**2, tolerance)
             count += spent
     return fitted, count
 

@@ -31,7 +31,7 @@ def refit(
     this may end in; given up where it will not come below the goal, above which it can be neither named nor tied.
     """
     names = (*current.effects, candidate.name)
-    starts, tolerance = first_order_starts(current, probe), LOOP.contest_tolerance
+    starts, tolerance = first_order_starts(current, probe), problem.evidence.search.contest_tolerance
     fitted = fit(problem, names, starts, LOOP.refit_rounds, goal=goal, tolerance=tolerance)
     account.count(fitted.evaluations)
     fitted, count = jump_along_valley(problem, fitted)
@@ -73,30 +73,32 @@ def refine_finalists(
         account.stage(f"round {turn + 1}: contest", k, 2 * len(within))
         fitted, count = multistart(problem, current, fitted, LOOP.refit_rounds)
         account.count(count)
-        better[fitted.effects] = polished(problem, fitted, tying(better, fitted), account)
+        better[fitted.effects] = polished(problem, fitted, account, tying(problem, better, fitted))
     best, shared = min(better.values(), key=lambda f: f.rms, default=current), len(current.theta)
     for k, (effects, fitted) in enumerate(better.items()):
         account.stage(f"round {turn + 1}: contest", len(within) + k, 2 * len(within))
         if fitted is not best:
             start = np.concatenate([best.theta[:shared], fitted.theta[shared:]])
-            goal = tying(better, fitted)
-            better[effects], count = better_of(problem, fitted, start, LOOP.polish_rounds, goal, LOOP.contest_tolerance)
+            goal, tolerance = tying(problem, better, fitted), problem.evidence.search.contest_tolerance
+            better[effects], count = better_of(problem, fitted, start, LOOP.polish_rounds, goal, tolerance)
             account.count(count)
     return [
         c if c.fitted is None else dataclasses.replace(c, fitted=better.get(c.fitted.effects, c.fitted)) for c in tried
     ]
 
 
-def tying(better: Mapping[tuple[str, ...], Fitted], fitted: Fitted) -> float:
-    """The mean square that a fit has to come to if it is to be named beside, or instead of, those that are better."""
+def tying(problem: Problem, better: Mapping[tuple[str, ...], Fitted], fitted: Fitted) -> float:
+    """The mean square that a fit has to come to if it is to be named beside, or instead of, those that are better; any
+    where searches cost so little that none is given up.
+    """
     others = [other for effects, other in better.items() if effects != fitted.effects]
-    if not others:
+    if not others or not np.isfinite(problem.evidence.search.contention):
         return np.inf
     best = min(others, key=lambda f: f.rms)
     return float(allowance(len(fitted.theta) - len(best.theta), alike=True)) * best.rms**2
 
 
-def polished(problem: Problem, fitted: Fitted, goal: float, account: Account) -> Fitted:
+def polished(problem: Problem, fitted: Fitted, account: Account, goal: float = np.inf) -> Fitted:
     """The fit polished as long as that takes off what would decide between two candidates: the more parameters one has,
     the more often its search ends in a ripple. Searches that will not come below the goal are given up.
     """

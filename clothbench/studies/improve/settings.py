@@ -70,9 +70,6 @@ class LoopSettings:
     parameter_penalty: float = 0.05  # share of the mean square that every further parameter has to pay
     away_from_null: float = 1e-3  # of its range: an amount this near to its null value is none
     tied: int = 3  # effects that are named together at most, where they cannot be told apart
-    contest_tolerance: float = (
-        0.02  # relative gain of a round that ends a search between candidates: far below the margin
-    )
     finalists: int = 3  # candidates whose fits are made sure of before they are compared
 
     # Amounts by recording.
@@ -113,6 +110,9 @@ class SearchSettings:
         0.1  # step of finite differences, of the scaled range; a shorter one sees the ripples of wrinkles
     )
     tolerance: float = 0.005  # relative gain in the sum of squares below which two rounds in a row end a search
+    contest_tolerance: float = (
+        0.02  # the same of a search between candidates, if that is more: far below the tie margin
+    )
     starts: int = 31  # points of a first search that are looked at beside the defaults
     walks: int = 4  # from how many of the best of them it sets out
     restart_starts: int = 0  # the same of a search that begins at a known point
