@@ -30,8 +30,8 @@ LEAST_STEPS = 3  # with samples, that a recording needs
 # make nearly any, so that one may be named. A fit that ended early is soon made again, and none is given up; the noise
 # is the spread between runs, of which a run held out is one draw.
 SEARCH = SearchSettings(
-    difference=1e-4, tolerance=1e-5, contest_tolerance=0.0, starts=127, walks=6, restart_starts=127, restart_walks=6, budget_factor=20,
-    rounds=1, contention=math.inf, generalisation=math.inf,
+    difference=1e-4, tolerance=1e-5, contest_tolerance=0.0, starts=127, walks=6, restart_starts=127,
+    restart_walks=6, budget_factor=20, rounds=1, contention=math.inf, generalisation=math.inf,
 )  # fmt: skip
 
 
