@@ -17,6 +17,7 @@ from clothbench.engine.study import Results, Study, results_by_study
 from clothbench.plugins.discovery import catalogue
 
 Rows = Sequence[dict[str, Any]]
+PAGE = "report.html"
 MACHINE = ("cpu", "cores", "threads", "platform", "python", "numpy", "numba", "clothbench")
 HINT = """<p>There are no results here yet. Run the default benchmark, which needs nothing else:</p>
 <p><code>clothbench run +suite=static_dynamic</code></p>
@@ -29,7 +30,7 @@ def write_page(folder: Path, first: Sequence[Section] = ()) -> Path:
     """Write FOLDER/report.html from the store in that folder, whole or not at all; returns its path. first: what stands
     below the heading before anything else.
     """
-    page = Path(folder) / "report.html"
+    page = Path(folder) / PAGE
     with whole_file(page) as part:
         part.write_text(page_html(Store(folder), first), encoding="utf-8")
     return page

@@ -11,7 +11,7 @@ from clothbench.core.files import whole_file
 from clothbench.display.section import Section
 from clothbench.display.templates import asset_of
 from clothbench.engine.cells import digest
-from clothbench.report.page import write_page
+from clothbench.report.page import PAGE, write_page
 
 EVERY = 1.0  # s between two looks at the store
 BESIDE = "report.state.js"  # beside the page: which state of it is the newest
@@ -24,16 +24,22 @@ def watch(folder: Path, told: Callable[[Path, int], None]) -> None:
     shown = None
     try:
         while True:
-            if (now := state_of(folder)) != shown:
-                shown = now
-                page = write_page(folder, [watching(now)])
+            # A run that ends writes a page of its own, which does not watch.
+            if (now := (state_of(folder), changed(folder / PAGE))) != shown:
+                page = write_page(folder, [watching(now[0])])
+                shown = now[0], changed(page)
                 with whole_file(folder / BESIDE) as part:
-                    part.write_text(f'self.clothbenchState = "{now}";\n', encoding="utf-8")
+                    part.write_text(f'self.clothbenchState = "{shown[0]}";\n', encoding="utf-8")
                 told(page, len(finished(folder)))
             time.sleep(EVERY)
     finally:
         write_page(folder)
         (folder / BESIDE).unlink(missing_ok=True)
+
+
+def changed(page: Path) -> int:
+    """When a file was last written [ns]; 0 where there is none."""
+    return page.stat().st_mtime_ns if page.is_file() else 0
 
 
 def finished(folder: Path) -> list[Path]:

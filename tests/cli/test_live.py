@@ -73,7 +73,7 @@ def test_a_watched_page_follows_the_run_and_ends_clean(clothbench, recordings_fo
         assert out.returncode == 0, out.stderr
         wait_for(lambda: beside.read_text() != first)
         (state,) = re.findall(r'"(\w+)"', beside.read_text())
-        assert f'data-watched="{state}"' in page.read_text()
+        wait_for(lambda: f'data-watched="{state}"' in page.read_text())  # also after the run has written its own
     finally:
         code = stopped(watching)
     said, told = watching.communicate()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -74,12 +76,15 @@ class Page:
         return told.get("value")
 
     def wait(self, condition: str) -> None:
-        """Until a condition holds; an error after ten seconds."""
-        script = f"""for (let n = 0; n < 200; n++) {{
-            if ({condition}) return true;
-            await new Promise((next) => setTimeout(next, 50));
-        }} return false;"""
-        assert self.run(script), condition
+        """Until a condition holds, in whichever page is loaded by then; an error after twenty seconds."""
+        from selenium.common.exceptions import JavascriptException
+
+        for _ in range(400):
+            with contextlib.suppress(JavascriptException):  # the page was just being loaded anew
+                if self.browser.execute_script(f"return Boolean({condition})"):
+                    return
+            time.sleep(0.05)
+        raise AssertionError(condition)
 
     def barriers(self) -> list[str]:
         """One line for each element that breaks a rule, with all of the page unfolded and drawn."""

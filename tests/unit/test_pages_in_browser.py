@@ -285,7 +285,7 @@ def test_a_watched_page_loads_itself_anew_and_at_last_without_that(page, tmp_pat
 def test_candidates_can_be_read_on_a_phone(page, improved):
     """Nothing of a candidate lies beyond the window's edge, and its numbers say what they are."""
     shown = page(improved, width=390)
-    shown.wait(DRAWN)
+    shown.wait('document.querySelector(".candidates tbody td")')
     script = """const cells = [...document.querySelectorAll(".candidates tbody td")];
         const rest = (cell) => getComputedStyle(cell, "::before").content.replaceAll('"', "").trim();
         return [Math.max(...cells.map((cell) => cell.getBoundingClientRect().right)),
