@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import contextlib
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.optimize import curve_fit
 
 from clothbench import ClothbenchError, Material, Scene
+from clothbench.core.optional import absent
 from clothbench.core.protocols import Effect, Model
 from clothbench.plugins.discovery import OWN, catalogue
 
@@ -18,19 +20,23 @@ STRETCH, BENDING = 30.0, 1e-7  # N/m and N·m of the soft, limp strip
 STIFF = 1000.0  # N/m of a sheet that hardly stretches
 
 
-def dynamic_models() -> list[str]:
-    """Every built-in model that moves and takes effects; one that cannot be loaded fails its own tests."""
+def dynamic_models() -> list[Any]:
+    """Every built-in model that moves and takes effects; one that cannot be loaded fails its own tests, one whose
+    library is not installed is skipped with that reason.
+    """
     found, names = catalogue(), []
     for plugin in found.plugins:
         if plugin.kind == "models" and plugin.distribution == OWN:
             with contextlib.suppress(ClothbenchError):
-                if {"dynamic", "effects"} <= set(found.load("models", plugin.name).capabilities):
-                    names.append(plugin.name)
+                model = found.load("models", plugin.name)
+                if {"dynamic", "effects"} <= set(model.capabilities):
+                    reason = absent(model)
+                    marks = [pytest.mark.skip(reason=reason)] if reason else []
+                    names.append(pytest.param(plugin.name, marks=marks))
     return names
 
 
-DYNAMIC_MODELS = dynamic_models()
-on_every_model = pytest.mark.parametrize("name", DYNAMIC_MODELS)
+on_every_model = pytest.mark.parametrize("name", dynamic_models())
 
 
 def effect_named(name: str) -> Effect:
