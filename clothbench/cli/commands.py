@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import json
 import os
-import signal
 import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -305,10 +304,12 @@ def compare(options: argparse.Namespace) -> int:
     from clothbench.report.gate import compare_rows, markdown, print_gate
 
     verdict = compare_rows(load_rows(options.base), load_rows(options.new))
-    if options.markdown and not options.json:
+    if options.json:
+        print_json(verdict)
+    elif options.markdown:
         print(markdown(verdict), end="")
     else:
-        print_json(verdict) if options.json else print_gate(verdict)
+        print_gate(verdict)
     return 0 if verdict["passed"] else 1
 
 
@@ -343,16 +344,17 @@ def report(options: argparse.Namespace) -> int:
 
 def watched(folder: Path) -> int:
     """The page of a folder, in which a run may have yet to begin, followed until Ctrl+C."""
+    from clothbench.cli.view import hear_interrupts
+    from clothbench.report.page import PAGE
     from clothbench.report.watch import watch
 
     folder.mkdir(parents=True, exist_ok=True)
-    print(f"page: {folder / 'report.html'}   (open it once: it follows by itself; Ctrl+C ends that)", flush=True)
+    print(f"page: {folder / PAGE}   (open it once: it follows by itself; Ctrl+C ends that)", flush=True)
 
     def told(page: Path, cells: int) -> None:
         print(f"{page}: {cells} cells", file=sys.stderr, flush=True)
 
-    for asked in (signal.SIGINT, signal.SIGTERM):  # a shell's background job would not hear the first by itself
-        signal.signal(asked, signal.default_int_handler)
+    hear_interrupts()
     with contextlib.suppress(KeyboardInterrupt):
         watch(folder, told)
     return 0

@@ -163,16 +163,16 @@ def _conclude(notes: Path, sweep: bool) -> int:
 
 
 def _say_where(store: Store, keys: Sequence[str]) -> None:
-    from clothbench.report.page import write_page
-    from clothbench.studies.calibration.film_rerun import write_best
+    from clothbench.report.page import PAGE, write_page
+    from clothbench.studies.calibration.film_rerun import BEST, write_best
 
     shown = Path(os.path.relpath(store.folder)) if store.folder.is_relative_to(Path.cwd()) else store.folder
     write_page(store.folder)
-    print(f"page:   {shown / 'report.html'}")
+    print(f"page:   {shown / PAGE}")
     print(f"tables: {shown / 'cells'}/KEY/*.parquet   (clothbench leaderboard --out {shown})")
     best = write_best(store, keys)
     if best or any((store.cell(k) / "fit.rrd").exists() for k in keys):
-        files = f"   ({shown / 'rerun'}: the best fit of each case)" if best else ""
+        files = f"   ({shown / BEST}: the best fit of each case)" if best else ""
         print(f"rerun:  clothbench view {keys[0]} --out {shown}{files}")
 
 

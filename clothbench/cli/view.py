@@ -44,14 +44,19 @@ def served(command: list[str]) -> int:
     quiet = {**os.environ, "RUST_LOG": os.environ.get("RUST_LOG", "error")}
     # A group of its own: the viewer is a child of a child, and must not stay behind when this one ends.
     child = subprocess.Popen([*command, *more], env=quiet, start_new_session=True)
-    for asked in (signal.SIGINT, signal.SIGTERM):  # a shell's background job would not hear the first by itself
-        signal.signal(asked, signal.default_int_handler)
+    hear_interrupts()
     try:
         return child.wait()
     except KeyboardInterrupt:
         return 0
     finally:
         end_group(child)
+
+
+def hear_interrupts() -> None:
+    """Let Ctrl+C and SIGTERM end what waits; a shell's background job would not hear the first by itself."""
+    for asked in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(asked, signal.default_int_handler)
 
 
 def end_group(child: subprocess.Popen[bytes]) -> None:

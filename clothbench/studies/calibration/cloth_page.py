@@ -12,7 +12,7 @@ from clothbench.display.html import group
 from clothbench.display.section import Section, json_text
 from clothbench.display.templates import asset, rendered
 from clothbench.engine.study import Results
-from clothbench.studies.calibration.ranking import way_of
+from clothbench.studies.calibration.ranking import fitted_totals, way_of
 from clothbench.studies.calibration.schema import FILMS
 from clothbench.studies.calibration.words import case_name
 
@@ -69,8 +69,8 @@ def in_turn(results: Results) -> Iterator[tuple[Rows, str, Path]]:
 
 def fitted_error(rows: Rows) -> float:
     """The error of a cell on what it was fitted to; cells without one come last."""
-    totals = [r["value"] for r in rows if r["split"] == "fit" and not r["recording"] and r["metric"] == r["objective"]]
-    return totals[0] if totals and totals[0] is not None else float("inf")
+    totals = fitted_totals(rows)
+    return float(totals[0]["value"]) if totals else float("inf")
 
 
 def _add(clips: Clips, rows: Rows, word: str, film: Film, takes: list[dict[str, Any]]) -> None:

@@ -17,11 +17,12 @@ from clothbench.display.plotly import COLOURS, GREY, VIRIDIS
 from clothbench.display.rerun import log_curve, log_seen, log_sheet, typical_distance
 from clothbench.engine.store import Store
 from clothbench.studies.calibration.cloth import FITTED, START, TRUTH
+from clothbench.studies.calibration.ranking import fitted_totals
 from clothbench.studies.calibration.schema import FILMS
 
 BEST = "rerun"  # folder of a store with a file for the best fit of each case
 TAKE_COLOURS = {FITTED: COLOURS[0], START: COLOURS[1], TRUTH: COLOURS[2]}  # of sheets and of their curves
-Rows = Sequence[Mapping[str, Any]]
+Rows = Sequence[dict[str, Any]]
 
 
 def write_best(store: Store, keys: Sequence[str]) -> list[Path]:
@@ -46,14 +47,12 @@ def write_best(store: Store, keys: Sequence[str]) -> list[Path]:
     return out
 
 
-def best_rows(rows: Rows, keys: Sequence[str]) -> dict[tuple[str, str], Mapping[str, Any]]:
+def best_rows(rows: Rows, keys: Sequence[str]) -> dict[tuple[str, str], dict[str, Any]]:
     """The best row of each (suite, case) among those of some cells, over all recordings that were fitted together."""
-    out: dict[tuple[str, str], Mapping[str, Any]] = {}
+    out: dict[tuple[str, str], dict[str, Any]] = {}
     known = set(keys)
-    found = [r for r in rows if r["key"] in known and r["metric"] == r["objective"] and r["value"] is not None]
-    for row in sorted(found, key=lambda r: (r["value"], r["key"])):
-        if row["split"] == "fit" and not row["recording"]:
-            out.setdefault((row["suite"], row["case"]), row)
+    for row in fitted_totals([r for r in rows if r["key"] in known]):
+        out.setdefault((row["suite"], row["case"]), row)
     return out
 
 
@@ -63,7 +62,7 @@ def write_film_rerun(path: Path, store: Store, key: str, files: Sequence[Path]) 
     """
     films = [read_film(file) for file in files]
     roots = [rr.new_entity_path([film.split, film.name]) for film in films]
-    rows = [row for row in store.rows() if row["key"] == key]
+    rows = store.rows((key,))
     # The viewer remembers layouts by application: one of its own keeps the tabs of other cells out.
     stream = rr.RecordingStream(f"clothbench-{key}", recording_id=key, send_properties=False)
     stream.save(path, default_blueprint=blueprint(roots, films))

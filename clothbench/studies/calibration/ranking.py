@@ -102,11 +102,16 @@ def best_cell(rows: Rows) -> str:
     """Key of the cell with the least error on what it was fitted to, by what it was fitted by: of several seeds, the
     one that somebody would take.
     """
-    fitted = [
+    return str((fitted_totals(rows) or rows)[0]["key"])
+
+
+def fitted_totals(rows: Rows) -> list[dict[str, Any]]:
+    """Rows over all that was fitted together, by what it was fitted by, that came to a number; the best first."""
+    found = [
         r for r in rows
         if r["split"] == "fit" and not r["recording"] and r["metric"] == r["objective"] and r["value"] is not None
     ]  # fmt: skip
-    return min(fitted, key=lambda r: (r["value"], r["key"]))["key"] if fitted else rows[0]["key"]
+    return sorted(found, key=lambda r: (r["value"], r["key"]))
 
 
 def best_of(standing: Mapping[str, Standing]) -> list[str]:
