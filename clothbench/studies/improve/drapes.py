@@ -235,6 +235,8 @@ class DrapeEvidence:
         """
         return
 
+    coarsened = refined
+
     def noise(self) -> float:
         """1: the spread between specimens is the unit."""
         return 1.0

@@ -9,6 +9,7 @@ from clothbench.plugins.discovery import reason_of
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.attribution import Probe, explained_share, probe_candidate
 from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.fitting import first_look
 from clothbench.studies.improve.permutation import PermutationTest, permutation_test
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.refits import refine_finalists, refit, refit_null
@@ -35,10 +36,11 @@ def one_round(
     anew = rescreened(current, candidates, earlier, promise)
     found = [probe for probe in earlier if probe.effect in candidates and probe.effect not in anew]
     refused: dict[str, str] = {}
+    coarse = first_look(problem, current)
     for k, name in enumerate(anew):
         account.stage(f"round {turn + 1}: candidates", k, len(anew))
         try:
-            more, count = probe_candidate(problem, current, name)
+            more, count = probe_candidate(coarse, current, name)
         except Exception as fault:  # a model may have no room for it, a stranger's effect may do anything
             refused[name] = reason_of(fault)
             continue

@@ -11,7 +11,8 @@ from clothbench import ClothbenchError, Evaluation, ParameterSpace
 from clothbench_optimizers.search import GeneratorSearch, Steps
 
 Walk = Generator[np.ndarray, Evaluation, None]
-DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])  # tried at once, in units of the current damping
+# In units of the current damping: two tried at once, and two more where neither gains anything.
+DAMPINGS = np.array([[0.1, 1.0], [10.0, 100.0]])
 
 
 class LeastSquares(GeneratorSearch):
@@ -21,11 +22,11 @@ class LeastSquares(GeneratorSearch):
     to walk, one after the other; difference: step of the forward differences, in units of the scaled range, long enough
     to look over the ripples that folding cloth leaves in the error; tolerance: relative gain in the sum of squares
     below which two rounds in a row end a walk. Each round simulates the Jacobian's points as one batch, where the
-    last one gained more than that, then four dampings as another.
+    last one gained more than that, then two dampings as another, and two stronger ones where neither gains anything.
     """
 
     name = "least_squares"
-    version = 3
+    version = 4
     needs_residual = True
 
     def __init__(
@@ -58,16 +59,20 @@ class LeastSquares(GeneratorSearch):
                 away = np.where(here + self.difference <= 1.0, self.difference, -self.difference)
                 shifted = yield here + np.diag(away)
                 jacobian = np.nan_to_num((shifted.residual - residual) / away[:, None]).T
-            trials, used = proposals(here, jacobian, residual, damping)
-            evaluation = yield trials
-            cost = sums_of_squares(evaluation)
-            best = int(np.argmin(cost))
-            gain = (cost_here - cost[best]) / max(cost_here, np.finfo(float).tiny)
-            if gain > 0:
-                here, residual, cost_here, damping = trials[best], evaluation.residual[best], cost[best], used[best]
-                jacobian = None if gain >= self.tolerance else jacobian
+            gain = 0.0
+            for used in DAMPINGS * damping:
+                trials = proposals(here, jacobian, residual, used)
+                evaluation = yield trials
+                cost = sums_of_squares(evaluation)
+                best = int(np.argmin(cost))
+                if cost[best] < cost_here:
+                    gain = (cost_here - cost[best]) / cost_here
+                    here, residual, cost_here, damping = trials[best], evaluation.residual[best], cost[best], used[best]
+                    break
             else:
-                damping *= DAMPINGS[-1]
+                damping = used[-1]
+            if gain >= self.tolerance:
+                jacobian = None
             idle = idle + 1 if gain < self.tolerance else 0
 
 
@@ -80,10 +85,8 @@ def sums_of_squares(evaluation: Evaluation) -> np.ndarray:
     return np.where(np.isfinite(cost), cost, np.inf)
 
 
-def proposals(
-    here: np.ndarray, jacobian: np.ndarray, residual: np.ndarray, damping: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Damped Gauss–Newton points (4, P) inside the unit cube, and the damping of each.
+def proposals(here: np.ndarray, jacobian: np.ndarray, residual: np.ndarray, dampings: np.ndarray) -> np.ndarray:
+    """Damped Gauss–Newton points (D, P) inside the unit cube, one for each of the dampings (D,).
 
     A parameter that stands on its bound and wants to leave is held there, so that it does not spoil the others' step.
     """
@@ -91,9 +94,9 @@ def proposals(
     free = ~(((here <= 0) & (gradient > 0)) | ((here >= 1) & (gradient < 0)))
     scale = np.maximum(np.diag(hessian), 1e-12 * max(hessian.max(), np.finfo(float).tiny))
     points = []
-    for factor in DAMPINGS * damping:
+    for factor in dampings:
         step = np.zeros_like(here)
         damped = hessian[np.ix_(free, free)] + factor * np.diag(scale[free])
         step[free] = -np.linalg.lstsq(damped, gradient[free], rcond=None)[0]
         points.append(np.clip(here + step, 0.0, 1.0))
-    return np.array(points), DAMPINGS * damping
+    return np.array(points)
