@@ -186,9 +186,43 @@ def test_least_squares_can_follow_the_folds(observation):
     assert 0.03 + step == pytest.approx(0.02, abs=0.006)
 
 
+def test_edges_of_silhouettes_lie_as_far_apart_as_the_sheet_sags(observation):
+    """Of an outline only the lower edge moves, and what is below it of the sides is new."""
+    metric = catalogue().make("metrics", "silhouette", quantity="edge_distance")
+    at_truth, sagging, further = metric(observation, rollout(*(draped(0.02, sag=s) for s in (0.0, 0.05, 0.1)))).value
+    assert at_truth < 0.3  # px: the mesh is coarser than the truth's
+    assert 0.5 < sagging < further
+    # Pixels are 0.40 m / 100 wide; the lower edge, a quarter of the outline, sinks by 15 and 30 mm.
+    assert further - at_truth == pytest.approx(30 / 4 / 4, rel=0.5)
+
+
+def test_marked_lines_are_found_again_where_they_are(observation):
+    metric = catalogue().make("metrics", "marked_edges")
+    at_truth, shifted = metric(observation, rollout(draped(0.02), draped(0.02) + np.array([0.008, 0.0, 0.0]))).value
+    assert at_truth == 0.0
+    # Moved by 2 px to the right: upright lines lie that far from themselves, level ones on each other.
+    assert 0.5 < shifted < 2.0
+    unseen = dataclasses.replace(observation, visible=np.zeros_like(observation.visible))
+    assert np.isnan(metric(unseen, rollout(draped(0.02))).value[0])
+
+
+def test_folds_are_counted_wherever_they_are():
+    """A sheet with as many folds elsewhere has the count of the one that was filmed, and half of them has not."""
+    deep, fewer = draped(0.02, waves=3.0), draped(0.02, waves=1.0)
+    aside = deep.copy()
+    aside[..., 1] *= -1  # hills where there were valleys
+    observed = dataclasses.replace(catalogue().make("trackers", "markers").track(recording()), position=deep)
+    metrics = (catalogue().make("metrics", name) for name in ("fold_count", "fold"))
+    count, fold = (metric(observed, rollout(deep, aside, fewer)).value for metric in metrics)
+    assert count[0] == 0.0
+    assert count[1] < 1.0 < count[2]
+    assert fold[1] > 0.2 * fold[2]  # which `fold` takes for another sheet
+
+
 @pytest.mark.parametrize(
     ("name", "options", "found"),
     [
+        ("fold_count", {"least": 2}, "least is 2"),
         ("fold", {"alpha": -1}, "alpha is -1"),
         ("fold", {"alpha": float("inf")}, "alpha is inf"),
         ("fold", {"pixels": 3}, "pixels is 3"),

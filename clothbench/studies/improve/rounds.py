@@ -56,7 +56,7 @@ def one_round(
         goal = min([current.rms**2 - fall / 2, *rivals])
         best = best_probe(candidate.name, found, test)
         assert best is not None  # it was screened
-        tried.append(refit(problem, current, candidate, found[best], goal, account))
+        tried.append(refit(problem, coarse, current, candidate, found[best], goal, account))
     tried = refine_finalists(problem, current, fall, tried, account, turn)
     assessed = assess(current, fall, tried, problem.evidence)
     if named := choose(current, assessed):

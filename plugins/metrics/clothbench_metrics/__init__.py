@@ -27,4 +27,12 @@ def clothbench_metrics():
             "drape coefficient and folds, in standard deviations between captures; several objectives",
         ),
         Registration("silhouette", "clothbench_metrics.silhouette:Silhouette", "mismatched pixels of the outline"),
+        Registration(
+            "marked_edges",
+            "clothbench_metrics.marked_edges:MarkedEdges",
+            "distance in the picture of lines marked on the cloth, in px",
+        ),
+        Registration(
+            "fold_count", "clothbench_metrics.fold_count:FoldCount", "mean number of folds in the picture, statistical"
+        ),
     ]

@@ -146,6 +146,21 @@ def compared(sight: Sight, rollout: Rollout, compare: Callable[[int, slice], Non
     return lost
 
 
+def apart(one: np.ndarray, other: np.ndarray) -> float:
+    """Mean distance [px] from each pixel of two sets (H, W) bool to the nearest of the other set, each set with the
+    same say; NaN where one of them is empty.
+    """
+    import cv2
+
+    if not (one.any() and other.any()):
+        return math.nan
+    way = [
+        cv2.distanceTransform((~there).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)[here].mean()
+        for here, there in ((one, other), (other, one))
+    ]
+    return float(np.mean(way))
+
+
 def check_shape(observation: Observation, rollout: Rollout) -> None:
     if rollout.position.shape[1:] != observation.position.shape:
         raise ClothbenchError(
