@@ -92,6 +92,8 @@ def parser() -> argparse.ArgumentParser:
         commands, "units", units, "a simulator's parameters: as documented, and as measured by mechanics", _units, _json
     )
     _add(commands, "presets", presets, "what measured fabrics are like, with spread and source", _presets, _json)
+    _add(commands, "submit", submit, "score what another simulator moved, for others to check", _submit)
+    _add(commands, "verify", verify, "compute the scores of submissions again; exit 1 if one does not stand", _verify)
     _add(commands, "new-plugin", new_plugin, "start a plugin distribution with a passing conformance test", _new)
     return out
 
@@ -113,6 +115,30 @@ def _paths(sub: argparse.ArgumentParser) -> None:
 
 def _store(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--out", default=DEFAULT_OUT, help="results folder (default: runs)")
+
+
+def _recordings(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "--recordings", nargs="+", default=["builtin:static_dynamic"], metavar="PATH",
+        help="what was measured: .nc files or folders (default: builtin:static_dynamic)",
+    )  # fmt: skip
+
+
+def _submit(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("folder", type=Path, help="of simulated recordings: copies of the measured ones' files (kind "
+                     "nodes) with the simulated `position`")  # fmt: skip
+    _recordings(sub)
+    sub.add_argument("--name", required=True, help="what the model is called on the leaderboard")
+    sub.add_argument("--by", default="", help="who hands it in")
+    sub.add_argument("--about", default="", help="one line about the model")
+    sub.add_argument("--suite", default="static_dynamic", help="what its rows are grouped by (default: static_dynamic)")
+    sub.add_argument("--metric", nargs="+", default=["node_error"], help="that scores it (default: node_error)")
+
+
+def _verify(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="a submission")
+    _recordings(sub)
+    sub.add_argument("--out", type=Path, help="results folder that takes what stands")
 
 
 def _import(sub: argparse.ArgumentParser) -> None:
@@ -370,6 +396,19 @@ def export(options: argparse.Namespace) -> int:
     from clothbench.cli.export import export as command
 
     return command(options.name, options.to, Path(options.runs), options.out)
+
+
+def submit(options: argparse.Namespace) -> int:
+    from clothbench.cli.submissions import submit as command
+
+    about = {"name": options.name, "by": options.by, "about": options.about, "suite": options.suite}
+    return command(options.folder, options.recordings, options.metric, **about)
+
+
+def verify(options: argparse.Namespace) -> int:
+    from clothbench.cli.submissions import verify_all
+
+    return verify_all(options.folders, options.recordings, options.out)
 
 
 def units(options: argparse.Namespace) -> int:

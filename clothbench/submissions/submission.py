@@ -1,0 +1,238 @@
+"""A submission: a folder with a simulated recording for each measured one, and `submission.json`, its table of contents.
+
+A simulated recording is the measured one's file (kind "nodes") with the simulator's positions of the same material
+points at the same times in place of the measured ones, whoever wrote it and in whatever language. `submission.json`:
+
+| key | meaning |
+|---|---|
+| `schema` | 1 |
+| `name`, `by`, `about` | what the model is called on the leaderboard, who hands it in, one line about it |
+| `suite` | of which recordings, in words: what its rows are grouped by |
+| `clothbench` | the version that scored it |
+| `entries` | `recording` and `recording_hash` of what was measured, `file` and its `sha256`, `scores` by metric |
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import clothbench
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import whole_file
+from clothbench.core.rollout import Rollout
+from clothbench.plugins.discovery import Catalogue
+from clothbench.recordings.nodes import Recording, read_recording
+
+FILE, SCHEMA = "submission.json", 1
+SAME = 1e-9  # s and m: times, material points and grips are copied, not computed
+COPIED = 0.9  # share of the tracker's noise: no cloth lies so near to what was tracked
+HELD = 2e-3  # m, how far from its grip a held point may lie: a model may hold the node that is nearest
+
+
+@dataclass(frozen=True)
+class Entry:
+    """One simulated recording. file: below the submission's folder; sha256: of that file; scores: by metric's name."""
+
+    recording: str
+    recording_hash: str
+    file: str
+    sha256: str
+    scores: Mapping[str, float]
+
+
+@dataclass(frozen=True)
+class Submission:
+    """What `submission.json` says."""
+
+    name: str
+    by: str
+    about: str
+    suite: str
+    clothbench: str
+    entries: tuple[Entry, ...]
+
+    @property
+    def metrics(self) -> tuple[str, ...]:
+        """The metrics of its scores."""
+        return tuple(dict.fromkeys(metric for entry in self.entries for metric in entry.scores))
+
+
+@dataclass(frozen=True, eq=False)
+class Compared:
+    """One simulated recording beside what was measured. scores and floors: by metric, in its unit."""
+
+    measured: Recording
+    path: Path
+    scores: Mapping[str, float]
+    floors: Mapping[str, float]
+    units: Mapping[str, str]
+
+
+def pack(
+    folder: Path, measured: Sequence[Recording], metrics: Sequence[str], plugins: Catalogue, **about: str
+) -> Submission:
+    """Check and score the simulated recordings in a folder, and write its `submission.json`. about: name, by, about and
+    suite. The first fault raises a ClothbenchError: file, what was found, what was expected.
+    """
+    by_name = {recording.name: recording for recording in measured}
+    paths = sorted(folder.rglob("*.nc"))
+    if not paths:
+        raise ClothbenchError(
+            f"{folder}: found no simulated recordings (*.nc), expected one for each measured one: a copy of its file "
+            "with the simulated `position`"
+        )
+    entries: list[Entry] = []
+    for path in paths:
+        simulated = read_recording(path)
+        if simulated.name not in by_name:
+            known = ", ".join(sorted(by_name)[:4])
+            raise ClothbenchError(
+                f"{path}: found name {simulated.name!r}, expected that of a measured recording ({known}, …)"
+            )
+        if simulated.name in {entry.recording for entry in entries}:
+            raise ClothbenchError(f"{path}: is a second file of {simulated.name!r}, expected one for each recording")
+        found = compared(path, simulated, by_name[simulated.name], metrics, plugins)
+        entries.append(
+            Entry(simulated.name, found.measured.hash, path.relative_to(folder).as_posix(), sha256(path), found.scores)
+        )
+    require_all(folder, [entry.recording for entry in entries], measured)
+    out = Submission(clothbench=clothbench.__version__, entries=tuple(entries), **about)
+    with whole_file(folder / FILE) as part:
+        part.write_text(json.dumps({"schema": SCHEMA, **asdict(out)}, indent=1) + "\n", encoding="utf-8")
+    return out
+
+
+def require_all(folder: Path, names: Iterable[str], measured: Sequence[Recording]) -> None:
+    """Refuse a choice of recordings: a model is not to be shown only where it does well."""
+    missing = sorted({recording.name for recording in measured} - set(names))
+    if missing:
+        raise ClothbenchError(
+            f"{folder}: has {len(measured) - len(missing)} of {len(measured)} recordings, {missing[0]!r} is missing; "
+            "hand in all of them, or name those that it is about with --recordings"
+        )
+
+
+def read_submission(folder: Path) -> Submission:
+    """What a folder's `submission.json` says; faults are one line."""
+    path = folder / FILE
+    try:
+        stated = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ClothbenchError(f"{folder}: found no {FILE}; make one with `clothbench submit {folder}`") from None
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as fault:
+        raise ClothbenchError(f"{path}: is no JSON ({fault}); make it with `clothbench submit {folder}`") from None
+    if not isinstance(stated, dict) or stated.get("schema") != SCHEMA:
+        found = stated.get("schema") if isinstance(stated, dict) else type(stated).__name__
+        raise ClothbenchError(f"{path}: schema is {found!r}, expected {SCHEMA}")
+    texts = {key: stated.get(key) for key in ("name", "by", "about", "suite", "clothbench")}
+    for key, value in texts.items():
+        if not isinstance(value, str) or (key in ("name", "suite") and not value.strip()):
+            raise ClothbenchError(f"{path}: {key} is {value!r}, expected text")
+    entries = stated.get("entries")
+    if not isinstance(entries, list) or not entries:
+        raise ClothbenchError(f"{path}: entries is {entries!r}, expected a list of simulated recordings")
+    return Submission(entries=tuple(_entry(path, k, one) for k, one in enumerate(entries)), **texts)
+
+
+def _entry(path: Path, number: int, stated: Any) -> Entry:
+    where = f"{path}: entries[{number}]"
+    if not isinstance(stated, dict):
+        raise ClothbenchError(f"{where} is {stated!r}, expected a mapping")
+    texts = {key: stated.get(key) for key in ("recording", "recording_hash", "file", "sha256")}
+    for key, value in texts.items():
+        if not isinstance(value, str) or not value:
+            raise ClothbenchError(f"{where}.{key} is {value!r}, expected text")
+    place = Path(texts["file"])
+    if place.is_absolute() or ".." in place.parts:
+        raise ClothbenchError(f"{where}.file is {texts['file']!r}, expected a path inside the submission's folder")
+    scores = stated.get("scores")
+    if not isinstance(scores, dict) or not scores or not all(_is_number(value) for value in scores.values()):
+        raise ClothbenchError(f"{where}.scores is {scores!r}, expected numbers by metric")
+    return Entry(scores={str(metric): float(value) for metric, value in scores.items()}, **texts)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def compared(
+    path: Path, simulated: Recording, measured: Recording, metrics: Iterable[str], plugins: Catalogue
+) -> Compared:
+    """The scores of a simulated recording, once it is sure that it can be one of what was measured."""
+    require_of(path, simulated, measured)
+    seen = plugins.make("trackers", "markers").track(measured)
+    rollout = Rollout(measured.time, simulated.position[None], ("ok",), np.zeros(1, int), len(measured.material))
+    scores, floors, units = {}, {}, {}
+    for name in metrics:
+        metric = plugins.make("metrics", name)
+        score = metric(seen, rollout)
+        scores[name], floors[name], units[name] = float(score.value[0]), float(metric.floor(seen)), score.unit
+        if not np.isfinite(scores[name]):
+            raise ClothbenchError(f"{path}: the metric {name!r} gives no number for it; leave that metric out")
+    require_not_copied(path, simulated, measured)
+    return Compared(measured, path, scores, floors, units)
+
+
+def require_of(path: Path, simulated: Recording, measured: Recording) -> None:
+    """Refuse what is not the same points at the same times in the same grips, or has positions that are no numbers."""
+    for what in ("time", "material", "grip_time", "grip_material", "grip_position"):
+        mine, theirs = getattr(measured, what), getattr(simulated, what)
+        if mine.shape != theirs.shape:
+            raise ClothbenchError(f"{path}: found {what} of {theirs.shape}, expected {mine.shape} as measured")
+        if not np.allclose(mine, theirs, rtol=0, atol=SAME, equal_nan=True):
+            away = float(np.nanmax(np.abs(mine - theirs)))
+            raise ClothbenchError(f"{path}: found {what} that differs from what was measured by {away:.3g}, expected 0")
+    lost = ~np.isfinite(simulated.position).all(axis=2)
+    if lost.any():
+        frame, node = np.argwhere(lost)[0]
+        raise ClothbenchError(f"{path}: position is not a number at frame {frame}, node {node}; expected all of them")
+    held, grip = held_points(measured)
+    if len(held):
+        where = np.stack(
+            [
+                [np.interp(measured.time, measured.grip_time, measured.grip_position[:, g, c]) for c in range(3)]
+                for g in grip
+            ]
+        )
+        away = np.linalg.norm(simulated.position[:, held] - where.transpose(2, 0, 1), axis=2)
+        if away.max() > HELD:
+            frame, k = np.unravel_index(int(away.argmax()), away.shape)
+            raise ClothbenchError(
+                f"{path}: node {held[k]} is held, and lies {1e3 * away.max():.3g} mm from its grip at frame {frame}; "
+                f"expected {1e3 * HELD:g} mm at most: drive the cloth with the recorded grips"
+            )
+
+
+def held_points(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
+    """Numbers of the tracked points that a grip holds, and of their grips."""
+    away = np.linalg.norm(recording.material[:, None] - recording.grip_material[None], axis=2)
+    held, grip = np.nonzero(away < SAME)
+    return held, grip
+
+
+def require_not_copied(path: Path, simulated: Recording, measured: Recording) -> None:
+    """Refuse positions that are nearer to what was tracked than the tracker's own noise lets any cloth be."""
+    free = np.setdiff1d(np.arange(len(measured.material)), held_points(measured)[0])
+    seen = measured.visible[:, free]
+    sigma, count = measured.noise_sigma, 3 * int(seen.sum())
+    if not (np.isfinite(sigma) and count):
+        return
+    away = float(np.sqrt(np.mean(np.square((simulated.position - measured.position)[:, free][seen]))))
+    # The rms of so many normal numbers scatters by 1/√(2n) of itself: a perfect model is not as near by chance.
+    if away < sigma * min(COPIED, 1 - 5 / np.sqrt(2 * count)):
+        raise ClothbenchError(
+            f"{path}: lies {1e3 * away:.3g} mm a coordinate from the tracked positions, whose noise alone is "
+            f"{1e3 * sigma:.3g} mm; expected simulated positions, not measured ones"
+        )
+
+
+def sha256(path: Path) -> str:
+    with path.open("rb") as file:
+        return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,0 +1,161 @@
+"""Submissions: what others simulated, scored and computed again; and what is refused."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pytest
+from conftest import swinging_recording
+
+from clothbench import ClothbenchError, read_recording, write_recording
+from clothbench.engine.store import Store
+from clothbench.plugins.discovery import catalogue
+from clothbench.submissions.submission import FILE, pack, read_submission
+from clothbench.submissions.verification import keep, verify
+
+MEASURED = [swinging_recording("sway-1"), swinging_recording("sway-2", split="held_out")]
+ABOUT = {"name": "my-simulator", "by": "somebody", "about": "a rigid plate", "suite": "sway"}
+
+
+def simulated(recording, away=0.003):
+    """What a rigid plate does in the recorded grips, bulging by so many metres; held points stay in their grips."""
+    sway = np.interp(recording.time, recording.grip_time, recording.grip_position[:, 0, 1])
+    u, v = recording.material.T
+    bulge = away * np.sin(np.pi * v / 0.4)
+    y = sway[:, None] + bulge
+    position = np.stack(np.broadcast_arrays(u, y, -v), axis=-1)
+    return dataclasses.replace(recording, position=position, source="a plate")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    for recording in MEASURED:
+        write_recording(simulated(recording), tmp_path / "mine" / f"{recording.name}.nc")
+    return tmp_path / "mine"
+
+
+def copied(recording):
+    """The tracked positions themselves, but for the held points, which lie in their grips."""
+    position = recording.position.copy()
+    held = [0, 4]
+    position[:, held] = simulated(recording).position[:, held]
+    return position
+
+
+def with_a_gap(recording):
+    position = simulated(recording).position.copy()
+    position[3, 7] = np.nan
+    return position
+
+
+def packed(folder, measured=MEASURED):
+    return pack(folder, measured, ["node_error"], catalogue(), **ABOUT)
+
+
+def rewrite(folder, stem, **changes):
+    path = folder / f"{stem}.nc"
+    write_recording(dataclasses.replace(read_recording(path), **changes), path)
+
+
+def edit(folder, change):
+    """The submission's own file with something else in it."""
+    stated = json.loads((folder / FILE).read_text())
+    change(stated)
+    (folder / FILE).write_text(json.dumps(stated))
+
+
+def test_scores_are_computed_again_and_stand_on_the_leaderboard(folder, tmp_path):
+    submission = packed(folder)
+    assert read_submission(folder) == submission
+    found = verify(folder, MEASURED, catalogue())
+    assert found.faults == ()
+    store = Store(tmp_path / "runs")
+    (key,) = keep(found, store, catalogue())
+    rows = store.rows([key])
+    single = {row["recording"]: row for row in rows if row["recording"]}
+    assert {name: row["value"] for name, row in single.items()} == {
+        entry.recording: entry.scores["node_error"] for entry in submission.entries
+    }
+    row = single["sway-2"]
+    assert (row["model"], row["split"], row["unit"]) == ("my-simulator", "held_out", "mm")
+    assert "recomputed" in row["optimizer"]
+    assert row["floor"] > 0
+    assert len([row for row in rows if not row["recording"]]) == 2  # a mean for each split
+
+
+def test_a_forged_score_and_a_file_changed_afterwards_are_refused(folder):
+    packed(folder)
+    edit(folder, lambda stated: stated["entries"][0]["scores"].update(node_error=1.0))
+    rewrite(folder, "sway-2", source="another")
+    found = verify(folder, MEASURED, catalogue())
+    assert len(found.found) == 0
+    assert "claimed were 1 mm" in found.faults[0]
+    assert "is not the file that was handed in" in found.faults[1]
+
+
+def test_results_of_another_version_are_set_aside(folder):
+    packed(folder)
+    edit(folder, lambda stated: stated.update(clothbench="0.0.1"))
+    with pytest.raises(ClothbenchError, match=r"scored by clothbench 0\.0\.1.*set aside"):
+        verify(folder, MEASURED, catalogue())
+
+
+def test_other_recordings_and_a_choice_of_them_are_refused(folder):
+    packed(folder)
+    other = [dataclasses.replace(MEASURED[0], areal_density=0.3), MEASURED[1]]
+    assert "not among those given" in verify(folder, other, catalogue()).faults[0]
+    (folder / "sway-2.nc").unlink()
+    with pytest.raises(ClothbenchError, match="has 1 of 2 recordings, 'sway-2' is missing"):
+        packed(folder)
+    assert "is not there" in verify(folder, MEASURED, catalogue()).faults[0]
+
+
+@pytest.mark.parametrize(
+    ("changes", "found"),
+    [
+        ({"position": copied(MEASURED[0])}, "expected simulated positions, not measured ones"),
+        ({"position": with_a_gap(MEASURED[0])}, "not a number at frame 3, node 7"),
+        ({"position": simulated(MEASURED[0]).position + 0.01}, r"node \d is held, and lies 17.3 mm from its grip"),
+        ({"time": MEASURED[0].time * 1.001}, "found time that differs from what was measured by 0.0005"),
+        ({"name": "sway-3"}, "found name 'sway-3', expected that of a measured recording"),
+    ],
+)
+def test_what_no_simulation_of_the_recording_can_be_is_refused(folder, changes, found):
+    rewrite(folder, "sway-1", **changes)
+    with pytest.raises(ClothbenchError, match=found):
+        packed(folder)
+    assert not (folder / FILE).exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (lambda s: s.update(schema=2), "schema is 2, expected 1"),
+        (lambda s: s.update(name=" "), "name is ' ', expected text"),
+        (lambda s: s.update(entries={}), "entries is {}, expected a list"),
+        (lambda s: s["entries"][0].update(file="../../etc/passwd"), "expected a path inside the submission's folder"),
+        (lambda s: s["entries"][0].update(scores={"node_error": "low"}), "expected numbers by metric"),
+    ],
+)
+def test_a_damaged_submission_is_one_line(folder, change, found):
+    packed(folder)
+    edit(folder, change)
+    with pytest.raises(ClothbenchError, match=found):
+        verify(folder, MEASURED, catalogue())
+
+
+def test_as_a_user_hands_in_and_checks(folder, recordings_folder, clothbench):
+    given = ["--recordings", str(recordings_folder)]
+    done = clothbench("submit", folder, "--name", "my-simulator", "--suite", "sway", *given)
+    assert done.returncode == 0, done.stderr
+    done = clothbench("verify", folder, *given, "--out", "runs")
+    assert done.returncode == 0, done.stderr
+    assert "recomputed" in done.stdout
+    rows = json.loads(clothbench("leaderboard", "--json", "--out", "runs").stdout)
+    assert {row["model"] for row in rows} == {"my-simulator"}
+    assert "my-simulator" in clothbench("leaderboard", "--out", "runs").stdout
+    assert clothbench("report", "out=runs").returncode == 0
+    edit(folder, lambda stated: stated["entries"][0]["scores"].update(node_error=1.0))
+    done = clothbench("verify", folder, *given, "--out", "other")
+    assert done.returncode == 1
+    assert done.stderr.startswith("refused: ")
