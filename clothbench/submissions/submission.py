@@ -1,4 +1,4 @@
-"""A submission: a folder with a simulated recording for each measured one, and `submission.json`, its table of contents.
+"""A submission: a folder with a simulated recording for each measured one, and `submission.json` about them.
 
 A simulated recording is the measured one's file (kind "nodes") with the simulator's positions of the same material
 points at the same times in place of the measured ones, whoever wrote it and in whatever language. `submission.json`:
@@ -131,7 +131,7 @@ def read_submission(folder: Path) -> Submission:
     if not isinstance(stated, dict) or stated.get("schema") != SCHEMA:
         found = stated.get("schema") if isinstance(stated, dict) else type(stated).__name__
         raise ClothbenchError(f"{path}: schema is {found!r}, expected {SCHEMA}")
-    texts = {key: stated.get(key) for key in ("name", "by", "about", "suite", "clothbench")}
+    texts: dict[str, Any] = {key: stated.get(key) for key in ("name", "by", "about", "suite", "clothbench")}
     for key, value in texts.items():
         if not isinstance(value, str) or (key in ("name", "suite") and not value.strip()):
             raise ClothbenchError(f"{path}: {key} is {value!r}, expected text")
@@ -145,7 +145,7 @@ def _entry(path: Path, number: int, stated: Any) -> Entry:
     where = f"{path}: entries[{number}]"
     if not isinstance(stated, dict):
         raise ClothbenchError(f"{where} is {stated!r}, expected a mapping")
-    texts = {key: stated.get(key) for key in ("recording", "recording_hash", "file", "sha256")}
+    texts: dict[str, Any] = {key: stated.get(key) for key in ("recording", "recording_hash", "file", "sha256")}
     for key, value in texts.items():
         if not isinstance(value, str) or not value:
             raise ClothbenchError(f"{where}.{key} is {value!r}, expected text")

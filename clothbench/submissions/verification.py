@@ -112,9 +112,10 @@ def _rows(compared: Sequence[Compared]) -> list[dict[str, Any]]:
         common = {"metric": metric, "objective": metric}
         for split in dict.fromkeys(one.measured.split for one in compared):
             mine = [one for one in compared if one.measured.split == split and metric in one.scores]
-            single = [(one.measured.name, one.scores[metric], one.floors[metric]) for one in mine]
-            total = (None, *(float(np.mean([row[k] for row in single])) for k in (1, 2)))
-            for name, value, floor in (total, *single):
+            scores, floors = [one.scores[metric] for one in mine], [one.floors[metric] for one in mine]
+            names = [None, *(one.measured.name for one in mine)]  # the mean of all is of no recording
+            scores, floors = [float(np.mean(scores)), *scores], [float(np.mean(floors)), *floors]
+            for name, value, floor in zip(names, scores, floors, strict=True):
                 where = {"recording": name, "split": split, "unit": mine[0].units[metric]}
                 out.append({**common, **where, "value": value, "floor": finite(floor)})
     return out

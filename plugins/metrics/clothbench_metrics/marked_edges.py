@@ -33,7 +33,7 @@ class MarkedEdges:
         there = observation.visible[:, lines].all(axis=2)  # (T, L)
         frames = there.any(axis=1) & sight.frames
         per_frame = np.full((len(rollout), len(frames)), np.nan)
-        seen = {t: self._drawn(sight, lines[there[t]], observation.position[t]) for t in np.flatnonzero(frames)}
+        seen = {int(t): self._drawn(sight, lines[there[t]], observation.position[t]) for t in np.flatnonzero(frames)}
 
         def compare(b: int, some: slice) -> None:
             for t in range(len(frames))[some]:
