@@ -77,7 +77,6 @@ def test_an_effect_with_several_shape_parameters_is_sought_in_other_valleys(monk
     problem = SimpleNamespace(
         seed=0, evidence=evidence, space_of=lambda name: effect, trials=lambda names, split: None
     )  # fmt: skip
-    problem.coarsened = lambda: problem
 
     def ended(start):
         rms = 1e-3 if start[2] > 0 else 4e-3

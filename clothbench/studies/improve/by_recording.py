@@ -20,7 +20,7 @@ from clothbench.core.parameters import ParameterSpace
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.attribution import null_point, tangents
 from clothbench.studies.improve.fitted import Fitted, jackknife_interval
-from clothbench.studies.improve.fitting import first_look, fit
+from clothbench.studies.improve.fitting import fit
 from clothbench.studies.improve.permutation import span_of
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.selection import Candidate, allowances, least_fall
@@ -103,13 +103,13 @@ def screen(problem: Problem, current: Fitted, names: Sequence[str]) -> list[Cand
     Each recording takes what explains most of it, at whichever setting of the effect's shape, beside a base of its own:
     so much freedom has the residual itself, and so much have the surrogates (as in `permutation_test`).
     """
-    cases, coarse, spans = problem.of_split("fit"), first_look(problem, current), {}
+    cases, spans = problem.of_split("fit"), {}
     bases = [span_of(jacobian / len(jacobian) ** 0.5) for jacobian in current.jacobian]
     for name in names:
         try:
             if not own_names(problem, name):
                 continue
-            settings = settings_of(coarse, current, name)
+            settings = settings_of(problem, current, name)
         except Exception:  # a stranger's effect may do anything; the rounds before have said what is wrong with it
             continue
         spans[name] = [[at_right_angles(base, c) for c in some] for base, some in zip(bases, settings, strict=True)]

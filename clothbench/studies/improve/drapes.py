@@ -235,8 +235,6 @@ class DrapeEvidence:
         """
         return
 
-    coarsened = refined
-
     def noise(self) -> float:
         """1: the spread between specimens is the unit."""
         return 1.0

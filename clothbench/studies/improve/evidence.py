@@ -134,12 +134,6 @@ class Evidence(Protocol):
         """The same with cells of half the size; None where nothing is discretised."""
         ...
 
-    def coarsened(self) -> Self | None:
-        """The same with larger cells, for a first look; None where they are as large as that may have, or nothing is
-        discretised.
-        """
-        ...
-
     def noise(self) -> float:
         """σ of one element of a residual, base unit, over the fit recordings."""
         ...

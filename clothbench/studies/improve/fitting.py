@@ -122,50 +122,25 @@ def polish(problem: Problem, fitted: Fitted, rounds: int, goal: float = np.inf) 
     return fitted, looks + count
 
 
-def first_look(problem: Problem, fitted: Fitted) -> Problem:
-    """The problem on a coarser mesh, where a set takes a third of the time, so corrected that at the fit it leaves
-    what the fit leaves; itself where there is no coarser one.
-
-    It shows where to look (what an effect changes, where else there is a valley). What comes of it is judged on the
-    problem's own mesh.
-    """
-    coarse = problem.coarsened()
-    if coarse is problem:
-        return problem
-    trials = coarse.trials(fitted.effects, "fit")
-    found = over(trials, lambda trial: residuals(trial, fitted.theta[None])[0])
-    changes = [there - here for there, here in zip(fitted.residual, found, strict=True)]
-    if not all(np.isfinite(change).all() for change in changes):
-        return problem
-    return dataclasses.replace(
-        coarse, corrections={trial.name: change for trial, change in zip(trials, changes, strict=True)}
-    )
-
-
 def multistart(problem: Problem, base: Fitted, fitted: Fitted, rounds: int) -> tuple[Fitted, int]:
     """The fit of an effect beside the base's, or a better one from places spread over all that the effect can be; and
     how many sets that took.
 
     An effect with several shape parameters has several valleys (little drag in much wind, much drag in little), and
-    what is left in a wrong one looks like another effect. They are sought on a coarser mesh (`first_look`); what is
-    found there, if it is better, is fitted here, and given up where it will not come below the best.
+    what is left in a wrong one looks like another effect. A fit is given up where it will not come below the best.
     """
     effect, count = problem.space_of(fitted.effects[-1]), LOOP.multistart_points
     if sum(p.null is None for p in effect) < LOOP.multistart_shapes:
         return fitted, 0
-    coarse, tolerance = first_look(problem, fitted), problem.evidence.search.contest_tolerance
     points = qmc.Sobol(len(effect), rng=np.random.default_rng(problem.seed)).random(count)
     starts = np.hstack([np.tile(base.theta, (count, 1)), effect.from_unit(points)])
-    value = evaluate(coarse.trials(fitted.effects, "fit"), starts)[0].value
-    other = fitted
+    value = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value
     for k in np.argsort(value)[: LOOP.multistart_fits]:  # what could not be simulated comes last
         if np.isfinite(value[k]):
-            other, spent = better_of(coarse, other, starts[k], rounds, other.rms**2, tolerance)
+            tolerance = problem.evidence.search.contest_tolerance
+            fitted, spent = better_of(problem, fitted, starts[k], rounds, fitted.rms**2, tolerance)
             count += spent
-    if other is not fitted and coarse is not problem:
-        other, spent = better_of(problem, fitted, other.theta, rounds, fitted.rms**2, tolerance)
-        count += spent
-    return other, count
+    return fitted, count
 
 
 def cannot_reach(goal: float, pace: int, budget: int, trace: Trace) -> bool:

@@ -77,14 +77,10 @@ def initial_state(problem: Problem, account: Account) -> State:
 
 
 def calibrated(problem: Problem, account: Account) -> Fitted:
-    """The base model on all fit recordings together: sought on a coarser mesh, fitted on its own."""
+    """The base model on all fit recordings together."""
     account.stage("calibrate", 0, planned_evaluations(problem.space(()), LOOP.calibration_rounds))
-    base = fit(coarse := problem.coarsened(), (), None, LOOP.calibration_rounds, account=account)
+    base = fit(problem, (), None, LOOP.calibration_rounds, account=account)
     account.count(base.evaluations)
-    if coarse is not problem:
-        start = base.theta if np.isfinite(base.rms) else None
-        base = fit(problem, (), start, LOOP.calibration_rounds, account=account)
-        account.count(base.evaluations)
     return base
 
 

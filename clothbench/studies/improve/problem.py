@@ -79,12 +79,6 @@ class Problem:
             self, evidence=evidence, step_scale=scale, refinement=self.refinement + 1, corrections={}
         )
 
-    def coarsened(self) -> Problem:
-        """The same with larger cells, for a first look; itself where it has none, or none that may be larger."""
-        if (evidence := self.evidence.coarsened()) is None:
-            return self
-        return dataclasses.replace(self, evidence=evidence, refinement=self.refinement - 1, corrections={})
-
     def _takes(self, option: str) -> bool:
         return takes_option(self.plugins.load("models", self.model), option)
 

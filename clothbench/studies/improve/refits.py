@@ -21,7 +21,6 @@ from clothbench.studies.improve.settings import LOOP
 
 def refit(
     problem: Problem,
-    coarse: Problem,
     current: Fitted,
     candidate: Candidate,
     probe: Probe,
@@ -30,17 +29,10 @@ def refit(
 ) -> Candidate:
     """Everything fitted again with the candidate, from its probe's first-order amount, and beyond the ripple that
     this may end in; given up where it will not come below the goal, above which it can be neither named nor tied.
-
-    coarse: the problem's first look at the current fit, on which the way is found.
     """
     names = (*current.effects, candidate.name)
     starts, tolerance = first_order_starts(current, probe), problem.evidence.search.contest_tolerance
-    rounds = LOOP.refit_rounds
-    if coarse is not problem:
-        there = fit(coarse, names, starts, rounds, tolerance=tolerance)
-        account.count(there.evaluations)
-        starts, rounds = np.vstack([there.theta, starts]), LOOP.polish_rounds
-    fitted = fit(problem, names, starts, rounds, goal=goal, tolerance=tolerance)
+    fitted = fit(problem, names, starts, LOOP.refit_rounds, goal=goal, tolerance=tolerance)
     account.count(fitted.evaluations)
     fitted, count = jump_along_valley(problem, fitted)
     account.count(count)

@@ -9,7 +9,6 @@ from clothbench.plugins.discovery import reason_of
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.attribution import Probe, explained_share, probe_candidate
 from clothbench.studies.improve.fitted import Fitted
-from clothbench.studies.improve.fitting import first_look
 from clothbench.studies.improve.permutation import PermutationTest, permutation_test
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.refits import refine_finalists, refit, refit_null
@@ -36,11 +35,10 @@ def one_round(
     anew = rescreened(current, candidates, earlier, promise)
     found = [probe for probe in earlier if probe.effect in candidates and probe.effect not in anew]
     refused: dict[str, str] = {}
-    coarse = first_look(problem, current)
     for k, name in enumerate(anew):
         account.stage(f"round {turn + 1}: candidates", k, len(anew))
         try:
-            more, count = probe_candidate(coarse, current, name)
+            more, count = probe_candidate(problem, current, name)
         except Exception as fault:  # a model may have no room for it, a stranger's effect may do anything
             refused[name] = reason_of(fault)
             continue
@@ -56,7 +54,7 @@ def one_round(
         goal = min([current.rms**2 - fall / 2, *rivals])
         best = best_probe(candidate.name, found, test)
         assert best is not None  # it was screened
-        tried.append(refit(problem, coarse, current, candidate, found[best], goal, account))
+        tried.append(refit(problem, current, candidate, found[best], goal, account))
     tried = refine_finalists(problem, current, fall, tried, account, turn)
     assessed = assess(current, fall, tried, problem.evidence)
     if named := choose(current, assessed):

@@ -14,7 +14,7 @@ class LoopSettings:
     """Every threshold, count and step of the loop that holds for all kinds of evidence."""
 
     # Searches.
-    sets_per_round: int = 3  # parameter sets that a round tries beside one for each parameter's difference
+    sets_per_round: int = 4  # parameter sets that a round tries beside one for each parameter's difference
     calibration_rounds: int = 34  # rounds of the first fit, of all its walks together
     refit_rounds: int = 8  # rounds of a fit that begins where another ended
     single_rounds: int = 3  # rounds of a fit to one recording
@@ -34,12 +34,11 @@ class LoopSettings:
     model_discrepancy: float = 0.2  # share (amplitude) of the residual above the noise that may look like a parameter
 
     # Discretisation.
-    coarsest: int = 6  # cells along the shorter side, at the least, of the coarser mesh that first looks are taken on
     halvings: int = 2  # of the cells, at most, until what the mesh may be wrong by lies below the noise
     richardson: float = 4 / 3  # times the change by halved cells: the whole error, where it is of second order
     refinement_offset: float = 0.05  # how far from a fit the mesh's error is looked at, of the scaled range
 
-    stages: int = 3  # version of what the stages do and write: a cell of another one is asked anew
+    stages: int = 2  # version of what the stages do and write: a cell of another one is asked anew
 
     # Attribution.
     shape_settings: int = 4  # settings of an effect's shape parameter that are looked at; twice as many of several

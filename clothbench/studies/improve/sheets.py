@@ -20,7 +20,7 @@ from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Uni
 from clothbench.studies.improve.law import moved_round
 from clothbench.studies.improve.motion import motion_of
 from clothbench.studies.improve.repeats import spread_of_repeats
-from clothbench.studies.improve.settings import LOOP, SearchSettings
+from clothbench.studies.improve.settings import SearchSettings
 from clothbench.studies.improve.sheet_tables import sheet_tables
 from clothbench.studies.improve.torque import Balance, balance_of
 from clothbench.studies.improve.whereabouts import whereabouts
@@ -152,11 +152,6 @@ class SheetEvidence:
         cases = [dataclasses.replace(case, scene=refined(case.scene)) for case in self.cases]
         return self.restricted(cases)
 
-    def coarsened(self) -> SheetEvidence | None:
-        cases = [dataclasses.replace(case, scene=coarsened(case.scene)) for case in self.cases]
-        larger = [new.scene.resolution != old.scene.resolution for new, old in zip(cases, self.cases, strict=True)]
-        return self.restricted(cases) if all(larger) else None
-
     def _fitted(self) -> list[SheetCase]:
         return [case for case in self.cases if case.split == "fit"]
 
@@ -212,17 +207,6 @@ def refined(scene: Scene) -> Scene:
     assert scene.resolution is not None  # whoever makes the cases has set it
     nu, nv = scene.resolution
     return dataclasses.replace(scene, resolution=(2 * nu - 1, 2 * nv - 1))
-
-
-def coarsened(scene: Scene) -> Scene:
-    """The scene with cells of twice the size, or so large that `LOOP.coarsest` of them are left along the shorter side;
-    as it is where there are no more.
-    """
-    assert scene.resolution is not None  # as above
-    cells = np.array(scene.resolution) - 1
-    share = min(1.0, max(0.5, LOOP.coarsest / cells.min()))
-    nu, nv = np.round(share * cells).astype(int) + 1
-    return dataclasses.replace(scene, resolution=(int(nu), int(nv)))
 
 
 def noise_of(observation: Observation) -> float:

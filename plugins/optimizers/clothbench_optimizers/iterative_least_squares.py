@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from clothbench import Evaluation, ParameterSpace
-from clothbench_optimizers.least_squares import DAMPINGS, proposals, sums_of_squares
+from clothbench_optimizers.least_squares import proposals, sums_of_squares
 from clothbench_optimizers.search import GeneratorSearch, Steps, worst_last
 
 
@@ -64,8 +64,7 @@ class IterativeLeastSquares(GeneratorSearch):
             away = np.where(self.here + self.difference <= 1.0, self.difference, -self.difference)
             shifted = yield self.here + np.diag(away)
             jacobian = np.nan_to_num((shifted.residual - residual) / away[:, None]).T
-            used = DAMPINGS.ravel() * damping
-            trials = proposals(self.here, jacobian, residual, used)
+            trials, used = proposals(self.here, jacobian, residual, damping)
             evaluation = yield trials
             cost = sums_of_squares(evaluation)
             best = int(np.argmin(cost))

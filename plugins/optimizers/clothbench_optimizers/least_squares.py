@@ -11,8 +11,7 @@ from clothbench import ClothbenchError, Evaluation, ParameterSpace
 from clothbench_optimizers.search import GeneratorSearch, Steps
 
 Walk = Generator[np.ndarray, Evaluation, None]
-# In units of the current damping: two tried at once, and two more where neither gains anything.
-DAMPINGS = np.array([[0.1, 1.0], [10.0, 100.0]])
+DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])  # tried at once, in units of the current damping
 
 
 class LeastSquares(GeneratorSearch):
@@ -22,11 +21,11 @@ class LeastSquares(GeneratorSearch):
     to walk, one after the other; difference: step of the forward differences, in units of the scaled range, long enough
     to look over the ripples that folding cloth leaves in the error; tolerance: relative gain in the sum of squares
     below which two rounds in a row end a walk. Each round simulates the Jacobian's points as one batch, where the
-    last one gained more than that, then two dampings as another, and two stronger ones where neither gains anything.
+    last one gained more than that, then four dampings as another.
     """
 
     name = "least_squares"
-    version = 4
+    version = 3
     needs_residual = True
 
     def __init__(
@@ -59,20 +58,16 @@ class LeastSquares(GeneratorSearch):
                 away = np.where(here + self.difference <= 1.0, self.difference, -self.difference)
                 shifted = yield here + np.diag(away)
                 jacobian = np.nan_to_num((shifted.residual - residual) / away[:, None]).T
-            gain = 0.0
-            for used in DAMPINGS * damping:
-                trials = proposals(here, jacobian, residual, used)
-                evaluation = yield trials
-                cost = sums_of_squares(evaluation)
-                best = int(np.argmin(cost))
-                if cost[best] < cost_here:
-                    gain = (cost_here - cost[best]) / cost_here
-                    here, residual, cost_here, damping = trials[best], evaluation.residual[best], cost[best], used[best]
-                    break
+            trials, used = proposals(here, jacobian, residual, damping)
+            evaluation = yield trials
+            cost = sums_of_squares(evaluation)
+            best = int(np.argmin(cost))
+            gain = (cost_here - cost[best]) / max(cost_here, np.finfo(float).tiny)
+            if gain > 0:
+                here, residual, cost_here, damping = trials[best], evaluation.residual[best], cost[best], used[best]
+                jacobian = None if gain >= self.tolerance else jacobian
             else:
-                damping = used[-1]
-            if gain >= self.tolerance:
-                jacobian = None
+                damping *= DAMPINGS[-1]
             idle = idle + 1 if gain < self.tolerance else 0
 
 
@@ -85,8 +80,10 @@ def sums_of_squares(evaluation: Evaluation) -> np.ndarray:
     return np.where(np.isfinite(cost), cost, np.inf)
 
 
-def proposals(here: np.ndarray, jacobian: np.ndarray, residual: np.ndarray, dampings: np.ndarray) -> np.ndarray:
-    """Damped Gauss–Newton points (D, P) inside the unit cube, one for each of the dampings (D,).
+def proposals(
+    here: np.ndarray, jacobian: np.ndarray, residual: np.ndarray, damping: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Damped Gauss–Newton points (4, P) inside the unit cube, and the damping of each.
 
     A parameter that stands on its bound and wants to leave is held there, so that it does not spoil the others' step.
     """
@@ -94,9 +91,9 @@ def proposals(here: np.ndarray, jacobian: np.ndarray, residual: np.ndarray, damp
     free = ~(((here <= 0) & (gradient > 0)) | ((here >= 1) & (gradient < 0)))
     scale = np.maximum(np.diag(hessian), 1e-12 * max(hessian.max(), np.finfo(float).tiny))
     points = []
-    for factor in dampings:
+    for factor in DAMPINGS * damping:
         step = np.zeros_like(here)
         damped = hessian[np.ix_(free, free)] + factor * np.diag(scale[free])
         step[free] = -np.linalg.lstsq(damped, gradient[free], rcond=None)[0]
         points.append(np.clip(here + step, 0.0, 1.0))
-    return np.array(points)
+    return np.array(points), DAMPINGS * damping
