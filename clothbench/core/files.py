@@ -11,6 +11,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+# Names of what is not in its place yet, or has left it; the eight letters are tempfile's.
+_HALF_FILE = re.compile(r"\..+\.[a-z0-9_]{8}\.part")
+_HALF_FOLDER = re.compile(r"\.(new|old|[0-9a-f]+)\.[a-z0-9_]{8}")
+
 
 def file_name(recording: str) -> str:
     """ "case/swing 3" → "case_swing_3" """
@@ -62,9 +66,23 @@ def _take_place(part: Path, path: Path, stays: Callable[[], bool]) -> None:
         if stays():
             shutil.rmtree(part, ignore_errors=True)
             return
-        old = Path(tempfile.mkdtemp(dir=path.parent, prefix=".old."))
-        os.replace(path, old / "old")
-        shutil.rmtree(old, ignore_errors=True)
+        remove_folder(path)
+
+
+def remove_folder(path: Path) -> None:
+    """Remove a folder: out of sight by one rename, then file by file, so that nobody ever sees half of it."""
+    old = Path(tempfile.mkdtemp(dir=path.parent, prefix=".old."))
+    os.replace(path, old / "old")
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def half_written(folder: Path) -> Iterator[Path]:
+    """What processes that were killed left in a folder of the files and folders that they were about to put there, and
+    what is being written there now.
+    """
+    for path in sorted(folder.glob(".*")):
+        if (_HALF_FOLDER if path.is_dir() else _HALF_FILE).fullmatch(path.name):
+            yield path
 
 
 @contextmanager

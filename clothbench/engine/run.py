@@ -11,7 +11,7 @@ from clothbench.core.parallel import set_thread_count
 from clothbench.core.progress import StageProgress
 from clothbench.engine.cells import Skipped
 from clothbench.engine.rows import failure
-from clothbench.engine.store import Store
+from clothbench.engine.store import JOURNAL, Store
 from clothbench.engine.study import Cell, Context, Result, Study
 from clothbench.plugins.discovery import catalogue, one_line
 
@@ -32,7 +32,7 @@ def run_cell(
         if progress is not None:
             progress(cell, steps, value)
 
-    context = Context(plugins, store.folder / "journal" / cell.key, told, stage, rerun, store.folder / TRACKED)
+    context = Context(plugins, store.folder / JOURNAL / cell.key, told, stage, rerun, store.folder / TRACKED)
     try:
         study: Study = plugins.load("studies", cell.study)
         result = study.run(cell, context)

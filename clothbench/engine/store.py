@@ -16,7 +16,7 @@ import math
 import os
 import platform
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -49,6 +49,19 @@ SYSTEM = {
     "cpu": _text, "cores": _whole, "threads": _whole, "finished": _text,
 }  # fmt: skip
 FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
+
+JOURNAL = "journal"  # folder of what unfinished cells have simulated
+SEEDLESS = "something in this cell does not go by its seed: a model, a tracker, or a library's threads"
+
+
+def finished(rows: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether these are the rows of a finished cell."""
+    return len(rows) > 0 and all(row["status"] in FINISHED for row in rows)
+
+
+def outcome(rows: Sequence[Mapping[str, Any]]) -> list[float | str]:
+    """What came of a cell, the same whenever and wherever it is computed: of each row its value, or why it has none."""
+    return [row["status"] if (value := finite(row["value"])) is None else value for row in rows]
 
 
 def finite(value: float | None) -> float | None:
@@ -95,8 +108,7 @@ class Store:
 
     def has(self, key: str) -> bool:
         """Whether a cell is finished; one that ended in an error is not."""
-        rows = self.table("rows", [key])
-        return rows != [] and all(row["status"] in FINISHED for row in rows)
+        return finished(self.table("rows", [key]))
 
     def put(
         self,
@@ -122,12 +134,11 @@ class Store:
         """Whether a cell is finished, also against these rows of the same cell."""
         if not self.has(key):
             return False
-        before, after = pd.DataFrame(self.table("rows", [key])), pd.DataFrame(again)
-        first, second = (rows["value"].astype(float) for rows in (before, after))
-        if after["status"].isin(FINISHED).all() and not first.equals(second):
+        rows: list[Any] = again.to_dict("records") if isinstance(again, pd.DataFrame) else again
+        first, second = outcome(self.table("rows", [key])), outcome(rows)
+        if finished(rows) and first != second:
             warnings.warn(
-                f"{self.cell(key)}: computed twice, first {first.tolist()}, which stays, then {second.tolist()}; "
-                "something in this cell does not go by its seed: a model, a tracker, or a library's threads",
+                f"{self.cell(key)}: computed twice, first {first}, which stays, then {second}; {SEEDLESS}",
                 stacklevel=3,
             )
         return True
@@ -161,13 +172,14 @@ def write_table(path: Path, content: list[dict[str, Any]] | pd.DataFrame, column
         table = pa.Table.from_pandas(content, preserve_index=False)
     else:
         table = pa.Table.from_pylist(content, schema=pa.schema(list((columns or {}).items())) if columns else None)
-    pq.write_table(table.replace_schema_metadata({"clothbench_schema": str(SCHEMA_VERSION)}), path)
+    stamped = table.replace_schema_metadata({"clothbench_schema": str(SCHEMA_VERSION)})
+    pq.write_table(stamped, path, write_page_checksum=True)  # a flipped bit is a fault then, and not another number
 
 
 def read_table(path: Path) -> pa.Table:
     """One Parquet file of this schema version; a damaged or foreign one is refused in one line."""
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
             table = file.read()
     except (pa.ArrowInvalid, OSError) as fault:
         raise ClothbenchError(

@@ -35,7 +35,9 @@ def test_a_finished_cell_stays_and_a_disagreement_is_told(tmp_path):
     store = Store(tmp_path)
     store.put("abc", {"rows": [one_row(value=1.0), one_row("skipped")]})
     store.put("abc", {"rows": [one_row(value=1.0), one_row("skipped")]})
-    with pytest.warns(UserWarning, match=r"computed twice, first \[1\.0, nan\], which stays, then \[2\.0, nan\]"):
+    with pytest.warns(
+        UserWarning, match=r"computed twice, first \[1\.0, 'skipped'\], which stays, then \[2\.0, 'skipped'\]"
+    ):
         store.put("abc", {"rows": [one_row(value=2.0), one_row("skipped")]})
     assert store.rows()[0]["value"] == 1.0
     assert [p.name for p in (tmp_path / "cells").iterdir()] == ["abc"]
