@@ -14,6 +14,7 @@ import pyarrow as pa
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import half_written
+from clothbench.engine.index import INDEX
 from clothbench.engine.run import TRACKED
 from clothbench.engine.store import FINISHED, JOURNAL, ROW, Store, read_table
 from clothbench.engine.study import studies
@@ -113,7 +114,11 @@ def bad_rows(path: Path, rows: list[dict[str, Any]], known: frozenset[str]) -> I
 
 def remains(store: Store) -> Iterator[tuple[Path, str]]:
     """What runs that were stopped have left, or what one that is under way is writing: where, and what it is."""
-    for folder in (store.folder, store.folder / "cells", store.folder / TRACKED):
+    for folder in (
+        store.folder,
+        *(store.folder / name for name in ("cells", TRACKED)),
+        *store.folder.glob(f"{INDEX}/*"),
+    ):
         for path in half_written(folder):
             yield path, "half-written, by a process that was killed or is at work"
     for path in sorted((store.folder / JOURNAL).glob("*")):

@@ -38,9 +38,10 @@ def run_cells(
     whenever one of them has nothing more to do: the last cell has all of them.
     """
     store = Store(out)
-    missing = [c for c in cells if not store.has(c.key)]
+    kept = store.finished(dict.fromkeys(c.key for c in cells))
+    missing = [c for c in cells if c.key not in kept]
     for cell in cells:
-        if cell not in missing:
+        if cell.key in kept:
             done(cell, "kept")
     workers = min(jobs or available_cores(), len(missing))
     if len(missing) == 1 or jobs == 1:

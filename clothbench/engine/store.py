@@ -6,6 +6,7 @@ RUNS/cells/KEY/fit.rrd              of a calibration: recording beside rollout, 
 RUNS/cells/KEY/films/N.npz          of a calibration: the same thinned, for the page's player
 RUNS/tracked/KEY.nc                 what a tracker made of images: a recording of nodes
 RUNS/journal/KEY/                   what an unfinished cell has simulated so far
+RUNS/index/                         a cache for listing many cells; may be deleted at any time
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import json
 import math
 import os
 import platform
+import string
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -27,6 +29,7 @@ import pyarrow.parquet as pq
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import whole_folder
+from clothbench.engine.index import INDEX, indexed
 
 SCHEMA_VERSION = 1
 Columns = Mapping[str, pa.DataType]
@@ -110,6 +113,13 @@ class Store:
         """Whether a cell is finished; one that ended in an error is not."""
         return finished(self.table("rows", [key]))
 
+    def finished(self, keys: Iterable[str]) -> set[str]:
+        """Those of these cells that are finished."""
+        by_key: dict[str, list[dict[str, Any]]] = {}
+        for row in self.table("rows", keys):
+            by_key.setdefault(row["key"], []).append(row)
+        return {key for key, rows in by_key.items() if finished(rows)}
+
     def put(
         self,
         key: str,
@@ -154,16 +164,15 @@ class Store:
 
     def table(self, name: str, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
         """A table by its name, over all cells that have it, or over some."""
-        folders = [self.cell(k) for k in keys] if keys is not None else sorted(self.folder.glob("cells/[0-9a-f]*"))
-        out: list[dict[str, Any]] = []
-        for folder in folders:
-            if (path := folder / f"{name}.parquet").is_file():
-                try:
-                    out += read_table(path).to_pylist()
-                except ClothbenchError:
-                    if path.is_file():  # else another process has just put a new attempt in place of this error
-                        raise
-        return out
+        files = {key: f"{self.folder}/cells/{key}/{name}.parquet" for key in (self._keys() if keys is None else keys)}
+        return indexed(self.folder / INDEX / name, files, read_if_there)
+
+    def _keys(self) -> list[str]:
+        """Of all cells, in order."""
+        try:
+            return sorted(name for name in os.listdir(self.folder / "cells") if name[0] in string.hexdigits.lower())
+        except FileNotFoundError:
+            return []
 
 
 def write_table(path: Path, content: list[dict[str, Any]] | pd.DataFrame, columns: Columns | None = None) -> None:
@@ -192,6 +201,18 @@ def read_table(path: Path) -> pa.Table:
             "results of another version are set aside: move them"
         )
     return table
+
+
+def read_if_there(path: str) -> pa.Table | None:
+    """One Parquet file; None if there is none, or none any more."""
+    if not os.path.isfile(path):
+        return None
+    try:
+        return read_table(Path(path))
+    except ClothbenchError:
+        if os.path.isfile(path):  # else another process has just put a new attempt in place of this error
+            raise
+        return None
 
 
 def row_order(row: dict[str, Any]) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from clothbench import ClothbenchError
+from clothbench.engine import index
 from clothbench.engine.store import ROW, Store, leaderboard_row, load_rows
 
 
@@ -53,8 +54,10 @@ for k in range(60):
 """
 
 
-def test_processes_that_write_the_same_cells_lose_none_and_none_is_ever_absent(tmp_path):
+@pytest.mark.parametrize("few", [4, 1000], ids=["with an index", "without"])
+def test_processes_that_write_the_same_cells_lose_none_and_none_is_ever_absent(tmp_path, monkeypatch, few):
     """Three processes, each 30 errors and then their 30 finished cells, all at once; and one that looks on."""
+    monkeypatch.setattr(index, "FEW", few)
     store, seen = Store(tmp_path), set()
     writers = [
         subprocess.Popen([sys.executable, "-c", WRITES, str(tmp_path)], stderr=subprocess.PIPE, text=True)
