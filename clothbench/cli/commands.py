@@ -249,6 +249,13 @@ def print_json(document: Any) -> None:
     print(json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False))
 
 
+def print_json_rows(rows: Sequence[dict[str, Any]]) -> None:
+    """The same as `print_json` of rows that hold neither lists nor rows; of very many, several times as fast."""
+    texts = (json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",\n  ", ": ")) for row in rows)
+    body = ",\n ".join(f"{{\n  {text[1:-1]}\n }}" for text in texts)
+    print(f"[\n {body}\n]" if body else "[]")
+
+
 # --- commands -------------------------------------------------------------------------------------------------------
 
 
@@ -326,7 +333,7 @@ def leaderboard(options: argparse.Namespace) -> int:
 
     store = results_in(options.out)
     if options.json:
-        print_json([leaderboard_row(r) for r in store.rows()])
+        print_json_rows([leaderboard_row(r) for r in store.rows()])
     elif not print_results(store):
         print(f"no results in {options.out}; make some with: clothbench run +suite=static_dynamic")
     return 0

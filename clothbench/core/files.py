@@ -52,8 +52,8 @@ def whole_folder(path: str | os.PathLike[str], stays: Callable[[], bool] = lambd
     try:
         yield part
         os.chmod(part, 0o777 & ~_umask())
-        if not _renamed(part, path):
-            with _alone(path.parent):  # what is moved out of the way must still be what was asked about
+        if not renamed(part, path):
+            with alone(path.parent):  # what is moved out of the way must still be what was asked about
                 _take_place(part, path, stays)
     except BaseException:
         shutil.rmtree(part, ignore_errors=True)
@@ -62,7 +62,7 @@ def whole_folder(path: str | os.PathLike[str], stays: Callable[[], bool] = lambd
 
 def _take_place(part: Path, path: Path, stays: Callable[[], bool]) -> None:
     """Put a folder in place of what is there, or drop it if that stays."""
-    while not _renamed(part, path):
+    while not renamed(part, path):
         if stays():
             shutil.rmtree(part, ignore_errors=True)
             return
@@ -86,7 +86,7 @@ def half_written(folder: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
+def alone(folder: Path) -> Iterator[None]:
     """One process at a time may be in here; the lock goes with a process that is killed."""
     if os.name != "posix":  # no such lock; folders do not replace each other there either
         yield
@@ -101,7 +101,7 @@ def _alone(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def _renamed(part: Path, path: Path) -> bool:
+def renamed(part: Path, path: Path) -> bool:
     """Rename a folder, if nothing but an empty folder is in its way."""
     try:
         os.replace(part, path)

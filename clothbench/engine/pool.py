@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 
+from clothbench.core.create_only import require_create_only
 from clothbench.core.parallel import available_cores, share_cores
 from clothbench.engine.run import CellProgress, failed_with, keep, run_cell
 from clothbench.engine.store import Store
@@ -40,6 +41,8 @@ def run_cells(
     store = Store(out)
     kept = store.finished(dict.fromkeys(c.key for c in cells))
     missing = [c for c in cells if c.key not in kept]
+    if missing:
+        require_create_only(out)
     for cell in cells:
         if cell.key in kept:
             done(cell, "kept")

@@ -223,9 +223,8 @@ def row_order(row: dict[str, Any]) -> tuple[str, ...]:
 
 def leaderboard_row(row: dict[str, Any]) -> dict[str, Any]:
     """A row as `leaderboard --json` prints it: its keys only, NaN as null."""
-    return {
-        name: None if isinstance(row.get(name), float) and row[name] != row[name] else row.get(name) for name in ROW
-    }
+    values = ((name, row.get(name)) for name in ROW)
+    return {name: None if value != value else value for name, value in values}
 
 
 def load_rows(path: str | os.PathLike[str]) -> list[dict[str, Any]]:

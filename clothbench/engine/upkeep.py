@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from clothbench.core.create_only import require_create_only
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import remove_folder, whole_file, whole_folder
 from clothbench.engine.cells import plugin_versions
@@ -41,6 +42,7 @@ def merge(source: Store, into: Store, plugins: Catalogue) -> Merged:
 
     Unfinished cells are left alone. What trackers made of images comes along.
     """
+    require_create_only(into.folder)
     known, out = frozenset(studies(plugins)), Merged()
     for folder in sorted(p for p in (source.folder / "cells").glob("[!.]*")):
         if found := check_cell(folder, known):

@@ -9,6 +9,7 @@ import pandas as pd
 import pyarrow as pa
 import pytest
 
+from clothbench.cli.commands import print_json, print_json_rows
 from clothbench.engine import index
 from clothbench.engine.index import dicts, segments_in
 from clothbench.engine.store import ROW, Store
@@ -151,3 +152,11 @@ def test_rows_as_arrow_has_them(values):
     table = pa.table({"x": pa.chunked_array([values, values[:2]]), "y": pa.chunked_array([values, values[2:]])})
     assert str(dicts(table)) == str(table.to_pylist())
     assert str(dicts(table.slice(0, 0))) == "[]"
+
+
+@pytest.mark.parametrize("rows", [[], [{"a": "x, y", "b": None}], [{"a": 'q"', "b": 1.5}, {"a": "ä: {}", "b": True}]])
+def test_many_rows_are_printed_as_json_prints_them(rows, capsys):
+    print_json(rows)
+    print_json_rows(rows)
+    out = capsys.readouterr().out
+    assert out[: len(out) // 2] == out[len(out) // 2 :]
