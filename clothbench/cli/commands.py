@@ -234,11 +234,11 @@ def key_values(settings: Sequence[str], allowed: Sequence[str]) -> dict[str, str
     return out
 
 
-def results_in(folder: str | Path) -> Any:
+def results_in(folder: str | Path, default: str = DEFAULT_OUT) -> Any:
     """The store in a folder; a folder that was named and holds no results is the user's error."""
     from clothbench.engine.store import Store
 
-    if str(folder) != DEFAULT_OUT and not (Path(folder) / "cells").is_dir():
+    if str(folder) != default and not (Path(folder) / "cells").is_dir():
         raise ClothbenchError(
             f"{folder}: found no results (no folder 'cells'); make some with clothbench run … out={folder}"
         )
@@ -430,7 +430,7 @@ def presets(options: argparse.Namespace) -> int:
 def store(options: argparse.Namespace) -> int:
     from clothbench.cli.store import TASKS
 
-    done = TASKS[options.task](results_in(options.folder), options)
+    done = TASKS[options.task](results_in(options.folder, default=""), options)
     if options.json:
         print_json(done.document)
     else:

@@ -33,8 +33,9 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield part
         os.chmod(part, 0o666 & ~_umask())  # mkstemp keeps files to their owner; results are no secret
         os.replace(part, path)
-    except BaseException:
+    except BaseException as fault:
         part.unlink(missing_ok=True)
+        _name(fault, path)
         raise
 
 
@@ -55,8 +56,9 @@ def whole_folder(path: str | os.PathLike[str], stays: Callable[[], bool] = lambd
         if not renamed(part, path):
             with alone(path.parent):  # what is moved out of the way must still be what was asked about
                 _take_place(part, path, stays)
-    except BaseException:
+    except BaseException as fault:
         shutil.rmtree(part, ignore_errors=True)
+        _name(fault, path)
         raise
 
 
@@ -129,8 +131,17 @@ def whole_files(folder: str | os.PathLike[str], instead_of: Sequence[str] = ()) 
         for name in made:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(part / name, folder / name)
+    except OSError as fault:
+        _name(fault, folder)
+        raise
     finally:
         shutil.rmtree(part, ignore_errors=True)
+
+
+def _name(fault: BaseException, path: Path) -> None:
+    """Let a fault say what could not be written, where it does not; that the disk is full is known to no name."""
+    if isinstance(fault, OSError) and fault.errno is not None and fault.filename is None:
+        fault.filename = str(path)
 
 
 def _umask() -> int:

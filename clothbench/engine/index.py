@@ -101,19 +101,22 @@ def indexed(folder: Path, files: Mapping[str, str], read: Callable[[str], pa.Tab
 
 
 def segments_in(folder: Path) -> list[Segment]:
-    """All that are whole; others are removed."""
+    """All that are whole; damaged ones are removed."""
     out = []
     for path in sorted(folder.glob(f"{VERSION}-*.parquet")):
         try:
             content = path.read_bytes()
         except OSError:  # another process has just put it together with others
             continue
-        if path.name == _name(content):
-            rows = pq.read_table(pa.BufferReader(content))
-            cells = {key: tuple(mark) for key, *mark in json.loads(rows.schema.metadata[HEAD])}
-            out.append(Segment(cells, rows.replace_schema_metadata(), path))
-        else:
+        if path.name != _name(content):
             _remove(path)
+            continue
+        try:
+            rows = pq.read_table(pa.BufferReader(content))
+        except pa.ArrowException:  # another version of Arrow wrote it
+            continue
+        cells = {key: tuple(mark) for key, *mark in json.loads(rows.schema.metadata[HEAD])}
+        out.append(Segment(cells, rows.replace_schema_metadata(), path))
     return out
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -61,4 +62,11 @@ def _write(folder: Path, detail: str) -> None:
 
 
 def keep(store: Store, cell: Cell, result: Result, study: Study | None = None) -> None:
-    store.put(cell.key, result.tables, result.attach, study.tables if study else {})
+    try:
+        store.put(cell.key, result.tables, result.attach, study.tables if study else {})
+    except OSError as fault:
+        found = os.strerror(fault.errno) if fault.errno else str(fault)
+        raise ClothbenchError(
+            f"{store.cell(cell.key)}: found that it cannot be written ({found}), expected room and the right to; "
+            "nothing half-written is left: make room and run the same command again"
+        ) from fault

@@ -209,10 +209,8 @@ def read_if_there(path: str) -> pa.Table | None:
         return None
     try:
         return read_table(Path(path))
-    except ClothbenchError:
-        if os.path.isfile(path):  # else another process has just put a new attempt in place of this error
-            raise
-        return None
+    except ClothbenchError:  # another process may just have put a new attempt in place of this error
+        return read_table(Path(path)) if os.path.isfile(path) else None
 
 
 def row_order(row: dict[str, Any]) -> tuple[str, ...]:

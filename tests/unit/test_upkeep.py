@@ -156,7 +156,7 @@ def test_prune_knows_cells_of_other_versions(filled, capsys):
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["check", "nothing"], "found no results"), (["merge", "nothing", "b"], "found no results"),
+        (["check", "runs"], "found no results"), (["merge", "nothing", "b"], "found no results"),
         (["merge", "a", "a"], "the folder to merge from"), (["prune", "a", "--cell", "0f"], "no such cell"),
         (["prune", "a", "--cell", ".."], "no such cell"),
     ],
