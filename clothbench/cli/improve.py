@@ -15,6 +15,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 from clothbench.cli.run import composed
+from clothbench.core.create_only import require_create_only
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.run import TRACEBACK, run_cell
 from clothbench.engine.settings import KNOWN
@@ -69,6 +70,7 @@ def judge(cell: ImproveCell, store: Store, out: Path, rerun: bool, named: str) -
         which = f" {named}:" if named else ""
         print(f"{out}:{which} kept, these recordings were judged with the same settings before", file=sys.stderr)
         return
+    require_create_only(out)
     before = f"{named}: " if named else ""
     with StageBar() as bar:
         run_cell(cell, out, rerun=rerun, stage=lambda name, done, of: bar.stage(before + name, done, of))

@@ -133,10 +133,6 @@ def _run(config: Any, sweep: Sweep | None) -> dict[str, Any]:
     with counting("files") as told:
         cells = plan(config, catalogue(), told)
     out = Path(config["out"])
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as fault:
-        raise ClothbenchError(f"setting 'out': {out} cannot be written to ({fault.strerror})") from fault
     with CellBar(cells, sweep) as bar:
         run_cells(cells, out, jobs=int(config["jobs"]), rerun=bool(config["rerun"]), done=bar.done, progress=bar.tell)
     return {"out": str(out.absolute()), "cells": [c.key for c in cells]}

@@ -11,6 +11,10 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
+# Names of what is not in its place yet, or has left it; the eight letters are tempfile's.
+_HALF_FILE = re.compile(r"\..+\.[a-z0-9_]{8}\.part")
+_HALF_FOLDER = re.compile(r"\.(new|old|[0-9a-f]+)\.[a-z0-9_]{8}")
+
 
 def file_name(recording: str) -> str:
     """ "case/swing 3" → "case_swing_3" """
@@ -29,8 +33,9 @@ def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
         yield part
         os.chmod(part, 0o666 & ~_umask())  # mkstemp keeps files to their owner; results are no secret
         os.replace(part, path)
-    except BaseException:
+    except BaseException as fault:
         part.unlink(missing_ok=True)
+        _name(fault, path)
         raise
 
 
@@ -48,27 +53,42 @@ def whole_folder(path: str | os.PathLike[str], stays: Callable[[], bool] = lambd
     try:
         yield part
         os.chmod(part, 0o777 & ~_umask())
-        if not _renamed(part, path):
-            with _alone(path.parent):  # what is moved out of the way must still be what was asked about
+        if not renamed(part, path):
+            with alone(path.parent):  # what is moved out of the way must still be what was asked about
                 _take_place(part, path, stays)
-    except BaseException:
+    except BaseException as fault:
         shutil.rmtree(part, ignore_errors=True)
+        _name(fault, path)
         raise
 
 
 def _take_place(part: Path, path: Path, stays: Callable[[], bool]) -> None:
     """Put a folder in place of what is there, or drop it if that stays."""
-    while not _renamed(part, path):
+    while not renamed(part, path):
         if stays():
             shutil.rmtree(part, ignore_errors=True)
             return
-        old = Path(tempfile.mkdtemp(dir=path.parent, prefix=".old."))
-        os.replace(path, old / "old")
-        shutil.rmtree(old, ignore_errors=True)
+        remove_folder(path)
+
+
+def remove_folder(path: Path) -> None:
+    """Remove a folder: out of sight by one rename, then file by file, so that nobody ever sees half of it."""
+    old = Path(tempfile.mkdtemp(dir=path.parent, prefix=".old."))
+    os.replace(path, old / "old")
+    shutil.rmtree(old, ignore_errors=True)
+
+
+def half_written(folder: Path) -> Iterator[Path]:
+    """What processes that were killed left in a folder of the files and folders that they were about to put there, and
+    what is being written there now.
+    """
+    for path in sorted(folder.glob(".*")):
+        if (_HALF_FOLDER if path.is_dir() else _HALF_FILE).fullmatch(path.name):
+            yield path
 
 
 @contextmanager
-def _alone(folder: Path) -> Iterator[None]:
+def alone(folder: Path) -> Iterator[None]:
     """One process at a time may be in here; the lock goes with a process that is killed."""
     if os.name != "posix":  # no such lock; folders do not replace each other there either
         yield
@@ -83,7 +103,7 @@ def _alone(folder: Path) -> Iterator[None]:
         os.close(handle)
 
 
-def _renamed(part: Path, path: Path) -> bool:
+def renamed(part: Path, path: Path) -> bool:
     """Rename a folder, if nothing but an empty folder is in its way."""
     try:
         os.replace(part, path)
@@ -111,8 +131,17 @@ def whole_files(folder: str | os.PathLike[str], instead_of: Sequence[str] = ()) 
         for name in made:
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             os.replace(part / name, folder / name)
+    except OSError as fault:
+        _name(fault, folder)
+        raise
     finally:
         shutil.rmtree(part, ignore_errors=True)
+
+
+def _name(fault: BaseException, path: Path) -> None:
+    """Let a fault say what could not be written, where it does not; that the disk is full is known to no name."""
+    if isinstance(fault, OSError) and fault.errno is not None and fault.filename is None:
+        fault.filename = str(path)
 
 
 def _umask() -> int:

@@ -15,6 +15,7 @@ from typing import Literal
 
 import numpy as np
 
+from clothbench.core.create_only import require_create_only
 from clothbench.core.parallel import available_cores, share_cores
 from clothbench.engine.run import CellProgress, failed_with, keep, run_cell
 from clothbench.engine.store import Store
@@ -38,9 +39,12 @@ def run_cells(
     whenever one of them has nothing more to do: the last cell has all of them.
     """
     store = Store(out)
-    missing = [c for c in cells if not store.has(c.key)]
+    kept = store.finished(dict.fromkeys(c.key for c in cells))
+    missing = [c for c in cells if c.key not in kept]
+    if missing:
+        require_create_only(out)
     for cell in cells:
-        if cell not in missing:
+        if cell.key in kept:
             done(cell, "kept")
     workers = min(jobs or available_cores(), len(missing))
     if len(missing) == 1 or jobs == 1:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import traceback
 from collections.abc import Callable
 from pathlib import Path
@@ -11,7 +12,7 @@ from clothbench.core.parallel import set_thread_count
 from clothbench.core.progress import StageProgress
 from clothbench.engine.cells import Skipped
 from clothbench.engine.rows import failure
-from clothbench.engine.store import Store
+from clothbench.engine.store import JOURNAL, Store
 from clothbench.engine.study import Cell, Context, Result, Study
 from clothbench.plugins.discovery import catalogue, one_line
 
@@ -32,7 +33,7 @@ def run_cell(
         if progress is not None:
             progress(cell, steps, value)
 
-    context = Context(plugins, store.folder / "journal" / cell.key, told, stage, rerun, store.folder / TRACKED)
+    context = Context(plugins, store.folder / JOURNAL / cell.key, told, stage, rerun, store.folder / TRACKED)
     try:
         study: Study = plugins.load("studies", cell.study)
         result = study.run(cell, context)
@@ -61,4 +62,11 @@ def _write(folder: Path, detail: str) -> None:
 
 
 def keep(store: Store, cell: Cell, result: Result, study: Study | None = None) -> None:
-    store.put(cell.key, result.tables, result.attach, study.tables if study else {})
+    try:
+        store.put(cell.key, result.tables, result.attach, study.tables if study else {})
+    except OSError as fault:
+        found = os.strerror(fault.errno) if fault.errno else str(fault)
+        raise ClothbenchError(
+            f"{store.cell(cell.key)}: found that it cannot be written ({found}), expected room and the right to; "
+            "nothing half-written is left: make room and run the same command again"
+        ) from fault

@@ -6,6 +6,7 @@ RUNS/cells/KEY/fit.rrd              of a calibration: recording beside rollout, 
 RUNS/cells/KEY/films/N.npz          of a calibration: the same thinned, for the page's player
 RUNS/tracked/KEY.nc                 what a tracker made of images: a recording of nodes
 RUNS/journal/KEY/                   what an unfinished cell has simulated so far
+RUNS/index/                         a cache for listing many cells; may be deleted at any time
 """
 
 from __future__ import annotations
@@ -15,8 +16,9 @@ import json
 import math
 import os
 import platform
+import string
 import warnings
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -27,6 +29,7 @@ import pyarrow.parquet as pq
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import whole_folder
+from clothbench.engine.index import INDEX, indexed
 
 SCHEMA_VERSION = 1
 Columns = Mapping[str, pa.DataType]
@@ -49,6 +52,19 @@ SYSTEM = {
     "cpu": _text, "cores": _whole, "threads": _whole, "finished": _text,
 }  # fmt: skip
 FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
+
+JOURNAL = "journal"  # folder of what unfinished cells have simulated
+SEEDLESS = "something in this cell does not go by its seed: a model, a tracker, or a library's threads"
+
+
+def finished(rows: Sequence[Mapping[str, Any]]) -> bool:
+    """Whether these are the rows of a finished cell."""
+    return len(rows) > 0 and all(row["status"] in FINISHED for row in rows)
+
+
+def outcome(rows: Sequence[Mapping[str, Any]]) -> list[float | str]:
+    """What came of a cell, the same whenever and wherever it is computed: of each row its value, or why it has none."""
+    return [row["status"] if (value := finite(row["value"])) is None else value for row in rows]
 
 
 def finite(value: float | None) -> float | None:
@@ -95,8 +111,14 @@ class Store:
 
     def has(self, key: str) -> bool:
         """Whether a cell is finished; one that ended in an error is not."""
-        rows = self.table("rows", [key])
-        return rows != [] and all(row["status"] in FINISHED for row in rows)
+        return finished(self.table("rows", [key]))
+
+    def finished(self, keys: Iterable[str]) -> set[str]:
+        """Those of these cells that are finished."""
+        by_key: dict[str, list[dict[str, Any]]] = {}
+        for row in self.table("rows", keys):
+            by_key.setdefault(row["key"], []).append(row)
+        return {key for key, rows in by_key.items() if finished(rows)}
 
     def put(
         self,
@@ -122,12 +144,11 @@ class Store:
         """Whether a cell is finished, also against these rows of the same cell."""
         if not self.has(key):
             return False
-        before, after = pd.DataFrame(self.table("rows", [key])), pd.DataFrame(again)
-        first, second = (rows["value"].astype(float) for rows in (before, after))
-        if after["status"].isin(FINISHED).all() and not first.equals(second):
+        rows: list[Any] = again.to_dict("records") if isinstance(again, pd.DataFrame) else again
+        first, second = outcome(self.table("rows", [key])), outcome(rows)
+        if finished(rows) and first != second:
             warnings.warn(
-                f"{self.cell(key)}: computed twice, first {first.tolist()}, which stays, then {second.tolist()}; "
-                "something in this cell does not go by its seed: a model, a tracker, or a library's threads",
+                f"{self.cell(key)}: computed twice, first {first}, which stays, then {second}; {SEEDLESS}",
                 stacklevel=3,
             )
         return True
@@ -143,16 +164,15 @@ class Store:
 
     def table(self, name: str, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
         """A table by its name, over all cells that have it, or over some."""
-        folders = [self.cell(k) for k in keys] if keys is not None else sorted(self.folder.glob("cells/[0-9a-f]*"))
-        out: list[dict[str, Any]] = []
-        for folder in folders:
-            if (path := folder / f"{name}.parquet").is_file():
-                try:
-                    out += read_table(path).to_pylist()
-                except ClothbenchError:
-                    if path.is_file():  # else another process has just put a new attempt in place of this error
-                        raise
-        return out
+        files = {key: f"{self.folder}/cells/{key}/{name}.parquet" for key in (self._keys() if keys is None else keys)}
+        return indexed(self.folder / INDEX / name, files, read_if_there)
+
+    def _keys(self) -> list[str]:
+        """Of all cells, in order."""
+        try:
+            return sorted(name for name in os.listdir(self.folder / "cells") if name[0] in string.hexdigits.lower())
+        except FileNotFoundError:
+            return []
 
 
 def write_table(path: Path, content: list[dict[str, Any]] | pd.DataFrame, columns: Columns | None = None) -> None:
@@ -161,13 +181,14 @@ def write_table(path: Path, content: list[dict[str, Any]] | pd.DataFrame, column
         table = pa.Table.from_pandas(content, preserve_index=False)
     else:
         table = pa.Table.from_pylist(content, schema=pa.schema(list((columns or {}).items())) if columns else None)
-    pq.write_table(table.replace_schema_metadata({"clothbench_schema": str(SCHEMA_VERSION)}), path)
+    stamped = table.replace_schema_metadata({"clothbench_schema": str(SCHEMA_VERSION)})
+    pq.write_table(stamped, path, write_page_checksum=True)  # a flipped bit is a fault then, and not another number
 
 
 def read_table(path: Path) -> pa.Table:
     """One Parquet file of this schema version; a damaged or foreign one is refused in one line."""
     try:
-        with pq.ParquetFile(path) as file:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
             table = file.read()
     except (pa.ArrowInvalid, OSError) as fault:
         raise ClothbenchError(
@@ -182,6 +203,16 @@ def read_table(path: Path) -> pa.Table:
     return table
 
 
+def read_if_there(path: str) -> pa.Table | None:
+    """One Parquet file; None if there is none, or none any more."""
+    if not os.path.isfile(path):
+        return None
+    try:
+        return read_table(Path(path))
+    except ClothbenchError:  # another process may just have put a new attempt in place of this error
+        return read_table(Path(path)) if os.path.isfile(path) else None
+
+
 def row_order(row: dict[str, Any]) -> tuple[str, ...]:
     """Sort key: suite, case, model …; within a cell the fit before the held-out split, totals after recordings."""
     names = ("suite", "case", "model", "effects", "optimizer", "metric", "split")
@@ -190,9 +221,8 @@ def row_order(row: dict[str, Any]) -> tuple[str, ...]:
 
 def leaderboard_row(row: dict[str, Any]) -> dict[str, Any]:
     """A row as `leaderboard --json` prints it: its keys only, NaN as null."""
-    return {
-        name: None if isinstance(row.get(name), float) and row[name] != row[name] else row.get(name) for name in ROW
-    }
+    values = ((name, row.get(name)) for name in ROW)
+    return {name: None if value != value else value for name, value in values}
 
 
 def load_rows(path: str | os.PathLike[str]) -> list[dict[str, Any]]:

@@ -35,6 +35,7 @@ def test_kill_9_in_mid_sweep_loses_only_the_running_cells(clothbench, recordings
     running.wait()
     kept = finished(tmp_path)
     assert 2 <= len(kept) < 8
+    assert clothbench("store", "check", "runs").returncode == 0
     stamps = {key: (tmp_path / "runs" / "cells" / key / "rows.parquet").stat().st_mtime_ns for key in kept}
     out = clothbench(*command)
     assert out.returncode == 0, out.stderr
@@ -42,6 +43,23 @@ def test_kill_9_in_mid_sweep_loses_only_the_running_cells(clothbench, recordings
     assert stamps == {key: (tmp_path / "runs" / "cells" / key / "rows.parquet").stat().st_mtime_ns for key in kept}
     rows = json.loads(clothbench("leaderboard", "--json").stdout)
     assert len({r["key"] for r in rows}) == 8
+
+
+def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(clothbench, recordings_folder, tmp_path):
+    """Files are limited to less than a table takes; then they are not, and the run goes on where it stood."""
+    resource = pytest.importorskip("resource", reason="only POSIX limits files")
+    command = ["run", f"recordings={recordings_folder}", *CELL, "budget=12"]
+    full = subprocess.run(
+        [sys.executable, "-m", "clothbench", *command], cwd=tmp_path, capture_output=True, text=True, check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000)),
+    )  # fmt: skip
+    assert full.returncode == 2
+    assert full.stderr.startswith("clothbench: runs/cells/")
+    assert "cannot be written (File too large)" in full.stderr
+    assert full.stderr.count("\n") == 1
+    assert list((tmp_path / "runs" / "cells").iterdir()) == []
+    assert clothbench(*command).returncode == 0
+    assert len(finished(tmp_path)) == 1
 
 
 @pytest.mark.slow

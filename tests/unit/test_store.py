@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from clothbench import ClothbenchError
+from clothbench.engine import index
 from clothbench.engine.store import ROW, Store, leaderboard_row, load_rows
 
 
@@ -35,7 +36,9 @@ def test_a_finished_cell_stays_and_a_disagreement_is_told(tmp_path):
     store = Store(tmp_path)
     store.put("abc", {"rows": [one_row(value=1.0), one_row("skipped")]})
     store.put("abc", {"rows": [one_row(value=1.0), one_row("skipped")]})
-    with pytest.warns(UserWarning, match=r"computed twice, first \[1\.0, nan\], which stays, then \[2\.0, nan\]"):
+    with pytest.warns(
+        UserWarning, match=r"computed twice, first \[1\.0, 'skipped'\], which stays, then \[2\.0, 'skipped'\]"
+    ):
         store.put("abc", {"rows": [one_row(value=2.0), one_row("skipped")]})
     assert store.rows()[0]["value"] == 1.0
     assert [p.name for p in (tmp_path / "cells").iterdir()] == ["abc"]
@@ -51,8 +54,10 @@ for k in range(60):
 """
 
 
-def test_processes_that_write_the_same_cells_lose_none_and_none_is_ever_absent(tmp_path):
+@pytest.mark.parametrize("few", [4, 1000], ids=["with an index", "without"])
+def test_processes_that_write_the_same_cells_lose_none_and_none_is_ever_absent(tmp_path, monkeypatch, few):
     """Three processes, each 30 errors and then their 30 finished cells, all at once; and one that looks on."""
+    monkeypatch.setattr(index, "FEW", few)
     store, seen = Store(tmp_path), set()
     writers = [
         subprocess.Popen([sys.executable, "-c", WRITES, str(tmp_path)], stderr=subprocess.PIPE, text=True)

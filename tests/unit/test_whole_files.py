@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import errno
+
 import pytest
 
-from clothbench.core.files import whole_files
+from clothbench.core.files import whole_file, whole_files, whole_folder
 
 
 def test_files_take_their_place_beside_what_is_there(tmp_path):
@@ -35,3 +37,12 @@ def test_a_fault_leaves_everything_as_it_was(tmp_path):
         half_written(tmp_path)
     assert [p.name for p in tmp_path.rglob("*")] == ["verdict.json"]
     assert (tmp_path / "verdict.json").read_text() == "old"
+
+
+@pytest.mark.parametrize("whole", [whole_file, whole_folder, whole_files])
+def test_a_full_disk_says_what_could_not_be_written(tmp_path, whole):
+    """The system names no file when a write finds no room."""
+    with pytest.raises(OSError, match="No space left") as found, whole(tmp_path / "result"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert found.value.filename == str(tmp_path / "result")
+    assert [p for p in tmp_path.rglob("*") if p.name != "result"] == []

@@ -8,6 +8,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
+from clothbench.display.html import group
 from clothbench.display.names import cell_name
 from clothbench.engine.study import Results
 from clothbench.studies.calibration.analysis_tables import analyses
@@ -16,6 +17,7 @@ from clothbench.studies.calibration.searches_page import contest_tables
 
 Rows = Sequence[dict[str, Any]]
 MANY = 24  # recordings in one cell beyond which only the totals are printed
+MOST = 500  # cells in one table of the terminal
 
 
 def show(results: Results) -> list[Any]:
@@ -42,10 +44,9 @@ def error_table(suite: str, rows: Rows) -> Table:
     table.add_column("recording", overflow="fold")
     for name in ("error", "interval", "floor"):
         table.add_column(name, justify="right", no_wrap=True)
-    keys = {r["key"] for r in rows}
-    crowded = max((sum(r["key"] == k and bool(r["recording"]) for r in rows) for k in keys), default=0) > MANY
-    for key in dict.fromkeys(r["key"] for r in rows):
-        mine = [r for r in rows if r["key"] == key]
+    cells = list(group(rows, lambda r: r["key"]).values())
+    crowded = max((sum(bool(r["recording"]) for r in mine) for mine in cells), default=0) > MANY
+    for mine in cells[:MOST]:
         effort = f"{mine[0]['evaluations']} evaluations, {mine[0]['wall_s']:.1f} s"
         table.add_row(f"[bold]{escape(cell_name(mine[0]))}[/] [dim]({effort})[/]")
         for row in mine:
@@ -56,6 +57,8 @@ def error_table(suite: str, rows: Rows) -> Table:
         table.add_section()
     if crowded:
         table.caption = "single fit recordings: clothbench leaderboard --json"
+    if len(cells) > MOST:
+        table.caption = f"{MOST} of {len(cells)} cells; all of them: clothbench leaderboard --json"
     return table
 
 
@@ -104,9 +107,10 @@ def parameter_table(rows: Rows, parameters: Rows) -> Table:
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
     about = {r["key"]: r for r in rows}
-    for key in dict.fromkeys(p["key"] for p in parameters):
+    cells = group(parameters, lambda p: p["key"])
+    for key, mine in list(cells.items())[:MOST]:
         table.add_row(f"[bold]{escape(cell_name(about[key]))}[/]")
-        for p in (p for p in parameters if p["key"] == key):
+        for p in mine:
             value = f"{p['value']:.4g}" if p["value"] is not None else ""
             mark = " at its bound" if p["at_bound"] else ""
             known = (f"{p['truth']:.3g}" if p.get("truth") is not None else "",) if stated else ()
@@ -114,6 +118,8 @@ def parameter_table(rows: Rows, parameters: Rows) -> Table:
                      p["unit"] + mark)  # fmt: skip
             table.add_row(*(escape(t) for t in texts))
         table.add_section()
+    if len(cells) > MOST:
+        table.caption = f"{MOST} of {len(cells)} cells"
     return table
 
 
@@ -126,8 +132,7 @@ def front_table(rows: Rows, front: Rows) -> Table:
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
     about = {r["key"]: r for r in rows}
-    for key in dict.fromkeys(f["key"] for f in front):
-        mine = [f for f in front if f["key"] == key]
+    for key, mine in group(front, lambda f: f["key"]).items():
         count = len({f["evaluation"] for f in mine})
         table.add_row(f"[bold]{escape(cell_name(about[key]))}[/], {count} on the front")
         for objective, fit, least in fit_and_least(mine):

@@ -1,0 +1,160 @@
+"""The upkeep of stores: two made one, and what is no longer wanted removed."""
+
+from __future__ import annotations
+
+import re
+import shutil
+import time
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from clothbench.core.create_only import require_create_only
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import remove_folder, whole_file, whole_folder
+from clothbench.engine.cells import plugin_versions
+from clothbench.engine.check import KEY, Finding, check_cell, fault, remains, unreadable
+from clothbench.engine.run import TRACKED
+from clothbench.engine.store import SEEDLESS, Store, finished, outcome, read_table
+from clothbench.engine.study import studies
+from clothbench.plugins.discovery import Catalogue
+from clothbench.recordings.nodes import read_recording
+
+VERSION = re.compile(r"(?P<kind>[^/;]+)/(?P<name>[^;]+?) \((?P<version>[^;]*)\)(?:; |$)")  # as rows list their plugins
+DAY = 86400.0  # s
+
+
+# --- merge ----------------------------------------------------------------------------------------------------------
+
+
+@dataclass
+class Merged:
+    """What became of the cells of a store when they were put into another, by key; findings: faults among them."""
+
+    taken: list[str] = field(default_factory=list)
+    same: list[str] = field(default_factory=list)
+    errors: list[str] = field(default_factory=list)  # left out: they give way to a result, and to another error
+    findings: list[Finding] = field(default_factory=list)
+
+
+def merge(source: Store, into: Store, plugins: Catalogue) -> Merged:
+    """Put the cells of `source` into another store, each whole or not at all; nothing finished is replaced there.
+
+    Unfinished cells are left alone. What trackers made of images comes along.
+    """
+    require_create_only(into.folder)
+    known, out = frozenset(studies(plugins)), Merged()
+    for folder in sorted(p for p in (source.folder / "cells").glob("[!.]*")):
+        if found := check_cell(folder, known):
+            out.findings += found
+        else:
+            _merge_cell(folder, into, out)
+    for path in sorted((source.folder / TRACKED).glob("*.nc")):
+        out.findings += _merge_tracked(path, into.folder / TRACKED / path.name)
+    return out
+
+
+def _merge_cell(folder: Path, into: Store, out: Merged) -> None:
+    key, rows = folder.name, read_table(folder / "rows.parquet").to_pylist()
+    try:
+        there = into.table("rows", [key])
+        wanted = not there or (finished(rows) and not finished(there))
+        if wanted:
+            with whole_folder(into.cell(key), lambda: into.has(key)) as part:
+                shutil.copytree(folder, part, dirs_exist_ok=True)
+            there = into.table("rows", [key])  # of a run, if one was faster
+    except ClothbenchError as said:
+        out.findings.append(Finding(into.cell(key), str(said)))
+        return
+    if not finished(rows) and (finished(there) or not wanted):
+        out.errors.append(key)
+    elif outcome(rows) == outcome(there):
+        (out.taken if wanted else out.same).append(key)
+    else:
+        found = f"{outcome(there)}, which stays, and {outcome(rows)} in {folder}"
+        out.findings.append(fault(into.cell(key), found, "the same of the same cell", SEEDLESS))
+
+
+def _merge_tracked(path: Path, there: Path) -> list[Finding]:
+    """Take what a tracker made; where it is there already, the two must be the same."""
+    if found := unreadable(path):
+        return [found]
+    if not there.is_file():
+        with whole_file(there) as part:
+            shutil.copyfile(path, part)
+    if found := unreadable(there):
+        return [found]
+    if read_recording(path).hash != read_recording(there).hash:
+        return [fault(there, f"another recording than {path}", "the same of the same images and tracker", SEEDLESS)]
+    return []
+
+
+# --- prune ----------------------------------------------------------------------------------------------------------
+
+
+def prunable(
+    store: Store, plugins: Catalogue, *, older: float = DAY, other_versions: bool = False, keys: Iterable[str] = ()
+) -> list[tuple[Path, str]]:
+    """What may go: where, and why. Finished cells only if they are named by key, or asked for with `other_versions`.
+
+    older: s since anything in it was last written; what runs left younger than that stays, since a run may be at it.
+    other_versions: cells of plugins, or of a schema, in another version than the one installed; no run asks for them.
+    """
+    found = [(path, what) for path, what in remains(store) if time.time() - last_written(path) > older]
+    for key in keys:
+        if not KEY.fullmatch(key) or not store.cell(key).is_dir():
+            raise ClothbenchError(f"{store.cell(key)}: no such cell; give the whole key, as the leaderboard shows it")
+        found.append((store.cell(key), "named"))
+    if other_versions:
+        found += _of_other_versions(store, plugins, {path for path, _ in found})
+    return found
+
+
+def _of_other_versions(store: Store, plugins: Catalogue, named: set[Path]) -> Iterator[tuple[Path, str]]:
+    installed: dict[tuple[str, str], str | None] = {}
+    for folder in sorted((store.folder / "cells").glob("[0-9a-f]*")):
+        if folder not in named and (why := _other_version(folder, plugins, installed)):
+            yield folder, why
+
+
+def _other_version(folder: Path, plugins: Catalogue, installed: dict[tuple[str, str], str | None]) -> str | None:
+    """How the version of a cell differs from what is installed; None if it does not, or if that cannot be said."""
+    try:
+        rows = read_table(folder / "rows.parquet").to_pylist()
+    except ClothbenchError as said:
+        return str(said).removeprefix(f"{folder / 'rows.parquet'}: ") if "found schema" in str(said) else None
+    for row in rows:
+        for used in VERSION.finditer(row.get("plugins") or ""):
+            plugin = used["kind"], used["name"]
+            if plugin not in installed:
+                installed[plugin] = _installed(*plugin, plugins)
+            if installed[plugin] not in (None, used["version"]):
+                return f"{'/'.join(plugin)} {used['version']}; installed is {installed[plugin]}"
+    return None
+
+
+def _installed(kind: str, name: str, plugins: Catalogue) -> str | None:
+    """The version of a plugin as rows have it; None where it is not installed."""
+    try:
+        return plugin_versions([(kind, name)], plugins)[f"{kind}/{name}"]
+    except ClothbenchError:
+        return None
+
+
+def last_written(path: Path) -> float:
+    """When anything in a file or folder was last written [s of the system's clock]."""
+    times = [path.stat().st_mtime]
+    for inside in path.rglob("*") if path.is_dir() else ():
+        try:
+            times.append(inside.stat().st_mtime)
+        except FileNotFoundError:  # a run is at it
+            return time.time()
+    return max(times)
+
+
+def remove(path: Path) -> None:
+    """Remove what was found to be prunable; a cell is gone at once or not at all."""
+    if path.is_dir():
+        remove_folder(path)
+    else:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,169 @@
+"""A store is checked, merged and pruned: nothing damaged passes, nothing finished goes unasked."""
+
+from __future__ import annotations
+
+import json
+import os
+import time
+
+import numpy as np
+import pytest
+
+from clothbench.cli import main
+from clothbench.core.files import half_written
+from clothbench.engine.check import check
+from clothbench.engine.store import ROW, Store
+from clothbench.engine.upkeep import merge
+from clothbench.plugins.discovery import catalogue
+
+KEYS = [f"{n:016x}" for n in range(4)]
+
+
+def row(key, value=1.0, **changes):
+    about = {"suite": "s", "case": "c", "model": "m", "study": "calibration", "status": "ok", "key": key}
+    return {**dict.fromkeys(ROW), **about, "value": value, **changes}
+
+
+def put(folder, key, value=1.0, **changes):
+    Store(folder).put(key, {"rows": [row(key, value, **changes)], "trace": [{"time": float(k)} for k in range(50)]})
+
+
+@pytest.fixture
+def filled(tmp_path):
+    for key in KEYS:
+        put(tmp_path / "a", key)
+    return tmp_path / "a"
+
+
+def faults(folder):
+    return [found.line for found in check(Store(folder), catalogue()) if not found.harmless]
+
+
+def test_a_whole_store_has_no_fault(filled, capsys):
+    assert main(["store", "check", str(filled)]) == 0
+    assert capsys.readouterr().out == f"{filled}: ok\n"
+
+
+def test_every_kind_of_fault_is_one_line(filled, capsys):
+    def flip(path, at):
+        content = bytearray(path.read_bytes())
+        content[at] ^= 0xFF
+        path.write_bytes(content)
+
+    cells = filled / "cells"
+    trace = cells / KEYS[0] / "trace.parquet"
+    flip(trace, 150)  # in the numbers: without checksums, another one would be read
+    (cells / KEYS[1] / "films").mkdir()
+    np.savez(cells / KEYS[1] / "films" / "0.npz", time=np.arange(50.0))
+    flip(cells / KEYS[1] / "films" / "0.npz", 300)
+    (cells / KEYS[2] / "rows.parquet").unlink()
+    os.rename(cells / KEYS[3], cells / "abc")
+    put(filled, "0d", study="weaving")
+    put(filled, "0e", status="fine")
+    (cells / "notes").mkdir()
+    (cells / "0f").mkdir()
+    (cells / "0f" / "fit.rrd").touch()
+    expected = {
+        trace: "damaged table", cells / KEYS[1] / "films" / "0.npz": "damaged array",
+        cells / KEYS[2]: "no rows.parquet", cells / "abc" / "rows.parquet": f"rows of the cell {KEYS[3]}",
+        cells / "0d" / "rows.parquet": "study 'weaving', expected calibration",
+        cells / "0e" / "rows.parquet": "status 'fine'", cells / "notes": "a stray",
+        cells / "0f" / "fit.rrd": "an empty file", cells / "0f": "no rows.parquet",
+    }  # fmt: skip
+    assert main(["store", "check", str(filled), "--json"]) == 1
+    found = {told["path"]: told for told in json.loads(capsys.readouterr().out)}
+    assert set(found) == {str(path) for path in expected}
+    for path, words in expected.items():
+        assert found[str(path)]["line"].startswith(f"{path}: found ")
+        assert words in found[str(path)]["line"]
+        assert "; " in found[str(path)]["line"]  # what to do
+
+
+def test_what_stopped_runs_left_is_told_and_is_no_fault(filled, capsys):
+    (filled / "cells" / f".{KEYS[0]}.abcd_123").mkdir()
+    (filled / ".report.html.abcd_123.part").touch()
+    (filled / "journal" / KEYS[0]).mkdir(parents=True)
+    (filled / "journal" / "0a").mkdir()
+    assert main(["store", "check", str(filled)]) == 0
+    out = capsys.readouterr().out
+    assert out.count("left over: ") == 4
+    assert "a cell that is finished" in out
+    assert "goes on with it" in out
+
+
+def test_merge_takes_what_is_missing_and_lets_errors_give_way(filled, tmp_path, capsys):
+    there = tmp_path / "b"
+    put(there, KEYS[0])
+    put(there, KEYS[1], None, status="error", reason="no memory")
+    put(filled, "0a", None, status="error", reason="here")
+    put(there, "0a", 3.0)
+    assert main(["store", "merge", str(filled), str(there)]) == 0
+    assert capsys.readouterr().out == f"{there}: 3 cells taken, 1 there already, 1 errors left out, 0 faults\n"
+    assert {r["key"]: r["value"] for r in Store(there).rows()} == {**dict.fromkeys(KEYS, 1.0), "0a": 3.0}
+    assert faults(there) == []
+    again = merge(Store(filled), Store(there), catalogue())
+    assert (again.taken, again.same, again.errors, again.findings) == ([], KEYS, ["0a"], [])
+
+
+def test_merge_tells_a_disagreement_and_overwrites_nothing(filled, tmp_path, capsys):
+    there = tmp_path / "b"
+    put(there, KEYS[0], 2.0)
+    (filled / "cells" / KEYS[1] / "rows.parquet").write_bytes(b"PAR1")
+    assert main(["store", "merge", str(filled), str(there)]) == 1
+    out = capsys.readouterr().out
+    assert f"fault: {there / 'cells' / KEYS[0]}: found [2.0], which stays, and [1.0] in " in out
+    assert "damaged table" in out
+    assert {r["key"]: r["value"] for r in Store(there).rows()} == {KEYS[0]: 2.0, KEYS[2]: 1.0, KEYS[3]: 1.0}
+
+
+def test_prune_removes_what_is_old_and_no_cell_unasked(filled, capsys):
+    old, young = filled / "cells" / f".{KEYS[0]}.abcd_123", filled / "cells" / ".old.abcd_124"
+    journal = filled / "journal" / "0a"
+    for folder in (old, young, journal):
+        folder.mkdir(parents=True)
+    (journal / "batch.npz").touch()
+    long_ago = time.time() - 3 * 86400
+    for path in (old, journal):
+        os.utime(path, (long_ago, long_ago))  # the file in the journal is young: a run is at it
+    assert main(["store", "prune", str(filled), "--dry-run"]) == 0
+    assert f"would remove: {old}: half-written" in capsys.readouterr().out
+    assert old.is_dir()
+    assert main(["store", "prune", str(filled)]) == 0
+    assert not old.exists()
+    assert young.is_dir()
+    assert journal.is_dir()
+    os.utime(journal / "batch.npz", (long_ago, long_ago))
+    assert main(["store", "prune", str(filled), "--older", "2", "--cell", KEYS[2]]) == 0
+    assert not journal.exists()
+    assert sorted(p.name for p in (filled / "cells").glob("[!.]*")) == [KEYS[0], KEYS[1], KEYS[3]]
+    assert list(half_written(filled / "cells")) == [young]
+
+
+def test_prune_knows_cells_of_other_versions(filled, capsys):
+    plugins = catalogue()
+    known = plugins.find("metrics", "node_error")
+    now = f"{known.distribution} {known.version}, {plugins.load('metrics', 'node_error').version}"
+    for key, used in (
+        ("0a", f"metrics/node_error ({now}); models/absent (x 1, 1)"),
+        ("0b", "metrics/node_error (x 1, 0)"),
+    ):
+        put(filled, key, plugins=used)
+    assert main(["store", "prune", str(filled), "--other-versions"]) == 0
+    assert capsys.readouterr().out.startswith(f"removed: {filled / 'cells' / '0b'}: metrics/node_error x 1, 0; inst")
+    assert sorted(p.name for p in (filled / "cells").iterdir()) == [*KEYS, "0a"]
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        (["check", "runs"], "found no results"), (["merge", "nothing", "b"], "found no results"),
+        (["merge", "a", "a"], "the folder to merge from"), (["prune", "a", "--cell", "0f"], "no such cell"),
+        (["prune", "a", "--cell", ".."], "no such cell"),
+    ],
+)  # fmt: skip
+def test_bad_words_are_one_line(filled, monkeypatch, capsys, words, told):
+    monkeypatch.chdir(filled.parent)
+    assert main(["store", *words]) == 2
+    err = capsys.readouterr().err
+    assert told in err
+    assert err.count("\n") == 1
