@@ -63,17 +63,19 @@ class FoldPath:
     """A whole folding path of one fabric, or what became of a strip on one: P states in order.
 
     phase: (P,) 1 to 3, 0 if the path has none; state: its P members are the path's states;
-    origin: (P,) m, where the strip's first end lies, which slips where the desk's friction does not hold it; laid: so
-    many states at the end have layers that touch as they are expected to. Arrays are read-only.
+    origin: (P,) m, where the strip's first end lies, which slips where the desk's friction does not hold it; needed:
+    (P,), the coefficient that would have held it where it lay a state before; laid: so many states at the end have
+    layers that touch as they are expected to. Arrays are read-only.
     """
 
     phase: np.ndarray
     state: FoldState
     origin: np.ndarray
+    needed: np.ndarray
     laid: int = 0
 
     def __post_init__(self) -> None:
-        for name, kind in (("phase", int), ("origin", float)):
+        for name, kind in (("phase", int), ("origin", float), ("needed", float)):
             array = np.array(getattr(self, name), dtype=kind)
             array.flags.writeable = False
             object.__setattr__(self, name, array)

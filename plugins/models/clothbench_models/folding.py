@@ -50,15 +50,14 @@ class FoldingStrip:
     def fold(self, theta: np.ndarray, tip: float = 0.0) -> FoldPath:
         """All three phases of the path that lays the end down at x = `tip` m, for one fabric theta (P,)."""
         found = strip_path.path(self._fine(theta), float(theta[0]), tip)
-        return FoldPath(
-            np.array(found.phases), self._side_by_side(found.states), np.zeros(len(found.states)), found.laid
-        )
+        state = self._side_by_side(found.states)
+        return FoldPath(np.array(found.phases), state, np.zeros(len(found.states)), state.friction, found.laid)
 
     def follow(self, places: np.ndarray, theta: np.ndarray, friction: float) -> FoldPath:
         """What becomes of a strip led through places (P, 2) m on a desk of `friction`."""
-        states = strip_path.followed(self._fine(theta), float(theta[0]), places, friction)
+        states, needed = strip_path.followed(self._fine(theta), float(theta[0]), places, friction)
         origin = np.array([s.ends.x0 for s in states])
-        return FoldPath(np.zeros(len(states)), self._side_by_side(states), origin)
+        return FoldPath(np.zeros(len(states)), self._side_by_side(states), origin, np.array(needed))
 
     def _fine(self, theta: np.ndarray) -> Strip:
         """As many elements as a strip needs that touches itself, where `hold` and `lift` do with fewer."""

@@ -21,6 +21,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.optimize import brentq
 
 from clothbench import ClothbenchError
 from clothbench_models import strip_trials
@@ -34,7 +35,7 @@ LIFTS, FALLS = 24, 6  # states of phase 1, and of the way on which the strip fal
 LIFTED = 0.9  # of what is off the desk, how high its end is at first taken to be
 ACROSS, MOST = 0.25, 200  # bending lengths, step of phase 2; how many at most
 DOWN, LEAST = 1 / 30, 0.02  # of the length, and of the bending length: longest and shortest step of phase 3
-FIRST, HALVINGS = 0.01, 30  # bending lengths, first step of a slip; how often it is halved at most
+FIRST, HALVINGS = 0.01, 4  # bending lengths, first step of a slip; how often a step of the hand is halved at most
 
 Condition = Callable[[float, State], tuple[float, State]]  # (coordinate, state nearby) → (what shall be 0, state there)
 
@@ -93,7 +94,7 @@ def path(strip: Strip, eta_b: float, tip: float = 0.0) -> Path:
     lifted = lifts(strip, eta_b, left)
     laid = laid_down(strip, eta_b, fold, tip, lifted)
     over = carried_over(strip, eta_b, lifted[-1], left)
-    falling = followed(strip, eta_b, between(over[-1], laid[0]), math.inf, over[-1])
+    falling, _ = followed(strip, eta_b, between(over[-1], laid[0]), math.inf, over[-1])
     states = (*lifted, *over, *falling, *laid)
     phases = (1,) * len(lifted) + (2,) * len(over) + (3,) * (len(falling) + len(laid))
     return Path(phases, states, len(laid))
@@ -172,43 +173,49 @@ def between(first: State, last: State) -> np.ndarray:
 
 def followed(
     strip: Strip, eta_b: float, places: np.ndarray, friction: float, start: State | None = None
-) -> list[State]:
-    """What becomes of a strip whose end is led through places (n, 2) m, turning freely, one state for each.
+) -> tuple[list[State], list[float]]:
+    """What becomes of a strip whose end is led through places (n, 2) m, turning freely: n states, and n coefficients of
+    friction that it would have taken to keep what lies on the desk where it lay before each step.
 
-    What lies on the desk stays there as long as a coefficient of `friction` suffices, and slips as a whole until it
-    does again (cloth hardly stretches): the first end's place is what tells. start: None, it lies flat.
+    Where the desk has less than that, what lies there slips as a whole until it does (cloth hardly stretches): the
+    first end's place tells by how much. start: None, it lies flat.
     """
     near = start or strip_trials.lift(strip, eta_b, max(float(places[0, 1]), ENOUGH * strip.size(eta_b)))
-    out, rests = [], Ends(x0=near.ends.x0)
+    out, needed = [], []
     for x, z in places:
-        near = strip.onwards(near, eta_b, replace(rests, x1=float(x), z1=float(z)))
-        if abs(near.pull) > friction * near.press:
+        near = _led(strip, eta_b, near, Ends(x0=near.ends.x0, x1=float(x), z1=float(z)))
+        needed.append(abs(near.pull) / near.press)
+        if needed[-1] > friction:
             near = slipped(strip, eta_b, near, friction)
-            rests = Ends(x0=near.ends.x0)
         out.append(near)
-    return out
+    return out, needed
 
 
 def slipped(strip: Strip, eta_b: float, state: State, friction: float) -> State:
     """Where a strip comes to rest that is pulled at by more than `friction` times what presses it to the desk."""
-    way, end = math.copysign(1.0, state.pull), state.ends
+    way, near = math.copysign(1.0, state.pull), state
 
-    def excess(found: State) -> float:
-        return way * found.pull - friction * found.press
+    def excess(x0: float) -> float:
+        nonlocal near
+        near = strip.onwards(near, eta_b, Ends(x0=x0, x1=state.ends.x1, z1=state.ends.z1))
+        return way * near.pull - friction * near.press
 
-    held = free = state
-    step = FIRST * strip.size(eta_b)
-    while excess(free) > 0:
-        held = free
-        free = strip.onwards(held, eta_b, Ends(x0=held.ends.x0 + way * step, x1=end.x1, z1=end.z1))
-        step *= 2
-    for _ in range(HALVINGS):
-        if abs(held.ends.x0 - free.ends.x0) < EXACT * strip.length:
-            break
-        x0 = (held.ends.x0 + free.ends.x0) / 2
-        middle = strip.onwards(free, eta_b, Ends(x0=x0, x1=end.x1, z1=end.z1))
-        held, free = (middle, free) if excess(middle) > 0 else (held, middle)
-    return free
+    held, step = state.ends.x0, FIRST * strip.size(eta_b)
+    while excess(held + way * step) > 0:
+        held, step = held + way * step, 2 * step
+    brentq(excess, held, held + way * step, xtol=EXACT * strip.length)
+    return near
+
+
+def _led(strip: Strip, eta_b: float, near: State, ends: Ends, halvings: int = HALVINGS) -> State:
+    """The strip with its end at another place, over half the way where there is no direct one."""
+    try:
+        return strip.onwards(near, eta_b, ends)
+    except ClothbenchError:
+        if halvings == 0:
+            raise
+    half = replace(near.ends.between(ends, 0.5), angle0=0.0)
+    return _led(strip, eta_b, _led(strip, eta_b, near, half, halvings - 1), ends, halvings - 1)
 
 
 def _tolerances(strip: Strip, eta_b: float) -> tuple[float, float]:
