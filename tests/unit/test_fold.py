@@ -11,9 +11,9 @@ from clothbench.core.folding import circular_path, triangular_path
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store, leaderboard_row
 from clothbench.plugins.discovery import catalogue
-from clothbench.reference.fabrics import FABRICS
+from clothbench.reference.fabrics import FABRICS, chosen_fabrics
 from clothbench.reference.lifted_strip import lift
-from clothbench.studies.folding.cell import FoldingCell, FoldSettings, chosen_fabrics, fold_settings
+from clothbench.studies.folding.cell import FoldingCell, FoldSettings, fold_settings
 from clothbench.studies.folding.page import fold_section
 from clothbench.studies.folding.run import hand_of
 from clothbench.studies.folding.strip import TestStrip, scattered
