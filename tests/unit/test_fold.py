@@ -158,3 +158,30 @@ def test_a_cell_is_keyed_by_what_it_depends_on():
     assert cell().key == cell().key
     assert cell().key != cell(steps=4).key
     assert cell().stream("fabric") == cell(steps=4).stream("fabric") != cell().stream("gripper")
+
+
+def held_too_far_out(friction: float) -> TestStrip:
+    strip = TestStrip(1.0, lambda u: 5e3 + 0 * u, np.zeros(2), friction)
+    strip.move(np.array(lift(1.0, strip.stiffness, 0.2).pose) + np.array([0.02, 0.0, 0.0]))
+    return strip
+
+
+def test_a_strip_that_is_pulled_at_slips_until_friction_holds_it():
+    holds, slips = held_too_far_out(10.0), held_too_far_out(0.01)
+    assert holds.origin == 0
+    assert slips.needed == pytest.approx(holds.needed)
+    assert slips.needed > 0.01
+    assert 0 < slips.origin < 0.02
+    assert slips.state.pull / slips.state.press == pytest.approx(0.01, rel=1e-3)
+    assert slips.line(np.zeros(1))[0, 0] == slips.origin
+    nowhere = held_too_far_out(1e-6)
+    assert nowhere.origin == pytest.approx(0.02, abs=1e-4)  # without friction it goes back to where nothing pulls
+
+
+def test_a_strip_that_a_guess_far_off_has_bent_is_lifted_on():
+    """The pose of cloth twenty times as limp leaves it so bent that the next lift would find it rolled up."""
+    fabric = next(f for f in FABRICS if f.name == "denim")
+    strip = TestStrip.of(fabric, 1.0, cell().stream)
+    for height, eta in ((0.04, 1e5), (0.08, 1.3e3)):
+        strip.move(KirchhoffLove().strip(1.0).lift(height, np.array([[eta, 1e-5, 0.3]])).pose[0])
+    assert strip.state.pose[2] < np.pi / 2

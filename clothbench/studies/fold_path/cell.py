@@ -28,7 +28,8 @@ class PathSettings:
 
     length, width: m (a strip has no width); friction: coefficient of the desk; planner: model that computes the path;
     layers: how many lie on each other, `bonded` if they cannot slide on each other; seconds: that a sheet is led along
-    the path; areal_density: kg/m² of each layer of a sheet; nodes: of its mesh along the length.
+    the path; areal_density: kg/m² of each layer of a sheet; nodes: of its mesh along the length; thickness: m, how far
+    apart a sheet's upper and lower half stay (0: they pass through each other).
     """
 
     length: float = 1.0
@@ -40,6 +41,7 @@ class PathSettings:
     seconds: float = 4.0
     areal_density: float = 0.2
     nodes: int = 41
+    thickness: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -129,6 +131,7 @@ def path_settings(given: Mapping[str, Any]) -> PathSettings:
         whole("suite.path.layers", told["layers"], 1),
         whole("suite.path.nodes", told["nodes"], 9),
     )
+    told["thickness"] = number("suite.path.thickness", told["thickness"], -1e-12)
     if not isinstance(told["bonded"], bool):
         raise ClothbenchError(f"setting 'suite.path.bonded' is {told['bonded']!r}, expected true or false")
     if told["layers"] > 1 and "bonded" not in given:

@@ -63,7 +63,7 @@ def parameters(model: Model, cell: FoldPathCell) -> np.ndarray:
 
 def led_sheet(cell: FoldPathCell, model: Model, places: np.ndarray) -> Landed:
     """The sheet of a model that keeps off the desk and begins where it lies."""
-    for needed in ("contact", "moving_start"):
+    for needed in ("contact", "moving_start", *(["self_contact"] if cell.path.thickness else [])):
         if needed not in model.capabilities:
             raise Skipped(f"the model does not say {needed!r}")
     if not isinstance(model, KnowsMaterials):

@@ -1,7 +1,7 @@
 """A rectangular sheet on a desk, one edge led along a path: the scene for a model of sheets, and what came of it.
 
-The sheet lies flat at rest; u runs along the fold's direction x, v along −y. The desk is a plane with friction. Both
-layers may lie on it: they pass through each other, as the strip's do.
+The sheet lies flat at rest; u runs along the fold's direction x, v along −y. The desk is a plane with friction. Without
+a thickness the halves pass through each other, and both lie on the desk, where the upper one rubs, too.
 """
 
 from __future__ import annotations
@@ -40,6 +40,7 @@ def scene(cell: FoldPathCell, places: np.ndarray) -> Scene:
     across = max(3, round((about.nodes - 1) * about.width / about.length) + 1)
     clock = np.linspace(0.0, about.seconds, STAMPS)
     x, z = led(places, about.length, clock / about.seconds).T
+    z = np.maximum(z, about.thickness * (1 - x / about.length))  # it comes down on the lower layer, not into it
     edge = np.linspace(0.0, about.width, across)
     along = np.ones((STAMPS, across))
     u, v = (a.ravel() for a in np.meshgrid(np.linspace(0.0, about.length, about.nodes), edge))
@@ -50,7 +51,7 @@ def scene(cell: FoldPathCell, places: np.ndarray) -> Scene:
         grip_position=np.stack([x[:, None] * along, -edge * along, z[:, None] * along], axis=-1),
         times=np.append(np.linspace(0.0, about.seconds, FRAMES - 1), about.seconds + RESTS),
         points=np.stack([u, v], axis=1), resolution=(about.nodes, across), start=flat, velocity=0 * flat,
-        obstacles=(Obstacle("plane", friction=about.friction),),
+        obstacles=(Obstacle("plane", friction=about.friction),), thickness=about.thickness,
     )  # fmt: skip
 
 

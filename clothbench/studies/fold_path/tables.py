@@ -19,14 +19,13 @@ def show(results: Results) -> list[Any]:
 
 
 def lines(results: Results, suite: str) -> list[dict[str, Any]]:
-    """One record for each cell of a suite: what it was about, its values by metric (None: there is none), its status."""
-    about = {s["key"]: s for s in results.table("fold_path")}
+    """One record for each cell of a suite: what it was about, its values by metric, its status."""
     out: dict[str, dict[str, Any]] = {}
     for row in (r for r in results.rows if r["suite"] == suite):
         fabric, _, way = row["case"].rpartition(", ")
         line = out.setdefault(row["key"], {
             "key": row["key"], "fabric": fabric, "way": way, "model": row["model"], "status": row["status"],
-            "reason": row["reason"], "desk": None, "done": row["key"] in about,
+            "reason": row["reason"], "desk": None,
         })  # fmt: skip
         line[row["metric"]] = row["value"]
         if row["metric"] == "friction":
