@@ -185,3 +185,17 @@ def test_a_strip_that_a_guess_far_off_has_bent_is_lifted_on():
     for height, eta in ((0.04, 1e5), (0.08, 1.3e3)):
         strip.move(KirchhoffLove().strip(1.0).lift(height, np.array([[eta, 1e-5, 0.3]])).pose[0])
     assert strip.state.pose[2] < np.pi / 2
+
+
+@pytest.mark.slow
+def test_first_guesses_far_apart_end_alike(tmp_path):
+    """From 10² and from 10⁵ m⁻⁴ s², stiffer and limper than any fabric of the table, to the same estimate."""
+    ends = []
+    for first in (1e2, 1e5):
+        guessed = cell(fold=FoldSettings(steps=3, first=first, friction=0.6, fit=FIT))
+        store = Store(tmp_path / f"{first:g}")
+        assert run_cell(guessed, store.folder) == "ok"
+        ends.append(store.table("fold"))
+    first, last = ([steps[n]["value"] for steps in ends] for n in (0, -1))
+    assert max(last) / min(last) < 1.02
+    assert max(first) / min(first) > 1.1  # they had not ended alike after one step

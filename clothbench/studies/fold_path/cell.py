@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import digest, plugin_versions
-from clothbench.engine.settings import known_words, mapping, number, refuse, require_plugins, whole, words
+from clothbench.engine.settings import known_words, mapping, number, one_word, refuse, require_plugins, whole, words
 from clothbench.plugins.discovery import Catalogue
 from clothbench.reference.fabrics import chosen_fabrics, fabric_named
 
@@ -132,6 +132,7 @@ def path_settings(given: Mapping[str, Any]) -> PathSettings:
         whole("suite.path.nodes", told["nodes"], 9),
     )
     told["thickness"] = number("suite.path.thickness", told["thickness"], -1e-12)
+    told["planner"] = one_word("suite.path.planner", told["planner"])
     if not isinstance(told["bonded"], bool):
         raise ClothbenchError(f"setting 'suite.path.bonded' is {told['bonded']!r}, expected true or false")
     if told["layers"] > 1 and "bonded" not in given:

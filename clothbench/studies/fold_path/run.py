@@ -29,6 +29,8 @@ def run(cell: FoldPathCell, context: Context) -> Result:
         if reason := absent(plugins.load("models", name)):
             raise Skipped(f"{made.name}: {reason}")
     planner, model = models[cell.path.planner], models[cell.model]
+    if "fold" not in model.capabilities:
+        require_sheet(cell, model)
     about = about_cell(cell) | no_value() | {"status": "ok", "reason": "", "evaluations": 1}
     try:
         path = strip_of(planner, cell).fold(parameters(planner, cell)) if cell.way == "computed" else None
@@ -61,13 +63,17 @@ def parameters(model: Model, cell: FoldPathCell) -> np.ndarray:
     return np.where(np.array(names) == "eta_b", cell.eta_b, model.parameters.defaults)
 
 
-def led_sheet(cell: FoldPathCell, model: Model, places: np.ndarray) -> Landed:
-    """The sheet of a model that keeps off the desk and begins where it lies."""
+def require_sheet(cell: FoldPathCell, model: Model) -> None:
+    """A model of sheets has to keep off the desk, and to begin where the sheet lies."""
     for needed in ("contact", "moving_start", *(["self_contact"] if cell.path.thickness else [])):
         if needed not in model.capabilities:
             raise Skipped(f"the model does not say {needed!r}")
     if not isinstance(model, KnowsMaterials):
         raise Skipped("the model says no parameters for a material")
+
+
+def led_sheet(cell: FoldPathCell, model: Any, places: np.ndarray) -> Landed:
+    """What becomes of its sheet."""
     world = scene(cell, places)
     if isinstance(model, RefusesScenes) and (reason := model.skip(world)):
         raise Skipped(reason)
