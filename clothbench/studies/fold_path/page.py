@@ -51,8 +51,11 @@ def answer_of(suite: str, done: Rows) -> str:
     ways = group(done, lambda x: (x["way"], x["model"]))
     off = {way: float(np.median([abs(x["landing_error"]) for x in mine])) for way, mine in ways.items()}
     ranked = sorted(off, key=lambda way: off[way])
-    sentences = [f"<b>{text(way)}</b> path, {text(model)}: {off[way, model]:.2g} mm beside in the middle of "
-                 f"{len(ways[way, model])}." for way, model in ranked]  # fmt: skip
+    sentences = [
+        f"<b>{text(way)}</b> path, {text(model)}: lands {off[way, model]:.3g} mm beside, median of "
+        f"{len(ways[way, model])} fabric{'s' * (len(ways[way, model]) > 1)}."
+        for way, model in ranked
+    ]
     cards = []
     for way, mine in group([x for x in done if x.get("friction") is not None], lambda x: x["way"]).items():
         slips = sum(x["friction"] > x["desk"] for x in mine)
