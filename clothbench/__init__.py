@@ -83,6 +83,7 @@ _HOME = {
     "Stiffens": "core.optional",
     "VariesByRecording": "core.optional",
     "takes_option": "core.optional",
+    "FoldPath": "core.folding",
     "FoldState": "core.folding",
     "for_each": "core.parallel",
     "on_front": "estimation.front",

@@ -1,4 +1,5 @@
-"""Numbers and figures of docs/folding.md: `python tools/folding.py tables`, `… figures RUNS`, `… speed`, `… peer`.
+"""Numbers and figures of docs/folding.md: `python tools/folding.py tables`, `… figures RUNS`, `… speed`, `… peer`,
+`… guesses`, `… over`.
 
 RUNS is the folder of a finished `clothbench run +suite=fold_phase_one`.
 """
@@ -6,22 +7,31 @@ RUNS is the folder of a finished `clothbench run +suite=fold_phase_one`.
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import functools
+import tempfile
 import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from clothbench_models import strip_trials
+import yaml
+from clothbench_models import strip_path, strip_trials
+from clothbench_models.kirchhoff_love import KirchhoffLove
 from clothbench_models.strip import Strip
 from scipy.optimize import brentq
 
-from clothbench.core.folding import circular_path, triangular_path
+from clothbench.core.folding import circular_path, geometric_places, triangular_path
 from clothbench.engine.store import Store
+from clothbench.engine.study import Context
+from clothbench.engine.suite import suites_folder
+from clothbench.plugins.discovery import catalogue
 from clothbench.reference import lifted_strip
 from clothbench.reference import mechanics as references
 from clothbench.reference.fabrics import FABRICS, Fabric
+from clothbench.studies.folding.cell import FoldingCell, fold_settings
+from clothbench.studies.folding.run import run as run_fold
 
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
 G = references.G
@@ -155,6 +165,30 @@ def print_peer(gamma: float = 100.0, elements: int = 50) -> None:
     print(f"ratio of times: {spent / each:.0f}")
 
 
+def print_guesses(guesses: Sequence[float] = (1e2, 1e3, 1e4, 1e5)) -> None:
+    """The last estimate of each fabric from first guesses far apart, in the suite's setting otherwise."""
+    suite = yaml.safe_load((suites_folder() / "suite" / "fold_phase_one.yaml").read_text())
+    about = fold_settings(suite["suite"]["fold"])
+    bounds = {name: tuple(ends) for name, ends in suite["bounds"].items()}
+    print("| fabric | " + " | ".join(f"from {g:.0e}" for g in guesses) + " | spread | largest friction |")
+    print("|---|" + "---|" * (len(guesses) + 2))
+    for fabric in FABRICS:
+        ends, friction = [], []
+        for guess in guesses:
+            cell = FoldingCell(
+                "guesses", fabric.name, suite["model"][0], tuple(suite["effects"]), suite["optimizer"][0],
+                suite["metric"][0] if isinstance(suite["metric"], list) else suite["metric"], suite["tracker"],
+                dataclasses.replace(about, first=guess), bounds=bounds, evaluations=suite["budget"],
+            )  # fmt: skip
+            with tempfile.TemporaryDirectory() as folder:
+                steps = run_fold(cell, Context(catalogue(), Path(folder))).tables["fold"]
+            ends.append(steps[-1]["value"])
+            friction.append(max(s["friction"] for s in steps))
+        spread = 100 * (max(ends) / min(ends) - 1)
+        print(f"| {fabric.name} | " + " | ".join(f"{e:.4g}" for e in ends) + f" | {spread:.2f} % | "
+              + ", ".join(f"{f:.2f}" for f in friction) + " |", flush=True)  # fmt: skip
+
+
 def draw_paths() -> None:
     """Phase 1 for fabrics of every stiffness, between the triangular and the circular path (figure 3 of the paper)."""
     import matplotlib.pyplot as plt
@@ -172,6 +206,31 @@ def draw_paths() -> None:
     axes[1].set(xlim=(0.9, 1.003), ylim=(0.0, 0.12), title="where it begins")
     axes[0].legend(fontsize=7)
     figure.savefig(IMAGES / "folding-paths.svg")
+
+
+def draw_over(etas: Sequence[float] = (1e2, 1e3, 1e4, 1e5)) -> None:
+    """Whole paths with their phases, and the strip on its way along one of them (figure 2 of the paper)."""
+    import matplotlib.pyplot as plt
+
+    figure, axes = plt.subplots(2, 2, figsize=(9, 7), layout="constrained")
+    colours = {1: "C2", 2: "C3", 3: "C0"}  # as in the paper
+    for axis, eta in zip(axes.flat, etas, strict=True):
+        found = KirchhoffLove().strip(1.0).fold(np.array([eta, 1e-5, 0.3]))
+        laid = len(found.phase) - found.laid
+        for phase, colour in colours.items():
+            mine = np.flatnonzero(found.phase == phase)
+            axis.plot(*found.places[max(mine[0] - 1, 0) : mine[-1] + 1].T, color=colour, label=f"phase {phase}")
+        axis.plot(*found.places[laid - strip_path.FALLS - 1 : laid + 1].T, color="C0", ls=":", lw=3, label="falls over")
+        shown = np.unique(
+            np.concatenate([np.linspace(0, laid - strip_path.FALLS - 1, 7), [laid, len(found.phase) - 1]])
+        )
+        for state in shown.astype(int):
+            axis.plot(*found.state.profile[state].T, color="0.5", lw=0.8)
+        for name, dash in (("triangular", "--"), ("circular", ":")):
+            axis.plot(*geometric_places(name, 1.0, 200).T, "k", ls=dash, lw=0.8, label=name)
+        axis.set(title=f"η$_b$ = 10$^{int(np.log10(eta))}$, friction {found.needed.max():.2f}", aspect="equal")
+    axes[0, 0].legend(fontsize=7)
+    figure.savefig(IMAGES / "folding-over.svg")
 
 
 def draw_estimates(runs: Path) -> None:
@@ -212,7 +271,7 @@ def print_estimates(runs: Path) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description="Numbers and figures of docs/folding.md.")
-    parser.add_argument("what", choices=("tables", "figures", "speed", "peer"))
+    parser.add_argument("what", choices=("tables", "figures", "speed", "peer", "guesses", "over"))
     parser.add_argument("runs", nargs="?", type=Path, help="results of the suite fold_phase_one")
     options = parser.parse_args()
     if options.what == "tables":
@@ -222,6 +281,10 @@ def main() -> None:
         print_speed()
     elif options.what == "peer":
         print_peer()
+    elif options.what == "guesses":
+        print_guesses()
+    elif options.what == "over":
+        draw_over()
     else:
         draw_paths()
     if options.runs:

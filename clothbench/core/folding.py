@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 
@@ -58,6 +58,53 @@ class Folding(Protocol):
         ...
 
 
+@dataclass(frozen=True, eq=False)
+class FoldPath:
+    """A whole folding path of one fabric, or what became of a strip on one: P states in order.
+
+    phase: (P,) 1 to 3, 0 if the path has none; state: its P members are the path's states;
+    origin: (P,) m, where the strip's first end lies, which slips where the desk's friction does not hold it; needed:
+    (P,), the coefficient that would have held it where it lay a state before; laid: so many states at the end have
+    layers that touch as they are expected to. Arrays are read-only.
+    """
+
+    phase: np.ndarray
+    state: FoldState
+    origin: np.ndarray
+    needed: np.ndarray
+    laid: int = 0
+
+    def __post_init__(self) -> None:
+        for name, kind in (("phase", int), ("origin", float), ("needed", float)):
+            array = np.array(getattr(self, name), dtype=kind)
+            array.flags.writeable = False
+            object.__setattr__(self, name, array)
+
+    @property
+    def places(self) -> np.ndarray:
+        """Where the hand is, (P, 2) m: x and z."""
+        return self.state.pose[:, :2]
+
+
+@runtime_checkable
+class FoldsOver(Protocol):
+    """A strip that is folded all the way, which `model.strip(length)` may offer beside `lift` and `hold`.
+
+    Both raise ClothbenchError where there is no such path.
+    """
+
+    def fold(self, theta: np.ndarray, tip: float = 0.0) -> FoldPath:
+        """The three phases of the path for parameters theta (P,) that lay the end down at x = `tip` m.
+
+        Petrík et al., Automatic Material Properties Estimation for the Physics-Based Robotic Garment Folding, III.A.
+        """
+        ...
+
+    def follow(self, places: np.ndarray, theta: np.ndarray, friction: float) -> FoldPath:
+        """What becomes of a strip whose end is led through places (P, 2) m, turning freely, on a desk of `friction`."""
+        ...
+
+
 def triangular_path(length: float, height: np.ndarray) -> np.ndarray:
     """x [m] of the end at `height` m on the way to half the strip, for cloth without stiffness."""
     return length - height
@@ -66,3 +113,16 @@ def triangular_path(length: float, height: np.ndarray) -> np.ndarray:
 def circular_path(length: float, height: np.ndarray) -> np.ndarray:
     """x [m] of the end at `height` m if the upper half turned about the middle like a board."""
     return length / 2 + np.sqrt((length / 2) ** 2 - height**2)
+
+
+def geometric_places(name: str, length: float, count: int) -> np.ndarray:
+    """Where the "triangular" or the "circular" path leads the end of a strip that is folded in half, (count, 2) m.
+
+    It begins behind the flat strip's end and ends at x = z = 0, in steps of equal length.
+    """
+    share = np.linspace(0.0, 1.0, count + 1)[1:]
+    if name == "circular":
+        return length / 2 * np.stack([1 + np.cos(np.pi * share), np.sin(np.pi * share)], axis=1)
+    if name != "triangular":
+        raise ValueError(f"there is no path {name!r}; there are: circular, triangular")
+    return length * np.stack([1 - share, np.minimum(share, 1 - share)], axis=1)

@@ -7,7 +7,11 @@ c = 0.9066: that gives from 6 % less (15 mm) to 33 % more (28 mm), where 1 mm of
 
 from __future__ import annotations
 
+import fnmatch
+from collections.abc import Sequence
 from dataclasses import dataclass
+
+from clothbench.core.errors import ClothbenchError
 
 
 @dataclass(frozen=True)
@@ -36,3 +40,16 @@ FABRICS = (
     Fabric("chiffon", 0.013, 0.0023, 3.5e4, 1.8e4, 1.5e5),
     Fabric("wool suiting", 0.018, 0.0018, 1.1e4, 8.0e3, 1.5e4),
 )
+
+
+def chosen_fabrics(patterns: Sequence[str]) -> list[str]:
+    """Names of fabrics in the table's order; "*" means every one. `suite.select` of the studies that fold."""
+    found = [f.name for f in FABRICS if any(fnmatch.fnmatch(f.name, p) for p in patterns)]
+    if not found:
+        names = ", ".join(f.name for f in FABRICS)
+        raise ClothbenchError(f"setting 'suite.select' {list(patterns)} matches no fabric; there are: {names}")
+    return found
+
+
+def fabric_named(name: str) -> Fabric:
+    return next(f for f in FABRICS if f.name == name)

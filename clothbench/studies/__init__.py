@@ -16,6 +16,11 @@ def clothbench_studies():
             "folding", "clothbench.studies.folding.study", "a strip lifted step by step, its stiffness estimated"
         ),
         Registration(
+            "fold_path",
+            "clothbench.studies.fold_path.study",
+            "a strip or a sheet folded in half along a gripper's path",
+        ),
+        Registration(
             "improve", "clothbench.studies.improve.study", "what a calibrated model lacks, found, added and judged"
         ),
         Registration("speed", "clothbench.studies.speed.study", "how fast models step beside the installed peers"),

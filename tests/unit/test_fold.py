@@ -11,9 +11,9 @@ from clothbench.core.folding import circular_path, triangular_path
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store, leaderboard_row
 from clothbench.plugins.discovery import catalogue
-from clothbench.reference.fabrics import FABRICS
+from clothbench.reference.fabrics import FABRICS, chosen_fabrics
 from clothbench.reference.lifted_strip import lift
-from clothbench.studies.folding.cell import FoldingCell, FoldSettings, chosen_fabrics, fold_settings
+from clothbench.studies.folding.cell import FoldingCell, FoldSettings, fold_settings
 from clothbench.studies.folding.page import fold_section
 from clothbench.studies.folding.run import hand_of
 from clothbench.studies.folding.strip import TestStrip, scattered
@@ -158,3 +158,44 @@ def test_a_cell_is_keyed_by_what_it_depends_on():
     assert cell().key == cell().key
     assert cell().key != cell(steps=4).key
     assert cell().stream("fabric") == cell(steps=4).stream("fabric") != cell().stream("gripper")
+
+
+def held_too_far_out(friction: float) -> TestStrip:
+    strip = TestStrip(1.0, lambda u: 5e3 + 0 * u, np.zeros(2), friction)
+    strip.move(np.array(lift(1.0, strip.stiffness, 0.2).pose) + np.array([0.02, 0.0, 0.0]))
+    return strip
+
+
+def test_a_strip_that_is_pulled_at_slips_until_friction_holds_it():
+    holds, slips = held_too_far_out(10.0), held_too_far_out(0.01)
+    assert holds.origin == 0
+    assert slips.needed == pytest.approx(holds.needed)
+    assert slips.needed > 0.01
+    assert 0 < slips.origin < 0.02
+    assert slips.state.pull / slips.state.press == pytest.approx(0.01, rel=1e-3)
+    assert slips.line(np.zeros(1))[0, 0] == slips.origin
+    nowhere = held_too_far_out(1e-6)
+    assert nowhere.origin == pytest.approx(0.02, abs=1e-4)  # without friction it goes back to where nothing pulls
+
+
+def test_a_strip_that_a_guess_far_off_has_bent_is_lifted_on():
+    """The pose of cloth twenty times as limp leaves it so bent that the next lift would find it rolled up."""
+    fabric = next(f for f in FABRICS if f.name == "denim")
+    strip = TestStrip.of(fabric, 1.0, cell().stream)
+    for height, eta in ((0.04, 1e5), (0.08, 1.3e3)):
+        strip.move(KirchhoffLove().strip(1.0).lift(height, np.array([[eta, 1e-5, 0.3]])).pose[0])
+    assert strip.state.pose[2] < np.pi / 2
+
+
+@pytest.mark.slow
+def test_first_guesses_far_apart_end_alike(tmp_path):
+    """From 10² and from 10⁵ m⁻⁴ s², stiffer and limper than any fabric of the table, to the same estimate."""
+    ends = []
+    for first in (1e2, 1e5):
+        guessed = cell(fold=FoldSettings(steps=3, first=first, friction=0.6, fit=FIT))
+        store = Store(tmp_path / f"{first:g}")
+        assert run_cell(guessed, store.folder) == "ok"
+        ends.append(store.table("fold"))
+    first, last = ([steps[n]["value"] for steps in ends] for n in (0, -1))
+    assert max(last) / min(last) < 1.02
+    assert max(first) / min(first) > 1.1  # they had not ended alike after one step

@@ -138,14 +138,14 @@ def run(cell: FoldingCell, context: Context) -> Result:
     """Lift and estimate in turn; the progress counts steps, with the estimate after each."""
     plugins = context.plugins
     hand = hand_of(cell, plugins)
-    sheet = TestStrip.of(cell.fabric, cell.fold.length, cell.stream)
+    sheet = TestStrip.of(cell.fabric, cell.fold.length, cell.stream, cell.fold.friction)
     optimizer, theta, steps = _optimizer(hand, plugins, hand.space), hand.space.defaults, []
     for number in range(1, cell.fold.steps + 1):
         began = time.perf_counter()
         near = hand.lift(number * cell.fold.rise, theta)
         planned = time.perf_counter() - began
         truth = sheet.move(near.pose[0])
-        seen, error = _measure(hand, truth, number)
+        seen, error = _measure(hand, sheet, number)
         began = time.perf_counter()
         theta, least, evaluations = _estimate(hand, optimizer, near, seen)
         spent = planned + time.perf_counter() - began
@@ -193,12 +193,12 @@ def _next(hand: Hand, plugins: Catalogue, optimizer: Optimizer, theta: np.ndarra
     return _optimizer(hand, plugins, ParameterSpace(found))
 
 
-def _measure(hand: Hand, truth: Lifted, number: int) -> tuple[Observation, float]:
+def _measure(hand: Hand, sheet: TestStrip, number: int) -> tuple[Observation, float]:
     """What the tracker makes of an image of the sheet, and how far its points are from it, rms [m]."""
     from scipy.spatial import cKDTree
 
     cell = hand.cell
-    line = truth.line(np.linspace(0.0, truth.length, FINE))
+    line = sheet.line(np.linspace(0.0, sheet.length, FINE))
     name = f"{cell.case}-{number:02d}"
     images: Any = rendered(name, line[::5], float(number), cell.stream(f"camera {number}"), cell.case)
     seen = hand.tracker.track(images)
@@ -228,7 +228,7 @@ def _step(cell: FoldingCell, sheet: TestStrip, truth: Lifted, near: FoldState, n
     return {
         "step": number, "length": cell.fold.length, "x": float(x), "z": float(z), "slope": float(slope),
         "off": truth.off, "sheet": local,
-        "friction": abs(truth.pull) / truth.press, "slips": bool(abs(truth.pull) / truth.press > cell.fold.friction),
+        "friction": sheet.needed, "slips": bool(sheet.needed > cell.fold.friction),
     }  # fmt: skip
 
 
@@ -240,7 +240,8 @@ def _result(hand: Hand, sheet: TestStrip, steps: list[dict[str, Any]]) -> Result
     rows = [_row(about, first.name, first.unit, last["estimate"][0], cell.fabric.eta, last["low"][0], last["high"][0])]
     slips = [str(s["step"]) for s in steps if s["slips"]]
     friction = _row(about, "friction", "1", max(s["friction"] for s in steps), cell.fold.friction)
-    rows.append(friction | {"reason": f"would slip at step {', '.join(slips)}" if slips else ""})
+    rows.append(friction | {"reason": f"slips at step {', '.join(slips)}" if slips else ""})
+    rows.append(_row(about, "slip", "mm", 1e3 * sheet.origin, 0.0))
     rows.append(_row(about, hand.metric.name, hand.metric.unit, last["profile"], None))
     rows.append(_row(about, "tracker_error", "mm", 1e3 * max(s["tracker_error"] for s in steps), None))
     offset = hand.grip_offset(last["estimate"]) - sheet.offset

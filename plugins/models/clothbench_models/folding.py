@@ -1,17 +1,19 @@
-"""The strip that `kirchhoff_love` folds: phase 1 of the folding path, and the strip held at a pose."""
+"""The strip that `kirchhoff_love` folds: lifted, held at a pose, or led along a whole folding path."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from clothbench import ClothbenchError, FoldState
+from clothbench import ClothbenchError, FoldPath, FoldState
 from clothbench.modelling import for_each
-from clothbench_models import strip_trials
+from clothbench_models import strip_path, strip_trials
 from clothbench_models.strip import Ends, State, Strip
 
 SAMPLES = 4001  # points of a profile
+FINE = 3.0  # elements to a bending length, at least, of a strip that is folded over
 NEAR = 3.0  # ratio of η_b up to which Newton's method is tried from another strip's state, on its mesh
 
 
@@ -45,6 +47,23 @@ class FoldingStrip:
 
         return self._all(one, len(theta))
 
+    def fold(self, theta: np.ndarray, tip: float = 0.0) -> FoldPath:
+        """All three phases of the path that lays the end down at x = `tip` m, for one fabric theta (P,)."""
+        found = strip_path.path(self._fine(theta), float(theta[0]), tip)
+        state = self._side_by_side(found.states)
+        return FoldPath(np.array(found.phases), state, np.zeros(len(found.states)), state.friction, found.laid)
+
+    def follow(self, places: np.ndarray, theta: np.ndarray, friction: float) -> FoldPath:
+        """What becomes of a strip led through places (P, 2) m on a desk of `friction`."""
+        states, needed = strip_path.followed(self._fine(theta), float(theta[0]), places, friction)
+        origin = np.array([s.ends.x0 for s in states])
+        return FoldPath(np.zeros(len(states)), self._side_by_side(states), origin, np.array(needed))
+
+    def _fine(self, theta: np.ndarray) -> Strip:
+        """As many elements as a strip needs that touches itself, where `hold` and `lift` do with fewer."""
+        sized = self._strip(theta)
+        return Strip(self.length, theta[1], max(self.elements, math.ceil(FINE * self.length / sized.size(theta[0]))))
+
     def _strip(self, theta: np.ndarray) -> Strip:
         return Strip(self.length, theta[1], self.elements)
 
@@ -59,6 +78,9 @@ class FoldingStrip:
                 found[b] = None
 
         for_each(work, range(members))
+        return self._side_by_side(found)
+
+    def _side_by_side(self, found: Sequence[State | None]) -> FoldState:
         u = np.linspace(0.0, self.length, SAMPLES)
         nowhere = np.full((SAMPLES, 2), np.nan)
         return FoldState(

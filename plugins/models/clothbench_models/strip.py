@@ -139,6 +139,14 @@ class Strip:
         """The state next to a known one, on its mesh; None where it is not that near."""
         return self._solved(start, eta_b, ends, 0.0)
 
+    def onwards(self, start: State, eta_b: float, ends: Ends) -> State:
+        """The state next to a known one of the same cloth, on elements that crowd where this one bends.
+
+        Raises ClothbenchError where there is no way to it.
+        """
+        regraded = self._regraded(start, self.elements)
+        return self.beside(regraded, eta_b, ends) or self.equilibrium(eta_b, ends, start)
+
     def _reach(self, start: State, eta_b: float, ends: Ends, halvings: int = HALVINGS) -> State:
         """A softly resting state from another one on a few elements, over half the way where Newton's method fails."""
         found = self._solved(self._regraded(start, min(FEW, self.elements)), eta_b, ends, SINK)

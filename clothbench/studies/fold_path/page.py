@@ -1,0 +1,144 @@
+"""The page's section on folding paths: the answer, the table, the paths, the friction they take, the shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from html import escape
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from clothbench.display.answer import Card, answer
+from clothbench.display.html import group, pill, table, text
+from clothbench.display.plotly import COLOURS, GREY, rounded
+from clothbench.display.section import Section
+from clothbench.engine.study import Results
+from clothbench.studies.fold_path.tables import lines, values
+
+Rows = Sequence[dict[str, Any]]
+INTRO = """<p class="soft">One edge is led over so that it comes to lie on the other. Landing error: how far beside it
+lands, because what lies on the desk slips. Friction needed: the coefficient that would have kept it in place; where the
+desk has less, it slips until that suffices. The computed path has three phases: lifted, carried over, laid down.</p>"""
+SCRIPT = """
+const foldPaths = JSON.parse(document.getElementById("fold-paths").textContent);
+function drawFoldPaths() { foldPaths.forEach((figure, n) => draw("fold-path-" + n, figure)); }
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawFoldPaths);
+drawFoldPaths();
+"""
+
+
+def sections(results: Results) -> list[Section]:
+    suites = sorted({r["suite"] for r in results.rows})
+    told = {suite: lines(results, suite) for suite in suites}
+    body = "".join(
+        answer_of(suite, [x for x in found if x["status"] == "ok"])
+        + f"<h2>{text(suite)}: paths</h2>{INTRO}{listed(found)}"
+        for suite, found in told.items()
+    )
+    shown = figures(results.table("fold_path"), results.table("fold_shapes"))
+    drawn = "".join(
+        f'<figure><figcaption>{text(words)}</figcaption><div id="fold-path-{n}"></div></figure>'
+        for n, (_, words) in enumerate(shown)
+    )
+    return [Section(body + drawn, {"fold-paths": [f for f, _ in shown]}, SCRIPT)]
+
+
+def answer_of(suite: str, done: Rows) -> str:
+    """Which path lands best in the middle of all fabrics, and what it takes."""
+    if not done:
+        return ""
+    ways = group(done, lambda x: (x["way"], x["model"]))
+    off = {way: float(np.median([abs(x["landing_error"]) for x in mine])) for way, mine in ways.items()}
+    ranked = sorted(off, key=lambda way: off[way])
+    sentences = [
+        f"<b>{text(way)}</b> path, {text(model)}: lands {off[way, model]:.3g} mm beside, median of "
+        f"{len(ways[way, model])} fabric{'s' * (len(ways[way, model]) > 1)}."
+        for way, model in ranked
+    ]
+    cards = []
+    for way, mine in group([x for x in done if x.get("friction") is not None], lambda x: x["way"]).items():
+        slips = sum(x["friction"] > x["desk"] for x in mine)
+        most = max(x["friction"] for x in mine)
+        cards.append(Card(f"Friction, {way} path", f"{most:.2f}", f"the most for a fabric; {slips} of {len(mine)} "
+                          f"slip on a desk of {mine[0]['desk']:g}", good=not slips))  # fmt: skip
+    return answer(f"{suite}: the answer", " ".join(sentences), cards)
+
+
+def listed(found: Rows) -> str:
+    head = ["fabric", "path", "model", "landing error", "slip", "friction needed", "status"]
+    body = [
+        [*(text(x[n]) for n in ("fabric", "way", "model")), *(text(v) for v in values(x)),
+         pill(x) + (f"<br><small>{text(x['reason'])}</small>" if x["reason"] else "")]
+        for x in found
+    ]  # fmt: skip
+    return table(head, body, numeric={3, 4, 5})
+
+
+def figures(steps: Rows, shapes: Rows) -> list[tuple[dict[str, Any], str]]:
+    """Paths and frictions of all cells, and the shapes of the first fabric on each path, with what they show."""
+    if not steps:
+        return []
+    out = [(path_figure(steps), "Where the hand goes: paths of every fabric; dots are where phases 2 and 3 begin.")]
+    if any(s["needed"] is not None for s in steps):
+        out.append((friction_figure(steps), "The friction that each step takes, along the way."))
+    first = steps[0]["fabric"]
+    for (way, model), mine in group(
+        [s for s in shapes if s["fabric"] == first], lambda s: (s["way"], s["model"])
+    ).items():
+        out.append((shape_figure(mine), f"{first} on the {way} path, {model}: the middle line from flat to folded."))
+    return out
+
+
+def path_figure(steps: Rows) -> dict[str, Any]:
+    data = []
+    strips = group(steps, lambda s: (s["fabric"], s["way"]))
+    geometric = {way for _, way in strips if way != "computed"}
+    for n, ((fabric, way), mine) in enumerate(strips.items()):
+        if way in geometric:
+            continue
+        one = [s for s in mine if s["key"] == mine[0]["key"]]
+        data.append(_line([s["x"] for s in one], [s["z"] for s in one], n, fabric))
+        starts = [b for a, b in pairwise(one) if b["phase"] != a["phase"]]
+        data.append({"type": "scatter", "mode": "markers", "x": rounded(np.array([s["x"] for s in starts])),
+                     "y": rounded(np.array([s["z"] for s in starts])), "showlegend": False, "hoverinfo": "skip",
+                     "marker": {"color": COLOURS[n % len(COLOURS)], "size": 7}})  # fmt: skip
+    for way in sorted(geometric):
+        mine = next(m for (_, w), m in strips.items() if w == way)
+        one = [s for s in mine if s["key"] == mine[0]["key"]]
+        data.append({"type": "scatter", "mode": "lines", "name": way, "x": rounded(np.array([s["x"] for s in one])),
+                     "y": rounded(np.array([s["z"] for s in one])), "line": {"color": GREY, "width": 2,
+                     "dash": "dash" if way == "triangular" else "dot"}})  # fmt: skip
+    return _figure(data, 460, "x [m]", {"title": {"text": "z [m]"}, "scaleanchor": "x", "zeroline": False})
+
+
+def friction_figure(steps: Rows) -> dict[str, Any]:
+    data = []
+    told = group([s for s in steps if s["needed"] is not None], lambda s: s["key"])
+    for n, mine in enumerate(told.values()):
+        share = np.arange(1, len(mine) + 1) / len(mine)
+        data.append(_line(share, [max(s["needed"], 1e-4) for s in mine], n, f"{mine[0]['fabric']}, {mine[0]['way']}"))
+    return _figure(
+        data, 380, "share of the way", {"title": {"text": "friction needed"}, "type": "log", "zeroline": False}
+    )
+
+
+def shape_figure(points: Rows) -> dict[str, Any]:
+    data = []
+    for frame, mine in group(points, lambda s: s["frame"]).items():
+        data.append(_line([s["x"] for s in mine], [s["z"] for s in mine], 0, f"{frame}") | {"showlegend": False})
+    return _figure(data, 320, "x [m]", {"title": {"text": "z [m]"}, "scaleanchor": "x", "zeroline": False})
+
+
+def _line(x: Any, y: Any, number: int, name: str) -> dict[str, Any]:
+    return {
+        "type": "scatter", "mode": "lines", "x": rounded(np.array(x)), "y": rounded(np.array(y)), "name": escape(name),
+        "line": {"color": COLOURS[number % len(COLOURS)], "width": 1.5},
+        "hovertemplate": f"{escape(name)}<extra></extra>",
+    }  # fmt: skip
+
+
+def _figure(data: list[dict[str, Any]], height: int, x: str, y: dict[str, Any]) -> dict[str, Any]:
+    axis = {"title": {"text": x}, "zeroline": False}
+    layout = {"height": height, "xaxis": axis, "yaxis": y, "showlegend": any("name" in d for d in data)}
+    return {"data": data, "layout": {**layout, "margin": {"l": 64, "r": 16, "t": 28, "b": 48}}}

@@ -1,0 +1,119 @@
+"""The study of folding paths: its settings, a strip and a sheet led along one, layers, its table and its page."""
+
+import numpy as np
+import pytest
+
+from clothbench import ClothbenchError
+from clothbench.engine.run import run_cell
+from clothbench.engine.store import Store
+from clothbench.engine.study import Results
+from clothbench.studies.fold_path.cell import FoldPathCell, PathSettings, chosen_ways, path_settings
+from clothbench.studies.fold_path.page import sections
+from clothbench.studies.fold_path.sheet import led, material, scene
+from clothbench.studies.fold_path.tables import lines, show
+
+
+def cell(way: str = "computed", model: str = "kirchhoff_love", options=None, **about) -> FoldPathCell:
+    return FoldPathCell("paths", "chanel", way, model, PathSettings(**about), options or {})
+
+
+def values(store: Store) -> dict[str, float]:
+    return {r["metric"]: r["value"] for r in store.rows()}
+
+
+@pytest.fixture(scope="module")
+def computed(tmp_path_factory) -> Store:
+    store = Store(tmp_path_factory.mktemp("computed"))
+    assert run_cell(cell(friction=0.1), store.folder) == "ok"
+    return store
+
+
+def test_a_strip_on_its_own_path_lands_where_it_should(computed):
+    found = values(computed)
+    assert found["landing_error"] == found["slip"] == 0
+    assert 0.02 < found["friction"] < 0.1
+    steps = computed.table("fold_path")
+    assert {s["phase"] for s in steps} == {1, 2, 3}
+    assert (steps[-1]["x"], steps[-1]["z"]) == pytest.approx((0, 0), abs=1e-9)
+
+
+def test_table_and_page_show_it(computed):
+    results = Results(computed, computed.rows(), tuple(r["key"] for r in computed.rows()))
+    (line,) = lines(results, "paths")
+    assert (line["fabric"], line["way"], line["status"], line["desk"]) == ("chanel", "computed", "ok", 0.1)
+    assert show(results)[0].row_count == 1
+    (section,) = sections(results)
+    assert "chanel" in section.whole
+    assert len(section.data["fold-paths"]) == 3
+
+
+def test_a_strip_on_a_path_that_needs_more_than_the_desk_gives_lands_beside(tmp_path):
+    """The triangle knows of no loop: the strip is pushed back until friction holds it."""
+    store = Store(tmp_path)
+    assert run_cell(cell("triangular", friction=0.1), tmp_path) == "ok"
+    found = values(store)
+    assert found["friction"] > 0.1
+    assert found["slip"] < -5
+    assert found["landing_error"] == pytest.approx(-found["slip"])
+    assert "slips by up to" in next(r["reason"] for r in store.rows() if r["metric"] == "friction")
+
+
+def test_a_sheet_folds_along_the_path_of_its_strip(tmp_path):
+    store = Store(tmp_path)
+    about = cell(model="baraff_witkin", options={"baraff_witkin": {"integrator": "rk45"}},
+                 length=0.5, width=0.1, nodes=21, seconds=2.0)  # fmt: skip
+    assert run_cell(about, tmp_path) == "ok"
+    found = values(store)
+    assert abs(found["landing_error"]) < 5
+    assert found["edge_spread"] < 2
+    assert "friction" not in found
+    shapes = [s for s in store.table("fold_shapes") if s["frame"] == 12]
+    assert 0.22 < max(s["x"] for s in shapes) < 0.3  # half its length, and the loop
+
+
+def test_a_sheet_is_led_from_rest_to_rest_and_lies_where_the_strip_does():
+    places = np.array([[0.3, 0.2], [0.0, 0.0]])
+    at = led(places, 0.5, np.array([0.0, 0.01, 0.99, 1.0]))
+    assert at[[0, -1]] == pytest.approx(np.array([[0.5, 0.0], [0.0, 0.0]]))
+    assert np.linalg.norm(at[1] - at[0]) < 1e-5
+    world = scene(cell(length=0.5, nodes=11, width=0.2), places)
+    assert world.resolution == (11, 5)
+    assert world.start[:, 0] == pytest.approx(world.points[:, 0])
+    assert world.grips_at(world.times[-1:])[0, :, 0] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_layers_weigh_together_and_bend_as_they_are_joined():
+    """n layers: n ρ on n D if they slide on each other, on n³ D if they cannot."""
+    single, loose, bonded = cell(), cell(layers=2), cell(layers=2, bonded=True)
+    assert loose.eta_b == single.eta_b
+    assert bonded.eta_b == single.eta_b / 4
+    assert material(loose).bending == pytest.approx(2 * material(single).bending)
+    assert material(bonded).bending == pytest.approx(8 * material(single).bending)
+
+
+def test_cloth_too_stiff_to_be_folded_is_told(tmp_path):
+    assert run_cell(cell(layers=20, bonded=True), tmp_path) == "diverged"
+    assert "too stiff" in Store(tmp_path).rows()[0]["reason"] or "no fold" in Store(tmp_path).rows()[0]["reason"]
+
+
+def test_a_model_that_folds_nothing_over_is_left_out(tmp_path):
+    assert run_cell(cell(model="linear_stretch"), tmp_path) == "skipped"
+    assert "contact" in Store(tmp_path).rows()[0]["reason"]
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"layers": 2}, "say with 'suite.path.bonded'"),
+        ({"layers": 0}, r"'suite\.path\.layers' is 0, expected a whole number, at least 1"),
+        ({"bonded": 1}, "'suite.path.bonded' is 1, expected true or false"),
+        ({"friction": -0.1}, "'suite.path.friction' is -0.1, expected a number above 0"),
+        ({"planner": 3}, "'suite.path.planner' is 3"),
+        ({"speed": 1}, "setting of 'suite.path' 'speed' is not known"),
+    ],
+)
+def test_settings_are_checked(given, told):
+    with pytest.raises(ClothbenchError, match=told):
+        path_settings(given)
+    with pytest.raises(ClothbenchError, match="there is no 'straight'"):
+        chosen_ways(["straight"])
