@@ -25,6 +25,7 @@ import numpy as np
 
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene, Stated
 from clothbench.modelling import BoundEffects, bear_inertia, check_number, check_resolution, grid_shape
+from clothbench_models.orthotropy import refuse_ratios
 from clothbench_models.peers import missing
 from clothbench_models.peers.external import ExternalSimulation, reason_to_skip, refuse_mass
 
@@ -116,6 +117,7 @@ class Mujoco:
         One β damps all: the smaller of what the material states for bending and for stretch, so that neither is
         held back more than it should be.
         """
+        refuse_ratios("mujoco", material)
         thickness = math.sqrt(12 * material.bending / material.stretch)
         if not math.isclose(material.shear, material.stretch / 2, rel_tol=1e-3):
             raise ClothbenchError(
