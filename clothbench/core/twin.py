@@ -80,7 +80,8 @@ class Twin:
             if abs(getattr(m, f"{quantity}_ratio") - 1) > CLOSE:
                 lines.append(
                     f"{quantity}: {target} has one for warp and weft: {mean:.4g} {UNITS[quantity]} stands for "
-                    f"{warp:.4g} along the warp and {weft:.4g} along the weft (factors {mean / warp:.3g} and {mean / weft:.3g})"
+                    f"{warp:.4g} along the warp and {weft:.4g} along the weft "
+                    f"(factors {mean / warp:.3g} and {mean / weft:.3g})"
                 )
         return dataclasses.replace(m.alike, bending=bending, stretch=stretch, shear=stretch / 2), lines
 

@@ -5,8 +5,8 @@ Per areal density ρ the energy is Π/ρ = ∫ ε·C ε/2η_m + κ·C κ/2η_b +
 stress with Poisson's ratio ν. Along two threads of unlike stiffness C is orthotropic, [√r ν 0; ν 1/√r 0; 0 0 (1 − ν)/2]
 with r the ratio and ν² = ν_12 ν_21 (Huber's plate: Timoshenko and Woinowsky-Krieger 1959, Theory of plates and shells,
 section 86); roots (2,) are √r of membrane and bending. Strains as (11, 22, 2·12). Stresses are unknowns of their own
-during the iteration, as in `strip_kernels`. At each quadrature point everything is a function of five vectors: x,_1 x,_2
-x,_11 x,_22 x,_12.
+during the iteration, as in `strip_kernels`. At each quadrature point everything is a function of five vectors: x,_1
+x,_2 x,_11 x,_22 x,_12.
 """
 
 from __future__ import annotations
