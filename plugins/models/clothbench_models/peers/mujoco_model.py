@@ -86,7 +86,7 @@ class Mujoco:
     name = "mujoco"
     version = 1
     parameters = PARAMETERS
-    capabilities = frozenset({"dynamic", "static", "effects"})
+    capabilities = frozenset({"dynamic", "static", "effects", "moving_start"})
     documented = DOCUMENTED
     built_on = ("mujoco", "mujoco-core")
     bench_options: tuple[dict[str, str], ...] = ()  # `clothbench bench` measures the peer of the same name
@@ -244,9 +244,9 @@ class _Flex:
         self.applied = self.data.qfrc_applied.reshape(-1, 3)
         self.pushed: tuple[np.ndarray, np.ndarray | None] | None = None
 
-    def place(self, position: np.ndarray) -> None:
+    def place(self, position: np.ndarray, velocity: np.ndarray) -> None:
         self.offset[:] = position - self.rest
-        self.velocity[:] = 0.0
+        self.velocity[:] = velocity
         self.data.qacc_warmstart[:] = 0.0
 
     def damp(self, rate: float) -> None:

@@ -86,7 +86,7 @@ class Newton:
     name = "newton"
     version = 1
     parameters = PARAMETERS["semi_implicit"]
-    capabilities = frozenset({"dynamic", "static", "effects"})
+    capabilities = frozenset({"dynamic", "static", "effects", "moving_start"})
     precision = "single"
     documented = DOCUMENTED
     repeatability = 5e-6  # m: rounding alone carries a sheet up to a micrometre away
