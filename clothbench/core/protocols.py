@@ -5,6 +5,8 @@ What it may offer beyond that is in `clothbench.core.optional`. Options reach ev
 
 from __future__ import annotations
 
+import dataclasses
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Protocol, runtime_checkable
@@ -78,7 +80,8 @@ class Material:
 
     bending: rigidity D [N·m]; stretch: tensile stiffness [N/m], infinite where nothing stretches; shear: shear
     stiffness [N/m]; bending_damping [N·m·s] and stretch_damping [N·s/m]: viscosity, a moment per rate of curvature and
-    a tension per rate of strain. No cross contraction.
+    a tension per rate of strain. No cross contraction. bending_ratio, stretch_ratio: what the warp, along u, has over
+    the weft, along v; of both, bending and stretch are then the geometric means, and damping is in proportion.
     """
 
     bending: float
@@ -86,6 +89,18 @@ class Material:
     shear: float
     bending_damping: float = 0.0
     stretch_damping: float = 0.0
+    bending_ratio: float = 1.0
+    stretch_ratio: float = 1.0
+
+    def along(self, quantity: str) -> tuple[float, float]:
+        """The "bending" [N·m] or "stretch" [N/m] along warp and weft."""
+        mean, root = getattr(self, quantity), math.sqrt(getattr(self, f"{quantity}_ratio"))
+        return mean * root, mean / root
+
+    @property
+    def alike(self) -> Material:
+        """The cloth that has the means along both."""
+        return dataclasses.replace(self, bending_ratio=1.0, stretch_ratio=1.0)
 
 
 @dataclass(frozen=True)

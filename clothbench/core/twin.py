@@ -13,7 +13,7 @@ from clothbench.core.scene import Scene
 
 UNITS = {
     "areal_density": "kg/m²", "bending": "N·m", "stretch": "N/m", "shear": "N/m", "bending_damping": "N·m·s",
-    "stretch_damping": "N·s/m",
+    "stretch_damping": "N·s/m", "bending_ratio": "1", "stretch_ratio": "1",
 }  # fmt: skip
 STIFFEST = 5000.0  # N/m, what stands for a cloth that does not stretch at all
 LIMPEST = 1e-8  # N·m, what stands for one that does not resist bending
@@ -53,12 +53,15 @@ class Twin:
         for name, value in self.values.items():
             low, high = self.spread.get(name, (math.nan, math.nan))
             interval = f" ({low:.3g} … {high:.3g}, {self.what})" if math.isfinite(low) else " (no interval)"
-            lines.append(f"{name.replace('_', ' ')}: {value:.4g} {UNITS[name]}{interval if value else ''}")
+            if not name.endswith("_ratio"):
+                lines.append(f"{name.replace('_', ' ')}: {value:.4g} {UNITS[name]}{interval if value else ''}")
+            elif value != 1.0:
+                lines.append(f"{name.replace('_', ' ')}: {value:.4g}, warp over weft{interval}")
         return lines + [f"{name}: {value}" for name, value in self.provenance.items()]
 
     def isotropic(self, target: str) -> tuple[Material, list[str]]:
-        """The nearest material with shear = stretch/2, finite stretch and some bending, which is all that an isotropic
-        sheet without cross contraction can be; and a line on each thing that this changes.
+        """The nearest material with shear = stretch/2, finite stretch and some bending, alike along warp and weft: all
+        that an isotropic sheet without cross contraction can be; and a line on each thing that this changes.
         """
         m, lines = self.material, []
         stretch, bending = min(m.stretch, STIFFEST), max(m.bending, LIMPEST)
@@ -72,7 +75,15 @@ class Twin:
                 f"shear: {target} has no parameter of its own for it: {stretch / 2:.4g} N/m stands for {m.shear:.4g} "
                 f"(factor {factor:.3g})"
             )
-        return dataclasses.replace(m, bending=bending, stretch=stretch, shear=stretch / 2), lines
+        for quantity, mean in (("bending", bending), ("stretch", stretch)):
+            warp, weft = m.along(quantity)
+            if abs(getattr(m, f"{quantity}_ratio") - 1) > CLOSE:
+                lines.append(
+                    f"{quantity}: {target} has one for warp and weft: {mean:.4g} {UNITS[quantity]} stands for "
+                    f"{warp:.4g} along the warp and {weft:.4g} along the weft "
+                    f"(factors {mean / warp:.3g} and {mean / weft:.3g})"
+                )
+        return dataclasses.replace(m.alike, bending=bending, stretch=stretch, shear=stretch / 2), lines
 
     def unheld(self, target: str) -> list[str]:
         """A line on each part of the fit that is no material."""

@@ -41,7 +41,7 @@ def prior_of(preset: Preset, model: Any, scene: Scene) -> Prior:
         told(model, Material(*values), scene)
         for values in itertools.product(*((r.low, r.high) for r in (preset.bending, stretch, shear)))
     ]
-    middle = told(model, preset.material, scene)
+    middle, alike = (told(model, material, scene) for material in (preset.material, preset.material.alike))
     low, high = np.min(corners, axis=0), np.max(corners, axis=0)
     prior, space = Prior(), getattr(model, "parameters")  # noqa: B009  every model has them
     for k, p in enumerate(space):
@@ -49,14 +49,18 @@ def prior_of(preset: Preset, model: Any, scene: Scene) -> Prior:
         if high[k] > low[k] and most > least:
             prior.bounds[p.name] = (float(least), float(most))
             prior.start[p.name] = float(np.clip(middle[k], least, most))
+        elif middle[k] != alike[k]:  # warp over weft, of which only the middle is known
+            prior.start[p.name] = float(np.clip(middle[k], *p.bounds))
     return prior
 
 
 def told(model: Any, material: Material, scene: Scene) -> np.ndarray:
-    """The model's parameters (P,) for a material, or for what of it it can be: isotropic, or else without bending."""
-    alike = Material(material.bending, material.stretch, material.stretch / 2)
+    """The model's parameters (P,) for a material, or for what of it it can be: alike along warp and weft, isotropic, or
+    else without bending.
+    """
+    isotropic = Material(material.bending, material.stretch, material.stretch / 2)
     reason = ClothbenchError("")
-    for one in (material, alike, Material(0.0, material.stretch, material.shear)):
+    for one in (material, material.alike, isotropic, Material(0.0, material.stretch, material.shear)):
         try:
             return np.asarray(model.of_material(one, scene), dtype=float)
         except ClothbenchError as fault:

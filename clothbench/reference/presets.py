@@ -47,8 +47,10 @@ class Preset:
 
     @property
     def material(self) -> Material:
-        """The middle of the class."""
-        return Material(self.bending.value, self.numbers["stretch"].value, self.numbers["shear"].value)
+        """The middle of the class; how much more its warp bends than its weft, too."""
+        warp, weft = self.numbers["bending_warp"], self.numbers["bending_weft"]
+        elastic = (self.bending.value, self.numbers["stretch"].value, self.numbers["shear"].value)
+        return Material(*elastic, bending_ratio=warp.value / weft.value)
 
 
 @functools.cache

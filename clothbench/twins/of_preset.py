@@ -10,14 +10,10 @@ SIZE = 0.3  # m
 
 
 def twin_of_preset(name: str) -> Twin:
-    """Bends alike along both threads; raises a ClothbenchError where there is no such class."""
+    """Raises a ClothbenchError where there is no such class."""
     one = preset(name)
     numbers = {"bending": one.bending, **{q: one.numbers[q] for q in ("areal_density", "stretch", "shear")}}
     spread = {quantity: (number.low, number.high) for quantity, number in numbers.items()}
     scene = hanging(SIZE, SIZE, one.numbers["areal_density"].value)
     sources = {quantity: number.source for quantity, number in one.numbers.items()}
-    warp, weft = (one.numbers[f"bending_{thread}"] for thread in ("warp", "weft"))
-    others = {}
-    if warp.value != weft.value:
-        others["bending of the weft over that of the warp"] = (weft.value / warp.value, "")
-    return Twin(f"preset {name}, {one.about}", scene, one.material, spread, "range of the class", others, sources)
+    return Twin(f"preset {name}, {one.about}", scene, one.material, spread, "range of the class", {}, sources)

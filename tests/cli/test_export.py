@@ -10,13 +10,14 @@ from conftest import swinging_recording
 from clothbench import write_recording
 
 CELL = ("model=baraff_witkin", "optimizer=ga", "metric=node_error", "+options.baraff_witkin.resolution=5", "budget=8")
+ORTHOTROPIC = "+options.baraff_witkin.orthotropic=true"
 
 
 @pytest.fixture
 def fitted(clothbench, tmp_path):
     """A folder with the results of one cell."""
     write_recording(swinging_recording(), tmp_path / "swing.nc")
-    done = clothbench("run", *CELL, "effects=[added_mass]", "recording=swing.nc", "rerun=false")
+    done = clothbench("run", *CELL, ORTHOTROPIC, "effects=[added_mass]", "recording=swing.nc", "rerun=false")
     assert done.returncode == 0, done.stderr
     return tmp_path
 
@@ -28,6 +29,9 @@ def test_a_fit_leaves_with_units_intervals_and_provenance(clothbench, fitted):
     assert document["material"]["stretch"]["unit"] == "N/m"
     low, high = (document["material"]["stretch"][end] for end in ("low", "high"))
     assert low <= document["material"]["stretch"]["value"] <= high
+    ratio = document["material"]["bending_ratio"]
+    assert ratio["unit"] == "1"
+    assert ratio["low"] < ratio["high"]
     assert document["provenance"]["recordings"] == {"swing": swinging_recording().hash}
     assert document["provenance"]["model"].startswith("baraff_witkin (clothbench")
     assert document["others"]["added_mass.areal_density"]["unit"] == "kg/m²"

@@ -21,6 +21,7 @@ MODELS = [
     for name in ("mass_spring", "mass_spring_verlet", "baraff_witkin", "inextensible")
     for options in ({},)
 ] + [("baraff_witkin", {"integrator": "rk45"}), ("mass_spring", {"precision": "single"})]  # fmt: skip
+MODELS += [("mujoco", {}), ("newton", {})]
 
 
 def swung(times: np.ndarray) -> Scene:
@@ -36,6 +37,8 @@ def swung(times: np.ndarray) -> Scene:
 
 @pytest.mark.parametrize(("name", "options"), MODELS, ids=lambda case: str(case))
 def test_a_run_goes_on_where_it_was_cut(name, options):
+    if name in ("mujoco", "newton"):
+        pytest.importorskip(name)
     model, begin, step = catalogue().make("models", name, **options), 0.5, 1e-3
     later = np.linspace(begin, begin + 0.12, 7)
     whole = model.prepare(swung(np.concatenate([[begin - step, begin, begin + step], later[1:]])))

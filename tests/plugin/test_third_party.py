@@ -1,7 +1,8 @@
-"""The example in examples/ is a stranger's plugin: built as a wheel, installed, found, checked and run."""
+"""The examples in examples/ are a stranger's plugins: built as wheels, installed, found, checked and run."""
 
 from __future__ import annotations
 
+import importlib.util
 import shutil
 
 import pytest
@@ -9,14 +10,15 @@ from conftest import ROOT
 from fresh_venv import make_venv, wheel_of
 
 EXAMPLE = ROOT / "examples" / "clothbench-xpbd"
+TAICHI = ROOT / "examples" / "clothbench-taichi"
 pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
 def stranger(tmp_path_factory):
-    """An environment with both wheels and none of the repository."""
+    """An environment with all the wheels and none of the repository."""
     folder = tmp_path_factory.mktemp("stranger")
-    return make_venv(folder, [wheel_of(project, folder) for project in (ROOT, EXAMPLE)])
+    return make_venv(folder, [wheel_of(project, folder) for project in (ROOT, EXAMPLE, TAICHI)])
 
 
 def test_its_plugins_are_listed_beside_the_built_in_ones(stranger):
@@ -33,6 +35,13 @@ def test_its_own_tests_pass(stranger):
     shutil.copytree(EXAMPLE / "tests", away / "tests")
     shutil.copy(EXAMPLE / "pyproject.toml", away)
     assert " passed" in stranger.pytest(away)
+
+
+def test_a_simulator_keeps_the_rules_or_says_that_it_is_not_there(stranger):
+    away = stranger.away / "taichi"
+    shutil.copytree(TAICHI / "tests", away / "tests")
+    shutil.copy(TAICHI / "pyproject.toml", away)
+    assert (" passed" if importlib.util.find_spec("taichi") else " skipped") in stranger.pytest(away)
 
 
 def test_its_suite_runs_and_compares_its_model(stranger):

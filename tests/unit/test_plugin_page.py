@@ -19,6 +19,7 @@ from clothbench.engine.study import Context, Results
 from clothbench.plugins import hookspecs
 from clothbench.plugins.discovery import catalogue
 from clothbench.testing import check_effect, check_metric, check_model, check_optimizer, check_tracker, scenes
+from clothbench.twins.of_preset import twin_of_preset
 
 PAGE = (ROOT / "docs" / "plugins.md").read_text()
 BLOCK = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -72,6 +73,20 @@ def test_the_first_model_says_what_its_formula_says(module_of):
     longer = scene.areal_density * g * (scene.height * v - v**2 / 2) / np.array([50.0, 200.0])
     fallen = scene.grip_position[0, 0, 2] - rollout.position[:, 0, lowest, 2]
     assert fallen == pytest.approx(v + longer, rel=1e-12)
+
+
+def test_the_first_exporter_writes_what_the_page_says(module_of):
+    module, twin = module_of("An exporter"), twin_of_preset("denim")
+    assert module.skip_reason() is None
+    written = module.export(twin)
+    lines = [line.split() for line in written.text.splitlines() if not line.startswith("#")]
+    corners = np.array([line[1:] for line in lines if line[0] == "v"], dtype=float)
+    triangles = np.array([line[1:] for line in lines if line[0] == "f"], dtype=int) - 1
+    edges = corners[triangles[:, 1:]] - corners[triangles[:, :1]]
+    area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum() / 2
+    assert area == pytest.approx(twin.scene.width * twin.scene.height)
+    assert "# bending: 8.11e-05 N·m (1.98e-05" in written.text
+    assert [line.partition(":")[0] for line in written.cannot] == ["material"]
 
 
 def test_the_first_study_is_planned_run_and_shown(module_of, tmp_path):

@@ -38,7 +38,7 @@ def test_a_preset_leaves_for_a_simulator():
     bending = json.loads(text)["material"]["bending"]
     assert bending["low"] < bending["value"] < bending["high"]
     assert json.loads(text)["interval"] == "range of the class"
-    assert "bending of the weft" in catalogue().load("exporters", "ppf").export(twin_of_preset("denim")).text
+    assert "along the warp and" in catalogue().load("exporters", "ppf").export(twin_of_preset("denim")).text
 
 
 @pytest.mark.data

@@ -5,6 +5,7 @@ Every condition C has the energy E = k/2 CᵀC and the damping −k_d ∂C/∂x 
 so that parameters do not depend on the mesh (Bhat et al., section 3): C_stretch = √a (|w_u| − 1, |w_v| − 1),
 C_shear = √a w_u·w_v, and C_bend = √a (x_uu, x_vv, √2 x_uv), the curvatures over the patch of a triangle and its three
 neighbours (`bending`), in place of the single hinge's angle, whose stiffness depends on mesh and direction.
+With `orthotropic`, warp and weft differ: k_stretch and k_bend are the geometric means of both.
 The air takes f = −a (k_N |v_N|²/(1 + k_f |v_N|²) v̂_N + k_T v_T) (Bhat et al., eq. 4).
 """
 
@@ -32,7 +33,15 @@ from clothbench.modelling import (
     tributary,
 )
 from clothbench_models import baraff_witkin_kernels as kernels
-from clothbench_models.bending import Diagonals, bending_matrix
+from clothbench_models.bending import Diagonals, ThreadBending, bending_matrix
+from clothbench_models.orthotropy import (
+    BEND_RATIO,
+    OPTION,
+    STRETCH_RATIO,
+    check_orthotropic,
+    refuse_ratios,
+    softer_share,
+)
 from clothbench_models.sheet_forces import TRIANGLES
 
 SCHEMES = {"implicit_euler": kernels.EULER, "bdf2": kernels.BDF2, "rk45": kernels.RK45}
@@ -59,6 +68,8 @@ PARAMETERS = ParameterSpace(
     )
 )
 
+ORTHOTROPIC = PARAMETERS.joined(ParameterSpace((BEND_RATIO, STRETCH_RATIO)))
+
 # What is searched for in a type of textile at rest: threads hold their lengths, and nothing moves.
 THREADS = {
     "stretch": 100.0, "bend_damping": 2e-7, "stretch_damping": 0.02, "shear_damping": 0.02, "quadratic_drag": 0.6,
@@ -78,7 +89,8 @@ class BaraffWitkin:
     integrator: "bdf2" (default; second order), "implicit_euler" (the first paper's; damps the motion itself) or "rk45"
     (Dormand and Prince 1980, adaptive: Bhat et al. used one such); dt: time step [s], for rk45 the longest;
     step_scale: multiplies it; tolerance: what the linear solver leaves of a step's residual, or for rk45 the largest
-    error that a step may make [m].
+    error that a step may make [m]; orthotropic: two parameters more, what warp has over weft in bending and in stretch,
+    damping in proportion.
     """
 
     name = "baraff_witkin"
@@ -92,7 +104,7 @@ class BaraffWitkin:
 
     def __init__(
         self, resolution: int | Sequence[int] = 13, integrator: str = "bdf2", dt: float | None = None,
-        step_scale: float = 1.0, tolerance: float | None = None,
+        step_scale: float = 1.0, tolerance: float | None = None, orthotropic: bool = False,
     ):  # fmt: skip
         if integrator not in SCHEMES:
             raise ClothbenchError(f"baraff_witkin: integrator is {integrator!r}, expected one of {', '.join(SCHEMES)}")
@@ -103,21 +115,31 @@ class BaraffWitkin:
         self.resolution, self.integrator = resolution, integrator
         self.tolerance = TOLERANCE[integrator] if tolerance is None else tolerance
         self.dt = (STEP[integrator] if dt is None else dt) * step_scale
+        self.orthotropic = check_orthotropic(self.name, orthotropic)
+        if orthotropic:
+            self.parameters = ORTHOTROPIC
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> BaraffWitkinSimulation:
         bound = BoundEffects(self.parameters, tuple(effects))
         shape = grid_shape(scene, self.resolution)
-        return BaraffWitkinSimulation(scene, shape, bound, SCHEMES[self.integrator], self.dt, self.tolerance)
+        scheme = SCHEMES[self.integrator]
+        return BaraffWitkinSimulation(scene, shape, bound, scheme, self.dt, self.tolerance, self.orthotropic)
 
     def of_material(self, material: Material, scene: Scene) -> np.ndarray:
-        """The nine parameters (9,) of a textbook material, shear damped as stretch is: no air."""
+        """The parameters (9,) or (11,) of a textbook material, shear damped as stretch is: no air."""
         slide = material.stretch_damping * material.shear / material.stretch
         elastic = [material.bending, material.stretch, material.shear]
-        return np.array([*elastic, material.bending_damping, material.stretch_damping, slide, 0, 0, 0], dtype=float)
+        dampings = [material.bending_damping, material.stretch_damping, slide]
+        ratios = [material.bending_ratio, material.stretch_ratio] if self.orthotropic else []
+        if not self.orthotropic:
+            refuse_ratios(self.name, material, OPTION)
+        return np.array([*elastic, *dampings, 0, 0, 0, *ratios], dtype=float)
 
     def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
-        """The first five parameters are the material's own; damping of shear and the air have no place in it."""
-        return Material(*(float(value) for value in theta[:5]))
+        """The first five parameters and the ratios are the material's own; damping of shear and the air have no place
+        in it.
+        """
+        return Material(*(float(value) for value in (*theta[:5], *(theta[9:11] if self.orthotropic else ()))))
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,17 +149,22 @@ class BaraffWitkinSimulation(GridSimulation):
     scheme: int
     dt: float
     tolerance: float
+    orthotropic: bool = False
 
     @cached_property
     def bending(self) -> Diagonals:
         return bending_matrix(self.sheet)
 
     @cached_property
+    def thread_bending(self) -> ThreadBending:
+        return ThreadBending.of(self.sheet)
+
+    @cached_property
     def edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return triangle_edges(self.lines, self.cover)
 
     def run(self, theta: np.ndarray) -> Rollout:
-        """Simulate theta (B, P): the nine parameters, then the effects'."""
+        """Simulate theta (B, P): the nine parameters (eleven of an orthotropic sheet), then the effects'."""
         theta = self.parameters.check(theta)
         batch = GridBatch(self, theta, np.full(len(theta), self.dt), 0.0)
 
@@ -147,11 +174,16 @@ class BaraffWitkinSimulation(GridSimulation):
         """Simulate member b into the batch's arrays → status, steps."""
         scene, theta = self.scene, batch.theta[b : b + 1]
         bend, stretch, shear, bend_damping, stretch_damping, shear_damping = theta[0, :6]
+        bend_ratio, stretch_ratio = theta[0, 9:11] if self.orthotropic else (1.0, 1.0)
+        bending = self.thread_bending.matrix(bend_ratio) if self.orthotropic else self.bending
+        root = np.sqrt(stretch_ratio)
         lengths, over, shares = self.edges
-        stiffness, dampings = np.array([stretch, stretch, shear]), np.array([stretch_damping] * 2 + [shear_damping])
+        stiffness = np.array([stretch * root, stretch / root, shear])
+        dampings = np.array([stretch_damping * root, stretch_damping / root, shear_damping])
         membrane = kernels.Membrane(lengths, over, shares * stiffness[:, None], shares * dampings[:, None])
-        stiffer = self.effects.stiffness(theta)[0] / np.array([stretch, 1.0])
-        plate = kernels.Plate(self.bending.offsets, self.bending.values, bend, bend_damping, stiffer)
+        # Effects act along any thread, and the matrix has to know of it along the softer one, too.
+        stiffer = self.effects.stiffness(theta)[0] / np.array([stiffness[:2].min(), softer_share(bend_ratio)])
+        plate = kernels.Plate(bending.offsets, bending.values, bend, bend_damping, stiffer)
         begins, result = batch.begin(), np.zeros(3, np.int64)
         obstacles, layers = obstacle_table(scene), layers_of(scene, self.sheet)
         size, sampling = max(scene.width, scene.height), batch.sampling(b)

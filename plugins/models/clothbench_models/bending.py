@@ -28,11 +28,14 @@ class Diagonals:
     values: np.ndarray
 
 
-def bending_matrix(sheet: Sheet) -> Diagonals:
-    """K of E = ½ D Σ xᵀK x over the three coordinates, in 1/m² (D in N·m)."""
+def bending_matrix(sheet: Sheet, shares: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Diagonals:
+    """K of E = ½ D Σ xᵀK x over the three coordinates, in 1/m² (D in N·m).
+
+    shares: of D that curvature along u, curvature along v and twist meet.
+    """
     from scipy.sparse import coo_matrix
 
-    weights = np.array([1.0, 1.0, 2.0])[:, None] * sheet.face_area
+    weights = (np.array([1.0, 1.0, 2.0]) * shares)[:, None] * sheet.face_area
     blocks = np.einsum("fik,if,fil->fkl", sheet.curvature, weights, sheet.curvature)
     rows = np.repeat(sheet.patch[:, :, None], 6, axis=2)
     full = coo_matrix((blocks.ravel(), (rows.ravel(), rows.transpose(0, 2, 1).ravel()))).tocsr()
@@ -44,3 +47,30 @@ def bending_matrix(sheet: Sheet) -> Diagonals:
     values = np.zeros((len(offsets), len(sheet.uv)))
     values[np.searchsorted(offsets, offset), row] = value
     return Diagonals(offsets.astype(np.int64), values)
+
+
+@dataclass(frozen=True, eq=False)
+class ThreadBending:
+    """`bending_matrix` of a sheet that bends differently along warp and weft, by what each of the three takes part in.
+
+    offsets: (S,); values: (3, S, n) of warp, weft and twist, whose sum is the matrix of a sheet that bends alike.
+    """
+
+    offsets: np.ndarray
+    values: np.ndarray
+
+    @classmethod
+    def of(cls, sheet: Sheet) -> ThreadBending:
+        parts = [bending_matrix(sheet, shares) for shares in ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))]
+        offsets = np.unique(np.concatenate([part.offsets for part in parts]))
+        values = np.zeros((3, len(offsets), len(sheet.uv)))
+        for whole, part in zip(values, parts, strict=True):
+            whole[np.searchsorted(offsets, part.offsets)] = part.values
+        return cls(offsets, values)
+
+    def matrix(self, ratio: float) -> Diagonals:
+        """For D_warp/D_weft = ratio, in units of D = √(D_warp D_weft), which is also what resists twist (Huber's
+        orthotropic plate: Timoshenko and Woinowsky-Krieger 1959, Theory of plates and shells, section 86).
+        """
+        root = np.sqrt(ratio)
+        return Diagonals(self.offsets, root * self.values[0] + self.values[1] / root + self.values[2])

@@ -8,6 +8,7 @@ simulation of inextensible cloth). ρ is measured, not fitted, as in the paper: 
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -30,7 +31,8 @@ from clothbench.modelling import (
 from clothbench_models import baraff_witkin_kernels as triangles
 from clothbench_models import inextensible_kernels as kernels
 from clothbench_models.baraff_witkin import edge_widths, padded, triangle_edges
-from clothbench_models.bending import Diagonals, bending_matrix
+from clothbench_models.bending import Diagonals, ThreadBending, bending_matrix
+from clothbench_models.orthotropy import BEND_RATIO, OPTION, check_orthotropic, refuse_ratios, softer_share
 from clothbench_models.sheet_forces import CELLS
 
 SCHEMES = {"implicit_euler": kernels.EULER, "bdf2": kernels.BDF2}
@@ -46,6 +48,7 @@ PARAMETERS = ParameterSpace(
         Parameter("beta", "β", "N·m·s", (0.0, 1e-4), "linear", 2e-6, "damping of bending, D = αM + βK", COLTRARO),
     )
 )
+ORTHOTROPIC = PARAMETERS.joined(ParameterSpace((BEND_RATIO,)))
 
 
 class Inextensible:
@@ -55,7 +58,7 @@ class Inextensible:
     integrator: "bdf2" (default; second order) or "implicit_euler" (the paper's, which damps the motion itself);
     dt: time step [s] (None: 2 ms, for implicit Euler 1 ms, where there is contact 0.5 ms); step_scale: multiplies it;
     tolerance: strain that the projection leaves; shear: N/m, stiffness that stands for the cells' angle constraint
-    (None: as stiff as the mesh lines).
+    (None: as stiff as the mesh lines); orthotropic: one parameter more, what warp has over weft in bending.
     """
 
     name = "inextensible"
@@ -68,7 +71,7 @@ class Inextensible:
 
     def __init__(
         self, resolution: int | Sequence[int] = 13, integrator: str = "bdf2", dt: float | None = None,
-        step_scale: float = 1.0, tolerance: float = 1e-6, shear: float | None = None,
+        step_scale: float = 1.0, tolerance: float = 1e-6, shear: float | None = None, orthotropic: bool = False,
     ):  # fmt: skip
         if integrator not in SCHEMES:
             raise ClothbenchError(f"inextensible: integrator is {integrator!r}, expected one of {', '.join(SCHEMES)}")
@@ -80,6 +83,9 @@ class Inextensible:
         self.resolution, self.integrator, self.tolerance = resolution, integrator, tolerance
         self.shear = TAUT if shear is None else shear
         self.dt, self.step_scale = dt, step_scale
+        self.orthotropic = check_orthotropic(self.name, orthotropic)
+        if orthotropic:
+            self.parameters = ORTHOTROPIC
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> InextensibleSimulation:
         bound, shape = BoundEffects(self.parameters, tuple(effects)), grid_shape(scene, self.resolution)
@@ -87,17 +93,25 @@ class Inextensible:
         if self.dt is None and (scene.obstacles or scene.thickness > 0):
             dt = min(dt, IMPACT_STEP)
         scheme = SCHEMES[self.integrator]
-        return InextensibleSimulation(scene, shape, bound, scheme, dt * self.step_scale, self.tolerance, self.shear)
+        return InextensibleSimulation(
+            scene, shape, bound, scheme, dt * self.step_scale, self.tolerance, self.shear, self.orthotropic
+        )
 
     def of_material(self, material: Material, scene: Scene) -> np.ndarray:
-        """θ, α, β (3,) of a textbook material: its bending and the damping of that; stretching is not modelled."""
+        """θ, α, β (3,) and the ratio of an orthotropic sheet, of a textbook material: its bending and the damping of
+        that; stretching is not modelled.
+        """
         late = material.bending_damping / material.bending if material.bending > 0 else 0.0
-        return np.array([material.bending, 0.0, late])
+        alike = dataclasses.replace(material, stretch_ratio=1.0)
+        if not self.orthotropic:
+            refuse_ratios(self.name, alike, OPTION)
+        return np.array([material.bending, 0.0, late, *([material.bending_ratio] if self.orthotropic else [])])
 
     def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
         """A cloth that bends and does not stretch; α, which brakes every motion, has no place in a material."""
         bending = float(theta[0])
-        return Material(bending, math.inf, math.inf, float(theta[2]) * bending, 0.0)
+        ratio = float(theta[3]) if self.orthotropic else 1.0
+        return Material(bending, math.inf, math.inf, float(theta[2]) * bending, 0.0, ratio)
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,10 +122,15 @@ class InextensibleSimulation(GridSimulation):
     dt: float
     tolerance: float
     shear: float
+    orthotropic: bool = False
 
     @cached_property
     def bending(self) -> Diagonals:
         return bending_matrix(self.sheet)
+
+    @cached_property
+    def thread_bending(self) -> ThreadBending:
+        return ThreadBending.of(self.sheet)
 
     @cached_property
     def constraints(self) -> kernels.Constraints:
@@ -133,7 +152,7 @@ class InextensibleSimulation(GridSimulation):
         return kernels.Constraints(padded(lengths), padded(share), padded(give))
 
     def run(self, theta: np.ndarray) -> Rollout:
-        """Simulate theta (B, P): θ N·m, α kg/(m²·s), β N·m·s, then the effects' parameters."""
+        """Simulate theta (B, P): θ N·m, α kg/(m²·s), β N·m·s, the ratio of an orthotropic sheet, then the effects'."""
         theta = self.parameters.check(theta)
         batch = GridBatch(self, theta, np.full(len(theta), self.dt), 0.0)
 
@@ -144,9 +163,10 @@ class InextensibleSimulation(GridSimulation):
         scene, theta = self.scene, batch.theta[b : b + 1]
         bend, alpha, beta = theta[0, :3]
         begins, result = batch.begin(), np.zeros(3, np.int64)
-        plate = triangles.Plate(
-            self.bending.offsets, self.bending.values, bend, 0.0, self.effects.stiffness(theta)[0]
-        )  # fmt: skip
+        ratio = theta[0, 3] if self.orthotropic else 1.0
+        bending = self.thread_bending.matrix(ratio) if self.orthotropic else self.bending
+        stiffer = self.effects.stiffness(theta)[0] / np.array([1.0, softer_share(ratio)])
+        plate = triangles.Plate(bending.offsets, bending.values, bend, 0.0, stiffer)
         obstacles, layers, sampling = obstacle_table(scene), layers_of(scene, self.sheet), batch.sampling(b)
         terms, grips = batch.effect_terms(b), batch.grips(b)  # what effects remember of the settling goes on in the run
         if begins.settles:  # the same sheet with stiff springs for constraints finds rest in a few rounds

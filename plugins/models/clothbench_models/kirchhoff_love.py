@@ -18,6 +18,7 @@ import numpy as np
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
 from clothbench.modelling import check_resolution, for_each, grid_shape
 from clothbench_models.folding import FoldingStrip
+from clothbench_models.orthotropy import BEND_RATIO, OPTION, STRETCH_RATIO, check_orthotropic, refuse_ratios
 from clothbench_models.shell import Shell, ShellState, turned_over
 from clothbench_models.strip import FEW
 
@@ -30,13 +31,15 @@ PARAMETERS = ParameterSpace(
         Parameter("nu", "ν", "1", (0.0, 0.49), "linear", 0.3, "Poisson's ratio", PETRIK),
     )
 )
+ORTHOTROPIC = PARAMETERS.joined(ParameterSpace((BEND_RATIO, STRETCH_RATIO)))
 
 
 class KirchhoffLove:
     """Thin shell at rest under gravity, held by points, on at most one plane; see the module for equations and sources.
 
     resolution: of the sheet's mesh, nodes (ends of elements) along (u, v) or one number for the longer side, where the
-    scene does not say; elements: of a strip's mesh (`strip`), at least 64.
+    scene does not say; elements: of a strip's mesh (`strip`), at least 64; orthotropic: two parameters more for sheets,
+    what warp has over weft in bending and in stretch (a strip bends along one of them, and has none).
     """
 
     name = "kirchhoff_love"
@@ -46,11 +49,14 @@ class KirchhoffLove:
     capabilities: ClassVar[frozenset[str]] = frozenset({"static", "contact", "fold"})
     repeatability = 1e-6  # m: where Newton's method ends
 
-    def __init__(self, resolution: int | Sequence[int] = 13, elements: int = 200):
+    def __init__(self, resolution: int | Sequence[int] = 13, elements: int = 200, orthotropic: bool = False):
         check_resolution(self.name, resolution)
         if not isinstance(elements, int) or elements < FEW:
             raise ClothbenchError(f"kirchhoff_love: elements is {elements!r}, expected a whole number ≥ {FEW}")
         self.resolution, self.elements = resolution, elements
+        self.orthotropic = check_orthotropic(self.name, orthotropic)
+        if orthotropic:
+            self.parameters = ORTHOTROPIC
 
     def skip(self, scene: Scene) -> str | None:
         """Why it cannot simulate a scene: what does not rest in it, or is not known to it."""
@@ -70,21 +76,27 @@ class KirchhoffLove:
         if reason := self.skip(scene):
             raise ClothbenchError(f"model 'kirchhoff_love' {reason}")
         nu, nv = grid_shape(scene, self.resolution)
-        return RestingSheet(scene, (nu - 1, nv - 1))
+        return RestingSheet(scene, (nu - 1, nv - 1), self.parameters)
 
     def of_material(self, material: Material, scene: Scene) -> np.ndarray:
-        """η_b, η_m, ν (3,) of a textbook material: no cross contraction (shear: half the tensile stiffness)."""
+        """η_b, η_m, ν (3,) and the ratios of an orthotropic sheet, of a textbook material: no cross contraction (shear:
+        half the tensile stiffness).
+        """
         if material.bending <= 0:
             raise ClothbenchError("kirchhoff_love: bending is 0, and cloth without bending stiffness has no η_b = ρ/D")
         low, high = PARAMETERS["eta_m"].bounds
         eta_m = float(np.clip(scene.areal_density / material.stretch, low, high))
-        return np.array([scene.areal_density / material.bending, eta_m, 0.0])
+        if not self.orthotropic:
+            refuse_ratios(self.name, material, OPTION)
+        ratios = [material.bending_ratio, material.stretch_ratio] if self.orthotropic else []
+        return np.array([scene.areal_density / material.bending, eta_m, 0.0, *ratios])
 
     def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
         """ρ/η_b and ρ/η_m, less what cross contraction takes of the tensile stiffness."""
         eta_b, eta_m, poisson = (float(value) for value in theta[:3])
         stretch = (1 - poisson**2) * scene.areal_density / eta_m
-        return Material(scene.areal_density / eta_b, stretch, stretch / (2 * (1 + poisson)))
+        shear, ratios = stretch / (2 * (1 + poisson)), theta[3:5] if self.orthotropic else (1.0, 1.0)
+        return Material(scene.areal_density / eta_b, stretch, shear, 0.0, 0.0, *map(float, ratios))
 
     def strip(self, length: float) -> FoldingStrip:
         """For the capability "fold": a strip `length` m long that is lifted off a desk."""
@@ -97,11 +109,8 @@ class RestingSheet:
 
     scene: Scene
     elements: tuple[int, int]
+    parameters: ParameterSpace = PARAMETERS
     threads: ClassVar[bool] = True
-
-    @property
-    def parameters(self) -> ParameterSpace:
-        return PARAMETERS
 
     def run(self, theta: np.ndarray) -> Rollout:
         """Rest for theta (B, P), frame by frame: the sheet is always where it would stay if the grips stopped."""
@@ -120,7 +129,8 @@ class RestingSheet:
 
     def _follow(self, theta: np.ndarray, position: np.ndarray) -> tuple[int, str]:
         """Fill position (T, N, 3); Newton iterations in all, and why it ended before the last frame."""
-        shell, steps = Shell(self.scene, self.elements, theta[1], theta[2]), 0
+        bend_ratio, stretch_ratio = theta[3:5] if len(theta) > 3 else (1.0, 1.0)
+        shell, steps = Shell(self.scene, self.elements, theta[1], theta[2], bend_ratio, stretch_ratio), 0
         state: ShellState | None = None
         before = np.empty(0)
         for t, grips in enumerate(self.scene.grips_at(self.scene.times)):

@@ -17,6 +17,7 @@ import numpy as np
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene
 from clothbench.modelling import BoundEffects, grid_shape
 from clothbench_models.mass_spring_simulation import SpringOptions, SpringSimulation
+from clothbench_models.orthotropy import refuse_ratios
 
 CALM = 0.05  # damping ratio with which a sheet settles, if its own is larger: more only asks for shorter steps
 SOURCE = "Provot 1995; Cloth mechanical parameter estimation … for optimized robotic manipulation, section 5.2"
@@ -78,6 +79,7 @@ class MassSpring:
         The lattice has C11 = 2 k1, C12 = C66 = k1, so a free strip has C11 − C12²/C11 = 1.5 k1. Shear springs share
         k1: the shear stiffness comes out as k1, whatever the material's, and there is a cross contraction of 1/2.
         """
+        refuse_ratios(self.name, material)
         if material.bending > 0:
             raise ClothbenchError(
                 "mass_spring: has no small-strain bending rigidity; flexion springs resist bending only to fourth order"

@@ -15,6 +15,7 @@ And within k cells of a border, fewer of them pass.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ import numpy as np
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene
 from clothbench.modelling import BoundEffects, grid_shape
 from clothbench_models.mass_spring_simulation import SpringOptions, SpringSimulation
+from clothbench_models.orthotropy import refuse_ratios
 from clothbench_models.spring_grid import Families
 
 SOURCE = "Mongus et al., A hybrid evolutionary algorithm for tuning a cloth-simulation model, 2012, section 2"
@@ -103,25 +105,34 @@ class MassSpringVerlet:
     def of_material(self, material: Material, scene: Scene) -> np.ndarray:
         """Parameters (13,) of a textbook material: only the shortest springs count, and nothing is lost.
 
-        With C11 = H1 + D1 and C12 = C66 = D1, a strip that is free to narrow has C11 − D1²/C11 as its tensile
-        stiffness. There remains a cross contraction of D1/C11.
+        With C11 = H1 + D1, C22 = V1 + D1 and C12 = C66 = D1, strips that are free to narrow have C11 − D1²/C22 and
+        C22 − D1²/C11 as their tensile stiffness, in the ratio of C11 to C22; the geometric mean of both is C − D1²/C
+        with C² = C11 C22. There remains a cross contraction of D1/C22 and D1/C11.
         """
+        refuse_ratios(self.name, dataclasses.replace(material, stretch_ratio=1.0))
         if material.bending > 0:
             raise ClothbenchError(
                 "mass_spring_verlet: has no small-strain bending rigidity; springs resist bending only to fourth order"
             )
         whole = (material.stretch + math.hypot(material.stretch, 2 * material.shear)) / 2
-        theta = self.parameters.low
-        theta[[0, REACH, 2 * REACH]] = whole - material.shear, whole - material.shear, material.shear
+        root, theta = math.sqrt(material.stretch_ratio), self.parameters.low
+        across, down = whole * root - material.shear, whole / root - material.shear
+        if min(across, down) <= 0:
+            raise ClothbenchError(
+                f"mass_spring_verlet: no lattice of springs has a shear of {material.shear:g} N/m beside "
+                f"{min(material.along('stretch')):.4g} N/m along its softer threads"
+            )
+        theta[[0, REACH, 2 * REACH]] = across, down, material.shear
         theta[-1] = 0.0
         return theta
 
     def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
-        """All springs count, those r cells long r² times, both directions by their mean; no bending, no damping."""
+        """All springs count, those r cells long r² times, as in `of_material`; no bending, no damping."""
         reach = np.arange(1, REACH + 1) ** 2
         across, down, diagonal = (float(reach @ theta[k * REACH : (k + 1) * REACH]) for k in range(3))
-        whole = (across + down) / 2 + diagonal
-        return Material(0.0, whole - diagonal**2 / whole, diagonal)
+        along, beside = across + diagonal, down + diagonal
+        whole = math.sqrt(along * beside)
+        return Material(0.0, whole - diagonal**2 / whole, diagonal, stretch_ratio=along / beside)
 
 
 @dataclass(frozen=True, eq=False)

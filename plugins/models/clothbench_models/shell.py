@@ -44,11 +44,16 @@ def turned_over(scene: Scene) -> bool:
 class Shell:
     """The sheet of a scene on cubic splines with `elements` along (u, v); ground: a plane (point, normal) or None.
 
-    Control points are numbered along the shorter side first: the band is as narrow as it can be.
+    Control points are numbered along the shorter side first: the band is as narrow as it can be. bend_ratio,
+    stretch_ratio: stiffness along u over that along v.
     """
 
-    def __init__(self, scene: Scene, elements: tuple[int, int], eta_m: float, poisson: float):
+    def __init__(
+        self, scene: Scene, elements: tuple[int, int], eta_m: float, poisson: float, bend_ratio: float = 1.0,
+        stretch_ratio: float = 1.0,
+    ):  # fmt: skip
         self.scene, self.eta_m, self.poisson = scene, eta_m, poisson
+        self.roots = np.sqrt([stretch_ratio, bend_ratio])
         self.u, self.v = (Spline.even(side, n) for side, n in zip((scene.width, scene.height), elements, strict=True))
         self.flipped = self.v.count > self.u.count
 
@@ -118,7 +123,7 @@ class Shell:
         control[self.numbers(i, j)] = grid
         control[:, 2] = np.maximum(control[:, 2], self.floor)
         stress = np.zeros((len(self.mesh[2]), 6))
-        kernels.moments(control, *self.mesh[:2], float(eta_b), float(self.poisson), stress)
+        kernels.moments(control, *self.mesh[:2], float(eta_b), float(self.poisson), self.roots, stress)
         return ShellState(control, stress, np.zeros((len(self.scene.grip_material), 3)))
 
     def equilibrium(self, eta_b: float, grips: np.ndarray, start: ShellState | None = None) -> ShellState | None:
@@ -171,7 +176,7 @@ class Shell:
         status, iterations = kernels.equilibrium(
             control, stress, lines, hold, np.ascontiguousarray(grips @ self.turn.T), holding, FIRM / self.eta_m,
             np.full(self.count, self.floor), springs, nodes, shape, weight, area[:, None] * gravity, self.eta_m,
-            float(eta_b), float(self.poisson), REACH * self.size, TOLERANCE * self.size, MOST, self.wide,
+            float(eta_b), float(self.poisson), self.roots, REACH * self.size, TOLERANCE * self.size, MOST, self.wide,
         )  # fmt: skip
         if status != kernels.CONVERGED:
             return None

@@ -2,8 +2,11 @@
 
 Per areal density ρ the energy is Π/ρ = ∫ ε·C ε/2η_m + κ·C κ/2η_b + g·x dA with ε_αβ = (x,_α·x,_β − δ_αβ)/2 and
 κ_αβ = x,_αβ·n, n the unit normal (Kiendl, Bletzinger, Linhard, Wüchner 2009, the flat sheet at rest), and C of plane
-stress with Poisson's ratio ν. Strains as (11, 22, 2·12). Stresses are unknowns of their own during the iteration, as
-in `strip_kernels`. At each quadrature point everything is a function of five vectors: x,_1 x,_2 x,_11 x,_22 x,_12.
+stress with Poisson's ratio ν. Along two threads of unlike stiffness C is orthotropic, [√r ν 0; ν 1/√r 0; 0 0 (1 − ν)/2]
+with r the ratio and ν² = ν_12 ν_21 (Huber's plate: Timoshenko and Woinowsky-Krieger 1959, Theory of plates and shells,
+section 86); roots (2,) are √r of membrane and bending. Strains as (11, 22, 2·12). Stresses are unknowns of their own
+during the iteration, as in `strip_kernels`. At each quadrature point everything is a function of five vectors: x,_1
+x,_2 x,_11 x,_22 x,_12.
 """
 
 from __future__ import annotations
@@ -130,34 +133,34 @@ def geometric(g, normal, area, stress, out):
 
 
 @kernel
-def stresses(strain, soft, bend, poisson, out):
+def stresses(strain, soft, bend, poisson, roots, out):
     """C ε/η_m and C κ/η_b, (6,)."""
-    for half, ratio in ((0, soft), (3, bend)):
-        out[half] = (strain[half] + poisson * strain[half + 1]) / ratio
-        out[half + 1] = (strain[half + 1] + poisson * strain[half]) / ratio
+    for half, ratio, root in ((0, soft, roots[0]), (3, bend, roots[1])):
+        out[half] = (root * strain[half] + poisson * strain[half + 1]) / ratio
+        out[half + 1] = (strain[half + 1] / root + poisson * strain[half]) / ratio
         out[half + 2] = 0.5 * (1.0 - poisson) * strain[half + 2] / ratio
 
 
 @kernel
-def moments(c, nodes, shape, bend, poisson, stress):
+def moments(c, nodes, shape, bend, poisson, roots, stress):
     """Set the moments in stress (Q, 6) to those of the shape; of a first guess, in which no tension is meant."""
     g, normal, strain, gradient = np.empty((VECTORS, 3)), np.empty(3), np.empty(6), np.empty((6, VECTORS, 3))
     for q in range(nodes.shape[0]):
         vectors(c, nodes[q], shape[q], g)
         strains(g, normal, strain, gradient)
-        stresses(strain, 1.0, bend, poisson, stress[q])
+        stresses(strain, 1.0, bend, poisson, roots, stress[q])
         stress[q, :3] = 0.0
 
 
 @kernel
-def energy(c, nodes, shape, weight, pull, soft, bend, poisson):
+def energy(c, nodes, shape, weight, pull, soft, bend, poisson, roots):
     """Π/ρ [m⁴/s²]; pull (n, 3): gravity times the area of each control point."""
     g, normal, strain, gradient = np.empty((VECTORS, 3)), np.empty(3), np.empty(6), np.empty((6, VECTORS, 3))
     stress, total = np.empty(6), 0.0
     for q in range(weight.shape[0]):
         vectors(c, nodes[q], shape[q], g)
         strains(g, normal, strain, gradient)
-        stresses(strain, soft, bend, poisson, stress)
+        stresses(strain, soft, bend, poisson, roots, stress)
         for s in range(6):
             total += 0.5 * weight[q] * strain[s] * stress[s]
     for n in range(c.shape[0]):
@@ -167,7 +170,7 @@ def energy(c, nodes, shape, weight, pull, soft, bend, poisson):
 
 
 @kernel
-def assemble(c, nodes, shape, weight, pull, soft, bend, poisson, stress, force, band):
+def assemble(c, nodes, shape, weight, pull, soft, bend, poisson, roots, stress, force, band):
     """force (3n,) and the stiffness' lower band (3n, w), its geometric part from the stresses (Q, 6) as known."""
     g, normal, strain, gradient = np.empty((VECTORS, 3)), np.empty(3), np.empty(6), np.empty((6, VECTORS, 3))
     told, local, seen = np.empty(6), np.empty((VECTORS, 3, VECTORS, 3)), np.empty((6, VECTORS, 3))
@@ -179,14 +182,17 @@ def assemble(c, nodes, shape, weight, pull, soft, bend, poisson, stress, force, 
     for q in range(weight.shape[0]):
         vectors(c, nodes[q], shape[q], g)
         area = strains(g, normal, strain, gradient)
-        stresses(strain, soft, bend, poisson, told)
+        stresses(strain, soft, bend, poisson, roots, told)
         geometric(g, normal, area, stress[q], local)
         part[:] = 0.0
         for s in range(6):
             half = 0 if s < 3 else 3
             ratio = soft if s < 3 else bend
             other = s if s == half + 2 else 2 * half + 1 - s
-            own, beside = (0.5 * (1.0 - poisson), 0.0) if s == half + 2 else (1.0, poisson)
+            root = roots[0] if s < 3 else roots[1]
+            own, beside = root if s == half else 1.0 / root, poisson
+            if s == half + 2:
+                own, beside = 0.5 * (1.0 - poisson), 0.0
             for p in range(VECTORS):
                 for i in range(3):
                     part[p, i] += told[s] * gradient[s, p, i]
@@ -225,7 +231,7 @@ def assemble(c, nodes, shape, weight, pull, soft, bend, poisson, stress, force, 
 
 
 @kernel
-def update(c, step, share, nodes, shape, soft, bend, poisson, stress):
+def update(c, step, share, nodes, shape, soft, bend, poisson, roots, stress):
     """Move the control points by share · step, and the stresses by what the linearised strains say."""
     g, normal, strain, gradient = np.empty((VECTORS, 3)), np.empty(3), np.empty(6), np.empty((6, VECTORS, 3))
     moved, told = np.empty((VECTORS, 3)), np.empty(6)
@@ -237,7 +243,7 @@ def update(c, step, share, nodes, shape, soft, bend, poisson, stress):
             for p in range(VECTORS):
                 for i in range(3):
                     strain[s] += gradient[s, p, i] * moved[p, i]
-        stresses(strain, soft, bend, poisson, told)
+        stresses(strain, soft, bend, poisson, roots, told)
         for s in range(6):
             stress[q, s] += share * (told[s] - stress[q, s])
     c += share * step
@@ -246,7 +252,7 @@ def update(c, step, share, nodes, shape, soft, bend, poisson, stress):
 @kernel
 def equilibrium(
     c, stress, lines, grips, goal, holding, stiff, floor, springs, nodes, shape, weight, pull, soft, bend, poisson,
-    reach, tolerance, most, wide,
+    roots, reach, tolerance, most, wide,
 ):  # fmt: skip
     """Newton with an active set, in place, from control points c (n, 3) m, stresses (Q, 6), grip forces holding (H, 3).
 
@@ -264,7 +270,7 @@ def equilibrium(
         touching[i] = c[i, 2] <= floor[i] + tolerance
     shift = 0.0
     for iteration in range(1, most + 1):
-        assemble(c, nodes, shape, weight, pull, soft, bend, poisson, stress, force, band)
+        assemble(c, nodes, shape, weight, pull, soft, bend, poisson, roots, stress, force, band)
         hold(c, lines, grips, goal, holding, stiff, force, band)
         for i in range(count):
             j = 3 * i + 2
@@ -284,7 +290,7 @@ def equilibrium(
             for k in range(3):
                 step[i, k] = flat_step[3 * i + k]
         changed = touches(c[:, 2], share * step[:, 2], reaction, floor, springs, nowhere, touching)
-        update(c, step, share, nodes, shape, soft, bend, poisson, stress)
+        update(c, step, share, nodes, shape, soft, bend, poisson, roots, stress)
         most_away = pulled(c, lines, grips, goal, holding, stiff)
         if share == 1.0 and shift == 0.0 and changed == 0 and longest < tolerance and most_away < 0.1 * tolerance:
             return CONVERGED, iteration

@@ -59,8 +59,8 @@ class Engine(Protocol):
 
     dt: float
 
-    def place(self, position: np.ndarray) -> None:
-        """Put all nodes there [m], at rest."""
+    def place(self, position: np.ndarray, velocity: np.ndarray) -> None:
+        """Put all nodes there [m], moving like that [m/s]."""
 
     def damp(self, rate: float) -> None:
         """From now on take `rate` [1/s] of each node's momentum away, for settling; 0 ends that."""
@@ -152,7 +152,8 @@ class _March:
         self.forces = Forces(batch, b) if batch.terms else None
         self.limit, self.held = batch.bounds(), batch.simulation.anchored
         self.steps = self.now = 0
-        self._begin(batch.shape)
+        self.settles = self.held and self.scene.velocity is None
+        self._begin(batch.shape, batch.velocity)
 
     @property
     def position(self) -> np.ndarray:
@@ -166,8 +167,8 @@ class _March:
         return ((c[0, i] * s + c[1, i]) * s + c[2, i]) * s + c[3, i]
 
     def settle(self) -> bool:
-        """Let the sheet come to rest in the grips' first pose; whether it is still there."""
-        if not self.held:
+        """Let the sheet come to rest in the grips' first pose, unless it begins in motion; whether it is there."""
+        if not self.settles:
             return True
         least, most = self.rest
         look = max(1, round(LOOK_AFTER / self.slowest / self.dt))
@@ -184,12 +185,13 @@ class _March:
                 break
             before = after
         self.engine.damp(0.0)
-        self._begin(self.position.copy())
+        shape = self.position.copy()
+        self._begin(shape, np.zeros_like(shape))
         return True
 
-    def _begin(self, shape: np.ndarray) -> None:
-        """Put the sheet there, at rest, the held nodes exactly where the grips are."""
-        self.engine.place(shape)
+    def _begin(self, shape: np.ndarray, velocity: np.ndarray) -> None:
+        """Put the sheet there, in that motion, the held nodes exactly where the grips are."""
+        self.engine.place(shape, velocity)
         if self.held:
             self.engine.follow(self.grips(np.array([self.scene.start_time])))
 

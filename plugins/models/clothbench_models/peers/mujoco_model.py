@@ -25,6 +25,7 @@ import numpy as np
 
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene, Stated
 from clothbench.modelling import BoundEffects, bear_inertia, check_number, check_resolution, grid_shape
+from clothbench_models.orthotropy import refuse_ratios
 from clothbench_models.peers import missing
 from clothbench_models.peers.external import ExternalSimulation, reason_to_skip, refuse_mass
 
@@ -85,7 +86,7 @@ class Mujoco:
     name = "mujoco"
     version = 1
     parameters = PARAMETERS
-    capabilities = frozenset({"dynamic", "static", "effects"})
+    capabilities = frozenset({"dynamic", "static", "effects", "moving_start"})
     documented = DOCUMENTED
     built_on = ("mujoco", "mujoco-core")
     bench_options: tuple[dict[str, str], ...] = ()  # `clothbench bench` measures the peer of the same name
@@ -116,6 +117,7 @@ class Mujoco:
         One β damps all: the smaller of what the material states for bending and for stretch, so that neither is
         held back more than it should be.
         """
+        refuse_ratios("mujoco", material)
         thickness = math.sqrt(12 * material.bending / material.stretch)
         if not math.isclose(material.shear, material.stretch / 2, rel_tol=1e-3):
             raise ClothbenchError(
@@ -242,9 +244,9 @@ class _Flex:
         self.applied = self.data.qfrc_applied.reshape(-1, 3)
         self.pushed: tuple[np.ndarray, np.ndarray | None] | None = None
 
-    def place(self, position: np.ndarray) -> None:
+    def place(self, position: np.ndarray, velocity: np.ndarray) -> None:
         self.offset[:] = position - self.rest
-        self.velocity[:] = 0.0
+        self.velocity[:] = velocity
         self.data.qacc_warmstart[:] = 0.0
 
     def damp(self, rate: float) -> None:

@@ -25,6 +25,7 @@ import numpy as np
 
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene, Sheet, Stated
 from clothbench.modelling import BoundEffects, GridSimulation, check_number, check_resolution, grid_shape
+from clothbench_models.orthotropy import refuse_ratios
 from clothbench_models.peers import missing
 from clothbench_models.peers.external import ExternalSimulation, reason_to_skip, refuse_mass
 
@@ -85,7 +86,7 @@ class Newton:
     name = "newton"
     version = 1
     parameters = PARAMETERS["semi_implicit"]
-    capabilities = frozenset({"dynamic", "static", "effects"})
+    capabilities = frozenset({"dynamic", "static", "effects", "moving_start"})
     precision = "single"
     documented = DOCUMENTED
     repeatability = 5e-6  # m: rounding alone carries a sheet up to a micrometre away
@@ -117,6 +118,7 @@ class Newton:
 
     def of_material(self, material: Material, scene: Scene) -> np.ndarray:
         """λ = 0 and μ half the stretch; a hinge stiffness with which this scene's mesh bends like the material."""
+        refuse_ratios("newton", material)
         if not math.isclose(material.shear, material.stretch / 2, rel_tol=1e-3):
             raise ClothbenchError(
                 "newton: a membrane without cross contraction has shear = stretch/2, it has no parameter for "

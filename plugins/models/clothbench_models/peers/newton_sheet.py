@@ -89,10 +89,10 @@ class NewtonSheet:
 
     # --- what `Engine` asks for ---------------------------------------------------------------------------------
 
-    def place(self, position: np.ndarray) -> None:
+    def place(self, position: np.ndarray, velocity: np.ndarray) -> None:
         self.origin = position.mean(axis=0)
         self.state.particle_q.numpy()[:] = position - self.origin
-        self.state.particle_qd.numpy()[:] = 0.0
+        self.state.particle_qd.numpy()[:] = velocity
         self._still()
 
     def damp(self, rate: float) -> None:
