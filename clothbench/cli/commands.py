@@ -144,7 +144,7 @@ def _improve(sub: argparse.ArgumentParser) -> None:
 def _suggest(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "name", metavar="RECORDINGS|CELL",
-        help="a recording or a folder of them, with model=NAME; or a cell, a case or a recording of a run, as for `view`",
+        help="a recording or a folder of them, with model=NAME; or a cell, a case or a recording of a run as in `view`",
     )  # fmt: skip
     sub.add_argument(
         "settings", nargs="*", metavar="KEY=VALUE",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -21,7 +20,7 @@ from clothbench.studies.improve.problem import Problem
 from clothbench.suggest.document import DOCUMENT, MOTION, json_text, suggestion, write_all
 from clothbench.suggest.experiments import experiments
 from clothbench.suggest.ranking import promises, rank_of, ranked
-from clothbench.suggest.settings import TIE, WORDS, Wanted, wanted_of
+from clothbench.suggest.settings import TIE, WORDS, wanted_of
 from clothbench.suggest.source import problem_of_cell, problem_of_settings, require_same, verdict_in
 from clothbench.suggest.subject import Subject, subject_of
 

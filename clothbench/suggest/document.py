@@ -29,19 +29,17 @@ OLD = (DOCUMENT, "experiments/*/*")  # of an earlier run
 DETERMINED = BEFOREHAND / 2  # half of an interval, in scaled ranges, below which a parameter counts as determined
 
 
-def suggestion(
-    subject: Subject, found: Sequence[Promise], left: Sequence[LeftOut], wanted: Wanted
-) -> dict[str, Any]:
+def suggestion(subject: Subject, found: Sequence[Promise], left: Sequence[LeftOut], wanted: Wanted) -> dict[str, Any]:
     """The document. found: ranked, the best first."""
     known, problem = subject.known, subject.problem
     return {
         "schema": SCHEMA, "model": problem.model, "base": list(problem.base), "effects": list(known.fitted.effects),
         "rank": rank_of(subject, wanted.rank), "settings": asdict(wanted),
         "recordings": {split: [c.name for c in problem.of_split(split)] for split in ("fit", "held_out")},
-        "left_mm": 1e3 * known.fitted.rms, "noise_mm": finite(1e3 * known.noise), "counted_mm": 1e3 * known.counted,
+        "left_mm": 1e3 * known.fitted.rms, "noise_mm": finite(1e3 * known.noise), "counted_mm": 1e3 * known.usual,
         "parameters": parameters(known),
         "ties": [
-            {"one": tie.one, "other": tie.other, "sigma_now": tie.now, "counted_mm": 1e3 * tie.known.counted}
+            {"one": tie.one, "other": tie.other, "sigma_now": tie.now}
             for tie in subject.ties
         ],
         "experiments": [entry(subject, number, promise, wanted) for number, promise in enumerate(found, 1)],

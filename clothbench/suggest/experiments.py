@@ -79,8 +79,8 @@ GRIPS: dict[str, Callable[[float, float], Held]] = {
 }
 AS_RECORDED = "as recorded"
 
-# (times (K,) s, grips' places (G, 3) m, height m) → displacement (K, G, 3) m across, out and up, of any size: it is made
-# as large as reach, speed and acceleration allow.
+# (times (K,) s, grips' places (G, 3) m, height m) → displacement (K, G, 3) m across, out and up, of any size: it is
+# made as large as reach, speed and acceleration allow.
 Motion = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 
 
@@ -157,8 +157,8 @@ EXPERIMENTS: tuple[tuple[str, str], ...] = (
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """One to choose from. scene: what is simulated, for the longest duration; durations: s, of which it may last one;
-    speed: m/s and acceleration: m/s², the most that a grip has.
+    """One to choose from. scene: what is simulated, for the longest duration, and its motion goes on after that;
+    durations: s, of which it may last one; speed: m/s and acceleration: m/s², the most that a grip has.
     """
 
     grips: str
@@ -212,7 +212,7 @@ def experiment(like: Scene, rate: float, wanted: Wanted, grips: str, motion: str
     paths = [ended(path, clock, duration) for duration in durations]
     size = min(largest(one, wanted) for one in paths)
     size = min(size, 1.0) if motion in AS_STATED else size
-    path = size * paths[-1]
+    path = size * path
     if motion not in AS_STATED and np.abs(path).max() < LEAST_REACH:
         return None
     obstacles = like.obstacles

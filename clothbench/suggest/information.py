@@ -1,9 +1,9 @@
 """What recordings tell of parameters, and what further ones would: information matrices in the unit cube.
 
-J (M, P) is of residuals by scaled parameters, κ [the residual's unit] what every element counts as its noise. The
-information of recordings is JᵀJ/κ², that of several is their sum, and the range that is searched counts as known
-beforehand: without any recording an interval is as wide as the range. Its inverse is the covariance, and half the
-logarithm of the ratio of determinants is the expected information of an experiment in nats (Bayesian D-optimality,
+J (M, P) is of a recording's residuals by scaled parameters, κ [the residual's unit] what each of its elements counts as
+its noise. The information of a recording is JᵀJ/κ², that of several is their sum, and the range that is searched counts
+as known beforehand: without any recording an interval is as wide as the range. Its inverse is the covariance, and half
+the logarithm of the ratio of determinants is the expected information of an experiment in nats (Bayesian D-optimality,
 Chaloner and Verdinelli 1995, Bayesian experimental design: a review).
 """
 
@@ -39,10 +39,8 @@ def gain(known: np.ndarray, more: np.ndarray) -> float:
     return 0.5 * float(np.linalg.slogdet(known + more)[1] - np.linalg.slogdet(known)[1])
 
 
-def counted_noise(
-    residual: np.ndarray, jacobian: np.ndarray, groups: Sequence[np.ndarray], noise: float
-) -> float:
-    """κ: what each element of a residual (M,) counts as its noise, in the residual's unit.
+def counted_noise(residual: np.ndarray, jacobian: np.ndarray, groups: Sequence[np.ndarray], noise: float) -> float:
+    """κ: what each element of a recording's residual (M,) counts as its noise, in the residual's unit.
 
     Not the sensor's alone: what a fit leaves hangs together over time and over the sheet, so that many elements are
     few pieces of evidence. κ² is by how much more the sums of Jᵀr over groups of rows (seconds of a recording) spread
@@ -52,24 +50,25 @@ def counted_noise(
     """
     least = max(noise**2, float(np.mean(residual**2)))
     inverse = np.linalg.inv(jacobian.T @ jacobian + least * beforehand(jacobian.shape[1]))
-    told = float(np.trace(inverse @ (jacobian.T @ jacobian)))  # how many directions the recordings tell of
+    told = float(np.trace(inverse @ (jacobian.T @ jacobian)))  # how many directions the recording tells of
     sums = np.array([jacobian[rows].T @ residual[rows] for rows in groups])
-    away = sums - sums.mean(axis=0)
-    spread = len(groups) / (len(groups) - 1) * float(np.einsum("gp,pq,gq->", away, inverse, away))
+    spread = float(np.einsum("gp,pq,gq->", sums, inverse, sums))
     return float(np.sqrt(max(least, spread / max(told, 1e-12))))
 
 
 def separation(
-    apart: np.ndarray, jacobian: np.ndarray, known: np.ndarray, unit: np.ndarray, counted: float
-) -> tuple[float, np.ndarray]:
-    """How far apart two models would be [σ], and by how much the rival's scaled parameters (P,) would have moved.
+    apart: np.ndarray, jacobian: np.ndarray, known: np.ndarray, unit: np.ndarray, counted: float, doubt: np.ndarray
+) -> float:
+    """How far apart two models would be [σ] after an experiment: √Δχ², where one of them is right.
 
     apart: (M,) rival minus the other, in the experiment; jacobian: (M, P) of the rival there; known: (P, P), what the
     recordings say of its parameters, at `unit` (P,). The rival makes up for as much as it can within its bounds and
-    with what it is known from before: √ min_δ ‖apart + J δ‖²/κ² + δᵀ known δ (T-optimality, Atkinson and Fedorov 1975).
+    with what it is known from before: min_δ ‖apart + J δ‖²/κ² + δᵀ known δ (T-optimality, Atkinson and Fedorov 1975).
+    doubt: (M,), by how much both may be wrong: at worst in the way that speaks for the rival.
     """
     rows = np.vstack([jacobian / counted, np.linalg.cholesky(known).T])
     wanted = -np.concatenate([apart / counted, np.zeros(len(known))])
     room = 1e-9  # lsq_linear wants a start strictly inside
     found = lsq_linear(rows, wanted, bounds=(-unit - room, 1 - unit + room))
-    return float(np.sqrt(2 * found.cost)), found.x
+    left = apart + jacobian @ found.x
+    return float(np.sqrt(max(2 * found.cost - 2 * abs(float(left @ doubt)) / counted**2, 0.0)))

@@ -2,18 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import StageProgress
+from clothbench.estimation.intervals import BLOCK
 from clothbench.estimation.trials import Trial
 from clothbench.studies.improve.fitting import finite_differences
 from clothbench.studies.improve.problem import residuals
+from clothbench.studies.improve.settings import LOOP
 from clothbench.suggest.experiments import Experiment
-from clothbench.suggest.information import gain, half_widths, information, separation
+from clothbench.suggest.information import counted_noise, gain, half_widths, information, separation
 from clothbench.suggest.settings import INFORMATION, TIE, Wanted
 from clothbench.suggest.subject import Known, Subject, Tie
 
@@ -74,18 +76,16 @@ def draws(subject: Subject, count: int) -> np.ndarray:
         return known.unit[None]
     random = np.random.default_rng([subject.problem.seed, len(space)])
     root = np.linalg.cholesky(np.linalg.inv(known.matrix))
-    found = known.unit + random.standard_normal((100 * LOOKED_AT, len(space))) @ root.T
-    inside = found[((found >= 0) & (found <= 1)).all(axis=1)][:LOOKED_AT]
+    drawn = known.unit + random.standard_normal((100 * LOOKED_AT, len(space))) @ root.T
+    inside = drawn[((drawn >= 0) & (drawn <= 1)).all(axis=1)][:LOOKED_AT]
     if not len(inside):  # the fit lies in a corner
-        inside = np.clip(found[:LOOKED_AT], 0.0, 1.0)
-    square = sum(
-        (residuals(trial, space.from_unit(inside)) ** 2).sum(axis=1)
-        for trial in subject.problem.trials(known.fitted.effects, "fit")
-    )
-    rise = (square - sum(float(r @ r) for r in known.fitted.residual)) / known.counted**2
-    tangent = np.vstack(known.fitted.jacobian) / known.counted
-    first_order = ((inside - known.unit) @ tangent.T) ** 2
-    weight = np.nan_to_num(-0.5 * (rise - first_order.sum(axis=1)), nan=-np.inf)
+        inside = np.clip(drawn[:LOOKED_AT], 0.0, 1.0)
+    fitted, excess = known.fitted, np.zeros(len(inside))
+    for k, trial in enumerate(subject.problem.trials(fitted.effects, "fit")):
+        found, here = residuals(trial, space.from_unit(inside)), fitted.residual[k]
+        first_order = here + (inside - known.unit) @ fitted.jacobian[k].T
+        excess += ((found**2).sum(axis=1) - (first_order**2).sum(axis=1)) / known.counted[k] ** 2
+    weight = np.nan_to_num(-0.5 * excess, nan=-np.inf)
     if not np.isfinite(weight).any():
         return known.unit[None]
     order = np.argsort(-(weight + random.gumbel(size=len(weight))))  # without replacement, by weight
@@ -128,50 +128,47 @@ def promised(subject: Subject, experiment: Experiment, sets: np.ndarray) -> Iter
     rivals = [rival_of(subject, experiment, tie) for tie in subject.ties]
     rows = len(at[0]) // len(experiment.scene.times)
     for duration in experiment.durations:
-        part = slice(0, rows * int(np.sum(experiment.scene.times <= duration + 1e-9)))
-        wrong = float(np.sqrt(np.mean(doubt[part] ** 2)))
-        counted = counted_there(known, wrong)
+        frames = int(np.sum(experiment.scene.times <= duration + 1e-9))
+        part = slice(0, rows * frames)
+        counted = counted_there(known, doubt[part], tangents[0][part], duration)
         more = [information(jacobian[part], counted) for jacobian in tangents]
         after = np.array([half_widths(known.matrix + one) for one in more])
         yield Promise(
             experiment, duration, float(np.mean([gain(known.matrix, one) for one in more])),
             np.exp(np.log(after).mean(axis=0)), after.min(axis=0), after.max(axis=0),
-            tuple(apart(tie, *rival, part, wrong) for tie, rival in zip(subject.ties, rivals, strict=True)),
-            counted, wrong,
+            tuple(apart(tie, *rival, doubt, part, counted) for tie, rival in zip(subject.ties, rivals, strict=True)),
+            counted, float(np.sqrt(np.mean(doubt[part] ** 2))),
         )  # fmt: skip
 
 
-def counted_there(known: Known, wrong: float) -> float:
-    """What a coordinate counts as its noise [m] where the model may be wrong by so many m: as in the recordings, unless
-    noise and that are more than what the fit leaves of them.
+def counted_there(known: Known, doubt: np.ndarray, jacobian: np.ndarray, duration: float) -> float:
+    """What a coordinate will count as its noise [m]: as if `doubt` (M,) m were what a fit leaves there; but no less
+    than in the recordings that there are.
     """
-    return known.counted * max(1.0, float(np.hypot(known.noise, wrong)) / known.fitted.rms)
+    groups = np.array_split(np.arange(len(doubt)), max(2, round(duration / BLOCK)))
+    own = counted_noise(doubt, jacobian, groups, known.noise)
+    return max(own, known.usual)
 
 
 def doubts(subject: Subject, experiment: Experiment, trial: Trial, at: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
-    """By how much the model may be wrong at every coordinate (M,) m: what half the cells change, beyond what other
-    parameters make up for, and what the least change of the parameters brings, beyond the tangent.
+    """By how much the model may be wrong at every coordinate (M,) m: what half the cells change, carried on to the
+    limit, and what the least change of the parameters brings beyond the tangent; less what a refit makes up for.
     """
     known = subject.known
-    theta = known.fitted.space.from_unit(known.unit)[None]
     step = np.where(known.unit < 0.5, NUDGE, -NUDGE)
     (nudged,) = residuals(trial, known.fitted.space.from_unit(known.unit + step)[None])
-    finer = subject.trial(experiment.scene, known.fitted.effects, refined=True)
-    mesh = 0.0 if finer is None else residuals(finer, theta)[0] - at
-    if not (np.isfinite(nudged).all() and np.isfinite(mesh).all()):
+    wrong = nudged - at - jacobian @ step
+    if (finer := subject.finer_trial(experiment.scene, known.fitted.effects)) is not None:
+        (there,) = residuals(finer, known.fitted.theta[None])
+        wrong = wrong + LOOP.richardson * (there - at)
+    if not np.isfinite(wrong).all():
         raise Unsimulated("could not be simulated with half the cells, or after the least change of the parameters")
-    chance = nudged - at - jacobian @ step
-    mesh = mesh - jacobian @ np.linalg.lstsq(jacobian, mesh, rcond=None)[0] if finer is not None else mesh
-    return np.hypot(mesh, chance)
+    told = information(jacobian, known.usual)
+    return wrong - jacobian @ np.linalg.solve(known.matrix + told, jacobian.T @ wrong / known.usual**2)
 
 
-Rival = tuple[np.ndarray, np.ndarray, Trial]
-
-
-def rival_of(subject: Subject, experiment: Experiment, tie: Tie) -> Rival:
-    """The experiment with a tie's rival: (M,) m, how far from the other it is, its tangent (M, P), and its trial, which
-    holds against the other as if that had been measured.
-    """
+def rival_of(subject: Subject, experiment: Experiment, tie: Tie) -> tuple[np.ndarray, np.ndarray]:
+    """The experiment with a tie's rival: how far from the other it is (M,) m, and its tangent (M, P)."""
     one = subject.trial(experiment.scene, tie.known.fitted.effects)
     (seen,) = residuals(one, tie.known.fitted.theta[None])
     trial = subject.trial(experiment.scene, tie.rival.fitted.effects)
@@ -179,13 +176,13 @@ def rival_of(subject: Subject, experiment: Experiment, tie: Tie) -> Rival:
     (there,), (jacobian,), _ = finite_differences([trial], fitted.space, fitted.theta, difference)
     if not (np.isfinite(there).all() and np.isfinite(seen).all()):
         raise Unsimulated(f"could not be simulated with {tie.one} and with {tie.other}")
-    return there - seen, jacobian, trial
+    return there - seen, jacobian
 
 
-def apart(tie: Tie, away: np.ndarray, jacobian: np.ndarray, trial: Trial, part: slice, wrong: float) -> Apart:
+def apart(tie: Tie, away: np.ndarray, jacobian: np.ndarray, doubt: np.ndarray, part: slice, counted: float) -> Apart:
     """How far apart the two are in a part of the experiment's rows."""
-    counted = counted_there(tie.known, wrong)
-    sigma, _ = separation(away[part], jacobian[part], tie.rival.matrix, tie.rival.unit, counted)
+    rival = tie.rival
+    sigma = separation(away[part], jacobian[part], rival.matrix, rival.unit, counted, doubt[part])
     return Apart(tie, sigma, float(np.sqrt(np.mean(away[part] ** 2))))
 
 
@@ -209,13 +206,14 @@ def rank_of(subject: Subject, rank: str | None) -> str:
     if rank is None:
         return TIE if subject.ties else INFORMATION
     if rank not in (INFORMATION, TIE, *names):
-        raise ClothbenchError(f"setting 'rank' is {rank!r}, expected {INFORMATION}, {TIE}, or one of {', '.join(names)}")
+        known = ", ".join((INFORMATION, TIE, *names))
+        raise ClothbenchError(f"setting 'rank' is {rank!r}, expected one of {known}")
     if rank == TIE and not subject.ties:
         raise ClothbenchError("setting 'rank' is 'tie', and nothing is tied; name two effects with tied=ONE,OTHER")
     return rank
 
 
-def value_of(subject: Subject, rank: str | None):
+def value_of(subject: Subject, rank: str | None) -> Callable[[Promise], float]:
     """The figure of a promise that is to be large."""
     rank = rank_of(subject, rank)
     if rank == TIE:

@@ -21,18 +21,21 @@ from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.sheets import SheetCase, SheetEvidence, noise_of
 from clothbench.suggest.information import beforehand, counted_noise, information
+from clothbench.suggest.weighted import patient, weighted
+
+REWEIGHTED = 2  # times that recordings are weighed anew by what the fit before left of each
 
 
 @dataclass(frozen=True, eq=False)
 class Known:
     """A fitted model and what the recordings tell of its parameters.
 
-    fitted: the fit; counted: m, what each coordinate counts as its noise; noise: m, the sensor's; matrix: (P, P), the
-    information of the recordings and of the range that is searched, in the unit cube.
+    fitted: the fit; counted: (R,) m, what each coordinate of each recording counts as its noise; noise: m, the
+    sensor's; matrix: (P, P), the information of the recordings and of the range that is searched, in the unit cube.
     """
 
     fitted: Fitted
-    counted: float
+    counted: np.ndarray
     noise: float
     matrix: np.ndarray
 
@@ -40,6 +43,11 @@ class Known:
     def unit(self) -> np.ndarray:
         """The fit in the unit cube (P,)."""
         return self.fitted.space.to_unit(self.fitted.theta)
+
+    @property
+    def usual(self) -> float:
+        """m: what a coordinate counts as its noise, over all recordings."""
+        return float(np.sqrt(np.mean(self.counted**2)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,20 +82,23 @@ class Subject:
         """Frames a second."""
         return float(1 / np.median(np.diff(self.like.observation.time)))
 
-    def trial(self, scene: Scene, effects: Sequence[str], refined: bool = False) -> Trial | None:
+    def trial(self, scene: Scene, effects: Sequence[str]) -> Trial:
         """An experiment as a trial, seen at every point in every frame, with everything measured at the origin: its
-        residual is where the points are. refined: with half the cells and half the step; None where nothing is
-        discretised.
+        residual is where the points are.
         """
+        return self._with(scene).trials(effects, "fit")[0]
+
+    def finer_trial(self, scene: Scene, effects: Sequence[str]) -> Trial | None:
+        """The same with half the cells and half the step; None where nothing is discretised."""
+        finer = self._with(scene).refined()
+        return None if finer is None else finer.trials(effects, "fit")[0]
+
+    def _with(self, scene: Scene) -> Problem:
         frames, points = len(scene.times), len(scene.points)
         seen = Observation(
-            scene.times, np.zeros((frames, points, 3)), np.ones((frames, points), bool), self.known.noise, scene.points,
-        )  # fmt: skip
-        case = dataclasses.replace(self.like, split="fit", observation=seen, scene=scene)
-        problem = self.problem.restricted(case)
-        if refined and (problem := problem.refined()) is None:
-            return None
-        return problem.trials(effects, "fit")[0]
+            scene.times, np.zeros((frames, points, 3)), np.ones((frames, points), bool), self.known.noise, scene.points
+        )
+        return self.problem.restricted(dataclasses.replace(self.like, split="fit", observation=seen, scene=scene))
 
 
 def first_case(problem: Problem) -> SheetCase:
@@ -114,18 +125,25 @@ def require_sheets(problem: Problem) -> None:
 def known_of(problem: Problem, fitted: Fitted) -> Known:
     """What the recordings tell of a fit's parameters."""
     trials = problem.trials(fitted.effects, "fit")
-    noise = [noise_of(trial.observation) for trial in trials]
-    sigma = float(np.sqrt(np.mean(np.square(noise))))
-    residual, jacobian = np.concatenate(fitted.residual), np.vstack(fitted.jacobian)
-    scores = [Score(np.zeros(1), "m", residual=one[None]) for one in fitted.residual]
-    counted = counted_noise(residual, jacobian, clusters(trials, scores), sigma if np.isfinite(sigma) else 0.0)
-    return Known(fitted, counted, sigma, information(jacobian, counted) + beforehand(len(fitted.space)))
+    noise = np.array([noise_of(trial.observation) for trial in trials])
+    counted = np.array(
+        [
+            counted_noise(residual, jacobian, seconds(trial, len(residual)), sigma)
+            for trial, residual, jacobian, sigma in zip(trials, fitted.residual, fitted.jacobian, noise, strict=True)
+        ]
+    )
+    return counting(Known(fitted, counted, float(np.sqrt(np.mean(noise**2))), np.empty(0)), counted)
 
 
-def with_noise(known: Known, counted: float) -> Known:
-    """The same with another noise that each coordinate counts for."""
-    jacobian = np.vstack(known.fitted.jacobian)
-    matrix = information(jacobian, counted) + beforehand(jacobian.shape[1])
+def seconds(trial: Trial, rows: int) -> list[np.ndarray]:
+    """Row numbers of a residual of so many rows, second by second."""
+    return clusters([trial], [Score(np.zeros(1), "m", residual=np.empty((1, rows)))])
+
+
+def counting(known: Known, counted: np.ndarray) -> Known:
+    """The same with other noises (R,) m that the coordinates count for."""
+    told = [information(jacobian, kappa) for jacobian, kappa in zip(known.fitted.jacobian, counted, strict=True)]
+    matrix = beforehand(len(known.fitted.space)) + np.sum(told, axis=0)
     return dataclasses.replace(known, counted=counted, matrix=matrix)
 
 
@@ -140,22 +158,33 @@ def fitted_at(problem: Problem, names: tuple[str, ...], values: Mapping[str, flo
     theta = np.array([values[name] for name in space.names])
     step = problem.evidence.search.difference
     residual, jacobian, count = finite_differences(problem.trials(names, "fit"), space, theta, step)
+    if not all(np.isfinite(one).all() for one in residual):
+        raise ClothbenchError(
+            f"model {problem.model!r}: cannot simulate all recordings to fit with the parameters that were found; "
+            "leave out those that it cannot do, or choose another model"
+        )
     nowhere = np.full(len(space), np.nan)
     return Fitted(names, space, theta, residual, jacobian, nowhere, nowhere, count)
 
 
-def searched(problem: Problem, names: tuple[str, ...], start: Mapping[str, float] | None = None) -> Fitted:
-    """A fit by least squares; from the values that are known, with the defaults of all others, or from a wide look."""
-    begin = None
+def searched(problem: Problem, names: tuple[str, ...], start: Mapping[str, float] | None = None) -> Known:
+    """A fit by least squares, from the values that are known, with the defaults of all others, or from a wide look;
+    where there are several recordings, fitted again with each by what the model left of it.
+    """
+    begin, space, problem = None, problem.space(names), patient(problem)
     if start is not None:
-        begin = np.array([start.get(p.name, p.default) for p in problem.space(names)])
-    found = fit(problem, names, begin, LOOP.calibration_rounds)
-    if not np.isfinite(found.rms):
-        raise ClothbenchError(
-            f"model {problem.model!r}: found no parameters with which all recordings to fit can be simulated; leave "
-            "out those that it cannot do, or choose another model"
-        )
-    return found
+        begin = np.array([start.get(p.name, p.default) for p in space])
+    known = at(problem, names, fit(problem, names, begin, LOOP.calibration_rounds).theta)
+    cases = [case.name for case in problem.of_split("fit")]
+    for _ in range(REWEIGHTED if len(cases) > 1 else 0):
+        again = weighted(problem, dict(zip(cases, known.counted.tolist(), strict=True)))
+        known = at(problem, names, fit(again, names, known.fitted.theta, LOOP.final_rounds).theta)
+    return known
+
+
+def at(problem: Problem, names: tuple[str, ...], theta: np.ndarray) -> Known:
+    space = problem.space(names)
+    return known_of(problem, fitted_at(problem, names, dict(zip(space.names, theta.tolist(), strict=True))))
 
 
 def subject_of(
@@ -168,18 +197,18 @@ def subject_of(
     without, it is searched.
     """
     require_sheets(problem)
-    first = searched(problem, effects) if values is None else fitted_at(problem, effects, values)
-    known, ties = known_of(problem, first), []
+    known = searched(problem, effects) if values is None else known_of(problem, fitted_at(problem, effects, values))
+    ties = []
     for one, other in tied:
         names = tuple(other if name == one else name for name in effects)
-        shared = dict(zip(first.space.names, first.theta.tolist(), strict=True))
-        ties.append(tie_of(one, other, known, known_of(problem, searched(problem, names, shared))))
+        shared = dict(zip(known.fitted.space.names, known.fitted.theta.tolist(), strict=True))
+        ties.append(tie_of(one, other, known, searched(problem, names, shared)))
     return Subject(problem, known, tuple(ties))
 
 
 def tie_of(one: str, other: str, known: Known, rival: Known) -> Tie:
-    """Both count by the same noise: that of the one which leaves less."""
-    counted = min(known.counted, rival.counted)
-    left = [sum(float(r @ r) for r in k.fitted.residual) for k in (known, rival)]
-    now = float(np.sqrt(max(left[1] - left[0], 0.0))) / counted
-    return Tie(one, other, with_noise(known, counted), with_noise(rival, counted), now)
+    """Both count by the same noises: of each recording that of the one which leaves less."""
+    counted = np.minimum(known.counted, rival.counted)
+    left = [np.array([float(r @ r) for r in k.fitted.residual]) / counted**2 for k in (known, rival)]
+    now = float(np.sqrt(max((left[1] - left[0]).sum(), 0.0)))
+    return Tie(one, other, counting(known, counted), counting(rival, counted), now)
