@@ -44,7 +44,9 @@ def command(name: str, words: Sequence[str], runs: Path, as_json: bool = False) 
         model = plugins.load("models", subject.problem.model)
         chosen = list(experiments(subject.like.scene, subject.rate, wanted, "contact" in model.capabilities))
         if not chosen:
-            raise ClothbenchError("found no motion that a robot with these limits can do; raise max_speed or reach")
+            raise ClothbenchError(
+                "found no motion that a robot with these limits can do; raise max_speed, max_acceleration or reach"
+            )
         found, left = promises(subject, chosen, wanted, bar.stage)
     if not found:
         raise ClothbenchError(f"no experiment can be simulated: {left[0].grips}, {left[0].motion}: {left[0].reason}")

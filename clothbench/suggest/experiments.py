@@ -13,6 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.scene import Obstacle, Scene
 from clothbench.suggest.settings import Wanted
 
@@ -71,11 +72,11 @@ def level(width: float, height: float) -> Held:
 
 GRIPS: dict[str, Callable[[float, float], Held]] = {
     "two corners": hung([(0.0, 0.0), (1.0, 0.0)], 0.99),
-    "two corners, slack": hung([(0.0, 0.0), (1.0, 0.0)], 0.85),
+    "two slack corners": hung([(0.0, 0.0), (1.0, 0.0)], 0.85),
     "one corner": hung([(0.0, 0.0)]),
     "upper edge": hung([(u, 0.0) for u in np.linspace(0.0, 1.0, 5)]),
     "four corners": hung([(0.0, 0.0), (1.0, 0.0), (0.0, 1.0), (1.0, 1.0)]),
-    "one side, level": level,
+    "level side": level,
 }
 AS_RECORDED = "as recorded"
 
@@ -147,11 +148,11 @@ EXPERIMENTS: tuple[tuple[str, str], ...] = (
     *((AS_RECORDED, motion) for motion in (HOLD, *_SWINGS, "lift and drop")),
     *(("two corners", motion) for motion in (HOLD, *_SWINGS, "swing along the warp, 1 Hz", "up and down, 2 Hz")),
     ("two corners", "lift and drop"), ("two corners", LOWER),
-    *(("two corners, slack", motion) for motion in (HOLD, "swing across the sheet, 1 Hz", "up and down, 2 Hz")),
+    *(("two slack corners", motion) for motion in (HOLD, "swing across the sheet, 1 Hz", "up and down, 2 Hz")),
     *(("one corner", motion) for motion in (HOLD, "swing across the sheet, 1 Hz")),
     *(("upper edge", motion) for motion in (*_SWINGS, "lift and drop", LOWER)),
     ("four corners", HOLD), ("four corners", PULL), ("four corners", "swing across the sheet, 1 Hz"),
-    ("one side, level", HOLD), ("one side, level", "up and down, 2 Hz"),
+    ("level side", HOLD), ("level side", "up and down, 2 Hz"),
 )  # fmt: skip
 
 
@@ -185,7 +186,12 @@ def experiments(
 
     contact: whether the model keeps out of obstacles.
     """
+    known = list(dict.fromkeys(grips for grips, _ in chosen))
+    if stray := next((name for name in wanted.grips or () if name not in known), None):
+        raise ClothbenchError(f"setting 'grips' names {stray!r}, expected some of {', '.join(known)}")
     for grips, motion in chosen:
+        if wanted.grips and grips not in wanted.grips:
+            continue
         if motion == LOWER and not contact:
             continue
         if grips != AS_RECORDED and like.outline is not None:  # corners and edges may have been cut off

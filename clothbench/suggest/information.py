@@ -58,17 +58,18 @@ def counted_noise(residual: np.ndarray, jacobian: np.ndarray, groups: Sequence[n
 
 def separation(
     apart: np.ndarray, jacobian: np.ndarray, known: np.ndarray, unit: np.ndarray, counted: float, doubt: np.ndarray
-) -> float:
-    """How far apart two models would be [σ] after an experiment: √Δχ², where one of them is right.
+) -> tuple[float, float]:
+    """How far apart two models would be [σ] after an experiment: √Δχ², where the one is right; and at least.
 
     apart: (M,) rival minus the other, in the experiment; jacobian: (M, P) of the rival there; known: (P, P), what the
     recordings say of its parameters, at `unit` (P,). The rival makes up for as much as it can within its bounds and
     with what it is known from before: min_δ ‖apart + J δ‖²/κ² + δᵀ known δ (T-optimality, Atkinson and Fedorov 1975).
-    doubt: (M,), by how much both may be wrong: at worst in the way that speaks for the rival.
+    doubt: (M,), by how much both may be wrong; at worst that speaks for the rival.
     """
     rows = np.vstack([jacobian / counted, np.linalg.cholesky(known).T])
     wanted = -np.concatenate([apart / counted, np.zeros(len(known))])
     room = 1e-9  # lsq_linear wants a start strictly inside
     found = lsq_linear(rows, wanted, bounds=(-unit - room, 1 - unit + room))
     left = apart + jacobian @ found.x
-    return float(np.sqrt(max(2 * found.cost - 2 * abs(float(left @ doubt)) / counted**2, 0.0)))
+    square, against = 2 * found.cost, 2 * abs(float(left @ doubt)) / counted**2
+    return float(np.sqrt(square)), float(np.sqrt(max(square - against, 0.0)))

@@ -13,7 +13,6 @@ from clothbench.estimation.intervals import BLOCK
 from clothbench.estimation.trials import Trial
 from clothbench.studies.improve.fitting import finite_differences
 from clothbench.studies.improve.problem import residuals
-from clothbench.studies.improve.settings import LOOP
 from clothbench.suggest.experiments import Experiment
 from clothbench.suggest.information import counted_noise, gain, half_widths, information, separation
 from clothbench.suggest.settings import INFORMATION, TIE, Wanted
@@ -26,12 +25,13 @@ ENOUGH = 0.9  # of what the longest duration tells: a shorter one that tells so 
 
 @dataclass(frozen=True, eq=False)
 class Apart:
-    """How far apart two tied models would be. sigma: √Δχ², after the rival has made up for what it can; rms: m, over
-    coordinates, before.
+    """How far apart two tied models would be. sigma: √Δχ², after the rival has made up for what it can; least: the
+    same, where what the model may be wrong by speaks for the rival; rms: m, over coordinates, before.
     """
 
     tie: Tie
     sigma: float
+    least: float
     rms: float
 
 
@@ -102,7 +102,7 @@ def promises(
         told("experiments", k, len(chosen))
         try:
             out += list(promised(subject, experiment, sets))
-        except Unsimulated as fault:
+        except (Unsimulated, ClothbenchError) as fault:  # the latter from a model that cannot do such a scene
             left.append(LeftOut(experiment.grips, experiment.motion, str(fault)))
     return out, left
 
@@ -151,8 +151,8 @@ def counted_there(known: Known, doubt: np.ndarray, jacobian: np.ndarray, duratio
 
 
 def doubts(subject: Subject, experiment: Experiment, trial: Trial, at: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
-    """By how much the model may be wrong at every coordinate (M,) m: what half the cells change, carried on to the
-    limit, and what the least change of the parameters brings beyond the tangent; less what a refit makes up for.
+    """By how much the model may be wrong at every coordinate (M,) m: what half the cells change, and what the
+    least change of the parameters brings beyond the tangent; less what a refit makes up for.
     """
     known = subject.known
     step = np.where(known.unit < 0.5, NUDGE, -NUDGE)
@@ -160,7 +160,7 @@ def doubts(subject: Subject, experiment: Experiment, trial: Trial, at: np.ndarra
     wrong = nudged - at - jacobian @ step
     if (finer := subject.finer_trial(experiment.scene, known.fitted.effects)) is not None:
         (there,) = residuals(finer, known.fitted.theta[None])
-        wrong = wrong + LOOP.richardson * (there - at)
+        wrong = wrong + there - at
     if not np.isfinite(wrong).all():
         raise Unsimulated("could not be simulated with half the cells, or after the least change of the parameters")
     told = information(jacobian, known.usual)
@@ -182,8 +182,8 @@ def rival_of(subject: Subject, experiment: Experiment, tie: Tie) -> tuple[np.nda
 def apart(tie: Tie, away: np.ndarray, jacobian: np.ndarray, doubt: np.ndarray, part: slice, counted: float) -> Apart:
     """How far apart the two are in a part of the experiment's rows."""
     rival = tie.rival
-    sigma = separation(away[part], jacobian[part], rival.matrix, rival.unit, counted, doubt[part])
-    return Apart(tie, sigma, float(np.sqrt(np.mean(away[part] ** 2))))
+    sigma, least = separation(away[part], jacobian[part], rival.matrix, rival.unit, counted, doubt[part])
+    return Apart(tie, sigma, least, float(np.sqrt(np.mean(away[part] ** 2))))
 
 
 def ranked(subject: Subject, found: Sequence[Promise], rank: str | None) -> list[Promise]:
@@ -217,7 +217,7 @@ def value_of(subject: Subject, rank: str | None) -> Callable[[Promise], float]:
     """The figure of a promise that is to be large."""
     rank = rank_of(subject, rank)
     if rank == TIE:
-        return lambda promise: min(apart.sigma for apart in promise.apart)
+        return lambda promise: min(apart.least for apart in promise.apart)
     if rank == INFORMATION:
         return lambda promise: promise.gain
     k = subject.known.fitted.space.names.index(rank)

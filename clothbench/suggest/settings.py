@@ -17,7 +17,7 @@ class Wanted:
     durations: s, of the motions, rising; rank: "information" (all parameters together), "tie" (how far apart tied
     effects would be), or a parameter's name; None: by the tie where there is one; draws: parameter sets, drawn as the
     recordings leave them open, at which each experiment is looked at beside the fit; best: so many experiments are
-    shown and written.
+    shown and written; grips: names of those that the robot has; None: all.
     """
 
     max_speed: float = 0.5
@@ -27,6 +27,7 @@ class Wanted:
     rank: str | None = None
     draws: int = 4
     best: int = 5
+    grips: tuple[str, ...] | None = None
 
 
 WORDS = tuple(field.name for field in fields(Wanted))
@@ -44,6 +45,9 @@ def wanted_of(words: Mapping[str, str]) -> Wanted:
     if "durations" in words:
         parts = words["durations"].removeprefix("[").removesuffix("]").split(",")
         read["durations"] = tuple(sorted({above_zero("durations", part) for part in parts}))
+    if "grips" in words:
+        parts = words["grips"].removeprefix("[").removesuffix("]").split(",")
+        read["grips"] = tuple(part.strip() for part in parts)
     if "rank" in words:
         read["rank"] = words["rank"]
     return Wanted(**read)  # type: ignore[arg-type]

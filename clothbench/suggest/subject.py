@@ -23,7 +23,7 @@ from clothbench.studies.improve.sheets import SheetCase, SheetEvidence, noise_of
 from clothbench.suggest.information import beforehand, counted_noise, information
 from clothbench.suggest.weighted import patient, weighted
 
-REWEIGHTED = 2  # times that recordings are weighed anew by what the fit before left of each
+REWEIGHTED = 1  # times that recordings are weighed anew by what the fit before left of each
 
 
 @dataclass(frozen=True, eq=False)
