@@ -83,7 +83,11 @@ def entry(subject: Subject, number: int, promise: Promise, wanted: Wanted) -> di
             for k, name in enumerate(known.fitted.space.names)
         },
         "ties": [
-            {"one": a.tie.one, "other": a.tie.other, "sigma": a.sigma, "sigma_least": a.least, "rms_mm": 1e3 * a.rms} for a in promise.apart
+            {
+                "one": a.tie.one, "other": a.tie.other, "sigma": a.sigma, "sigma_least": a.least,
+                "rms_mm": 1e3 * a.rms,
+            }
+            for a in promise.apart
         ],
         "folder": f"experiments/{number}" if number <= wanted.best else None,
     }  # fmt: skip

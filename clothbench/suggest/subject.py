@@ -126,6 +126,11 @@ def known_of(problem: Problem, fitted: Fitted) -> Known:
     """What the recordings tell of a fit's parameters."""
     trials = problem.trials(fitted.effects, "fit")
     noise = np.array([noise_of(trial.observation) for trial in trials])
+    if not np.isfinite(noise).all():
+        short = trials[int(np.flatnonzero(~np.isfinite(noise))[0])].name
+        raise ClothbenchError(
+            f"{short}: noise_sigma: found NaN in a recording too short to show its noise, expected metres; state it"
+        )
     counted = np.array(
         [
             counted_noise(residual, jacobian, seconds(trial, len(residual)), sigma)

@@ -116,6 +116,48 @@ def test_neither_a_recording_nor_a_cell(place, monkeypatch, capsys):
     assert "leave model= out" in capsys.readouterr().err
 
 
+def verdict(place: Path, told: tuple[Path, dict], **changes) -> Path:
+    """A folder with the verdict that two kinds of drag are tied, with amounts as they may be."""
+    parameters = {name: {"value": p["value"]} for name, p in told[1]["parameters"].items()}
+    parameters |= {"quadratic_drag.normal": {"value": 0.6}, "quadratic_drag.tangential": {"value": 0.02}}
+    effect = {"name": "quadratic_drag", "tied_with": ["drag_crisis"], "by_recording": None}
+    found = {
+        "model": "mass_spring", "base": ["linear_drag"], "effects": [{**effect, **changes.pop("effect", {})}],
+        "parameters": parameters, "recordings": {"fit": ["sway-1"], "held_out": []},
+    }  # fmt: skip
+    (folder := place / "verdict").mkdir(exist_ok=True)
+    (folder / "verdict.json").write_text(json.dumps({**found, **changes}))
+    return folder
+
+
+def test_what_a_verdict_found_tied(place, told):
+    folder, out = verdict(place, told), place / "tied"
+    quick = [word for word in QUICK if not word.startswith(("model", "best"))]
+    assert main(["suggest", str(place / "rec"), *quick, f"verdict={folder}", f"out={out}", "best=1"]) == 0
+    found = json.loads((out / "suggest.json").read_text())
+    assert (found["effects"], found["rank"]) == (["quadratic_drag"], "tie")
+    assert found["parameters"]["quadratic_drag.normal"]["value"] == 0.6  # as the verdict has it
+    assert [(tie["one"], tie["other"]) for tie in found["ties"]] == [("quadratic_drag", "drag_crisis")]
+    least = [one["ties"][0]["sigma_least"] for one in found["experiments"]]
+    assert least == sorted(least, reverse=True)
+    assert all(0 <= one["ties"][0]["sigma_least"] <= one["ties"][0]["sigma"] for one in found["experiments"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"recordings": {"fit": ["other"], "held_out": []}}, "found a verdict on other, expected one on sway-1"),
+        ({"effect": {"by_recording": [1]}}, "'quadratic_drag' has amounts of its own in each recording"),
+        ({"model": "inextensible"}, "found model=mass_spring, and a verdict on inextensible; leave model= out"),
+    ],
+)
+def test_a_verdict_that_does_not_fit(changes, said, place, told, capsys):
+    folder = verdict(place, told, **changes)
+    words = ["resolution=5", f"verdict={folder}", f"out={told[0]}"]
+    assert main(["suggest", str(place / "rec"), *words, *(["model=mass_spring"] if "model" in changes else [])]) == 2
+    assert said in capsys.readouterr().err.splitlines()[-1]
+
+
 def test_a_cell_of_a_run(place, monkeypatch, capsys):
     """The fit is the cell's own, and nothing is searched."""
     monkeypatch.chdir(place)

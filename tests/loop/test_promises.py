@@ -23,7 +23,7 @@ def asked(folder: Path, number: int, tied: bool) -> Kept:
 @pytest.mark.slow
 def test_a_parameter_that_hanging_still_does_not_tell(tmp_path):
     found = asked(tmp_path, 0, tied=False)
-    promised, came, before, after = found.factors["linear_drag.coefficient"]
+    promised, came, before, _ = found.factors["linear_drag.coefficient"]
     print(found)
     assert "swing" in found.experiment
     assert before == pytest.approx(0.5, abs=0.01)  # half of the range: nothing is known of it
