@@ -175,7 +175,8 @@ def table(found: Mapping[str, Any]) -> Table:
     for one in found["experiments"][:SHOWN]:
         out.add_row(
             str(one["rank"]), one["grips"], one["motion"], f"{one['duration_s']:g}",
-            *(f"{tie['sigma']:.1f} σ (≥ {tie['sigma_least']:.1f})" for tie in one["ties"]), f"{one['information_nats']:.1f}",
+            *(f"{tie['sigma']:.1f} σ (≥ {tie['sigma_least']:.1f})" for tie in one["ties"]),
+            f"{one['information_nats']:.1f}",
             *(f"÷ {one['parameters'][name]['factor']:.2g}" for name in names),
         )  # fmt: skip
     return out

@@ -89,9 +89,12 @@ class Subject:
         return self._with(scene).trials(effects, "fit")[0]
 
     def finer_trial(self, scene: Scene, effects: Sequence[str]) -> Trial | None:
-        """The same with half the cells and half the step; None where nothing is discretised."""
-        finer = self._with(scene).refined()
-        return None if finer is None else finer.trials(effects, "fit")[0]
+        """The same with half the cells and half the step; None where the mesh is the model's own, as in a cell of a run
+        that states neither scene.resolution nor scene.spacing.
+        """
+        if scene.resolution is None or (finer := self._with(scene).refined()) is None:
+            return None
+        return finer.trials(effects, "fit")[0]
 
     def _with(self, scene: Scene) -> Problem:
         frames, points = len(scene.times), len(scene.points)

@@ -10,7 +10,7 @@ from suggest_cases import Cloth, Kept, kept, problem_in
 from clothbench.suggest.settings import Wanted
 
 POOR_TO_GOOD = [("as recorded", "hold still"), ("as recorded", "swing across the sheet, 1 Hz")]
-WANTED = Wanted(durations=(1.5,), draws=1)
+WANTED = Wanted(durations=(1.5,), draws=0)
 
 
 def asked(folder: Path, number: int, tied: bool) -> Kept:
@@ -24,18 +24,15 @@ def asked(folder: Path, number: int, tied: bool) -> Kept:
 def test_a_parameter_that_hanging_still_does_not_tell(tmp_path):
     found = asked(tmp_path, 0, tied=False)
     promised, came, before, _ = found.factors["linear_drag.coefficient"]
-    print(found)
     assert "swing" in found.experiment
     assert before == pytest.approx(0.5, abs=0.01)  # half of the range: nothing is known of it
     assert promised > 3
-    assert promised / 2 < came < 2 * promised
-    assert found.inside["linear_drag.coefficient"][1]
+    assert promised / 2 < came < 2 * promised, found
 
 
 @pytest.mark.slow
 def test_a_tie_that_little_swings_leave(tmp_path):
     found = asked(tmp_path, 3, tied=True)
     now, promised, came = found.sigma
-    print(found)
     assert now < 3 < promised
-    assert promised / 2 < came < 2 * promised
+    assert promised / 2 < came < 2 * promised, found
