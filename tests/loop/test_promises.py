@@ -10,14 +10,14 @@ from suggest_cases import Cloth, Kept, kept, problem_in
 from clothbench.suggest.settings import Wanted
 
 POOR_TO_GOOD = [("as recorded", "hold still"), ("as recorded", "swing across the sheet, 1 Hz")]
-WANTED = Wanted(durations=(1.5,), draws=0)
 
 
 def asked(folder: Path, number: int, tied: bool) -> Kept:
     cloth, problem_of = Cloth.drawn(number, cells=8), problem_in(folder, resolution=7)
     poor = [cloth.poor(0.02, 1.0), cloth.poor(0.015, 1.0, 1.0)] if tied else [cloth.poor(0.0, 0.6)]
     base = "" if tied else "linear_drag"
-    return kept(cloth, lambda recordings: problem_of(recordings, base), WANTED, POOR_TO_GOOD, poor, tied)
+    wanted = Wanted(durations=(1.5,), draws=0 if tied else 1)
+    return kept(cloth, lambda recordings: problem_of(recordings, base), wanted, POOR_TO_GOOD, poor, tied)
 
 
 @pytest.mark.slow
