@@ -108,8 +108,8 @@ def test_one_line_for_what_is_wrong(words, said, told, place, monkeypatch, capsy
     assert said in lines[-1]
 
 
-def test_neither_a_recording_nor_a_cell(place, monkeypatch, capsys):
-    monkeypatch.chdir(place)
+def test_neither_a_recording_nor_a_cell(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
     assert main(["suggest", "nothing"]) == 2
     assert "nothing: no such file or folder, and runs: found no cells" in capsys.readouterr().err
     assert main(["suggest", "nothing", "model=mass_spring"]) == 2
