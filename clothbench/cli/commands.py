@@ -21,6 +21,7 @@ examples:
   clothbench run -m +suite=static_dynamic seed=1,2,3   a Hydra sweep over any setting
   clothbench run recording=swing.nc model=mass_spring optimizer=ga metric=node_error
   clothbench improve recordings=DIR model=mass_spring  what does the model lack?
+  clothbench suggest DIR model=mass_spring             which experiment to do next
   clothbench import iri_wam_cloth_swing data_dir=DATA  real recordings of a robot
   clothbench leaderboard --json > results.json
   clothbench export fleece/waving-1 --to mujoco        what was calibrated, for another simulator
@@ -78,6 +79,7 @@ def parser() -> argparse.ArgumentParser:
         "run", help="run a suite, a sweep or one cell (Hydra overrides; `run --help` shows all settings)"
     )
     _add(commands, "improve", improve, "find what a calibrated model lacks, and add it", _improve, _json)
+    _add(commands, "suggest", suggest, "which next experiment would tell most", _suggest, _json)
     _add(commands, "plugins", plugins, "every plugin, with parameters and units; broken ones with the reason", _json)
     _add(commands, "validate", validate, "check recordings; exit 1 if one is bad", _paths, _json)
     _add(commands, "datasets", datasets, "known public data sets, their licence, and whether they are at hand", _json)
@@ -198,6 +200,20 @@ def _improve(sub: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
+def _suggest(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "name", metavar="RECORDINGS|CELL",
+        help="a recording or a folder of them, with model=NAME; or a cell, a case or a recording of a run as in `view`",
+    )  # fmt: skip
+    sub.add_argument(
+        "settings", nargs="*", metavar="KEY=VALUE",
+        help="model=NAME [out=DIR] [effects=NAME,…] [tied=ONE,OTHER] [verdict=FOLDER of improve] "
+        "[rank=information|tie|PARAMETER] [max_speed=M/S] [max_acceleration=M/S²] [reach=M] [durations=S,…] "
+        "[grips=NAME,…] [draws=N] [best=N], and what improve takes of recordings and models",
+    )  # fmt: skip
+    sub.add_argument("--runs", default=DEFAULT_OUT, metavar="FOLDER", help="results folder of a cell (default: runs)")
+
+
 def _compare(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("base", metavar="BASE", help="results folder or leaderboard .json to hold against")
     sub.add_argument("new", metavar="NEW", help="results folder or leaderboard .json to judge")
@@ -289,6 +305,12 @@ def improve(options: argparse.Namespace) -> int:
     from clothbench.cli.improve import command
 
     return command(options.settings, options.json)
+
+
+def suggest(options: argparse.Namespace) -> int:
+    from clothbench.cli.suggest import command
+
+    return command(options.name, options.settings, Path(options.runs), options.json)
 
 
 def plugins(options: argparse.Namespace) -> int:

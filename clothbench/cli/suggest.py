@@ -1,0 +1,182 @@
+"""`clothbench suggest`: which next experiment would tell most, and a motion file that a robot can run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from rich.table import Table
+
+from clothbench.cli.improve import WORDS as RECORDING_WORDS
+from clothbench.cli.improve import StageBar, settings_of
+from clothbench.cli.view import find_cell
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.parallel import set_thread_count
+from clothbench.display.terminal import console
+from clothbench.plugins.discovery import Catalogue, catalogue
+from clothbench.studies.improve.document import VERDICT
+from clothbench.studies.improve.problem import Problem
+from clothbench.suggest.document import DOCUMENT, MOTION, json_text, suggestion, write_all
+from clothbench.suggest.experiments import experiments
+from clothbench.suggest.ranking import promises, rank_of, ranked
+from clothbench.suggest.settings import TIE, WORDS, wanted_of
+from clothbench.suggest.source import problem_of_cell, problem_of_settings, require_same, verdict_in
+from clothbench.suggest.subject import Subject, subject_of
+
+OUT = "suggest"
+OWN = (*WORDS, "effects", "tied", "verdict")
+NOT_ASKED = ("recordings", "candidates", "rerun")  # words of improve that mean nothing here
+OF_RECORDINGS = tuple(word for word in RECORDING_WORDS if word not in NOT_ASKED)
+SHOWN = 10  # lines of the table
+
+
+def command(name: str, words: Sequence[str], runs: Path, as_json: bool = False) -> int:
+    """Rank experiments for recordings (a file, a folder) or a cell of a run; prints and writes what was found."""
+    given = told(words)
+    wanted, out = wanted_of(given), Path(given.get("out", OUT))
+    plugins = catalogue()
+    set_thread_count(0)
+    with StageBar() as bar:
+        bar.stage("fit", 0, 1)
+        subject = asked(name, given, runs, out, plugins)
+        rank_of(subject, wanted.rank)  # a wrong word comes to light before anything is simulated
+        model = plugins.load("models", subject.problem.model)
+        chosen = list(experiments(subject.like.scene, subject.rate, wanted, "contact" in model.capabilities))
+        if not chosen:
+            raise ClothbenchError(
+                "found no motion that a robot with these limits can do; raise max_speed, max_acceleration or reach"
+            )
+        found, left = promises(subject, chosen, wanted, bar.stage)
+    if not found:
+        raise ClothbenchError(f"no experiment can be simulated: {left[0].grips}, {left[0].motion}: {left[0].reason}")
+    found = ranked(subject, found, wanted.rank)
+    document = suggestion(subject, found, left, wanted)
+    write_all(out, subject, found, document)
+    print(json_text(document)) if as_json else say(document, out)
+    return 0
+
+
+def told(words: Sequence[str]) -> dict[str, str]:
+    """KEY=VALUE words by key; one that means nothing here is refused."""
+    out = {}
+    for word in words:
+        key, sign, value = word.partition("=")
+        if not sign or key.partition(".")[0] not in (*OWN, *OF_RECORDINGS):
+            known = sorted({*OWN, *OF_RECORDINGS})
+            raise ClothbenchError(f"found {word!r}, expected {' or '.join(f'{a}=VALUE' for a in known)}")
+        out[key] = value
+    return out
+
+
+def asked(name: str, given: Mapping[str, str], runs: Path, out: Path, plugins: Catalogue) -> Subject:
+    """What is asked about, fitted."""
+    place = Path(name)
+    if (place / VERDICT).is_file():
+        raise ClothbenchError(f"{name}: found a verdict of improve; give RECORDINGS model=NAME verdict={name}")
+    if not (place.exists() or ":" in name):
+        return of_cell(name, given, runs, plugins)
+    if place.is_dir() and out.resolve().is_relative_to(place.resolve()):
+        raise ClothbenchError(
+            f"out={out} lies in {name}, where what is only expected would be taken for recordings; give another out="
+        )
+    document = verdict_in(Path(given["verdict"])) if "verdict" in given else None
+    problem = of_recordings(name, given, document, out, plugins)
+    names, tied = effects_of(given, problem, plugins)
+    if document is None:
+        return subject_of(problem, names, tied)
+    require_same(problem, document, Path(given["verdict"]))
+    if names:
+        raise ClothbenchError("found effects= or tied= beside verdict=, which names them; leave one of them out")
+    named = tuple(effect["name"] for effect in document["effects"])
+    tied = [(effect["name"], other) for effect in document["effects"] for other in effect["tied_with"]]
+    return subject_of(problem, named, tied, {n: p["value"] for n, p in document["parameters"].items()})
+
+
+def of_recordings(
+    name: str, given: Mapping[str, str], document: Mapping[str, Any] | None, out: Path, plugins: Catalogue
+) -> Problem:
+    words = {key: value for key, value in given.items() if key.partition(".")[0] in OF_RECORDINGS}
+    words |= {"recordings": name, "out": str(out)}
+    if document is not None:
+        for key, value in (("model", document["model"]), ("base", ",".join(document["base"]))):
+            if words.setdefault(key, value) != value:
+                raise ClothbenchError(f"found {key}={words[key]}, and a verdict on {value or 'none'}; leave {key}= out")
+    if "model" not in words:
+        raise ClothbenchError("found no model=…, expected clothbench suggest RECORDINGS model=NAME")
+    return problem_of_settings(settings_of([f"{key}={value}" for key, value in words.items()]), plugins, out)
+
+
+def of_cell(name: str, given: Mapping[str, str], runs: Path, plugins: Catalogue) -> Subject:
+    """A cell, a case or a recording of a run, as it was fitted there."""
+    if strays := [key for key in given if key not in (*WORDS, "out")]:
+        raise ClothbenchError(
+            f"{name}: no such file or folder, and of a cell of {runs} everything is known: leave {strays[0]}= out"
+        )
+    try:
+        key = find_cell(runs, name).name
+    except ClothbenchError as fault:
+        raise ClothbenchError(f"{name}: no such file or folder, and {fault}") from None
+    problem, values = problem_of_cell(runs, key, plugins)
+    return subject_of(problem, (), (), values)
+
+
+def effects_of(
+    given: Mapping[str, str], problem: Problem, plugins: Catalogue
+) -> tuple[tuple[str, ...], list[tuple[str, str]]]:
+    """The effects beyond the base, with the first of those that are tied; and the pairs of that one and each other."""
+    listed = {key: [n.strip() for n in given.get(key, "").split(",") if n.strip()] for key in ("effects", "tied")}
+    if "tied" in given and len(set(listed["tied"])) < 2:
+        raise ClothbenchError(f"setting 'tied' is {given['tied']!r}, expected two effects or more, as tied=ONE,OTHER")
+    for effect in (*listed["effects"], *listed["tied"]):
+        plugins.find("effects", effect)
+        if effect in problem.base:
+            raise ClothbenchError(f"effect {effect!r} is in the base already; state base= without it")
+    both = set(listed["effects"]) & set(listed["tied"])
+    if both:
+        raise ClothbenchError(f"effect {both.pop()!r} is named with effects= and with tied=; leave one of them out")
+    names = (*dict.fromkeys(listed["effects"]), *listed["tied"][:1])
+    return names, [(listed["tied"][0], other) for other in listed["tied"][1:]]
+
+
+def say(found: Mapping[str, Any], out: Path) -> None:
+    """What is open, and the experiments that would tell most."""
+    show = console()
+    noise = "" if found["noise_mm"] is None else f", its noise {found['noise_mm']:.2g} mm"
+    show.print(
+        f"{' + '.join((found['model'], *found['base'], *found['effects']))} on {len(found['recordings']['fit'])} "
+        f"recordings: leaves {found['left_mm']:.2g} mm{noise}; a coordinate counts as {found['counted_mm']:.2g} mm",
+        soft_wrap=True,
+    )
+    for name, p in found["parameters"].items():
+        open_ = "" if p["determined"] else "   not determined"
+        show.print(f"  {name} = {p['value']:.3g} {p['unit']} ({p['low']:.3g} … {p['high']:.3g}){open_}", soft_wrap=True)
+    for tie in found["ties"]:
+        show.print(f"  {tie['one']} and {tie['other']}: {tie['sigma_now']:.1f} σ apart now", soft_wrap=True)
+    show.print(table(found))
+    for one in found["left_out"]:
+        show.print(f"left out: {one['grips']}: {one['motion']}: {one['reason']}", soft_wrap=True)
+    print(f"motions: {out / 'experiments'}/1/{MOTION} and so on; all of it: {out / DOCUMENT}")
+
+
+def table(found: Mapping[str, Any]) -> Table:
+    """One line for each experiment, the best first."""
+    ties, names = found["ties"], list(found["parameters"])
+    by = f"{found['rank']} of two" if found["rank"] == TIE else found["rank"]
+    out = Table(title=f"experiments by {by}", title_justify="left", title_style="bold")
+    for head in ("", "grips", "motion"):
+        out.add_column(head)
+    out.add_column("s", justify="right")
+    for tie in ties:
+        out.add_column(f"{tie['one']} | {tie['other']}", justify="right", overflow="fold")
+    out.add_column("nats", justify="right")
+    for name in names:
+        out.add_column(name, justify="right", overflow="fold")
+    for one in found["experiments"][:SHOWN]:
+        out.add_row(
+            str(one["rank"]), one["grips"], one["motion"], f"{one['duration_s']:g}",
+            *(f"{tie['sigma']:.1f} σ (≥ {tie['sigma_least']:.1f})" for tie in one["ties"]),
+            f"{one['information_nats']:.1f}",
+            *(f"÷ {one['parameters'][name]['factor']:.2g}" for name in names),
+        )  # fmt: skip
+    return out

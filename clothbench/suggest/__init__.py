@@ -1,0 +1,1 @@
+"""Suggestions: which next experiment would tell most about what the recordings leave open."""

@@ -1,0 +1,224 @@
+"""Experiments simulated with what is known, and put into order."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.progress import StageProgress
+from clothbench.estimation.intervals import BLOCK
+from clothbench.estimation.trials import Trial
+from clothbench.studies.improve.fitting import finite_differences
+from clothbench.studies.improve.problem import residuals
+from clothbench.suggest.experiments import Experiment
+from clothbench.suggest.information import counted_noise, gain, half_widths, information, separation
+from clothbench.suggest.settings import INFORMATION, TIE, Wanted
+from clothbench.suggest.subject import Known, Subject, Tie
+
+LOOKED_AT = 32  # parameter sets, of which those are drawn that the recordings allow
+NUDGE = 1e-3  # of the scaled range: after so small a change cloth that folds by chance is somewhere else altogether
+ENOUGH = 0.9  # of what the longest duration tells: a shorter one that tells so much is preferred
+
+
+@dataclass(frozen=True, eq=False)
+class Apart:
+    """How far apart two tied models would be. sigma: √Δχ², after the rival has made up for what it can; least: the
+    same, where what the model may be wrong by speaks for the rival; rms: m, over coordinates, before.
+    """
+
+    tie: Tie
+    sigma: float
+    least: float
+    rms: float
+
+
+@dataclass(frozen=True, eq=False)
+class Promise:
+    """What one experiment of one duration would tell.
+
+    gain: nats, over all parameters together; after: (P,), expected half-widths of the 95 % intervals, in scaled ranges;
+    best, worst: (P,), the same at the luckiest and the unluckiest of the parameter sets looked at; apart: one for each
+    tie; counted: m, what a coordinate counts as its noise there; doubt: m, rms by which the model itself may be wrong
+    there.
+    """
+
+    experiment: Experiment
+    duration: float
+    gain: float
+    after: np.ndarray
+    best: np.ndarray
+    worst: np.ndarray
+    apart: tuple[Apart, ...]
+    counted: float
+    doubt: float
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """An experiment that promises nothing, and why."""
+
+    grips: str
+    motion: str
+    reason: str
+
+
+def draws(subject: Subject, count: int) -> np.ndarray:
+    """The fit and `count` other parameter sets, in the unit cube (1 + count, P), as the recordings leave them open.
+
+    Drawn from the fit's own normal distribution inside the range, and again from these by how much better or worse than
+    to first order each fits the recordings: where a parameter is not determined, the model is far from linear in it.
+    """
+    known, space = subject.known, subject.known.fitted.space
+    if not count:
+        return known.unit[None]
+    random = np.random.default_rng([subject.problem.seed, len(space)])
+    root = np.linalg.cholesky(np.linalg.inv(known.matrix))
+    drawn = known.unit + random.standard_normal((100 * LOOKED_AT, len(space))) @ root.T
+    inside = drawn[((drawn >= 0) & (drawn <= 1)).all(axis=1)][:LOOKED_AT]
+    if not len(inside):  # the fit lies in a corner
+        inside = np.clip(drawn[:LOOKED_AT], 0.0, 1.0)
+    fitted, excess = known.fitted, np.zeros(len(inside))
+    for k, trial in enumerate(subject.problem.trials(fitted.effects, "fit")):
+        found, here = residuals(trial, space.from_unit(inside)), fitted.residual[k]
+        first_order = here + (inside - known.unit) @ fitted.jacobian[k].T
+        excess += ((found**2).sum(axis=1) - (first_order**2).sum(axis=1)) / known.counted[k] ** 2
+    weight = np.nan_to_num(-0.5 * excess, nan=-np.inf)
+    if not np.isfinite(weight).any():
+        return known.unit[None]
+    order = np.argsort(-(weight + random.gumbel(size=len(weight))))  # without replacement, by weight
+    chosen = [k for k in order if np.isfinite(weight[k])][:count]
+    return np.vstack([known.unit, inside[chosen]])
+
+
+def promises(
+    subject: Subject, chosen: Sequence[Experiment], wanted: Wanted, told: StageProgress = lambda *_: None
+) -> tuple[list[Promise], list[LeftOut]]:
+    """What each experiment would tell, in no order, one for each duration; and those that tell nothing."""
+    sets, out, left = draws(subject, wanted.draws), [], []
+    for k, experiment in enumerate(chosen):
+        told("experiments", k, len(chosen))
+        try:
+            out += list(promised(subject, experiment, sets))
+        except (Unsimulated, ClothbenchError) as fault:  # the latter from a model that cannot do such a scene
+            left.append(LeftOut(experiment.grips, experiment.motion, str(fault)))
+    return out, left
+
+
+class Unsimulated(Exception):
+    """Why an experiment cannot be simulated."""
+
+
+def promised(subject: Subject, experiment: Experiment, sets: np.ndarray) -> Iterator[Promise]:
+    """What it tells at parameter sets (S, P) in the unit cube, for each of its durations."""
+    known, difference = subject.known, subject.problem.evidence.search.difference
+    trial = subject.trial(experiment.scene, known.fitted.effects)
+    at, tangents = [], []
+    for unit in sets:
+        theta = known.fitted.space.from_unit(unit)
+        (one,), (jacobian,), _ = finite_differences([trial], known.fitted.space, theta, difference)
+        if np.isfinite(one).all():
+            at.append(one)
+            tangents.append(jacobian)
+    if len(at) < len(sets):
+        raise Unsimulated(f"could not be simulated with {len(sets) - len(at)} of {len(sets)} parameter sets")
+    doubt = doubts(subject, experiment, trial, at[0], tangents[0])
+    rivals = [rival_of(subject, experiment, tie) for tie in subject.ties]
+    rows = len(at[0]) // len(experiment.scene.times)
+    for duration in experiment.durations:
+        frames = int(np.sum(experiment.scene.times <= duration + 1e-9))
+        part = slice(0, rows * frames)
+        counted = counted_there(known, doubt[part], tangents[0][part], duration)
+        more = [information(jacobian[part], counted) for jacobian in tangents]
+        after = np.array([half_widths(known.matrix + one) for one in more])
+        yield Promise(
+            experiment, duration, float(np.mean([gain(known.matrix, one) for one in more])),
+            np.exp(np.log(after).mean(axis=0)), after.min(axis=0), after.max(axis=0),
+            tuple(apart(tie, *rival, doubt, part, counted) for tie, rival in zip(subject.ties, rivals, strict=True)),
+            counted, float(np.sqrt(np.mean(doubt[part] ** 2))),
+        )  # fmt: skip
+
+
+def counted_there(known: Known, doubt: np.ndarray, jacobian: np.ndarray, duration: float) -> float:
+    """What a coordinate will count as its noise [m]: as if `doubt` (M,) m were what a fit leaves there; but no less
+    than in the recordings that there are.
+    """
+    groups = np.array_split(np.arange(len(doubt)), max(2, round(duration / BLOCK)))
+    own = counted_noise(doubt, jacobian, groups, known.noise)
+    return max(own, known.usual)
+
+
+def doubts(subject: Subject, experiment: Experiment, trial: Trial, at: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
+    """By how much the model may be wrong at every coordinate (M,) m: what half the cells change, and what the
+    least change of the parameters brings beyond the tangent; less what a refit makes up for.
+    """
+    known = subject.known
+    step = np.where(known.unit < 0.5, NUDGE, -NUDGE)
+    (nudged,) = residuals(trial, known.fitted.space.from_unit(known.unit + step)[None])
+    wrong = nudged - at - jacobian @ step
+    if (finer := subject.finer_trial(experiment.scene, known.fitted.effects)) is not None:
+        (there,) = residuals(finer, known.fitted.theta[None])
+        wrong = wrong + there - at
+    if not np.isfinite(wrong).all():
+        raise Unsimulated("could not be simulated with half the cells, or after the least change of the parameters")
+    told = information(jacobian, known.usual)
+    return wrong - jacobian @ np.linalg.solve(known.matrix + told, jacobian.T @ wrong / known.usual**2)
+
+
+def rival_of(subject: Subject, experiment: Experiment, tie: Tie) -> tuple[np.ndarray, np.ndarray]:
+    """The experiment with a tie's rival: how far from the other it is (M,) m, and its tangent (M, P)."""
+    one = subject.trial(experiment.scene, tie.known.fitted.effects)
+    (seen,) = residuals(one, tie.known.fitted.theta[None])
+    trial = subject.trial(experiment.scene, tie.rival.fitted.effects)
+    fitted, difference = tie.rival.fitted, subject.problem.evidence.search.difference
+    (there,), (jacobian,), _ = finite_differences([trial], fitted.space, fitted.theta, difference)
+    if not (np.isfinite(there).all() and np.isfinite(seen).all()):
+        raise Unsimulated(f"could not be simulated with {tie.one} and with {tie.other}")
+    return there - seen, jacobian
+
+
+def apart(tie: Tie, away: np.ndarray, jacobian: np.ndarray, doubt: np.ndarray, part: slice, counted: float) -> Apart:
+    """How far apart the two are in a part of the experiment's rows."""
+    rival = tie.rival
+    sigma, least = separation(away[part], jacobian[part], rival.matrix, rival.unit, counted, doubt[part])
+    return Apart(tie, sigma, least, float(np.sqrt(np.mean(away[part] ** 2))))
+
+
+def ranked(subject: Subject, found: Sequence[Promise], rank: str | None) -> list[Promise]:
+    """The best first: of each experiment the shortest duration that tells nearly as much as the longest, then the
+    others.
+    """
+    value = value_of(subject, rank)
+    experiments = {id(p.experiment): [q for q in found if q.experiment is p.experiment] for p in found}
+    first = []
+    for those in experiments.values():
+        most = max(map(value, those))
+        first.append(min((p for p in those if value(p) >= ENOUGH * most), key=lambda p: p.duration))
+    rest = [p for p in found if p not in first]
+    return [*sorted(first, key=value, reverse=True), *sorted(rest, key=value, reverse=True)]
+
+
+def rank_of(subject: Subject, rank: str | None) -> str:
+    """By what experiments are ranked: as asked for, or by a tie where there is one."""
+    names = subject.known.fitted.space.names
+    if rank is None:
+        return TIE if subject.ties else INFORMATION
+    if rank not in (INFORMATION, TIE, *names):
+        known = ", ".join((INFORMATION, TIE, *names))
+        raise ClothbenchError(f"setting 'rank' is {rank!r}, expected one of {known}")
+    if rank == TIE and not subject.ties:
+        raise ClothbenchError("setting 'rank' is 'tie', and nothing is tied; name two effects with tied=ONE,OTHER")
+    return rank
+
+
+def value_of(subject: Subject, rank: str | None) -> Callable[[Promise], float]:
+    """The figure of a promise that is to be large."""
+    rank = rank_of(subject, rank)
+    if rank == TIE:
+        return lambda promise: min(apart.least for apart in promise.apart)
+    if rank == INFORMATION:
+        return lambda promise: promise.gain
+    k = subject.known.fitted.space.names.index(rank)
+    return lambda promise: float(half_widths(subject.known.matrix)[k] / promise.after[k])

@@ -1,0 +1,222 @@
+"""What is asked about: recordings beside a fitted model, and the effects that they cannot tell apart."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.observation import Observation
+from clothbench.core.protocols import Score
+from clothbench.core.scene import Scene
+from clothbench.estimation.intervals import clusters
+from clothbench.estimation.trials import Trial
+from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.fitting import finite_differences, fit
+from clothbench.studies.improve.problem import Problem
+from clothbench.studies.improve.settings import LOOP
+from clothbench.studies.improve.sheets import SheetCase, SheetEvidence, noise_of
+from clothbench.suggest.information import beforehand, counted_noise, information
+from clothbench.suggest.weighted import patient, weighted
+
+REWEIGHTED = 1  # times that recordings are weighed anew by what the fit before left of each
+
+
+@dataclass(frozen=True, eq=False)
+class Known:
+    """A fitted model and what the recordings tell of its parameters.
+
+    fitted: the fit; counted: (R,) m, what each coordinate of each recording counts as its noise; noise: m, the
+    sensor's; matrix: (P, P), the information of the recordings and of the range that is searched, in the unit cube.
+    """
+
+    fitted: Fitted
+    counted: np.ndarray
+    noise: float
+    matrix: np.ndarray
+
+    @cached_property
+    def unit(self) -> np.ndarray:
+        """The fit in the unit cube (P,)."""
+        return self.fitted.space.to_unit(self.fitted.theta)
+
+    @property
+    def usual(self) -> float:
+        """m: what a coordinate counts as its noise, over all recordings."""
+        return float(np.sqrt(np.mean(self.counted**2)))
+
+
+@dataclass(frozen=True, eq=False)
+class Tie:
+    """Two effects (or sets of them) that fit alike: one and its rival, each with its fit.
+
+    now: by how much more the rival leaves, √Δχ² [σ], 0 where it leaves less.
+    """
+
+    one: str
+    other: str
+    known: Known
+    rival: Known
+    now: float
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """problem: the recordings and the model; known: its fit, with the effects that count; ties: what is tied."""
+
+    problem: Problem
+    known: Known
+    ties: tuple[Tie, ...]
+
+    @property
+    def like(self) -> SheetCase:
+        """The recording whose sheet, points, frames and camera further experiments have."""
+        return first_case(self.problem)
+
+    @property
+    def rate(self) -> float:
+        """Frames a second."""
+        return float(1 / np.median(np.diff(self.like.observation.time)))
+
+    def trial(self, scene: Scene, effects: Sequence[str]) -> Trial:
+        """An experiment as a trial, seen at every point in every frame, with everything measured at the origin: its
+        residual is where the points are.
+        """
+        return self._with(scene).trials(effects, "fit")[0]
+
+    def finer_trial(self, scene: Scene, effects: Sequence[str]) -> Trial | None:
+        """The same with half the cells and half the step; None where the mesh is the model's own, as in a cell of a run
+        that states neither scene.resolution nor scene.spacing.
+        """
+        if scene.resolution is None or (finer := self._with(scene).refined()) is None:
+            return None
+        return finer.trials(effects, "fit")[0]
+
+    def _with(self, scene: Scene) -> Problem:
+        frames, points = len(scene.times), len(scene.points)
+        seen = Observation(
+            scene.times, np.zeros((frames, points, 3)), np.ones((frames, points), bool), self.known.noise, scene.points
+        )
+        return self.problem.restricted(dataclasses.replace(self.like, split="fit", observation=seen, scene=scene))
+
+
+def first_case(problem: Problem) -> SheetCase:
+    return problem.of_split("fit")[0]  # type: ignore[return-value]
+
+
+def require_sheets(problem: Problem) -> None:
+    """Refuse recordings that no other experiment can be made of."""
+    if not isinstance(problem.evidence, SheetEvidence):
+        raise ClothbenchError(
+            f"found recordings of kind {problem.evidence.kind!r}, expected sheets that grips hold (kind 'nodes')"
+        )
+    case = first_case(problem)
+    where = case.recording.path or case.name
+    if not len(case.scene.grip_material):
+        raise ClothbenchError(f"{where}: found no grips, expected a sheet that something holds and can move")
+    if problem.evidence.in_pictures:
+        raise ClothbenchError(
+            f"{where}: found points in one camera's picture, expected places in space (a sheet in another place may be "
+            "out of that picture)"
+        )
+
+
+def known_of(problem: Problem, fitted: Fitted) -> Known:
+    """What the recordings tell of a fit's parameters."""
+    trials = problem.trials(fitted.effects, "fit")
+    noise = np.array([noise_of(trial.observation) for trial in trials])
+    if not np.isfinite(noise).all():
+        short = trials[int(np.flatnonzero(~np.isfinite(noise))[0])].name
+        raise ClothbenchError(
+            f"{short}: noise_sigma: found NaN in a recording too short to show its noise, expected metres; state it"
+        )
+    counted = np.array(
+        [
+            counted_noise(residual, jacobian, seconds(trial, len(residual)), sigma)
+            for trial, residual, jacobian, sigma in zip(trials, fitted.residual, fitted.jacobian, noise, strict=True)
+        ]
+    )
+    return counting(Known(fitted, counted, float(np.sqrt(np.mean(noise**2))), np.empty(0)), counted)
+
+
+def seconds(trial: Trial, rows: int) -> list[np.ndarray]:
+    """Row numbers of a residual of so many rows, second by second."""
+    return clusters([trial], [Score(np.zeros(1), "m", residual=np.empty((1, rows)))])
+
+
+def counting(known: Known, counted: np.ndarray) -> Known:
+    """The same with other noises (R,) m that the coordinates count for."""
+    told = [information(jacobian, kappa) for jacobian, kappa in zip(known.fitted.jacobian, counted, strict=True)]
+    matrix = beforehand(len(known.fitted.space)) + np.sum(told, axis=0)
+    return dataclasses.replace(known, counted=counted, matrix=matrix)
+
+
+def fitted_at(problem: Problem, names: tuple[str, ...], values: Mapping[str, float]) -> Fitted:
+    """A fit that was found before, by its parameters' values: nothing is searched."""
+    space = problem.space(names)
+    if missing := [name for name in space.names if name not in values]:
+        raise ClothbenchError(
+            f"found no value of parameter {missing[0]!r} among those that were fitted, expected all of "
+            f"{', '.join(space.names)}; state bounds, options and base as that run had them"
+        )
+    theta = np.array([values[name] for name in space.names])
+    step = problem.evidence.search.difference
+    residual, jacobian, count = finite_differences(problem.trials(names, "fit"), space, theta, step)
+    if not all(np.isfinite(one).all() for one in residual):
+        raise ClothbenchError(
+            f"model {problem.model!r}: cannot simulate all recordings to fit with the parameters that were found; "
+            "leave out those that it cannot do, or choose another model"
+        )
+    nowhere = np.full(len(space), np.nan)
+    return Fitted(names, space, theta, residual, jacobian, nowhere, nowhere, count)
+
+
+def searched(problem: Problem, names: tuple[str, ...], start: Mapping[str, float] | None = None) -> Known:
+    """A fit by least squares, from the values that are known, with the defaults of all others, or from a wide look;
+    where there are several recordings, fitted again with each by what the model left of it.
+    """
+    begin, space, problem = None, problem.space(names), patient(problem)
+    if start is not None:
+        begin = np.array([start.get(p.name, p.default) for p in space])
+    known = at(problem, names, fit(problem, names, begin, LOOP.calibration_rounds).theta)
+    cases = [case.name for case in problem.of_split("fit")]
+    for _ in range(REWEIGHTED if len(cases) > 1 else 0):
+        again = weighted(problem, dict(zip(cases, known.counted.tolist(), strict=True)))
+        known = at(problem, names, fit(again, names, known.fitted.theta, LOOP.final_rounds).theta)
+    return known
+
+
+def at(problem: Problem, names: tuple[str, ...], theta: np.ndarray) -> Known:
+    space = problem.space(names)
+    return known_of(problem, fitted_at(problem, names, dict(zip(space.names, theta.tolist(), strict=True))))
+
+
+def subject_of(
+    problem: Problem,
+    effects: tuple[str, ...],
+    tied: Sequence[tuple[str, str]],
+    values: Mapping[str, float] | None = None,
+) -> Subject:
+    """The recordings with their fit, and one tie for each pair (effect, rival). values: of a fit that was found before;
+    without, it is searched.
+    """
+    require_sheets(problem)
+    known = searched(problem, effects) if values is None else known_of(problem, fitted_at(problem, effects, values))
+    ties = []
+    for one, other in tied:
+        names = tuple(other if name == one else name for name in effects)
+        shared = dict(zip(known.fitted.space.names, known.fitted.theta.tolist(), strict=True))
+        ties.append(tie_of(one, other, known, searched(problem, names, shared)))
+    return Subject(problem, known, tuple(ties))
+
+
+def tie_of(one: str, other: str, known: Known, rival: Known) -> Tie:
+    """Both count by the same noises: of each recording that of the one which leaves less."""
+    counted = np.minimum(known.counted, rival.counted)
+    left = [np.array([float(r @ r) for r in k.fitted.residual]) / counted**2 for k in (known, rival)]
+    now = float(np.sqrt(max((left[1] - left[0]).sum(), 0.0)))
+    return Tie(one, other, counting(known, counted), counting(rival, counted), now)

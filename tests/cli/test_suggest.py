@@ -1,0 +1,175 @@
+"""`clothbench suggest` as a user meets it: a table, a document, motions for a robot; and one line for what is wrong."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import swinging_recording
+
+from clothbench import write_recording
+from clothbench.cli.commands import main
+from clothbench.recordings.nodes import read_recording
+
+QUICK = ("model=mass_spring", "resolution=5", "durations=0.4", "draws=0", "best=2", "grips=as recorded,level side")
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("suggest")
+    write_recording(swinging_recording("sway-1"), folder / "rec" / "sway-1.nc")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def told(place) -> tuple[Path, dict]:
+    """The folder that was filled, and the document."""
+    out = place / "found"
+    assert main(["suggest", str(place / "rec"), *QUICK, f"out={out}", "max_speed=0.3"]) == 0
+    return out, json.loads((out / "suggest.json").read_text())
+
+
+def test_the_document(told):
+    out, found = told
+    assert (found["schema"], found["model"], found["base"], found["rank"]) == (
+        1, "mass_spring", ["linear_drag"], "information",
+    )  # fmt: skip
+    assert set(found["parameters"]) == {"k1", "k2", "zeta", "linear_drag.coefficient"}
+    nats = [one["information_nats"] for one in found["experiments"]]
+    assert len(nats) > 3
+    assert nats == sorted(nats, reverse=True)
+    assert {one["grips"] for one in found["left_out"]} == {
+        "level side"
+    }  # a clamp a twelfth of the width deep, and a mesh of five nodes
+    assert "raise the resolution" in found["left_out"][0]["reason"]
+    for one in found["experiments"]:
+        assert one["max_speed_m_s"] <= 0.3 + 1e-9
+        for name, promised in one["parameters"].items():
+            known = found["parameters"][name]
+            assert promised["factor"] >= 1 - 1e-9  # more never tells less
+            assert known["low"] - 1e-9 <= promised["low"] <= promised["high"] <= known["high"] + 1e-9
+    written = sorted(path.relative_to(out).as_posix() for path in (out / "experiments").rglob("*.*"))
+    assert written == [f"experiments/{k}/{name}" for k in (1, 2) for name in ("expected.nc", "motion.csv")]
+
+
+def test_the_motion_is_what_the_recording_says(told):
+    out, found = told
+    expected = read_recording(out / "experiments" / "1" / "expected.nc")
+    assert expected.motion == found["experiments"][0]["name"]
+    assert "simulated" in expected.sensor
+    with (out / "experiments" / "1" / "motion.csv").open(newline="") as file:
+        head, *rows = csv.reader(file)
+    assert head[0] == "t [s]"
+    table = np.array(rows, dtype=float)
+    assert table.shape[1] == 1 + 3 * len(expected.grip_material)
+    assert table[:, 1:].reshape(len(table), -1, 3) == pytest.approx(expected.grip_position[: len(table)], abs=1e-6)
+    assert table[0, 1:] == pytest.approx(table[-1, 1:], abs=1e-6)
+    lasts = found["experiments"][0]["duration_s"]
+    assert expected.time[-1] <= lasts < table[-1, 0]
+
+
+def test_the_table_and_a_parameter_that_is_asked_for(told, place, capsys):
+    """A second call takes the fit that is stored, and ranks by what is asked for."""
+    out, _ = told
+    kept = {path: path.stat().st_mtime_ns for path in (out / "fits").rglob("*.npz")}
+    assert main(["suggest", str(place / "rec"), *QUICK, f"out={out}", "rank=zeta"]) == 0
+    assert kept
+    assert {path: path.stat().st_mtime_ns for path in (out / "fits").rglob("*.npz")} == kept
+    said = capsys.readouterr().out
+    assert "experiments by zeta" in said
+    assert "motion.csv" in said
+    found = json.loads((out / "suggest.json").read_text())
+    factors = [one["parameters"]["zeta"]["factor"] for one in found["experiments"]]
+    assert factors == sorted(factors, reverse=True)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["model=mass_spring", "max_sped=1"], "found 'max_sped=1', expected"),
+        ([], "found no model=…, expected clothbench suggest RECORDINGS model=NAME"),
+        (["model=mass_spring", "rank=k9"], "setting 'rank' is 'k9', expected one of information, tie, k1"),
+        (["model=mass_spring", "rank=tie"], "nothing is tied; name two effects with tied=ONE,OTHER"),
+        (["model=mass_spring", "grips=three corners"], "setting 'grips' names 'three corners', expected some of"),
+        (["model=mass_spring", "tied=quadratic_drag"], "expected two effects or more, as tied=ONE,OTHER"),
+        (["model=mass_spring", "tied=quadratic_drag,linear_drag"], "'linear_drag' is in the base already"),
+        (["model=mass_spring", "verdict=nowhere"], "verdict=nowhere: found no verdict.json"),
+        (["model=mass_spring", "out=rec/found"], "lies in rec, where what is only expected would be taken for"),
+    ],
+)
+def test_one_line_for_what_is_wrong(words, said, told, place, monkeypatch, capsys):
+    monkeypatch.chdir(place)
+    there = [f"out={told[0]}"] if not any(word.startswith("out=") for word in words) else []
+    assert main(["suggest", "rec", "resolution=5", *there, *words]) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert said in lines[-1]
+
+
+def test_neither_a_recording_nor_a_cell(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["suggest", "nothing"]) == 2
+    assert "nothing: no such file or folder, and runs: found no cells" in capsys.readouterr().err
+    assert main(["suggest", "nothing", "model=mass_spring"]) == 2
+    assert "leave model= out" in capsys.readouterr().err
+
+
+def verdict(place: Path, told: tuple[Path, dict], **changes) -> Path:
+    """A folder with the verdict that two kinds of drag are tied, with amounts as they may be."""
+    parameters = {name: {"value": p["value"]} for name, p in told[1]["parameters"].items()}
+    parameters |= {"quadratic_drag.normal": {"value": 0.6}, "quadratic_drag.tangential": {"value": 0.02}}
+    effect = {"name": "quadratic_drag", "tied_with": ["drag_crisis"], "by_recording": None}
+    found = {
+        "model": "mass_spring", "base": ["linear_drag"], "effects": [{**effect, **changes.pop("effect", {})}],
+        "parameters": parameters, "recordings": {"fit": ["sway-1"], "held_out": []},
+    }  # fmt: skip
+    (folder := place / "verdict").mkdir(exist_ok=True)
+    (folder / "verdict.json").write_text(json.dumps({**found, **changes}))
+    return folder
+
+
+def test_what_a_verdict_found_tied(place, told):
+    folder, out = verdict(place, told), place / "tied"
+    quick = [word for word in QUICK if not word.startswith(("model", "best"))]
+    assert main(["suggest", str(place / "rec"), *quick, f"verdict={folder}", f"out={out}", "best=1"]) == 0
+    found = json.loads((out / "suggest.json").read_text())
+    assert (found["effects"], found["rank"]) == (["quadratic_drag"], "tie")
+    assert found["parameters"]["quadratic_drag.normal"]["value"] == 0.6  # as the verdict has it
+    assert [(tie["one"], tie["other"]) for tie in found["ties"]] == [("quadratic_drag", "drag_crisis")]
+    least = [one["ties"][0]["sigma_least"] for one in found["experiments"]]
+    assert least == sorted(least, reverse=True)
+    assert all(0 <= one["ties"][0]["sigma_least"] <= one["ties"][0]["sigma"] for one in found["experiments"])
+
+
+@pytest.mark.parametrize(
+    ("changes", "said"),
+    [
+        ({"recordings": {"fit": ["other"], "held_out": []}}, "found a verdict on other, expected one on sway-1"),
+        ({"effect": {"by_recording": [1]}}, "'quadratic_drag' has amounts of its own in each recording"),
+        ({"model": "inextensible"}, "found model=mass_spring, and a verdict on inextensible; leave model= out"),
+    ],
+)
+def test_a_verdict_that_does_not_fit(changes, said, place, told, capsys):
+    folder = verdict(place, told, **changes)
+    words = ["resolution=5", f"verdict={folder}", f"out={told[0]}"]
+    assert main(["suggest", str(place / "rec"), *words, *(["model=mass_spring"] if "model" in changes else [])]) == 2
+    assert said in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_a_cell_of_a_run(place, monkeypatch, capsys):
+    """The fit is the cell's own, and nothing is searched."""
+    monkeypatch.chdir(place)
+    run = ["run", "recording=rec/sway-1.nc", "model=mass_spring", "optimizer=least_squares", "metric=node_error"]
+    assert main([*run, "+options.mass_spring.resolution=5", "budget=12", "jobs=1"]) == 0
+    key = next(p.name for p in (place / "runs" / "cells").iterdir() if p.is_dir())
+    capsys.readouterr()
+    assert (
+        main(["suggest", key[:8], "durations=0.4", "draws=0", "best=1", "grips=as recorded", "out=of_cell", "--json"])
+        == 0
+    )
+    found = json.loads(capsys.readouterr().out)
+    assert set(found["parameters"]) == {"k1", "k2", "zeta"}
+    assert found == json.loads((place / "of_cell" / "suggest.json").read_text())
+    assert not (place / "of_cell" / "fits").exists()

@@ -1,0 +1,38 @@
+"""What `clothbench suggest` promises, kept: cloth of the reference simulation in a poor experiment and in the one that
+is suggested. More of them: `python tools/suggest_cases.py`.
+"""
+
+from pathlib import Path
+
+import pytest
+from suggest_cases import Cloth, Kept, kept, problem_in
+
+from clothbench.suggest.settings import Wanted
+
+POOR_TO_GOOD = [("as recorded", "hold still"), ("as recorded", "swing across the sheet, 1 Hz")]
+
+
+def asked(folder: Path, number: int, tied: bool) -> Kept:
+    cloth, problem_of = Cloth.drawn(number, cells=8), problem_in(folder, resolution=7)
+    poor = [cloth.poor(0.02, 1.0), cloth.poor(0.015, 1.0, 1.0)] if tied else [cloth.poor(0.0, 0.6)]
+    base = "" if tied else "linear_drag"
+    wanted = Wanted(durations=(1.5,), draws=0 if tied else 1)
+    return kept(cloth, lambda recordings: problem_of(recordings, base), wanted, POOR_TO_GOOD, poor, tied)
+
+
+@pytest.mark.slow
+def test_a_parameter_that_hanging_still_does_not_tell(tmp_path):
+    found = asked(tmp_path, 0, tied=False)
+    promised, came, before, _ = found.factors["linear_drag.coefficient"]
+    assert "swing" in found.experiment
+    assert before == pytest.approx(0.5, abs=0.01)  # half of the range: nothing is known of it
+    assert promised > 3
+    assert promised / 2 < came < 2 * promised, found
+
+
+@pytest.mark.slow
+def test_a_tie_that_little_swings_leave(tmp_path):
+    found = asked(tmp_path, 3, tied=True)
+    now, promised, came = found.sigma
+    assert now < 3 < promised
+    assert promised / 2 < came < 2 * promised, found

@@ -1,0 +1,151 @@
+"""What `clothbench suggest` reckons with, on numbers that are known, and the motions that it offers."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+
+from clothbench import ClothbenchError, Scene
+from clothbench.suggest.experiments import (
+    AS_RECORDED,
+    EXPERIMENTS,
+    GRIPS,
+    HOLD,
+    LOWER,
+    MOTIONS,
+    RATE,
+    RISE,
+    directions,
+    experiment,
+    experiments,
+    fastest,
+)  # fmt: skip
+from clothbench.suggest.information import (
+    BEFOREHAND,
+    beforehand,
+    counted_noise,
+    gain,
+    half_widths,
+    information,
+    separation,
+)  # fmt: skip
+from clothbench.suggest.settings import Wanted, wanted_of
+
+RANDOM = np.random.default_rng(5)
+
+
+def scene() -> Scene:
+    """A sheet of 0.3 m × 0.4 m held at two points of its upper edge; the warp lies along world y."""
+    clock = np.linspace(0.0, 1.0, 11)
+    held = np.array([[0.05, 0.0], [0.25, 0.0]])
+    at = np.array([[0.2, -0.1, 1.5], [0.2, 0.1, 1.5]])
+    points = np.array([[0.0, 0.4], [0.15, 0.2], [0.3, 0.4]])
+    return Scene(0.3, 0.4, 0.2, clock, held, np.repeat(at[None], 11, axis=0), clock, points)
+
+
+def test_without_measurements_an_interval_is_the_whole_range():
+    assert half_widths(beforehand(3)) == pytest.approx([BEFOREHAND] * 3)
+
+
+def test_information_of_a_known_slope():
+    """100 points of slope 2 and noise 0.1: σ = 0.1 / √(100 · 4)."""
+    told = information(np.full((100, 1), 2.0), 0.1)
+    known = beforehand(1) + told
+    assert half_widths(known) == pytest.approx([1.96 * 0.005], rel=1e-3)
+    assert gain(known, 3 * known) == pytest.approx(np.log(2))  # four times as much, half as wide
+
+
+def test_white_noise_counts_as_what_it_is_and_errors_that_last_count_for_more():
+    jacobian = RANDOM.normal(size=(6000, 3))
+    seconds = np.array_split(np.arange(6000), 30)
+    noise = RANDOM.normal(0.0, 0.2, 6000)
+    assert counted_noise(noise, jacobian, seconds, 0.2) == pytest.approx(0.2, rel=0.15)
+    steady = np.ones((6000, 3)) + 0.1 * jacobian  # such errors look like these parameters
+    lasting = np.repeat(RANDOM.normal(0.0, 0.2, 30), 200)
+    assert counted_noise(lasting, steady, seconds, 0.2) > 0.2 * np.sqrt(200) / 3
+
+
+def test_a_rival_makes_up_for_what_it_can():
+    """What its own parameter does as well is no difference, as far as it is free to move and inside its bounds."""
+    way = np.ones((400, 1))
+    free, held = beforehand(1), np.array([[1e8]])
+    apart = np.full(400, -0.3)  # a change of 0.3 of its range
+    sure = np.zeros(400)
+    assert separation(apart, way, free, np.array([0.5]), 0.1, sure)[0] < 1.5
+    assert separation(apart, way, held, np.array([0.5]), 0.1, sure) == pytest.approx([60, 60], rel=1e-3)
+    near_its_end, _ = separation(apart, way, free, np.array([0.9]), 0.1, sure)  # 0.1 is all that is left
+    assert near_its_end == pytest.approx(20 * 0.2 / 0.1, rel=0.01)
+
+
+def test_a_model_that_may_be_wrong_by_as_much_tells_nothing_apart():
+    apart, way, held = np.full(400, -0.3), np.ones((400, 1)), np.array([[1e8]])
+    for share, left in ((0.25, 0.5), (0.5, 0.0), (1.0, 0.0)):
+        found, least = separation(apart, way, held, np.array([0.5]), 0.1, share * apart)
+        assert found == pytest.approx(60, rel=1e-3)
+        assert least == pytest.approx(60 * np.sqrt(left), rel=1e-3, abs=1.0)
+
+
+def test_everything_offered_is_there():
+    assert {grips for grips, _ in EXPERIMENTS} == {AS_RECORDED, *GRIPS}
+    assert {motion for _, motion in EXPERIMENTS} == set(MOTIONS)
+    assert len(set(EXPERIMENTS)) == len(EXPERIMENTS)
+
+
+def test_motions_keep_to_what_the_robot_can_and_end_where_they_began():
+    wanted = Wanted(max_speed=0.4, max_acceleration=3.0, reach=0.1, durations=(1.0, 1.5))
+    offered = list(experiments(scene(), 30.0, wanted, contact=True))
+    assert len(offered) > 20
+    for one in offered:
+        for duration in one.durations:
+            path = one.lasting(duration).grip_position
+            speed, acceleration = fastest(path)
+            assert speed <= 0.4 + 1e-9
+            assert acceleration <= 3.0 + 1e-9
+            assert np.linalg.norm(path - path[0], axis=-1).max() <= 0.1 + 1e-9
+            end = round((duration + RISE) * RATE)
+            assert path[end:] == pytest.approx(np.repeat(path[:1], len(path[end:]), axis=0), abs=1e-9)
+            assert fastest(path[: end + 1])[0] <= one.speed + 1e-9
+
+
+def test_a_motion_goes_the_way_it_is_called():
+    swung = experiment(scene(), 30.0, Wanted(), AS_RECORDED, "swing across the sheet, 1 Hz")
+    across, out, up, middle = directions(scene())
+    assert across == pytest.approx([0.0, 1.0, 0.0])
+    assert middle == pytest.approx([0.2, 0.0, 1.5])
+    moved = swung.scene.grip_position - swung.scene.grip_position[0]
+    assert np.abs(moved @ out).max() > 0.05
+    assert np.abs(moved @ across).max() == pytest.approx(0.0, abs=1e-12)
+    lowered = experiment(scene(), 30.0, Wanted(), AS_RECORDED, LOWER)
+    assert lowered.scene.obstacles[-1].centre[2] < 1.5 - 0.4
+    assert (lowered.scene.grip_position[..., 2] @ np.ones(2)).min() < 3.0 - 0.1
+    assert up == pytest.approx([0.0, 0.0, 1.0])
+
+
+def test_what_cannot_be_done_is_not_offered():
+    slow = Wanted(max_acceleration=0.01, durations=(1.0,))
+    assert {one.motion for one in experiments(scene(), 30.0, slow, contact=True)} <= {HOLD, "pull longer by 2 %"}
+    assert LOWER not in {one.motion for one in experiments(scene(), 30.0, Wanted(), contact=False)}
+    corners = np.array([[0.0, 0.0], [0.3, 0.0], [0.15, 0.4]])
+    cut = dataclasses.replace(scene(), outline=corners)
+    assert {one.grips for one in experiments(cut, 30.0, Wanted(), contact=True)} == {AS_RECORDED}
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ({"max_speed": "fast"}, "setting 'max_speed' is 'fast', expected a number above 0"),
+        ({"reach": "0"}, "setting 'reach' is '0', expected a number above 0"),
+        ({"durations": "1,-2"}, "setting 'durations' is '-2', expected a number above 0"),
+        ({"draws": "1.5"}, "setting 'draws' is '1.5', expected a whole number, 0 or above"),
+    ],
+)
+def test_settings_that_make_no_sense(word, said):
+    with pytest.raises(ClothbenchError, match=said):
+        wanted_of(word)
+
+
+def test_settings_as_they_are_given():
+    wanted = wanted_of({"durations": "[2,1]", "max_speed": "0.3", "best": "2"})
+    assert (wanted.durations, wanted.max_speed, wanted.best) == ((1.0, 2.0), 0.3, 2)
