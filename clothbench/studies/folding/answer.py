@@ -61,6 +61,7 @@ def cards(steps: Rows) -> list[Card]:
         Card("Reference in the 95 % interval", f"{sure} of {len(last)}", "of the last estimate, of this one strip; the "
              "reference is a mean over strips"),
         Card("Friction", f"{max(s['friction'] for s in steps):.2f}",
-             f"the most that a step needs; {slips or 'no'} step{'s' * (slips > 1)} slip on the desk", good=not slips),
+             f"the most that a step needs; {slips or 'no'} {'steps slip' if slips > 1 else 'step slips'} on the desk",
+             good=not slips),
         Card("Time", duration(slowest), "for the estimates of a whole fold, at most"),
     ]  # fmt: skip
