@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import hashlib
 import os
 import re
 import shutil
@@ -19,6 +20,12 @@ _HALF_FOLDER = re.compile(r"\.(new|old|[0-9a-f]+)\.[a-z0-9_]{8}")
 def file_name(recording: str) -> str:
     """ "case/swing 3" → "case_swing_3" """
     return re.sub(r"[^\w.-]+", "_", recording).lstrip(".") or "recording"
+
+
+def sha256(path: Path) -> str:
+    """SHA-256 of a file's bytes, in hexadecimal."""
+    with path.open("rb") as stream:
+        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 @contextmanager

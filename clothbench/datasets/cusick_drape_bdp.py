@@ -23,6 +23,7 @@ from pathlib import Path
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import sha256
 from clothbench.core.progress import FileProgress
 from clothbench.datasets import registry
 from clothbench.datasets.report import ImportReport, write_report
@@ -90,7 +91,7 @@ def find_shots(source: Path) -> list[Shot]:
             fabric = f"{name}_observations" if match["observed"] else name
         else:
             fabric = path.parent.name
-        found.append(Shot(path, fabric, int(shot["sample"]), int(shot["number"] or 1), registry.sha256(path)))
+        found.append(Shot(path, fabric, int(shot["sample"]), int(shot["number"] or 1), sha256(path)))
     if not found:
         raise ClothbenchError(
             f"{source}: found no FABRIC/silhouettes/…_Sample_N_Capture_M.jpg, expected the drapes' silhouettes; check "

@@ -4,7 +4,6 @@ licence.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 from collections.abc import Mapping
@@ -15,6 +14,7 @@ from types import MappingProxyType
 from urllib.parse import quote
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import sha256
 from clothbench.core.progress import FileProgress
 
 ENVIRONMENT = "CLOTHBENCH_DATA"
@@ -109,12 +109,6 @@ def verify(name: str, folder: Path) -> Check:
     present = {path.relative_to(folder).as_posix(): path for path in folder.glob(known.pattern) if path.is_file()}
     wrong = {local for local, path in present.items() if local in known.files and sha256(path) != known.files[local][1]}
     return Check(frozenset(set(present) - set(known.files)), frozenset(wrong))
-
-
-def sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal."""
-    with path.open("rb") as stream:
-        return hashlib.file_digest(stream, "sha256").hexdigest()
 
 
 def fetch(name: str, progress: FileProgress | None = None) -> Path:

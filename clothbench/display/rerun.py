@@ -10,7 +10,6 @@ from scipy.sparse import csr_array
 from scipy.spatial import Delaunay, QhullError
 
 from clothbench.core.observation import Observation
-from clothbench.recordings.nodes import Recording
 
 SEEN, CLOTH, AWAY, HELD, NOISE = (
     (240, 160, 40),
@@ -128,10 +127,3 @@ def vertex_normals(position: np.ndarray, triangles: np.ndarray) -> np.ndarray:
     total = (around @ normal.swapaxes(0, 1).reshape(len(triangles), -1)).reshape(nodes, frames, 3).swapaxes(0, 1)
     length = np.linalg.norm(total, axis=-1, keepdims=True)
     return total / np.where(length > 0, length, 1.0)
-
-
-def grips_at(recording: Recording, time: np.ndarray) -> np.ndarray:
-    """Grip positions (T, G, 3) m at the frames' times (T,) s."""
-    grips = recording.grip_position.reshape(len(recording.grip_time), -1)
-    at = [np.interp(time, recording.grip_time, column) for column in grips.T]
-    return np.stack(at, axis=1).reshape(len(time), -1, 3)

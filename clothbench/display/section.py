@@ -37,6 +37,20 @@ class Section:
         return "\n".join([with_fragments(self.html), *data])
 
 
+def drawing(data: str, prefix: str) -> str:
+    """A script that draws the figures which the element `data` lists into the elements PREFIX0, PREFIX1, …, and again
+    when the reader turns to dark or light.
+    """
+    return f'''
+{{
+  const figures = JSON.parse(document.getElementById("{data}").textContent);
+  const all = () => figures.forEach((figure, n) => draw("{prefix}" + n, figure));
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", all);
+  all();
+}}
+'''
+
+
 def later(html: str) -> str:
     """HTML that the page may fill in when it comes near the window, or is unfolded: it does where it is long."""
     return f"<!--later-->{html}<!--/later-->"

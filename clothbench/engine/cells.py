@@ -8,7 +8,7 @@ from __future__ import annotations
 import fnmatch
 import hashlib
 import json
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -40,6 +40,11 @@ class Source:
     name: str
     hash: str
     split: str
+
+
+def listed(versions: Mapping[str, str]) -> str:
+    """Versions of plugins as rows have them: "kind/name (version); …"."""
+    return "; ".join(f"{name} ({version})" for name, version in sorted(versions.items()))
 
 
 def plugin_versions(used: Iterable[tuple[str, str]], plugins: Catalogue) -> dict[str, str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from clothbench.core.parallel import thread_count
+from clothbench.engine.cells import listed
 from clothbench.engine.store import now, system_info
 from clothbench.engine.study import Cell, Result
 
@@ -17,7 +18,6 @@ def failure(cell: Cell, status: str, reason: str, evaluations: int = 0, wall_s: 
 
 
 def about_cell(cell: Cell) -> dict[str, Any]:
-    plugins = "; ".join(f"{k} ({v})" for k, v in sorted(cell.versions.items()))
     return {
         "study": cell.study,
         "suite": cell.suite,
@@ -28,7 +28,7 @@ def about_cell(cell: Cell) -> dict[str, Any]:
         "metric": cell.metric,
         "seed": cell.seed,
         "key": cell.key,
-        "plugins": plugins,
+        "plugins": listed(cell.versions),
         "objective": cell.metric,
         "budget": None,
         "settings": None,

@@ -155,6 +155,13 @@ def write_recording(recording: Recording, path: str | os.PathLike[str]) -> Path:
     return write(recording, path, LAYOUT)
 
 
+def grips_at(recording: Recording, time: np.ndarray) -> np.ndarray:
+    """Grip positions (T, G, 3) m at the frames' times (T,) s."""
+    grips = recording.grip_position.reshape(len(recording.grip_time), -1)
+    at = [np.interp(time, recording.grip_time, column) for column in grips.T]
+    return np.stack(at, axis=1).reshape(len(time), -1, 3)
+
+
 def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
     """The recording files named, or lying in the folders named, sorted; an empty find is an error."""
     found: list[Path] = []

@@ -14,7 +14,6 @@ points at the same times in place of the measured ones, whoever wrote it and in 
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
@@ -25,10 +24,10 @@ import numpy as np
 
 import clothbench
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import whole_file
+from clothbench.core.files import sha256, whole_file
 from clothbench.core.rollout import Rollout
 from clothbench.plugins.discovery import Catalogue
-from clothbench.recordings.nodes import Recording, read_recording
+from clothbench.recordings.nodes import Recording, find_recordings, grips_at, read_recording
 
 FILE, SCHEMA = "submission.json", 1
 SAME = 1e-9  # s and m: times, material points and grips are copied, not computed
@@ -82,14 +81,8 @@ def pack(
     suite. The first fault raises a ClothbenchError: file, what was found, what was expected.
     """
     by_name = {recording.name: recording for recording in measured}
-    paths = sorted(folder.rglob("*.nc"))
-    if not paths:
-        raise ClothbenchError(
-            f"{folder}: found no simulated recordings (*.nc), expected one for each measured one: a copy of its file "
-            "with the simulated `position`"
-        )
     entries: list[Entry] = []
-    for path in paths:
+    for path in find_recordings([folder]):
         simulated = read_recording(path)
         if simulated.name not in by_name:
             known = ", ".join(sorted(by_name)[:4])
@@ -195,13 +188,8 @@ def require_of(path: Path, simulated: Recording, measured: Recording) -> None:
         raise ClothbenchError(f"{path}: position is not a number at frame {frame}, node {node}; expected all of them")
     held, grip = held_points(measured)
     if len(held):
-        where = np.stack(
-            [
-                [np.interp(measured.time, measured.grip_time, measured.grip_position[:, g, c]) for c in range(3)]
-                for g in grip
-            ]
-        )
-        away = np.linalg.norm(simulated.position[:, held] - where.transpose(2, 0, 1), axis=2)
+        where = grips_at(measured, measured.time)[:, grip]
+        away = np.linalg.norm(simulated.position[:, held] - where, axis=2)
         if away.max() > HELD:
             frame, k = np.unravel_index(int(away.argmax()), away.shape)
             raise ClothbenchError(
@@ -231,8 +219,3 @@ def require_not_copied(path: Path, simulated: Recording, measured: Recording) ->
             f"{path}: lies {1e3 * away:.3g} mm a coordinate from the tracked positions, whose noise alone is "
             f"{1e3 * sigma:.3g} mm; expected simulated positions, not measured ones"
         )
-
-
-def sha256(path: Path) -> str:
-    with path.open("rb") as file:
-        return hashlib.file_digest(file, "sha256").hexdigest()

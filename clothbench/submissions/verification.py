@@ -12,7 +12,7 @@ import numpy as np
 
 import clothbench
 from clothbench.core.errors import ClothbenchError
-from clothbench.engine.cells import digest, plugin_versions
+from clothbench.engine.cells import digest, listed, plugin_versions
 from clothbench.engine.store import Store, finite, now, system_info
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording, read_recording
@@ -87,17 +87,18 @@ def keep(verified: Verified, store: Store, plugins: Catalogue) -> list[str]:
     their keys. In place of an optimizer the rows show the grade: how the model was fitted is not known here.
     """
     submission, keys = verified.submission, []
+    digests = {entry.recording: entry.sha256 for entry in submission.entries}  # of files that were found to be so
     versions = plugin_versions([("metrics", metric) for metric in submission.metrics], plugins)
     by_fabric: dict[str, list[Compared]] = {}
     for one in verified.found:
         by_fabric.setdefault(one.measured.fabric, []).append(one)
     for fabric, mine in by_fabric.items():
-        key = digest([submission.name, sorted(sha256(one.path) for one in mine), sorted(submission.metrics)])
+        key = digest([submission.name, sorted(digests[one.measured.name] for one in mine), sorted(submission.metrics)])
         about = {
             "study": "calibration", "suite": submission.suite, "case": fabric, "model": submission.name, "effects": "",
             "optimizer": f"submitted, {GRADE}", "seed": 0, "key": key, "status": "ok", "reason": None, "evaluations": 0,
             "wall_s": 0.0, "low": None, "high": None, "reference": None, "budget": None, "settings": None,
-            "plugins": "; ".join(f"{k} ({v})" for k, v in sorted(versions.items())), "threads": None,
+            "plugins": listed(versions), "threads": None,
             "finished": now(), **system_info(),
         }  # fmt: skip
         store.put(key, {"rows": [{**about, **row} for row in _rows(mine)]})

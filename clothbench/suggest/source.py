@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording
 from clothbench.recordings.scenes import scenes_of
-from clothbench.studies.calibration.cell import asked_again, set_up
+from clothbench.studies.calibration.cell import asked_and_fitted, set_up, with_recordings
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.document import VERDICT, document_in
 from clothbench.studies.improve.prepare import prepare
@@ -59,16 +58,9 @@ def require_same(problem: Problem, document: Mapping[str, Any], folder: Path) ->
 
 def problem_of_cell(runs: Path, key: str, plugins: Catalogue) -> tuple[Problem, dict[str, float]]:
     """The fitted recordings of a calibration with its model, and the values that were found."""
-    store = Store(runs)
-    questions, fitted = store.table("question", [key]), store.table("parameters", [key])
-    if not questions or not fitted:
-        why = next((row["reason"] for row in store.rows([key]) if row["reason"]), "it is of another kind, or older")
-        raise ClothbenchError(f"cell {key}: found no fit ({why}); run it again with this version")
-    cell = asked_again(questions[0]["question"])
+    cell, fitted = asked_and_fitted(Store(runs), key)
     mine = tuple(source for source in cell.recordings if source.split == "fit")
-    if gone := next((source.path for source in mine if not Path(source.path).is_file()), None):
-        raise ClothbenchError(f"{gone}: the recording of cell {key} is not there any more; run it again")
-    bench = set_up(dataclasses.replace(cell, recordings=mine, rivals=()), plugins, runs / TRACKED)
+    bench = set_up(with_recordings(cell, key, mine), plugins, runs / TRACKED)
     cases = []
     for source, recording, trial in zip(mine, bench.recordings, bench.trials, strict=True):
         if not isinstance(recording, Recording):

@@ -19,9 +19,7 @@ from clothbench.engine.run import TRACKED
 from clothbench.engine.store import Store
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.scenes import scenes_of
-from clothbench.studies.calibration.cell import Bench, CalibrationCell, asked_again, set_up
-
-AGAIN = "run it again with this version"
+from clothbench.studies.calibration.cell import Bench, CalibrationCell, asked_and_fitted, set_up, with_recordings
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,11 +39,7 @@ class FittedCell:
         say which material its parameters make.
         """
         store, plugins = Store(out), catalogue()
-        questions, fitted = store.table("question", [key]), store.table("parameters", [key])
-        if not questions or not fitted:
-            why = next((r["reason"] for r in store.rows([key]) if r["reason"]), "an older version ran it")
-            raise ClothbenchError(f"cell {key}: found no fit to export ({why}); {AGAIN}")
-        cell = asked_again(questions[0]["question"])
+        cell, fitted = asked_and_fitted(store, key)
         model = plugins.make("models", cell.model, **cell.option(cell.model))
         if not isinstance(model, SaysMaterials):
             raise ClothbenchError(
@@ -53,9 +47,7 @@ class FittedCell:
                 "so that no other simulator can be told; fit a model that does"
             )
         first = next(s for s in cell.recordings if s.split == "fit")
-        if not Path(first.path).is_file():
-            raise ClothbenchError(f"{first.path}: the recording of cell {key} is not there any more; {AGAIN}")
-        bench = set_up(dataclasses.replace(cell, recordings=(first,), rivals=()), plugins, out / TRACKED)
+        bench = set_up(with_recordings(cell, key, [first]), plugins, out / TRACKED)
         return cls(store, cell, model, fitted, bench, scenes_of(bench.recordings[0], **cell.scene)[0])
 
     @property

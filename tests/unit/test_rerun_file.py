@@ -23,7 +23,7 @@ from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store
 from clothbench.estimation.calibrate import best_rollout, calibrate
 from clothbench.plugins.discovery import catalogue
-from clothbench.recordings.nodes import Recording, write_recording
+from clothbench.recordings.nodes import Recording, grips_at, write_recording
 from clothbench.recordings.scenes import scene_of
 from clothbench.studies.calibration import rerun_file as fit_file
 from clothbench.studies.calibration.cell import Bench, CalibrationCell, set_up
@@ -140,7 +140,7 @@ def test_normals_of_a_turning_sheet():
 def test_grips_are_shown_at_the_frames_times(fitted):
     bench, _ = fitted
     recording = bench.recordings[0]
-    shown = rerun_file.grips_at(recording, recording.time)
+    shown = grips_at(recording, recording.time)
     np.testing.assert_allclose(shown, recording.grip_position[::5], atol=1e-12)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -16,6 +16,7 @@ from clothbench.core.optional import absent, why_skipped
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Metric
 from clothbench.engine.cells import Skipped, Source, digest, seed_of
+from clothbench.engine.store import Store
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.placements import joined
 from clothbench.estimation.prior import begun
@@ -140,6 +141,28 @@ def asked_again(text: str) -> CalibrationCell:
     if told["scene"].get("resolution") is not None:
         told["scene"]["resolution"] = tuple(told["scene"]["resolution"])
     return CalibrationCell(**told)
+
+
+AGAIN = "run it again with this version"
+
+
+def asked_and_fitted(store: Store, key: str) -> tuple[CalibrationCell, list[dict[str, Any]]]:
+    """What a finished cell was asked, and the rows of the parameters that were found.
+
+    Raises a ClothbenchError, one line, where there is no fit.
+    """
+    questions, fitted = store.table("question", [key]), store.table("parameters", [key])
+    if not questions or not fitted:
+        why = next((row["reason"] for row in store.rows([key]) if row["reason"]), "it is of another kind, or older")
+        raise ClothbenchError(f"cell {key}: found no fit ({why}); {AGAIN}")
+    return asked_again(questions[0]["question"]), fitted
+
+
+def with_recordings(cell: CalibrationCell, key: str, sources: Sequence[Source]) -> CalibrationCell:
+    """The cell of these recordings only; a ClothbenchError, one line, if one of them is not there any more."""
+    if gone := next((source.path for source in sources if not Path(source.path).is_file()), None):
+        raise ClothbenchError(f"{gone}: the recording of cell {key} is not there any more; {AGAIN}")
+    return dataclasses.replace(cell, recordings=tuple(sources), rivals=())
 
 
 def uses(cell: CalibrationCell) -> list[tuple[str, str]]:

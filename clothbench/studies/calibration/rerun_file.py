@@ -14,7 +14,6 @@ from clothbench.core.rollout import Rollout
 from clothbench.display.rerun import (
     HELD,
     NOISE,
-    grips_at,
     log_away,
     log_curve,
     log_points,
@@ -23,7 +22,7 @@ from clothbench.display.rerun import (
     typical_distance,
 )
 from clothbench.estimation.trials import Trial
-from clothbench.recordings.nodes import Recording
+from clothbench.recordings.nodes import Recording, grips_at
 from clothbench.recordings.silhouette import Silhouettes
 from clothbench.studies.calibration.cell import Bench
 

@@ -12,7 +12,7 @@ import numpy as np
 from clothbench.display.answer import Card, answer
 from clothbench.display.html import group, pill, table, text
 from clothbench.display.plotly import COLOURS, GREY, rounded
-from clothbench.display.section import Section
+from clothbench.display.section import Section, drawing
 from clothbench.engine.study import Results
 from clothbench.studies.fold_path.tables import lines, values
 
@@ -20,12 +20,6 @@ Rows = Sequence[dict[str, Any]]
 INTRO = """<p class="soft">One edge is led over so that it comes to lie on the other. Landing error: how far beside it
 lands, because what lies on the desk slips. Friction needed: the coefficient that would have kept it in place; where the
 desk has less, it slips until that suffices. The computed path has three phases: lifted, carried over, laid down.</p>"""
-SCRIPT = """
-const foldPaths = JSON.parse(document.getElementById("fold-paths").textContent);
-function drawFoldPaths() { foldPaths.forEach((figure, n) => draw("fold-path-" + n, figure)); }
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawFoldPaths);
-drawFoldPaths();
-"""
 
 
 def sections(results: Results) -> list[Section]:
@@ -41,7 +35,7 @@ def sections(results: Results) -> list[Section]:
         f'<figure><figcaption>{text(words)}</figcaption><div id="fold-path-{n}"></div></figure>'
         for n, (_, words) in enumerate(shown)
     )
-    return [Section(body + drawn, {"fold-paths": [f for f, _ in shown]}, SCRIPT)]
+    return [Section(body + drawn, {"fold-paths": [f for f, _ in shown]}, drawing("fold-paths", "fold-path-"))]
 
 
 def answer_of(suite: str, done: Rows) -> str:

@@ -12,7 +12,7 @@ from clothbench.core.folding import circular_path, triangular_path
 from clothbench.display.html import group, pill, table, text
 from clothbench.display.parameters import parameters
 from clothbench.display.plotly import COLOURS, GREY, rounded
-from clothbench.display.section import Section
+from clothbench.display.section import Section, drawing
 from clothbench.engine.study import Results
 from clothbench.studies.folding.answer import answer_of
 from clothbench.studies.folding.tables import inside
@@ -21,12 +21,6 @@ Rows = Sequence[dict[str, Any]]
 INTRO = """<p class="soft">A strip is lifted step by step; after each step its stiffness is estimated from a laser
 profile, and the next step follows the estimate. The reference comes from fold heights that were measured by hand, its
 range from two standard deviations of these.</p>"""
-SCRIPT = """
-const folds = JSON.parse(document.getElementById("folds").textContent);
-function drawFolds() { folds.forEach((figure, n) => draw("fold-" + n, figure)); }
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", drawFolds);
-drawFolds();
-"""
 
 
 def sections(results: Results) -> list[Section]:
@@ -53,7 +47,7 @@ def fold_section(rows: Rows, steps: Rows) -> Section:
         for n, (_, words) in enumerate(shown)
     )
     html = f"{found}{body}{figures}"
-    return Section(html, {"folds": [figure for figure, _ in shown]}, SCRIPT)
+    return Section(html, {"folds": [figure for figure, _ in shown]}, drawing("folds", "fold-"))
 
 
 def fabrics(rows: Rows, steps: Rows) -> str:

@@ -12,7 +12,6 @@ import rerun.blueprint as rrb
 from clothbench.display.rerun import (
     HELD,
     NOISE,
-    grips_at,
     log_away,
     log_curve,
     log_points,
@@ -20,6 +19,7 @@ from clothbench.display.rerun import (
     log_sheet,
     typical_distance,
 )
+from clothbench.recordings.nodes import grips_at
 from clothbench.studies.improve.evidence import Comparison, Unit
 from clothbench.studies.improve.sheet_tables import frame_rows
 
