@@ -42,6 +42,7 @@ from clothbench.vision.render import expose, striped
 from clothbench.vision.surface import surface_of
 
 FOLDER = Path(__file__).resolve().parent.parent / "suites" / "embedded" / "static_dynamic"
+LONG = FOLDER.with_name("static_dynamic_long")  # what budget=paper looks at beside
 SIDE = 0.30  # m, the swatch is square
 SKIRT = (0.75, 0.30)  # m, round the waist and down
 SPACING = 0.30 / 8  # m, of the tracked lattice
@@ -82,6 +83,7 @@ class Trial:
     rate: float  # frames per second
     motion: str
     offset: Callable[[np.ndarray], np.ndarray]
+    folder: Path = FOLDER
 
     @property
     def experiment(self) -> str:
@@ -132,6 +134,10 @@ TRIALS = (
     Trial("waving-long", "held_out", 0.88, 5.0, 15.0, "right corner to and fro, 35 mm at 0.7 Hz and 25 mm at 1.5 Hz",
           right_corner((0.035, 0.7), (0.025, 1.5))),
     Trial("waving-skirt", "held_out", 0.92, 2.0, 15.0, "a wrapped skirt on a skipping waist", skipping),
+    Trial("waving-150", "held_out", 0.90, 5.0, 30.0, "right corner to and fro, 60 mm at 1.0 Hz, 150 frames",
+          right_corner((0.06, 1.0)), LONG),
+    Trial("waving-robot", "held_out", 0.90, 10 / 3, 30.0, "right corner along a sinusoid, 80 mm at 0.6 Hz, 100 frames",
+          right_corner((0.08, 0.6)), LONG),
 )  # fmt: skip
 
 
@@ -290,7 +296,7 @@ def make_all(fabrics: list[str], names: list[str] | None = None) -> None:
             if kind not in benches:
                 benches[kind] = Bench(fabric_of(fabric, trial.experiment)[0], trial.is_skirt)
             recording = record(fabric, trial, benches[kind])
-            path = write_recording(recording, FOLDER / f"{fabric}-{trial.name}.nc")
+            path = write_recording(recording, trial.folder / f"{fabric}-{trial.name}.nc")
             spent, size = time.perf_counter() - began, path.stat().st_size / 1e3
             line = f"{recording.name:<20}{trial.split:<10}{len(recording.time):>7}{size:>6.0f}{spent:>6.0f}"
             print(f"{line}  {recording.hash[:12]}", flush=True)

@@ -408,6 +408,20 @@ class Renewable(Protocol):
         ...
 
 
+@runtime_checkable
+class HasTemperature(Protocol):
+    """An annealing optimizer. temperature_now: in the score's unit, by which what it asks for will be judged; NaN until
+    it begins to cool.
+    """
+
+    temperature_now: float
+
+
+def temperature_of(optimizer: Any) -> float | None:
+    """How hot a search is; None for one that does not cool."""
+    return float(optimizer.temperature_now) if isinstance(optimizer, HasTemperature) else None
+
+
 def start_of(optimizer: Any) -> np.ndarray | None:
     """Where a walk set out from (P,); None before it has, and for optimizers that do not say."""
     return optimizer.start if isinstance(optimizer, HasStart) else None

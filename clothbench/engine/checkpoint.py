@@ -17,17 +17,17 @@ from clothbench.core.files import whole_file
 
 
 class Checkpoint:
-    """Arrays by key, one `.npz` each; without a folder nothing is kept."""
+    """Arrays by key, one `.npz` each; without a folder nothing is kept. whole: whose part this is, if it is one."""
 
-    def __init__(self, folder: Path | None = None):
-        self.folder, self.began = folder, time.perf_counter()
+    def __init__(self, folder: Path | None = None, whole: Checkpoint | None = None):
+        self.folder, self.whole, self.began = folder, whole or self, time.perf_counter()
         known = self.recall("seconds")
         self.before = 0.0 if known is None else float(known["seconds"])
 
     @property
     def seconds(self) -> float:
         """Wall time since this object was made, and that of the stopped runs before it."""
-        return self.before + time.perf_counter() - self.began
+        return self.whole.before + time.perf_counter() - self.whole.began
 
     def recall(self, key: str) -> dict[str, np.ndarray] | None:
         """What was kept under this key; None if there is nothing, or a file that can no longer be read."""
@@ -45,12 +45,16 @@ class Checkpoint:
             return
         self.folder.mkdir(parents=True, exist_ok=True)
         self._write(key, arrays)
-        self._write("seconds", {"seconds": np.array(self.seconds)})
+        self.whole._write("seconds", {"seconds": np.array(self.seconds)})
 
     def _write(self, key: str, arrays: Mapping[str, np.ndarray]) -> None:
         assert self.folder is not None
         with whole_file(self.folder / f"{key}.npz") as part, part.open("wb") as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]
+
+    def part(self, name: str) -> Checkpoint:
+        """For a part of the work that asks the same questions of something else; the clock is that of the whole."""
+        return Checkpoint(None if self.folder is None else self.folder / name, self.whole)
 
     def forget(self) -> None:
         """All of it; the verdict is written."""

@@ -20,9 +20,10 @@ from clothbench.plugins.discovery import Catalogue
 PLUGINS = ("model", "optimizer", "metric", "effects", "report", "recording", "recordings")  # names, or lists of them
 KNOWN = {
     *PLUGINS, "study", "tracker", "scene", "options", "bounds", "budget", "seed", "jobs", "timeout", "out", "data_dir",
-    "suite", "rerun", "analysis", "choice", "prior",
+    "suite", "rerun", "analysis", "choice", "prior", "finer",
 }  # fmt: skip
 STARTS = ("rest", "measured")
+FINER_SHARE = 0.25  # of the evaluations, which a search that ends on a finer mesh gets there
 SCENE_WORDS = {
     "areal_density", "air_density", "resolution", "spacing", "start", "thickness", "outline", "obstacles", "starts",
     "perturbation",
@@ -50,6 +51,7 @@ def checked(config: Mapping[str, Any], plugins: Catalogue, suite_words: frozense
     out["options"] = option_settings(mapping("options", out.get("options")), plugins)
     out["prior"] = None if out.get("prior") is None else one_word("prior", out["prior"])
     out["analysis"] = mapping("analysis", out.get("analysis"))
+    out["finer"] = finer_settings(mapping("finer", out.get("finer")), out["scene"])
     for key in PLUGINS:
         out[key] = words(key, out.get(key))
     if twice := sorted({e for e in out["effects"] if out["effects"].count(e) > 1}):
@@ -83,7 +85,9 @@ def refuse(config: Mapping[str, Any], keys: Sequence[str], why: str, scene: str)
 
 
 def named_budget(config: dict[str, Any]) -> dict[str, Any]:
-    """The settings with what a named budget (`budget=paper`) of the suite brings: budget, options, analysis."""
+    """The settings with what a named budget (`budget=paper`) of the suite brings: evaluations, options, analyses, a
+    finer mesh to end on, further recordings.
+    """
     name, known = config.get("budget"), config["suite"]["budgets"]
     if not isinstance(name, str):
         return config
@@ -91,9 +95,11 @@ def named_budget(config: dict[str, Any]) -> dict[str, Any]:
         there = f", or one of the suite's: {', '.join(sorted(known))}" if known else ""
         raise ClothbenchError(f"setting 'budget' is {name!r}, expected a whole number, at least 1{there}")
     brought = mapping(f"suite.budgets.{name}", known[name])
-    known_words(f"setting of 'suite.budgets.{name}'", brought, {"budget", "options", "analysis"})
+    known_words(f"setting of 'suite.budgets.{name}'", brought, {"budget", "options", "analysis", "finer", "recordings"})
     out = {**config, "budget": brought.get("budget")}
-    for key in ("options", "analysis"):
+    if "recordings" in brought:
+        out["recordings"] = brought["recordings"]
+    for key in ("options", "analysis", "finer"):
         out[key] = deep(mapping(key, config.get(key)), mapping(key, brought.get(key)))
     return out
 
@@ -120,7 +126,7 @@ def last_word(config: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, 
             *above, last = path
             for key in above:
                 brought = brought.get(key) if isinstance(brought, dict) else None
-            if above and isinstance(brought, dict):
+            if path != ["budget"] and isinstance(brought, dict):
                 brought.pop(last, None)
     return out
 
@@ -217,6 +223,23 @@ def scene_settings(scene: dict[str, Any]) -> dict[str, Any]:
         out["outline"] = _outline(scene["outline"])
     if scene.get("obstacles") is not None:
         out["obstacles"] = _obstacles(scene["obstacles"])
+    return out
+
+
+def finer_settings(finer: dict[str, Any], scene: Mapping[str, Any]) -> dict[str, float]:
+    """The finer mesh that a search ends on, and the share of the evaluations that it gets there."""
+    if not finer:
+        return {}
+    known_words("setting of 'finer'", finer, {"spacing", "share"})
+    out = {"spacing": number("finer.spacing", finer.get("spacing"), above=0.0)}
+    out["share"] = number("finer.share", finer.get("share", FINER_SHARE), above=0.0)
+    if out["share"] >= 1:
+        raise ClothbenchError(f"setting 'finer.share' is {out['share']:g}, expected a number below 1")
+    if (coarse := scene.get("spacing")) is None:
+        raise ClothbenchError("setting 'finer': found no 'scene.spacing' for it to be finer than; give one")
+    if out["spacing"] >= coarse:
+        found = f"setting 'finer.spacing' is {out['spacing']:g} m"
+        raise ClothbenchError(f"{found}, expected less than scene.spacing, {coarse:g} m")
     return out
 
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clothbench.core.optional import start_of
+from clothbench.core.optional import start_of, temperature_of
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.progress import Progress
 from clothbench.core.protocols import Evaluation, Optimizer
@@ -28,7 +28,8 @@ class Fit:
     (E,), the history; condition: of the scaled Jacobian; status: ok, diverged (nothing could be simulated) or timeout
     (stopped by the clock, best so far); wall_s: s, with that of stopped runs; start: (P,), where the search set out
     from after its first look around, if it says so; looked: evaluations that this look took; objectives: (E, M), in
-    units of their spread, of a metric with several, or None.
+    units of their spread, of a metric with several, or None; temperature: (E,), in the score's unit, of a search that
+    cools, or None.
     """
 
     space: ParameterSpace
@@ -45,6 +46,7 @@ class Fit:
     start: np.ndarray | None = None
     looked: int = 0
     objectives: np.ndarray | None = None
+    temperature: np.ndarray | None = None
 
     @property
     def evaluations(self) -> int:
@@ -103,8 +105,15 @@ def calibrate(
     thetas: list[np.ndarray] = []
     values: list[np.ndarray] = []
     several: list[np.ndarray] = []
+    warmth: list[np.ndarray] = []
     stopped, looked = "", 0
-    for theta, evaluation in drive(optimizer, lambda theta: remembered(trials, theta, checkpoint)):
+
+    def answer(theta: np.ndarray) -> Evaluation:
+        if (temperature := temperature_of(optimizer)) is not None:
+            warmth.append(np.full(len(theta), temperature))
+        return remembered(trials, theta, checkpoint)
+
+    for theta, evaluation in drive(optimizer, answer):
         thetas.append(theta)
         values.append(evaluation.value)
         if evaluation.objectives is not None:
@@ -138,6 +147,7 @@ def calibrate(
         start=start_of(optimizer),
         looked=looked,
         objectives=objectives,
+        temperature=np.concatenate(warmth) if warmth else None,
     )
 
 

@@ -65,7 +65,7 @@ def problem_of_cell(runs: Path, key: str, plugins: Catalogue) -> tuple[Problem, 
     for source, recording, trial in zip(mine, bench.recordings, bench.trials, strict=True):
         if not isinstance(recording, Recording):
             raise ClothbenchError(f"{source.path}: found a drape, expected a sheet that grips hold")
-        (scene,) = scenes_of(recording, **cell.scene)
+        (scene,) = scenes_of(recording, **cell.judged)
         cases.append(SheetCase(recording.name, "fit", recording, trial.observation, scene))
     problem = Problem(
         cell.model, SheetEvidence(tuple(cases)), plugins, cell.optimizer, cell.effects, cell.options, cell.bounds,

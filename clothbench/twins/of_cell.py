@@ -48,7 +48,7 @@ class FittedCell:
             )
         first = next(s for s in cell.recordings if s.split == "fit")
         bench = set_up(with_recordings(cell, key, [first]), plugins, out / TRACKED)
-        return cls(store, cell, model, fitted, bench, scenes_of(bench.recordings[0], **cell.scene)[0])
+        return cls(store, cell, model, fitted, bench, scenes_of(bench.recordings[0], **cell.judged)[0])
 
     @property
     def values(self) -> dict[str, float]:

@@ -9,7 +9,6 @@ import numpy as np
 
 from clothbench.core.optional import takes_option
 from clothbench.core.parameters import ParameterSpace
-from clothbench.core.protocols import Optimizer
 from clothbench.engine.checkpoint import Checkpoint
 from clothbench.engine.store import finite
 from clothbench.estimation.calibrate import Fit
@@ -18,6 +17,7 @@ from clothbench.plugins.discovery import Catalogue, one_line
 from clothbench.recordings.nodes import read_recording
 from clothbench.studies.calibration.cell import Bench
 from clothbench.studies.calibration.sensitivity import error_map, morris, sobol
+from clothbench.studies.calibration.stages import searched, stages_of
 from clothbench.studies.calibration.variability import repeats, variability
 
 Tables = dict[str, list[dict[str, Any]]]
@@ -70,18 +70,17 @@ def _variability(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, c
 
 def _repeats(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, checkpoint: Checkpoint) -> Tables:
     cell = bench.cell
-    factory = plugins.load("optimizers", cell.optimizer)
-    if not takes_option(factory, "start"):
+    if not takes_option(plugins.load("optimizers", cell.optimizer), "start"):
         reason = f"optimizer {cell.optimizer!r} cannot begin at a given start"
         return {"repeats": [{"repeat": 0, "reason": reason, "unit": None}]}
-    told = {**cell.option(cell.optimizer), "start": "defaults"}
+    stages = stages_of(bench, plugins)
     budget = max(1, cell.budget - fit.looked)  # as long a walk as the fit's own, which looked around first
 
-    def make(space: ParameterSpace, seed: int) -> Optimizer:
-        return plugins.make("optimizers", cell.optimizer, space, seed=seed, budget=budget, **told)
+    def search(space: ParameterSpace, seed: int) -> Fit:
+        return searched(stages, plugins, checkpoint, space, budget, seed, begin=True, bounded=False)[-1]
 
     seed = cell.stream("repeats") % 2**32
-    return {"repeats": repeats(bench.of_split("fit"), bench.space, fit, options["count"], seed, make, checkpoint)}
+    return {"repeats": repeats(bench.of_split("fit"), bench.space, fit, options["count"], seed, search, checkpoint)}
 
 
 def _sensitivity(method: Callable[..., list[dict[str, Any]]], size: str) -> Callable[..., Tables]:

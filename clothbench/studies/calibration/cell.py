@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.optional import absent, why_skipped
+from clothbench.core.optional import absent, takes_option, why_skipped
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Metric
 from clothbench.engine.cells import Skipped, Source, digest, seed_of
@@ -37,7 +37,8 @@ class CalibrationCell:
     fixed: parameters that are not searched for, with their values; analysis: what else is asked of the fit, by name;
     rivals: other fabrics' recordings of the same trials, which these parameters are held against; published: figures
     of a paper by metric and name, in the metric's unit, to stand beside the results; choice: which of the front is
-    the fit, where the metric has several objectives; start: where a search that begins somewhere begins, by parameter.
+    the fit, where the metric has several objectives; start: where a search that begins somewhere begins, by parameter;
+    finer: {"spacing" [m], "share"}, the mesh that the last share of the search goes on with, and is judged on.
     """
 
     suite: str
@@ -62,6 +63,7 @@ class CalibrationCell:
     published: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
     choice: str = "nearest"
     start: Mapping[str, float] = field(default_factory=dict)
+    finer: Mapping[str, float] = field(default_factory=dict)
 
     study: ClassVar[str] = "calibration"
     counts: ClassVar[str] = "evaluations"
@@ -82,6 +84,7 @@ class CalibrationCell:
             "rivals",
             "published",
             "start",
+            "finer",
         ):  # cells that have none keep the key they had before there were any
             if not question[name]:
                 del question[name]
@@ -92,7 +95,14 @@ class CalibrationCell:
         """6 hexadecimal digits of how it is run, whatever it is run on."""
         how = {name: getattr(self, name) for name in ("bounds", "scene", "versions", "budget", "tracker")}
         how["options"] = {k: dict(v) for k, v in self.options.items() if k in self._plugins()}
+        if self.finer:
+            how["finer"] = dict(self.finer)
         return digest(how, 6)
+
+    @property
+    def judged(self) -> Mapping[str, Any]:
+        """Settings of the scene that the result is judged in: with the finer mesh, where the search ends on one."""
+        return {**self.scene, "spacing": self.finer["spacing"]} if self.finer else self.scene
 
     @property
     def row_columns(self) -> Mapping[str, Any]:
@@ -219,6 +229,7 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
             return None
         space = begun(bounded(space, cell.bounds), cell.start)
         plugins.make("optimizers", cell.optimizer, space, seed=0, budget=cell.budget, **cell.option(cell.optimizer))
+        refuse_without_start(cell, plugins)
         return set(space.names)
     except PluginBroken:
         return None
@@ -226,6 +237,15 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
         raise
     except Exception:
         return None
+
+
+def refuse_without_start(cell: CalibrationCell, plugins: Catalogue) -> None:
+    """A search that cannot begin where another ended cannot go on on a finer mesh."""
+    if cell.finer and not takes_option(plugins.load("optimizers", cell.optimizer), "start"):
+        raise ClothbenchError(
+            f"setting 'finer': optimizer {cell.optimizer!r} cannot begin at a given start; choose one that has the "
+            "option start (see `clothbench plugins`), or leave finer out"
+        )
 
 
 def bounded(space: ParameterSpace, bounds: Mapping[str, tuple[float, float]]) -> ParameterSpace:
@@ -246,7 +266,7 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
     tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
 
     def make(recording: Recording | Silhouettes, areal_density: float | None = None) -> Trial:
-        scenes = scenes_of(recording, **cell.scene)
+        scenes = scenes_of(recording, **cell.judged)
         if areal_density is not None:
             scenes = [dataclasses.replace(scene, areal_density=areal_density) for scene in scenes]
         if reason := next(filter(None, (why_skipped(model, scene) for scene in scenes)), None):

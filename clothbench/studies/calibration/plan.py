@@ -69,6 +69,7 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
                 published=suite["published"],
                 choice=choice_of(settings.get("choice")),
                 start=begin,
+                finer=settings["finer"],
                 tracker=str(settings["tracker"]),
                 bounds=free | settings["bounds"],
                 **{key: settings[key] for key in ("options", "scene", "budget", "seed", "timeout")},

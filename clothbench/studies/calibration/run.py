@@ -15,7 +15,7 @@ from clothbench.core.rollout import Rollout
 from clothbench.engine.rows import about_cell, failure, no_value
 from clothbench.engine.store import finite
 from clothbench.engine.study import Context, Result
-from clothbench.estimation.calibrate import Fit, best_rollout, calibrate
+from clothbench.estimation.calibrate import Fit, best_rollout
 from clothbench.estimation.intervals import error_interval, mean_interval
 from clothbench.estimation.trials import score_of
 from clothbench.recordings.colour_video import ColourVideo
@@ -29,33 +29,35 @@ from clothbench.studies.calibration.cloth import films_of, write_films
 from clothbench.studies.calibration.drapes import write_drapes
 from clothbench.studies.calibration.frames import at_most, write_frames
 from clothbench.studies.calibration.schema import DRAPES, FILMS, FRAMES, PICTURES
+from clothbench.studies.calibration.stages import searched, stages_of, with_mesh
 
 
 def run(cell: CalibrationCell, context: Context) -> Result:
     """Search, on the fit recordings together, and score what was found on all of them."""
     bench = set_up(cell, context.plugins, context.kept)
-    optimizer = context.plugins.make(
-        "optimizers", cell.optimizer, bench.space, seed=cell.stream("optimizer"), budget=cell.budget,
-        **cell.option(cell.optimizer),
+    stages = stages_of(bench, context.plugins, context.kept)
+    fits = searched(
+        stages, context.plugins, context.checkpoint, bench.space, cell.budget, cell.stream("optimizer"),
+        progress=context.progress,
     )  # fmt: skip
-    fit = calibrate(
-        bench.of_split("fit"), optimizer, bench.space, timeout=cell.timeout, progress=context.progress,
-        checkpoint=context.checkpoint, choice=cell.choice,
-    )  # fmt: skip
+    bench, fit, spent = stages[len(fits) - 1], fits[-1], sum(fit.evaluations for fit in fits)
     if fit.status == "diverged":
-        return failure(cell, "diverged", _why_lost(bench), evaluations=fit.evaluations, wall_s=fit.wall_s)
-    return _scored(bench, fit, context)
+        return failure(cell, "diverged", _why_lost(bench), evaluations=spent, wall_s=fit.wall_s)
+    if len(fits) > 1:
+        fit = with_mesh(fits[0], fit, cell)
+    return _scored(bench, fit, fits[:-1], context)
 
 
-def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
-    """All tables of the best parameters."""
+def _scored(bench: Bench, fit: Fit, before: Sequence[Fit], context: Context) -> Result:
+    """All tables of the best parameters; before: fits of coarser meshes that the search began on."""
     rollouts = [best_rollout(t, fit) for t in bench.trials]
     rows, trace = [], []
     fitted: list[Score] = []
+    spent = fit.evaluations + sum(one.evaluations for one in before)
     for metric in [bench.trials[0].metric, *bench.others]:
         scores = [score_of(t, metric, r) for t, r in zip(bench.trials, rollouts, strict=True)]
         fitted = fitted or scores
-        rows += _rows_of(bench, fit, metric, scores, rollouts)
+        rows += _rows_of(bench, fit, spent, metric, scores, rollouts)
         trace += _trace_of(bench, metric, scores)
     tables = {
         "rows": rows,
@@ -64,6 +66,8 @@ def _scored(bench: Bench, fit: Fit, context: Context) -> Result:
         "history": _history_of(bench, fit),
         "trace": trace,
     }
+    if before:
+        tables["coarse_history"] = _history_of(bench, before[0])
     if fit.objectives is not None:
         tables["front"] = _front_of(bench, fit, fitted)
     if bench.cell.published:
@@ -114,12 +118,12 @@ def _why_lost(bench: Bench) -> str:
 
 
 def _rows_of(
-    bench: Bench, fit: Fit, metric: Metric, scores: Sequence[Score], rollouts: Sequence[Rollout]
+    bench: Bench, fit: Fit, spent: int, metric: Metric, scores: Sequence[Score], rollouts: Sequence[Rollout]
 ) -> list[dict[str, Any]]:
-    """One row per recording, then one per split over its recordings."""
+    """One row per recording, then one per split over its recordings. spent: evaluations on all meshes."""
     cell = bench.cell
     about = {**about_cell(cell), **no_value(), "metric": metric.name, "unit": metric.unit}
-    about |= {"evaluations": fit.evaluations, "wall_s": fit.wall_s}
+    about |= {"evaluations": spent, "wall_s": fit.wall_s}
     rows = []
     for source, trial, score, rollout in zip(cell.recordings, bench.trials, scores, rollouts, strict=True):
         low, high = _interval(metric, score, trial.observation, rollout, cell.stream(source.hash))
@@ -239,10 +243,12 @@ def _history_of(bench: Bench, fit: Fit):
 
     names = [o.name for o in objectives_of(bench.trials[0].metric)]
     several = {} if fit.objectives is None else dict(zip(names, fit.objectives.T, strict=True))
+    cooling = {} if fit.temperature is None else {"temperature": fit.temperature}
     return pd.DataFrame(
         {
             "evaluation": np.arange(1, fit.evaluations + 1),
             "value": fit.value,
+            **cooling,
             **{f"objective:{name}": column for name, column in several.items()},
             **dict(zip(fit.space.names, fit.theta.T, strict=True)),
         }

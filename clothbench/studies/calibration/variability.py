@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.parameters import ParameterSpace
-from clothbench.core.protocols import Optimizer
 from clothbench.engine.checkpoint import Checkpoint
-from clothbench.estimation.calibrate import Fit, calibrate, remembered
+from clothbench.estimation.calibrate import Fit, remembered
 from clothbench.estimation.trials import Trial
 
 REACH = 0.20  # perturbations go up to ± this share of a parameter's value
@@ -81,9 +80,9 @@ def parabola(share: np.ndarray, error: np.ndarray, base: float) -> tuple[float |
 
 def repeats(
     trials: Sequence[Trial], space: ParameterSpace, fit: Fit, count: int, seed: int,
-    make: Callable[[ParameterSpace, int], Optimizer], checkpoint: Checkpoint | None = None,
+    search: Callable[[ParameterSpace, int], Fit], checkpoint: Checkpoint | None = None,
 ) -> list[dict[str, Any]]:  # fmt: skip
-    """The fit and `count` more from starts within ±5 % of its own (table 2); make(space, seed) gives each search.
+    """The fit and `count` more from starts within ±5 % of its own (table 2); search(space, seed) finds each.
 
     The start is handed over as the space's defaults.
     """
@@ -92,9 +91,7 @@ def repeats(
     for n in range(count + 1):
         near = begin * random.uniform(1 - AROUND, 1 + AROUND, len(begin))
         start = begin if n == 0 else np.clip(near, space.low, space.high)
-        found = fit
-        if n:
-            found = calibrate(trials, make(moved(space, start), seed + n), space, checkpoint=checkpoint, bounded=False)
+        found = search(moved(space, start), seed + n) if n else fit
         first = float(remembered(trials, start[None], checkpoint).value[0])
         error = float(np.nanmin(found.value)) if np.isfinite(found.value).any() else math.nan
         rows += [

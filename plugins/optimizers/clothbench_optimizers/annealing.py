@@ -55,6 +55,7 @@ class Annealing(GeneratorSearch):
         ):  # fmt: skip
             check_between(self.name, name, number, low, high)
         self.begin, self.levels, self.gridded = start, levels, len(space) if gridded is None else gridded
+        self.temperature_now = np.nan
         self.share, self.temperature, self.final, self.size = share, temperature, final, size
         super().__init__(space, seed=seed, budget=budget)
 
@@ -108,6 +109,7 @@ class Walker:
                 yield from self._span(size)
                 since = self.spent
                 continue
+            settings.temperature_now = now
             yield from self._move(now)
 
     def _ask(self, points: np.ndarray) -> Generator[np.ndarray, Evaluation, np.ndarray]:
