@@ -34,10 +34,12 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     suite, analyses = suite_settings(settings["suite"]), analysis_settings(settings["analysis"])
     require_plugins(settings, PRODUCT)
     recordings = read_all(where({**settings, "suite": suite}, progress))
-    by, each = suite.get("case") or "fabric", suite["each"]
-    cases = group(recordings, by, suite["select"], settings["seed"], fitted=not each)
+    by, each, joint = suite.get("case") or "fabric", suite["each"], suite["together"]
+    cases = group(recordings, by, suite["select"], settings["seed"], fitted=not each and not joint)
     if each:
         cases = one_by_one(cases, each)
+    elif joint:
+        cases = together(cases, joint)
     prior = preset(str(settings["prior"])) if settings.get("prior") else None
     if prior:
         settings = with_prior(settings, prior, plugins)
@@ -154,6 +156,18 @@ def one_by_one(cases: Mapping[str, Sequence[Source]], patterns: Sequence[str]) -
             out[fitted.name] = sorted(split, key=lambda s: s.split)
     if not out:
         raise ClothbenchError(f"setting 'suite.each' {list(patterns)} matches none of the recordings")
+    return out
+
+
+def together(cases: Mapping[str, Sequence[Source]], patterns: Sequence[str]) -> dict[str, list[Source]]:
+    """All recordings of a case whose names match are fitted at once, its others held out, whatever the files state."""
+    out = {
+        case: [dataclasses.replace(s, split="fit" if _matches(s.name, patterns) else "held_out") for s in sources]
+        for case, sources in cases.items()
+        if any(_matches(s.name, patterns) for s in sources)
+    }
+    if not out:
+        raise ClothbenchError(f"setting 'suite.together' {list(patterns)} matches none of the recordings")
     return out
 
 

@@ -8,7 +8,9 @@ from typing import Any
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.settings import known_words, mapping, number, whole, words
 
-SUITE_WORDS = frozenset({"textile", "recordings", "select", "case", "each", "fixed", "effects", "published"})
+SUITE_WORDS = frozenset(
+    {"textile", "recordings", "select", "case", "each", "together", "fixed", "effects", "published"}
+)
 TEXTILES = ("soft", "medium", "stiff")
 CASES = ("fabric", "experiment", "motion", "recording", "all")
 # What can be asked of a finished fit, with the options of each and their defaults.
@@ -42,6 +44,11 @@ def suite_settings(suite: Mapping[str, Any]) -> dict[str, Any]:
         raise ClothbenchError(f"setting 'suite.case' is {out['case']!r}, expected one of {', '.join(CASES)}")
     out["select"] = words("suite.select", out.get("select")) or ["*"]
     out["each"] = words("suite.each", out.get("each"))
+    out["together"] = words("suite.together", out.get("together"))
+    if out["each"] and out["together"]:
+        raise ClothbenchError(
+            "settings 'suite.each' and 'suite.together' both say what is fitted; empty one of them, as in suite.each=[]"
+        )
     return out
 
 
