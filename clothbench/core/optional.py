@@ -29,6 +29,7 @@ from clothbench.core.scene import Scene
 
 TRACKED_KINDS = frozenset({"nodes", "depth", "video", "silhouette"})  # of recordings that a sheet can be tracked in
 MODEL_KINDS = ("explicit", "implicit", "static", "")
+FORCE_LAWS = ("normal velocity squared", "normal acceleration", "past normal velocity", "mass along the lower edge")
 EFFECT_FAMILIES = (
     "air", "wind", "mass", "gravity", "stretch", "bending", "grip", "clamp", "clock", "camera", "load",
 )  # fmt: skip
@@ -295,6 +296,15 @@ class HasFamily(Protocol):
 
 
 @runtime_checkable
+class FollowsLaw(Protocol):
+    """law: one of `FORCE_LAWS`, what the effect's force goes with. Where the torques that recordings leave go with the
+    same, without any model, `improve` keeps the effect's name though much else is missing. Without it: "".
+    """
+
+    law: str
+
+
+@runtime_checkable
 class ShiftsTimes(Protocol):
     """A sensor effect that shifts when the simulation is looked at. One without it and `positions` does nothing."""
 
@@ -329,6 +339,11 @@ def varying_of(effect: Any) -> tuple[str, ...]:
 def family_of(effect: Any) -> str:
     """What an effect is about, one of `EFFECT_FAMILIES`; "" if it does not say."""
     return effect.family if isinstance(effect, HasFamily) else ""
+
+
+def law_of_force(effect: Any) -> str:
+    """What an effect's force goes with, one of `FORCE_LAWS`; "" if it does not say."""
+    return effect.law if isinstance(effect, FollowsLaw) else ""
 
 
 def reads_normals(effect: Any) -> bool:

@@ -8,7 +8,16 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.optional import EFFECT_FAMILIES, HasFamily, Remembers, SaysNormals, Stiffens, varying_of
+from clothbench.core.optional import (
+    EFFECT_FAMILIES,
+    FORCE_LAWS,
+    FollowsLaw,
+    HasFamily,
+    Remembers,
+    SaysNormals,
+    Stiffens,
+    varying_of,
+)
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Model
 from clothbench.modelling.bound_effects import PLACES
@@ -53,6 +62,8 @@ def keeps_what_it_offers(case: EffectCase) -> None:
         require(isinstance(effect.normals, bool), f"normals {effect.normals!r}", "True or False")
     if isinstance(effect, HasFamily):
         require(effect.family in EFFECT_FAMILIES, f"family {effect.family!r}", f"one of {', '.join(EFFECT_FAMILIES)}")
+    if isinstance(effect, FollowsLaw):
+        require(effect.law in FORCE_LAWS, f"law {effect.law!r}", f"one of {', '.join(FORCE_LAWS)}")
     unknown = [name for name in varying_of(effect) if name not in effect.parameters.names]
     require(not unknown, f"by_recording with {', '.join(map(repr, unknown))}", "names of its own parameters")
 

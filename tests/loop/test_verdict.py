@@ -132,3 +132,43 @@ def test_hint_of_a_tie_says_how_alike_the_two_are_and_where_they_differ(state):
 )
 def test_a_name_has_to_hold_on_what_was_held_out(before, after, fails):
     assert fails_to_hold(before, after) is fails
+
+
+@pytest.mark.parametrize(
+    ("law", "verdict"),
+    [
+        (None, "unexplained"),
+        ("past normal velocity", "unexplained"),
+        ("", "unexplained"),
+        ("normal velocity squared", "attributed"),
+    ],
+)
+def test_a_name_stays_though_much_is_left_where_the_torques_say_the_same_without_a_model(state, law, verdict):
+    """quadratic_drag takes off half of what stands above the noise; law: what the recordings' own law goes with."""
+    cases = state.problem.of_split("fit")
+    state.problem.of_split = lambda split: cases if split == "fit" else [SimpleNamespace(name="third")]
+    base, final = state.base, fitted([0.7 * r for r in state.base.residual], ("quadratic_drag",), [DRAG])
+    found = Candidate("quadratic_drag", 0.5, 0.005, 0.5 * base.rms**2, fitted=final)
+    rounds = (Round(base, 1e-3, (found,), (), ("quadratic_drag",), final), Round(final, 1e-3, (), (), ()))
+    told = None if law is None else SimpleNamespace(amounts=(SimpleNamespace(term=SimpleNamespace(law=law)),))
+    end = concluded(replace(state, final=final, rounds=rounds), [5e-3], held_out_after=[4e-3], law=told)
+    assert end.word == verdict
+    if verdict == "attributed":
+        assert end.fit is final
+        assert "without any model; 47% of what noise and mesh do not account for is left: something else is" in end.hint
+    else:
+        assert "so that something else must be missing" in end.dropped
+    # What does not hold on the recordings held out is no name, whoever says so.
+    assert concluded(replace(state, final=final, rounds=rounds), [5e-3], held_out_after=[6e-3], law=told).word == (
+        "unexplained"
+    )
+
+
+def test_every_law_that_effects_may_follow_is_one_that_torques_can_show():
+    from clothbench.core.optional import FORCE_LAWS, law_of_force
+    from clothbench.studies.improve.balance import terms
+
+    plugins = catalogue()
+    assert {term.law for term in terms()} - {""} == set(FORCE_LAWS)
+    said = {law_of_force(plugins.make("effects", name)) for name in plugins.names("effects")}
+    assert said - {""} == set(FORCE_LAWS)

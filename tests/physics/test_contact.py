@@ -122,6 +122,22 @@ SCHEMES = {
 
 
 @pytest.mark.parametrize(("model", "theta", "dt"), SCHEMES.values(), ids=SCHEMES)
+def test_what_is_lifted_comes_off_the_plane(model, theta, dt):
+    """It rests there first; lifted by its corners all of it leaves, as in explicit steps, which put nodes out only."""
+    shape, uv = (5, 5), lattice((5, 5), 0.16, 0.16)
+    corners = uv[[0, 4, 20, 24]]
+    flat, lifted = (np.column_stack([corners, np.full(4, z)]) for z in (0.0, 0.08))
+    scene = Scene(0.16, 0.16, 0.2, np.array([0.0, 0.1, 0.4]), corners, np.stack([flat, flat, lifted]),
+                  np.array([0.0, 0.1, 0.4]), uv, resolution=shape, start=np.column_stack([uv, 0 * uv[:, 0]]),
+                  obstacles=(Obstacle("plane", friction=0.3),))  # fmt: skip
+    height = model(dt=dt).prepare(scene).run(theta).position[0, :, :, 2]
+    np.testing.assert_allclose(height[1], 0.0, atol=1e-6)
+    assert height[2].min() > 0.02
+    explicit = MassSpring().prepare(scene).run(SOFT).position[0, 2, :, 2]
+    assert abs(height[2].mean() - explicit.mean()) < 0.015
+
+
+@pytest.mark.parametrize(("model", "theta", "dt"), SCHEMES.values(), ids=SCHEMES)
 @pytest.mark.parametrize("friction", [0.1, 0.5])
 def test_in_implicit_steps_a_sheet_slides_as_coulomb_says_a_few_steps_late(model, theta, dt, friction):
     """Sticks below atan μ; above, a new contact sticks for a step, and then accelerates with g (sin α − μ cos α)."""

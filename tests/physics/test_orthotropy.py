@@ -107,6 +107,15 @@ def test_a_material_with_two_directions_goes_in_and_comes_out(model):
     assert dataclasses.astuple(said) == pytest.approx(dataclasses.astuple(told), rel=close)
 
 
+@pytest.mark.parametrize("name", ["baraff_witkin", "inextensible"])
+def test_viscosity_of_bending_goes_in_and_comes_out(name):
+    model, told = catalogue().make("models", name), Material(1e-5, 300.0, 150.0, bending_damping=2e-7)
+    theta = model.of_material(told, scenes.hanging())
+    (k,) = (k for k, p in enumerate(model.parameters) if p.unit == "N·m·s")
+    assert theta[k] == pytest.approx(2e-7)
+    assert model.material_of(theta, scenes.hanging()).bending_damping == pytest.approx(2e-7)
+
+
 @pytest.mark.parametrize("name", ["baraff_witkin", "inextensible", "kirchhoff_love", "mass_spring"])
 def test_a_sheet_that_is_alike_along_both_says_so(name):
     material = Material(0.0 if name == "mass_spring" else 1e-6, 300.0, 150.0, 0.0, 0.0, 2.0)

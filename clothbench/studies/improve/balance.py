@@ -52,7 +52,8 @@ def along_axis(motion: Motion, axis: int, by_place: bool) -> np.ndarray:
 class Term:
     """One term of a law. name: as it is told; formula: with its coefficient k; unit: of the coefficient; force: per
     area (T, N, 3) at a coefficient of 1; slot: number of the coefficient in `missing_force`, shape: of a number beside
-    it, and its value; positive: mass, which cannot be negative: a sheet without any would balance whatever it did.
+    it, and its value; positive: mass, which cannot be negative: a sheet without any would balance whatever it did;
+    law: of `FORCE_LAWS`, by which effects say that they are this, or "".
     """
 
     name: str
@@ -62,6 +63,7 @@ class Term:
     slot: int
     shape: tuple[int, float] | None = None
     positive: bool = False
+    law: str = ""
 
 
 def terms() -> tuple[Term, ...]:
@@ -70,21 +72,24 @@ def terms() -> tuple[Term, ...]:
         Term("normal velocity", "−k v_n n", "kg/(m²·s)", lambda m: power(m, 1.0), 0),
         *(
             Term(f"normal velocity to the power {p:g}", f"−k |v_n|{'' if p == 2 else f'^{p - 1:g}'} v_n n",
-                 f"N/m² (s/m)^{p:g}", partial(power, exponent=p), 1, (2, p))
+                 f"N/m² (s/m)^{p:g}", partial(power, exponent=p), 1, (2, p),
+                 law="normal velocity squared" if p == 2 else "")
             for p in POWERS
         ),
         Term("speed squared", "−k |v| v", "kg/m³", lambda m: -np.linalg.norm(m.v, axis=2, keepdims=True) * m.v, 3),
         Term("normal acceleration", "−k a_n n", "kg/m²",
-             lambda m: -np.einsum("tnc,tnc->tn", m.a, m.normal)[..., None] * m.normal, 4, positive=True),
+             lambda m: -np.einsum("tnc,tnc->tn", m.a, m.normal)[..., None] * m.normal, 4, positive=True,
+             law="normal acceleration"),
         *(
             Term(f"normal velocity of the last {t:g} s", f"−k y n, ẏ = v̇_n − y/({t:g} s)", "kg/(m²·s)",
-                 partial(delayed, relaxation=t), 5, (6, t), positive=True)
+                 partial(delayed, relaxation=t), 5, (6, t), positive=True, law="past normal velocity")
             for t in TIMES
         ),
         Term("normal velocity, lower down", "−k (s/H) v_n n", "kg/(m²·s)",
              lambda m: power(m, 1.0) * m.along[None, :, 1:], 7),
         Term("mass along the lower edge", "−k δ(s − H) (a − g)", "kg/m",
-             lambda m: -(m.a - m.gravity) * m.lower_edge[None, :, None], 8, positive=True),
+             lambda m: -(m.a - m.gravity) * m.lower_edge[None, :, None], 8, positive=True,
+             law="mass along the lower edge"),
         Term("mass, lower down", "−k (s/H) (a − g)", "kg/m²",
              lambda m: -(m.a - m.gravity) * m.along[None, :, 1:], 9, positive=True),
         *(

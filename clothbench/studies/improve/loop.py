@@ -160,19 +160,20 @@ def continued(problem: Problem, named: Fitted, account: Account) -> Fitted:
 
 def finding_of(state: State, account: Account, timed_out: bool = False) -> Finding:
     """Stages 6 and 7: the only look at the held-out recordings, and all that is told of the run."""
-    account.stage("held-out recordings", 0, 1)
     problem, base = state.problem, state.base
+    account.stage("without any model", 0, 1)
+    balance, description = problem.evidence.balance(problem.seed), None
+    account.stage("held-out recordings", 0, 1)
     before = held_out_errors(problem, base)
     own = dict(state.own)
     for name, amounts in own.items():
         problem, unseen = on_held_out(problem, state.final, name)
         own[name] = {**amounts, **unseen}
-    end = concluded(state, before, timed_out, held_out_errors(problem, state.final) if state.final.effects else ())
+    with_names = held_out_errors(problem, state.final) if state.final.effects else ()
+    end = concluded(state, before, timed_out, with_names, None if balance is None else balance.law)
     placebo, spent = placebo_of(problem, end.fit, state.rounds)
     account.count(spent)
     after = held_out_errors(problem, end.fit) if end.fit.effects else before
-    account.stage("without any model", 0, 1)
-    balance, description = problem.evidence.balance(problem.seed), None
     if end.word == "unexplained" and balance is not None and balance.law is not None:
         description = description_of(problem, balance.law, base, before, account)
     comparisons = comparisons_of(problem, base, end.fit)

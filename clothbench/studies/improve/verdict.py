@@ -8,8 +8,10 @@ from itertools import combinations
 
 import numpy as np
 
+from clothbench.core.optional import law_of_force
 from clothbench.studies.improve.experiment import parting_experiment
 from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.law import Law
 from clothbench.studies.improve.selection import Candidate, correction_correlation, parameters_of
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round, State
@@ -36,13 +38,18 @@ class Conclusion:
 
 
 def concluded(
-    state: State, held_out: Sequence[float], timed_out: bool = False, held_out_after: Sequence[float] = ()
+    state: State,
+    held_out: Sequence[float],
+    timed_out: bool = False,
+    held_out_after: Sequence[float] = (),
+    law: Law | None = None,
 ) -> Conclusion:
     """held_out: errors of the calibrated model on the recordings held out, base unit, NaN where a run was stopped;
-    held_out_after: the same with all that was named, none if nothing was: names have to hold there.
+    held_out_after: the same with all that was named, none if nothing was: names have to hold there; law: of what acts
+    on the sheet beside damping, told by the recordings without any model.
     """
     worse = fails_to_hold(held_out, held_out_after)
-    word = "unexplained" if worse else word_of(state)
+    word = "unexplained" if worse else word_of(state, law)
     fit = state.final if word in ("attributed", "tied") else state.base
     remark, rms, unseen = hint(state, word, fit), fit.rms, pooled(held_out) or 0.0
     names = [case.name for case in state.problem.of_split("held_out")]
@@ -80,17 +87,35 @@ def pooled(values: Sequence[float]) -> float | None:
     return float(rms) if np.isfinite(rms) else None
 
 
-def word_of(state: State) -> str:
+def word_of(state: State, law: Law | None = None) -> str:
     """The verdict by the fit recordings alone."""
     named = [r for r in state.rounds if r.named]
     if not named:
         return "complete" if at_floor(state) and state.fine_enough else "unexplained"
     if state.problem.evidence.search.steps:
         return "tied" if any(len(r.named) > 1 for r in named) else "attributed"
-    explained = LOOP.least_explained_in_all if above_floor(state) else LOOP.least_explained_at_floor
-    if share_left(state) > 1 - explained:
+    if much_left(state) and not witnessed(state, law):
         return "unexplained"
     return "tied" if any(len(r.named) > 1 for r in named) else "attributed"
+
+
+def much_left(state: State) -> bool:
+    """Whether what is left after all that was named is worth another name."""
+    explained = LOOP.least_explained_in_all if above_floor(state) else LOOP.least_explained_at_floor
+    return share_left(state) > 1 - explained
+
+
+def witnessed(state: State, law: Law | None) -> bool:
+    """Whether the recordings say without any model what was named with one: each name is, or is tied with, a force that
+    goes with what the law's first term goes with, which is the one that beats chance.
+
+    Whose cause has no name may pass for its nearest likeness, and then leaves much; two accounts that share no
+    simulation do not agree on the likeness.
+    """
+    if law is None or not (said := law.amounts[0].term.law):
+        return False
+    make = state.problem.make
+    return all(any(law_of_force(make("effects", n)) == said for n in r.named) for r in state.rounds if r.named)
 
 
 def at_floor(state: State) -> bool:
@@ -115,8 +140,11 @@ def why_dropped(state: State, worse: bool) -> str:
     """Why what passed every test of its own is no finding after all. worse: on what was held out."""
     if worse:
         return "the error on the recordings held out does not fall with it"
-    left = f"{share_left(state):.0%} of what noise and mesh do not account for is left"
-    return f"{left}, so that something else must be missing"
+    return f"{what_is_left(state)}, so that something else must be missing"
+
+
+def what_is_left(state: State) -> str:
+    return f"{share_left(state):.0%} of what noise and mesh do not account for is left"
 
 
 def hint(state: State, word: str, fit: Fitted) -> str:
@@ -125,7 +153,14 @@ def hint(state: State, word: str, fit: Fitted) -> str:
         return "nothing is left above the noise and the mesh"
     if word in ("attributed", "tied"):
         pairs = [undecided(state, r) for r in state.rounds if len(r.named) > 1]
-        return "; ".join([*pairs, below_mesh(state)] if at_floor(state) and not state.fine_enough else pairs)
+        if at_floor(state) and not state.fine_enough:
+            pairs.append(below_mesh(state))
+        if not state.problem.evidence.search.steps and much_left(state):
+            pairs.append(
+                f"the recordings say the same of {' and '.join(state.final.effects)} without any model; "
+                f"{what_is_left(state)}: something else is missing, too"
+            )
+        return "; ".join(pairs)
     said, dropped = [], state.final.effects
     if at_floor(state) and not state.fine_enough and not dropped:
         return below_mesh(state)

@@ -25,6 +25,7 @@ class AddedMass:
     version = 1
     place = "dynamics"
     family = "air"
+    law = "normal acceleration"
     summary = "air carried along by the normal acceleration"
     inertia = staticmethod(carry_air)
     parameters = ParameterSpace(

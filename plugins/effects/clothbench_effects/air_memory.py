@@ -46,6 +46,7 @@ class AirMemory:
     version = 1
     place = "dynamics"
     family = "air"
+    law = "past normal velocity"
     summary = "air that follows the sheet late: added mass to slow motion, drag to fast"
     force = staticmethod(hold_back)
     parameters = ParameterSpace(

@@ -52,6 +52,7 @@ class HeavyHem:
     version = 1
     place = "dynamics"
     family = "mass"
+    law = "mass along the lower edge"
     normals = False
     summary = "a hem along the lower edge, with its weight"
     force = staticmethod(weigh)

@@ -21,6 +21,7 @@ class QuadraticDrag:
     version = 1
     place = "dynamics"
     family = "air"
+    law = "normal velocity squared"
     summary = "air drag, quadratic in normal velocity"
     force = staticmethod(push_back)
     parameters = ParameterSpace(

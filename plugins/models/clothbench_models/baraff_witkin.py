@@ -94,7 +94,7 @@ class BaraffWitkin:
     """
 
     name = "baraff_witkin"
-    version = 1
+    version = 2
     kind = "implicit"
     parameters = PARAMETERS
     textiles = TEXTILES

@@ -62,7 +62,7 @@ class Inextensible:
     """
 
     name = "inextensible"
-    version = 1
+    version = 2
     kind = "implicit"
     parameters = PARAMETERS
     capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start", "outline"})
@@ -101,17 +101,17 @@ class Inextensible:
         """θ, α, β (3,) and the ratio of an orthotropic sheet, of a textbook material: its bending and the damping of
         that; stretching is not modelled.
         """
-        late = material.bending_damping / material.bending if material.bending > 0 else 0.0
         alike = dataclasses.replace(material, stretch_ratio=1.0)
         if not self.orthotropic:
             refuse_ratios(self.name, alike, OPTION)
-        return np.array([material.bending, 0.0, late, *([material.bending_ratio] if self.orthotropic else [])])
+        ratio = [material.bending_ratio] if self.orthotropic else []
+        return np.array([material.bending, 0.0, material.bending_damping, *ratio])
 
     def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
         """A cloth that bends and does not stretch; α, which brakes every motion, has no place in a material."""
         bending = float(theta[0])
         ratio = float(theta[3]) if self.orthotropic else 1.0
-        return Material(bending, math.inf, math.inf, float(theta[2]) * bending, 0.0, ratio)
+        return Material(bending, math.inf, math.inf, float(theta[2]), 0.0, ratio)
 
 
 @dataclass(frozen=True, eq=False)

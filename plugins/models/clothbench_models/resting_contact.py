@@ -4,7 +4,8 @@
 resting nodes in at every step and have them put back; so there they are held back along the normal (Baraff and Witkin
 1998, section 5.2), and the reaction that this took decides what they do in the next step: a node that would have had
 to be pulled is let go; one whose tangential reaction leaves Coulomb's cone slides, rubbed by μ times the normal
-reaction; one that comes to a stop sticks again.
+reaction; one that comes to a stop sticks again. A node that was let go is not caught where it lies: cloth would never
+come off a table.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ import numpy as np
 from clothbench.modelling import DISC, SPHERE, inside, keep_apart, kernel
 
 FREE, SLIDES, STICKS = 0, 1, 2  # what a node may do where it touches an obstacle; held nodes stick
+LEAVES = 3  # it was let go and lies on the surface still: it is free for one step, in which it leaves or falls back
 SKIN = 2e-9  # m; as near as this is touching
 
 
@@ -49,7 +51,7 @@ def touching(x, obstacles, free, touch, normal, friction):
                 normal[0, i], normal[1, i], normal[2, i] = nx, ny, nz
                 friction[i] = obstacles[k, 8]
                 break
-        if not found:
+        if not found or touch[i] == LEAVES:
             touch[i] = FREE
         elif touch[i] == FREE:
             touch[i] = STICKS if friction[i] > 0.0 else SLIDES
@@ -59,7 +61,7 @@ def touching(x, obstacles, free, touch, normal, friction):
 def judge(reaction, moved, free, touch, normal, friction, rub):
     """What touching nodes do next, from the obstacle's reaction (3, n) N and how they moved (3, n), in any unit.
 
-    rub (3, n) N: friction on sliding nodes, to be added to the forces of the next step. A node let go is FREE.
+    rub (3, n) N: friction on sliding nodes, to be added to the forces of the next step. A node let go LEAVES.
     """
     for i in range(reaction.shape[1]):
         rub[0, i] = rub[1, i] = rub[2, i] = 0.0
@@ -68,7 +70,7 @@ def judge(reaction, moved, free, touch, normal, friction, rub):
         nx, ny, nz = normal[0, i], normal[1, i], normal[2, i]
         push = reaction[0, i] * nx + reaction[1, i] * ny + reaction[2, i] * nz
         if push <= 0.0:
-            touch[i] = FREE
+            touch[i] = LEAVES
             continue
         if friction[i] == 0.0:
             touch[i] = SLIDES
