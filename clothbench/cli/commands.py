@@ -86,6 +86,8 @@ def parser() -> argparse.ArgumentParser:
     _add(commands, "import", import_data, "convert a public data set into recordings", _import)
     _add(commands, "leaderboard", leaderboard, "all results so far", _store, _json)
     _add(commands, "compare", compare, "exit 1 if NEW is worse than BASE beyond the noise", _compare, _json)
+    _add(commands, "history", history, "error and speed of every model against commit, and where they changed",
+         _history, _json)  # fmt: skip
     _add(commands, "bench", bench, "speed of every model beside the installed peers", _bench, _json)
     _add(commands, "report", report, "one self-contained page with figures", _report)
     _add(commands, "view", view, "open a fit in Rerun, recording beside rollout", _view)
@@ -218,6 +220,20 @@ def _compare(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("base", metavar="BASE", help="results folder or leaderboard .json to hold against")
     sub.add_argument("new", metavar="NEW", help="results folder or leaderboard .json to judge")
     sub.add_argument("--markdown", action="store_true", help="as Markdown, for a comment on a pull request")
+
+
+def _history(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "folder", nargs="?", type=Path, metavar="FOLDER", help="of entries, one for each commit and machine"
+    )
+    sub.add_argument("--add", metavar="RUNS", help="a results folder, which becomes an entry of FOLDER first")
+    sub.add_argument("--commit", default="HEAD", help="that RUNS are of, in the repository here (default: HEAD)")
+    sub.add_argument(
+        "--git", type=Path, metavar="FILE",
+        help="instead of FOLDER: a leaderboard .json that is committed, at every commit that changed it",
+    )  # fmt: skip
+    sub.add_argument("--machine", metavar="NAME", help="with --git: what all of that was computed on (else not known)")
+    sub.add_argument("--page", type=Path, metavar="FILE", help="write a self-contained page, too")
 
 
 def _bench(sub: argparse.ArgumentParser) -> None:
@@ -399,6 +415,15 @@ def compare(options: argparse.Namespace) -> int:
     else:
         print_gate(verdict)
     return 0 if verdict["passed"] else 1
+
+
+def history(options: argparse.Namespace) -> int:
+    from clothbench.cli.history import history as command
+
+    done = command(options, results_in(options.add, default="") if options.add else None)
+    if options.json:
+        print_json(done)
+    return 0
 
 
 def bench(options: argparse.Namespace) -> int:
