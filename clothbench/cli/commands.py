@@ -169,13 +169,37 @@ def _submit(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--by", default="", help="who hands it in")
     sub.add_argument("--about", default="", help="one line about the model")
     sub.add_argument("--suite", default="static_dynamic", help="what its rows are grouped by (default: static_dynamic)")
-    sub.add_argument("--metric", nargs="+", default=["node_error"], help="that scores it (default: node_error)")
+    sub.add_argument("--metric", nargs="+", help="that scores it (default: node_error; of --runs: those of the fits)")
+    sub.add_argument("--runs", metavar="RUNS", help="pack the calibrations of a results folder into FOLDER")
+    sub.add_argument(
+        "--wheel", nargs="+", type=Path, metavar="FILE", help="with --runs: the distribution that the plugins come from"
+    )
 
 
 def _verify(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="a submission")
     _recordings(sub)
     sub.add_argument("--out", type=Path, help="results folder that takes what stands")
+    sub.add_argument("--reproduce", action="store_true", help="run random cells of it again, with its own wheels")
+    sub.add_argument(
+        "--held-out", nargs="+", metavar="PATH", help="refit it, and score it, on recordings that were never published"
+    )
+    sub.add_argument(
+        "--run-their-code", action="store_true",
+        help="needed by both: they run the submitter's plugin with your rights; use a machine that holds nothing of value",
+    )  # fmt: skip
+    sub.add_argument("--cells", type=_count, default=2, metavar="N", help="cells to run again (default: 2)")
+    sub.add_argument("--seed", type=int, metavar="N", help="of their choice (default: drawn now, and told)")
+    sub.add_argument(
+        "--time-limit", type=float, default=3600.0, metavar="S", help="s that one fit may take (default: 3600)"
+    )
+    sub.add_argument("--verdicts", type=Path, metavar="FOLDER", help="keep what was found here, for `clothbench site`")
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected a whole number, at least 1")
+    return int(text)
 
 
 def _import(sub: argparse.ArgumentParser) -> None:
@@ -488,14 +512,13 @@ def export(options: argparse.Namespace) -> int:
 def submit(options: argparse.Namespace) -> int:
     from clothbench.cli.submissions import submit as command
 
-    about = {"name": options.name, "by": options.by, "about": options.about, "suite": options.suite}
-    return command(options.folder, options.recordings, options.metric, **about)
+    return command(options, results_in(options.runs, default="") if options.runs else None)
 
 
 def verify(options: argparse.Namespace) -> int:
     from clothbench.cli.submissions import verify_all
 
-    return verify_all(options.folders, options.recordings, options.out)
+    return verify_all(options)
 
 
 def units(options: argparse.Namespace) -> int:
