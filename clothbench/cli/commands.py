@@ -98,6 +98,7 @@ def parser() -> argparse.ArgumentParser:
     _add(commands, "presets", presets, "what measured fabrics are like, with spread and source", _presets, _json)
     _add(commands, "submit", submit, "score what another simulator moved, for others to check", _submit)
     _add(commands, "verify", verify, "compute the scores of submissions again; exit 1 if one does not stand", _verify)
+    _add(commands, "site", site, "a leaderboard of submissions as a static site; all of them are verified first", _site)
     _store_commands(commands)
     _add(commands, "new-plugin", new_plugin, "start a plugin distribution with a passing conformance test", _new)
     return out
@@ -186,7 +187,7 @@ def _verify(sub: argparse.ArgumentParser) -> None:
     )
     sub.add_argument(
         "--run-their-code", action="store_true",
-        help="needed by both: they run the submitter's plugin with your rights; use a machine that holds nothing of value",
+        help="needed by both: they run the submitter's plugin with your rights",
     )  # fmt: skip
     sub.add_argument("--cells", type=_count, default=2, metavar="N", help="cells to run again (default: 2)")
     sub.add_argument("--seed", type=int, metavar="N", help="of their choice (default: drawn now, and told)")
@@ -194,6 +195,16 @@ def _verify(sub: argparse.ArgumentParser) -> None:
         "--time-limit", type=float, default=3600.0, metavar="S", help="s that one fit may take (default: 3600)"
     )
     sub.add_argument("--verdicts", type=Path, metavar="FOLDER", help="keep what was found here, for `clothbench site`")
+
+
+def _site(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("folder", type=Path, metavar="FOLDER", help="with a folder for each submission")
+    _recordings(sub)
+    sub.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="that takes index.html and submissions/")
+    sub.add_argument(
+        "--verdicts", type=Path, metavar="FOLDER",
+        help="of `clothbench verify --verdicts`: grades that took running a plugin",
+    )  # fmt: skip
 
 
 def _count(text: str) -> int:
@@ -519,6 +530,12 @@ def verify(options: argparse.Namespace) -> int:
     from clothbench.cli.submissions import verify_all
 
     return verify_all(options)
+
+
+def site(options: argparse.Namespace) -> int:
+    from clothbench.cli.submissions import site as command
+
+    return command(options.folder, options.out, options.recordings, options.verdicts)
 
 
 def units(options: argparse.Namespace) -> int:

@@ -19,13 +19,14 @@ from clothbench.submissions.grades import REPRODUCED, VERIFIED, cells_of, choose
 from clothbench.submissions.kept import keep, rows_of
 from clothbench.submissions.packing import pack_results
 from clothbench.submissions.sandbox import sandbox
+from clothbench.submissions.site import write_site
 from clothbench.submissions.submission import FILE, Compared, pack
 from clothbench.submissions.verdicts import verdict_on, write_verdict
 from clothbench.submissions.verification import GRADE, Verified, verify
 
 WARNING = (
-    "runs the submitter's plugin with your rights: it can read, change and send whatever you can; do it on a machine or "
-    "in a container that holds nothing of value, and say so with --run-their-code"
+    "runs the submitter's plugin with your rights: it can read, change and send whatever you can; do it on a machine "
+    "or in a container that holds nothing of value, and say so with --run-their-code"
 )
 
 
@@ -39,7 +40,7 @@ def measured(paths: Sequence[str], option: str = "--recordings") -> list[Recordi
 
 
 def submit(options: argparse.Namespace, results: Store | None) -> int:
-    """Score what was simulated and write what is handed in. results: that it is made from, None: files in the folder."""
+    """Score what was simulated and write what is handed in. results: that it is made from; None: from the folder."""
     folder, known, plugins = options.folder, measured(options.recordings), catalogue()
     about = {"name": options.name, "by": options.by, "about": options.about, "suite": options.suite}
     if results is not None:
@@ -80,7 +81,11 @@ def verify_all(options: argparse.Namespace) -> int:
 
 
 def _verified(
-    folder: Path, known: Sequence[Recording], secret: Sequence[Recording], plugins: Catalogue, options: argparse.Namespace
+    folder: Path,
+    known: Sequence[Recording],
+    secret: Sequence[Recording],
+    plugins: Catalogue,
+    options: argparse.Namespace,
 ) -> bool:
     """Check one submission as far as was asked for, and keep what stands; whether all of it does."""
     found = verify(folder, known, plugins)
@@ -115,6 +120,14 @@ def _verified(
     return True
 
 
+def site(folder: Path, out: Path, recordings: Sequence[str], verdicts: Path | None) -> int:
+    """Write the static site; 0 whatever came of the submissions, which the site says."""
+    for one in write_site(folder, out, measured(recordings), verdicts, catalogue()):
+        print(f"{one.folder}: {one.grade if not one.reason else f'refused: {one.reason}'}")
+    print(f"site: {out / 'index.html'}")
+    return 0
+
+
 def refused(faults: Sequence[str]) -> bool:
     """Say each fault in a line; whether there was none."""
     for fault in faults:
@@ -124,7 +137,9 @@ def refused(faults: Sequence[str]) -> bool:
 
 def _tell_unpublished(name: str, found: Sequence[Compared]) -> None:
     """Means only: which recordings they are is nobody's business."""
-    table = Table(title=f"{name}: {VERIFIED}, on {len(found)} simulations of unpublished recordings", title_justify="left")
+    table = Table(
+        title=f"{name}: {VERIFIED}, on {len(found)} simulations of unpublished recordings", title_justify="left"
+    )
     for column in ("metric", "mean error", "floor"):
         table.add_column(column, justify="left" if column == "metric" else "right")
     for row in rows_of(found):

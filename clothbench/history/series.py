@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Any
 
 from clothbench.engine.judgement import IDENTITY, SLACK, SMALL, error, half, has_number, identity
@@ -116,7 +117,7 @@ def _error_series(key: tuple[Any, ...], row: Mapping[str, Any], points: tuple[Po
 def _lost(points: Sequence[Point]) -> list[Change]:
     """Where a number was lost, or came back."""
     out = []
-    for a, b in zip(points, points[1:], strict=False):
+    for a, b in pairwise(points):
         if (a.value is None) != (b.value is None):
             verdict = "worse" if b.value is None else "better"
             out.append(Change(b.entry, a.value, b.value, None, verdict, b.reason))

@@ -92,8 +92,8 @@ def _again(
         for metric in one.scores:
             if judge(_row(one, metric), _row(now, metric)) is not None:
                 faults.append(
-                    f"cell {key}: {one.measured.name}: {metric} is {now.scores[metric]:.6g} {now.units[metric]} when run "
-                    f"again, handed in were {one.scores[metric]:.6g} ± {one.halves[metric]:.2g}"
+                    f"cell {key}: {one.measured.name}: {metric} is {now.scores[metric]:.6g} {now.units[metric]} when "
+                    f"run again, handed in were {one.scores[metric]:.6g} ± {one.halves[metric]:.2g}"
                 )
     return faults
 

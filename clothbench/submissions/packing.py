@@ -6,6 +6,7 @@ import dataclasses
 import shutil
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -28,7 +29,7 @@ def pack_results(
     wheels: Sequence[Path],
     measured: Sequence[Recording],
     plugins: Catalogue,
-    **about: str,
+    **about: Any,
 ) -> Submission:
     """Simulate what every calibration in a results folder found, score it, and write all that others need to check it,
     or to do it again, into an empty folder. about: name, by, about and suite.

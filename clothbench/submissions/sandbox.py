@@ -64,25 +64,18 @@ class Sandbox:
         return []
 
     def install(self, wheels: Sequence[Path]) -> None:
-        """The wheels, in front of everything that is installed here; what they need beside that, pip fetches as wheels."""
+        """The wheels, in front of everything that is installed here; what else they need, pip fetches as wheels."""
         venv.create(self.folder / "venv", with_pip=False)
         place = Path(sysconfig.get_path("purelib", vars={"base": str(self.folder / "venv"), "platbase": ""}))
         place.mkdir(parents=True, exist_ok=True)
         own = sysconfig.get_path("stdlib")
         here = [path for path in sys.path if path and Path(path).is_dir() and not _is_of(path, own)]
         (place / "verifier.pth").write_text("\n".join(here) + "\n", encoding="utf-8")
-        pip = [
-            sys.executable,
-            "-m",
-            "pip",
-            "--python",
-            str(self.python),
-            "--disable-pip-version-check",
-            "install",
-            "--quiet",
-        ]
+        pip = [sys.executable, "-m", "pip", "--python", str(self.python), "--disable-pip-version-check", "install"]
         for how in (["--no-deps", "--no-index", "--force-reinstall", "--ignore-installed"], ["--only-binary=:all:"]):
-            done = subprocess.run([*pip, *how, *map(str, wheels)], capture_output=True, text=True, check=False)
+            done = subprocess.run(
+                [*pip, "--quiet", *how, *map(str, wheels)], capture_output=True, text=True, check=False
+            )
             if done.returncode:
                 said = next(
                     (line for line in done.stderr.splitlines() if line.startswith("ERROR")), done.stderr.strip()
@@ -94,7 +87,7 @@ class Sandbox:
     ) -> dict[str, tuple[Path, Recording]]:
         """Fit a cell again, and simulate: by the recordings' names the file, and what it says.
 
-        shown: recordings that it is fitted to, by hash; of those to `simulate` the plugin is told all but the positions.
+        shown: recordings that it is fitted to, by hash; of those to `simulate` the plugin is told all but positions.
         """
         place = Path(tempfile.mkdtemp(dir=self.folder))
         sources = []
@@ -121,18 +114,19 @@ class Sandbox:
         told = {name: os.environ[name] for name in TOLD if name in os.environ}
         told |= {"HOME": str(place / "home"), "TMPDIR": str(place / "home"), "PYTHONDONTWRITEBYTECODE": "1"}
         words = [*self.fence, self.python, "-m", "clothbench.submissions.again", place / "job.json", place / "out"]
-        process = subprocess.Popen(
+        with subprocess.Popen(
             [str(word) for word in words], cwd=place / "home", env=told, start_new_session=True, text=True,
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-        )  # fmt: skip
-        try:
-            _, said = process.communicate(timeout=self.limit)
-        except subprocess.TimeoutExpired:
-            raise ClothbenchError(f"took longer than {self.limit:g} s and was ended; more with --time-limit") from None
-        finally:
-            with contextlib.suppress(ProcessLookupError):
-                os.killpg(process.pid, signal.SIGKILL)  # whatever it has left running
-            process.wait()
+        ) as process:  # fmt: skip
+            try:
+                _, said = process.communicate(timeout=self.limit)
+            except subprocess.TimeoutExpired:
+                raise ClothbenchError(
+                    f"took longer than {self.limit:g} s and was ended; more with --time-limit"
+                ) from None
+            finally:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)  # whatever it has left running
         if process.returncode:
             lines = said.strip().splitlines() or [f"ended with {process.returncode} and said nothing"]
             raise ClothbenchError(f"could not be run: {lines[-1]}")
@@ -148,7 +142,8 @@ def sandbox(wheels: Sequence[Path], limit: float) -> Iterator[Sandbox]:
     """A fresh environment with these wheels; it is gone afterwards."""
     if not wheels:
         raise ClothbenchError(
-            "found no wheels, expected those of its plugins; `clothbench submit FOLDER --runs RUNS --wheel FILE` packs them"
+            "found no wheels, expected those of its plugins; pack them with `clothbench submit FOLDER --runs RUNS "
+            "--wheel FILE`"
         )
     with tempfile.TemporaryDirectory(prefix="clothbench-", ignore_cleanup_errors=True) as folder:
         made = Sandbox(Path(folder), limit)

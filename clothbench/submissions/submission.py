@@ -9,8 +9,8 @@ points at the same times in place of the measured ones, whoever wrote it and in 
 | `name`, `by`, `about` | what the model is called on the leaderboard, who hands it in, one line about it |
 | `suite` | of which recordings, in words: what its rows are grouped by |
 | `clothbench` | the version that scored it |
-| `entries` | `recording` and `recording_hash` of what was measured, `file` and its `sha256`, `scores` by metric, and the
-  key of the `cell` that simulated it, if that is handed in, too |
+| `entries` | `recording` and `recording_hash` of what was measured, `file` and its `sha256`, `scores` by metric |
+| `entries` | and `cell`, the key of the fit that simulated it, where that is handed in, too |
 | `cells` | of a submission made from a results folder: `key` and `question`, all that a fit depends on, as JSON |
 | `wheels` | `file` and `sha256` of the distributions that its plugins come from |
 """
@@ -21,6 +21,7 @@ import json
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -104,7 +105,7 @@ class Compared:
 
 
 def pack(
-    folder: Path, measured: Sequence[Recording], metrics: Sequence[str], plugins: Catalogue, **about: str
+    folder: Path, measured: Sequence[Recording], metrics: Sequence[str], plugins: Catalogue, **about: Any
 ) -> Submission:
     """Check and score the simulated recordings in a folder, and write its `submission.json`. about: name, by, about and
     suite. The first fault raises a ClothbenchError: file, what was found, what was expected.

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-
 import clothbench
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import sha256

@@ -1,4 +1,4 @@
-"""A stranger's plugin, small enough for tests of submissions: a rigid plate in its grips, as a wheel made on the spot."""
+"""A stranger's plugin, small enough for tests: a rigid plate in its grips, as a wheel that is made on the spot."""
 
 from __future__ import annotations
 
