@@ -4,7 +4,8 @@
 #   BASE=main WORDS="+suite=static_dynamic model=mass_spring" tools/compare_commits.sh
 #
 # INSTALL: what pip installs of either commit (default "."); CLOTHBENCH: a checkout of clothbench that is installed
-# first, where the repository is not clothbench itself; RESULTS: folder for environments, results and comment.md.
+# first, where the repository is not clothbench itself; RESULTS: folder for environments, results and comment.md;
+# HISTORY: folder of `clothbench history` that gets an entry for the checked-out commit, and a page (index.html).
 # Exits with 0 whatever the comparison says, which stands in comment.md; in a job of GitHub Actions also in the
 # summary and in the output `passed`. Exits with another code if one of the two could not be run.
 set -euo pipefail
@@ -17,25 +18,41 @@ mkdir -p "$results"
 git worktree add --quiet --force --detach "$results/base-tree" "$base"
 trap 'git worktree remove --force "$results/base-tree"' EXIT
 
+# Of the environment, what the code under test may see: nothing of a job's tokens, nor of the files by which a step
+# speaks to the next ones.
+seen=()
+for name in $(compgen -e); do
+    case "$name" in
+        PATH | HOME | LANG | LC_* | TZ | TMPDIR | LD_LIBRARY_PATH | PIP_* | SSL_CERT_* | REQUESTS_CA_BUNDLE | \
+            http_proxy | https_proxy | no_proxy | HTTP_PROXY | HTTPS_PROXY | NO_PROXY | OPENBLAS_* | CLOTHBENCH_DATA)
+            seen+=("$name=${!name}") ;;
+    esac
+done
+alone() { env -i "${seen[@]}" "$@"; }
+
 run() { # NAME FOLDER: results of the commit that is checked out in FOLDER, in $results/NAME
-    python3 -m venv "$results/env-$1"
+    alone python3 -m venv "$results/env-$1"
     if [[ -n ${CLOTHBENCH:-} ]]; then
-        "$results/env-$1/bin/pip" install --quiet --disable-pip-version-check "$CLOTHBENCH"
+        alone "$results/env-$1/bin/pip" install --quiet --disable-pip-version-check "$CLOTHBENCH"
     fi
-    (cd "$2" && "$results/env-$1/bin/pip" install --quiet --disable-pip-version-check "${install[@]}")
+    (cd "$2" && alone "$results/env-$1/bin/pip" install --quiet --disable-pip-version-check "${install[@]}")
     # From an empty folder, so that what is installed is what runs. Cells that fail are rows of the comparison.
     mkdir -p "$results/$1"
-    (cd "$results/$1" && "$results/env-$1/bin/clothbench" run "${words[@]}" rerun=false out="$results/$1/runs") ||
-        test $? = 1
+    (cd "$results/$1" &&
+        alone "$results/env-$1/bin/clothbench" run "${words[@]}" rerun=false out="$results/$1/runs") || test $? = 1
 }
 run base "$results/base-tree"
 run head .
 
 passed=true
-"$results/env-head/bin/clothbench" compare --markdown "$results/base/runs" "$results/head/runs" \
+alone "$results/env-head/bin/clothbench" compare --markdown "$results/base/runs" "$results/head/runs" \
     > "$results/comment.md" || { test $? = 1; passed=false; }
 cat "$results/comment.md"
 if [[ -n ${GITHUB_OUTPUT:-} ]]; then
     echo "passed=$passed" >> "$GITHUB_OUTPUT"
     cat "$results/comment.md" >> "$GITHUB_STEP_SUMMARY"
+fi
+if [[ -n ${HISTORY:-} ]]; then
+    alone "$results/env-head/bin/pip" install --quiet --disable-pip-version-check 'clothbench[history]'
+    alone "$results/env-head/bin/clothbench" history "$HISTORY" --add "$results/head/runs" --page "$HISTORY/index.html"
 fi

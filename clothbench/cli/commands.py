@@ -86,6 +86,8 @@ def parser() -> argparse.ArgumentParser:
     _add(commands, "import", import_data, "convert a public data set into recordings", _import)
     _add(commands, "leaderboard", leaderboard, "all results so far", _store, _json)
     _add(commands, "compare", compare, "exit 1 if NEW is worse than BASE beyond the noise", _compare, _json)
+    _add(commands, "history", history, "error and speed of every model against commit, and where they changed",
+         _history, _json)  # fmt: skip
     _add(commands, "bench", bench, "speed of every model beside the installed peers", _bench, _json)
     _add(commands, "report", report, "one self-contained page with figures", _report)
     _add(commands, "view", view, "open a fit in Rerun, recording beside rollout", _view)
@@ -96,6 +98,7 @@ def parser() -> argparse.ArgumentParser:
     _add(commands, "presets", presets, "what measured fabrics are like, with spread and source", _presets, _json)
     _add(commands, "submit", submit, "score what another simulator moved, for others to check", _submit)
     _add(commands, "verify", verify, "compute the scores of submissions again; exit 1 if one does not stand", _verify)
+    _add(commands, "site", site, "a leaderboard of submissions as a static site; all of them are verified first", _site)
     _store_commands(commands)
     _add(commands, "new-plugin", new_plugin, "start a plugin distribution with a passing conformance test", _new)
     return out
@@ -167,13 +170,47 @@ def _submit(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--by", default="", help="who hands it in")
     sub.add_argument("--about", default="", help="one line about the model")
     sub.add_argument("--suite", default="static_dynamic", help="what its rows are grouped by (default: static_dynamic)")
-    sub.add_argument("--metric", nargs="+", default=["node_error"], help="that scores it (default: node_error)")
+    sub.add_argument("--metric", nargs="+", help="that scores it (default: node_error; of --runs: those of the fits)")
+    sub.add_argument("--runs", metavar="RUNS", help="pack the calibrations of a results folder into FOLDER")
+    sub.add_argument(
+        "--wheel", nargs="+", type=Path, metavar="FILE", help="with --runs: the distribution that the plugins come from"
+    )
 
 
 def _verify(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="a submission")
     _recordings(sub)
     sub.add_argument("--out", type=Path, help="results folder that takes what stands")
+    sub.add_argument("--reproduce", action="store_true", help="run random cells of it again, with its own wheels")
+    sub.add_argument(
+        "--held-out", nargs="+", metavar="PATH", help="refit it, and score it, on recordings that were never published"
+    )
+    sub.add_argument(
+        "--run-their-code", action="store_true",
+        help="needed by both: they run the submitter's plugin with your rights",
+    )  # fmt: skip
+    sub.add_argument("--cells", type=_count, default=2, metavar="N", help="cells to run again (default: 2)")
+    sub.add_argument("--seed", type=int, metavar="N", help="of their choice (default: drawn now, and told)")
+    sub.add_argument(
+        "--time-limit", type=float, default=3600.0, metavar="S", help="s that one fit may take (default: 3600)"
+    )
+    sub.add_argument("--verdicts", type=Path, metavar="FOLDER", help="keep what was found here, for `clothbench site`")
+
+
+def _site(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument("folder", type=Path, metavar="FOLDER", help="with a folder for each submission")
+    _recordings(sub)
+    sub.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="that takes index.html and submissions/")
+    sub.add_argument(
+        "--verdicts", type=Path, metavar="FOLDER",
+        help="of `clothbench verify --verdicts`: grades that took running a plugin",
+    )  # fmt: skip
+
+
+def _count(text: str) -> int:
+    if not text.isdecimal() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"found {text!r}, expected a whole number, at least 1")
+    return int(text)
 
 
 def _import(sub: argparse.ArgumentParser) -> None:
@@ -218,6 +255,20 @@ def _compare(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("base", metavar="BASE", help="results folder or leaderboard .json to hold against")
     sub.add_argument("new", metavar="NEW", help="results folder or leaderboard .json to judge")
     sub.add_argument("--markdown", action="store_true", help="as Markdown, for a comment on a pull request")
+
+
+def _history(sub: argparse.ArgumentParser) -> None:
+    sub.add_argument(
+        "folder", nargs="?", type=Path, metavar="FOLDER", help="of entries, one for each commit and machine"
+    )
+    sub.add_argument("--add", metavar="RUNS", help="a results folder, which becomes an entry of FOLDER first")
+    sub.add_argument("--commit", default="HEAD", help="that RUNS are of, in the repository here (default: HEAD)")
+    sub.add_argument(
+        "--git", type=Path, metavar="FILE",
+        help="instead of FOLDER: a leaderboard .json that is committed, at every commit that changed it",
+    )  # fmt: skip
+    sub.add_argument("--machine", metavar="NAME", help="with --git: what all of that was computed on (else not known)")
+    sub.add_argument("--page", type=Path, metavar="FILE", help="write a self-contained page, too")
 
 
 def _bench(sub: argparse.ArgumentParser) -> None:
@@ -401,6 +452,15 @@ def compare(options: argparse.Namespace) -> int:
     return 0 if verdict["passed"] else 1
 
 
+def history(options: argparse.Namespace) -> int:
+    from clothbench.cli.history import history as command
+
+    done = command(options, results_in(options.add, default="") if options.add else None)
+    if options.json:
+        print_json(done)
+    return 0
+
+
 def bench(options: argparse.Namespace) -> int:
     from clothbench.display.terminal import console
     from clothbench.studies.speed.bench import run_bench
@@ -463,14 +523,19 @@ def export(options: argparse.Namespace) -> int:
 def submit(options: argparse.Namespace) -> int:
     from clothbench.cli.submissions import submit as command
 
-    about = {"name": options.name, "by": options.by, "about": options.about, "suite": options.suite}
-    return command(options.folder, options.recordings, options.metric, **about)
+    return command(options, results_in(options.runs, default="") if options.runs else None)
 
 
 def verify(options: argparse.Namespace) -> int:
     from clothbench.cli.submissions import verify_all
 
-    return verify_all(options.folders, options.recordings, options.out)
+    return verify_all(options)
+
+
+def site(options: argparse.Namespace) -> int:
+    from clothbench.cli.submissions import site as command
+
+    return command(options.folder, options.out, options.recordings, options.verdicts)
 
 
 def units(options: argparse.Namespace) -> int:

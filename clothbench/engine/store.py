@@ -231,17 +231,32 @@ def load_rows(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
     if path.is_dir():
         return Store(path).rows()
     try:
-        rows = json.loads(path.read_text())
+        return rows_in(path.read_text(), path)
     except FileNotFoundError:
         raise ClothbenchError(f"{path}: no such folder or file; give a results folder or a leaderboard .json") from None
-    except (UnicodeDecodeError, json.JSONDecodeError) as fault:
+    except UnicodeDecodeError as fault:
         raise ClothbenchError(
             f"{path}: found no JSON ({fault}), expected the output of `clothbench leaderboard --json`"
         ) from None
+
+
+def rows_in(text: str, where: object) -> list[dict[str, Any]]:
+    """Rows in the text of a file that `leaderboard --json` wrote; where: what a fault calls it."""
+    try:
+        rows = json.loads(text)
+    except (json.JSONDecodeError, RecursionError) as fault:
+        raise ClothbenchError(
+            f"{where}: found no JSON ({fault}), expected the output of `clothbench leaderboard --json`"
+        ) from None
+    require_rows(rows, where)
+    return rows
+
+
+def require_rows(rows: Any, where: object) -> None:
+    """Refuse what is no list of leaderboard rows."""
     if not isinstance(rows, list) or not all(
         isinstance(r, dict) and {"suite", "status", "value"} <= set(r) for r in rows
     ):
         raise ClothbenchError(
-            f"{path}: expected a list of leaderboard rows, as `clothbench leaderboard --json` prints them"
+            f"{where}: expected a list of leaderboard rows, as `clothbench leaderboard --json` prints them"
         )
-    return rows

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -10,13 +9,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from clothbench.display.terminal import console
+from clothbench.engine.judgement import IDENTITY, identity, judge
 
 Rows = Sequence[dict[str, Any]]
-IDENTITY = ("suite", "case", "recording", "split", "model", "effects", "optimizer", "metric", "seed")
-# Share of BASE's value that is never a regression: another processor or library rounds otherwise, folding cloth
-# amplifies that, and a search then ends a little elsewhere. An interval over frames knows nothing of it.
-SLACK = 0.05
-SMALL = 1e-3  # share of a reference below which a distance from it does not count
 
 
 def compare_rows(base: Rows, new: Rows) -> dict[str, Any]:
@@ -42,42 +37,12 @@ def compare_rows(base: Rows, new: Rows) -> dict[str, Any]:
     return verdict
 
 
-def identity(row: dict[str, Any], *more: str) -> tuple[Any, ...]:
-    return tuple(row.get(name) or None for name in (*IDENTITY, *more))
-
-
 def named(rows: Rows, preferred: set[tuple[Any, ...]]) -> dict[tuple[Any, ...], dict[str, Any]]:
     """Rows by what they are about. Of several (other budgets or options) the one with BASE's own cell key counts."""
     out: dict[tuple[Any, ...], dict[str, Any]] = {}
     for row in sorted(rows, key=lambda r: identity(r, "key") in preferred):
         out[identity(row)] = row
     return out
-
-
-def judge(base: dict[str, Any], new: dict[str, Any]) -> str | None:
-    """ "worse", "better", or None where the change is within the noise."""
-    had, has = (isinstance(r["value"], int | float) and math.isfinite(r["value"]) for r in (base, new))
-    if not (had and has):
-        return "worse" if had and not has else "better" if has and not had else None
-    before, after = (error(r) for r in (base, new))
-    allowed = math.hypot(_half(base), _half(new)) + SLACK * abs(before)
-    if (reference := base.get("reference")) is not None:
-        allowed += SMALL * (abs(reference) or 1.0)
-    change = after - before
-    return "worse" if change > allowed else "better" if change < -allowed else None
-
-
-def error(row: dict[str, Any]) -> float:
-    """What is better the lower it is: the value, or its distance from the reference where there is one."""
-    reference = row.get("reference")
-    return row["value"] if reference is None else abs(row["value"] - reference)
-
-
-def _half(row: dict[str, Any]) -> float:
-    """Half the width of a row's interval; 0 where it has none."""
-    if row.get("low") is None or row.get("high") is None:
-        return 0.0
-    return (row["high"] - row["low"]) / 2
 
 
 def _change(base: dict[str, Any], new: dict[str, Any] | None) -> dict[str, Any]:

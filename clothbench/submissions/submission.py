@@ -10,6 +10,9 @@ points at the same times in place of the measured ones, whoever wrote it and in 
 | `suite` | of which recordings, in words: what its rows are grouped by |
 | `clothbench` | the version that scored it |
 | `entries` | `recording` and `recording_hash` of what was measured, `file` and its `sha256`, `scores` by metric |
+| `entries` | and `cell`, the key of the fit that simulated it, where that is handed in, too |
+| `cells` | of a submission made from a results folder: `key` and `question`, all that a fit depends on, as JSON |
+| `wheels` | `file` and `sha256` of the distributions that its plugins come from |
 """
 
 from __future__ import annotations
@@ -26,6 +29,8 @@ import clothbench
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import sha256, whole_file
 from clothbench.core.rollout import Rollout
+from clothbench.engine.cells import seed_of
+from clothbench.estimation.intervals import error_interval
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording, find_recordings, grips_at, read_recording
 
@@ -37,13 +42,32 @@ HELD = 2e-3  # m, how far from its grip a held point may lie: a model may hold t
 
 @dataclass(frozen=True)
 class Entry:
-    """One simulated recording. file: below the submission's folder; sha256: of that file; scores: by metric's name."""
+    """One simulated recording. file: below the submission's folder; sha256: of that file; scores: by metric's name;
+    cell: key of the fit that simulated it, "" where that is not known.
+    """
 
     recording: str
     recording_hash: str
     file: str
     sha256: str
     scores: Mapping[str, float]
+    cell: str = ""
+
+
+@dataclass(frozen=True)
+class Wheel:
+    """A distribution that is handed in, too. file: below the submission's folder; sha256: of it."""
+
+    file: str
+    sha256: str
+
+
+@dataclass(frozen=True)
+class Asked:
+    """A fit that is handed in. question: the calibration's cell as JSON text, recordings by hash."""
+
+    key: str
+    question: str
 
 
 @dataclass(frozen=True)
@@ -56,6 +80,8 @@ class Submission:
     suite: str
     clothbench: str
     entries: tuple[Entry, ...]
+    cells: tuple[Asked, ...] = ()
+    wheels: tuple[Wheel, ...] = ()
 
     @property
     def metrics(self) -> tuple[str, ...]:
@@ -65,17 +91,21 @@ class Submission:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """One simulated recording beside what was measured. scores and floors: by metric, in its unit."""
+    """One simulated recording beside what was measured. scores, floors and halves, half-widths of their 95 % intervals
+    (NaN where there are none): by metric, in its unit; cell: key of the fit, "" where that is not known.
+    """
 
     measured: Recording
     path: Path
     scores: Mapping[str, float]
+    halves: Mapping[str, float]
     floors: Mapping[str, float]
     units: Mapping[str, str]
+    cell: str = ""
 
 
 def pack(
-    folder: Path, measured: Sequence[Recording], metrics: Sequence[str], plugins: Catalogue, **about: str
+    folder: Path, measured: Sequence[Recording], metrics: Sequence[str], plugins: Catalogue, **about: Any
 ) -> Submission:
     """Check and score the simulated recordings in a folder, and write its `submission.json`. about: name, by, about and
     suite. The first fault raises a ClothbenchError: file, what was found, what was expected.
@@ -96,10 +126,14 @@ def pack(
             Entry(simulated.name, found.measured.hash, path.relative_to(folder).as_posix(), sha256(path), found.scores)
         )
     require_all(folder, [entry.recording for entry in entries], measured)
-    out = Submission(clothbench=clothbench.__version__, entries=tuple(entries), **about)
+    return written(folder, Submission(clothbench=clothbench.__version__, entries=tuple(entries), **about))
+
+
+def written(folder: Path, submission: Submission) -> Submission:
+    """Write a folder's `submission.json`, whole or not at all."""
     with whole_file(folder / FILE) as part:
-        part.write_text(json.dumps({"schema": SCHEMA, **asdict(out)}, indent=1) + "\n", encoding="utf-8")
-    return out
+        part.write_text(json.dumps({"schema": SCHEMA, **asdict(submission)}, indent=1) + "\n", encoding="utf-8")
+    return submission
 
 
 def require_all(folder: Path, names: Iterable[str], measured: Sequence[Recording]) -> None:
@@ -112,65 +146,24 @@ def require_all(folder: Path, names: Iterable[str], measured: Sequence[Recording
         )
 
 
-def read_submission(folder: Path) -> Submission:
-    """What a folder's `submission.json` says; faults are one line."""
-    path = folder / FILE
-    try:
-        stated = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ClothbenchError(f"{folder}: found no {FILE}; make one with `clothbench submit {folder}`") from None
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as fault:
-        raise ClothbenchError(f"{path}: is no JSON ({fault}); make it with `clothbench submit {folder}`") from None
-    if not isinstance(stated, dict) or stated.get("schema") != SCHEMA:
-        found = stated.get("schema") if isinstance(stated, dict) else type(stated).__name__
-        raise ClothbenchError(f"{path}: schema is {found!r}, expected {SCHEMA}")
-    texts: dict[str, Any] = {key: stated.get(key) for key in ("name", "by", "about", "suite", "clothbench")}
-    for key, value in texts.items():
-        if not isinstance(value, str) or (key in ("name", "suite") and not value.strip()):
-            raise ClothbenchError(f"{path}: {key} is {value!r}, expected text")
-    entries = stated.get("entries")
-    if not isinstance(entries, list) or not entries:
-        raise ClothbenchError(f"{path}: entries is {entries!r}, expected a list of simulated recordings")
-    return Submission(entries=tuple(_entry(path, k, one) for k, one in enumerate(entries)), **texts)
-
-
-def _entry(path: Path, number: int, stated: Any) -> Entry:
-    where = f"{path}: entries[{number}]"
-    if not isinstance(stated, dict):
-        raise ClothbenchError(f"{where} is {stated!r}, expected a mapping")
-    texts: dict[str, Any] = {key: stated.get(key) for key in ("recording", "recording_hash", "file", "sha256")}
-    for key, value in texts.items():
-        if not isinstance(value, str) or not value:
-            raise ClothbenchError(f"{where}.{key} is {value!r}, expected text")
-    place = Path(texts["file"])
-    if place.is_absolute() or ".." in place.parts:
-        raise ClothbenchError(f"{where}.file is {texts['file']!r}, expected a path inside the submission's folder")
-    scores = stated.get("scores")
-    if not isinstance(scores, dict) or not scores or not all(_is_number(value) for value in scores.values()):
-        raise ClothbenchError(f"{where}.scores is {scores!r}, expected numbers by metric")
-    return Entry(scores={str(metric): float(value) for metric, value in scores.items()}, **texts)
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
-
-
 def compared(
-    path: Path, simulated: Recording, measured: Recording, metrics: Iterable[str], plugins: Catalogue
+    path: Path, simulated: Recording, measured: Recording, metrics: Iterable[str], plugins: Catalogue, cell: str = ""
 ) -> Compared:
     """The scores of a simulated recording, once it is sure that it can be one of what was measured."""
     require_of(path, simulated, measured)
     seen = plugins.make("trackers", "markers").track(measured)
     rollout = Rollout(measured.time, simulated.position[None], ("ok",), np.zeros(1, int), len(measured.material))
-    scores, floors, units = {}, {}, {}
+    scores, halves, floors, units = {}, {}, {}, {}
     for name in metrics:
         metric = plugins.make("metrics", name)
         score = metric(seen, rollout)
         scores[name], floors[name], units[name] = float(score.value[0]), float(metric.floor(seen)), score.unit
+        low, high = error_interval(score, seen, seed_of("submission", measured.hash))
+        halves[name] = (high - low) / 2
         if not np.isfinite(scores[name]):
             raise ClothbenchError(f"{path}: the metric {name!r} gives no number for it; leave that metric out")
     require_not_copied(path, simulated, measured)
-    return Compared(measured, path, scores, floors, units)
+    return Compared(measured, path, scores, halves, floors, units, cell)
 
 
 def require_of(path: Path, simulated: Recording, measured: Recording) -> None:

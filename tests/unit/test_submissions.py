@@ -10,8 +10,10 @@ from conftest import swinging_recording
 from clothbench import ClothbenchError, read_recording, write_recording
 from clothbench.engine.store import Store
 from clothbench.plugins.discovery import catalogue
-from clothbench.submissions.submission import FILE, pack, read_submission
-from clothbench.submissions.verification import keep, verify
+from clothbench.submissions.kept import keep
+from clothbench.submissions.reading import read_submission
+from clothbench.submissions.submission import FILE, pack
+from clothbench.submissions.verification import verify
 
 MEASURED = [swinging_recording("sway-1"), swinging_recording("sway-2", split="held_out")]
 ABOUT = {"name": "my-simulator", "by": "somebody", "about": "a rigid plate", "suite": "sway"}
@@ -70,7 +72,7 @@ def test_scores_are_computed_again_and_stand_on_the_leaderboard(folder, tmp_path
     found = verify(folder, MEASURED, catalogue())
     assert found.faults == ()
     store = Store(tmp_path / "runs")
-    (key,) = keep(found, store, catalogue())
+    (key,) = keep(found.submission, found.found, store, catalogue())
     rows = store.rows([key])
     single = {row["recording"]: row for row in rows if row["recording"]}
     assert {name: row["value"] for name, row in single.items()} == {

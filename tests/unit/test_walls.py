@@ -27,7 +27,7 @@ FLOORS = (
     ("engine",),
     ("estimation",),
     ("studies",),
-    ("report", "submissions", "suggest", "testing", "twins"),
+    ("report", "history", "submissions", "suggest", "testing", "twins"),
     ("cli",),
 )
 FACES = {"__init__", "__main__", "conf"}  # the package's own face and door

@@ -1,0 +1,1 @@
+"""Error and speed of every model against commit: entries, series, steps, and their page."""

@@ -1,0 +1,60 @@
+"""`python -m clothbench.submissions.again JOB OUT`: fit once more, and simulate; runs beside a stranger's plugin.
+
+JOB is a JSON document: `question`, the calibration's cell as JSON text, with the path of each recording that it is
+fitted to; `simulate`, paths of recordings whose positions are blank. OUT gets a file for each of these, with the
+simulated positions. What the plugin does to this process can change them, and nothing else: scores are computed by
+whoever asked, and what is to be met never lies where this process is told to look.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import file_name
+from clothbench.estimation.calibrate import best_rollout, calibrate
+from clothbench.plugins.discovery import catalogue, one_line
+from clothbench.recordings.nodes import Recording, grips_at, read_recording, write_recording
+from clothbench.studies.calibration.cell import asked_again, set_up
+from clothbench.submissions.packing import simulation_of
+
+
+def blank(recording: Recording) -> Recording:
+    """A recording that says how the cloth was driven and not where it was: of the positions only one is left, since
+    there must be one, and it is the grip's.
+    """
+    position = np.full_like(recording.position, np.nan)
+    position[0, 0] = grips_at(recording, recording.time[:1])[0, 0] if len(recording.grip_material) else 0.0
+    return dataclasses.replace(recording, position=position, video=None, confidence=None, path="")
+
+
+def again(job: Path, out: Path) -> None:
+    """Do what a job says."""
+    asked = json.loads(job.read_text(encoding="utf-8"))
+    plugins, cell = catalogue(), asked_again(asked["question"])
+    fitted = tuple(source for source in cell.recordings if source.split == "fit")
+    bench = set_up(dataclasses.replace(cell, recordings=fitted, rivals=(), report=(), analysis={}), plugins)
+    optimizer = plugins.make(  # seeded by all recordings of the cell, those that are not shown here included
+        "optimizers", cell.optimizer, bench.space, seed=cell.stream("optimizer"), budget=cell.budget,
+        **cell.option(cell.optimizer),
+    )  # fmt: skip
+    fit = calibrate(bench.trials, optimizer, bench.space, timeout=cell.timeout, bounded=False, choice=cell.choice)
+    if fit.status == "diverged":
+        raise ClothbenchError("no parameter set that was tried could be simulated")
+    for path in asked["simulate"]:
+        recording = read_recording(path)
+        position = best_rollout(bench.remake(recording, None), fit).position[0][:, : len(recording.material)]
+        write_recording(simulation_of(recording, position, cell.model), out / f"{file_name(recording.name)}.nc")
+
+
+if __name__ == "__main__":
+    try:
+        again(Path(sys.argv[1]), Path(sys.argv[2]))
+    except Exception as fault:
+        print(str(fault) if isinstance(fault, ClothbenchError) else one_line(fault), file=sys.stderr)
+        sys.exit(1)

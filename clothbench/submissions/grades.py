@@ -1,0 +1,157 @@
+"""The two grades that take running the plugin of a submission: reproduced, and verified."""
+
+from __future__ import annotations
+
+import dataclasses
+import secrets
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import sha256
+from clothbench.engine.cells import Source, resplit, seed_of
+from clothbench.engine.judgement import judge
+from clothbench.plugins.discovery import Catalogue
+from clothbench.recordings.nodes import Recording
+from clothbench.studies.calibration.cell import CalibrationCell, asked, asked_again
+from clothbench.submissions.packing import metrics_of, require_checkable
+from clothbench.submissions.sandbox import Sandbox
+from clothbench.submissions.submission import FILE, Compared, Submission, compared
+
+REPRODUCED, VERIFIED = "reproduced", "verified"
+
+
+@dataclass(frozen=True)
+class Chosen:
+    """Cells that were chosen to be run again. seed: of the choice, drawn when the submission was already there."""
+
+    seed: int
+    keys: tuple[str, ...]
+
+
+def choose(folder: Path, submission: Submission, count: int, seed: int | None) -> Chosen:
+    """So many cells at random, by a seed from the operating system, or a given one, and by what was handed in: whoever
+    hands in cannot know the choice, and whoever checks cannot steer it by the seed alone.
+    """
+    seed = secrets.randbits(63) if seed is None else seed
+    keys = sorted(asked.key for asked in submission.cells)
+    random = np.random.default_rng(seed_of(seed, sha256(folder / FILE)))
+    drawn = random.choice(len(keys), size=min(count, len(keys)), replace=False)
+    return Chosen(seed, tuple(keys[k] for k in sorted(drawn)))
+
+
+def cells_of(folder: Path, submission: Submission, plugins: Catalogue) -> dict[str, CalibrationCell]:
+    """The fits that are handed in, by key. They come from a stranger: what is no cell is one line."""
+    if not submission.cells:
+        raise ClothbenchError(
+            f"{folder}: holds no fits that could be run again; pack them with `clothbench submit {folder} --runs RUNS "
+            "--wheel FILE`"
+        )
+    out = {}
+    for told in submission.cells:
+        try:
+            cell = asked_again(told.question)
+        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as fault:
+            raise ClothbenchError(
+                f"{folder / FILE}: cell {told.key} is no question of a calibration ({fault})"
+            ) from None
+        out[told.key] = cell
+    return out
+
+
+def reproduce(
+    folder: Path, submission: Submission, found: Sequence[Compared], chosen: Chosen, place: Sandbox, plugins: Catalogue
+) -> list[str]:
+    """Run the chosen cells again and hold what comes of them against what was handed in; a fault for each that differs
+    by more than the noise. found: what was handed in, scored here.
+    """
+    cells, faults = cells_of(folder, submission, plugins), []
+    for key in chosen.keys:
+        stated = {one.measured.hash: one for one in found if one.cell == key}
+        try:
+            faults += _again(key, cells[key], stated, place, plugins)
+        except ClothbenchError as fault:
+            faults.append(f"cell {key}: {fault}")
+    return faults
+
+
+def _again(
+    key: str, cell: CalibrationCell, stated: Mapping[str, Compared], place: Sandbox, plugins: Catalogue
+) -> list[str]:
+    if missing := [source.name for source in cell.recordings if source.hash not in stated]:
+        raise ClothbenchError(f"has no simulation of {missing[0]!r}, which it is about; expected one of each recording")
+    shown = {of: one.measured for of, one in stated.items()}
+    simulated = place.fitted(cell, shown, list(shown.values()))
+    faults = []
+    for one in stated.values():
+        path, recording = simulated[one.measured.name]
+        now = compared(path, recording, one.measured, one.scores, plugins, key)
+        for metric in one.scores:
+            if judge(_row(one, metric), _row(now, metric)) is not None:
+                faults.append(
+                    f"cell {key}: {one.measured.name}: {metric} is {now.scores[metric]:.6g} {now.units[metric]} when "
+                    f"run again, handed in were {one.scores[metric]:.6g} ± {one.halves[metric]:.2g}"
+                )
+    return faults
+
+
+def _row(one: Compared, metric: str) -> dict[str, float | None]:
+    value, half = one.scores[metric], one.halves[metric]
+    known = bool(np.isfinite(half))
+    return {"value": value, "low": value - half if known else None, "high": value + half if known else None}
+
+
+def held_out(
+    folder: Path,
+    submission: Submission,
+    secret: Sequence[Recording],
+    published: Sequence[Recording],
+    place: Sandbox,
+    plugins: Catalogue,
+) -> list[Compared]:
+    """Fit the submitted plugin, with the submitted settings, to recordings that nobody else has, and score it on others
+    of them, whose positions it is never told.
+    """
+    known = {recording.hash for recording in published} | {entry.recording_hash for entry in submission.entries}
+    for recording in secret:
+        if recording.hash in known:
+            raise ClothbenchError(
+                f"{recording.path}: is published ({recording.name!r}); expected recordings that are not"
+            )
+    fabrics: dict[str, list[Recording]] = {}
+    for recording in secret:
+        fabrics.setdefault(recording.fabric, []).append(recording)
+    found = []
+    for key, cell in _setups(cells_of(folder, submission, plugins)).items():
+        require_checkable(cell, key)
+        for fabric, mine in fabrics.items():
+            found += _scored(key, cell, fabric, mine, place, plugins)
+    return found
+
+
+def _setups(cells: Mapping[str, CalibrationCell]) -> dict[str, CalibrationCell]:
+    """One cell for each way in which models were fitted, whatever to."""
+    out: dict[str, tuple[str, CalibrationCell]] = {}
+    for key, cell in sorted(cells.items()):
+        bare = dataclasses.replace(cell, case="", recordings=(), rivals=(), analysis={}, published={})
+        out.setdefault(asked(bare), (key, bare))
+    return dict(out.values())
+
+
+def _scored(
+    key: str, cell: CalibrationCell, fabric: str, recordings: Sequence[Recording], place: Sandbox, plugins: Catalogue
+) -> list[Compared]:
+    sources = resplit([Source(r.path, r.name, r.hash, r.split) for r in recordings], seed=0)
+    shown = {s.hash: r for s, r in zip(sources, recordings, strict=True) if s.split == "fit"}
+    wanted = [dataclasses.replace(r, split="held_out") for r in recordings if r.hash not in shown]
+    if not shown or not wanted:
+        raise ClothbenchError(
+            f"--held-out: found {len(shown)} recordings to fit and {len(wanted)} to score on of fabric {fabric!r}, "
+            "expected one of each at least"
+        )
+    asked_for = dataclasses.replace(cell, case=fabric, recordings=tuple(sources))
+    simulated = place.fitted(asked_for, shown, wanted)
+    return [compared(*simulated[r.name], r, metrics_of(cell), plugins, key) for r in wanted]

@@ -1,0 +1,87 @@
+"""Rows for the leaderboard of what stands, with the grade in each of them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from clothbench.engine.cells import digest, listed, plugin_versions
+from clothbench.engine.store import Store, finite, now, system_info
+from clothbench.estimation.intervals import mean_interval
+from clothbench.plugins.discovery import Catalogue
+from clothbench.studies.calibration.cell import asked_again
+from clothbench.submissions.submission import Compared, Submission
+from clothbench.submissions.verification import GRADE
+
+
+def keep(
+    submission: Submission,
+    found: Sequence[Compared],
+    store: Store,
+    plugins: Catalogue,
+    grade: str = GRADE,
+    named: bool = True,
+) -> list[str]:
+    """A cell of the store for each fit, or for each fabric where the fits are not known, with a row for each score and
+    for the mean of each split; gives their keys. Rows show the grade beside the optimizer, or in its place.
+
+    named: whether rows may say of which recordings they are; else there are means only.
+    """
+    cells = {asked.key: asked_again(asked.question) for asked in submission.cells}
+    versions = plugin_versions([("metrics", metric) for metric in submission.metrics], plugins)
+    groups: dict[tuple[str, str], list[Compared]] = {}
+    for one in found:
+        groups.setdefault((one.cell, one.measured.fabric), []).append(one)
+    keys = []
+    for (of, fabric), mine in groups.items():
+        cell = cells.get(of)
+        scores = sorted([one.measured.hash, *map(float, one.scores.values())] for one in mine)
+        key = digest([submission.name, grade, of, fabric, scores, sorted(submission.metrics)])
+        case = cell.case if cell is not None and named else fabric
+        about = {
+            "study": "calibration", "suite": submission.suite, "case": case, "model": submission.name,
+            "effects": ",".join(cell.effects) if cell else "", "seed": cell.seed if cell else 0,
+            "optimizer": f"{cell.optimizer}, submitted, {grade}" if cell else f"submitted, {grade}",
+            "key": key, "status": "ok", "reason": None, "evaluations": 0, "wall_s": 0.0, "reference": None,
+            "budget": None, "settings": None, "plugins": listed(versions), "threads": None,
+            "finished": now(), **system_info(),
+        }  # fmt: skip
+        store.put(key, {"rows": [{**about, **row} for row in rows_of(mine) if named or row["recording"] is None]})
+        keys.append(key)
+    return keys
+
+
+def rows_of(compared: Sequence[Compared]) -> list[dict[str, Any]]:
+    """What differs from row to row: of each recording and metric, and the means of each split."""
+    out = []
+    for metric in dict.fromkeys(metric for one in compared for metric in one.scores):
+        for split in dict.fromkeys(one.measured.split for one in compared):
+            mine = [one for one in compared if one.measured.split == split and metric in one.scores]
+            about = {"metric": metric, "objective": metric, "split": split, "unit": mine[0].units[metric]}
+            single = [{**about, "recording": one.measured.name, **_one(one, metric)} for one in mine]
+            out += [{**about, "recording": None, **_mean(single)}, *single]
+    return out
+
+
+def _one(one: Compared, metric: str) -> dict[str, Any]:
+    value, half = one.scores[metric], one.halves[metric]
+    known = math.isfinite(half)
+    return {
+        "value": value, "floor": finite(one.floors[metric]),
+        "low": value - half if known else None, "high": value + half if known else None,
+    }  # fmt: skip
+
+
+def _mean(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """Of the rows of one split; one recording is its own mean, with its own interval."""
+    values, floors = [row["value"] for row in rows], [row["floor"] for row in rows]
+    low = high = None
+    if len(rows) == 1:
+        low, high = rows[0]["low"], rows[0]["high"]
+    elif all(row["low"] is not None for row in rows):
+        low, high = mean_interval(values, [(row["high"] - row["low"]) / 2 for row in rows])
+    floor = None if None in floors else float(np.mean(floors))
+    return {"value": float(np.mean(values)), "floor": floor, "low": low, "high": high}

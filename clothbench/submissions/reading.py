@@ -1,0 +1,87 @@
+"""`submission.json` as it is read: it comes from strangers, so every fault in it is one line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.submissions.submission import FILE, SCHEMA, Asked, Entry, Submission, Wheel
+
+
+def read_submission(folder: Path) -> Submission:
+    """What a folder's `submission.json` says; faults are one line."""
+    path = folder / FILE
+    try:
+        stated = json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        raise ClothbenchError(f"{folder}: found no {FILE}; make one with `clothbench submit {folder}`") from None
+    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as fault:
+        raise ClothbenchError(f"{path}: is no JSON ({fault}); make it with `clothbench submit {folder}`") from None
+    if not isinstance(stated, dict) or stated.get("schema") != SCHEMA:
+        found = stated.get("schema") if isinstance(stated, dict) else type(stated).__name__
+        raise ClothbenchError(f"{path}: schema is {found!r}, expected {SCHEMA}")
+    texts: dict[str, Any] = {key: stated.get(key) for key in ("name", "by", "about", "suite", "clothbench")}
+    for key, value in texts.items():
+        if not isinstance(value, str) or (key in ("name", "suite") and not value.strip()):
+            raise ClothbenchError(f"{path}: {key} is {value!r}, expected text")
+    entries = stated.get("entries")
+    if not isinstance(entries, list) or not entries:
+        raise ClothbenchError(f"{path}: entries is {entries!r}, expected a list of simulated recordings")
+    return Submission(
+        entries=tuple(_entry(path, k, one) for k, one in enumerate(entries)),
+        cells=tuple(Asked(**one) for one in _listed(path, stated, "cells", ("key", "question"))),
+        wheels=tuple(_wheel(path, one) for one in _listed(path, stated, "wheels", ("file", "sha256"))),
+        **texts,
+    )
+
+
+def _listed(path: Path, stated: dict[str, Any], name: str, keys: tuple[str, ...]) -> list[dict[str, str]]:
+    """The mappings in a list that a submission may lack, each with a text for every key."""
+    found = stated.get(name, [])
+    if not isinstance(found, list):
+        raise ClothbenchError(f"{path}: {name} is {found!r}, expected a list")
+    for number, one in enumerate(found):
+        for key in keys:
+            value = one.get(key) if isinstance(one, dict) else None
+            if not isinstance(value, str) or not value:
+                raise ClothbenchError(f"{path}: {name}[{number}].{key} is {value!r}, expected text")
+    return [{key: one[key] for key in keys} for one in found]
+
+
+def _wheel(path: Path, stated: dict[str, str]) -> Wheel:
+    require_inside(path, "wheels.file", stated["file"])
+    if not stated["file"].endswith(".whl"):
+        raise ClothbenchError(f"{path}: wheels.file is {stated['file']!r}, expected the name of a wheel (.whl)")
+    return Wheel(**stated)
+
+
+def require_inside(where: object, name: str, file: str) -> None:
+    """Refuse a path that leads out of the submission's folder."""
+    if Path(file).is_absolute() or ".." in Path(file).parts:
+        raise ClothbenchError(f"{where}: {name} is {file!r}, expected a path inside the submission's folder")
+
+
+def _entry(path: Path, number: int, stated: Any) -> Entry:
+    where = f"{path}: entries[{number}]"
+    if not isinstance(stated, dict):
+        raise ClothbenchError(f"{where} is {stated!r}, expected a mapping")
+    texts: dict[str, Any] = {key: stated.get(key) for key in ("recording", "recording_hash", "file", "sha256")}
+    for key, value in texts.items():
+        if not isinstance(value, str) or not value:
+            raise ClothbenchError(f"{where}.{key} is {value!r}, expected text")
+    require_inside(where, "file", texts["file"])
+    scores = stated.get("scores")
+    if not isinstance(scores, dict) or not scores or not all(_is_number(value) for value in scores.values()):
+        raise ClothbenchError(f"{where}.scores is {scores!r}, expected numbers by metric")
+    cell = stated.get("cell", "")
+    if not isinstance(cell, str):
+        raise ClothbenchError(f"{where}.cell is {cell!r}, expected the key of one of the cells, or none")
+    return Entry(cell=cell, scores={str(metric): float(value) for metric, value in scores.items()}, **texts)
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))

@@ -1,0 +1,151 @@
+"""A fresh environment with the wheels of a submission, in which its plugins are run.
+
+This keeps accidents apart, not attacks: the plugin runs with the rights of whoever started the command. It gets an
+environment without variables but a few, a home and a working folder of its own, no network where `unshare` can take it
+away, and a time limit after which all of its processes are ended.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import sysconfig
+import tempfile
+import venv
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import file_name
+from clothbench.recordings.nodes import Recording, read_recording, write_recording
+from clothbench.studies.calibration.cell import CalibrationCell, asked
+from clothbench.submissions.again import blank
+
+TOLD = (
+    "PATH",
+    "LANG",
+    "LC_ALL",
+    "TZ",
+    "LD_LIBRARY_PATH",
+    "OPENBLAS_CORETYPE",
+    "OPENBLAS_NUM_THREADS",
+    "CLOTHBENCH_THREADS",
+)
+
+
+@dataclass(frozen=True)
+class Sandbox:
+    """folder: that it lies in; limit: s that one fit may take."""
+
+    folder: Path
+    limit: float
+
+    @cached_property
+    def python(self) -> Path:
+        return self.folder / "venv" / ("Scripts" if os.name == "nt" else "bin") / "python"
+
+    @cached_property
+    def fence(self) -> list[str]:
+        """The beginning of a command that has no network; empty where that cannot be had."""
+        for words in (["unshare", "--net"], ["unshare", "--user", "--map-root-user", "--net"]):
+            if (
+                shutil.which(words[0])
+                and not subprocess.run([*words, "true"], capture_output=True, check=False).returncode
+            ):
+                return words
+        return []
+
+    def install(self, wheels: Sequence[Path]) -> None:
+        """The wheels, in front of everything that is installed here; what else they need, pip fetches as wheels."""
+        venv.create(self.folder / "venv", with_pip=False)
+        place = Path(sysconfig.get_path("purelib", vars={"base": str(self.folder / "venv"), "platbase": ""}))
+        place.mkdir(parents=True, exist_ok=True)
+        own = sysconfig.get_path("stdlib")
+        here = [path for path in sys.path if path and Path(path).is_dir() and not _is_of(path, own)]
+        (place / "verifier.pth").write_text("\n".join(here) + "\n", encoding="utf-8")
+        pip = [sys.executable, "-m", "pip", "--python", str(self.python), "--disable-pip-version-check", "install"]
+        for how in (["--no-deps", "--no-index", "--force-reinstall", "--ignore-installed"], ["--only-binary=:all:"]):
+            done = subprocess.run(
+                [*pip, "--quiet", *how, *map(str, wheels)], capture_output=True, text=True, check=False
+            )
+            if done.returncode:
+                said = next(
+                    (line for line in done.stderr.splitlines() if line.startswith("ERROR")), done.stderr.strip()
+                )
+                raise ClothbenchError(f"{wheels[0]}: cannot be installed (pip: {said}); expected wheels of this Python")
+
+    def fitted(
+        self, cell: CalibrationCell, shown: Mapping[str, Recording], simulate: Sequence[Recording]
+    ) -> dict[str, tuple[Path, Recording]]:
+        """Fit a cell again, and simulate: by the recordings' names the file, and what it says.
+
+        shown: recordings that it is fitted to, by hash; of those to `simulate` the plugin is told all but positions.
+        """
+        place = Path(tempfile.mkdtemp(dir=self.folder))
+        sources = []
+        for source in cell.recordings:
+            path = ""
+            if source.split == "fit":
+                path = str(write_recording(shown[source.hash], place / "fit" / f"{file_name(source.name)}.nc"))
+            sources.append(dataclasses.replace(source, path=path))
+        paths = [str(write_recording(blank(r), place / "simulate" / f"{file_name(r.name)}.nc")) for r in simulate]
+        job = {"question": asked(dataclasses.replace(cell, recordings=tuple(sources))), "simulate": paths}
+        (place / "job.json").write_text(json.dumps(job), encoding="utf-8")
+        self._run(place)
+        found = {}
+        for recording in simulate:
+            path = place / "out" / f"{file_name(recording.name)}.nc"
+            if not path.is_file() or path.is_symlink():
+                raise ClothbenchError(f"{cell.label}: the plugin left no simulation of {recording.name!r}")
+            found[recording.name] = (path, read_recording(path))
+        return found
+
+    def _run(self, place: Path) -> None:
+        (place / "out").mkdir()
+        (place / "home").mkdir()
+        told = {name: os.environ[name] for name in TOLD if name in os.environ}
+        told |= {"HOME": str(place / "home"), "TMPDIR": str(place / "home"), "PYTHONDONTWRITEBYTECODE": "1"}
+        words = [*self.fence, self.python, "-m", "clothbench.submissions.again", place / "job.json", place / "out"]
+        with subprocess.Popen(
+            [str(word) for word in words], cwd=place / "home", env=told, start_new_session=True, text=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        ) as process:  # fmt: skip
+            try:
+                _, said = process.communicate(timeout=self.limit)
+            except subprocess.TimeoutExpired:
+                raise ClothbenchError(
+                    f"took longer than {self.limit:g} s and was ended; more with --time-limit"
+                ) from None
+            finally:
+                with contextlib.suppress(ProcessLookupError):
+                    os.killpg(process.pid, signal.SIGKILL)  # whatever it has left running
+        if process.returncode:
+            lines = said.strip().splitlines() or [f"ended with {process.returncode} and said nothing"]
+            raise ClothbenchError(f"could not be run: {lines[-1]}")
+
+
+def _is_of(path: str, standard: str) -> bool:
+    """Whether a folder is of Python's own library, and not of what has been installed into it."""
+    return Path(path).is_relative_to(standard) and Path(path).name not in ("site-packages", "dist-packages")
+
+
+@contextlib.contextmanager
+def sandbox(wheels: Sequence[Path], limit: float) -> Iterator[Sandbox]:
+    """A fresh environment with these wheels; it is gone afterwards."""
+    if not wheels:
+        raise ClothbenchError(
+            "found no wheels, expected those of its plugins; pack them with `clothbench submit FOLDER --runs RUNS "
+            "--wheel FILE`"
+        )
+    with tempfile.TemporaryDirectory(prefix="clothbench-", ignore_cleanup_errors=True) as folder:
+        made = Sandbox(Path(folder), limit)
+        made.install(wheels)
+        yield made

@@ -1,0 +1,222 @@
+"""A leaderboard as a static site, from a folder of submissions: an index and a page for each; works from a disk."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import file_name, whole_files
+from clothbench.display.answer import Card, answer
+from clothbench.display.html import below, group, interval, table, text
+from clothbench.display.page import whole_page
+from clothbench.display.section import Section
+from clothbench.engine.store import now
+from clothbench.plugins.discovery import Catalogue
+from clothbench.recordings.nodes import Recording
+from clothbench.submissions.kept import rows_of
+from clothbench.submissions.submission import FILE
+from clothbench.submissions.verdicts import Verdict, find_verdict
+from clothbench.submissions.verification import GRADE, Verified, verify
+
+GRADES = """<h2>What the grades say</h2><dl>
+<dt>recomputed</dt><dd>Every score was computed here, from the positions that were handed in, and these can be of the
+recordings. Who or what made them is not known.</dd>
+<dt>reproduced</dt><dd>Moreover the plugin was handed in, and fits that were chosen afterwards at random were done again
+with it, within the noise.</dd>
+<dt>verified</dt><dd>Moreover it was fitted and scored on recordings that were never published.</dd></dl>"""
+PAGES = "submissions"  # folder of the site
+FIRST = {"verified": 0, "reproduced": 1, GRADE: 2}
+
+
+@dataclass(frozen=True)
+class Standing:
+    """A submission on the site. reason: why it does not stand, "" if it does; found and verdict: None where there are
+    none.
+    """
+
+    folder: Path
+    found: Verified | None
+    verdict: Verdict | None
+    reason: str = ""
+
+    @property
+    def grade(self) -> str:
+        return self.verdict.grade if self.verdict else GRADE
+
+    @property
+    def name(self) -> str:
+        return self.found.submission.name if self.found else self.folder.name
+
+    @property
+    def page(self) -> str:
+        return f"{PAGES}/{file_name(self.folder.name)}.html"
+
+
+def write_site(
+    folder: Path, out: Path, measured: Sequence[Recording], verdicts: Path | None, plugins: Catalogue
+) -> list[Standing]:
+    """Verify every submission in a folder, and write OUT/index.html and a page for each of them."""
+    found = sorted(path.parent for path in folder.glob(f"*/{FILE}"))
+    if not found:
+        raise ClothbenchError(f"{folder}: found no submissions, expected folders with a {FILE} in them")
+    standings = [_standing(one, measured, verdicts, plugins) for one in found]
+    pages = {one.page: _page(one) for one in standings} | {"index.html": _index(standings)}
+    if len(pages) != len(standings) + 1:
+        raise ClothbenchError(f"{folder}: found folders whose pages would have one name; rename one of them")
+    with whole_files(out, instead_of=[f"{PAGES}/*.html"]) as part:
+        (part / PAGES).mkdir()
+        for name, html in pages.items():
+            (part / name).write_text(html, encoding="utf-8")
+    return standings
+
+
+def _standing(folder: Path, measured: Sequence[Recording], verdicts: Path | None, plugins: Catalogue) -> Standing:
+    try:
+        found = verify(folder, measured, plugins)
+    except ClothbenchError as fault:
+        return Standing(folder, None, None, _without(folder, str(fault)))
+    if found.faults:
+        return Standing(folder, found, None, _without(folder, "; ".join(found.faults)))
+    return Standing(folder, found, find_verdict(verdicts, folder))
+
+
+def _without(folder: Path, said: str) -> str:
+    """A fault without where the folder lies on the machine that made the site."""
+    return said.replace(f"{folder}/", "").replace(str(folder), folder.name)
+
+
+def _index(standings: Sequence[Standing]) -> str:
+    good = sorted((s for s in standings if not s.reason), key=lambda s: (FIRST[s.grade], s.name))
+    bad = [s for s in standings if s.reason]
+    cards = [Card(grade, str(sum(s.grade == grade for s in good)), "submissions") for grade in FIRST]
+    cards.append(Card("refused", str(len(bad)), "do not stand as handed in", good=False if bad else None))
+    top = f"<h1>Leaderboard of submissions</h1><p class='soft'>made {text(now()[:16].replace('T', ' '))} UTC</p>"
+    lead = f"{len(standings)} submissions; every score below was computed again from the positions that were handed in."
+    sections = [Section(top + answer("Who stands, and how sure is it?", lead, cards))]
+    rows = [(s, row) for s in good for row in means(s)]
+    for (suite, split), mine in group_of(rows).items():
+        title = " · ".join(filter(None, (suite, split.replace("_", " "))))
+        sections.append(Section(f"<h2>{text(title)}</h2>{_board(mine)}"))
+    if bad:
+        items = "".join(f'<li><a href="{text(s.page)}">{text(s.name)}</a>: {text(s.reason)}</li>' for s in bad)
+        sections.append(Section(f'<h2>Refused</h2><div class="failures" role="note"><ul>{items}</ul></div>'))
+    return whole_page("leaderboard of submissions", [*sections, Section(GRADES)])
+
+
+def means(standing: Standing) -> list[dict[str, Any]]:
+    """The means of a submission over its recordings, and over unpublished ones."""
+    assert standing.found is not None  # it stands
+    public = [row for row in rows_of(standing.found.found) if row["recording"] is None]
+    secret = standing.verdict.unpublished if standing.verdict else ()
+    return [*public, *({**row, "split": "unpublished"} for row in secret)]
+
+
+def group_of(
+    rows: Sequence[tuple[Standing, dict[str, Any]]],
+) -> dict[tuple[str, str], list[tuple[Standing, dict[str, Any]]]]:
+    """By suite and split; what was never published first, what was fitted last."""
+    order = {"unpublished": 0, "held_out": 1, "": 2, "fit": 3}
+    found: dict[tuple[str, str], list[tuple[Standing, dict[str, Any]]]] = {}
+    for standing, row in sorted(rows, key=lambda pair: order[pair[1]["split"]]):
+        assert standing.found is not None
+        found.setdefault((standing.found.submission.suite, row["split"]), []).append((standing, row))
+    return found
+
+
+def _board(rows: Sequence[tuple[Standing, dict[str, Any]]]) -> str:
+    """One line for each submission, the least first error first; a column for each metric."""
+    metrics = list(dict.fromkeys((row["metric"], row["unit"]) for _, row in rows))
+    lines: dict[str, tuple[Standing, dict[tuple[str, str], dict[str, Any]]]] = {}
+    for standing, row in rows:
+        lines.setdefault(standing.page, (standing, {}))[1][row["metric"], row["unit"]] = row
+    ranked = sorted(lines.values(), key=lambda line: line[1].get(metrics[0], {}).get("value", math.inf))
+    body = []
+    for place, (standing, values) in enumerate(ranked, start=1):
+        assert standing.found is not None
+        about = standing.found.submission
+        shown = [_score(values[m]) if m in values else "–" for m in metrics]
+        link = f'<a href="{text(standing.page)}">{text(about.name)}</a>{below(text(about.about))}'
+        body.append([text(place), link, text(about.by), _pill(standing), *shown])
+    head = ["place", "model", "by", "grade", *(f"{name} [{unit}]" for name, unit in metrics)]
+    return table(head, body, numeric={0, *range(4, len(head))})
+
+
+def _score(row: dict[str, Any]) -> str:
+    return f"{row['value']:.4g}" + below(interval(row, ".4g"))
+
+
+def _pill(standing: Standing) -> str:
+    if standing.reason:
+        return '<span class="pill">refused</span>'
+    return f'<span class="pill{" ok" if FIRST[standing.grade] < 2 else " note"}">{text(standing.grade)}</span>'
+
+
+def _page(standing: Standing) -> str:
+    """Of one submission: its grade and what it rests on, then every score."""
+    top = f'<p><a href="../index.html">All submissions</a></p><h1>{text(standing.name)} {_pill(standing)}</h1>'
+    if standing.reason:
+        said = f"<b>It does not stand as handed in</b><p>{text(standing.reason)}</p>"
+        why = f'<div class="failures" role="note">{said}</div>'
+        return whole_page(text(standing.name), [Section(top + why)])
+    assert standing.found is not None
+    about = standing.found.submission
+    by = " · ".join(filter(None, (about.by, about.about, f"scored by clothbench {about.clothbench}")))
+    sections = [Section(f"{top}<p class='soft'>{text(by)}</p>{_rests_on(standing)}")]
+    if standing.verdict and standing.verdict.unpublished:
+        sections.append(
+            Section(f"<h2>On recordings that were never published</h2>{_means(standing.verdict.unpublished)}")
+        )
+    sections.append(Section(f"<h2>Every score</h2>{_scores(standing.found)}"))
+    files = [[f"<code>{text(w.file)}</code>", f"<code>{text(w.sha256)}</code>"] for w in about.wheels]
+    if files:
+        sections.append(Section(f"<h2>Plugin</h2>{table(['wheel', 'SHA-256'], files, set())}"))
+    return whole_page(text(standing.name), [*sections, Section(GRADES)])
+
+
+def _rests_on(standing: Standing) -> str:
+    """How the grade was come by."""
+    verdict = standing.verdict
+    if verdict is None:
+        return "<p>Every score was computed again from the positions that were handed in.</p>"
+    said = []
+    if verdict.seed is not None:
+        keys = ", ".join(verdict.cells)
+        said.append(f"Done again, chosen by seed {verdict.seed}, and found to be the same within the noise: {keys}.")
+    if verdict.unpublished:
+        said.append("Fitted and scored on recordings that were never published.")
+    said.append(f"{verdict.date[:10]}, {verdict.machine}, network {verdict.network} while it ran.")
+    return f"<p>{text(' '.join(said))}</p>"
+
+
+def _means(rows: Sequence[dict[str, Any]]) -> str:
+    body = [[text(row["metric"]), _score(row), text(row["unit"]), _floor(row)] for row in rows]
+    return table(["metric", "mean error", "unit", "floor"], body, numeric={1, 3})
+
+
+def _scores(found: Verified) -> str:
+    body = []
+    for fit, mine in group(list(_each(found)), lambda row: row["fit"]).items():
+        if fit:
+            body.append([f"fit <code>{text(fit)}</code>"])
+        body += [
+            [text(r["recording"]), text(r["split"].replace("_", " ")), text(r["metric"]), _score(r), text(r["unit"]),
+             _floor(r)]
+            for r in mine
+        ]  # fmt: skip
+    return table(["recording", "split", "metric", "error", "unit", "floor"], body, numeric={3, 5})
+
+
+def _each(found: Verified) -> list[dict[str, Any]]:
+    out = []
+    for fit in dict.fromkeys(one.cell for one in found.found):
+        mine = [one for one in found.found if one.cell == fit]
+        out += [{**row, "fit": fit} for row in rows_of(mine) if row["recording"]]
+    return out
+
+
+def _floor(row: dict[str, Any]) -> str:
+    return "" if row["floor"] is None else f"{row['floor']:.3g}"

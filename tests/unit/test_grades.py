@@ -1,0 +1,228 @@
+"""Reproduced and verified: a submission with its plugin, run again in a fresh environment; and what is refused."""
+
+import dataclasses
+import json
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from conftest import ROOT, swinging_recording
+
+from clothbench import ClothbenchError, write_recording
+from clothbench.core.files import sha256
+from clothbench.plugins.discovery import catalogue
+from clothbench.submissions.again import blank
+from clothbench.submissions.grades import choose, held_out, reproduce
+from clothbench.submissions.reading import read_submission
+from clothbench.submissions.sandbox import Sandbox
+from clothbench.submissions.submission import FILE
+from clothbench.submissions.verification import verify
+
+sys.path.append(str(ROOT / "tests" / "plugin"))
+
+from plate_wheel import MODEL, wheel_of_plate
+
+
+def known():
+    return [swinging_recording("sway-1"), swinging_recording("sway-2", split="held_out")]
+
+
+def unpublished():
+    """The same cloth another time: its noise is another one."""
+    out = []
+    for number, recording in enumerate(known()):
+        noise = np.random.default_rng(number).normal(0, 1e-3, recording.position.shape)
+        out.append(dataclasses.replace(recording, name=f"secret-{number}", position=recording.position + noise))
+    return out
+
+
+@pytest.fixture(scope="module")
+def stranger(tmp_path_factory):
+    """An environment with the plugin, two fits of it, and what was packed of them."""
+    folder = tmp_path_factory.mktemp("stranger")
+    for recording in known():
+        write_recording(recording, folder / "recordings" / f"{recording.name}.nc")
+    wheel = wheel_of_plate(folder)
+    place = Sandbox(folder, limit=120.0)
+    place.install([wheel])
+    words = ["recordings=recordings", "model=plate", "optimizer=least_squares", "metric=node_error", "rerun=false"]
+    hand_in = ["submit", "mine", "--runs", "runs", "--wheel", wheel, "--name", "plate", "--recordings", "recordings"]
+    code = "import clothbench.cli.commands as c, sys; sys.exit(c.main({}) or c.main({}))"
+    code = code.format(["run", *words, "jobs=1", "budget=20"], [str(word) for word in hand_in])
+    done = subprocess.run([place.python, "-c", code], cwd=folder, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder, place
+
+
+@pytest.fixture
+def mine(stranger, tmp_path):
+    return shutil.copytree(stranger[0] / "mine", tmp_path / "mine")
+
+
+def edit(folder, change):
+    stated = json.loads((folder / FILE).read_text())
+    change(stated)
+    (folder / FILE).write_text(json.dumps(stated))
+
+
+def found_in(folder, place):
+    found = verify(folder, known(), catalogue())
+    assert found.faults == ()
+    chosen = choose(folder, found.submission, 2, seed=1)
+    return reproduce(folder, found.submission, found.found, chosen, place, catalogue())
+
+
+def test_what_is_packed_says_all_and_names_no_place(stranger):
+    submission = read_submission(stranger[0] / "mine")
+    assert [entry.recording for entry in submission.entries] == ["sway-1", "sway-2"]
+    assert {entry.cell for entry in submission.entries} == {submission.cells[0].key}
+    assert str(stranger[0]) not in (stranger[0] / "mine" / FILE).read_text()
+    assert submission.wheels[0].sha256 == sha256(stranger[0] / "mine" / submission.wheels[0].file)
+
+
+def test_the_choice_is_drawn_afterwards_and_can_be_repeated(mine):
+    submission = read_submission(mine)
+    several = dataclasses.replace(
+        submission, cells=tuple(dataclasses.replace(submission.cells[0], key=f"{k:016x}") for k in range(40))
+    )
+    first = choose(mine, several, 3, None)
+    assert first.seed != choose(mine, several, 3, None).seed
+    assert choose(mine, several, 3, first.seed) == first
+    edit(mine, lambda stated: stated.update(about="the same, handed in anew"))
+    assert choose(mine, several, 3, first.seed).keys != first.keys
+
+
+def test_edited_scores_are_refused_without_running_anything(mine):
+    edit(mine, lambda stated: stated["entries"][1]["scores"].update(node_error=0.7))
+    assert "claimed were 0.7 mm" in verify(mine, known(), catalogue()).faults[0]
+
+
+def test_another_wheel_than_was_handed_in_is_refused(mine):
+    wheel_of_plate(mine / "wheels", MODEL.replace("0.02)", "0.03)"))
+    assert "is not the file that was handed in" in verify(mine, known(), catalogue()).faults[0]
+
+
+def test_settings_that_do_not_give_the_numbers_are_refused(stranger, mine):
+    def other(stated):
+        question = json.loads(stated["cells"][0]["question"])
+        stated["cells"][0]["question"] = json.dumps(question | {"bounds": {"bulge": [0.015, 0.02]}})
+
+    edit(mine, other)
+    first, *_ = found_in(mine, stranger[1])
+    assert "sway-1: node_error is" in first
+    assert "when run again, handed in were 1.5" in first
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"model": "sheet"}, "could not be run: no model named 'sheet'"),
+    ],
+)
+def test_what_cannot_be_run_is_one_line(stranger, mine, change, said):
+    def other(stated):
+        question = json.loads(stated["cells"][0]["question"])
+        stated["cells"][0]["question"] = json.dumps(question | change)
+
+    edit(mine, other)
+    (fault,) = found_in(mine, stranger[1])
+    assert said in fault
+    assert len(fault.splitlines()) == 1
+
+
+def swapped(place, model):
+    """The same environment with another text in place of the plugin's."""
+    (module,) = place.folder.glob("venv/lib/*/site-packages/clothbench_plate/model.py")
+    before = module.read_text()
+    module.write_text(model)
+    return lambda: module.write_text(before)
+
+
+@pytest.mark.parametrize(
+    ("harm", "limit", "said"),
+    [
+        ("import time; time.sleep(600)", 2.0, "took longer than 2 s and was ended"),
+        ("import os; os._exit(3)", 120.0, "ended with 3 and said nothing"),
+    ],
+)
+def test_a_plugin_that_hangs_or_leaves_is_one_line(stranger, mine, harm, limit, said):
+    back = swapped(stranger[1], f"{harm}\n{MODEL}")
+    try:
+        (fault,) = found_in(mine, dataclasses.replace(stranger[1], limit=limit))
+    finally:
+        back()
+    assert said in fault
+
+
+SPY = """
+import json, os
+from pathlib import Path
+Path(os.environ["HOME"], "..", "out", "told.json").write_text(json.dumps(dict(os.environ)))
+"""
+
+
+def test_an_honest_submission_is_reproduced_and_told_no_token_and_no_position(stranger, mine, monkeypatch):
+    monkeypatch.setenv("GITHUB_TOKEN", "sekret")
+    place = dataclasses.replace(stranger[1], folder=stranger[0])
+    back = swapped(place, SPY + MODEL)
+    try:
+        assert found_in(mine, place) == []
+    finally:
+        back()
+    told = [json.loads(path.read_text()) for path in stranger[0].glob("*/out/told.json")]
+    assert len(told) == 1
+    assert "sekret" not in str(told)
+    shown = blank(known()[1])
+    assert shown.visible.sum() == 1
+    assert np.array_equal(shown.grip_position, known()[1].grip_position)
+
+
+def test_verified_on_recordings_that_nobody_else_has(stranger, mine):
+    submission = read_submission(mine)
+    (found,) = held_out(mine, submission, unpublished(), known(), stranger[1], catalogue())
+    assert found.measured.name == "secret-1"
+    assert 1.5 < found.scores["node_error"] < 3.0
+    with pytest.raises(ClothbenchError, match=r"is published \('sway-1'\)"):
+        held_out(mine, submission, known(), known(), stranger[1], catalogue())
+    with pytest.raises(ClothbenchError, match="found 1 recordings to fit and 0 to score on of fabric 'paper'"):
+        held_out(mine, submission, unpublished()[:1], known(), stranger[1], catalogue())
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        (lambda s: s["wheels"][0].update(file="../x.whl"), "expected a path inside the submission's folder"),
+        (lambda s: s["wheels"][0].update(file="x.tar.gz"), "expected the name of a wheel"),
+        (lambda s: s["cells"][0].update(question=3), r"cells\[0\].question is 3, expected text"),
+        (lambda s: s.update(cells={}), "cells is {}, expected a list"),
+        (lambda s: s["entries"][0].update(cell=3), "cell is 3, expected the key"),
+    ],
+)
+def test_a_damaged_submission_is_one_line(mine, change, found):
+    edit(mine, change)
+    with pytest.raises(ClothbenchError, match=found):
+        read_submission(mine)
+
+
+def test_as_a_verifier_does_it(stranger, mine, clothbench, tmp_path):
+    for recording in unpublished():
+        write_recording(recording, tmp_path / "secret" / f"{recording.name}.nc")
+    given = ["--recordings", str(stranger[0] / "recordings")]
+    done = clothbench("verify", mine, *given, "--reproduce")
+    assert (done.returncode, done.stdout) == (2, "")
+    assert "--run-their-code" in done.stderr
+    done = clothbench(
+        "verify", mine, *given, "--reproduce", "--held-out", "secret", "--run-their-code", "--verdicts", "verdicts",
+        "--out", "board",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert "plate: reproduced, 1 of 1 cells by seed" in done.stdout
+    (verdict,) = (json.loads(path.read_text()) for path in Path(tmp_path, "verdicts").glob("*.json"))
+    assert (verdict["grade"], verdict["sha256"]) == ("verified", sha256(mine / FILE))
+    kept = "".join(path.read_text() for path in Path(tmp_path, "verdicts").glob("*"))
+    rows = json.loads(clothbench("leaderboard", "--json", "--out", "board").stdout)
+    assert "secret" not in kept + json.dumps(rows)
+    assert {row["optimizer"].partition(", ")[2] for row in rows} == {"submitted, reproduced", "submitted, verified"}

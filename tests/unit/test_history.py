@@ -1,0 +1,244 @@
+"""The history over commits: entries, series, what counts as a step and what is only noise, and the page."""
+
+import json
+import subprocess
+
+import numpy as np
+import pytest
+from browser_page import Page, started
+from test_gate import row
+
+from clothbench import ClothbenchError
+from clothbench.engine.store import ROW, SYSTEM, Store
+from clothbench.history.commits import Commit
+from clothbench.history.entries import Entry, add, entries_in, entries_of_git
+from clothbench.history.page import write_page
+from clothbench.history.series import all_series
+from clothbench.history.show import document, print_history
+from clothbench.history.steps import ALPHA, noise_of, steps_of
+
+pytest.importorskip("ruptures", reason="ruptures is not installed: pip install 'clothbench[history]'")
+
+
+def entry(number, *rows, machine="a cpu, 2 cores"):
+    return Entry(f"{number:040x}", f"2026-01-{number + 1:02d}T00:00:00+00:00", f"change {number}", machine, rows)
+
+
+def total(value, half=1.0, **changes):
+    return row(value, half, recording=None, evaluations=None, wall_s=None, **changes)
+
+
+def errors(*values, half=1.0):
+    (found,) = all_series([entry(k, total(value, half)) for k, value in enumerate(values)])
+    return found
+
+
+def changes(series):
+    return [(c.entry, c.verdict) for c in series.changes]
+
+
+@pytest.mark.parametrize(
+    ("values", "half", "expected"),
+    [
+        ((10, 10.4, 9.8, 10.2), 1.0, []),
+        ((10, 10.4, 15, 15.2), 1.0, [(2, "worse")]),
+        ((15, 15.2, 10, 10.1, 14.9), 1.0, [(2, "better"), (4, "worse")]),
+        ((10, 10, 10.4, 10.4), 0.0, []),  # nothing but rounding, on another machine
+        ((10, 10, 11, 11), 0.0, [(2, "worse")]),
+        ((100, 101, 102, 103, 104, 105, 106, 107, 108, 109, 110, 111), 0.0, [(4, "worse")]),  # a slow drift adds up
+        ((10, None, 10), 1.0, [(1, "worse"), (2, "better")]),
+        ((10,), 1.0, []),
+    ],
+)
+def test_steps_are_told_and_noise_is_not(values, half, expected):
+    assert changes(errors(*values, half=half)) == expected
+
+
+def test_a_step_is_told_with_both_levels_and_their_interval():
+    (change,) = errors(10, 10, 14, 14).changes
+    assert (change.before, change.after, change.percent) == pytest.approx((10, 14, 40))
+    assert change.half == pytest.approx(1.0)  # two values on each side, each ± 1
+
+
+def test_noise_alone_makes_no_more_steps_than_is_said():
+    random = np.random.default_rng(3)
+    told = sum(bool(steps_of(random.normal(10, 1, 12), 1.0, 0.0)) for _ in range(1000))
+    assert 0 < told <= 1.5 * ALPHA * 1000
+
+
+def test_planted_steps_are_found_where_they_are():
+    random = np.random.default_rng(4)
+    level = np.repeat([10.0, 14.0, 11.0], 10)
+    found = [[s.at for s in steps_of(random.normal(level, 0.5), 0.5, 0.05)] for _ in range(50)]
+    assert sum(at == [10, 20] for at in found) >= 48
+
+
+def test_noise_is_the_larger_of_intervals_and_scatter():
+    values = [10.0, 11, 10, 11, 10, 11]
+    assert noise_of(values, [0.1] * 6) == pytest.approx(1.4826 / 2**0.5)
+    assert noise_of(values, [19.6] * 6) == pytest.approx(10, rel=1e-3)
+    assert noise_of(values[:3], [float("nan")] * 3) is None
+
+
+def test_a_distance_from_a_reference_counts_and_not_the_value():
+    rows = [total(value, half=0.0, reference=1.0) for value in (1.0002, 1.0001, 1.02, 1.02)]
+    (series,) = all_series([entry(k, one) for k, one in enumerate(rows)])
+    assert changes(series) == [(2, "worse")]
+
+
+def timed(seconds, cells=3, **about):
+    """Cells of one model, each of which takes its own time for ten evaluations."""
+    return [
+        total(5.0, case=f"c{k}", key=f"k{k}", **about) | {"evaluations": 10, "wall_s": seconds * (k + 1)}
+        for k in range(cells)
+    ]
+
+
+def speed_series(*entries):
+    return [one for one in all_series(entries) if one.kind == "speed"]
+
+
+def test_speeds_of_other_cells_are_compared_over_those_they_share():
+    seconds = [1.0, 1.02, 0.99, 1.01, 2.0, 2.02, 1.98, 2.01]
+    (series,) = speed_series(*(entry(k, *timed(s, cells=2 + k % 2)) for k, s in enumerate(seconds)))
+    assert changes(series) == [(4, "worse")]
+    assert series.changes[0].after / series.changes[0].before == pytest.approx(0.5, rel=0.03)
+    slow_cell_came_late = [entry(k, *timed(1.0, cells=1 + (k > 3))) for k in range(8)]
+    assert speed_series(*slow_cell_came_late)[0].changes == ()
+
+
+def test_speeds_are_compared_within_one_machine_and_from_six_entries_on():
+    by_turns = [entry(k, *timed(1.0 + 2 * (k % 2)), machine=f"cpu {k % 2}") for k in range(12)]
+    assert [(len(one.points), one.changes) for one in speed_series(*by_turns)] == [(6, ()), (6, ())]
+    assert speed_series(*(entry(k, *timed(1.0), machine=None) for k in range(8))) == []
+    assert speed_series(*(entry(k, *timed(1.0 + 2 * (k > 1))) for k in range(4)))[0].changes == ()
+
+
+def stored(folder, value):
+    kept = {**dict.fromkeys({**ROW, **SYSTEM}), **total(value), "seed": 0, "key": "ab", "cpu": "a cpu", "cores": 2}
+    Store(folder).put("ab", {"rows": [kept]})
+    return Store(folder)
+
+
+def test_entries_are_added_to_a_folder_and_none_meets_another(tmp_path):
+    history = tmp_path / "history"
+    for number, value in enumerate((10.0, 20.0)):
+        commit = Commit(f"{number:040x}", f"2026-01-0{2 - number}T10:00:00+01:00", "a change")
+        for _ in range(2):  # the same again is the same file
+            (path,) = add(history, stored(tmp_path / str(number), value), commit)
+    assert path.name.startswith("20260101T090000Z-0000000000-")
+    found = entries_in(history)
+    assert [e.rows[0]["value"] for e in found] == [20.0, 10.0]  # by the time of the commit
+    assert {e.machine for e in found} == {"a cpu, 2 cores"}
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        ({"schema": 2}, "schema is 2, expected 1"),
+        ({"commit": 3}, "commit is 3, expected text"),
+        ({"machine": []}, r"machine is \[\], expected text or null"),
+        ({"date": "today"}, "is 'today', expected a date like"),
+        ({"rows": {}}, "expected a list of leaderboard rows"),
+    ],
+)
+def test_a_damaged_entry_is_one_line(tmp_path, change, found):
+    (path,) = add(tmp_path, stored(tmp_path / "runs", 1.0), Commit("a" * 40, "2026-01-01T00:00:00Z", "a change"))
+    path.write_text(json.dumps(json.loads(path.read_text()) | change))
+    with pytest.raises(ClothbenchError, match=found):
+        entries_in(tmp_path)
+
+
+def test_a_folder_without_entries_says_how_to_get_some(tmp_path):
+    with pytest.raises(ClothbenchError, match="found no entries"):
+        entries_in(tmp_path)
+
+
+@pytest.fixture
+def repository(tmp_path):
+    """A leaderboard that is committed three times, and removed once in between."""
+    place = tmp_path / "repository"
+    (place / "results").mkdir(parents=True)
+
+    def git(*words):
+        about = ["-c", "user.name=n", "-c", "user.email=n@example.org", "-c", "commit.gpgsign=false"]
+        subprocess.run(["git", "-C", place, *about, *words], check=True, capture_output=True)
+
+    git("init", "--quiet")
+    path = place / "results" / "board.json"
+    for number, value in enumerate((10.0, None, 10.0, 20.0)):
+        if value is None:
+            git("rm", "--quiet", "results/board.json")
+            path.parent.mkdir(exist_ok=True)
+        else:
+            path.write_text(json.dumps([total(value)]))
+            git("add", ".")
+        git("commit", "--quiet", "--allow-empty", "-m", f"change\t{number}")
+    return path
+
+
+def test_git_itself_is_a_history(repository, clothbench, tmp_path):
+    found = entries_of_git(repository, None)
+    assert [(e.subject, e.rows[0]["value"]) for e in found] == [
+        ("change\t0", 10.0), ("change\t2", 10.0), ("change\t3", 20.0)
+    ]  # fmt: skip
+    done = clothbench("history", "--git", repository, "--page", "history.html", "--json")
+    assert done.returncode == 0, done.stderr
+    told = json.loads(done.stdout)
+    assert [c["entry"] for c in told["series"][0]["changes"]] == [2]
+    assert (tmp_path / "history.html").is_file()
+    assert clothbench("history", "--git", repository).stdout.splitlines()[-1].startswith("3 commits, 1 series of err")
+
+
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ((), "expected either a FOLDER of entries, or --git FILE"),
+        (("--git", "nowhere/board.json"), "found no folder nowhere"),
+        (("--git", "board.json"), "git log said:"),
+        (("folder", "--add", "nothing"), "found no results (no folder 'cells')"),
+    ],
+)
+def test_wrong_use_is_one_line(words, found, clothbench):
+    done = clothbench("history", *words)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert found in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def several():
+    """Two models on two cases, a step for one, a number lost by the other, speeds of eight entries; strange names."""
+    out = []
+    for k in range(8):
+        lost = total(None, status="diverged", model="two") | {"reason": "fell <b>over</b>"}
+        rows = [total(10.0 + 5 * (k > 4), model="one<i>"), lost if k == 7 else total(12.0, model="two")]
+        out.append(entry(k, *rows, *timed(1.0 + (k > 3), model="one<i>")))
+    return out
+
+
+def test_the_terminal_and_json_say_the_same(capsys):
+    entries = several()
+    series = all_series(entries)
+    print_history(entries, series)
+    said = capsys.readouterr().out
+    told = document(entries, series)
+    count = sum(len(one["changes"]) for one in told["series"])
+    assert count == 3
+    assert "3 changes for the worse, 0 for the better" in said
+    json.dumps(told, allow_nan=False)
+
+
+@pytest.fixture(scope="module")
+def chromium(tmp_path_factory):
+    yield from started(tmp_path_factory.mktemp("chromium"))
+
+
+def test_the_page_has_no_fault_and_shuts_nobody_out(chromium, tmp_path):
+    entries = several()
+    path = write_page(tmp_path / "history.html", entries, all_series(entries))
+    text = path.read_text()
+    assert "<b>over" not in text.replace("\\u003cb>", "")
+    page = Page(chromium).open(path)
+    page.wait('document.querySelectorAll(".js-plotly-plot").length > 0')
+    assert page.barriers() == []
+    assert page.faults() == []
