@@ -6,6 +6,7 @@ import argparse
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from rich.table import Table
 
@@ -92,7 +93,8 @@ def _verified(
     tell(folder, found, len(known))
     if found.faults:
         return False
-    grade, more, unpublished = GRADE, {}, []
+    grade, more = GRADE, dict[str, Any]()
+    unpublished: list[Compared] = []
     if options.reproduce or secret:
         cells_of(folder, found.submission, plugins)
         wheels = [folder / wheel.file for wheel in found.submission.wheels]

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 
-def model_name(row: dict[str, Any]) -> str:
+def model_name(row: Mapping[str, Any]) -> str:
     """The model with its effects."""
     return row["model"] + "".join(f"+{e}" for e in (row["effects"] or "").split(",") if e)
 

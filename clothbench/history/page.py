@@ -135,7 +135,7 @@ def _figure(entries: Sequence[Entry], series: Sequence[Series], unit: str) -> di
         place = models.index(model_name(one.about))
         lines += _line(entries, one, COLOURS[place % len(COLOURS)], DASHES[_dash(one, series) % len(DASHES)])
     ticks = [f"{entry.short[:7]}<br>{entry.date[5:10]}" for entry in entries]
-    layout = {
+    layout: dict[str, Any] = {
         "height": 300, "margin": {"l": 70, "r": 20, "t": 10, "b": 60},
         "xaxis": {"tickvals": list(range(len(entries))), "ticktext": ticks, "range": [-0.5, len(entries) - 0.5]},
         "yaxis": {"title": {"text": unit}, "rangemode": "tozero"},

@@ -102,10 +102,10 @@ class Sandbox:
         self._run(place)
         found = {}
         for recording in simulate:
-            path = place / "out" / f"{file_name(recording.name)}.nc"
-            if not path.is_file() or path.is_symlink():
+            left = place / "out" / f"{file_name(recording.name)}.nc"
+            if not left.is_file() or left.is_symlink():
                 raise ClothbenchError(f"{cell.label}: the plugin left no simulation of {recording.name!r}")
-            found[recording.name] = (path, read_recording(path))
+            found[recording.name] = (left, read_recording(left))
         return found
 
     def _run(self, place: Path) -> None:
