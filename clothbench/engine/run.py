@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from clothbench.core.errors import ClothbenchError
@@ -62,8 +63,15 @@ def _write(folder: Path, detail: str) -> None:
 
 
 def keep(store: Store, cell: Cell, result: Result, study: Study | None = None) -> None:
-    try:
+    with writing(store, cell):
         store.put(cell.key, result.tables, result.attach, study.tables if study else {})
+
+
+@contextmanager
+def writing(store: Store, cell: Cell) -> Iterator[None]:
+    """Says what to do when a cell cannot be written."""
+    try:
+        yield
     except OSError as fault:
         found = os.strerror(fault.errno) if fault.errno else str(fault)
         raise ClothbenchError(

@@ -33,7 +33,7 @@ def prepare(
 
     kept: folder for what trackers make of images, None: nothing is kept.
     """
-    recordings = [read_any(source.path) for source in cell.recordings]
+    recordings = [read_any(source.file) for source in cell.recordings]
     for source, recording in zip(cell.recordings, recordings, strict=True):
         if recording.hash != source.hash:
             raise ClothbenchError(f"{source.path}: changed on disk since the run was planned; run it again")

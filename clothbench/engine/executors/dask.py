@@ -1,0 +1,155 @@
+"""Work on Dask's `distributed`: a scheduler that is there, or a cluster of processes on this machine."""
+
+from __future__ import annotations
+
+import collections
+import logging
+import time
+import uuid
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import distributed
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.parallel import available_cores
+from clothbench.engine.executors.work import Answer, Died, Tell, Work, attended
+from clothbench.plugins.discovery import one_line
+
+CONNECT = 15.0  # s until a scheduler that does not answer is given up
+
+
+class Stopped(BaseException):
+    """Nobody waits for this work any more; no `except Exception` of a plugin holds it up."""
+
+
+class DaskWorkers:
+    """One work at a time for each worker process. Each is sent to one process and to no other, so that it is known what
+    dies with it, and is tried again from here: a scheduler's own tries are as many as its settings say.
+    """
+
+    def __init__(self, executor: Mapping[str, Any], jobs: int, works: int):
+        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a worker's death is told in its cell's row
+        self.running: dict[int, tuple[distributed.Future, str]] = {}
+        self.words: collections.deque[tuple[int, int, float]] = collections.deque()
+        self.topic = f"clothbench-{uuid.uuid4().hex}"
+        self.cluster = None if executor["address"] else _cluster(min(jobs or available_cores(), works))
+        try:
+            self.client = _client(executor["address"] or self.cluster, executor["wait"])
+        except BaseException:
+            if self.cluster is not None:
+                self.cluster.close()
+            raise
+        self.client.subscribe_topic(self.topic, lambda event: self.words.append(tuple(event[1])))
+
+    def room(self) -> int:
+        return len(self._idle())
+
+    def begin(self, works: Mapping[int, Work]) -> None:
+        for (number, work), place in zip(works.items(), self._idle(), strict=False):
+            future = self.client.submit(
+                _attended, work, number, self.topic, key=f"{self.topic}-{uuid.uuid4().hex}", workers=[place],
+                allow_other_workers=False, retries=0, pure=False,
+            )  # fmt: skip
+            self.running[number] = future, place
+
+    def ended(self, seconds: float) -> Iterable[tuple[int, Answer | Died]]:
+        futures = [future for future, _ in self.running.values()]
+        if futures:
+            try:
+                distributed.wait(futures, timeout=seconds, return_when="FIRST_COMPLETED")
+            except (TimeoutError, distributed.CancelledError):
+                pass
+        else:
+            time.sleep(seconds)
+        there = self._there()
+        out = []
+        for number, (future, place) in list(self.running.items()):
+            answer = _answer(future, place, place in there)
+            if answer is not None:
+                del self.running[number]
+                future.cancel(force=True)
+                out.append((number, answer))
+        return out
+
+    def told(self) -> Iterable[tuple[int, int, float]]:
+        return [self.words.popleft() for _ in range(len(self.words))]
+
+    def close(self) -> None:
+        try:
+            self.client.unsubscribe_topic(self.topic)
+            self.client.cancel([future for future, _ in self.running.values()], force=True)
+        except Exception:  # the scheduler has gone, and all that it kept
+            pass
+        finally:
+            self.client.close(timeout=5)
+            if self.cluster is not None:
+                self.cluster.close(timeout=5)
+
+    def _there(self) -> list[str]:
+        """Addresses of the workers that the scheduler knows."""
+        try:
+            return list(self.client.scheduler_info(n_workers=-1)["workers"])
+        except (OSError, ValueError) as fault:
+            raise ClothbenchError(
+                f"executor: found no scheduler any more ({one_line(fault)}); finished cells are kept, run the same "
+                "command again when there is one"
+            ) from fault
+
+    def _idle(self) -> list[str]:
+        busy = {place for _, place in self.running.values()}
+        return [place for place in self._there() if place not in busy]
+
+
+def _cluster(workers: int) -> distributed.LocalCluster:
+    threads = max(1, available_cores() // workers)
+    return distributed.LocalCluster(
+        n_workers=workers, threads_per_worker=threads, processes=True, dashboard_address=None, silence_logs=logging.CRITICAL
+    )
+
+
+def _client(address: Any, wait: float) -> distributed.Client:
+    try:
+        client = distributed.Client(address, timeout=CONNECT)
+    except (OSError, ValueError) as fault:
+        raise ClothbenchError(
+            f"setting 'executor.address' is {address!r}: found no Dask scheduler there ({one_line(fault)}), "
+            "expected tcp://HOST:PORT of one"
+        ) from fault
+    try:
+        client.wait_for_workers(1, timeout=wait)
+    except TimeoutError:
+        client.close()
+        raise ClothbenchError(f"executor: found no worker within {wait:g} s; start some: dask worker {address}") from None
+    return client
+
+
+def _answer(future: distributed.Future, place: str, there: bool) -> Answer | Died | None:
+    """What came of a work; None if it is still running."""
+    if future.status == "finished":
+        return future.result()
+    if future.status == "error":
+        fault = future.exception()
+        if isinstance(fault, distributed.scheduler.KilledWorker):
+            return Died(f"worker {place}")
+        return Answer(fault=f"worker {place}: {one_line(fault)}; expected the same clothbench there")
+    if future.status in ("cancelled", "lost") or not there:
+        return Died(f"worker {place}")
+    return None
+
+
+def _attended(work: Work, number: int, topic: str) -> Answer:
+    """In a worker."""
+    worker = distributed.get_worker()
+    key = worker.get_current_task()
+    return attended(work, _teller(worker, key, number, topic), worker.state.nthreads)
+
+
+def _teller(worker: distributed.Worker, key: Any, number: int, topic: str) -> Tell:
+    def tell(steps: int, value: float) -> None:
+        task = worker.state.tasks.get(key)
+        if task is None or task.state == "cancelled":  # the command was stopped, or its connection has gone
+            raise Stopped
+        worker.log_event(topic, [number, steps, value])
+
+    return tell
