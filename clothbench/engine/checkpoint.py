@@ -15,6 +15,8 @@ import numpy as np
 
 from clothbench.core.files import whole_file
 
+Arrays = dict[str, np.ndarray]
+
 
 class Checkpoint:
     """Arrays by key, one `.npz` each; without a folder nothing is kept."""
@@ -29,7 +31,7 @@ class Checkpoint:
         """Wall time since this object was made, and that of the stopped runs before it."""
         return self.before + time.perf_counter() - self.began
 
-    def recall(self, key: str) -> dict[str, np.ndarray] | None:
+    def recall(self, key: str) -> Arrays | None:
         """What was kept under this key; None if there is nothing, or a file that can no longer be read."""
         if self.folder is None or not (path := self.folder / f"{key}.npz").is_file():
             return None
@@ -51,6 +53,11 @@ class Checkpoint:
         assert self.folder is not None
         with whole_file(self.folder / f"{key}.npz") as part, part.open("wb") as file:
             np.savez(file, **arrays)  # type: ignore[arg-type]
+
+    def everything(self) -> dict[str, Arrays]:
+        """All that is kept, by key, but for the time that it has taken."""
+        keys = [path.stem for path in sorted(self.folder.glob("*.npz"))] if self.folder else []
+        return {key: found for key in keys if key != "seconds" and (found := self.recall(key)) is not None}
 
     def forget(self) -> None:
         """All of it; the verdict is written."""

@@ -14,7 +14,7 @@ from clothbench.core.progress import StageProgress
 from clothbench.engine.cells import Skipped
 from clothbench.engine.rows import failure
 from clothbench.engine.store import JOURNAL, Store
-from clothbench.engine.study import Cell, Context, Result, Study
+from clothbench.engine.study import Cell, Context, Elsewhere, Result, Study
 from clothbench.plugins.discovery import catalogue, one_line
 
 TRACEBACK = "traceback.txt"
@@ -24,9 +24,9 @@ CellProgress = Callable[[Cell, int, float], None]
 
 def run_cell(
     cell: Cell, out: Path, *, threads: int = 0, rerun: bool = False, progress: CellProgress | None = None,
-    stage: StageProgress = lambda name, done, planned: None,
+    stage: StageProgress = lambda name, done, planned: None, elsewhere: Elsewhere | None = None,
 ) -> str:  # fmt: skip
-    """Let its study run one cell, store the result, and return its status."""
+    """Let its study run one cell, store the result, and return its status. elsewhere: workers, see `Context`."""
     set_thread_count(threads)
     store, plugins = Store(out), catalogue()
 
@@ -34,7 +34,7 @@ def run_cell(
         if progress is not None:
             progress(cell, steps, value)
 
-    context = Context(plugins, store.folder / JOURNAL / cell.key, told, stage, rerun, store.folder / TRACKED)
+    context = Context(plugins, store.folder / JOURNAL / cell.key, told, stage, rerun, store.folder / TRACKED, elsewhere)
     try:
         study: Study = plugins.load("studies", cell.study)
         result = study.run(cell, context)

@@ -11,14 +11,13 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.engine.cells import Source, lie_here, plugin_versions
+from clothbench.engine.cells import Source, lie_here
 from clothbench.engine.executors.drive import answers, opened
-from clothbench.engine.executors.work import Answer, Died, Tell
+from clothbench.engine.executors.work import Answer, Died, Tell, other_versions
 from clothbench.engine.rows import failure
 from clothbench.engine.run import CellProgress, failed_with, keep, run_cell, writing
 from clothbench.engine.store import JOURNAL, Store
 from clothbench.engine.study import Cell
-from clothbench.plugins.discovery import catalogue
 
 Files = Mapping[str, bytes]
 Places = Mapping[str, str | bytes]  # of recordings, by hash: where they lie, or what is in them
@@ -103,7 +102,7 @@ def concluded(store: Store, cell: Cell, answer: Answer | Died) -> str:
     return result.status
 
 
-# --- what a worker needs of recordings, and of what is installed ------------------------------------------------------
+# --- recordings, to a worker, and files of cells back ----------------------------------------------------------------
 
 
 def sources_of(cell: Any) -> Iterator[Source]:
@@ -150,18 +149,3 @@ def taken_out(store: Store, key: str) -> dict[str, bytes]:
     for gone in (folder, store.folder / JOURNAL / key):
         shutil.rmtree(gone, ignore_errors=True)
     return files
-
-
-def other_versions(wanted: Mapping[str, str]) -> str | None:
-    """Why this worker's plugins are not those of the command; None where they are the same."""
-    import socket
-
-    for name, version in wanted.items():
-        kind, _, plugin = name.partition("/")
-        try:
-            found = plugin_versions([(kind, plugin)], catalogue())[name]
-        except ClothbenchError:
-            found = "none"
-        if found != version:
-            return f"worker on {socket.gethostname()}: found {name} {found}, expected {version}; install the same there"
-    return None

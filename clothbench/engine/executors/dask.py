@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import collections
+import contextlib
 import logging
 import time
 import uuid
@@ -13,7 +14,7 @@ import distributed
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.parallel import available_cores
-from clothbench.engine.executors.work import Answer, Died, Tell, Work, attended
+from clothbench.engine.executors.work import Answer, Died, Owner, Tell, Work, attended
 from clothbench.plugins.discovery import one_line
 
 CONNECT = 15.0  # s until a scheduler that does not answer is given up
@@ -33,6 +34,7 @@ class DaskWorkers:
         self.running: dict[int, tuple[distributed.Future, str]] = {}
         self.words: collections.deque[tuple[int, int, float]] = collections.deque()
         self.topic = f"clothbench-{uuid.uuid4().hex}"
+        self.owner = None if executor["address"] else Owner()
         self.cluster = None if executor["address"] else _cluster(min(jobs or available_cores(), works))
         try:
             self.client = _client(executor["address"] or self.cluster, executor["wait"])
@@ -48,18 +50,16 @@ class DaskWorkers:
     def begin(self, works: Mapping[int, Work]) -> None:
         for (number, work), place in zip(works.items(), self._idle(), strict=False):
             future = self.client.submit(
-                _attended, work, number, self.topic, key=f"{self.topic}-{uuid.uuid4().hex}", workers=[place],
-                allow_other_workers=False, retries=0, pure=False,
+                _attended, work, number, self.topic, self.owner, key=f"{self.topic}-{uuid.uuid4().hex}",
+                workers=[place], allow_other_workers=False, retries=0, pure=False,
             )  # fmt: skip
             self.running[number] = future, place
 
     def ended(self, seconds: float) -> Iterable[tuple[int, Answer | Died]]:
         futures = [future for future, _ in self.running.values()]
         if futures:
-            try:
+            with contextlib.suppress(TimeoutError, distributed.CancelledError):
                 distributed.wait(futures, timeout=seconds, return_when="FIRST_COMPLETED")
-            except (TimeoutError, distributed.CancelledError):
-                pass
         else:
             time.sleep(seconds)
         there = self._there()
@@ -104,7 +104,11 @@ class DaskWorkers:
 def _cluster(workers: int) -> distributed.LocalCluster:
     threads = max(1, available_cores() // workers)
     return distributed.LocalCluster(
-        n_workers=workers, threads_per_worker=threads, processes=True, dashboard_address=None, silence_logs=logging.CRITICAL
+        n_workers=workers,
+        threads_per_worker=threads,
+        processes=True,
+        dashboard_address=":0",
+        silence_logs=logging.CRITICAL,
     )
 
 
@@ -120,7 +124,9 @@ def _client(address: Any, wait: float) -> distributed.Client:
         client.wait_for_workers(1, timeout=wait)
     except TimeoutError:
         client.close()
-        raise ClothbenchError(f"executor: found no worker within {wait:g} s; start some: dask worker {address}") from None
+        raise ClothbenchError(
+            f"executor: found no worker within {wait:g} s; start some: dask worker {address}"
+        ) from None
     return client
 
 
@@ -138,11 +144,11 @@ def _answer(future: distributed.Future, place: str, there: bool) -> Answer | Die
     return None
 
 
-def _attended(work: Work, number: int, topic: str) -> Answer:
+def _attended(work: Work, number: int, topic: str, owner: Owner | None) -> Answer:
     """In a worker."""
     worker = distributed.get_worker()
     key = worker.get_current_task()
-    return attended(work, _teller(worker, key, number, topic), worker.state.nthreads)
+    return attended(work, _teller(worker, key, number, topic), worker.state.nthreads, owner)
 
 
 def _teller(worker: distributed.Worker, key: Any, number: int, topic: str) -> Tell:

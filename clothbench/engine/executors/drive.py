@@ -1,15 +1,19 @@
-"""The one loop over the workers of an engine: works go out, answers come in, what a dead worker was at is tried again."""
+"""The one loop over workers: works go out, answers come in, and what a dead worker was at is tried again."""
 
 from __future__ import annotations
 
 import math
+import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from clothbench.engine.executors.work import Answer, Died, Work, Workers
+from clothbench.core.errors import ClothbenchError
+from clothbench.engine.executors.work import Answer, Died, Tell, Work, Workers, other_versions
+from clothbench.engine.study import Elsewhere
 
 WATCH = 0.5  # s between two looks at how far works are
 TRIES = 2  # of a work whose worker dies
@@ -41,10 +45,38 @@ def _begun(executor: Mapping[str, Any], jobs: int, works: int, folder: Path) -> 
     return SlurmWorkers(executor, jobs, works, folder)
 
 
+def elsewhere(workers: Workers, jobs: int, versions: Mapping[str, str]) -> Elsewhere:
+    """Workers as a study knows them; versions: of the plugins that they have to have, as cells state them."""
+
+    def pieces(works: Sequence[Work]) -> Iterator[tuple[int, Any]]:
+        checked = [AsInstalled(work, versions) for work in works]
+        for number, answer in answers(workers, checked.__getitem__, len(works), jobs, lambda *_: None):
+            if isinstance(answer, Died):
+                warnings.warn(f"a worker died twice ({answer.reason}); what it was at is done here", stacklevel=2)
+            elif answer.fault is not None:
+                raise ClothbenchError(answer.fault)
+            yield number, answer.value if isinstance(answer, Answer) else None
+
+    return pieces
+
+
+@dataclass(frozen=True, eq=False)
+class AsInstalled:
+    """A work that is refused where other versions of plugins are installed."""
+
+    work: Work
+    versions: Mapping[str, str]
+
+    def __call__(self, tell: Tell, threads: int) -> Any:
+        if reason := other_versions(self.versions):
+            raise ClothbenchError(reason)
+        return self.work(tell, threads)
+
+
 def answers(
     workers: Workers, work: Callable[[int], Work], count: int, jobs: int, told: Callable[[int, int, float], None]
 ) -> Iterator[tuple[int, Answer | Died]]:
-    """(number, what came of it) of `work(0)`, `work(1)` … as they end. A work whose worker died is tried `TRIES` times."""
+    """(number, what came of it) of `work(0)`, `work(1)` … as they end; one whose worker dies is tried `TRIES` times."""
     waiting, running, tries = list(range(count))[::-1], set[int](), Counter[int]()
     while waiting or running:
         room = min(workers.room(), (jobs or math.inf) - len(running), len(waiting))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import time
 from collections.abc import Iterable, Mapping
@@ -12,7 +13,7 @@ from ray.util.queue import Empty, Full, Queue
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.parallel import available_cores
-from clothbench.engine.executors.work import Answer, Died, Tell, Work, attended
+from clothbench.engine.executors.work import Answer, Died, Owner, Tell, Work, attended
 from clothbench.plugins.discovery import one_line
 
 WORDS = 10_000  # of workers, that are kept until somebody hears them
@@ -22,7 +23,7 @@ class RayWorkers:
     """Ray holds back what its workers have no room for. It tries nothing again by itself: that is done from here."""
 
     def __init__(self, executor: Mapping[str, Any], jobs: int, works: int):
-        self.cores = executor["cores"]
+        self.cores, self.owner = executor["cores"], None if executor["address"] else Owner()
         _begin(executor, min(jobs or max(1, available_cores() // self.cores), works))
         try:
             _wait_for(self.cores, executor["wait"])
@@ -39,7 +40,7 @@ class RayWorkers:
 
     def begin(self, works: Mapping[int, Work]) -> None:
         for number, work in works.items():
-            self.running[self.attended.remote(work, number, self.words, self.cores)] = number
+            self.running[self.attended.remote(work, number, self.words, self.cores, self.owner)] = number
 
     def ended(self, seconds: float) -> Iterable[tuple[int, Answer | Died]]:
         if not self.running:
@@ -98,16 +99,14 @@ def _answer(ref: Any) -> Answer | Died:
         return Answer(fault=f"a Ray worker: {one_line(fault)}; expected the same clothbench there")
 
 
-def _attended(work: Work, number: int, words: Queue, cores: int) -> Answer:
+def _attended(work: Work, number: int, words: Queue, cores: int, owner: Owner | None) -> Answer:
     """In a worker."""
-    return attended(work, _teller(number, words), cores)
+    return attended(work, _teller(number, words), cores, owner)
 
 
 def _teller(number: int, words: Queue) -> Tell:
     def tell(steps: int, value: float) -> None:
-        try:
+        with contextlib.suppress(Full, ray.exceptions.RayError):  # nobody hears it; the work is what counts
             words.put_nowait((number, steps, value))
-        except (Full, ray.exceptions.RayError):  # nobody hears it; the work is what counts
-            pass
 
     return tell

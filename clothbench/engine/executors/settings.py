@@ -20,7 +20,7 @@ CLUSTERS = ("slurm", "local")
 
 
 def executor_settings(given: Any) -> dict[str, Any]:
-    """The settings of the executor, {"name": "local"} where none is asked for; refused if its engine is not installed."""
+    """The settings of the executor; {"name": "local"} where none is asked for. Its engine has to be installed."""
     stated = {"name": given} if isinstance(given, str) else mapping("executor", given) or {"name": LOCAL}
     name = stated.get("name")
     if name not in WORDS:

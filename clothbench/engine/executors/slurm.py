@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import contextlib
 import logging
 import os
+import signal
 import time
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+import psutil
 import submitit
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import whole_file
 from clothbench.core.parallel import available_cores
-from clothbench.engine.executors.work import Answer, Died, Tell, Work, attended
+from clothbench.engine.executors.work import Answer, Died, Owner, Tell, Work, attended
 from clothbench.plugins.discovery import one_line
 
 FOLDER = "slurm"  # below the results folder: scripts, logs and words of jobs, which nodes and command share
@@ -26,8 +29,9 @@ class SlurmWorkers:
     def __init__(self, executor: Mapping[str, Any], jobs: int, works: int, folder: Path):
         logging.getLogger("submitit").setLevel(logging.CRITICAL)
         self.folder, self.cores = folder / FOLDER, executor["cores"]
-        here = executor["cluster"] == "local"  # submitit begins there at once whatever it is given
-        self.most = max(1, available_cores() // self.cores) if here and not jobs else (jobs or works)
+        self.owner = Owner() if executor["cluster"] == "local" else None
+        # On this machine submitit begins at once whatever it is given; Slurm has a queue.
+        self.most = jobs or (max(1, available_cores() // self.cores) if self.owner else works)
         self.running: dict[int, submitit.Job] = {}
         self.heard: dict[int, str] = {}
         try:
@@ -43,8 +47,9 @@ class SlurmWorkers:
 
     def begin(self, works: Mapping[int, Work]) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
-        tasks = [(work, str(self._words(number)), self.cores) for number, work in works.items()]
-        jobs = self.executor.map_array(_attended, *map(list, zip(*tasks, strict=True)))
+        tasks = [(work, str(self._words(number)), self.cores, self.owner) for number, work in works.items()]
+        with _unheard(signal.SIGINT):  # of Ctrl+C the command hears, and ends its jobs
+            jobs = self.executor.map_array(_attended, *map(list, zip(*tasks, strict=True)))
         self.running.update(zip(works, jobs, strict=True))
 
     def ended(self, seconds: float) -> Iterable[tuple[int, Answer | Died]]:
@@ -65,8 +70,14 @@ class SlurmWorkers:
         return out
 
     def close(self) -> None:
-        for job in self.running.values():
-            job.cancel(check=False)
+        for number, job in self.running.items():
+            if self.owner is None:
+                job.cancel(check=False)
+            else:
+                _kill(int(job.job_id))
+            self._clear(number, job)
+        with contextlib.suppress(OSError):  # something is left in it, or it was never made
+            self.folder.rmdir()
 
     def _words(self, number: int) -> Path:
         return self.folder / f"{os.getpid()}-{number}.told"
@@ -74,14 +85,16 @@ class SlurmWorkers:
     def _answer(self, number: int) -> Answer | Died:
         """What came of a job. Its files go; of one that failed they stay, for its log says why."""
         job = self.running.pop(number)
-        self._words(number).unlink(missing_ok=True)
         try:
             answer = job.result()
         except Exception as fault:
             return Died(f"job {job.job_id}: {_why(fault)}; see {job.paths.stderr}")
-        for path in self.folder.glob(f"{job.job_id}_*"):
-            path.unlink(missing_ok=True)
+        self._clear(number, job)
         return answer
+
+    def _clear(self, number: int, job: submitit.Job) -> None:
+        for path in (self._words(number), *self.folder.glob(f"{job.job_id}_*")):
+            path.unlink(missing_ok=True)
 
 
 def _parameters(executor: Mapping[str, Any], jobs: int) -> dict[str, Any]:
@@ -98,9 +111,28 @@ def _why(fault: Exception) -> str:
     return lines[-1] if isinstance(fault, submitit.core.utils.FailedJobError) and lines else one_line(fault)
 
 
-def _attended(work: Work, words: str, cores: int) -> Answer:
+@contextlib.contextmanager
+def _unheard(number: signal.Signals) -> Iterator[None]:
+    """Processes that are begun in here do not hear a signal."""
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {number})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+def _kill(pid: int) -> None:
+    """End a job of this machine: the process that watches it, and all below."""
+    with contextlib.suppress(psutil.NoSuchProcess):
+        watching = psutil.Process(pid)
+        for process in (watching, *watching.children(recursive=True)):
+            with contextlib.suppress(psutil.NoSuchProcess):
+                process.kill()
+
+
+def _attended(work: Work, words: str, cores: int, owner: Owner | None) -> Answer:
     """In a job."""
-    return attended(work, _teller(Path(words)), cores)
+    return attended(work, _teller(Path(words)), cores, owner)
 
 
 def _teller(words: Path) -> Tell:

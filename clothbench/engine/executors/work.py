@@ -2,14 +2,20 @@
 
 from __future__ import annotations
 
+import functools
+import os
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
+import psutil
+
 from clothbench.core.errors import ClothbenchError
-from clothbench.plugins.discovery import one_line
+from clothbench.engine.cells import plugin_versions
+from clothbench.plugins.discovery import catalogue, one_line
 
 SELDOM = 0.5  # s, between two words of a worker on how far it is
 
@@ -60,14 +66,44 @@ class Workers(Protocol):
         ...
 
 
-def attended(work: Work, tell: Tell, threads: int) -> Answer:
-    """In a worker: do a work, one at a time in each process.
+@dataclass(frozen=True)
+class Owner:
+    """A command whose workers are of this machine, and are to end with it, however it ends."""
+
+    pid: int = field(default_factory=os.getpid)
+    began: float = field(default_factory=lambda: psutil.Process().create_time())
+
+    @property
+    def lives(self) -> bool:
+        try:
+            found = psutil.Process(self.pid)
+            return found.create_time() == self.began and found.status() != psutil.STATUS_ZOMBIE
+        except psutil.NoSuchProcess:
+            return False
+
+
+@functools.cache
+def end_with(owner: Owner) -> None:
+    """In a worker: end as soon as the command has been killed, not when the work is done."""
+
+    def watch() -> None:
+        while owner.lives:
+            time.sleep(SELDOM)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
+
+
+def attended(work: Work, tell: Tell, threads: int, owner: Owner | None) -> Answer:
+    """In a worker: do a work, one at a time in each process. owner: of the worker, if that is of the same machine.
 
     Linear algebra keeps to one thread as it does in the command, whatever the worker was started with: its sums, and so
     all bits that come of them, depend on that.
     """
     from threadpoolctl import threadpool_limits
 
+    if owner is not None:
+        end_with(owner)
     with _one_at_a_time, threadpool_limits(1):
         try:
             return Answer(work(seldom(tell), threads))
@@ -88,3 +124,16 @@ def seldom(tell: Tell) -> Tell:
             tell(int(steps), float(value))
 
     return told
+
+
+def other_versions(wanted: Mapping[str, str]) -> str | None:
+    """Why this worker's plugins are not those of the command; None where they are the same."""
+    for name, version in wanted.items():
+        kind, _, plugin = name.partition("/")
+        try:
+            found = plugin_versions([(kind, plugin)], catalogue())[name]
+        except ClothbenchError:
+            found = "none"
+        if found != version:
+            return f"worker on {socket.gethostname()}: found {name} {found}, expected {version}; install the same there"
+    return None
