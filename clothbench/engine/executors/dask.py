@@ -18,6 +18,7 @@ from clothbench.engine.executors.work import Answer, Died, Owner, Tell, Work, at
 from clothbench.plugins.discovery import one_line
 
 CONNECT = 15.0  # s until a scheduler that does not answer is given up
+CLOSE = 10.0  # s for a cluster to close in good order
 
 
 class Stopped(BaseException):
@@ -76,15 +77,14 @@ class DaskWorkers:
         return [self.words.popleft() for _ in range(len(self.words))]
 
     def close(self) -> None:
-        try:
+        with contextlib.suppress(Exception):  # the scheduler may have gone, and all that it kept
             self.client.unsubscribe_topic(self.topic)
             self.client.cancel([future for future, _ in self.running.values()], force=True)
-        except Exception:  # the scheduler has gone, and all that it kept
-            pass
-        finally:
-            self.client.close(timeout=5)
-            if self.cluster is not None:
-                self.cluster.close(timeout=5)
+        with contextlib.suppress(Exception):
+            self.client.close(timeout=CLOSE)
+        if self.cluster is not None:  # a worker that is not ready to end by then is ended with this process
+            with contextlib.suppress(TimeoutError):
+                self.cluster.close(timeout=CLOSE)
 
     def _there(self) -> list[str]:
         """Addresses of the workers that the scheduler knows."""
