@@ -82,7 +82,7 @@ def workers_of(
         return
     most = max(len(cell.candidates) + len(cell.recordings) for cell in cells)
     with opened(executor, jobs, most, out.absolute()) as workers:
-        yield elsewhere(workers, jobs, {name: version for cell in cells for name, version in cell.versions.items()})
+        yield elsewhere(workers, {name: version for cell in cells for name, version in cell.versions.items()})
 
 
 def judge(

@@ -112,6 +112,26 @@ def test_submitit_on_this_machine(place, run, here):
     assert not (place / "slurm" / "slurm").exists()  # jobs that ended well leave nothing
 
 
+def test_what_slurm_is_told(monkeypatch, tmp_path):
+    """As submitit writes it; here is no Slurm to send it to."""
+    needs("submitit")
+    from submitit.slurm import slurm
+
+    from clothbench.engine.executors.settings import executor_settings
+    from clothbench.engine.executors.slurm import SlurmWorkers
+
+    monkeypatch.setattr("shutil.which", lambda name: f"/bin/{name}")
+    stated = {"partition": "cpu", "cores": 4, "memory": 8, "minutes": 240, "parameters": {"slurm_account": "textiles"}}
+    workers = SlurmWorkers(executor_settings({"name": "slurm", **stated}), 50, 200, tmp_path)
+    assert workers.room() == 200  # all are begun at once, as one array of which so many run at a time
+    text = slurm._make_sbatch_string("X", tmp_path, map_count=200, **workers.executor._executor.parameters)
+    for line in ("partition=cpu", "cpus-per-task=4", "mem=8GB", "time=240", "account=textiles", "array=0-199%50"):
+        assert f"#SBATCH --{line}\n" in text
+    bad = executor_settings({"name": "slurm", "parameters": {"colour": "red"}})
+    with pytest.raises(ClothbenchError, match=r"executor slurm: .*colour.*; try it with executor\.cluster=local"):
+        SlurmWorkers(bad, 0, 1, tmp_path)
+
+
 @pytest.mark.slow
 def test_ray_on_this_machine(place, run, here):
     needs("ray")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pickle
+import socket
 import subprocess
 import sys
 import time
@@ -106,25 +107,19 @@ class Made:
 
 def test_a_work_whose_worker_dies_is_tried_once_more():
     workers, told = Made({1: 1, 2: 2}), []
-    found = dict(answers(workers, lambda n: lambda tell, threads: n * n, 5, 0, lambda *word: told.append(word)))
+    found = dict(answers(workers, lambda n: lambda tell, threads: n * n, 5, lambda *word: told.append(word)))
     assert found == {0: Answer(0), 1: Answer(1), 2: Died("gone"), 3: Answer(9), 4: Answer(16)}
     assert sorted(workers.begun) == [0, 1, 1, 2, 2, 3, 4]
     assert workers.most == 2
     assert (1, 7, 0.5) in told
 
 
-def test_no_more_at_a_time_than_asked_for():
-    workers = Made({}, room=9)
-    assert len(list(answers(workers, lambda n: lambda tell, threads: n, 6, 3, lambda *_: None))) == 6
-    assert workers.most == 3
-
-
 def test_a_study_does_itself_what_killed_two_workers_and_hears_of_other_faults():
     with pytest.warns(UserWarning, match="a worker died twice"):
-        found = dict(elsewhere(Made({0: 2}), 0, {})([lambda tell, threads: 5] * 2))
+        found = dict(elsewhere(Made({0: 2}), {})([lambda tell, threads: 5] * 2))
     assert found == {0: None, 1: 5}
     with pytest.raises(ClothbenchError, match=r"found models/mass_spring .*, expected 0\.0, 9; install the same there"):
-        list(elsewhere(AsDone(), 0, {"models/mass_spring": "0.0, 9"})([lambda tell, threads: 5]))
+        list(elsewhere(AsDone(), {"models/mass_spring": "0.0, 9"})([lambda tell, threads: 5]))
 
 
 class AsDone(Made):
@@ -149,10 +144,11 @@ def test_a_worker_carries_faults_and_exits_back():
 
         return attended(work, print, 1, None)
 
+    there = f"worker on {socket.gethostname()}"
     assert attended(lambda tell, threads: threads, print, 3, None) == Answer(3)
     assert bad(ClothbenchError("no room")) == Answer(fault="no room")
-    assert bad(SystemExit(3)) == Answer(fault="SystemExit: 3")
-    assert bad(ValueError("odd\nand more")) == Answer(fault="ValueError: odd")
+    assert bad(SystemExit(3)) == Answer(fault=f"{there}: SystemExit: 3")
+    assert bad(ValueError("odd\nand more")) == Answer(fault=f"{there}: ValueError: odd")
 
 
 def test_words_cross_the_network_seldom():

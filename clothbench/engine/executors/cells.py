@@ -82,7 +82,7 @@ def run_cells_on(
             progress(cells[number], steps, value)
 
     with opened(executor, jobs, len(cells), store.folder) as workers:
-        for number, answer in answers(workers, work, len(cells), jobs, told):
+        for number, answer in answers(workers, work, len(cells), told):
             done(cells[number], concluded(store, cells[number], answer))
 
 

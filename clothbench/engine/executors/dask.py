@@ -35,6 +35,9 @@ class DaskWorkers:
         self.running: dict[int, tuple[distributed.Future, str]] = {}
         self.words: collections.deque[tuple[int, int, float]] = collections.deque()
         self.topic = f"clothbench-{uuid.uuid4().hex}"
+        self.idle: list[str] = []
+        self.jobs = jobs or works
+        self.wait, self.seen = executor["wait"], time.monotonic()
         self.owner = None if executor["address"] else Owner()
         self.cluster = None if executor["address"] else _cluster(min(jobs or available_cores(), works))
         try:
@@ -46,10 +49,12 @@ class DaskWorkers:
         self.client.subscribe_topic(self.topic, lambda event: self.words.append(tuple(event[1])))
 
     def room(self) -> int:
-        return len(self._idle())
+        busy = {place for _, place in self.running.values()}
+        self.idle = [place for place in self._there() if place not in busy]
+        return max(0, min(len(self.idle), self.jobs - len(self.running)))
 
     def begin(self, works: Mapping[int, Work]) -> None:
-        for (number, work), place in zip(works.items(), self._idle(), strict=False):
+        for (number, work), place in zip(works.items(), self.idle, strict=False):
             future = self.client.submit(
                 _attended, work, number, self.topic, self.owner, key=f"{self.topic}-{uuid.uuid4().hex}",
                 workers=[place], allow_other_workers=False, retries=0, pure=False,
@@ -87,18 +92,22 @@ class DaskWorkers:
                 self.cluster.close(timeout=CLOSE)
 
     def _there(self) -> list[str]:
-        """Addresses of the workers that the scheduler knows."""
+        """Addresses of the workers that the scheduler knows; others may come when all have gone, but not for ever."""
         try:
-            return list(self.client.scheduler_info(n_workers=-1)["workers"])
+            there = list(self.client.scheduler_info(n_workers=-1)["workers"])
         except (OSError, ValueError) as fault:
             raise ClothbenchError(
                 f"executor: found no scheduler any more ({one_line(fault)}); finished cells are kept, run the same "
                 "command again when there is one"
             ) from fault
-
-    def _idle(self) -> list[str]:
-        busy = {place for _, place in self.running.values()}
-        return [place for place in self._there() if place not in busy]
+        if there:
+            self.seen = time.monotonic()
+        elif time.monotonic() - self.seen > self.wait:
+            raise ClothbenchError(
+                f"executor: found no worker any more for {self.wait:g} s; finished cells are kept, start workers and "
+                "run the same command again"
+            )
+        return there
 
 
 def _cluster(workers: int) -> distributed.LocalCluster:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -45,12 +44,12 @@ def _begun(executor: Mapping[str, Any], jobs: int, works: int, folder: Path) -> 
     return SlurmWorkers(executor, jobs, works, folder)
 
 
-def elsewhere(workers: Workers, jobs: int, versions: Mapping[str, str]) -> Elsewhere:
+def elsewhere(workers: Workers, versions: Mapping[str, str]) -> Elsewhere:
     """Workers as a study knows them; versions: of the plugins that they have to have, as cells state them."""
 
     def pieces(works: Sequence[Work]) -> Iterator[tuple[int, Any]]:
         checked = [AsInstalled(work, versions) for work in works]
-        for number, answer in answers(workers, checked.__getitem__, len(works), jobs, lambda *_: None):
+        for number, answer in answers(workers, checked.__getitem__, len(works), lambda *_: None):
             if isinstance(answer, Died):
                 warnings.warn(f"a worker died twice ({answer.reason}); what it was at is done here", stacklevel=2)
             elif answer.fault is not None:
@@ -74,13 +73,12 @@ class AsInstalled:
 
 
 def answers(
-    workers: Workers, work: Callable[[int], Work], count: int, jobs: int, told: Callable[[int, int, float], None]
+    workers: Workers, work: Callable[[int], Work], count: int, told: Callable[[int, int, float], None]
 ) -> Iterator[tuple[int, Answer | Died]]:
     """(number, what came of it) of `work(0)`, `work(1)` … as they end; one whose worker dies is tried `TRIES` times."""
     waiting, running, tries = list(range(count))[::-1], set[int](), Counter[int]()
     while waiting or running:
-        room = min(workers.room(), (jobs or math.inf) - len(running), len(waiting))
-        chosen = [waiting.pop() for _ in range(int(room))]
+        chosen = [waiting.pop() for _ in range(min(workers.room(), len(waiting)))]
         if chosen:
             workers.begin({number: work(number) for number in chosen})
             running.update(chosen)

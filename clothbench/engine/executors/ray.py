@@ -23,6 +23,7 @@ class RayWorkers:
     """Ray holds back what its workers have no room for. It tries nothing again by itself: that is done from here."""
 
     def __init__(self, executor: Mapping[str, Any], jobs: int, works: int):
+        self.jobs = jobs or works
         self.cores, self.owner = executor["cores"], None if executor["address"] else Owner()
         _begin(executor, min(jobs or max(1, available_cores() // self.cores), works))
         try:
@@ -36,7 +37,7 @@ class RayWorkers:
         self.running: dict[Any, int] = {}
 
     def room(self) -> int:
-        return WORDS
+        return self.jobs - len(self.running)
 
     def begin(self, works: Mapping[int, Work]) -> None:
         for number, work in works.items():

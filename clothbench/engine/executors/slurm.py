@@ -21,6 +21,7 @@ from clothbench.engine.executors.work import Answer, Died, Owner, Tell, Work, at
 from clothbench.plugins.discovery import one_line
 
 FOLDER = "slurm"  # below the results folder: scripts, logs and words of jobs, which nodes and command share
+ARRAY = 1000  # jobs in an array; more are refused where Slurm's MaxArraySize is as it comes
 
 
 class SlurmWorkers:
@@ -30,8 +31,8 @@ class SlurmWorkers:
         logging.getLogger("submitit").setLevel(logging.CRITICAL)
         self.folder, self.cores = folder / FOLDER, executor["cores"]
         self.owner = Owner() if executor["cluster"] == "local" else None
-        # On this machine submitit begins at once whatever it is given; Slurm has a queue.
-        self.most = jobs or (max(1, available_cores() // self.cores) if self.owner else works)
+        # On this machine submitit begins at once whatever it is given; Slurm has a queue, and is told how many may run.
+        self.most = (jobs or max(1, available_cores() // self.cores)) if self.owner else min(works, ARRAY)
         self.running: dict[int, submitit.Job] = {}
         self.heard: dict[int, str] = {}
         try:

@@ -110,7 +110,7 @@ def attended(work: Work, tell: Tell, threads: int, owner: Owner | None) -> Answe
         except ClothbenchError as fault:
             return Answer(fault=str(fault))
         except (Exception, SystemExit) as fault:  # a plugin must not end a worker by sys.exit
-            return Answer(fault=one_line(fault))
+            return Answer(fault=f"worker on {socket.gethostname()}: {one_line(fault)}")
 
 
 def seldom(tell: Tell) -> Tell:
