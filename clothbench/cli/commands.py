@@ -233,7 +233,7 @@ def _improve(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "settings", nargs="+", metavar="KEY=VALUE",
         help="recordings=DIR model=NAME [out=DIR] [candidates=NAME,…] [seed=N] [resolution=NODES] [base=NAME,…] "
-        "[areal_density=KG_PER_M2]",
+        "[areal_density=KG_PER_M2] [executor=dask|ray|slurm]",
     )  # fmt: skip
 
 

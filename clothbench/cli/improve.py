@@ -7,7 +7,8 @@ from __future__ import annotations
 
 import shlex
 import sys
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -17,9 +18,12 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from clothbench.cli.run import composed
 from clothbench.core.create_only import require_create_only
 from clothbench.core.errors import ClothbenchError
+from clothbench.engine.executors.drive import elsewhere, opened
+from clothbench.engine.executors.settings import LOCAL, executor_settings
 from clothbench.engine.run import TRACEBACK, run_cell
 from clothbench.engine.settings import KNOWN
 from clothbench.engine.store import Store
+from clothbench.engine.study import Elsewhere
 from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import Catalogue, catalogue
 from clothbench.studies.improve.candidates import unusable
@@ -39,12 +43,15 @@ PLAIN = {
 }  # fmt: skip
 SHORT = {"resolution": "suite.resolution", "damping": "suite.damping", "areal_density": "scene.areal_density"}
 NESTED = ("options", "bounds")  # told as KEY.NAME=VALUE
-WORDS = (*PLAIN, *SHORT, *NESTED, *sorted(KNOWN - {*PLAIN, *NESTED, "study", "suite", "budget", "jobs", "effects"}))
+WORDS = (*PLAIN, *SHORT, *NESTED, *sorted(KNOWN - {*PLAIN, *NESTED, "study", "suite", "budget", "effects"}))
 
 
 def command(words: Sequence[str], as_json: bool = False) -> int:
     """Run the loop with settings as KEY=VALUE words gave them, and print the verdict: in words, or as the document."""
     plugins, settings = catalogue(), settings_of(words)
+    executor = executor_settings(settings.get("executor"))
+    if executor["name"] == LOCAL and settings["jobs"]:
+        raise ClothbenchError("setting 'jobs' is for the workers of an executor: name one, or leave it out")
     cells: list[ImproveCell] = plan(settings, plugins)  # type: ignore[assignment]
     if len({(cell.optimizer, cell.case) for cell in cells}) > 1:
         raise ClothbenchError(
@@ -54,8 +61,9 @@ def command(words: Sequence[str], as_json: bool = False) -> int:
     store = Store(out)
     for remark in remarks(cells[0], plugins, all_tried=settings["suite"]["candidates"] is None):
         print(f"clothbench: {remark}", file=sys.stderr)
-    for cell in cells:
-        judge(cell, store, out, settings["rerun"], cell.model if len(cells) > 1 else "")
+    with workers_of(executor, settings["jobs"], out, [cell for cell in cells if not store.has(cell.key)]) as elsewhere:
+        for cell in cells:
+            judge(cell, store, out, settings["rerun"], cell.model if len(cells) > 1 else "", elsewhere)
     finished = [cell for cell in cells if store.has(cell.key)]
     if finished:
         document = published([store.cell(cell.key) for cell in finished], out, several=len(cells) > 1)
@@ -64,8 +72,25 @@ def command(words: Sequence[str], as_json: bool = False) -> int:
     return max((failed(store, cell.key) for cell in missing), default=0)
 
 
-def judge(cell: ImproveCell, store: Store, out: Path, rerun: bool, named: str) -> None:
-    """Run a cell, unless that was done before. named: what the stages of one among several are told under."""
+@contextmanager
+def workers_of(
+    executor: Mapping[str, Any], jobs: int, out: Path, cells: Sequence[ImproveCell]
+) -> Iterator[Elsewhere | None]:
+    """Workers of the executor for fits and probes of these cells; None where there is none, or nothing to do."""
+    if executor["name"] == LOCAL or not cells:
+        yield None
+        return
+    most = max(len(cell.candidates) + len(cell.recordings) for cell in cells)
+    with opened(executor, jobs, most, out.absolute()) as workers:
+        yield elsewhere(workers, {name: version for cell in cells for name, version in cell.versions.items()})
+
+
+def judge(
+    cell: ImproveCell, store: Store, out: Path, rerun: bool, named: str, elsewhere: Elsewhere | None = None
+) -> None:
+    """Run a cell, unless that was done before. named: what the stages of one among several are told under; elsewhere:
+    workers that do fits and probes of it.
+    """
     if store.has(cell.key):
         which = f" {named}:" if named else ""
         print(f"{out}:{which} kept, these recordings were judged with the same settings before", file=sys.stderr)
@@ -73,7 +98,10 @@ def judge(cell: ImproveCell, store: Store, out: Path, rerun: bool, named: str) -
     require_create_only(out)
     before = f"{named}: " if named else ""
     with StageBar() as bar:
-        run_cell(cell, out, rerun=rerun, stage=lambda name, done, of: bar.stage(before + name, done, of))
+        run_cell(
+            cell, out, rerun=rerun, stage=lambda name, done, of: bar.stage(before + name, done, of),
+            elsewhere=elsewhere,
+        )  # fmt: skip
 
 
 def settings_of(words: Sequence[str]) -> dict[str, Any]:

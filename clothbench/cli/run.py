@@ -28,6 +28,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from clothbench.cli.results import print_results
 from clothbench.core.errors import ClothbenchError
+from clothbench.engine.executors.settings import executor_settings
 from clothbench.engine.pool import failed, run_cells
 from clothbench.engine.progress import CellBar, Sweep, counting
 from clothbench.engine.settings import KNOWN, last_word
@@ -130,11 +131,15 @@ def job(config: Any) -> None:
 
 
 def _run(config: Any, sweep: Sweep | None) -> dict[str, Any]:
+    executor = executor_settings(config.get("executor"))
     with counting("files") as told:
         cells = plan(config, catalogue(), told)
     out = Path(config["out"])
     with CellBar(cells, sweep) as bar:
-        run_cells(cells, out, jobs=int(config["jobs"]), rerun=bool(config["rerun"]), done=bar.done, progress=bar.tell)
+        run_cells(
+            cells, out, jobs=int(config["jobs"]), rerun=bool(config["rerun"]), done=bar.done, progress=bar.tell,
+            executor=executor,
+        )  # fmt: skip
     return {"out": str(out.absolute()), "cells": [c.key for c in cells]}
 
 

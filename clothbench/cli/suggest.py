@@ -26,7 +26,7 @@ from clothbench.suggest.subject import Subject, subject_of
 
 OUT = "suggest"
 OWN = (*WORDS, "effects", "tied", "verdict")
-NOT_ASKED = ("recordings", "candidates", "rerun")  # words of improve that mean nothing here
+NOT_ASKED = ("recordings", "candidates", "rerun", "executor", "jobs")  # words of improve that mean nothing here
 OF_RECORDINGS = tuple(word for word in RECORDING_WORDS if word not in NOT_ASKED)
 SHOWN = 10  # lines of the table
 

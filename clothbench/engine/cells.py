@@ -32,6 +32,9 @@ class Skipped(Exception):
     """The model says that it cannot do this scene; not a fault."""
 
 
+_here: dict[str, str] = {}  # where recordings lie that were named by another process, by hash
+
+
 @dataclass(frozen=True)
 class Source:
     """A recording file as a cell refers to it: where it is, what it is called, its hash and its split."""
@@ -40,6 +43,16 @@ class Source:
     name: str
     hash: str
     split: str
+
+    @property
+    def file(self) -> str:
+        """Where it is read from: its path, unless this process was told that it lies elsewhere (`lie_here`)."""
+        return _here.get(self.hash, self.path)
+
+
+def lie_here(files: Mapping[str, str]) -> None:
+    """Tell this process where recordings lie, by hash: whoever made the cell may sit in another folder or machine."""
+    _here.update(files)
 
 
 def listed(versions: Mapping[str, str]) -> str:

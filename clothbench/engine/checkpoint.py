@@ -15,12 +15,17 @@ import numpy as np
 
 from clothbench.core.files import whole_file
 
+Arrays = dict[str, np.ndarray]
+
 
 class Checkpoint:
-    """Arrays by key, one `.npz` each; without a folder nothing is kept. whole: whose part this is, if it is one."""
+    """Arrays by key, one `.npz` each; without a folder nothing is kept. whole: whose part this is, if it is one, and
+    prefix: what its keys begin with.
+    """
 
-    def __init__(self, folder: Path | None = None, whole: Checkpoint | None = None):
-        self.folder, self.whole, self.began = folder, whole or self, time.perf_counter()
+    def __init__(self, folder: Path | None = None, whole: Checkpoint | None = None, prefix: str = ""):
+        self.folder, self.whole, self.prefix = folder, whole or self, prefix
+        self.began = time.perf_counter()
         known = self.recall("seconds")
         self.before = 0.0 if known is None else float(known["seconds"])
 
@@ -29,9 +34,9 @@ class Checkpoint:
         """Wall time since this object was made, and that of the stopped runs before it."""
         return self.whole.before + time.perf_counter() - self.whole.began
 
-    def recall(self, key: str) -> dict[str, np.ndarray] | None:
+    def recall(self, key: str) -> Arrays | None:
         """What was kept under this key; None if there is nothing, or a file that can no longer be read."""
-        if self.folder is None or not (path := self.folder / f"{key}.npz").is_file():
+        if self.folder is None or not (path := self.folder / f"{self.prefix}{key}.npz").is_file():
             return None
         try:
             with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
@@ -44,7 +49,7 @@ class Checkpoint:
         if self.folder is None:
             return
         self.folder.mkdir(parents=True, exist_ok=True)
-        self._write(key, arrays)
+        self._write(f"{self.prefix}{key}", arrays)
         self.whole._write("seconds", {"seconds": np.array(self.seconds)})
 
     def _write(self, key: str, arrays: Mapping[str, np.ndarray]) -> None:
@@ -54,7 +59,12 @@ class Checkpoint:
 
     def part(self, name: str) -> Checkpoint:
         """For a part of the work that asks the same questions of something else; the clock is that of the whole."""
-        return Checkpoint(None if self.folder is None else self.folder / name, self.whole)
+        return Checkpoint(self.folder, self.whole, f"{self.prefix}{name}-")
+
+    def everything(self) -> dict[str, Arrays]:
+        """All that is kept, by key, but for the time that it has taken."""
+        keys = [path.stem for path in sorted(self.folder.glob("*.npz"))] if self.folder else []
+        return {key: found for key in keys if key != "seconds" and (found := self.recall(key)) is not None}
 
     def forget(self) -> None:
         """All of it; the verdict is written."""

@@ -11,12 +11,14 @@ import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from clothbench.core.create_only import require_create_only
 from clothbench.core.parallel import available_cores, share_cores
+from clothbench.engine.executors.cells import run_cells_on
+from clothbench.engine.executors.settings import LOCAL
 from clothbench.engine.run import CellProgress, failed_with, keep, run_cell
 from clothbench.engine.store import Store
 from clothbench.engine.study import Cell
@@ -32,8 +34,11 @@ def run_cells(
     rerun: bool = False,
     done: Callable[[Cell, str], None],
     progress: CellProgress | None = None,
+    executor: Mapping[str, Any] | None = None,
 ) -> None:
     """Run every cell that the store lacks, `jobs` processes at a time (0: one per core); `done(cell, status)` after.
+
+    executor: as `executor_settings` has it, whose workers are to run them; None: processes of this machine.
 
     A single cell runs in this process with all cores; several run in a pool of processes that share the cores, anew
     whenever one of them has nothing more to do: the last cell has all of them.
@@ -47,7 +52,9 @@ def run_cells(
         if cell.key in kept:
             done(cell, "kept")
     workers = min(jobs or available_cores(), len(missing))
-    if len(missing) == 1 or jobs == 1:
+    if missing and executor and executor["name"] != LOCAL:
+        run_cells_on(executor, missing, out, jobs=jobs, rerun=rerun, done=done, progress=progress)
+    elif len(missing) == 1 or jobs == 1:
         for cell in missing:
             done(cell, run_cell(cell, out, rerun=rerun, progress=progress))
     elif missing:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import traceback
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 from clothbench.core.errors import ClothbenchError
@@ -13,7 +14,7 @@ from clothbench.core.progress import StageProgress
 from clothbench.engine.cells import Skipped
 from clothbench.engine.rows import failure
 from clothbench.engine.store import JOURNAL, Store
-from clothbench.engine.study import Cell, Context, Result, Study
+from clothbench.engine.study import Cell, Context, Elsewhere, Result, Study
 from clothbench.plugins.discovery import catalogue, one_line
 
 TRACEBACK = "traceback.txt"
@@ -23,9 +24,9 @@ CellProgress = Callable[[Cell, int, float], None]
 
 def run_cell(
     cell: Cell, out: Path, *, threads: int = 0, rerun: bool = False, progress: CellProgress | None = None,
-    stage: StageProgress = lambda name, done, planned: None,
+    stage: StageProgress = lambda name, done, planned: None, elsewhere: Elsewhere | None = None,
 ) -> str:  # fmt: skip
-    """Let its study run one cell, store the result, and return its status."""
+    """Let its study run one cell, store the result, and return its status. elsewhere: workers, see `Context`."""
     set_thread_count(threads)
     store, plugins = Store(out), catalogue()
 
@@ -33,7 +34,7 @@ def run_cell(
         if progress is not None:
             progress(cell, steps, value)
 
-    context = Context(plugins, store.folder / JOURNAL / cell.key, told, stage, rerun, store.folder / TRACKED)
+    context = Context(plugins, store.folder / JOURNAL / cell.key, told, stage, rerun, store.folder / TRACKED, elsewhere)
     try:
         study: Study = plugins.load("studies", cell.study)
         result = study.run(cell, context)
@@ -62,8 +63,15 @@ def _write(folder: Path, detail: str) -> None:
 
 
 def keep(store: Store, cell: Cell, result: Result, study: Study | None = None) -> None:
-    try:
+    with writing(store, cell):
         store.put(cell.key, result.tables, result.attach, study.tables if study else {})
+
+
+@contextmanager
+def writing(store: Store, cell: Cell) -> Iterator[None]:
+    """Says what to do when a cell cannot be written."""
+    try:
+        yield
     except OSError as fault:
         found = os.strerror(fault.errno) if fault.errno else str(fault)
         raise ClothbenchError(

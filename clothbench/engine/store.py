@@ -140,6 +140,16 @@ class Store:
                 extra(part)
         return self.cell(key)
 
+    def take(self, key: str, files: Mapping[str, bytes]) -> Path:
+        """Write a cell that was made in another store, by the paths of its files below its folder; as `put` does."""
+        with whole_folder(
+            self.cell(key), lambda: self._stands(key, read_table(part / "rows.parquet").to_pylist())
+        ) as part:
+            for name, content in files.items():
+                (part / name).parent.mkdir(parents=True, exist_ok=True)
+                (part / name).write_bytes(content)
+        return self.cell(key)
+
     def _stands(self, key: str, again: list[dict[str, Any]] | pd.DataFrame) -> bool:
         """Whether a cell is finished, also against these rows of the same cell."""
         if not self.has(key):

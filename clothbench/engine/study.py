@@ -65,11 +65,17 @@ class Cell(Protocol):
     def value_word(self) -> str: ...
 
 
+# Lets workers do pieces of work (`Work` in clothbench/engine/executors/work.py): number of each and what came of it, as
+# they end; None for one that no worker could do.
+Elsewhere = Callable[[Sequence[Any]], Iterable[tuple[int, Any]]]
+
+
 @dataclass(frozen=True)
 class Context:
     """What a cell is run with. unfinished: folder for what has been computed of it; progress: told after every step;
     stage: told where work of several stages stands; rerun: whether files for Rerun are wanted; kept: folder for what
-    the cells of a store share, None: nothing is kept.
+    the cells of a store share, None: nothing is kept; elsewhere: workers that a study may give pieces of the cell to,
+    None: there are none.
     """
 
     plugins: Catalogue
@@ -78,6 +84,7 @@ class Context:
     stage: StageProgress = lambda name, done, planned: None
     rerun: bool = False
     kept: Path | None = None
+    elsewhere: Elsewhere | None = None
 
     @cached_property
     def checkpoint(self) -> Checkpoint:

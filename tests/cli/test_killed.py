@@ -24,6 +24,30 @@ def started(command, folder) -> subprocess.Popen:
     )  # fmt: skip
 
 
+def deadly_plugin(tmp_path):
+    """A folder with an optimizer that kills its process outright, as a crash in compiled code does."""
+    package = tmp_path / "site" / "deadly"
+    package.mkdir(parents=True)
+    (package / "__init__.py").write_text(
+        "from clothbench import Registration, hookimpl\n"
+        "@hookimpl\n"
+        "def clothbench_optimizers():\n"
+        "    return [Registration('deadly', 'deadly.search:Deadly', 'kills its process')]\n"
+    )
+    (package / "search.py").write_text(
+        "import os, signal\n"
+        "class Deadly:\n"
+        "    name, version, needs_residual = 'deadly', 1, False\n"
+        "    def __init__(self, space, *, seed, budget):\n"
+        "        os.kill(os.getpid(), signal.SIGKILL)\n"
+    )
+    info = tmp_path / "site" / "deadly-1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: deadly\nVersion: 1.0\n")
+    (info / "entry_points.txt").write_text("[clothbench]\ndeadly = deadly\n")
+    return tmp_path / "site"
+
+
 @pytest.mark.slow
 def test_kill_9_in_mid_sweep_loses_only_the_running_cells(clothbench, recordings_folder, tmp_path):
     command = ["run", "-m", f"recordings={recordings_folder}", *CELL, "budget=120", "seed=range(0,8)"]
@@ -81,29 +105,10 @@ def test_workers_do_not_outlive_the_command_that_was_killed(recordings_folder, t
 
 @pytest.mark.slow
 def test_a_worker_that_dies_spoils_its_own_cell_only(clothbench, recordings_folder, tmp_path):
-    """A plugin that kills its process outright, as a crash in compiled code does."""
-    package = tmp_path / "site" / "deadly"
-    package.mkdir(parents=True)
-    (package / "__init__.py").write_text(
-        "from clothbench import Registration, hookimpl\n"
-        "@hookimpl\n"
-        "def clothbench_optimizers():\n"
-        "    return [Registration('deadly', 'deadly.search:Deadly', 'kills its process')]\n"
-    )
-    (package / "search.py").write_text(
-        "import os, signal\n"
-        "class Deadly:\n"
-        "    name, version, needs_residual = 'deadly', 1, False\n"
-        "    def __init__(self, space, *, seed, budget):\n"
-        "        os.kill(os.getpid(), signal.SIGKILL)\n"
-    )
-    info = tmp_path / "site" / "deadly-1.0.dist-info"
-    info.mkdir()
-    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: deadly\nVersion: 1.0\n")
-    (info / "entry_points.txt").write_text("[clothbench]\ndeadly = deadly\n")
+    site = deadly_plugin(tmp_path)
     out = clothbench(
         "run", f"recordings={recordings_folder}", *CELL, "budget=40", "optimizer=[ga,deadly,least_squares]",
-        PYTHONPATH=str(tmp_path / "site"),
+        PYTHONPATH=str(site),
     )  # fmt: skip
     assert out.returncode == 1, out.stderr
     rows = json.loads(clothbench("leaderboard", "--json").stdout)

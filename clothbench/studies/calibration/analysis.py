@@ -106,7 +106,7 @@ def _confusion(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, che
     fabric, rows = mine.fabric, []
     wanted = {s.name.partition("/")[2] for s in bench.cell.rivals}
     own = [(t, r) for t, r in zip(bench.trials, bench.recordings, strict=True) if t.name.partition("/")[2] in wanted]
-    others = [read_recording(s.path) for s in bench.cell.rivals]
+    others = [read_recording(s.file) for s in bench.cell.rivals]
     for trial, recording in own + [(bench.remake(r, density), r) for r in others]:
         value = evaluate([trial], fit.best[None])[0].value[0]
         rows.append({

@@ -278,7 +278,7 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
 
     recordings, seen, trials = [], {}, []
     for source in cell.recordings:
-        raw = read_sheet(source.path)
+        raw = read_sheet(source.file)
         if raw.hash != source.hash:
             raise ClothbenchError(f"{source.path}: changed on disk since the suite was planned; run it again")
         recording: Recording | Silhouettes

@@ -63,7 +63,7 @@ def film_of(bench: Bench, number: int, rollout: Rollout, others: Mapping[str, np
         inside = np.clip(np.stack(list(others.values())), bench.space.low, bench.space.high)
         further = trial.simulation.run(inside)
         takes |= {word: take_of(trial, further, n, frames) for n, word in enumerate(others)}
-    picture, size, camera, projector = picture_of(recording, source.path, seen, frames)
+    picture, size, camera, projector = picture_of(recording, source.file, seen, frames)
     return Film(
         recording.hash, source.name, source.split, seen.time[frames], seen.material,
         np.where(seen.visible[..., None], seen.position, np.nan)[frames], trial.metric.name, trial.metric.unit,

@@ -78,7 +78,7 @@ def _scored(bench: Bench, fit: Fit, before: Sequence[Fit], context: Context) -> 
     def attach(folder: Path) -> None:
         from clothbench.studies.calibration.rerun_file import write_rerun
 
-        raw, seen = read_sheet(bench.cell.recordings[0].path), bench.trials[0].observation
+        raw, seen = read_sheet(bench.cell.recordings[0].file), bench.trials[0].observation
         if not isinstance(raw, Recording):
             write_pictures(folder / PICTURES, raw, seen, bench.cell, context)
         if isinstance(raw, ColourVideo) and seen.sight is not None:

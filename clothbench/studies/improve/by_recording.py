@@ -18,6 +18,7 @@ from scipy.stats import qmc
 from clothbench.core.optional import varying_of
 from clothbench.core.parameters import ParameterSpace
 from clothbench.studies.improve.account import Account
+from clothbench.studies.improve.ahead import ahead
 from clothbench.studies.improve.attribution import null_point, tangents
 from clothbench.studies.improve.fitted import Fitted, jackknife_interval
 from clothbench.studies.improve.fitting import fit
@@ -198,6 +199,7 @@ def own_amounts(
     """
     mine, out = own_names(problem, name), {}
     held = {n: value for n, value in shared.items() if n not in mine}
+    questions = []
     for case in cases:
         alone = problem.restricted(dataclasses.replace(case, split="fit"))
         alone = dataclasses.replace(
@@ -205,7 +207,10 @@ def own_amounts(
             bounds={**problem.bounds, **moments_within(problem.space_of(name), name, case.duration)},
         )  # fmt: skip
         start = places(alone.space(effects), problem.seed) if known is None else known[case.name].theta
-        fitted = fit(alone, effects, start, LOOP.refit_rounds)
+        questions.append((alone, effects, start, LOOP.refit_rounds))
+    ahead(fit, questions)
+    for case, question in zip(cases, questions, strict=True):
+        fitted = fit(*question)
         low, high = interval_over_time(fitted)
         out[case.name] = dataclasses.replace(fitted, low=low, high=high)
     return out

@@ -13,6 +13,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.optional import family_of
 from clothbench.core.progress import StageProgress
 from clothbench.studies.improve.account import Account
+from clothbench.studies.improve.ahead import ahead
 from clothbench.studies.improve.by_recording import on_held_out, with_own_amounts
 from clothbench.studies.improve.description import description_of
 from clothbench.studies.improve.finding import Finding, Note
@@ -87,9 +88,12 @@ def calibrated(problem: Problem, account: Account) -> Fitted:
 def each_alone(problem: Problem, base: Fitted, account: Account) -> dict[str, Fitted]:
     """The base fitted to each recording by itself: parameters that drift say that physics is missing."""
     out, cases = {}, problem.of_split("fit")
-    for k, case in enumerate(cases):
+    account.stage("each recording alone", 0, len(cases))
+    questions = [(problem.restricted(case), (), base.theta, LOOP.single_rounds) for case in cases]
+    ahead(fit, questions, lambda done: account.stage("each recording alone", done, len(cases)))
+    for k, (case, question) in enumerate(zip(cases, questions, strict=True)):
         account.stage("each recording alone", k, len(cases))
-        out[case.name] = fit(problem.restricted(case), (), base.theta, LOOP.single_rounds)
+        out[case.name] = fit(*question)
         account.count(out[case.name].evaluations // len(cases))
     return out
 

@@ -9,6 +9,7 @@ from typing import Any
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.cells import Source
 from clothbench.engine.checkpoint import Checkpoint
+from clothbench.engine.study import Elsewhere
 from clothbench.estimation.watched import require_readable, watched
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.curve import Curve
@@ -27,13 +28,14 @@ from clothbench.studies.improve.sheets import SheetCase, SheetEvidence
 
 
 def prepare(
-    cell: ImproveCell, plugins: Catalogue, checkpoint: Checkpoint | None = None, kept: Path | None = None
-) -> Problem:
+    cell: ImproveCell, plugins: Catalogue, checkpoint: Checkpoint | None = None, kept: Path | None = None,
+    elsewhere: Elsewhere | None = None,
+) -> Problem:  # fmt: skip
     """The recordings read as evidence, beside the model; nothing is simulated yet.
 
-    kept: folder for what trackers make of images, None: nothing is kept.
+    kept: folder for what trackers make of images, None: nothing is kept; elsewhere: workers, see `Context`.
     """
-    recordings = [read_any(source.path) for source in cell.recordings]
+    recordings = [read_any(source.file) for source in cell.recordings]
     for source, recording in zip(cell.recordings, recordings, strict=True):
         if recording.hash != source.hash:
             raise ClothbenchError(f"{source.path}: changed on disk since the run was planned; run it again")
@@ -41,7 +43,7 @@ def prepare(
         model=cell.model, evidence=evidence_of(cell, recordings, plugins, kept), plugins=plugins,
         optimizer=cell.optimizer,
         base=cell.base, options=cell.options, bounds=cell.bounds, seed=cell.seed, question=cell.key,
-        checkpoint=checkpoint or Checkpoint(),
+        checkpoint=checkpoint or Checkpoint(), elsewhere=elsewhere,
     )  # fmt: skip
 
 

@@ -16,6 +16,7 @@ from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect
 from clothbench.engine.cells import digest
 from clothbench.engine.checkpoint import Checkpoint
+from clothbench.engine.study import Elsewhere
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.trials import Trial
 from clothbench.plugins.discovery import Catalogue
@@ -40,7 +41,8 @@ class Problem:
     made: effects that are no plugins, by name, some of whose numbers are held (`held`);
     own: by recording, parameters that are held in it alone, by name: amounts that differ from recording to recording;
     corrections: (M,) by recording, see `Case.trial`; halvings: of the cells, that they come from;
-    checkpoint: what was computed already.
+    checkpoint: what was computed already;
+    elsewhere: workers that do pieces of the work, see `Context`.
     """
 
     model: str
@@ -59,6 +61,7 @@ class Problem:
     corrections: Mapping[str, np.ndarray] = field(default_factory=dict)
     halvings: int = 0
     checkpoint: Checkpoint = field(default_factory=Checkpoint)
+    elsewhere: Elsewhere | None = None
 
     def of_split(self, split: str) -> list[Case]:
         return of_split(self.evidence, split)

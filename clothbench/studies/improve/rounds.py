@@ -7,6 +7,7 @@ from collections.abc import Mapping, Sequence
 
 from clothbench.plugins.discovery import reason_of
 from clothbench.studies.improve.account import Account
+from clothbench.studies.improve.ahead import ahead
 from clothbench.studies.improve.attribution import Probe, explained_share, probe_candidate
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.permutation import PermutationTest, permutation_test
@@ -35,6 +36,10 @@ def one_round(
     anew = rescreened(current, candidates, earlier, promise)
     found = [probe for probe in earlier if probe.effect in candidates and probe.effect not in anew]
     refused: dict[str, str] = {}
+    if anew:
+        account.stage(f"round {turn + 1}: candidates", 0, len(anew))
+    questions = [(problem, current, name) for name in anew]
+    ahead(probe_candidate, questions, lambda done: account.stage(f"round {turn + 1}: candidates", done, len(anew)))
     for k, name in enumerate(anew):
         account.stage(f"round {turn + 1}: candidates", k, len(anew))
         try:

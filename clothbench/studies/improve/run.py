@@ -19,7 +19,7 @@ def run(cell: ImproveCell, context: Context) -> Result:
         context.stage(stage, done, planned)
         context.progress(done, planned)
 
-    problem = prepare(cell, context.plugins, context.checkpoint, context.kept)
+    problem = prepare(cell, context.plugins, context.checkpoint, context.kept, context.elsewhere)
     finding = improve(problem, cell.candidates, told, cell.timeout)
     told("page, tables and Rerun files", 0, 1)
     tables = finding_tables(finding)

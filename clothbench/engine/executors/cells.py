@@ -1,0 +1,151 @@
+"""Cells as work: what a worker needs of a cell, and what it hands back."""
+
+from __future__ import annotations
+
+import functools
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.engine.cells import Source, lie_here
+from clothbench.engine.executors.drive import answers, opened
+from clothbench.engine.executors.work import Answer, Died, Tell, other_versions
+from clothbench.engine.rows import failure
+from clothbench.engine.run import CellProgress, failed_with, keep, run_cell, writing
+from clothbench.engine.store import JOURNAL, Store
+from clothbench.engine.study import Cell
+
+Files = Mapping[str, bytes]
+Places = Mapping[str, str | bytes]  # of recordings, by hash: where they lie, or what is in them
+
+
+@dataclass(frozen=True)
+class Finished:
+    """What became of a cell. files: of its folder, where the worker does not write to the results folder itself."""
+
+    status: str
+    files: Files | None = None
+
+
+@dataclass(frozen=True)
+class CellWork:
+    """A cell for a worker. out: the results folder, None: the worker shares no folder, and sends back what it made."""
+
+    cell: Cell
+    recordings: Places
+    out: Path | None
+    rerun: bool
+
+    def __call__(self, tell: Tell, threads: int) -> Finished:
+        lie_here(placed(self.recordings))
+        store = Store(self.out or scratch() / "runs")
+        if reason := other_versions(self.cell.versions):
+            result = failure(self.cell, "error", reason)
+            keep(store, self.cell, result)
+            status = result.status
+        else:
+            status = self._run(store, tell, threads)
+        return Finished(status, None if self.out else taken_out(store, self.cell.key))
+
+    def _run(self, store: Store, tell: Tell, threads: int) -> str:
+        def told(_: Cell, steps: int, value: float) -> None:
+            tell(steps, value)
+
+        try:
+            return run_cell(self.cell, store.folder, threads=threads, rerun=self.rerun, progress=told)
+        except SystemExit as fault:
+            result = failed_with(self.cell, f"it ended its process (exit code {fault.code})")
+            keep(store, self.cell, result)
+            return result.status
+
+
+def run_cells_on(
+    executor: Mapping[str, Any], cells: Sequence[Cell], out: Path, *, jobs: int, rerun: bool,
+    done: Callable[[Cell, str], None], progress: CellProgress | None,
+) -> None:  # fmt: skip
+    """Run cells on the workers of an executor, `jobs` at a time (0: as many as it takes); `done(cell, status)` after.
+
+    A cell whose worker dies is tried once more; if that dies, too, it becomes an error row.
+    """
+    store = Store(out.absolute())
+
+    def work(number: int) -> CellWork:
+        shared = executor["shared"]
+        return CellWork(cells[number], places(cells[number], shared), store.folder if shared else None, rerun)
+
+    def told(number: int, steps: int, value: float) -> None:
+        if progress is not None:
+            progress(cells[number], steps, value)
+
+    with opened(executor, jobs, len(cells), store.folder) as workers:
+        for number, answer in answers(workers, work, len(cells), told):
+            done(cells[number], concluded(store, cells[number], answer))
+
+
+def concluded(store: Store, cell: Cell, answer: Answer | Died) -> str:
+    """Put what came of a cell in its place; its status."""
+    if isinstance(answer, Answer):
+        if answer.fault is not None:
+            raise ClothbenchError(answer.fault)
+        if answer.value.files is not None:
+            with writing(store, cell):
+                store.take(cell.key, answer.value.files)
+        return answer.value.status
+    if store.has(cell.key):  # its worker had stored it, and died before it could say so
+        return "ok"
+    result = failed_with(cell, f"the process that ran this cell died twice ({answer.reason})")
+    keep(store, cell, result)
+    return result.status
+
+
+# --- recordings, to a worker, and files of cells back ----------------------------------------------------------------
+
+
+def sources_of(cell: Any) -> Iterator[Source]:
+    """The recordings that a cell refers to."""
+    for value in vars(cell).values():
+        for one in value if isinstance(value, tuple) else (value,):
+            if isinstance(one, Source):
+                yield one
+
+
+def places(cell: Cell, shared: bool) -> Places:
+    """Where a worker finds the recordings of a cell; or what is in them."""
+    files = {source.hash: Path(source.file) for source in sources_of(cell)}
+    return {key: str(path.absolute()) if shared else path.read_bytes() for key, path in files.items()}
+
+
+def placed(recordings: Places) -> dict[str, str]:
+    """In a worker: where recordings lie, by hash; what was sent is put into files first."""
+    return {key: value if isinstance(value, str) else str(_file(key, value)) for key, value in recordings.items()}
+
+
+def _file(key: str, content: bytes) -> Path:
+    path = scratch() / f"{key}.nc"
+    if not path.is_file():
+        path.write_bytes(content)
+    return path
+
+
+@functools.cache
+def scratch() -> Path:
+    """A folder of this process's own, which goes when it ends."""
+    return Path(_scratch().name)
+
+
+@functools.cache
+def _scratch() -> tempfile.TemporaryDirectory:
+    return tempfile.TemporaryDirectory(prefix="clothbench-")
+
+
+def taken_out(store: Store, key: str) -> dict[str, bytes]:
+    """The files of a cell, by their paths below its folder, which goes, and so does what it was made from."""
+    folder = store.cell(key)
+    files = {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+    for gone in (folder, store.folder / JOURNAL / key):
+        shutil.rmtree(gone, ignore_errors=True)
+    return files

@@ -1,0 +1,94 @@
+"""The one loop over workers: works go out, answers come in, and what a dead worker was at is tried again."""
+
+from __future__ import annotations
+
+import warnings
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from clothbench.core.errors import ClothbenchError
+from clothbench.engine.executors.work import Answer, Died, Tell, Work, Workers, other_versions
+from clothbench.engine.study import Elsewhere
+
+WATCH = 0.5  # s between two looks at how far works are
+TRIES = 2  # of a work whose worker dies
+
+
+@contextmanager
+def opened(executor: Mapping[str, Any], jobs: int, works: int, folder: Path) -> Iterator[Workers]:
+    """The workers of an executor, for so many works, `jobs` at a time (0: as many as it takes). folder: where an engine
+    may keep files, if it must. However this ends, nothing goes on in a worker afterwards.
+    """
+    workers = _begun(executor, jobs, works, folder)
+    try:
+        yield workers
+    finally:
+        workers.close()
+
+
+def _begun(executor: Mapping[str, Any], jobs: int, works: int, folder: Path) -> Workers:
+    if executor["name"] == "dask":
+        from clothbench.engine.executors.dask import DaskWorkers
+
+        return DaskWorkers(executor, jobs, works)
+    if executor["name"] == "ray":
+        from clothbench.engine.executors.ray import RayWorkers
+
+        return RayWorkers(executor, jobs, works)
+    from clothbench.engine.executors.slurm import SlurmWorkers
+
+    return SlurmWorkers(executor, jobs, works, folder)
+
+
+def elsewhere(workers: Workers, versions: Mapping[str, str]) -> Elsewhere:
+    """Workers as a study knows them; versions: of the plugins that they have to have, as cells state them."""
+
+    def pieces(works: Sequence[Work]) -> Iterator[tuple[int, Any]]:
+        checked = [AsInstalled(work, versions) for work in works]
+        for number, answer in answers(workers, checked.__getitem__, len(works), lambda *_: None):
+            if isinstance(answer, Died):
+                warnings.warn(f"a worker died twice ({answer.reason}); what it was at is done here", stacklevel=2)
+            elif answer.fault is not None:
+                raise ClothbenchError(answer.fault)
+            yield number, answer.value if isinstance(answer, Answer) else None
+
+    return pieces
+
+
+@dataclass(frozen=True, eq=False)
+class AsInstalled:
+    """A work that is refused where other versions of plugins are installed."""
+
+    work: Work
+    versions: Mapping[str, str]
+
+    def __call__(self, tell: Tell, threads: int) -> Any:
+        if reason := other_versions(self.versions):
+            raise ClothbenchError(reason)
+        return self.work(tell, threads)
+
+
+def answers(
+    workers: Workers, work: Callable[[int], Work], count: int, told: Callable[[int, int, float], None]
+) -> Iterator[tuple[int, Answer | Died]]:
+    """(number, what came of it) of `work(0)`, `work(1)` … as they end; one whose worker dies is tried `TRIES` times."""
+    waiting, running, tries = list(range(count))[::-1], set[int](), Counter[int]()
+    while waiting or running:
+        chosen = [waiting.pop() for _ in range(min(workers.room(), len(waiting)))]
+        if chosen:
+            workers.begin({number: work(number) for number in chosen})
+            running.update(chosen)
+        for number, answer in workers.ended(WATCH):
+            running.discard(number)
+            tries[number] += 1
+            if isinstance(answer, Died) and tries[number] < TRIES:
+                waiting.append(number)
+            else:
+                yield number, answer
+        for number, steps, value in workers.told():
+            if number in running:
+                told(number, steps, value)

@@ -1,0 +1,151 @@
+"""A run on the workers of another engine: the same bits, and what a worker takes with it when it dies."""
+
+from __future__ import annotations
+
+import importlib.util
+import logging
+import os
+import subprocess
+import sys
+
+import pyarrow.parquet as pq
+import pytest
+from conftest import swinging_recording
+from test_killed import CELL, deadly_plugin
+
+from clothbench import ClothbenchError, write_recording
+from clothbench.cli.improve import command
+from clothbench.cli.run import composed
+from clothbench.engine.store import Store
+
+TIMES = {"wall_s", "finished", "threads"}  # what differs from run to run
+
+
+def tables(folder):
+    """Every table of a store, but for when and how long."""
+    found = {}
+    for path in sorted(folder.glob("cells/[0-9a-f]*/*.parquet")):
+        table = pq.read_table(path)
+        kept = table.drop_columns([name for name in table.column_names if name in TIMES])
+        found[f"{path.parent.name}/{path.stem}"] = repr(kept.to_pylist())  # by its text: NaN is not itself
+    return found
+
+
+def needs(module):
+    if importlib.util.find_spec(module) is None:
+        pytest.skip(f"{module} is not installed")
+
+
+@pytest.fixture(scope="module")
+def place(tmp_path_factory):
+    """A folder with recordings in which all of these runs take place: their cells keep where recordings lie."""
+    folder = tmp_path_factory.mktemp("cluster")
+    write_recording(swinging_recording("sway-1"), folder / "recordings" / "sway-1.nc")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def run(place):
+    def call(*words, **environment):
+        words = ("run", "recordings=recordings", *CELL, "budget=12", *words)
+        return subprocess.run(
+            [sys.executable, "-m", "clothbench", *words], cwd=place, capture_output=True, text=True, timeout=600,
+            env={**os.environ, **environment}, check=False,
+        )  # fmt: skip
+
+    return call
+
+
+@pytest.fixture(scope="module")
+def here(place, run):
+    """The tables of the run that all others are held against."""
+    out = run("optimizer=[ga,nelder_mead]", "out=here", "jobs=1")
+    assert out.returncode == 0, out.stderr
+    return tables(place / "here")
+
+
+def test_dask_processes_one_of_which_a_plugin_kills(place, run, here, tmp_path):
+    needs("distributed")
+    site = deadly_plugin(tmp_path)
+    out = run("optimizer=[ga,deadly,nelder_mead]", "executor=dask", "jobs=2", "out=dask", PYTHONPATH=str(site))
+    assert out.returncode == 1, out.stderr
+    dead = [row for row in Store(place / "dask").rows() if row["optimizer"] == "deadly"]
+    assert [row["status"] for row in dead] == ["error"]
+    assert dead[0]["reason"].startswith("the process that ran this cell died twice (worker tcp://127.0.0.1:")
+    found = tables(place / "dask")
+    assert {name: found[name] for name in here} == here
+    assert out.stderr.count("\n") == 3, out.stderr  # a line for each cell, and none of the engine's
+
+
+def test_a_dask_scheduler_whose_workers_share_no_folder(place, run, here):
+    needs("distributed")
+    import distributed
+
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
+    ) as cluster:
+        where = f"executor.address={cluster.scheduler_address}"
+        out = run("optimizer=[ga,nelder_mead]", "executor=dask", where, "out=far")
+    assert out.returncode == 0, out.stderr
+    assert tables(place / "far") == here
+
+
+def test_an_address_without_a_scheduler_is_one_line(monkeypatch):
+    needs("distributed")
+    from clothbench.engine.executors import dask
+
+    monkeypatch.setattr(dask, "CONNECT", 0.2)
+    with pytest.raises(
+        ClothbenchError, match=r"found no Dask scheduler there \(.*\), expected tcp://HOST:PORT"
+    ) as said:
+        dask.DaskWorkers({"address": "tcp://127.0.0.1:9", "wait": 1.0}, 0, 1)
+    assert "\n" not in str(said.value)
+
+
+def test_submitit_on_this_machine(place, run, here):
+    needs("submitit")
+    out = run("optimizer=ga", "executor=slurm", "executor.cluster=local", "out=slurm")
+    assert out.returncode == 0, out.stderr
+    found = tables(place / "slurm")
+    assert len(found) == len(here) / 2
+    assert found.items() <= here.items()
+    assert not (place / "slurm" / "slurm").exists()  # jobs that ended well leave nothing
+
+
+def test_what_slurm_is_told(monkeypatch, tmp_path):
+    """As submitit writes it; here is no Slurm to send it to."""
+    needs("submitit")
+    from submitit.slurm import slurm
+
+    from clothbench.engine.executors.settings import executor_settings
+    from clothbench.engine.executors.slurm import SlurmWorkers
+
+    monkeypatch.setattr("shutil.which", lambda name: f"/bin/{name}")
+    stated = {"partition": "cpu", "cores": 4, "memory": 8, "minutes": 240, "parameters": {"slurm_account": "textiles"}}
+    workers = SlurmWorkers(executor_settings({"name": "slurm", **stated}), 50, 200, tmp_path)
+    assert workers.room() == 200  # all are begun at once, as one array of which so many run at a time
+    text = slurm._make_sbatch_string("X", tmp_path, map_count=200, **workers.executor._executor.parameters)
+    for line in ("partition=cpu", "cpus-per-task=4", "mem=8GB", "time=240", "account=textiles", "array=0-199%50"):
+        assert f"#SBATCH --{line}\n" in text
+    bad = executor_settings({"name": "slurm", "parameters": {"colour": "red"}})
+    with pytest.raises(ClothbenchError, match=r"executor slurm: .*colour.*; try it with executor\.cluster=local"):
+        SlurmWorkers(bad, 0, 1, tmp_path)
+
+
+@pytest.mark.slow
+def test_ray_on_this_machine(place, run, here):
+    needs("ray")
+    out = run("optimizer=[ga,nelder_mead]", "executor=ray", "jobs=2", "out=ray")
+    assert out.returncode == 0, out.stderr
+    assert tables(place / "ray") == here
+
+
+def test_an_executor_that_does_not_exist_is_one_line():
+    with pytest.raises(ClothbenchError, match="executor/spark") as said:
+        composed(["executor=spark"])
+    assert "\n" not in str(said.value)
+
+
+def test_improve_takes_jobs_for_an_executor_only():
+    with pytest.raises(ClothbenchError, match="setting 'jobs' is for the workers of an executor"):
+        command(["recordings=here", "model=mass_spring", "jobs=2"])

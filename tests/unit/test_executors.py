@@ -1,0 +1,245 @@
+"""Executors without their engines: settings, the loop over workers, and what goes to a worker and comes back."""
+
+from __future__ import annotations
+
+import dataclasses
+import os
+import pickle
+import socket
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import psutil
+import pytest
+
+from clothbench import ClothbenchError
+from clothbench.engine.cells import Source, lie_here
+from clothbench.engine.executors import settings
+from clothbench.engine.executors.cells import CellWork, concluded, places, sources_of
+from clothbench.engine.executors.drive import answers, elsewhere
+from clothbench.engine.executors.settings import executor_settings
+from clothbench.engine.executors.work import Answer, Died, Owner, attended, seldom
+from clothbench.engine.run import run_cell
+from clothbench.engine.store import Store, outcome
+from clothbench.engine.suite import plan
+from clothbench.plugins.discovery import catalogue
+
+BASE = {
+    "study": "calibration", "model": "mass_spring", "optimizer": "ga", "metric": "node_error", "effects": [],
+    "report": [], "tracker": "markers", "scene": {}, "options": {"mass_spring": {"resolution": 5}}, "bounds": {},
+    "budget": 12, "seed": 0, "jobs": 1, "timeout": None, "out": "runs", "rerun": False,
+}  # fmt: skip
+
+
+# --- settings -------------------------------------------------------------------------------------------------------
+
+
+def test_without_an_executor_everything_stays_here():
+    assert executor_settings(None) == executor_settings({}) == executor_settings("local") == {"name": "local"}
+
+
+@pytest.mark.parametrize(
+    ("given", "says"),
+    [
+        ({"name": "spark"}, "setting 'executor' is 'spark', expected one of local, dask, ray, slurm"),
+        ({"name": "local", "address": "tcp://x"}, "setting of executor 'local' 'address' is not known"),
+        ({"name": "dask", "shared": "yes"}, "setting 'executor.shared' is 'yes', expected true or false"),
+        ({"name": "dask", "address": 8786}, "setting 'executor.address' is 8786, expected one name"),
+        ({"name": "slurm", "cluster": "pbs"}, "setting 'executor.cluster' is 'pbs', expected one of slurm, local"),
+        ({"name": "slurm", "cores": 0}, "setting 'executor.cores' is 0, expected a whole number, at least 1"),
+    ],
+)
+def test_what_is_wrong_in_an_executor_is_one_line(monkeypatch, given, says):
+    monkeypatch.setattr(settings.importlib.util, "find_spec", lambda name: name)
+    with pytest.raises(ClothbenchError) as fault:
+        executor_settings(given)
+    assert says in str(fault.value)
+    assert "\n" not in str(fault.value)
+
+
+@pytest.mark.parametrize("name", ["dask", "ray", "slurm"])
+def test_an_engine_that_is_not_installed_is_named_with_the_command_that_does(monkeypatch, name):
+    monkeypatch.setattr(settings.importlib.util, "find_spec", lambda name: None)
+    with pytest.raises(ClothbenchError, match=rf"pip install 'clothbench\[{name}\]'"):
+        executor_settings(name)
+
+
+def test_others_share_a_folder_only_if_told(monkeypatch):
+    monkeypatch.setattr(settings.importlib.util, "find_spec", lambda name: name)
+    assert executor_settings("dask")["shared"]
+    assert not executor_settings({"name": "dask", "address": "tcp://there:8786"})["shared"]
+    assert executor_settings({"name": "ray", "address": "auto", "shared": True})["shared"]
+
+
+# --- the loop over workers --------------------------------------------------------------------------------------------
+
+
+class Made:
+    """Workers that answer at once; some works kill theirs, so many times each."""
+
+    def __init__(self, deaths: dict[int, int], room: int = 2):
+        self.deaths, self.size, self.running, self.begun, self.most = dict(deaths), room, {}, [], 0
+
+    def room(self):
+        return self.size - len(self.running)
+
+    def begin(self, works):
+        self.running.update(works)
+        self.begun += list(works)
+        self.most = max(self.most, len(self.running))
+
+    def ended(self, seconds):
+        number = next(iter(self.running))
+        work = self.running.pop(number)
+        if self.deaths.get(number, 0):
+            self.deaths[number] -= 1
+            return [(number, Died("gone"))]
+        return [(number, Answer(work(None, 1)))]
+
+    def told(self):
+        return [(number, 7, 0.5) for number in self.running]
+
+    def close(self):
+        pass
+
+
+def test_a_work_whose_worker_dies_is_tried_once_more():
+    workers, told = Made({1: 1, 2: 2}), []
+    found = dict(answers(workers, lambda n: lambda tell, threads: n * n, 5, lambda *word: told.append(word)))
+    assert found == {0: Answer(0), 1: Answer(1), 2: Died("gone"), 3: Answer(9), 4: Answer(16)}
+    assert sorted(workers.begun) == [0, 1, 1, 2, 2, 3, 4]
+    assert workers.most == 2
+    assert (1, 7, 0.5) in told
+
+
+def test_a_study_does_itself_what_killed_two_workers_and_hears_of_other_faults():
+    with pytest.warns(UserWarning, match="a worker died twice"):
+        found = dict(elsewhere(Made({0: 2}), {})([lambda tell, threads: 5] * 2))
+    assert found == {0: None, 1: 5}
+    with pytest.raises(ClothbenchError, match=r"found models/mass_spring .*, expected 0\.0, 9; install the same there"):
+        list(elsewhere(AsDone(), {"models/mass_spring": "0.0, 9"})([lambda tell, threads: 5]))
+
+
+class AsDone(Made):
+    """Workers that do as a real one does."""
+
+    def __init__(self):
+        super().__init__({})
+
+    def ended(self, seconds):
+        return [(number, attended(self.running.pop(number), print, 1, None)) for number in list(self.running)]
+
+
+# --- in a worker ------------------------------------------------------------------------------------------------------
+
+
+def test_a_worker_carries_faults_and_exits_back():
+    pytest.importorskip("threadpoolctl", reason="comes with the extras dask, ray and slurm")
+
+    def bad(fault):
+        def work(tell, threads):
+            raise fault
+
+        return attended(work, print, 1, None)
+
+    there = f"worker on {socket.gethostname()}"
+    assert attended(lambda tell, threads: threads, print, 3, None) == Answer(3)
+    assert bad(ClothbenchError("no room")) == Answer(fault="no room")
+    assert bad(SystemExit(3)) == Answer(fault=f"{there}: SystemExit: 3")
+    assert bad(ValueError("odd\nand more")) == Answer(fault=f"{there}: ValueError: odd")
+
+
+def test_words_cross_the_network_seldom():
+    heard = []
+    tell = seldom(lambda *word: heard.append(word))
+    for step in range(1000):
+        tell(step, 0.25)
+    assert heard == [(0, 0.25)]
+
+
+def test_an_owner_that_was_killed_lives_no_more():
+    assert Owner().lives
+    child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    owner = Owner(child.pid, psutil.Process(child.pid).create_time())
+    assert owner.lives
+    child.kill()
+    until = time.monotonic() + 10
+    while owner.lives and time.monotonic() < until:  # it is a zombie now, which nobody has waited for
+        time.sleep(0.01)
+    assert not owner.lives
+    child.communicate()
+    assert not Owner(os.getpid(), 1.0).lives  # another process has the number
+
+
+# --- cells ------------------------------------------------------------------------------------------------------------
+
+
+def cell_of(recordings_folder):
+    return plan({**BASE, "recordings": str(recordings_folder)}, catalogue())[0]
+
+
+def test_recordings_are_found_by_what_is_in_them(tmp_path):
+    source = Source("a/swing.nc", "swing", "0123", "fit")
+    assert source.file == "a/swing.nc"
+    try:
+        lie_here({"0123": "/elsewhere/0123.nc"})
+        assert source.file == "/elsewhere/0123.nc"
+        assert dataclasses.asdict(source)["path"] == "a/swing.nc"
+    finally:
+        from clothbench.engine import cells
+
+        cells._here.clear()
+
+
+def test_a_cell_from_a_worker_that_shares_nothing_is_the_one_that_is_made_here(
+    recordings_folder, tmp_path, monkeypatch
+):
+    """Recordings go as bytes, the cell comes back as files; all tables are the same, where files lie included."""
+    monkeypatch.setattr("clothbench.engine.cells._here", {})
+    cell = cell_of(recordings_folder)
+    assert run_cell(cell, tmp_path / "here") == "ok"
+    sent = pickle.loads(pickle.dumps(CellWork(cell, places(cell, shared=False), None, False)))
+    for source in sources_of(cell):
+        os.unlink(source.path)
+    told = []
+    answer = attended(sent, lambda *word: told.append(word), 1, None)
+    assert answer.fault is None
+    assert told
+    store, here = Store(tmp_path / "there"), Store(tmp_path / "here")
+    assert concluded(store, cell, answer) == "ok"
+    assert files_of(store.cell(cell.key)) == files_of(here.cell(cell.key))
+    for name in ("question", "parameters", "history"):
+        assert store.table(name) == here.table(name)
+    assert outcome(store.rows()) == outcome(here.rows())
+    with pytest.warns(UserWarning, match="computed twice"):  # the first stays, as with every other writer
+        store.take(cell.key, {**answer.value.files, "rows.parquet": other_rows(here, cell.key, tmp_path)})
+    assert outcome(store.rows()) == outcome(here.rows())
+
+
+def files_of(folder: Path) -> list[str]:
+    return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
+
+
+def other_rows(store: Store, key: str, tmp_path: Path) -> bytes:
+    rows = [{**row, "value": 1.0} for row in store.rows()]
+    return (Store(tmp_path / "other").put(key, {"rows": rows}) / "rows.parquet").read_bytes()
+
+
+def test_a_worker_with_other_plugins_says_so_in_the_cells_row(recordings_folder, tmp_path):
+    cell = cell_of(recordings_folder)
+    cell = dataclasses.replace(cell, versions={**cell.versions, "models/mass_spring": "clothbench 0.0.1, 1"})
+    done = CellWork(cell, places(cell, shared=True), tmp_path / "runs", False)(print, 1)
+    assert done.status == "error"
+    reason = Store(tmp_path / "runs").rows()[0]["reason"]
+    assert "found models/mass_spring clothbench" in reason
+    assert reason.endswith("expected clothbench 0.0.1, 1; install the same there")
+
+
+def test_a_cell_that_took_two_workers_with_it_is_a_row(recordings_folder, tmp_path):
+    cell, store = cell_of(recordings_folder), Store(tmp_path / "runs")
+    assert concluded(store, cell, Died("worker tcp://there:1")) == "error"
+    assert store.rows()[0]["reason"] == "the process that ran this cell died twice (worker tcp://there:1)"
+    with pytest.raises(ClothbenchError, match="disk full"):
+        concluded(store, cell, Answer(fault="disk full"))
