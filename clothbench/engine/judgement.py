@@ -49,6 +49,9 @@ def half(row: Row) -> float:
 
 def slack(row: Row) -> float:
     """What the error of a row may differ by and be the same, in the row's unit."""
-    reference = row.get("reference")
-    of_reference = 0.0 if reference is None else SMALL * (abs(reference) or 1.0)
-    return SLACK * abs(error(row)) + of_reference
+    return SLACK * abs(error(row)) + slack_at(row.get("reference"))
+
+
+def slack_at(reference: float | None) -> float:
+    """What a distance from a reference may differ by whatever it is; 0 where there is none."""
+    return 0.0 if reference is None else SMALL * (abs(reference) or 1.0)

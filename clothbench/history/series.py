@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
-from clothbench.engine.judgement import IDENTITY, SLACK, SMALL, error, half, has_number, identity
+from clothbench.engine.judgement import IDENTITY, SLACK, error, half, has_number, identity, slack_at
 from clothbench.history.entries import Entry
 from clothbench.history.speed import speeds
 from clothbench.history.steps import FEWEST, noise_of, steps_of
@@ -104,10 +104,9 @@ def _error_series(key: tuple[Any, ...], row: Mapping[str, Any], points: tuple[Po
     values = [p.value for p in found if p.value is not None]
     noise = noise_of(values, [math.nan if p.half is None else p.half for p in found])
     # What has no interval is computed, not measured: it is the same each time, but for what the slack allows.
-    absolute = 0.0 if reference is None else SMALL * (abs(reference) or 1.0)
     changes = [
         Change(found[s.at].entry, s.before, s.after, s.half, "worse" if s.after > s.before else "better")
-        for s in steps_of(values, noise or 0.0, SLACK, absolute)
+        for s in steps_of(values, noise or 0.0, SLACK, slack_at(reference))
     ]
     about = dict(zip(IDENTITY, key, strict=True))
     shown = tuple(sorted([*changes, *_lost(points)], key=lambda c: c.entry))

@@ -145,6 +145,10 @@ def sandbox(wheels: Sequence[Path], limit: float) -> Iterator[Sandbox]:
             "found no wheels, expected those of its plugins; pack them with `clothbench submit FOLDER --runs RUNS "
             "--wheel FILE`"
         )
+    if os.name != "posix":
+        raise ClothbenchError(
+            "running somebody's plugin needs a POSIX system, which can end all processes that it starts"
+        )
     with tempfile.TemporaryDirectory(prefix="clothbench-", ignore_cleanup_errors=True) as folder:
         made = Sandbox(Path(folder), limit)
         made.install(wheels)
