@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib.util
 import logging
-import os
-import subprocess
-import sys
+from pathlib import Path
 
 import pyarrow.parquet as pq
 import pytest
@@ -16,8 +15,13 @@ from test_killed import CELL, deadly_plugin
 from clothbench import ClothbenchError, write_recording
 from clothbench.cli.improve import command
 from clothbench.cli.run import composed
+from clothbench.engine.executors.settings import executor_settings
+from clothbench.engine.pool import run_cells
 from clothbench.engine.store import Store
+from clothbench.engine.suite import plan
+from clothbench.plugins.discovery import catalogue
 
+BOTH, OK = "optimizer=[ga,nelder_mead]", {"ga": "ok", "nelder_mead": "ok"}
 TIMES = {"wall_s", "finished", "threads"}  # what differs from run to run
 
 
@@ -44,30 +48,36 @@ def place(tmp_path_factory):
     return folder
 
 
-@pytest.fixture(scope="module")
-def run(place):
-    def call(*words, **environment):
-        words = ("run", "recordings=recordings", *CELL, "budget=12", *words)
-        return subprocess.run(
-            [sys.executable, "-m", "clothbench", *words], cwd=place, capture_output=True, text=True, timeout=600,
-            env={**os.environ, **environment}, check=False,
+def run_in(place, out, *words):
+    """Run the cells in this process, or from it; which ended how, and how far which of them said to be."""
+    done, told = {}, set()
+    settings = composed(["recordings=recordings", *CELL, "budget=12", *words])
+    with contextlib.chdir(place):
+        run_cells(
+            plan(settings, catalogue()), Path(out), jobs=settings["jobs"],
+            executor=executor_settings(settings["executor"]),
+            done=lambda cell, status: done.update({cell.optimizer: status}),
+            progress=lambda cell, steps, value: told.add((cell.optimizer, 0 < steps <= 12)),
         )  # fmt: skip
-
-    return call
+    return done, told
 
 
 @pytest.fixture(scope="module")
-def here(place, run):
-    """The tables of the run that all others are held against."""
-    out = run("optimizer=[ga,nelder_mead]", "out=here", "jobs=1")
-    assert out.returncode == 0, out.stderr
+def here(place):
+    """The tables of the run that all others are held against, with one thread for linear algebra as in the command."""
+    needs("threadpoolctl")
+    from threadpoolctl import threadpool_limits
+
+    with threadpool_limits(1):
+        assert run_in(place, "here", BOTH, "jobs=1")[0] == OK
     return tables(place / "here")
 
 
-def test_dask_processes_one_of_which_a_plugin_kills(place, run, here, tmp_path):
+def test_dask_processes_one_of_which_a_plugin_kills(clothbench, place, here, tmp_path):
     needs("distributed")
     site = deadly_plugin(tmp_path)
-    out = run("optimizer=[ga,deadly,nelder_mead]", "executor=dask", "jobs=2", "out=dask", PYTHONPATH=str(site))
+    words = ("optimizer=[ga,deadly,nelder_mead]", "executor=dask", "jobs=2", "out=dask")
+    out = clothbench("run", "recordings=recordings", *CELL, "budget=12", *words, cwd=place, PYTHONPATH=str(site))
     assert out.returncode == 1, out.stderr
     dead = [row for row in Store(place / "dask").rows() if row["optimizer"] == "deadly"]
     assert [row["status"] for row in dead] == ["error"]
@@ -77,7 +87,7 @@ def test_dask_processes_one_of_which_a_plugin_kills(place, run, here, tmp_path):
     assert out.stderr.count("\n") == 3, out.stderr  # a line for each cell, and none of the engine's
 
 
-def test_a_dask_scheduler_whose_workers_share_no_folder(place, run, here):
+def test_a_dask_scheduler_whose_workers_share_no_folder(place, here):
     needs("distributed")
     import distributed
 
@@ -85,8 +95,9 @@ def test_a_dask_scheduler_whose_workers_share_no_folder(place, run, here):
         n_workers=1, threads_per_worker=1, dashboard_address=":0", silence_logs=logging.CRITICAL
     ) as cluster:
         where = f"executor.address={cluster.scheduler_address}"
-        out = run("optimizer=[ga,nelder_mead]", "executor=dask", where, "out=far")
-    assert out.returncode == 0, out.stderr
+        done, told = run_in(place, "far", BOTH, "executor=dask", where)
+    assert done == OK
+    assert told == {("ga", True), ("nelder_mead", True)}
     assert tables(place / "far") == here
 
 
@@ -102,10 +113,11 @@ def test_an_address_without_a_scheduler_is_one_line(monkeypatch):
     assert "\n" not in str(said.value)
 
 
-def test_submitit_on_this_machine(place, run, here):
+def test_submitit_on_this_machine(place, here):
     needs("submitit")
-    out = run("optimizer=ga", "executor=slurm", "executor.cluster=local", "out=slurm")
-    assert out.returncode == 0, out.stderr
+    done, told = run_in(place, "slurm", "optimizer=ga", "executor=slurm", "executor.cluster=local")
+    assert done == {"ga": "ok"}
+    assert told == {("ga", True)}
     found = tables(place / "slurm")
     assert len(found) == len(here) / 2
     assert found.items() <= here.items()
@@ -117,7 +129,6 @@ def test_what_slurm_is_told(monkeypatch, tmp_path):
     needs("submitit")
     from submitit.slurm import slurm
 
-    from clothbench.engine.executors.settings import executor_settings
     from clothbench.engine.executors.slurm import SlurmWorkers
 
     monkeypatch.setattr("shutil.which", lambda name: f"/bin/{name}")
@@ -133,10 +144,11 @@ def test_what_slurm_is_told(monkeypatch, tmp_path):
 
 
 @pytest.mark.slow
-def test_ray_on_this_machine(place, run, here):
+def test_ray_on_this_machine(place, here):
     needs("ray")
-    out = run("optimizer=[ga,nelder_mead]", "executor=ray", "jobs=2", "out=ray")
-    assert out.returncode == 0, out.stderr
+    done, told = run_in(place, "ray", BOTH, "executor=ray", "jobs=2")
+    assert done == OK
+    assert told == {("ga", True), ("nelder_mead", True)}
     assert tables(place / "ray") == here
 
 

@@ -106,8 +106,8 @@ def concluded(store: Store, cell: Cell, answer: Answer | Died) -> str:
 
 
 def sources_of(cell: Any) -> Iterator[Source]:
-    """The recordings that a cell refers to."""
-    for value in vars(cell).values():
+    """The recordings that a cell refers to by itself, or in a tuple."""
+    for value in getattr(cell, "__dict__", {}).values():
         for one in value if isinstance(value, tuple) else (value,):
             if isinstance(one, Source):
                 yield one

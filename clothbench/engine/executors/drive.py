@@ -82,13 +82,14 @@ def answers(
         if chosen:
             workers.begin({number: work(number) for number in chosen})
             running.update(chosen)
-        for number, answer in workers.ended(WATCH):
+        ended = list(workers.ended(WATCH))
+        for number, steps, value in workers.told():
+            if number in running:
+                told(number, steps, value)
+        for number, answer in ended:
             running.discard(number)
             tries[number] += 1
             if isinstance(answer, Died) and tries[number] < TRIES:
                 waiting.append(number)
             else:
                 yield number, answer
-        for number, steps, value in workers.told():
-            if number in running:
-                told(number, steps, value)
