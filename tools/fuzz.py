@@ -63,9 +63,10 @@ class Reader:
         self.folder.mkdir(parents=True, exist_ok=True)
         words = [self.kind, str(first), str(count), str(self.folder), str(self.bases), str(self.seed),
                  str(self.keep or "")]  # fmt: skip
-        child = subprocess.Popen(
-            [sys.executable, str(CHILD), *words], stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True
-        )
+        with open(self.folder / "stderr.txt", "w", encoding="utf-8") as said:
+            child = subprocess.Popen(
+                [sys.executable, str(CHILD), *words], stdout=subprocess.PIPE, stderr=said, text=True
+            )
         lines: queue.Queue[str] = queue.Queue()
         threading.Thread(target=_pump, args=(child, lines), daemon=True).start()
         began = time.monotonic()
@@ -93,7 +94,7 @@ class Reader:
             if told is None:
                 child.wait()
                 if number == first and not begun:
-                    raise SystemExit(f"{self.kind}: the reader did not start: {self.folder}")
+                    raise SystemExit(f"{self.kind}: did not start: {(self.folder / 'stderr.txt').read_text()}")
                 return self._lost(tally, f"died of {signal_name(child.returncode)}", number, self._log())
             if "begun" in told:
                 number, since, cpu, begun = told["begun"], time.monotonic(), cpu_of(child.pid), True
@@ -113,7 +114,9 @@ class Reader:
         tally.done += 1
         tally.found(f"{what} {where}", number, "")
         if self.keep is not None:
-            shutil.copytree(self.folder / "case", self.keep / f"{self.kind}-{number}", dirs_exist_ok=True, symlinks=True)
+            shutil.copytree(
+                self.folder / "case", self.keep / f"{self.kind}-{number}", dirs_exist_ok=True, symlinks=True
+            )
         return number + 1
 
     def _where(self, child: subprocess.Popen[str]) -> str:
@@ -124,7 +127,10 @@ class Reader:
     def _log(self) -> str:
         """The innermost line of clothbench's, or any, that the reader was at."""
         log = self.folder / "crash.txt"
-        lines = [x.strip() for x in log.read_text().splitlines() if x.strip().startswith("File")] if log.exists() else []
+        lines = (
+            [x.strip() for x in log.read_text().splitlines() if x.strip().startswith("File")] if log.exists() else []
+        )
+        lines += [x.strip() for x in (self.folder / "stderr.txt").read_text().splitlines()[-1:]]  # not of clothbench's
         mine = [x for x in lines if "/clothbench" in x and "/tools/" not in x]
         return (mine or lines or ["at a place not known"])[0].replace(str(CHILD.parents[1]), "")
 

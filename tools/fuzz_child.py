@@ -74,7 +74,11 @@ def _allowed(path: Any, inside: Path) -> bool:
     if isinstance(path, int):
         return True
     place = os.path.realpath(os.fsdecode(path))
-    return place.startswith((f"{inside}{os.sep}", "/dev/null", "/dev/tty")) or place == str(inside) or "__pycache__" in place
+    return (
+        place.startswith((f"{inside}{os.sep}", "/dev/null", "/dev/tty"))
+        or place == str(inside)
+        or "__pycache__" in place
+    )
 
 
 @contextmanager
@@ -157,7 +161,9 @@ def wrong(code: int | None, texts: dict[str, str], guard: Guard) -> str | None:
     return None
 
 
-def serve(kind: str, numbers: Iterator[int], folder: Path, bases: Path, seed: int, told: TextIO, keep: Path | None) -> None:
+def serve(
+    kind: str, numbers: Iterator[int], folder: Path, bases: Path, seed: int, told: TextIO, keep: Path | None
+) -> None:
     """Read inputs by their numbers; tells of each when it begins and what it came to."""
     import fuzz_inputs as inputs
 

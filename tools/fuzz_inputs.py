@@ -16,8 +16,22 @@ import fuzz_mutations as spoil
 import numpy as np
 import pyarrow.parquet as pq
 
-from clothbench import Camera, ColourVideo, Curve, DepthImages, GripPath, LaserImages, Recording, Silhouettes
-from clothbench import write_curve, write_depth, write_laser, write_recording, write_silhouettes, write_video
+from clothbench import (
+    Camera,
+    ColourVideo,
+    Curve,
+    DepthImages,
+    GripPath,
+    LaserImages,
+    Recording,
+    Silhouettes,
+    write_curve,
+    write_depth,
+    write_laser,
+    write_recording,
+    write_silhouettes,
+    write_video,
+)
 from clothbench.cli import main
 from clothbench.engine.suite import suites_folder
 from clothbench.recordings.colour_video import Marks
@@ -265,7 +279,9 @@ def words(here: Path, bases: Path, chance: random.Random) -> list[Command]:
     for _ in range(chance.choice((1, 1, 2))):
         at = chance.randrange(len(given))
         key, _, known = given[at].partition("=")
-        fresh = str(chance.choice((*spoil.NUMBERS, *spoil.TEXTS, *spoil.RAW, "null", "[1,[2", "{a:1,b:{c:2}}", known * 2)))
+        fresh = str(
+            chance.choice((*spoil.NUMBERS, *spoil.TEXTS, *spoil.RAW, "null", "[1,[2", "{a:1,b:{c:2}}", known * 2))
+        )
         given[at] = chance.choice((f"{key}={fresh}", f"+{key}={fresh}", f"{key}.{fresh}={known}", fresh, f"~{key}"))
         if chance.random() < 0.1:
             given[at] = spoil.damaged(given[at].encode(), chance).decode("utf-8", "replace")
@@ -280,7 +296,9 @@ def cloud(chance: random.Random) -> bytes:
     points = np.stack([*np.meshgrid(np.linspace(-0.1, 0.1, 5), np.linspace(-0.1, 0.1, 5)), np.ones((5, 5))], axis=-1)
     points = points.reshape(-1, 3).astype("<f4")
     form = chance.choice(("ascii", "binary_little_endian", "binary_big_endian"))
-    head = f"ply\nformat {form} 1.0\nelement vertex 25\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    head = (
+        f"ply\nformat {form} 1.0\nelement vertex 25\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    )
     if form == "ascii":
         return head.encode() + "".join(f"{x} {y} {z}\n" for x, y, z in points).encode()
     return head.encode() + points.astype(">f4" if "big" in form else "<f4").tobytes()
@@ -312,7 +330,12 @@ def clouds(here: Path, bases: Path, chance: random.Random) -> list[Command]:
     return [["import", "in", "out=made"]]
 
 
-PICKLED = b"\x93NUMPY\x01\x00v\x00" + b"{'descr': '|O', 'fortran_order': False, 'shape': (1,), }".ljust(117) + b"\n" + spoil.PICKLE
+PICKLED = (
+    b"\x93NUMPY\x01\x00v\x00"
+    + b"{'descr': '|O', 'fortran_order': False, 'shape': (1,), }".ljust(117)
+    + b"\n"
+    + spoil.PICKLE
+)
 
 
 def film(here: Path, bases: Path, chance: random.Random) -> list[Command]:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, one_line
 
 DEFAULT_OUT = "runs"
 
@@ -58,7 +58,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as fault:
         if debug:
             raise
-        print(f"clothbench: {fault.filename or 'a file'}: {fault.strerror or fault}", file=sys.stderr)
+        line = one_line(f"{fault.filename or 'a file'}: {fault.strerror or fault}")
+        print(f"clothbench: {line}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("clothbench: stopped; finished cells are kept, run the same command again to go on", file=sys.stderr)

@@ -26,6 +26,7 @@ from hydra.types import RunMode
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from clothbench.cli.own_suites import require_harmless
 from clothbench.cli.results import print_results
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.pool import failed, run_cells
@@ -70,6 +71,7 @@ def run(arguments: Sequence[str]) -> int:
     sweep_so_far.cache_clear()
     sys.argv = ["clothbench run", *arguments]
     try:
+        require_harmless(arguments)
         hydra.main(version_base="1.3", config_path="pkg://clothbench.conf", config_name="run")(job)()
         return _conclude(notes, sweep)
     except (HydraException, OmegaConfBaseException) as fault:

@@ -12,6 +12,7 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 
+MOST_PIXELS = 16384  # of a picture's side: memory is taken for whole pictures
 LENSES = {"matrix": (3, 3), "rotation": (3, 3), "translation": (3,), "distortion": (5,)}
 
 
@@ -36,8 +37,10 @@ class Camera:
                 raise ClothbenchError(f"camera: {name} has shape {array.shape}, expected {shape} finite numbers")
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-        if min(self.size) < 1:
-            raise ClothbenchError(f"camera: size is {self.size}, expected (width, height) in pixels")
+        if len(self.size) != 2 or min(self.size) < 1 or max(self.size) > MOST_PIXELS:
+            raise ClothbenchError(
+                f"camera: size is {self.size}, expected (width, height), 1 to {MOST_PIXELS} pixels each"
+            )
         if np.abs(self.rotation @ self.rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(self.rotation) < 0:
             raise ClothbenchError("camera: rotation is no proper rotation matrix")
 

@@ -14,7 +14,6 @@ the template mesh laid flat. What the originals leave open, and what is made of 
 
 from __future__ import annotations
 
-import json
 import math
 import zipfile
 from pathlib import Path
@@ -24,6 +23,7 @@ import numpy as np
 
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import read_json
 from clothbench.core.progress import FileProgress
 from clothbench.datasets import registry
 from clothbench.datasets.depth_folder import LEVEL, projected
@@ -99,9 +99,9 @@ def cloud_of(path: Path) -> np.ndarray:
 def camera_of(path: Path, coarser: int = COARSER) -> Camera:
     """The camera that a scene's file states, with pixels `coarser` times as large; it looks along +y, level."""
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        told = read_json(path, "a camera")
         (fx, fy), (cx, cy), (rows, columns) = told["focal_length"], told["optical_center"], told["image_size"]
-    except (OSError, KeyError, TypeError, ValueError) as fault:
+    except (KeyError, TypeError, ValueError) as fault:
         raise ClothbenchError(
             f"{path}: found no camera ({fault!r}), expected focal_length, optical_center, image_size"
         ) from fault

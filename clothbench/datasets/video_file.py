@@ -10,16 +10,14 @@ the upper left and the upper right corner, or of all four corners, clockwise; `n
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import file_name
+from clothbench.core.files import file_name, read_json
 from clothbench.core.progress import FileProgress
 from clothbench.datasets.depth_folder import camera_of
 from clothbench.recordings.colour_video import ColourVideo, Marks, decoded, silence, write_video
@@ -170,10 +168,7 @@ def _camera(settings: Mapping[str, str]) -> tuple[Camera | None, bool]:
     if "camera" not in settings:
         return None, False
     file = Path(settings["camera"])
-    try:
-        told: Any = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as fault:
-        raise ClothbenchError(f"{file}: found no JSON that can be read ({fault}), expected a camera") from fault
+    told = read_json(file, "a camera")
     return camera_of(told, file), isinstance(told, dict) and {"rotation", "translation"} <= told.keys()
 
 

@@ -55,9 +55,11 @@ def read(path: str | os.PathLike[str], layout: Layout, make: Callable[..., Recor
         stated = file.attributes
         check_header(stated, path, layout.kind, layout.needed)
         content: dict[str, Any] = {name: variable(file, name, of) for name, of in layout.variables.items()}
-        for name, part in layout.parts.items():
-            there = {n: variable(file, n, of) for n, of in part.variables.items() if n in file}
-            content[name] = part.unpack(there, stated, path)
+        there = {
+            name: {n: variable(file, n, of) for n, of in part.variables.items() if n in file}
+            for name, part in layout.parts.items()
+        }
+    content |= {name: part.unpack(there[name], stated, path) for name, part in layout.parts.items()}
     content |= {name: _vector(stated.get(name), name, what, path) for name, what in layout.vectors.items()}
     content |= {name: str(stated.get(name, "")) for name in layout.texts}
     content |= {name: number(stated, name, path) for name in layout.numbers}

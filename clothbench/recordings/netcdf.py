@@ -1,7 +1,8 @@
 """NetCDF-4 files as anybody may hand them in, read with HDF5's own means and nothing taken on trust.
 
-Only plain arrays of numbers that lie in the file itself are read, each once it is asked for; links, virtual and external
-data, groups, references and compound types are refused. Whatever the library says of a broken file becomes one line.
+Only plain arrays of numbers that lie in the file itself are read, each once it is asked for; links, data that lie
+elsewhere, groups, references and compound types are refused. Whatever the library says of a broken file becomes one
+line.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, seen
 
 MAGIC = b"\x89HDF\r\n\x1a\n"
 DEFLATE = 1032  # times smaller at best: zlib, whose blocks of zeros pack no denser
@@ -131,7 +132,7 @@ def _plain(attributes: Any, name: str, path: Path) -> Any:
     if stored.shape is None or count == 0:
         return ""
     text = of.kind == "S" or h5py.check_string_dtype(of) is not None
-    if not (text and count == 1 or of.kind in "iufb" and count <= MOST):
+    if not ((text and count == 1) or (of.kind in "iufb" and count <= MOST)):
         raise ClothbenchError(
             f"{path}: attribute {name!r}: found {count} values of {of}, expected a text, or numbers; write it as such"
         )
@@ -139,7 +140,9 @@ def _plain(attributes: Any, name: str, path: Path) -> Any:
     if count > 1:
         return str(value)
     value = np.ravel(value)[0] if isinstance(value, np.ndarray) else value
-    return value.decode() if isinstance(value, bytes) else str(value) if text else value
+    if not text:
+        return value
+    return seen(value.decode("utf-8", "replace") if isinstance(value, bytes) else str(value))
 
 
 def _only_a_dimension(file: Any, name: str) -> bool:

@@ -10,6 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from clothbench.display.terminal import console
+from clothbench.engine.store import finite
 
 Rows = Sequence[dict[str, Any]]
 IDENTITY = ("suite", "case", "recording", "split", "model", "effects", "optimizer", "metric", "seed")
@@ -85,8 +86,8 @@ def _change(base: dict[str, Any], new: dict[str, Any] | None) -> dict[str, Any]:
     return {
         **about,
         "unit": base.get("unit"),
-        "base": base["value"],
-        "new": new["value"] if new else None,
+        "base": finite(base["value"]),
+        "new": finite(new["value"]) if new else None,
         "status": new["status"] if new else "missing",
         "reason": (new.get("reason") or "") if new else "no such row in NEW",
     }
