@@ -40,6 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "OMP",
     ):  # the cores are filled with whole rollouts; more threads only get in the way
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**27))  # a picture's header may claim anything
     try:
         if arguments[:1] == ["run"]:  # Hydra reads the rest
             from clothbench.cli.run import run

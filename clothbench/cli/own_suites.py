@@ -14,7 +14,9 @@ from typing import Any
 import yaml
 from hydra import compose, initialize_config_module
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from clothbench.core.errors import ClothbenchError
 
@@ -31,6 +33,8 @@ def require_harmless(arguments: Sequence[str]) -> None:
             f"found {given[0]!r}: a run has its own settings file; put yours into FOLDER/suite and give "
             "--config-dir FOLDER +suite=NAME"
         )
+    for word in _settings(arguments):
+        _values(word)
     for folder in _folders(arguments):
         for file in sorted([*folder.rglob("*.yaml"), *folder.rglob("*.yml")]):
             require_plain(file)
@@ -68,12 +72,8 @@ def _size(node: yaml.Node, known: dict[int, int]) -> int:
 
 def each_choice(arguments: Sequence[str]) -> Iterator[list[str]]:
     """The settings of the run without Hydra's own, as one job has them: of a sweep, once with every value."""
-    words = [
-        w
-        for w in arguments
-        if not w.startswith("-") and not w.lstrip("+~").startswith("hydra") and w not in _after(arguments)
-    ]
-    values = [list(_values(word)) for word in words]
+    words = [word for word in _settings(arguments) if not word.lstrip("+~").startswith("hydra")]
+    values = [_values(word) for word in words]
     for n in range(max(map(len, values), default=1)):
         yield [several[min(n, len(several) - 1)] for several in values]
 
@@ -83,24 +83,32 @@ def _after(arguments: Sequence[str]) -> list[str]:
     return [after for word, after in itertools.pairwise(arguments) if word in FLAGS]
 
 
-def _values(word: str) -> Iterator[str]:
+def _settings(arguments: Sequence[str]) -> list[str]:
+    return [word for word in arguments if not word.startswith("-") and word not in _after(arguments)]
+
+
+def _values(word: str) -> list[str]:
     """A setting once with each of its values, where it is one of a sweep."""
-    (given,) = OverridesParser.create().parse_overrides([word])
-    if not given.is_sweep_override():
-        yield word
-        return
-    key = word.partition("=")[0]
-    for value in given.sweep_string_iterator():
-        yield f"{key}={value}"
+    try:
+        (given,) = OverridesParser.create().parse_overrides([word])
+        key = word.partition("=")[0]
+        return [f"{key}={v}" for v in given.sweep_string_iterator()] if given.is_sweep_override() else [word]
+    except (ValueError, RecursionError) as fault:
+        raise ClothbenchError(f"found {word[:80]!r}, expected a setting KEY=VALUE ({fault})") from None
 
 
 def require_no_hydra(folder: Path, words: Sequence[str]) -> None:
     """Refuse settings in which a suite of the folder's has changed Hydra's own."""
-    with initialize_config_module("clothbench.conf", version_base="1.3"):
-        usual = _hydras(compose("run", return_hydra_config=True))
-        place = f"file://{folder}".replace("\\", "\\\\").replace("'", "\\'")
-        asked = [f"hydra.searchpath=['{place}']", *words]
-        found = _hydras(compose("run", overrides=asked, return_hydra_config=True))
+    place = f"file://{folder}".replace("\\", "\\\\").replace("'", "\\'")
+    try:
+        with initialize_config_module("clothbench.conf", version_base="1.3"):
+            usual = _hydras(compose("run", return_hydra_config=True))
+            asked = [f"hydra.searchpath=['{place}']", *words]
+            found = _hydras(compose("run", overrides=asked, return_hydra_config=True))
+    except (HydraException, OmegaConfBaseException):
+        raise
+    except Exception as fault:  # of the YAML and of the head of a suite: Hydra lets all sorts of them through
+        raise ClothbenchError(f"{folder}: found a suite that cannot be read ({fault}), expected settings") from fault
     if changed := [name for name in {**usual, **found} if usual.get(name) != found.get(name)]:
         raise ClothbenchError(
             f"{folder}: found settings of Hydra's own in a suite (hydra.{changed[0]}), expected those of a run only; "

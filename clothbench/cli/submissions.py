@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from rich.markup import escape
 from rich.table import Table
 
 from clothbench.core.errors import ClothbenchError
@@ -33,11 +34,11 @@ def submit(folder: Path, recordings: Sequence[str], metrics: Sequence[str], **ab
         raise ClothbenchError(f"{folder}: is not a folder; expected one with simulated recordings (*.nc)")
     known, plugins = measured(recordings), catalogue()
     found = pack(folder, known, metrics, plugins, **about)
-    table = Table(title=f"{found.name}: {len(found.entries)} of {len(known)} recordings", title_justify="left")
+    table = Table(title=f"{escape(found.name)}: {len(found.entries)} of {len(known)} recordings", title_justify="left")
     for name in ("recording", *found.metrics):
         table.add_column(name, justify="left" if name == "recording" else "right")
     for entry in found.entries:
-        table.add_row(entry.recording, *(f"{entry.scores[metric]:.4g}" for metric in found.metrics))
+        table.add_row(escape(entry.recording), *(f"{entry.scores[metric]:.4g}" for metric in found.metrics))
     console().print(table)
     print(f"{folder / FILE}: written; anybody can check it with `clothbench verify {folder}`")
     return 0
@@ -65,14 +66,16 @@ def verify_all(folders: Sequence[Path], recordings: Sequence[str], out: Path | N
 def tell(folder: Path, found: Verified, of: int) -> None:
     grade = f"[red]refused[/], {len(found.faults)} faults" if found.faults else f"[green]{GRADE}[/]"
     name = found.submission.name
-    table = Table(title=f"{name} ({folder}): {grade}, {len(found.found)} of {of} recordings", title_justify="left")
+    table = Table(
+        title=f"{escape(f'{name} ({folder})')}: {grade}, {len(found.found)} of {of} recordings", title_justify="left"
+    )
     table.add_column("recording")
     for name in ("metric", "computed again", "floor"):
         table.add_column(name, justify="left" if name == "metric" else "right")
     for one in found.found:
         for metric, value in one.scores.items():
             floor = "" if one.floors[metric] != one.floors[metric] else f"{one.floors[metric]:.3g}"
-            table.add_row(one.measured.name, metric, f"{value:.4g} {one.units[metric]}", floor)
+            table.add_row(escape(one.measured.name), metric, f"{value:.4g} {one.units[metric]}", floor)
     console().print(table)
     for fault in found.faults:
         print(f"refused: {fault}", file=sys.stderr)

@@ -14,6 +14,7 @@ there too; what else there is becomes a note.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -22,14 +23,16 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.camera import Camera
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, seen
 from clothbench.core.files import file_name, read_arrays, read_json
 from clothbench.core.observation import GripPath
+from clothbench.core.pictures import picture_of
 from clothbench.core.progress import FileProgress
 from clothbench.recordings.depth import LAYOUT, Colour, DepthImages, write_depth
 
 LEVEL = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # a camera that looks along +y, z up
 MILLIMETRE = 1e-3
+FARTHEST = 65535  # steps that a depth frame of 16 bit can tell; what is farther counts as not measured
 OWN = {"camera", "time", "rate", "colour_time", "grips", "gravity", "depth_step"}
 
 
@@ -50,14 +53,16 @@ def read_folder(folder: Path, progress: FileProgress | None = None) -> DepthImag
     time = _stamps(about, len(files), where)
     camera = camera_of(_needed(about, "camera", where), where)
     step = _number(about, "depth_step", where, MILLIMETRE)
+    if not step > 0:
+        raise ClothbenchError(f"{where}: 'depth_step': found {step:g}, expected metres above 0")
     frames = []
     for number, file in enumerate(files):
         frames.append(projected(read_cloud(file), camera, step, file) if clouds else read_png(file, camera))
         if progress is not None:
             progress(number + 1, len(files), file.name)
     return DepthImages(
-        name=str(_needed(about, "name", where)), time=time, depth=np.stack(frames), depth_step=step, camera=camera,
-        colour=_colour(folder, about, time, camera), grips=_grips(about, where), path=str(folder),
+        name=seen(str(_needed(about, "name", where))), time=time, depth=np.stack(frames), depth_step=step,
+        camera=camera, colour=_colour(folder, about, time, camera), grips=_grips(about, where), path=str(folder),
         **_header(about, where),
     )  # fmt: skip
 
@@ -66,7 +71,7 @@ def read_png(file: Path, camera: Camera) -> np.ndarray:
     """A depth frame (H, W) of whole numbers; one that is not 16 bit, or not of the camera's size, is refused."""
     import cv2
 
-    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    image = picture_of(file, cv2.IMREAD_UNCHANGED)
     if image is None:
         raise ClothbenchError(f"{file}: found no image that can be read, expected a PNG of 16 bit")
     if image.dtype != np.uint16 or image.ndim != 2:
@@ -142,15 +147,18 @@ def projected(points: np.ndarray, camera: Camera, step: float, file: Path) -> np
     Clouds come thinner than the camera's pixels now and then: choose `size` and `matrix` so that a pixel has a point.
     """
     front = points[points[:, 2] > 0]
-    flat = front[:, :2] / front[:, 2:]
-    pixel = np.round(flat @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]).astype(int)
     width, height = camera.size
-    inside = ((pixel >= 0) & (pixel < [width, height])).all(axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is nowhere is not inside
+        place = np.round(front[:, :2] / front[:, 2:] @ camera.matrix[:2, :2].T + camera.matrix[:2, 2])
+        inside = ((place >= 0) & (place < [width, height])).all(axis=1) & (front[:, 2] / step <= FARTHEST)
+    pixel = np.where(inside[:, None], place, 0).astype(int)
     if not inside.any():
         raise ClothbenchError(f"{file}: found no point that the camera sees, expected some; is z forwards, in metres?")
     out = np.full((height, width), np.inf)
     np.minimum.at(out, (pixel[inside, 1], pixel[inside, 0]), front[inside, 2])
-    return np.where(np.isfinite(out), np.round(np.where(np.isfinite(out), out, 0) / step), 0).astype(np.uint16)
+    depth, seen = np.zeros((height, width), np.uint16), np.isfinite(out)
+    depth[seen] = np.round(out[seen] / step)
+    return depth
 
 
 def _about(folder: Path) -> dict[str, Any]:
@@ -238,7 +246,7 @@ def _colour(folder: Path, about: Mapping[str, Any], time: np.ndarray, camera: Ca
         raise ClothbenchError(f"{folder / 'colour'}: found {len(files)} pictures, expected {len(time)}, one a frame")
     frames = []
     for file in files:
-        image = cv2.imread(str(file), cv2.IMREAD_COLOR)
+        image = picture_of(file, cv2.IMREAD_COLOR)
         if image is None or image.shape[:2] != camera.size[::-1]:
             found = "no picture that can be read" if image is None else f"{image.shape[1]} × {image.shape[0]} px"
             raise ClothbenchError(f"{file}: found {found}, expected camera.size {camera.size}, registered to the depth")
@@ -265,11 +273,14 @@ def _header(about: Mapping[str, Any], where: Path) -> dict[str, Any]:
     out: dict[str, Any] = {k: v for k, v in about.items() if k in LAYOUT.texts and k != "name"}
     if wrong := [name for name, value in out.items() if not isinstance(value, str)]:
         raise ClothbenchError(f"{where}: {wrong[0]!r}: found {out[wrong[0]]!r}, expected text")
+    out = {name: seen(text) for name, text in out.items()}
     out |= {k: _number(about, k, where) for k in LAYOUT.numbers if k in about and k not in OWN}
     if "gravity" in about:
         gravity = _numbers(about, "gravity", where)
         if gravity.shape != (3,):
             raise ClothbenchError(f"{where}: 'gravity': found {about['gravity']!r}, expected three numbers [m/s²]")
         out["gravity"] = tuple(gravity.tolist())
-    strays = {k: str(v) for k, v in about.items() if k not in known | OWN}
+    strays = {k: seen(str(v)) for k, v in about.items() if k not in known | OWN}
+    if wrong := [name for name in strays if not re.fullmatch(r"\w[\w .-]*", name)]:
+        raise ClothbenchError(f"{where}: {wrong[0]!r}: found a name that is none, expected letters, digits and _")
     return out | {"notes": {k: v for k, v in strays.items() if k not in LAYOUT.known}}

@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.core import pictures
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import read_json
@@ -130,7 +131,7 @@ def flat_template(source: Path) -> np.ndarray:
     from scipy.ndimage import map_coordinates
 
     file = source / "R1_texture.png"
-    texture = cv2.imread(str(file), cv2.IMREAD_COLOR)
+    texture = pictures.picture_of(file, cv2.IMREAD_COLOR)
     if texture is None:
         raise ClothbenchError(f"{file}: found no picture that can be read; fetch it again")
     _, at, _ = mesh_of(source / "templates" / "0_R1_quad.obj")
@@ -160,7 +161,7 @@ def picture_of(path: Path, camera: Camera) -> np.ndarray:
     """A picture (H, W, 3) of the camera's size, RGB."""
     import cv2
 
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    image = pictures.picture_of(path, cv2.IMREAD_COLOR)
     if image is None:
         raise ClothbenchError(f"{path}: found no picture that can be read; fetch it again")
     return np.ascontiguousarray(cv2.resize(image, camera.size, interpolation=cv2.INTER_AREA)[..., ::-1])

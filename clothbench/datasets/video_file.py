@@ -12,15 +12,17 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import file_name, read_json
+from clothbench.core.pictures import silenced
 from clothbench.core.progress import FileProgress
 from clothbench.datasets.depth_folder import camera_of
-from clothbench.recordings.colour_video import ColourVideo, Marks, decoded, silence, write_video
+from clothbench.recordings.colour_video import ColourVideo, Marks, decoded, write_video
 from clothbench.vision.template import Keypoints, find_template
 
 SETTINGS = ("template", "width", "height", "rate", "camera", "marks", "name", "fabric", "motion", "split",
@@ -108,17 +110,8 @@ def _film(file: Path, rate: float | None, progress: FileProgress | None) -> tupl
     import cv2
 
     stream = np.frombuffer(file.read_bytes(), np.uint8)
-    silence()
-    film = cv2.VideoCapture(str(file))
-    try:
-        stamps, told = [], film.get(cv2.CAP_PROP_FPS)
-        planned = int(film.get(cv2.CAP_PROP_FRAME_COUNT))
-        while film.grab():
-            stamps.append(1e-3 * film.get(cv2.CAP_PROP_POS_MSEC))
-            if progress is not None:
-                progress(len(stamps), max(planned, len(stamps)), file.name)
-    finally:
-        film.release()
+    with silenced():
+        stamps, told = _stamps(cv2.VideoCapture(str(file)), file, progress)
     if len(stamps) < LEAST_FRAMES:
         raise ClothbenchError(
             f"{file}: found {len(stamps)} frames that can be read, expected a video of {LEAST_FRAMES} or more; convert "
@@ -132,6 +125,21 @@ def _film(file: Path, rate: float | None, progress: FileProgress | None) -> tupl
             raise ClothbenchError(f"{file}: found neither stamps nor a rate in the video; state rate=FRAMES_PER_SECOND")
         time = np.arange(len(time)) / told
     return stream, time - time[0]
+
+
+def _stamps(film: Any, file: Path, progress: FileProgress | None) -> tuple[list[float], float]:
+    """The stamps [s] of the frames that can be read, and the rate [1/s] that the file states."""
+    import cv2
+
+    stamps, planned = [], max(0, int(film.get(cv2.CAP_PROP_FRAME_COUNT)))
+    try:
+        while film.grab():
+            stamps.append(1e-3 * film.get(cv2.CAP_PROP_POS_MSEC))
+            if progress is not None:
+                progress(len(stamps), max(planned, len(stamps)), file.name)
+        return stamps, film.get(cv2.CAP_PROP_FPS)
+    finally:
+        film.release()
 
 
 def _pictures_in(folder: Path) -> list[Path]:

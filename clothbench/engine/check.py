@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pyarrow as pa
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, one_line
 from clothbench.core.files import half_written, read_arrays, read_json
 from clothbench.engine.index import INDEX
 from clothbench.engine.run import TRACKED
@@ -32,7 +32,7 @@ class Finding:
 
 
 def fault(path: Path, found: str, expected: str, advice: str) -> Finding:
-    return Finding(path, f"{path}: found {found}, expected {expected}; {advice}")
+    return Finding(path, one_line(f"{path}: found {found}, expected {expected}; {advice}"))
 
 
 def check(store: Store, plugins: Catalogue, told: Callable[[int, int, str], None] = lambda *_: None) -> list[Finding]:
@@ -104,7 +104,7 @@ def _texts(table: pa.Table, name: str) -> set[str]:
 def strangers(path: Path, table: pa.Table, key: str) -> Iterator[Finding]:
     """Whether rows of a table belong to another cell."""
     if other := _texts(table, "key") - {key}:
-        yield fault(path, f"rows of the cell {min(other)!r}", f"those of {key}, as its folder is named", AGAIN)
+        yield fault(path, f"rows of the cell {min(other)}", f"those of {key}, as its folder is named", AGAIN)
 
 
 def bad_rows(path: Path, table: pa.Table, missing: Sequence[str], known: Collection[str]) -> Iterator[Finding]:

@@ -59,12 +59,13 @@ def read(path: str | os.PathLike[str], layout: Layout, make: Callable[..., Recor
             name: {n: variable(file, n, of) for n, of in part.variables.items() if n in file}
             for name, part in layout.parts.items()
         }
-    content |= {name: part.unpack(there[name], stated, path) for name, part in layout.parts.items()}
     content |= {name: _vector(stated.get(name), name, what, path) for name, what in layout.vectors.items()}
     content |= {name: str(stated.get(name, "")) for name in layout.texts}
     content |= {name: number(stated, name, path) for name in layout.numbers}
     notes = {str(k): str(v) for k, v in sorted(stated.items()) if k not in layout.known}
-    return make(**content, notes=notes, path=str(path))
+    with np.errstate(over="ignore", invalid="ignore", divide="ignore"):  # the rules refuse what is not finite, in words
+        content |= {name: part.unpack(there[name], stated, path) for name, part in layout.parts.items()}
+        return make(**content, notes=notes, path=str(path))
 
 
 def write(record: Any, path: str | os.PathLike[str], layout: Layout) -> Path:
@@ -144,8 +145,10 @@ def variable(file: NetCDF, name: str, of: Variable) -> np.ndarray:
 def _converted(values: np.ndarray, name: str, of: Variable, path: Path) -> np.ndarray:
     """Numbers as the layout's type; whole numbers must be whole and within its range, nothing is rounded or clipped."""
     if np.issubdtype(of.dtype, np.integer) and values.dtype != of.dtype:
-        least, most = np.iinfo(of.dtype).min, np.iinfo(of.dtype).max
-        if not np.array_equal(values, np.clip(np.round(values), least, most)):
+        with np.errstate(invalid="ignore"):  # what does not fit comes back as another number
+            fits = np.array_equal(values.astype(of.dtype), values)
+        if not fits:
+            least, most = np.iinfo(of.dtype).min, np.iinfo(of.dtype).max
             raise ClothbenchError(
                 f"{path}: variable '{name}': found other values than whole numbers from {least} to {most}"
             )
