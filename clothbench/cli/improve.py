@@ -39,7 +39,12 @@ PLAIN = {
 }  # fmt: skip
 SHORT = {"resolution": "suite.resolution", "damping": "suite.damping", "areal_density": "scene.areal_density"}
 NESTED = ("options", "bounds")  # told as KEY.NAME=VALUE
-WORDS = (*PLAIN, *SHORT, *NESTED, *sorted(KNOWN - {*PLAIN, *NESTED, "study", "suite", "budget", "jobs", "effects"}))
+WORDS = (
+    *PLAIN,
+    *SHORT,
+    *NESTED,
+    *sorted(KNOWN - {*PLAIN, *NESTED, "study", "suite", "budget", "jobs", "limits", "effects"}),
+)
 
 
 def command(words: Sequence[str], as_json: bool = False) -> int:

@@ -29,6 +29,7 @@ from omegaconf.errors import OmegaConfBaseException
 from clothbench.cli.own_suites import require_harmless
 from clothbench.cli.results import print_results
 from clothbench.core.errors import ClothbenchError
+from clothbench.engine.limits import Limits
 from clothbench.engine.pool import failed, run_cells
 from clothbench.engine.progress import CellBar, Sweep, counting
 from clothbench.engine.settings import KNOWN, last_word
@@ -132,11 +133,15 @@ def job(config: Any) -> None:
 
 
 def _run(config: Any, sweep: Sweep | None) -> dict[str, Any]:
+    limits = Limits.of(config.get("limits"))
     with counting("files") as told:
         cells = plan(config, catalogue(), told)
     out = Path(config["out"])
     with CellBar(cells, sweep) as bar:
-        run_cells(cells, out, jobs=int(config["jobs"]), rerun=bool(config["rerun"]), done=bar.done, progress=bar.tell)
+        run_cells(
+            cells, out, jobs=int(config["jobs"]), rerun=bool(config["rerun"]), done=bar.done, progress=bar.tell,
+            limits=limits,
+        )  # fmt: skip
     return {"out": str(out.absolute()), "cells": [c.key for c in cells]}
 
 

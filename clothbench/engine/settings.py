@@ -20,7 +20,7 @@ from clothbench.plugins.discovery import Catalogue
 PLUGINS = ("model", "optimizer", "metric", "effects", "report", "recording", "recordings")  # names, or lists of them
 KNOWN = {
     *PLUGINS, "study", "tracker", "scene", "options", "bounds", "budget", "seed", "jobs", "timeout", "out", "data_dir",
-    "suite", "rerun", "analysis", "choice", "prior",
+    "suite", "rerun", "analysis", "choice", "prior", "limits",
 }  # fmt: skip
 STARTS = ("rest", "measured")
 SCENE_WORDS = {
