@@ -1,8 +1,8 @@
 """One process of `tools/fuzz.py`: reads spoiled inputs one after the other, and tells what each came to.
 
-What clothbench promises of any input: exit code 0, 1 or 2; of 2 one line on standard error; no traceback, no warning; no
-code of the input's is run, nothing outside of the working folder is written, no process is started, and memory stays
-bounded. Who started this process sees whether it still lives, and how long it takes.
+What clothbench promises of any input: exit code 0, 1 or 2; of 2 one line on standard error; no traceback, no warning;
+no code of the input's is run, nothing outside of the working folder is written, no process is started, and memory
+stays bounded. Who started this process sees whether it still lives, and how long it takes.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ def said(folder: Path) -> Iterator[dict[str, str]]:
     """What is written to standard output and standard error in here, by whom ever."""
     out: dict[str, str] = {}
     kept = [os.dup(1), os.dup(2)]
-    files = [open(folder / name, "wb") for name in ("out.txt", "err.txt")]
+    files = [open(folder / name, "wb") for name in ("out.txt", "err.txt")]  # noqa: SIM115  # closed below
     try:
         for number, file in zip((1, 2), files, strict=True):
             os.dup2(file.fileno(), number)
@@ -169,6 +169,7 @@ def serve(
 
     here = folder / "case"
     guard = Guard()
+    known: set[str] = set()
     limits(folder)
     for number in numbers:
         shutil.rmtree(here, ignore_errors=True)
@@ -193,7 +194,8 @@ def serve(
         if not fault and peak() - before > MEMORY:
             fault = f"memory: {(peak() - before) / 1e9:.1f} GB"
         asked = str(commands[len(codes) - 1])
-        if fault and keep is not None:
+        if fault and keep is not None and fault not in known:
+            known.add(fault)
             kept(keep / f"{kind}-{number}", here, folder, f"{asked}\n{fault}\n")
         print(json.dumps({"done": number, "codes": codes, "fault": fault, "command": asked}), file=told, flush=True)
 

@@ -94,7 +94,8 @@ def write_film(path: Path) -> None:
 def video(stream: bytes, ends: np.ndarray | None) -> ColourVideo:
     return ColourVideo(
         name="film", time=np.arange(6) / 30, stream=np.frombuffer(stream, np.uint8), ends=ends, camera=CAMERA,
-        world="camera", template=np.full((64, 64, 3), 90, np.uint8), grips=GripPath(np.arange(6) / 30, HELD, np.zeros((6, 2, 3))),
+        world="camera", template=np.full((64, 64, 3), 90, np.uint8),
+        grips=GripPath(np.arange(6) / 30, HELD, np.zeros((6, 2, 3))),
         marks=Marks(HELD, np.array([[4.0, 4], [60, 4]])), **ABOUT,
     )  # fmt: skip
 
@@ -275,7 +276,7 @@ WORDS = (*CELL, "study=calibration", "effects=[gravity_tilt]", "scene.areal_dens
 
 def words(here: Path, bases: Path, chance: random.Random) -> list[Command]:
     """Settings on the command line; they are planned, not simulated."""
-    given = [*CELL[:3], f"recordings={bases / 'measured'}"] + chance.sample(WORDS, chance.randrange(1, 5))
+    given = [*CELL[:3], f"recordings={bases / 'measured'}", *chance.sample(WORDS, chance.randrange(1, 5))]
     for _ in range(chance.choice((1, 1, 2))):
         at = chance.randrange(len(given))
         key, _, known = given[at].partition("=")
@@ -306,8 +307,9 @@ def cloud(chance: random.Random) -> bytes:
 
 def clouds(here: Path, bases: Path, chance: random.Random) -> list[Command]:
     """A folder of clouds, or of depth frames."""
-    about = {"name": "c", "cloth_width": 0.2, "cloth_height": 0.2, "rate": 20, "weather": "fair", "gravity": [0, 0, -9.81],
-             "camera": {"size": [8, 8], "fx": 20.0, "fy": 20.0, "cx": 3.5, "cy": 3.5}}  # fmt: skip
+    camera = {"size": [8, 8], "fx": 20.0, "fy": 20.0, "cx": 3.5, "cy": 3.5}
+    about = {"name": "c", "cloth_width": 0.2, "cloth_height": 0.2, "rate": 20, "weather": "fair", "camera": camera,
+             "gravity": [0, 0, -9.81]}  # fmt: skip
     told = spoil.other_json(about, chance) if chance.random() < 0.4 else json.dumps(about).encode()
     (here / "in").mkdir()
     (here / "in" / "recording.json").write_bytes(told)
@@ -356,11 +358,11 @@ def film(here: Path, bases: Path, chance: random.Random) -> list[Command]:
     return [["import", "in", "rate=30", *stated]]
 
 
-CSV = "# unit: mm\n# rate: 100\nframe,time,a_x,a_y,a_z,b_x,b_y,b_z\n" + "".join(
-    f"{k},{k / 100},0,0,{k},200,0,{k}\n" for k in range(5)
-)
-TRC = "PathFileType\t4\t(X/Y/Z)\tx.trc\nDataRate\tNumFrames\tNumMarkers\tUnits\n100\t5\t2\tmm\nFrame#\tTime\ta\t\t\tb\n" \
-      "\t\tX1\tY1\tZ1\tX2\tY2\tZ2\n" + "".join(f"{k + 1}\t{k / 100}\t1\t1\t{k}\t200\t1\t{k}\n" for k in range(5))  # fmt: skip
+HEAD = "PathFileType\t4\t(X/Y/Z)\tx.trc\nDataRate\tNumFrames\tNumMarkers\tUnits\n100\t5\t2\tmm\n"
+AXES = "Frame#\tTime\ta\t\t\tb\n\t\tX1\tY1\tZ1\tX2\tY2\tZ2\n"
+TRC = HEAD + AXES + "".join(f"{k + 1}\t{k / 100}\t1\t1\t{k}\t200\t1\t{k}\n" for k in range(5))
+CSV = "# unit: mm\n# rate: 100\nframe,time,a_x,a_y,a_z,b_x,b_y,b_z\n"
+CSV += "".join(f"{k},{k / 100},0,0,{k},200,0,{k}\n" for k in range(5))
 
 
 def markers(here: Path, bases: Path, chance: random.Random) -> list[Command]:

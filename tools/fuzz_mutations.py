@@ -19,9 +19,11 @@ PICKLE = b"cos\nsystem\n(S'touch FUZZED'\ntR."  # runs a command where something
 MARKUP = "</script><script>FUZZED</script><img src=x onerror=FUZZED>"
 TEXTS = (
     "", " ", "\n", "a\nb", "\x00", "\x1b[31mred", "[red]", "[/]", "../../FUZZED", "/tmp/FUZZED", "~", "$HOME", MARKUP,
-    "null", "nan", "inf", "-1", "1e999", "0x10", "é", "\u202e", "\U0001f9f5", "a" * 3000, "1 2", "0 0 -9.81", "{}", "[]",
+    "null", "nan", "inf", "-1", "1e999", "0x10", "é", "\u202e", "\U0001f9f5", "a" * 3000, "1 2", "0 0 -9.81", "{}",
+    "[]",
     "!!python/object/apply:os.system ['touch FUZZED']", "${oc.env:HOME}", "${suite}", "_target_: os.system",
-    "eval(1)", "fit", "held_out", "ok", "error", "calibration", "mechanics", "%s%n", "*", "builtin:", "pkg://os/", "pkg://",
+    "eval(1)", "fit", "held_out", "ok", "error", "calibration", "mechanics", "%s%n", "*", "builtin:", "pkg://os/",
+    "pkg://",
     "dataset:x", "file:///etc",
 )  # fmt: skip
 RAW = ("1e999", "-1e999", "NaN", "Infinity", "1" * 5000, "[" * 3000, "{" * 50, '{"a":' * 3000, '"\\ud800"', "1.", "01")
@@ -227,8 +229,7 @@ def _replaced(file: Any, chance: random.Random) -> None:
     shapes = (shape, (), (0,), (0, *shape[1:]), shape[1:], (*shape, 2), shape[::-1], (1,) * len(shape))
     of: Any = chance.choice(types)
     of = h5py.string_dtype() if of == "O" else of
-    scales = [name in d for d in ()]
-    del file[name], scales
+    del file[name]
     file.create_dataset(name, chance.choice(shapes) if chance.random() < 0.7 else shape, of).attrs["units"] = units
 
 

@@ -39,11 +39,12 @@ PLAIN = {
 }  # fmt: skip
 SHORT = {"resolution": "suite.resolution", "damping": "suite.damping", "areal_density": "scene.areal_density"}
 NESTED = ("options", "bounds")  # told as KEY.NAME=VALUE
+OF_RUN = {"study", "suite", "budget", "jobs", "limits", "effects"}  # settings that mean nothing here
 WORDS = (
     *PLAIN,
     *SHORT,
     *NESTED,
-    *sorted(KNOWN - {*PLAIN, *NESTED, "study", "suite", "budget", "jobs", "limits", "effects"}),
+    *sorted(KNOWN - {*PLAIN, *NESTED} - OF_RUN),
 )
 
 

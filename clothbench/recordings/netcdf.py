@@ -8,6 +8,7 @@ line.
 from __future__ import annotations
 
 import math
+import mmap
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -21,6 +22,7 @@ MAGIC = b"\x89HDF\r\n\x1a\n"
 DEFLATE = 1032  # times smaller at best: zlib, whose blocks of zeros pack no denser
 UNSUSPICIOUS = 100_000_000  # bytes of an array that are nobody's memory problem
 MOST = 65536  # values of an attribute
+HEAP = b"GCOL\x01\0\0\0"  # begins each of its heaps of texts
 RESERVED = ("_NCProperties", "_nc3_strict", "_Netcdf4Coordinates", "_Netcdf4Dimid", "CLASS", "NAME", "REFERENCE_LIST",
             "DIMENSION_LIST", "DIMENSION_LABELS", "coordinates")  # fmt: skip
 MASKS, SCALES = ("_FillValue", "missing_value"), ("scale_factor", "add_offset")
@@ -96,6 +98,7 @@ def opened(path: Path) -> Iterator[NetCDF]:
         raise ClothbenchError(
             f"{path}: found a file that starts with {start!r}, expected NetCDF-4 (HDF5); convert it first"
         )
+    _require_walkable(path)
     try:
         with h5py.File(path, "r") as file:
             yield NetCDF(file, path)
@@ -109,6 +112,26 @@ def opened(path: Path) -> Iterator[NetCDF]:
         raise ClothbenchError(
             f"{path}: found {what} of {path.stat().st_size} bytes, expected whole NetCDF-4; copy it again"
         ) from fault
+
+
+def _require_walkable(path: Path) -> None:
+    """Refuse a heap of texts in which an entry has no length: HDF5 (2.0.0) goes from entry to entry by their lengths,
+    and would never come to the end of it. Format: "HDF5 File Format Specification", III.E, "Global Heap".
+    """
+    with path.open("rb") as stream, mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as file:
+        start = file.find(HEAP)
+        while start >= 0:
+            at, end = start + 16, min(start + int.from_bytes(file[start + 8 : start + 16], "little"), len(file))
+            while at + 16 <= end:
+                free = file[at : at + 2] == b"\0\0"  # what is left over counts its head in its length
+                length = int.from_bytes(file[at + 8 : at + 16], "little")
+                if (free and length == 0) or length >= 2**63:
+                    raise ClothbenchError(
+                        f"{path}: found a heap of texts with an entry of {length} bytes at byte {at}, expected whole "
+                        "NetCDF-4; copy it again"
+                    )
+                at += length if free else 16 + -(-length // 8) * 8
+            start = file.find(HEAP, start + 1)
 
 
 def require_possible(shape: tuple[int, ...], dtype: np.dtype, name: str, path: Path) -> None:
