@@ -21,7 +21,7 @@ import sys
 import tempfile
 import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -68,7 +68,8 @@ class Reader:
                 [sys.executable, str(CHILD), *words], stdout=subprocess.PIPE, stderr=said, text=True
             )
         lines: queue.Queue[str] = queue.Queue()
-        threading.Thread(target=_pump, args=(child, lines), daemon=True).start()
+        pump = threading.Thread(target=_pump, args=(child, lines), daemon=True)
+        pump.start()
         began = time.monotonic()
         try:
             return self._follow(child, lines, first, until, tally, first + count)
@@ -76,6 +77,7 @@ class Reader:
             tally.seconds += time.monotonic() - began
             child.kill()
             child.wait()
+            pump.join()
 
     def _follow(
         self, child: subprocess.Popen[str], lines: queue.Queue[str], first: int, until: float, tally: Tally, end: int
@@ -137,8 +139,9 @@ class Reader:
 
 def _pump(child: subprocess.Popen[str], lines: queue.Queue[str]) -> None:
     assert child.stdout is not None
-    for line in child.stdout:
-        lines.put(line)
+    with child.stdout:
+        for line in child.stdout:
+            lines.put(line)
     lines.put("")
 
 
@@ -168,9 +171,11 @@ def make_bases(folder: Path) -> Path:
 
 def fuzz(
     kinds: Sequence[str], seconds: float, seed: int, folder: Path, keep: Path | None = None, most: int | None = None,
-    number: int = 0,
+    number: int = 0, told: Callable[[dict[str, Tally]], None] = lambda _: None,
 ) -> dict[str, Tally]:  # fmt: skip
-    """Read spoiled inputs of all kinds in turn, for so long or until there were `most` of each."""
+    """Read spoiled inputs of all kinds in turn, for so long or until there were `most` of each. told: after each kind's
+    turn.
+    """
     bases = make_bases(folder)
     tallies, next_one = {kind: Tally() for kind in kinds}, dict.fromkeys(kinds, number)
     end = time.monotonic() + seconds
@@ -180,6 +185,7 @@ def fuzz(
             reader = Reader(kind, folder / kind, bases, seed, keep)
             count = BATCH if most is None else most - tallies[kind].done
             next_one[kind] = reader.read(next_one[kind], until, tallies[kind], count)
+            told(tallies)
             if time.monotonic() > end:
                 break
     return tallies
@@ -212,13 +218,15 @@ def main() -> int:
     options.add_argument("--keep", type=Path, help="folder for the inputs that something was found with")
     given: Any = options.parse_args()
     kinds = given.kind or kinds_known()
+
+    def told(tallies: dict[str, Tally]) -> None:
+        if given.out:
+            given.out.write_text("\n".join([*table(tallies), "", *finds(tallies)]) + "\n", encoding="utf-8")
+
+    one = None if given.number is None else 1
     with tempfile.TemporaryDirectory(prefix="fuzz-") as made:
-        one = None if given.number is None else 1
-        tallies = fuzz(kinds, given.seconds, given.seed, Path(made), given.keep, one, given.number or 0)
-    lines = [*table(tallies), "", *finds(tallies)]
-    print("\n".join(lines))
-    if given.out:
-        given.out.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        tallies = fuzz(kinds, given.seconds, given.seed, Path(made), given.keep, one, given.number or 0, told)
+    print("\n".join([*table(tallies), "", *finds(tallies)]))
     return 1 if any(tally.finds for tally in tallies.values()) else 0
 
 

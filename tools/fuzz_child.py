@@ -15,6 +15,7 @@ import resource
 import shutil
 import signal
 import sys
+import tempfile
 import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -176,8 +177,6 @@ def serve(
         here.mkdir()
         os.chdir(here)
         os.environ["TMPDIR"] = str(here)
-        import tempfile
-
         tempfile.tempdir = None
         commands = inputs.KINDS[kind].make(here, bases, random.Random(f"{seed}/{kind}/{number}"))
         print(json.dumps({"begun": number}), file=told, flush=True)
@@ -258,12 +257,12 @@ def main(words: list[str]) -> None:
         os.chdir(place)
         inputs.write_bases(place)
         return
-    Path(folder, "warm").mkdir(exist_ok=True)
-    os.chdir(Path(folder, "warm"))
+    warm = Path(tempfile.mkdtemp(prefix="warm-", dir=folder))
+    os.chdir(warm)
     if kind in ("suite", "words"):
         plan_only()
     with said(Path(folder)):
-        warm_up(kind, Path(folder, "warm"), place)
+        warm_up(kind, warm, place)
     numbers = iter(range(int(first), int(first) + int(count)))
     serve(kind, numbers, Path(folder), place, int(seed), told, Path(keep) if keep else None)
 

@@ -111,7 +111,8 @@ def _film(file: Path, rate: float | None, progress: FileProgress | None) -> tupl
 
     stream = np.frombuffer(file.read_bytes(), np.uint8)
     with silenced():
-        stamps, told = _stamps(cv2.VideoCapture(str(file)), file, progress)
+        film = cv2.VideoCapture(str(file))
+    stamps, told = _stamps(film, file, progress)
     if len(stamps) < LEAST_FRAMES:
         raise ClothbenchError(
             f"{file}: found {len(stamps)} frames that can be read, expected a video of {LEAST_FRAMES} or more; convert "
@@ -133,13 +134,18 @@ def _stamps(film: Any, file: Path, progress: FileProgress | None) -> tuple[list[
 
     stamps, planned = [], max(0, int(film.get(cv2.CAP_PROP_FRAME_COUNT)))
     try:
-        while film.grab():
+        while _grabbed(film):
             stamps.append(1e-3 * film.get(cv2.CAP_PROP_POS_MSEC))
             if progress is not None:
                 progress(len(stamps), max(planned, len(stamps)), file.name)
         return stamps, film.get(cv2.CAP_PROP_FPS)
     finally:
         film.release()
+
+
+def _grabbed(film: Any) -> bool:
+    with silenced():
+        return film.grab()
 
 
 def _pictures_in(folder: Path) -> list[Path]:
