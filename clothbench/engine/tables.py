@@ -6,20 +6,22 @@ Whoever reads a table of known columns gets these columns, in these types, or on
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.parquet as pq
 
-from clothbench.core.errors import UNSEEN, ClothbenchError, seen
+from clothbench.core.errors import ClothbenchError, seen
 
 SCHEMA_VERSION = 1
 Columns = Mapping[str, pa.DataType]
 DENSEST = 10_000_000  # values of a table that are nobody's memory problem
+# `UNSEEN` of clothbench/core/errors.py in UTF-8: whole columns are looked through at once.
+_UNSEEN = re.compile(rb"[\x00-\x08\x0b-\x1f\x7f]|\xc2[\x80-\x9f]|\xe2\x80[\xaa-\xae]|\xe2\x81[\xa6-\xa9]")
 AGAIN = "delete its folder and run again"
 
 
@@ -89,8 +91,13 @@ def as_declared(table: pa.Table, columns: Columns, needed: Collection[str], wher
         if column.type != of and not pa.types.is_null(column.type):
             raise ClothbenchError(f"{where}: column {name!r}: found {column.type}, expected {of}; {AGAIN}")
         shown = column if column.type == of else column.cast(of)
-        if of == pa.string() and any(text and UNSEEN.search(text) for text in pc.unique(shown).to_pylist()):
+        if of == pa.string() and any(map(_has_unseen, shown.chunks)):
             shown = pa.chunked_array([pa.array([text and seen(text) for text in shown.to_pylist()], of)])
         if shown is not column:
             table = table.set_column(table.column_names.index(name), name, shown)
     return table
+
+
+def _has_unseen(texts: pa.Array) -> bool:
+    data = texts.buffers()[2]
+    return data is not None and _UNSEEN.search(data) is not None

@@ -129,6 +129,12 @@ def test_texts_of_a_leaderboard_move_no_cursor(tmp_path):
     assert load_rows(tmp_path / "in.json")[0]["suite"] == "\ufffd[2Js"
 
 
+@pytest.mark.parametrize("character", ["\x00", "\x1b", "\x7f", "\x9b", "\u202e", "\u2066"])
+def test_texts_of_a_table_move_no_cursor(tmp_path, character):
+    Store(tmp_path).put("ab", {"rows": [row(case=f"é{character}"), row(case="µ, ‰ and \t")]})
+    assert {r["case"] for r in Store(tmp_path).rows()} == {"é\ufffd", "µ, ‰ and \t"}
+
+
 def row(**changes):
     return {**dict.fromkeys(ROW), "suite": "s", "case": "c", "model": "m", "effects": "", "status": "ok", "key": "ab",
             "value": 1.0, **changes}  # fmt: skip
