@@ -30,7 +30,7 @@ import psutil
 
 CHILD = Path(__file__).with_name("fuzz_child.py")
 BATCH = 2000  # inputs of one process
-SLICE = 20.0  # s at a time for each kind
+SLICE = 60.0  # s at a time for each kind
 CPU, WALL = 15.0, 240.0  # s for one input: of a processor, and by the clock of a machine that has others to serve
 
 

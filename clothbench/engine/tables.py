@@ -75,17 +75,18 @@ def read_if_there(path: str, columns: Columns | None = None, needed: Collection[
 
 def as_declared(table: pa.Table, columns: Columns, needed: Collection[str], where: str) -> pa.Table:
     """A table with its declared columns in their types, and texts without what cannot be seen."""
-    if len(set(table.column_names)) < table.num_columns:
+    there = {name: k for k, name in enumerate(table.column_names)}
+    if len(there) < table.num_columns:
         raise ClothbenchError(f"{where}: found a column twice, expected each once; {AGAIN}")
     for name, of in columns.items():
-        if name not in table.column_names:
+        if name not in there:
             if name in needed:
                 raise ClothbenchError(
                     f"{where}: found no column {name!r}, expected the columns of a leaderboard; {AGAIN}"
                 )
             table = table.append_column(name, pa.nulls(table.num_rows, of))
             continue
-        column = table[name]
+        column = table.column(there[name])
         if name in needed and column.null_count:
             raise ClothbenchError(f"{where}: column {name!r}: found nothing in a row, expected {of}; {AGAIN}")
         if column.type != of and not pa.types.is_null(column.type):
@@ -94,7 +95,7 @@ def as_declared(table: pa.Table, columns: Columns, needed: Collection[str], wher
         if of == pa.string() and any(map(_has_unseen, shown.chunks)):
             shown = pa.chunked_array([pa.array([text and seen(text) for text in shown.to_pylist()], of)])
         if shown is not column:
-            table = table.set_column(table.column_names.index(name), name, shown)
+            table = table.set_column(there[name], name, shown)
     return table
 
 
