@@ -185,6 +185,16 @@ def test_pickles_bombs_and_claims_are_no_arrays(tmp_path):
             read_film(path)
 
 
+@pytest.mark.parametrize("rate", ["1e-320", "1e308", "nan", "-1", "9" * 400])
+def test_a_marker_file_of_no_possible_rate_is_refused(tmp_path, rate):
+    from clothbench_trackers.markers import Markers
+
+    rows = "".join(f"{k},{k / 100},0,0,{k}\n" for k in range(5))
+    (tmp_path / "in.csv").write_text(f"# unit: mm\n# rate: {rate}\nframe,time,a_x,a_y,a_z\n{rows}")
+    with pytest.raises(ClothbenchError, match=r"in\.csv: (rate|time): found"):
+        Markers(material={"a": (0, 0)}).track(tmp_path / "in.csv")
+
+
 # --- suites ---------------------------------------------------------------------------------------------------------
 
 HYDRAS = {
