@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, one_line
 
 DEFAULT_OUT = "runs"
 
@@ -40,6 +40,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         "OMP",
     ):  # the cores are filled with whole rollouts; more threads only get in the way
         os.environ.setdefault(f"{library}_NUM_THREADS", "1")
+    os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(2**27))  # a picture's header may claim anything
     try:
         if arguments[:1] == ["run"]:  # Hydra reads the rest
             from clothbench.cli.run import run
@@ -58,7 +59,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     except OSError as fault:
         if debug:
             raise
-        print(f"clothbench: {fault.filename or 'a file'}: {fault.strerror or fault}", file=sys.stderr)
+        line = one_line(f"{fault.filename or 'a file'}: {fault.strerror or fault}")
+        print(f"clothbench: {line}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         print("clothbench: stopped; finished cells are kept, run the same command again to go on", file=sys.stderr)

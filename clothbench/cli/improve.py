@@ -43,7 +43,8 @@ PLAIN = {
 }  # fmt: skip
 SHORT = {"resolution": "suite.resolution", "damping": "suite.damping", "areal_density": "scene.areal_density"}
 NESTED = ("options", "bounds")  # told as KEY.NAME=VALUE
-WORDS = (*PLAIN, *SHORT, *NESTED, *sorted(KNOWN - {*PLAIN, *NESTED, "study", "suite", "budget", "effects"}))
+OF_RUN = {"study", "suite", "budget", "limits", "effects", "finer"}  # settings that mean nothing here
+WORDS = (*PLAIN, *SHORT, *NESTED, *sorted(KNOWN - {*PLAIN, *NESTED} - OF_RUN))
 
 
 def command(words: Sequence[str], as_json: bool = False) -> int:

@@ -26,9 +26,11 @@ from hydra.types import RunMode
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from clothbench.cli.own_suites import require_harmless
 from clothbench.cli.results import print_results
 from clothbench.core.errors import ClothbenchError
-from clothbench.engine.executors.settings import executor_settings
+from clothbench.engine.executors.settings import LOCAL, executor_settings
+from clothbench.engine.limits import Limits
 from clothbench.engine.pool import failed, run_cells
 from clothbench.engine.progress import CellBar, Sweep, counting
 from clothbench.engine.settings import KNOWN, last_word
@@ -71,6 +73,7 @@ def run(arguments: Sequence[str]) -> int:
     sweep_so_far.cache_clear()
     sys.argv = ["clothbench run", *arguments]
     try:
+        require_harmless(arguments)
         hydra.main(version_base="1.3", config_path="pkg://clothbench.conf", config_name="run")(job)()
         return _conclude(notes, sweep)
     except (HydraException, OmegaConfBaseException) as fault:
@@ -131,7 +134,12 @@ def job(config: Any) -> None:
 
 
 def _run(config: Any, sweep: Sweep | None) -> dict[str, Any]:
-    executor = executor_settings(config.get("executor"))
+    executor, limits = executor_settings(config.get("executor")), Limits.of(config.get("limits"))
+    if limits.stated and executor["name"] != LOCAL:
+        raise ClothbenchError(
+            f"setting 'limits': they are watched on this machine only, found executor={executor['name']}; leave them "
+            "out (a scheduler has limits of its own)"
+        )
     with counting("files") as told:
         cells = plan(config, catalogue(), told)
     out = Path(config["out"])
@@ -139,6 +147,7 @@ def _run(config: Any, sweep: Sweep | None) -> dict[str, Any]:
         run_cells(
             cells, out, jobs=int(config["jobs"]), rerun=bool(config["rerun"]), done=bar.done, progress=bar.tell,
             executor=executor,
+            limits=limits,
         )  # fmt: skip
     return {"out": str(out.absolute()), "cells": [c.key for c in cells]}
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from rich.markup import escape
 from rich.table import Table
 
 from clothbench.core.errors import ClothbenchError
@@ -53,11 +54,13 @@ def submit(options: argparse.Namespace, results: Store | None) -> int:
     else:
         found = pack(folder, known, options.metric or ["node_error"], plugins, **about)
     several = f" by {len(found.cells)} fits" if found.cells else f" of {len(known)} recordings"
-    table = Table(title=f"{found.name}: {len(found.entries)} simulations{several}", title_justify="left")
+    table = Table(title=f"{escape(found.name)}: {len(found.entries)} simulations{several}", title_justify="left")
     for name in ("recording", *found.metrics):
         table.add_column(name, justify="left" if name == "recording" else "right")
     for entry in found.entries:
-        table.add_row(entry.recording, *(f"{entry.scores[m]:.4g}" if m in entry.scores else "" for m in found.metrics))
+        table.add_row(
+            escape(entry.recording), *(f"{entry.scores[m]:.4g}" if m in entry.scores else "" for m in found.metrics)
+        )
     console().print(table)
     print(f"{folder / FILE}: written; anybody can check it with `clothbench verify {folder}`")
     return 0
@@ -154,13 +157,14 @@ def _tell_unpublished(name: str, found: Sequence[Compared]) -> None:
 def tell(folder: Path, found: Verified, of: int) -> None:
     grade = f"[red]refused[/], {len(found.faults)} faults" if found.faults else f"[green]{GRADE}[/]"
     name, recordings = found.submission.name, len({one.measured.hash for one in found.found})
-    table = Table(title=f"{name} ({folder}): {grade}, {recordings} of {of} recordings", title_justify="left")
+    title = f"{escape(f'{name} ({folder})')}: {grade}, {recordings} of {of} recordings"
+    table = Table(title=title, title_justify="left")
     table.add_column("recording")
     for name in ("metric", "computed again", "floor"):
         table.add_column(name, justify="left" if name == "metric" else "right")
     for one in found.found:
         for metric, value in one.scores.items():
             floor = "" if one.floors[metric] != one.floors[metric] else f"{one.floors[metric]:.3g}"
-            table.add_row(one.measured.name, metric, f"{value:.4g} {one.units[metric]}", floor)
+            table.add_row(escape(one.measured.name), metric, f"{value:.4g} {one.units[metric]}", floor)
     console().print(table)
     refused(found.faults)

@@ -12,6 +12,7 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 
+MOST_PIXELS = 2**25  # more than 8K video has: memory is taken for whole pictures, and a header may claim anything
 LENSES = {"matrix": (3, 3), "rotation": (3, 3), "translation": (3,), "distortion": (5,)}
 
 
@@ -36,8 +37,10 @@ class Camera:
                 raise ClothbenchError(f"camera: {name} has shape {array.shape}, expected {shape} finite numbers")
             array.flags.writeable = False
             object.__setattr__(self, name, array)
-        if min(self.size) < 1:
-            raise ClothbenchError(f"camera: size is {self.size}, expected (width, height) in pixels")
+        if len(self.size) != 2 or min(self.size) < 1 or math.prod(self.size) > MOST_PIXELS:
+            raise ClothbenchError(
+                f"camera: size is {self.size}, expected (width, height), with {MOST_PIXELS} pixels at most"
+            )
         if np.abs(self.rotation @ self.rotation.T - np.eye(3)).max() > 1e-6 or np.linalg.det(self.rotation) < 0:
             raise ClothbenchError("camera: rotation is no proper rotation matrix")
 

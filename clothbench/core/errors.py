@@ -1,5 +1,28 @@
 """The one exception a user can cause: a single line that says what to do."""
 
+from __future__ import annotations
+
+import re
+
+# What has no business in a text: it moves a terminal's cursor, turns what follows around, or is half a letter. Line
+# breaks and tabs are not among it.
+UNSEEN = re.compile("[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+BEGINNING, END = 1200, 400  # characters of a line that is too long for one that are kept
+
 
 class ClothbenchError(Exception):
     """Wrong use or bad input. Shown as one line; the command ends with exit code 2."""
+
+    def __init__(self, text: object = ""):
+        super().__init__(one_line(str(text)))
+
+
+def seen(text: str) -> str:
+    """A text that may come from anywhere, without what cannot be seen."""
+    return UNSEEN.sub("\ufffd", text)
+
+
+def one_line(text: str) -> str:
+    """A text that may come from anywhere as one line that a terminal shows as it is."""
+    line = seen(re.sub(r"\s*[\n\r\v\f\x1c-\x1e\x85\u2028\u2029]\s*", " ", text).strip())
+    return line if len(line) <= BEGINNING + END else f"{line[:BEGINNING]} … {line[-END:]}"

@@ -4,17 +4,27 @@ from __future__ import annotations
 
 import errno
 import hashlib
+import json
+import math
 import os
 import re
 import shutil
 import tempfile
+import zipfile
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO
+
+from clothbench.core.errors import ClothbenchError
+
+if TYPE_CHECKING:
+    import numpy as np
 
 # Names of what is not in its place yet, or has left it; the eight letters are tempfile's.
 _HALF_FILE = re.compile(r"\..+\.[a-z0-9_]{8}\.part")
 _HALF_FOLDER = re.compile(r"\.(new|old|[0-9a-f]+)\.[a-z0-9_]{8}")
+_ODD = re.compile(r"\\u[dD]|[eE]\+?\d{3}")  # in JSON: what may be half a letter, or a number beyond all numbers
 
 
 def file_name(recording: str) -> str:
@@ -26,6 +36,74 @@ def sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def read_json(path: Path, expected: str) -> Any:
+    """What a JSON file holds. Anything else than JSON in UTF-8, NaN and infinity among it, is refused in one line.
+
+    expected: what the reader wants there, in words.
+    """
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (ValueError, OSError) as fault:
+        raise _no_json(path, fault, expected) from None
+    return parsed_json(text, path, expected)
+
+
+def parsed_json(text: str, where: object, expected: str) -> Any:
+    """The same of a text; where: what a fault calls it."""
+
+    def refused(word: str) -> Any:
+        raise ValueError(f"{word} is no JSON")
+
+    try:
+        found = json.loads(text, parse_constant=refused)
+        if _ODD.search(text):
+            json.dumps(found, ensure_ascii=False, allow_nan=False).encode()
+    except (ValueError, RecursionError) as fault:
+        raise _no_json(where, fault, expected) from None
+    return found
+
+
+def _no_json(where: object, fault: Exception, expected: str) -> ClothbenchError:
+    said = getattr(fault, "strerror", None) or (str(fault).splitlines() or [type(fault).__name__])[0]
+    return ClothbenchError(f"{where}: found no JSON that can be read ({said}), expected {expected}")
+
+
+def read_arrays(path: Path) -> dict[str, np.ndarray]:
+    """The arrays of a NumPy file, by name (.npz) or as "array" (.npy); no pickled ones, and none that claims more than
+    the file holds. Faults raise OSError, ValueError or zipfile.BadZipFile.
+    """
+
+    try:
+        if path.suffix == ".npy":
+            with path.open("rb") as file:
+                return {"array": _array(file, path.stat().st_size)}
+        with zipfile.ZipFile(path) as archive:
+            out: dict[str, np.ndarray] = {}
+            for member in archive.infolist():
+                if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise ValueError(f"{member.filename} is packed as NumPy packs nothing")  # and maybe far denser
+                with archive.open(member) as file:
+                    out[member.filename.removesuffix(".npy")] = _array(file, member.file_size)  # type: ignore[arg-type]
+            return out
+    except (zipfile.BadZipFile, OSError, ValueError):
+        raise
+    except Exception as fault:  # what NumPy, zlib and the parser of headers raise for broken bytes is in no list
+        raise ValueError((str(fault).splitlines() or [type(fault).__name__])[0]) from fault
+
+
+def _array(file: BinaryIO, size: int) -> np.ndarray:
+    """One array of a stream of so many bytes."""
+    from numpy.lib import format as npy
+
+    version = npy.read_magic(file)
+    read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
+    shape, _, of = read(file)
+    if of.hasobject or math.prod(shape) * of.itemsize > size or min(shape, default=0) < 0:
+        raise ValueError(f"a claim of {' × '.join(map(str, shape))} values of {of} in {size} bytes")
+    file.seek(0)
+    return npy.read_array(file, allow_pickle=False)
 
 
 @contextmanager

@@ -24,6 +24,7 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import sha256
+from clothbench.core.pictures import picture_of
 from clothbench.core.progress import FileProgress
 from clothbench.datasets import registry
 from clothbench.datasets.report import ImportReport, write_report
@@ -139,7 +140,7 @@ def drapes_of(fabric: str, split: str, shots: Sequence[Shot]) -> Silhouettes:
 
     images = []
     for shot in shots:
-        image = cv2.imread(str(shot.path), cv2.IMREAD_GRAYSCALE)
+        image = picture_of(shot.path, cv2.IMREAD_GRAYSCALE)
         if image is None:
             raise ClothbenchError(f"{shot.path}: found no picture that can be read, expected a JPEG of 256 × 256 px")
         images.append(image)

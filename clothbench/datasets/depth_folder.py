@@ -14,7 +14,7 @@ there too; what else there is becomes a note.
 
 from __future__ import annotations
 
-import json
+import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -23,14 +23,16 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.camera import Camera
-from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import file_name
+from clothbench.core.errors import ClothbenchError, seen
+from clothbench.core.files import file_name, read_arrays, read_json
 from clothbench.core.observation import GripPath
+from clothbench.core.pictures import picture_of
 from clothbench.core.progress import FileProgress
 from clothbench.recordings.depth import LAYOUT, Colour, DepthImages, write_depth
 
 LEVEL = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # a camera that looks along +y, z up
 MILLIMETRE = 1e-3
+FARTHEST = 65535  # steps that a depth frame of 16 bit can tell; what is farther counts as not measured
 OWN = {"camera", "time", "rate", "colour_time", "grips", "gravity", "depth_step"}
 
 
@@ -50,15 +52,17 @@ def read_folder(folder: Path, progress: FileProgress | None = None) -> DepthImag
         raise ClothbenchError(f"{folder}: found no frames, expected depth/*.png (16 bit) or clouds/*.ply or *.npy")
     time = _stamps(about, len(files), where)
     camera = camera_of(_needed(about, "camera", where), where)
-    step = float(about.get("depth_step", MILLIMETRE))
+    step = _number(about, "depth_step", where, MILLIMETRE)
+    if not step > 0:
+        raise ClothbenchError(f"{where}: 'depth_step': found {step:g}, expected metres above 0")
     frames = []
     for number, file in enumerate(files):
         frames.append(projected(read_cloud(file), camera, step, file) if clouds else read_png(file, camera))
         if progress is not None:
             progress(number + 1, len(files), file.name)
     return DepthImages(
-        name=str(_needed(about, "name", where)), time=time, depth=np.stack(frames), depth_step=step, camera=camera,
-        colour=_colour(folder, about, time, camera), grips=_grips(about, where), path=str(folder),
+        name=seen(str(_needed(about, "name", where))), time=time, depth=np.stack(frames), depth_step=step,
+        camera=camera, colour=_colour(folder, about, time, camera), grips=_grips(about, where), path=str(folder),
         **_header(about, where),
     )  # fmt: skip
 
@@ -67,7 +71,7 @@ def read_png(file: Path, camera: Camera) -> np.ndarray:
     """A depth frame (H, W) of whole numbers; one that is not 16 bit, or not of the camera's size, is refused."""
     import cv2
 
-    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    image = picture_of(file, cv2.IMREAD_UNCHANGED)
     if image is None:
         raise ClothbenchError(f"{file}: found no image that can be read, expected a PNG of 16 bit")
     if image.dtype != np.uint16 or image.ndim != 2:
@@ -84,16 +88,11 @@ def read_png(file: Path, camera: Camera) -> np.ndarray:
 
 def read_cloud(file: Path) -> np.ndarray:
     """Points (n, 3) m of a NumPy file, or of the vertices of a PLY file (ASCII or binary)."""
-    if file.suffix == ".npy":
-        try:
-            points = np.load(file, allow_pickle=False)
-        except (OSError, ValueError) as fault:
-            raise ClothbenchError(
-                f"{file}: found no array that can be read ({fault}), expected points (n, 3)"
-            ) from fault
-    else:
-        points = _ply(file)
-    if points.ndim != 2 or points.shape[1] < 3 or not np.issubdtype(points.dtype, np.number):
+    try:
+        points = read_arrays(file)["array"] if file.suffix == ".npy" else _ply(file)
+    except (OSError, ValueError, IndexError) as fault:
+        raise ClothbenchError(f"{file}: found no points that can be read ({fault}), expected points (n, 3)") from fault
+    if points.ndim != 2 or points.shape[1] < 3 or points.dtype.kind not in "iuf":
         raise ClothbenchError(f"{file}: found an array of shape {points.shape}, expected points (n, 3) in metres")
     points = np.asarray(points[:, :3], dtype=float)
     points = points[np.isfinite(points).all(axis=1)]
@@ -148,27 +147,25 @@ def projected(points: np.ndarray, camera: Camera, step: float, file: Path) -> np
     Clouds come thinner than the camera's pixels now and then: choose `size` and `matrix` so that a pixel has a point.
     """
     front = points[points[:, 2] > 0]
-    flat = front[:, :2] / front[:, 2:]
-    pixel = np.round(flat @ camera.matrix[:2, :2].T + camera.matrix[:2, 2]).astype(int)
     width, height = camera.size
-    inside = ((pixel >= 0) & (pixel < [width, height])).all(axis=1)
+    with np.errstate(over="ignore", invalid="ignore"):  # what is nowhere is not inside
+        place = np.round(front[:, :2] / front[:, 2:] @ camera.matrix[:2, :2].T + camera.matrix[:2, 2])
+        inside = ((place >= 0) & (place < [width, height])).all(axis=1) & (front[:, 2] / step <= FARTHEST)
+    pixel = np.where(inside[:, None], place, 0).astype(int)
     if not inside.any():
         raise ClothbenchError(f"{file}: found no point that the camera sees, expected some; is z forwards, in metres?")
     out = np.full((height, width), np.inf)
     np.minimum.at(out, (pixel[inside, 1], pixel[inside, 0]), front[inside, 2])
-    return np.where(np.isfinite(out), np.round(np.where(np.isfinite(out), out, 0) / step), 0).astype(np.uint16)
+    depth, seen = np.zeros((height, width), np.uint16), np.isfinite(out)
+    depth[seen] = np.round(out[seen] / step)
+    return depth
 
 
 def _about(folder: Path) -> dict[str, Any]:
     file = folder / "recording.json"
-    try:
-        found = json.loads(file.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ClothbenchError(
-            f"{file}: no such file; it states name, cloth size, camera and stamps of the frames"
-        ) from None
-    except (ValueError, OSError) as fault:
-        raise ClothbenchError(f"{file}: found no JSON that can be read ({fault})") from fault
+    if not file.exists():
+        raise ClothbenchError(f"{file}: no such file; it states name, cloth size, camera and stamps of the frames")
+    found = read_json(file, "an object with name, camera, …")
     if not isinstance(found, dict):
         raise ClothbenchError(f"{file}: found {type(found).__name__}, expected an object with name, camera, …")
     return found
@@ -191,14 +188,32 @@ def _files(folder: Path, endings: Sequence[str]) -> list[Path]:
 
 def _stamps(about: Mapping[str, Any], count: int, where: Path) -> np.ndarray:
     if "time" in about:
-        time = np.asarray(about["time"], dtype=float)
+        time = _numbers(about, "time", where)
         if time.shape != (count,):
             raise ClothbenchError(f"{where}: 'time': found {time.size} stamps, expected {count}, one for each frame")
         return time
-    rate = _needed(about, "rate", where)
-    if not isinstance(rate, int | float) or not rate > 0:
-        raise ClothbenchError(f"{where}: 'rate': found {rate!r}, expected frames per second, above 0")
+    _needed(about, "rate", where)
+    rate = _number(about, "rate", where)
+    if not rate > 0:
+        raise ClothbenchError(f"{where}: 'rate': found {about['rate']!r}, expected frames per second, above 0")
     return np.arange(count) / rate
+
+
+def _number(about: Mapping[str, Any], name: str, where: Path, otherwise: float = np.nan) -> float:
+    value = about.get(name, otherwise)
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        raise ClothbenchError(f"{where}: {name!r}: found {value!r}, expected a number")
+    try:
+        return float(value)
+    except OverflowError:
+        raise ClothbenchError(f"{where}: {name!r}: found a number of {len(str(value))} digits, expected one") from None
+
+
+def _numbers(about: Mapping[str, Any], name: str, where: Path) -> np.ndarray:
+    try:
+        return np.array(about[name], dtype=float)
+    except (TypeError, ValueError, OverflowError):
+        raise ClothbenchError(f"{where}: {name!r}: found something else, expected a list of numbers") from None
 
 
 def camera_of(told: Any, where: Path) -> Camera:
@@ -213,7 +228,7 @@ def camera_of(told: Any, where: Path) -> Camera:
         rotation = np.array(told.get("rotation", LEVEL), dtype=float)
         translation = np.array(told.get("translation", np.zeros(3)), dtype=float)
         return Camera(size, matrix, rotation, translation, **more)  # type: ignore[arg-type]
-    except (KeyError, TypeError, ValueError) as fault:
+    except (KeyError, TypeError, ValueError, OverflowError, AttributeError) as fault:
         raise ClothbenchError(
             f"{where}: 'camera': found {type(fault).__name__} {fault}, expected size and matrix, or fx, fy, cx, cy"
         ) from fault
@@ -231,12 +246,12 @@ def _colour(folder: Path, about: Mapping[str, Any], time: np.ndarray, camera: Ca
         raise ClothbenchError(f"{folder / 'colour'}: found {len(files)} pictures, expected {len(time)}, one a frame")
     frames = []
     for file in files:
-        image = cv2.imread(str(file), cv2.IMREAD_COLOR)
+        image = picture_of(file, cv2.IMREAD_COLOR)
         if image is None or image.shape[:2] != camera.size[::-1]:
             found = "no picture that can be read" if image is None else f"{image.shape[1]} × {image.shape[0]} px"
             raise ClothbenchError(f"{file}: found {found}, expected camera.size {camera.size}, registered to the depth")
         frames.append(image[..., ::-1])
-    return Colour(np.asarray(about.get("colour_time", time), dtype=float), np.stack(frames))
+    return Colour(_numbers({"colour_time": time, **about}, "colour_time", folder / "recording.json"), np.stack(frames))
 
 
 def _grips(about: Mapping[str, Any], where: Path) -> GripPath | None:
@@ -244,7 +259,7 @@ def _grips(about: Mapping[str, Any], where: Path) -> GripPath | None:
         return None
     try:
         return GripPath(*(np.array(about["grips"][name], dtype=float) for name in ("time", "material", "position")))
-    except (KeyError, TypeError, ValueError) as fault:
+    except (KeyError, TypeError, ValueError, OverflowError) as fault:
         raise ClothbenchError(
             f"{where}: 'grips': found {type(fault).__name__} {fault}, expected time, material and position"
         ) from fault
@@ -255,8 +270,17 @@ def _header(about: Mapping[str, Any], where: Path) -> dict[str, Any]:
     for name in ("cloth_width", "cloth_height"):
         _needed(about, name, where)
     known = {f.name for f in fields(DepthImages)}
-    out: dict[str, Any] = {k: v for k, v in about.items() if k in known and k not in OWN | {"name", "notes"}}
+    out: dict[str, Any] = {k: v for k, v in about.items() if k in LAYOUT.texts and k != "name"}
+    if wrong := [name for name, value in out.items() if not isinstance(value, str)]:
+        raise ClothbenchError(f"{where}: {wrong[0]!r}: found {out[wrong[0]]!r}, expected text")
+    out = {name: seen(text) for name, text in out.items()}
+    out |= {k: _number(about, k, where) for k in LAYOUT.numbers if k in about and k not in OWN}
     if "gravity" in about:
-        out["gravity"] = tuple(about["gravity"])
-    strays = {k: str(v) for k, v in about.items() if k not in known | OWN}
+        gravity = _numbers(about, "gravity", where)
+        if gravity.shape != (3,):
+            raise ClothbenchError(f"{where}: 'gravity': found {about['gravity']!r}, expected three numbers [m/s²]")
+        out["gravity"] = tuple(gravity.tolist())
+    strays = {k: seen(str(v)) for k, v in about.items() if k not in known | OWN}
+    if wrong := [name for name in strays if not re.fullmatch(r"\w[\w .-]*", name)]:
+        raise ClothbenchError(f"{where}: {wrong[0]!r}: found a name that is none, expected letters, digits and _")
     return out | {"notes": {k: v for k, v in strays.items() if k not in LAYOUT.known}}

@@ -14,7 +14,6 @@ the template mesh laid flat. What the originals leave open, and what is made of 
 
 from __future__ import annotations
 
-import json
 import math
 import zipfile
 from pathlib import Path
@@ -22,8 +21,10 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.core import pictures
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import read_json
 from clothbench.core.progress import FileProgress
 from clothbench.datasets import registry
 from clothbench.datasets.depth_folder import LEVEL, projected
@@ -99,9 +100,9 @@ def cloud_of(path: Path) -> np.ndarray:
 def camera_of(path: Path, coarser: int = COARSER) -> Camera:
     """The camera that a scene's file states, with pixels `coarser` times as large; it looks along +y, level."""
     try:
-        told = json.loads(path.read_text(encoding="utf-8"))
+        told = read_json(path, "a camera")
         (fx, fy), (cx, cy), (rows, columns) = told["focal_length"], told["optical_center"], told["image_size"]
-    except (OSError, KeyError, TypeError, ValueError) as fault:
+    except (KeyError, TypeError, ValueError) as fault:
         raise ClothbenchError(
             f"{path}: found no camera ({fault!r}), expected focal_length, optical_center, image_size"
         ) from fault
@@ -130,7 +131,7 @@ def flat_template(source: Path) -> np.ndarray:
     from scipy.ndimage import map_coordinates
 
     file = source / "R1_texture.png"
-    texture = cv2.imread(str(file), cv2.IMREAD_COLOR)
+    texture = pictures.picture_of(file, cv2.IMREAD_COLOR)
     if texture is None:
         raise ClothbenchError(f"{file}: found no picture that can be read; fetch it again")
     _, at, _ = mesh_of(source / "templates" / "0_R1_quad.obj")
@@ -160,7 +161,7 @@ def picture_of(path: Path, camera: Camera) -> np.ndarray:
     """A picture (H, W, 3) of the camera's size, RGB."""
     import cv2
 
-    image = cv2.imread(str(path), cv2.IMREAD_COLOR)
+    image = pictures.picture_of(path, cv2.IMREAD_COLOR)
     if image is None:
         raise ClothbenchError(f"{path}: found no picture that can be read; fetch it again")
     return np.ascontiguousarray(cv2.resize(image, camera.size, interpolation=cv2.INTER_AREA)[..., ::-1])

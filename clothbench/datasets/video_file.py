@@ -10,7 +10,6 @@ the upper left and the upper right corner, or of all four corners, clockwise; `n
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -19,10 +18,11 @@ import numpy as np
 
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import file_name
+from clothbench.core.files import file_name, read_json
+from clothbench.core.pictures import silenced
 from clothbench.core.progress import FileProgress
 from clothbench.datasets.depth_folder import camera_of
-from clothbench.recordings.colour_video import ColourVideo, Marks, decoded, silence, write_video
+from clothbench.recordings.colour_video import ColourVideo, Marks, decoded, write_video
 from clothbench.vision.template import Keypoints, find_template
 
 SETTINGS = ("template", "width", "height", "rate", "camera", "marks", "name", "fabric", "motion", "split",
@@ -110,17 +110,9 @@ def _film(file: Path, rate: float | None, progress: FileProgress | None) -> tupl
     import cv2
 
     stream = np.frombuffer(file.read_bytes(), np.uint8)
-    silence()
-    film = cv2.VideoCapture(str(file))
-    try:
-        stamps, told = [], film.get(cv2.CAP_PROP_FPS)
-        planned = int(film.get(cv2.CAP_PROP_FRAME_COUNT))
-        while film.grab():
-            stamps.append(1e-3 * film.get(cv2.CAP_PROP_POS_MSEC))
-            if progress is not None:
-                progress(len(stamps), max(planned, len(stamps)), file.name)
-    finally:
-        film.release()
+    with silenced():
+        film = cv2.VideoCapture(str(file))
+    stamps, told = _stamps(film, file, progress)
     if len(stamps) < LEAST_FRAMES:
         raise ClothbenchError(
             f"{file}: found {len(stamps)} frames that can be read, expected a video of {LEAST_FRAMES} or more; convert "
@@ -134,6 +126,26 @@ def _film(file: Path, rate: float | None, progress: FileProgress | None) -> tupl
             raise ClothbenchError(f"{file}: found neither stamps nor a rate in the video; state rate=FRAMES_PER_SECOND")
         time = np.arange(len(time)) / told
     return stream, time - time[0]
+
+
+def _stamps(film: Any, file: Path, progress: FileProgress | None) -> tuple[list[float], float]:
+    """The stamps [s] of the frames that can be read, and the rate [1/s] that the file states."""
+    import cv2
+
+    stamps, planned = [], max(0, int(film.get(cv2.CAP_PROP_FRAME_COUNT)))
+    try:
+        while _grabbed(film):
+            stamps.append(1e-3 * film.get(cv2.CAP_PROP_POS_MSEC))
+            if progress is not None:
+                progress(len(stamps), max(planned, len(stamps)), file.name)
+        return stamps, film.get(cv2.CAP_PROP_FPS)
+    finally:
+        film.release()
+
+
+def _grabbed(film: Any) -> bool:
+    with silenced():
+        return film.grab()
 
 
 def _pictures_in(folder: Path) -> list[Path]:
@@ -170,10 +182,7 @@ def _camera(settings: Mapping[str, str]) -> tuple[Camera | None, bool]:
     if "camera" not in settings:
         return None, False
     file = Path(settings["camera"])
-    try:
-        told: Any = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as fault:
-        raise ClothbenchError(f"{file}: found no JSON that can be read ({fault}), expected a camera") from fault
+    told = read_json(file, "a camera")
     return camera_of(told, file), isinstance(told, dict) and {"rotation", "translation"} <= told.keys()
 
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from clothbench.core.camera import LENSES, Camera, Projector
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import read_arrays
 from clothbench.vision.surface import surface_of
 
 FRAMES = 25  # at most
@@ -112,24 +113,33 @@ def write_film(path: Path, film: Film) -> None:
 
 
 def read_film(path: Path) -> Film:
-    """One NPZ file of `write_film`."""
-    with np.load(path, allow_pickle=False) as file:
-        about, origin, step = json.loads(str(file["about"])), file["origin"], float(file["step"])
-        takes = {
-            word: Take(in_metres(file[f"position_{n}"], origin, step), file[f"error_{n}"])
-            for n, word in enumerate(about.pop("takes"))
-        }
-        told = about.pop("optics")
-        camera = Camera(tuple(about["size"]), **told["camera"]) if told else None
-        projector = None
-        if told and told["projector"]:
-            period, size = told["projector"].pop("period"), told["projector"].pop("size")
-            projector = Projector(Camera(tuple(size), **told["projector"]), period)
-        return Film(
-            **{**about, "size": tuple(about["size"])}, time=file["time"], material=file["material"],
-            seen=in_metres(file["seen"], origin, step), picture=file["picture"].tobytes(), camera=camera,
-            projector=projector, takes=takes,
-        )  # fmt: skip
+    """One NPZ file of `write_film`; a damaged one is refused in one line."""
+    try:
+        return _film(read_arrays(path))
+    except Exception as fault:  # whatever a page would trip over in it: the file may come from anywhere
+        said = (str(fault).splitlines() or [type(fault).__name__])[0]
+        raise ClothbenchError(
+            f"{path}: found a damaged film ({said}), expected it as it was written; delete its folder and run again"
+        ) from fault
+
+
+def _film(file: Mapping[str, np.ndarray]) -> Film:
+    about, origin, step = json.loads(str(file["about"])), file["origin"], float(file["step"])
+    takes = {
+        word: Take(in_metres(file[f"position_{n}"], origin, step), file[f"error_{n}"])
+        for n, word in enumerate(about.pop("takes"))
+    }
+    told = about.pop("optics")
+    camera = Camera(tuple(about["size"]), **told["camera"]) if told else None
+    projector = None
+    if told and told["projector"]:
+        period, size = told["projector"].pop("period"), told["projector"].pop("size")
+        projector = Projector(Camera(tuple(size), **told["projector"]), period)
+    return Film(
+        **{**about, "size": tuple(about["size"])}, time=file["time"], material=file["material"],
+        seen=in_metres(file["seen"], origin, step), picture=file["picture"].tobytes(), camera=camera,
+        projector=projector, takes=takes,
+    )  # fmt: skip
 
 
 def grid_of(film: Film) -> tuple[np.ndarray, float]:

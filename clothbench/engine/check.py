@@ -2,26 +2,23 @@
 
 from __future__ import annotations
 
-import json
-import re
 import zipfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import pyarrow as pa
 
-from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import half_written
+from clothbench.core.errors import ClothbenchError, one_line
+from clothbench.core.files import half_written, read_arrays, read_json
 from clothbench.engine.index import INDEX
 from clothbench.engine.run import TRACKED
-from clothbench.engine.store import FINISHED, JOURNAL, ROW, Store, read_table
-from clothbench.engine.study import studies
+from clothbench.engine.store import FINISHED, JOURNAL, KEY, ROW, ROWS, Store
+from clothbench.engine.study import Study, studies
+from clothbench.engine.tables import as_declared, read_table
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import read_recording
 
-KEY = re.compile(r"[0-9a-f]+")
 AGAIN = "delete the folder and run again"
 
 
@@ -35,13 +32,13 @@ class Finding:
 
 
 def fault(path: Path, found: str, expected: str, advice: str) -> Finding:
-    return Finding(path, f"{path}: found {found}, expected {expected}; {advice}")
+    return Finding(path, one_line(f"{path}: found {found}, expected {expected}; {advice}"))
 
 
 def check(store: Store, plugins: Catalogue, told: Callable[[int, int, str], None] = lambda *_: None) -> list[Finding]:
     """Read every file of a store. `told(done, planned, name)` after each cell."""
     entries = sorted((store.folder / "cells").glob("[!.]*"))
-    known, out = frozenset(studies(plugins)), []
+    known, out = studies(plugins), []
     for done, entry in enumerate(entries):
         out += check_cell(entry, known)
         told(done + 1, len(entries), entry.name)
@@ -50,8 +47,8 @@ def check(store: Store, plugins: Catalogue, told: Callable[[int, int, str], None
     return out
 
 
-def check_cell(folder: Path, known: frozenset[str]) -> list[Finding]:
-    """What is wrong with one cell, file by file. known: names of the studies that are installed."""
+def check_cell(folder: Path, known: Mapping[str, Study]) -> list[Finding]:
+    """What is wrong with one cell, file by file. known: the studies that are installed."""
     if not folder.is_dir() or not KEY.fullmatch(folder.name):
         return [fault(folder, "a stray", "folders of cells named by their keys alone", "move it away")]
     rows, tables, out = folder / "rows.parquet", {}, []
@@ -63,12 +60,20 @@ def check_cell(folder: Path, known: frozenset[str]) -> list[Finding]:
             tables[path] = read_table(path)
         except ClothbenchError as said:
             out.append(Finding(path, str(said)))
-    for path, table in tables.items():
-        out += strangers(path, table, folder.name)
+    study = None
     if rows in tables:
-        out += bad_rows(rows, tables[rows].to_pylist(), known)
+        missing = [name for name in ROW if name not in tables[rows].column_names]
+        out += list(bad_rows(rows, tables[rows], missing, known))
+        study = next((known[name] for name in known if name in _texts(tables[rows], "study")), None)
     elif not rows.exists():
         out.append(fault(folder, "no rows.parquet", "a finished cell", AGAIN))
+    for path, table in tables.items():
+        out += strangers(path, table, folder.name)
+        declared = study.tables.get(path.stem, {}) if study is not None and path != rows else {}
+        try:
+            as_declared(table, declared, (), str(path))
+        except ClothbenchError as said:
+            out.append(Finding(path, str(said)))
     return [found for found in out if found.path.exists()]  # else a run has just put a result in place of an error
 
 
@@ -78,11 +83,9 @@ def unreadable(path: Path) -> Finding | None:
         if path.suffix == ".nc":
             read_recording(path)
         elif path.suffix == ".npz":
-            with zipfile.ZipFile(path) as archive:
-                if (bad := archive.testzip()) is not None:
-                    return fault(path, f"a damaged array {bad!r}", "arrays as they were written", AGAIN)
+            read_arrays(path)
         elif path.suffix == ".json":
-            json.loads(path.read_text(encoding="utf-8"))
+            read_json(path, "a document as it was written")
         elif path.stat().st_size == 0:
             return fault(path, "an empty file", "content", AGAIN)
     except ClothbenchError as said:
@@ -92,23 +95,33 @@ def unreadable(path: Path) -> Finding | None:
     return None
 
 
+def _texts(table: pa.Table, name: str) -> set[str]:
+    """The texts in a column, whatever else it may hold."""
+    values = table[name].to_pylist() if name in table.column_names else []
+    return {str(value) for value in values if value is not None}
+
+
 def strangers(path: Path, table: pa.Table, key: str) -> Iterator[Finding]:
     """Whether rows of a table belong to another cell."""
-    if "key" in table.column_names and (other := set(table["key"].to_pylist()) - {key}):
-        yield fault(path, f"rows of the cell {min(map(str, other))}", f"those of {key}, as its folder is named", AGAIN)
+    if other := _texts(table, "key") - {key}:
+        yield fault(path, f"rows of the cell {min(other)}", f"those of {key}, as its folder is named", AGAIN)
 
 
-def bad_rows(path: Path, rows: list[dict[str, Any]], known: frozenset[str]) -> Iterator[Finding]:
+def bad_rows(path: Path, table: pa.Table, missing: Sequence[str], known: Collection[str]) -> Iterator[Finding]:
     """Rows that lack a column, or say what no run writes."""
-    if not rows:
+    if not table.num_rows:
         yield fault(path, "no row", "one or more", AGAIN)
         return
-    if missing := [name for name in ROW if name not in rows[0]]:
+    if missing:
         yield fault(path, f"no column {missing[0]!r}", "the columns of a leaderboard", AGAIN)
         return
-    for status in sorted({str(row["status"]) for row in rows} - {*FINISHED, "error"}):
+    try:
+        as_declared(table, ROWS, ("status",), str(path))
+    except ClothbenchError as said:
+        yield Finding(path, str(said))
+    for status in sorted(_texts(table, "status") - {*FINISHED, "error"}):
         yield fault(path, f"status {status!r}", f"{', '.join(FINISHED)} or error", AGAIN)
-    for study in sorted({str(row["study"]) for row in rows if row.get("study")} - known):
+    for study in sorted(_texts(table, "study") - set(known)):
         yield fault(path, f"study {study!r}", " or ".join(sorted(known)), "install the plugin that wrote it")
 
 

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clothbench.core.files import whole_file
+from clothbench.core.files import read_arrays, whole_file
 
 Arrays = dict[str, np.ndarray]
 
@@ -39,9 +39,8 @@ class Checkpoint:
         if self.folder is None or not (path := self.folder / f"{self.prefix}{key}.npz").is_file():
             return None
         try:
-            with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
-                return dict(stored)
-        except (OSError, ValueError, EOFError, zipfile.BadZipFile):
+            return read_arrays(path)
+        except (OSError, ValueError, zipfile.BadZipFile):
             return None
 
     def keep(self, key: str, **arrays: np.ndarray) -> None:

@@ -19,9 +19,11 @@ from clothbench.core.create_only import require_create_only
 from clothbench.core.parallel import available_cores, share_cores
 from clothbench.engine.executors.cells import run_cells_on
 from clothbench.engine.executors.settings import LOCAL
+from clothbench.engine.limits import Limits, Watch, end_forks
 from clothbench.engine.run import CellProgress, failed_with, keep, run_cell
 from clothbench.engine.store import Store
 from clothbench.engine.study import Cell
+from clothbench.plugins.discovery import OWN, catalogue
 
 WATCH = 0.5  # s between two looks at whether the parent still lives, or at how far the cells are
 
@@ -35,13 +37,15 @@ def run_cells(
     done: Callable[[Cell, str], None],
     progress: CellProgress | None = None,
     executor: Mapping[str, Any] | None = None,
+    limits: Limits | None = None,
 ) -> None:
     """Run every cell that the store lacks, `jobs` processes at a time (0: one per core); `done(cell, status)` after.
 
     executor: as `executor_settings` has it, whose workers are to run them; None: processes of this machine.
 
     A single cell runs in this process with all cores; several run in a pool of processes that share the cores, anew
-    whenever one of them has nothing more to do: the last cell has all of them.
+    whenever one of them has nothing more to do: the last cell has all of them. A cell of a stranger's plugins, or one
+    with a limit, never runs in this process: whatever it does there, this one is left to tell of it.
     """
     store = Store(out)
     kept = store.finished(dict.fromkeys(c.key for c in cells))
@@ -52,23 +56,30 @@ def run_cells(
         if cell.key in kept:
             done(cell, "kept")
     workers = min(jobs or available_cores(), len(missing))
+    here = not (limits and limits.stated) and all(map(_of_our_own, missing))
     if missing and executor and executor["name"] != LOCAL:
         run_cells_on(executor, missing, out, jobs=jobs, rerun=rerun, done=done, progress=progress)
-    elif len(missing) == 1 or jobs == 1:
+    elif here and (len(missing) == 1 or jobs == 1):
         for cell in missing:
             done(cell, run_cell(cell, out, rerun=rerun, progress=progress))
     elif missing:
-        _run_in_processes(missing, out, workers, rerun, done, progress)
+        _run_in_processes(missing, out, workers, rerun, done, progress, limits or Limits())
+
+
+def _of_our_own(cell: Cell) -> bool:
+    """Whether only built-in plugins have a part in a cell."""
+    versions = [*cell.versions.values(), catalogue().find("studies", cell.study).distribution]
+    return all(version.split(" ")[0] == OWN for version in versions)
 
 
 def _run_in_processes(
     cells: Sequence[Cell], out: Path, workers: int, rerun: bool, done: Callable[[Cell, str], None],
-    progress: CellProgress | None,
+    progress: CellProgress | None, limits: Limits,
 ) -> None:  # fmt: skip
     """Keep `workers` processes busy.
 
     If one dies, the cells that were running are tried again, each alone: the one that kills its process a second
-    time is the culprit and becomes an error row.
+    time is the culprit and becomes an error row. One that was ended because it went beyond a limit becomes one at once.
     """
     from loky.process_executor import BrokenProcessPool
 
@@ -76,7 +87,7 @@ def _run_in_processes(
     running: dict[Future, Cell] = {}
     told, numbers = _told_file(len(cells)), {c.key: n for n, c in enumerate(cells)}
     running_now = _counter(_count_file())
-    executor = _pool(workers)
+    executor, watch = _pool(workers), Watch(limits, workers)
     while waiting or running:
         try:
             while waiting and len(running) < workers:
@@ -84,7 +95,7 @@ def _run_in_processes(
                 running[executor.submit(_run_and_tell, cell, out, rerun, told, numbers[cell.key])] = cell
                 waiting.pop()
             running_now[0] = len(running)
-            for future in _first(running, told, numbers, progress):
+            for future in _first(running, told, numbers, progress, watch):
                 status = future.result()
                 done(running.pop(future), status)
         except BrokenProcessPool:
@@ -92,57 +103,79 @@ def _run_in_processes(
             running.clear()
             running_now[0] = 1
             for cell in suspects:
-                done(cell, _run_alone(cell, out, rerun))
+                if cell.key in watch.ended:
+                    done(cell, _failed(cell, out, watch.ended[cell.key]))
+                elif any(suspect.key in watch.ended for suspect in suspects) and not Store(out).has(cell.key):
+                    waiting.append(cell)  # its process went down with another's that was ended
+                else:
+                    done(cell, _run_alone(cell, out, rerun, told, numbers, watch))
             executor = _pool(workers)
 
 
 def _first(
-    running: Mapping[Future, Cell], told: Path, numbers: Mapping[str, int], progress: CellProgress | None
+    running: Mapping[Future, Cell], told: Path, numbers: Mapping[str, int], progress: CellProgress | None, watch: Watch
 ) -> Iterable[Future]:
-    """Those that have ended, as soon as one has; until then `progress` hears how far the others are."""
+    """Those that have ended, as soon as one has; until then `progress` hears how far the others are, and `watch` sees
+    to it that they keep to their limits.
+    """
     while not (ended := wait(list(running), timeout=WATCH, return_when=FIRST_COMPLETED).done):
-        for cell in running.values() if progress is not None else ():
-            steps, value = _told(told, numbers[cell.key], "r")
+        pids = {}
+        for cell in running.values():
+            steps, value, pid = _told(told, numbers[cell.key], "r")
             if steps > 0 and progress is not None:
                 progress(cell, int(steps), float(value))
+            if pid > 0:
+                pids[cell.key] = int(pid)
+        watch.look(pids)
     return ended
 
 
 def _run_and_tell(cell: Cell, out: Path, rerun: bool, told: Path, number: int) -> str:
     """In a worker: run a cell, and leave word of how far it is for the process that asked for it."""
     mine = _told(told, number)
+    mine[:] = 0, 0, os.getpid()
 
     def tell(_: Cell, steps: int, value: float) -> None:
-        mine[:] = steps, value
+        mine[:2] = steps, value
 
-    return run_cell(cell, out, rerun=rerun, progress=tell)
+    try:
+        return run_cell(cell, out, rerun=rerun, progress=tell)
+    finally:
+        mine[2] = 0  # what this process does from now on is another cell's
+        end_forks()
 
 
 def _told(path: Path, number: int, mode: Literal["r", "r+"] = "r+") -> np.memmap:
-    """Steps and value (2,) of the cell of that number, as all processes see them."""
-    return np.memmap(path, np.float64, mode, offset=16 * number, shape=2)
+    """Steps, value and process (3,) of the cell of that number, as all processes see them."""
+    return np.memmap(path, np.float64, mode, offset=24 * number, shape=3)
 
 
 def _told_file(cells: int) -> Path:
     """Where workers leave word of their cells; a file, for the reason of `_count_file`."""
     path = _shared_file()
-    np.memmap(path, np.float64, "w+", shape=2 * cells).flush()
+    np.memmap(path, np.float64, "w+", shape=3 * cells).flush()
     return path
 
 
-def _run_alone(cell: Cell, out: Path, rerun: bool) -> str:
+def _run_alone(cell: Cell, out: Path, rerun: bool, told: Path, numbers: Mapping[str, int], watch: Watch) -> str:
     from loky.process_executor import BrokenProcessPool
 
-    store = Store(out)
-    if store.has(cell.key):  # it had finished just before its neighbour died
+    if Store(out).has(cell.key):  # it had finished just before its neighbour died
         return "ok"
     try:
-        return _pool(1).submit(run_cell, cell, out, rerun=rerun).result()
+        future = _pool(1).submit(_run_and_tell, cell, out, rerun, told, numbers[cell.key])
+        _first({future: cell}, told, numbers, None, watch)
+        return future.result()
     except BrokenProcessPool as fault:
         reason = str(fault).strip().splitlines()[0] if str(fault).strip() else "no word from it"
-        result = failed_with(cell, f"the process that ran this cell died ({reason})")
-        keep(store, cell, result)
-        return result.status
+        return _failed(cell, out, watch.ended.get(cell.key, f"the process that ran this cell died ({reason})"))
+
+
+def _failed(cell: Cell, out: Path, reason: str) -> str:
+    """Put an error in the store for a cell whose process could not; its status."""
+    result = failed_with(cell, reason)
+    keep(Store(out), cell, result)
+    return result.status
 
 
 def _pool(workers: int):
@@ -177,7 +210,8 @@ def _counter(path: Path, mode: Literal["r", "r+"] = "r+") -> np.memmap:
 
 
 def _begin(parent: int, count_file: Path) -> None:
-    """In a worker, before its first cell."""
+    """In a worker, before its first cell. What plugins print goes to standard error: the other may be a document."""
+    os.dup2(2, 1)
     running_now = _counter(count_file, "r")
     share_cores(lambda: int(running_now[0]))
     _end_with(parent)

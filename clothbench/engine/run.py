@@ -37,7 +37,7 @@ def run_cell(
     context = Context(plugins, store.folder / JOURNAL / cell.key, told, stage, rerun, store.folder / TRACKED, elsewhere)
     try:
         study: Study = plugins.load("studies", cell.study)
-        result = study.run(cell, context)
+        result = _in_this_process(study, cell, context)
         keep(store, cell, result, study)
         context.checkpoint.forget()
     except Skipped as reason:
@@ -46,10 +46,22 @@ def run_cell(
     except ClothbenchError as fault:  # says itself what is wrong; where in the program it came up helps nobody
         result = failure(cell, "error", str(fault))
         keep(store, cell, result)
-    except Exception as fault:
+    except (Exception, SystemExit) as fault:
         result = failed_with(cell, one_line(fault), traceback.format_exc())
         keep(store, cell, result)
     return result.status
+
+
+def _in_this_process(study: Study, cell: Cell, context: Context) -> Result:
+    """What came of a cell. A process that a plugin has forked on the way, and that comes back here, ends: one of them
+    tells of the cell, and takes the next one.
+    """
+    mine = os.getpid()
+    try:
+        return study.run(cell, context)
+    finally:
+        if os.getpid() != mine:
+            os._exit(0)
 
 
 def failed_with(cell: Cell, reason: str, detail: str = "") -> Result:

@@ -20,7 +20,7 @@ from clothbench.plugins.discovery import Catalogue
 PLUGINS = ("model", "optimizer", "metric", "effects", "report", "recording", "recordings")  # names, or lists of them
 KNOWN = {
     *PLUGINS, "study", "tracker", "scene", "options", "bounds", "budget", "seed", "jobs", "timeout", "out", "data_dir",
-    "suite", "rerun", "analysis", "choice", "prior", "finer", "executor",
+    "suite", "rerun", "analysis", "choice", "prior", "finer", "executor", "limits",
 }  # fmt: skip
 STARTS = ("rest", "measured")
 FINER_SHARE = 0.25  # of the evaluations, which a search that ends on a finer mesh gets there

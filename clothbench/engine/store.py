@@ -12,10 +12,10 @@ RUNS/index/                         a cache for listing many cells; may be delet
 from __future__ import annotations
 
 import functools
-import json
 import math
 import os
 import platform
+import re
 import string
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -25,16 +25,15 @@ from typing import Any
 
 import pandas as pd
 import pyarrow as pa
-import pyarrow.parquet as pq
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import whole_folder
+from clothbench.core.files import parsed_json, read_json, whole_folder
 from clothbench.engine.index import INDEX, indexed
+from clothbench.engine.tables import Columns, as_declared, read_if_there, write_table
 
-SCHEMA_VERSION = 1
-Columns = Mapping[str, pa.DataType]
 _text, _number, _whole = pa.string(), pa.float64(), pa.int64()
 
+LISTED = "rows as `clothbench leaderboard --json` prints them"
 # The rows of `leaderboard --json`, in this order; what does not apply is null.
 ROW = {
     "suite": _text, "case": _text, "recording": _text, "split": _text, "model": _text, "effects": _text,
@@ -51,8 +50,10 @@ SYSTEM = {
     "python": _text, "numpy": _text, "numba": _text, "platform": _text,
     "cpu": _text, "cores": _whole, "threads": _whole, "finished": _text,
 }  # fmt: skip
+ROWS = {**ROW, **SYSTEM}
 FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
 
+KEY = re.compile(r"[0-9a-f]+")  # of a cell, and the name of its folder
 JOURNAL = "journal"  # folder of what unfinished cells have simulated
 SEEDLESS = "something in this cell does not go by its seed: a model, a tracker, or a library's threads"
 
@@ -132,7 +133,7 @@ class Store:
 
         columns: of the tables beside "rows", by name.
         """
-        known = {"rows": {**ROW, **SYSTEM}, **(columns or {})}
+        known = {"rows": ROWS, **(columns or {})}
         with whole_folder(self.cell(key), lambda: self._stands(key, tables["rows"])) as part:
             for name, content in tables.items():
                 write_table(part / f"{name}.parquet", content, known.get(name))
@@ -172,10 +173,16 @@ class Store:
         """The names of the tables that a cell has."""
         return frozenset(path.stem for path in self.cell(key).glob("*.parquet"))
 
-    def table(self, name: str, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
-        """A table by its name, over all cells that have it, or over some."""
+    def table(
+        self, name: str, keys: Iterable[str] | None = None, columns: Columns | None = None
+    ) -> list[dict[str, Any]]:
+        """A table by its name, over all cells that have it, or over some. columns: those that it has to have; "rows"
+        has those of all studies.
+        """
         files = {key: f"{self.folder}/cells/{key}/{name}.parquet" for key in (self._keys() if keys is None else keys)}
-        return indexed(self.folder / INDEX / name, files, read_if_there)
+        declared = ROWS if name == "rows" else columns
+        needed = ("status",) if name == "rows" else ()
+        return indexed(self.folder / INDEX / name, files, lambda path: read_if_there(path, declared, needed))
 
     def _keys(self) -> list[str]:
         """Of all cells, in order."""
@@ -185,44 +192,6 @@ class Store:
             return []
 
 
-def write_table(path: Path, content: list[dict[str, Any]] | pd.DataFrame, columns: Columns | None = None) -> None:
-    """One Parquet file; rows become a table of exactly these columns."""
-    if isinstance(content, pd.DataFrame):
-        table = pa.Table.from_pandas(content, preserve_index=False)
-    else:
-        table = pa.Table.from_pylist(content, schema=pa.schema(list((columns or {}).items())) if columns else None)
-    stamped = table.replace_schema_metadata({"clothbench_schema": str(SCHEMA_VERSION)})
-    pq.write_table(stamped, path, write_page_checksum=True)  # a flipped bit is a fault then, and not another number
-
-
-def read_table(path: Path) -> pa.Table:
-    """One Parquet file of this schema version; a damaged or foreign one is refused in one line."""
-    try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
-            table = file.read()
-    except (pa.ArrowInvalid, OSError) as fault:
-        raise ClothbenchError(
-            f"{path}: found a damaged table ({str(fault).splitlines()[0]}); delete its folder and run again"
-        ) from fault
-    found = (table.schema.metadata or {}).get(b"clothbench_schema", b"none").decode()
-    if found != str(SCHEMA_VERSION):
-        raise ClothbenchError(
-            f"{path}: found schema {found}, expected {SCHEMA_VERSION}; "
-            "results of another version are set aside: move them"
-        )
-    return table
-
-
-def read_if_there(path: str) -> pa.Table | None:
-    """One Parquet file; None if there is none, or none any more."""
-    if not os.path.isfile(path):
-        return None
-    try:
-        return read_table(Path(path))
-    except ClothbenchError:  # another process may just have put a new attempt in place of this error
-        return read_table(Path(path)) if os.path.isfile(path) else None
-
-
 def row_order(row: dict[str, Any]) -> tuple[str, ...]:
     """Sort key: suite, case, model …; within a cell the fit before the held-out split, totals after recordings."""
     names = ("suite", "case", "model", "effects", "optimizer", "metric", "split")
@@ -230,9 +199,9 @@ def row_order(row: dict[str, Any]) -> tuple[str, ...]:
 
 
 def leaderboard_row(row: dict[str, Any]) -> dict[str, Any]:
-    """A row as `leaderboard --json` prints it: its keys only, NaN as null."""
+    """A row as `leaderboard --json` prints it: its keys only, null for what is no finite number."""
     values = ((name, row.get(name)) for name in ROW)
-    return {name: None if value != value else value for name, value in values}
+    return {name: finite(value) if isinstance(value, float) else value for name, value in values}
 
 
 def load_rows(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
@@ -240,33 +209,27 @@ def load_rows(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
     path = Path(path)
     if path.is_dir():
         return Store(path).rows()
-    try:
-        return rows_in(path.read_text(), path)
-    except FileNotFoundError:
-        raise ClothbenchError(f"{path}: no such folder or file; give a results folder or a leaderboard .json") from None
-    except UnicodeDecodeError as fault:
-        raise ClothbenchError(
-            f"{path}: found no JSON ({fault}), expected the output of `clothbench leaderboard --json`"
-        ) from None
+    if not path.exists():
+        raise ClothbenchError(f"{path}: no such folder or file; give a results folder or a leaderboard .json")
+    return require_rows(read_json(path, LISTED), path)
 
 
 def rows_in(text: str, where: object) -> list[dict[str, Any]]:
     """Rows in the text of a file that `leaderboard --json` wrote; where: what a fault calls it."""
-    try:
-        rows = json.loads(text)
-    except (json.JSONDecodeError, RecursionError) as fault:
-        raise ClothbenchError(
-            f"{where}: found no JSON ({fault}), expected the output of `clothbench leaderboard --json`"
-        ) from None
-    require_rows(rows, where)
-    return rows
+    return require_rows(parsed_json(text, str(where), LISTED), where)
 
 
-def require_rows(rows: Any, where: object) -> None:
-    """Refuse what is no list of leaderboard rows."""
+def require_rows(rows: Any, where: object) -> list[dict[str, Any]]:
+    """Rows with all columns of a leaderboard; what is no list of them is refused."""
     if not isinstance(rows, list) or not all(
         isinstance(r, dict) and {"suite", "status", "value"} <= set(r) for r in rows
     ):
-        raise ClothbenchError(
-            f"{where}: expected a list of leaderboard rows, as `clothbench leaderboard --json` prints them"
+        raise ClothbenchError(f"{where}: found something else than a list of rows, expected {LISTED}")
+    try:
+        table = pa.Table.from_pylist(
+            [{name: row.get(name) for name in ROW} for row in rows], pa.schema(list(ROW.items()))
         )
+    except (pa.ArrowException, TypeError, ValueError, OverflowError) as fault:
+        said = (str(fault).splitlines() or [type(fault).__name__])[0]
+        raise ClothbenchError(f"{where}: found a value of another type ({said}), expected {LISTED}") from None
+    return as_declared(table, ROW, ("status",), str(where)).to_pylist()

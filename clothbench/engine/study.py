@@ -12,14 +12,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Protocol
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import FileProgress, Progress, StageProgress
 from clothbench.display.section import Section
 from clothbench.engine.checkpoint import Checkpoint
-from clothbench.engine.store import Store
+from clothbench.engine.store import FINISHED, KEY, Store
+from clothbench.engine.tables import Columns
 from clothbench.plugins.discovery import Catalogue
 
 Rows = list[dict[str, Any]]
 Settings = Mapping[str, Any]
+SHOWN = ("suite", "case", "model", "effects", "key", "finished", "clothbench")  # what no row is without
 
 
 class Cell(Protocol):
@@ -105,15 +108,18 @@ class Result:
 
 @dataclass(frozen=True)
 class Results:
-    """All that a store holds of one study, or of some of its cells. rows: of the leaderboard, in their order."""
+    """All that a store holds of one study, or of some of its cells. rows: of the leaderboard, in their order; tables:
+    the columns of its other tables.
+    """
 
     store: Store
     rows: Rows
     keys: tuple[str, ...] = field(default=())
+    tables: Mapping[str, Columns] = field(default_factory=dict)
 
     def table(self, name: str) -> Rows:
         """A table by its name, over all cells that have it."""
-        return self.store.table(name, self.keys)
+        return self.store.table(name, self.keys, self.tables.get(name))
 
 
 class Study(Protocol):
@@ -164,11 +170,25 @@ def results_by_study(
     known, found = studies(plugins), store.rows(keys)
     by_name: dict[str, Rows] = {}
     for row in found:
+        _require_shown(row, store)
         if not row["study"]:
             tables = store.tables_of(row["key"])
             row["study"] = next(name for name, study in known.items() if study.claims(row, tables))
         by_name.setdefault(row["study"], []).append(row)
+    for name in by_name.keys() - known.keys():
+        plugins.find("studies", name)  # says which there are
     return [
-        (plugins.load("studies", name), Results(store, rows, tuple(dict.fromkeys(r["key"] for r in rows))))
+        (known[name], Results(store, rows, tuple(dict.fromkeys(r["key"] for r in rows)), known[name].tables))
         for name, rows in sorted(by_name.items(), key=lambda item: list(known).index(item[0]))
     ]
+
+
+def _require_shown(row: Mapping[str, Any], store: Store) -> None:
+    """Refuse a row that lacks what tables and pages rest on, or names a cell that cannot be: no run wrote it."""
+    missing = next((name for name in SHOWN if row[name] is None), None)
+    if missing or not KEY.fullmatch(row["key"]) or row["status"] not in (*FINISHED, "error"):
+        what = f"no {missing}" if missing else f"key {row['key']!r} and status {row['status']!r}"
+        raise ClothbenchError(
+            f"{store.folder}: found a row of {row['case']!r} with {what}, expected it as a run writes it; "
+            f"`clothbench store check {store.folder}` names the file"
+        )

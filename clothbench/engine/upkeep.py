@@ -13,10 +13,11 @@ from clothbench.core.create_only import require_create_only
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import remove_folder, whole_file, whole_folder
 from clothbench.engine.cells import plugin_versions
-from clothbench.engine.check import KEY, Finding, check_cell, fault, remains, unreadable
+from clothbench.engine.check import Finding, check_cell, fault, remains, unreadable
 from clothbench.engine.run import TRACKED
-from clothbench.engine.store import SEEDLESS, Store, finished, outcome, read_table
+from clothbench.engine.store import KEY, ROWS, SEEDLESS, Store, finished, outcome
 from clothbench.engine.study import studies
+from clothbench.engine.tables import read_table
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import read_recording
 
@@ -43,7 +44,7 @@ def merge(source: Store, into: Store, plugins: Catalogue) -> Merged:
     Unfinished cells are left alone. What trackers made of images comes along.
     """
     require_create_only(into.folder)
-    known, out = frozenset(studies(plugins)), Merged()
+    known, out = studies(plugins), Merged()
     for folder in sorted(p for p in (source.folder / "cells").glob("[!.]*")):
         if found := check_cell(folder, known):
             out.findings += found
@@ -55,7 +56,7 @@ def merge(source: Store, into: Store, plugins: Catalogue) -> Merged:
 
 
 def _merge_cell(folder: Path, into: Store, out: Merged) -> None:
-    key, rows = folder.name, read_table(folder / "rows.parquet").to_pylist()
+    key, rows = folder.name, read_table(folder / "rows.parquet", ROWS).to_pylist()
     try:
         there = into.table("rows", [key])
         wanted = not there or (finished(rows) and not finished(there))
@@ -120,7 +121,7 @@ def _of_other_versions(store: Store, plugins: Catalogue, named: set[Path]) -> It
 def _other_version(folder: Path, plugins: Catalogue, installed: dict[tuple[str, str], str | None]) -> str | None:
     """How the version of a cell differs from what is installed; None if it does not, or if that cannot be said."""
     try:
-        rows = read_table(folder / "rows.parquet").to_pylist()
+        rows = read_table(folder / "rows.parquet", ROWS).to_pylist()
     except ClothbenchError as said:
         return str(said).removeprefix(f"{folder / 'rows.parquet'}: ") if "found schema" in str(said) else None
     for row in rows:

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import whole_file
+from clothbench.core.files import read_json, whole_file
 from clothbench.engine.cells import digest
 from clothbench.engine.store import Store, leaderboard_row, require_rows, rows_in
 from clothbench.history.commits import Commit, commits_of, text_at
@@ -80,10 +80,7 @@ def entries_in(folder: Path) -> list[Entry]:
 
 
 def _read(path: Path) -> Entry:
-    try:
-        stated = json.loads(path.read_text(encoding="utf-8"))
-    except (UnicodeDecodeError, json.JSONDecodeError, RecursionError) as fault:
-        raise ClothbenchError(f"{path}: is no JSON ({fault}), expected an entry of a history; remove it") from None
+    stated = read_json(path, "an entry of a history; remove it")
     if not isinstance(stated, dict) or stated.get("schema") != SCHEMA:
         found = stated.get("schema") if isinstance(stated, dict) else type(stated).__name__
         raise ClothbenchError(f"{path}: schema is {found!r}, expected {SCHEMA}; entries of another are set aside")
@@ -92,7 +89,7 @@ def _read(path: Path) -> Entry:
             raise ClothbenchError(f"{path}: {key} is {stated.get(key)!r}, expected text")
     if not isinstance(stated.get("machine"), str | None):
         raise ClothbenchError(f"{path}: machine is {stated['machine']!r}, expected text or null")
-    require_rows(stated.get("rows"), path)
+    stated["rows"] = require_rows(stated.get("rows"), path)
     _instant(stated["date"], f"{path}: date")
     return Entry(**{field.name: stated[field.name] for field in dataclasses.fields(Entry)})
 

@@ -31,6 +31,7 @@ import numpy as np
 
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.pictures import picture_of, silenced
 from clothbench.recordings.codec import read, write
 from clothbench.recordings.layout import Arrays, Layout, Part, Stated, Variable
 from clothbench.recordings.nodes_rules import check_clock, check_points
@@ -143,33 +144,26 @@ class ColourVideo(RawRecording):
             )
 
 
-def silence() -> None:
-    """Keep what OpenCV and its decoders say of a broken file off the terminal: the reader says it in one line."""
-    import cv2
-
-    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
-    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-
-
 def decoded(stream: np.ndarray, ends: np.ndarray | None) -> Iterator[np.ndarray | None]:
     """Frames (H, W, 3), red first, of a video's bytes, or of pictures that end at `ends`; None for one that is
     broken.
     """
     import cv2
 
-    silence()
     if ends is not None:
         for begin, end in zip(np.concatenate([[0], ends[:-1]]), ends, strict=True):
-            picture = cv2.imdecode(stream[begin:end], cv2.IMREAD_COLOR)
+            picture = picture_of(stream[begin:end], cv2.IMREAD_COLOR)
             yield None if picture is None else cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
         return
     with tempfile.TemporaryDirectory(prefix="clothbench-") as folder:  # OpenCV reads videos from files only
         file = Path(folder) / "stream.mp4"
         file.write_bytes(stream.tobytes())
-        video = cv2.VideoCapture(str(file))
+        with silenced():
+            video = cv2.VideoCapture(str(file))
         try:
             while True:
-                there, frame = video.read()
+                with silenced():
+                    there, frame = video.read()
                 if not there:
                     return
                 yield cv2.cvtColor(frame, cv2.COLOR_BGR2RGB)

@@ -67,11 +67,14 @@ def numbers_of(
     """An attribute of several numbers, as an array of this shape."""
     if name not in stated:
         raise ClothbenchError(f"{path}: attribute {name!r} is missing; {whose} needs it")
+    count = int(np.prod(shape))
     try:
-        return np.array([float(part) for part in str(stated[name]).split()]).reshape(shape)
+        found = np.array([float(part) for part in str(stated[name]).split()])
     except ValueError:
-        count = int(np.prod(shape))
-        raise ClothbenchError(f"{path}: attribute {name!r}: found {stated[name]!r}, expected {count} numbers") from None
+        found = np.empty(0)
+    if len(found) != count or not np.isfinite(found).all():
+        raise ClothbenchError(f"{path}: attribute {name!r}: found {stated[name]!r}, expected {count} finite numbers")
+    return found.reshape(shape)
 
 
 def text_of(values: Any) -> str:

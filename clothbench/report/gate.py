@@ -10,6 +10,7 @@ from rich.table import Table
 
 from clothbench.display.terminal import console
 from clothbench.engine.judgement import IDENTITY, identity, judge
+from clothbench.engine.store import finite
 
 Rows = Sequence[dict[str, Any]]
 
@@ -50,8 +51,8 @@ def _change(base: dict[str, Any], new: dict[str, Any] | None) -> dict[str, Any]:
     return {
         **about,
         "unit": base.get("unit"),
-        "base": base["value"],
-        "new": new["value"] if new else None,
+        "base": finite(base["value"]),
+        "new": finite(new["value"]) if new else None,
         "status": new["status"] if new else "missing",
         "reason": (new.get("reason") or "") if new else "no such row in NEW",
     }

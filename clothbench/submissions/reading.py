@@ -2,25 +2,22 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import read_json
 from clothbench.submissions.submission import FILE, SCHEMA, Asked, Entry, Submission, Wheel
 
 
 def read_submission(folder: Path) -> Submission:
     """What a folder's `submission.json` says; faults are one line."""
     path = folder / FILE
-    try:
-        stated = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        raise ClothbenchError(f"{folder}: found no {FILE}; make one with `clothbench submit {folder}`") from None
-    except (json.JSONDecodeError, UnicodeDecodeError, RecursionError) as fault:
-        raise ClothbenchError(f"{path}: is no JSON ({fault}); make it with `clothbench submit {folder}`") from None
+    if not path.exists():
+        raise ClothbenchError(f"{folder}: found no {FILE}; make one with `clothbench submit {folder}`")
+    stated = read_json(path, f"what `clothbench submit {folder}` writes")
     if not isinstance(stated, dict) or stated.get("schema") != SCHEMA:
         found = stated.get("schema") if isinstance(stated, dict) else type(stated).__name__
         raise ClothbenchError(f"{path}: schema is {found!r}, expected {SCHEMA}")

@@ -47,7 +47,7 @@ def test_what_was_read_is_not_read_again(store, monkeypatch):
     expected = store.table("rows")
     assert expected == plain(store, monkeypatch)
     assert 1 <= len(segments(store)) <= 4
-    monkeypatch.setattr("clothbench.engine.store.read_table", lambda path: pytest.fail(f"{path} was read"))
+    monkeypatch.setattr("clothbench.engine.tables.read_table", lambda path: pytest.fail(f"{path} was read"))
     assert store.table("rows") == expected
     some = [f"{number:04x}" for number in (7, 3, 11, 5, 99)]
     assert [row["key"] for row in store.table("rows", some)] == [key for key in some[:4] for _ in range(2)]

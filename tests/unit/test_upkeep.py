@@ -64,7 +64,7 @@ def test_every_kind_of_fault_is_one_line(filled, capsys):
     (cells / "0f").mkdir()
     (cells / "0f" / "fit.rrd").touch()
     expected = {
-        trace: "damaged table", cells / KEYS[1] / "films" / "0.npz": "damaged array",
+        trace: "damaged table", cells / KEYS[1] / "films" / "0.npz": "no npz that can be read",
         cells / KEYS[2]: "no rows.parquet", cells / "abc" / "rows.parquet": f"rows of the cell {KEYS[3]}",
         cells / "0d" / "rows.parquet": "study 'weaving', expected calibration",
         cells / "0e" / "rows.parquet": "status 'fine'", cells / "notes": "a stray",

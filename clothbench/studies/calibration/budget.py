@@ -8,7 +8,9 @@ from typing import Any
 import numpy as np
 
 from clothbench.display.html import group
-from clothbench.engine.store import Store, read_table
+from clothbench.engine.store import Store
+from clothbench.engine.tables import read_table
+from clothbench.studies.calibration.schema import HISTORY
 from clothbench.studies.calibration.words import counted, listed
 
 Rows = Sequence[dict[str, Any]]
@@ -22,7 +24,7 @@ def histories_of(store: Store, keys: Sequence[str]) -> dict[str, np.ndarray]:
     out = {}
     for key in keys:
         if (path := store.cell(key) / "history.parquet").is_file():
-            values = read_table(path)["value"].to_numpy().astype(float)
+            values = read_table(path, HISTORY)["value"].to_numpy().astype(float)
             if np.isfinite(values).any():
                 out[key] = np.where(np.isfinite(values), values, np.inf)
     return out

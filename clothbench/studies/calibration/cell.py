@@ -27,6 +27,7 @@ from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
 from clothbench.recordings.scenes import scenes_of
 from clothbench.recordings.silhouette import Silhouettes
+from clothbench.studies.calibration.schema import PARAMETER, QUESTION
 
 
 @dataclass(frozen=True)
@@ -141,16 +142,21 @@ def asked(cell: CalibrationCell) -> str:
 
 
 def asked_again(text: str) -> CalibrationCell:
-    """The cell that `asked` wrote."""
-    told = json.loads(text)
-    for name in ("recordings", "rivals"):
-        told[name] = tuple(Source(**source) for source in told[name])
-    for name in ("effects", "report"):
-        told[name] = tuple(told[name])
-    told["bounds"] = {name: (pair[0], pair[1]) for name, pair in told["bounds"].items()}
-    if told["scene"].get("resolution") is not None:
-        told["scene"]["resolution"] = tuple(told["scene"]["resolution"])
-    return CalibrationCell(**told)
+    """The cell that `asked` wrote; a text that is none raises a ClothbenchError, one line."""
+    try:
+        told = json.loads(text)
+        for name in ("recordings", "rivals"):
+            told[name] = tuple(Source(**source) for source in told[name])
+        for name in ("effects", "report"):
+            told[name] = tuple(told[name])
+        told["bounds"] = {name: (pair[0], pair[1]) for name, pair in told["bounds"].items()}
+        if told["scene"].get("resolution") is not None:
+            told["scene"]["resolution"] = tuple(told["scene"]["resolution"])
+        return CalibrationCell(**told)
+    except (KeyError, TypeError, ValueError, AttributeError, IndexError, RecursionError) as fault:
+        raise ClothbenchError(
+            f"found no question of a calibration ({type(fault).__name__} {fault}); {AGAIN}"
+        ) from fault
 
 
 AGAIN = "run it again with this version"
@@ -161,7 +167,9 @@ def asked_and_fitted(store: Store, key: str) -> tuple[CalibrationCell, list[dict
 
     Raises a ClothbenchError, one line, where there is no fit.
     """
-    questions, fitted = store.table("question", [key]), store.table("parameters", [key])
+    questions, fitted = (
+        store.table(name, [key], of) for name, of in (("question", QUESTION), ("parameters", PARAMETER))
+    )
     if not questions or not fitted:
         why = next((row["reason"] for row in store.rows([key]) if row["reason"]), "it is of another kind, or older")
         raise ClothbenchError(f"cell {key}: found no fit ({why}); {AGAIN}")

@@ -10,7 +10,9 @@ import numpy as np
 
 from clothbench.display.names import model_name
 from clothbench.display.plotly import rounded, thinned
-from clothbench.engine.store import read_table
+from clothbench.engine.store import ROWS
+from clothbench.engine.tables import read_table
+from clothbench.studies.calibration.schema import HISTORY, PUBLISHED, TRACE
 
 Rows = Sequence[dict[str, Any]]
 
@@ -42,7 +44,7 @@ def cell_tables(folder: Path, points: int) -> dict[str, Any]:
     """One cell's curves: {"metric", "unit", "best": (x, y), "traces": {(metric, recording): (t, y)},
     "published": {metric: {name: value}}}.
     """
-    first = read_table(folder / "rows.parquet").slice(0, 1).to_pylist()[0]  # of the metric it was fitted by
+    first = read_table(folder / "rows.parquet", ROWS).slice(0, 1).to_pylist()[0]  # of the metric it was fitted by
     out: dict[str, Any] = {
         "metric": first["metric"],
         "unit": first["unit"],
@@ -51,12 +53,12 @@ def cell_tables(folder: Path, points: int) -> dict[str, Any]:
         "published": {},
     }
     if (path := folder / "published.parquet").is_file():
-        for line in read_table(path).to_pylist():
+        for line in read_table(path, PUBLISHED).to_pylist():
             out["published"].setdefault(line["metric"], {})[line["name"]] = line["value"]
     if (path := folder / "history.parquet").is_file():
-        out["best"] = best_so_far(read_table(path)["value"].to_numpy().astype(float))
+        out["best"] = best_so_far(read_table(path, HISTORY)["value"].to_numpy().astype(float))
     if (path := folder / "trace.parquet").is_file():
-        frames = read_table(path).to_pandas()
+        frames = read_table(path, TRACE).to_pandas()
         for name, part in frames.groupby(["metric", "recording"], sort=False):
             out["traces"][name] = thinned(part["time"].to_numpy(float), part["value"].to_numpy(float), points)
     return out

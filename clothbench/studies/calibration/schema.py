@@ -15,6 +15,8 @@ PARAMETER = {
 }  # fmt: skip
 # The cell itself as JSON: with it a twin of its fit is made (`clothbench export`).
 QUESTION = {"question": _text, "key": _text}
+# The error of every evaluation; with objectives and parameters in columns of their own names beside it.
+HISTORY = {"value": _number}
 # Error of every recording, frame by frame.
 TRACE = {"recording": _text, "split": _text, "metric": _text, "time": _number, "value": _number, "unit": _text}
 FILMS = "films"  # folder of a cell with films: recordings beside what was made of them

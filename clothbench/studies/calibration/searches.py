@@ -8,10 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.engine.store import read_table
 from clothbench.engine.study import Results
+from clothbench.engine.tables import read_table
 from clothbench.estimation.front import on_front
 from clothbench.estimation.intervals import mean_interval
+from clothbench.studies.calibration.schema import HISTORY
 
 LEAST_SEEDS = 3  # of each search, from which on they are compared
 WORST = 3.0  # spreads between recordings of the same cloth: the corner that hypervolumes are counted from
@@ -88,7 +89,7 @@ def hypervolume(objectives: np.ndarray) -> float:
 
 def _history(results: Results, key: str) -> tuple[np.ndarray, np.ndarray | None]:
     """The error of every evaluation of a cell (E,), NaN where it was lost, and its objectives (E, M) if it has some."""
-    table = read_table(results.store.cell(key) / "history.parquet")
+    table = read_table(results.store.cell(key) / "history.parquet", HISTORY)
     names = [name for name in table.column_names if name.startswith("objective:")]
     columns = [table[name].to_numpy().astype(float) for name in ["value", *names]]
     return np.where(np.isfinite(columns[0]), columns[0], np.nan), np.stack(columns[1:], axis=1) if names else None

@@ -10,6 +10,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import t as student
 
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import read_json
 from clothbench.engine.store import finite
 from clothbench.studies.improve.evidence import of_split
 from clothbench.studies.improve.finding import Finding
@@ -57,8 +59,8 @@ def json_text(document: Mapping[str, Any]) -> str:
 def document_in(folder: Path) -> dict[str, Any] | None:
     """The verdict that lies in a folder; None if there is none that can be read."""
     try:
-        found = json.loads((folder / VERDICT).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        found = read_json(folder / VERDICT, "a verdict")
+    except ClothbenchError:
         return None
     return found if isinstance(found, dict) else None
 

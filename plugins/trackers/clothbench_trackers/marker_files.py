@@ -292,7 +292,8 @@ def _clock(raw: _Raw, setting: float | None, path: Path) -> np.ndarray:
     if rate is not None and not (math.isfinite(rate) and rate > 0):
         raise refusal(path, "rate", rate, "frames per second above 0")
     frame = np.arange(len(raw.position)) if raw.frame is None else raw.frame
-    time = frame / rate if raw.time is None else raw.time
+    with np.errstate(over="ignore", invalid="ignore"):
+        time = np.asarray(frame / rate if raw.time is None else raw.time)
     wrong = np.flatnonzero(~np.isfinite(time) | ~(np.diff(time, prepend=-np.inf) > 0))
     if wrong.size:
         i = wrong[0]
@@ -304,8 +305,9 @@ def _clock(raw: _Raw, setting: float | None, path: Path) -> np.ndarray:
 
 def _check_rate(time: np.ndarray, frame: np.ndarray, rate: float, path: Path) -> None:
     """Stamps and rate tell one duration, to 1 % and a frame: stamps are rounded, frames may be left out."""
-    lasts, told = time[-1] - time[0], (frame[-1] - frame[0]) / rate
-    if not abs(lasts - told) <= 0.01 * told + 1 / rate:
+    with np.errstate(over="ignore", invalid="ignore"):
+        lasts, told = time[-1] - time[0], (frame[-1] - frame[0]) / rate
+    if not (math.isfinite(told) and abs(lasts - told) <= 0.01 * told + 1 / rate):
         found, expected = f"stamps over {lasts:g} s", f"{told:g} s by the frames and the rate of {rate:g}/s"
         raise refusal(path, "time", found, expected, "correct one of them")
 

@@ -1,0 +1,123 @@
+"""Suites of the user's own, `--config-dir FOLDER`: YAML that may come from anywhere, and is settings of a run, no more.
+
+Hydra builds objects from its own settings, and writes where these say. A suite from a folder must not touch them: they
+are for the command line.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import yaml
+from hydra import compose, initialize_config_module
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
+
+from clothbench.core.errors import ClothbenchError
+
+FLAGS = ("--config-dir", "-cd")
+OTHERS = ("--config-path", "-cp", "--config-name", "-cn")
+MOST = 100_000  # values in a file, those counted again that it names by an alias
+OF_ONE_RUN = ("searchpath", "overrides", "runtime", "mode")  # settings of Hydra's that tell what was asked for
+
+
+def require_harmless(arguments: Sequence[str]) -> None:
+    """Refuse a folder of suites that cannot be read, or that reaches for Hydra's own settings."""
+    if given := [word for word in arguments if word.partition("=")[0] in OTHERS]:
+        raise ClothbenchError(
+            f"found {given[0]!r}: a run has its own settings file; put yours into FOLDER/suite and give "
+            "--config-dir FOLDER +suite=NAME"
+        )
+    for word in _settings(arguments):
+        _values(word)
+    for folder in _folders(arguments):
+        for file in sorted([*folder.rglob("*.yaml"), *folder.rglob("*.yml")]):
+            require_plain(file)
+        for words in each_choice(arguments):
+            require_no_hydra(folder, words)
+
+
+def _folders(arguments: Sequence[str]) -> list[Path]:
+    out = _after(arguments)
+    out += [word.partition("=")[2] for word in arguments if word.partition("=")[0] in FLAGS and "=" in word]
+    return [Path(folder).absolute() for folder in out]
+
+
+def require_plain(file: Path) -> None:
+    """Refuse a file that is no YAML, names objects of Python, or says so much by aliases that it fills the memory."""
+    try:
+        node = yaml.compose(file.read_text(encoding="utf-8"), yaml.SafeLoader)
+    except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as fault:
+        raise ClothbenchError(f"{file}: found no YAML that can be read ({fault}), expected settings") from None
+    if node is not None and _size(node, {}) > MOST:
+        raise ClothbenchError(f"{file}: found more than {MOST} values, or an alias of itself, expected settings")
+
+
+def _size(node: yaml.Node, known: dict[int, int]) -> int:
+    """How many values a file amounts to; one that is inside of itself has no end."""
+    if id(node) not in known:
+        if isinstance(node, yaml.ScalarNode):
+            inside: list[yaml.Node] = []
+        else:
+            inside = [n for one in node.value for n in (one if isinstance(one, tuple) else (one,))]
+        known[id(node)] = MOST + 1
+        known[id(node)] = 1 + sum(_size(one, known) for one in inside)
+    return known[id(node)]
+
+
+def each_choice(arguments: Sequence[str]) -> Iterator[list[str]]:
+    """The settings of the run without Hydra's own, as one job has them: of a sweep, once with every value."""
+    words = [word for word in _settings(arguments) if not word.lstrip("+~").startswith("hydra")]
+    values = [_values(word) for word in words]
+    for n in range(max(map(len, values), default=1)):
+        yield [several[min(n, len(several) - 1)] for several in values]
+
+
+def _after(arguments: Sequence[str]) -> list[str]:
+    """Words that belong to a flag."""
+    return [after for word, after in itertools.pairwise(arguments) if word in FLAGS]
+
+
+def _settings(arguments: Sequence[str]) -> list[str]:
+    return [word for word in arguments if not word.startswith("-") and word not in _after(arguments)]
+
+
+def _values(word: str) -> list[str]:
+    """A setting once with each of its values, where it is one of a sweep."""
+    try:
+        (given,) = OverridesParser.create().parse_overrides([word])
+        key = word.partition("=")[0]
+        return [f"{key}={v}" for v in given.sweep_string_iterator()] if given.is_sweep_override() else [word]
+    except (ValueError, RecursionError) as fault:
+        raise ClothbenchError(f"found {word[:80]!r}, expected a setting KEY=VALUE ({fault})") from None
+
+
+def require_no_hydra(folder: Path, words: Sequence[str]) -> None:
+    """Refuse settings in which a suite of the folder's has changed Hydra's own."""
+    place = f"file://{folder}".replace("\\", "\\\\").replace("'", "\\'")
+    try:
+        with initialize_config_module("clothbench.conf", version_base="1.3"):
+            usual = _hydras(compose("run", return_hydra_config=True))
+            asked = [f"hydra.searchpath=['{place}']", *words]
+            found = _hydras(compose("run", overrides=asked, return_hydra_config=True))
+    except (HydraException, OmegaConfBaseException):
+        raise
+    except Exception as fault:  # of the YAML and of the head of a suite: Hydra lets all sorts of them through
+        raise ClothbenchError(f"{folder}: found a suite that cannot be read ({fault}), expected settings") from fault
+    if changed := [name for name in {**usual, **found} if usual.get(name) != found.get(name)]:
+        raise ClothbenchError(
+            f"{folder}: found settings of Hydra's own in a suite (hydra.{changed[0]}), expected those of a run only; "
+            f"give them on the command line if you trust them"
+        )
+
+
+def _hydras(config: Any) -> dict[str, Any]:
+    """Hydra's own settings that do not tell what was asked for."""
+    hydra: Any = OmegaConf.to_container(config.hydra, resolve=False)
+    hydra["job"].pop("override_dirname")
+    return {name: value for name, value in hydra.items() if name not in OF_ONE_RUN}

@@ -1,0 +1,49 @@
+"""Pictures and videos as anybody may hand them in: the libraries that decode them say what they think of them on the
+process's standard error, whatever Python does with that, and the reader says it in one line anyway.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+
+
+@contextmanager
+def silenced() -> Iterator[None]:
+    """Keep what OpenCV and its decoders say of a broken file off the terminal."""
+    import cv2
+
+    os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
+    sys.stderr.flush()
+    kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    try:
+        os.dup2(nothing, 2)
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
+        os.close(nothing)
+
+
+def picture_of(content: bytes | np.ndarray | Path, flags: int) -> np.ndarray | None:
+    """A picture (H, W[, 3]), blue first, from a file or its bytes, read with these flags of OpenCV's; None for one that
+    is broken.
+    """
+    import cv2
+
+    if isinstance(content, Path):
+        content = content.read_bytes()
+    stream = np.frombuffer(content, np.uint8)
+    if not stream.size:
+        return None
+    try:
+        with silenced():
+            return cv2.imdecode(stream, flags)
+    except cv2.error:  # a claim of more pixels than OpenCV takes
+        return None

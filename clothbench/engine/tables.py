@@ -1,0 +1,104 @@
+"""Tables of the store as Parquet files: written with checksums, and read as what anybody may have put there.
+
+Whoever reads a table of known columns gets these columns, in these types, or one line that says what is wrong.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Collection, Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from clothbench.core.errors import ClothbenchError, seen
+
+SCHEMA_VERSION = 1
+Columns = Mapping[str, pa.DataType]
+DENSEST = 10_000_000  # values of a table that are nobody's memory problem
+# `UNSEEN` of clothbench/core/errors.py in UTF-8: whole columns are looked through at once.
+_UNSEEN = re.compile(rb"[\x00-\x08\x0b-\x1f\x7f]|\xc2[\x80-\x9f]|\xe2\x80[\xaa-\xae]|\xe2\x81[\xa6-\xa9]")
+AGAIN = "delete its folder and run again"
+
+
+def write_table(path: Path, content: list[dict[str, Any]] | pd.DataFrame, columns: Columns | None = None) -> None:
+    """One Parquet file; rows become a table of exactly these columns."""
+    if isinstance(content, pd.DataFrame):
+        table = pa.Table.from_pandas(content, preserve_index=False)
+    else:
+        table = pa.Table.from_pylist(content, schema=pa.schema(list((columns or {}).items())) if columns else None)
+    stamped = table.replace_schema_metadata({"clothbench_schema": str(SCHEMA_VERSION)})
+    pq.write_table(stamped, path, write_page_checksum=True)  # a flipped bit is a fault then, and not another number
+
+
+def read_table(path: Path, columns: Columns | None = None, needed: Collection[str] = ()) -> pa.Table:
+    """One Parquet file of this schema version; a damaged or foreign one is refused in one line.
+
+    columns: those that it has to have by name and type; one that is not there is null, as an older version may have
+    written it, but for those that are `needed`, in which there is no null either. Others stay as they are.
+    """
+    try:
+        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+            values = file.metadata.num_rows * file.metadata.num_columns
+            if values > max(DENSEST, 100 * path.stat().st_size):
+                raise ClothbenchError(
+                    f"{path}: found a claim of {values} values in a file of {path.stat().st_size} bytes, expected at "
+                    f"most what such a file can hold; {AGAIN}"
+                )
+            table = file.read()
+        table.validate(full=True)
+    except (pa.ArrowException, OSError, ValueError, MemoryError) as fault:
+        said = (str(fault).splitlines() or [type(fault).__name__])[0]
+        raise ClothbenchError(f"{path}: found a damaged table ({said}); {AGAIN}") from fault
+    found = (table.schema.metadata or {}).get(b"clothbench_schema", b"none").decode("ascii", "replace")
+    if found != str(SCHEMA_VERSION):
+        raise ClothbenchError(
+            f"{path}: found schema {found}, expected {SCHEMA_VERSION}; "
+            "results of another version are set aside: move them"
+        )
+    return as_declared(table, columns or {}, needed, str(path))
+
+
+def read_if_there(path: str, columns: Columns | None = None, needed: Collection[str] = ()) -> pa.Table | None:
+    """One Parquet file; None if there is none, or none any more."""
+    if not os.path.isfile(path):
+        return None
+    try:
+        return read_table(Path(path), columns, needed)
+    except ClothbenchError:  # another process may just have put a new attempt in place of this error
+        return read_table(Path(path), columns, needed) if os.path.isfile(path) else None
+
+
+def as_declared(table: pa.Table, columns: Columns, needed: Collection[str], where: str) -> pa.Table:
+    """A table with its declared columns in their types, and texts without what cannot be seen."""
+    there = {name: k for k, name in enumerate(table.column_names)}
+    if len(there) < table.num_columns:
+        raise ClothbenchError(f"{where}: found a column twice, expected each once; {AGAIN}")
+    for name, of in columns.items():
+        if name not in there:
+            if name in needed:
+                raise ClothbenchError(
+                    f"{where}: found no column {name!r}, expected the columns of a leaderboard; {AGAIN}"
+                )
+            table = table.append_column(name, pa.nulls(table.num_rows, of))
+            continue
+        column = table.column(there[name])
+        if name in needed and column.null_count:
+            raise ClothbenchError(f"{where}: column {name!r}: found nothing in a row, expected {of}; {AGAIN}")
+        if column.type != of and not pa.types.is_null(column.type):
+            raise ClothbenchError(f"{where}: column {name!r}: found {column.type}, expected {of}; {AGAIN}")
+        shown = column if column.type == of else column.cast(of)
+        if of == pa.string() and any(map(_has_unseen, shown.chunks)):
+            shown = pa.chunked_array([pa.array([text and seen(text) for text in shown.to_pylist()], of)])
+        if shown is not column:
+            table = table.set_column(there[name], name, shown)
+    return table
+
+
+def _has_unseen(texts: pa.Array) -> bool:
+    data = texts.buffers()[2]
+    return data is not None and _UNSEEN.search(data) is not None

@@ -1,0 +1,260 @@
+"""Input that means harm: what was found with `tools/fuzz.py`, smallest as it can be, and a short run of it."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+
+import h5py
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from conftest import swinging_recording
+
+from clothbench import ClothbenchError, read_recording, write_recording
+from clothbench.cli import main
+from clothbench.cli.own_suites import each_choice, require_plain
+from clothbench.core.errors import one_line
+from clothbench.core.files import read_arrays, read_json
+from clothbench.display.film import read_film
+from clothbench.engine.store import ROW, Store, load_rows
+from clothbench.engine.tables import read_table
+
+# --- recordings -----------------------------------------------------------------------------------------------------
+
+
+def elsewhere(file):
+    del file["position"]
+    file["position"] = h5py.ExternalLink("/etc/hostname", "/x")
+
+
+def in_a_ring(file):
+    del file["position"]
+    file["position"] = h5py.SoftLink("/position")
+
+
+def raw_bytes_of_another_file(file):
+    of, shape = file["time"].dtype, file["time"].shape
+    del file["time"]
+    file.create_dataset("time", shape, of, external=[("/proc/self/environ", 0, h5py.h5f.UNLIMITED)])
+
+
+def a_group(file):
+    del file["time"]
+    file.create_group("time")
+
+
+def claimed(file):
+    del file["time"]
+    file.create_dataset("time", (10**9,), "f8", chunks=(1024,)).attrs["units"] = "s"
+
+
+HARM = {
+    "a link to another file": (elsewhere, "variable 'position': found a link"),
+    "a link to itself": (in_a_ring, "variable 'position'"),
+    "the bytes of another file": (raw_bytes_of_another_file, "values that lie in another file"),
+    "a group": (a_group, "variable 'time': found a link, a group"),
+    "a claim of 10⁹": (claimed, "variable 'time'"),
+    "a reference": (lambda f: f.attrs.__setitem__("fabric", f.ref), "attribute 'fabric': found 1 values of object"),
+    "an array for a text": (lambda f: f.attrs.__setitem__("format", np.arange(3.0)), "'format': found '[0. 1. 2.]'"),
+    "two marks for nothing": (lambda f: f["time"].attrs.__setitem__("_FillValue", [0.0, 1.0]), "'_FillValue'"),
+    "coordinates of none": (lambda f: f["time"].attrs.__setitem__("coordinates", h5py.Empty("f")), None),
+    "infinite numbers": (lambda f: f["position"].write_direct(np.full(f["position"].shape, 1e308)), None),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("harm", HARM)
+def test_a_recording_is_valid_or_refused_in_one_line(tmp_path, capsys, harm):
+    path = write_recording(swinging_recording(), tmp_path / "in.nc")
+    change, found = HARM[harm]
+    with h5py.File(path, "r+") as file:
+        change(file)
+    code = main(["validate", str(path)])
+    said = capsys.readouterr()
+    assert (said.err, said.out.count("\n")) == ("", 1)
+    assert code == 0 if found is None else (code == 1 and found in said.out), said.out
+
+
+def test_a_heap_of_texts_without_an_end_is_refused(tmp_path):
+    """HDF5 itself never comes back from reading it, and cannot be interrupted."""
+    path = write_recording(swinging_recording(), tmp_path / "in.nc")
+    content = bytearray(path.read_bytes())
+    first = content.index(b"GCOL") + 16
+    content[first : first + 16] = bytes(16)
+    path.write_bytes(content)
+    with pytest.raises(ClothbenchError, match="found a heap of texts with an entry of 0 bytes"):
+        read_recording(path)
+
+
+def test_packed_values_are_unpacked_and_the_mark_for_nothing_is_nan(tmp_path):
+    path = write_recording(swinging_recording(), tmp_path / "in.nc")
+    before = read_recording(path)
+    with h5py.File(path, "r+") as file:
+        file["position"][...] = file["position"][...] * 1000
+        file["position"][0, 0] = -1e9
+        file["position"].attrs["scale_factor"] = 1e-3
+        file["position"].attrs["_FillValue"] = -1e9
+    after = read_recording(path)
+    assert np.isnan(after.position[0, 0]).all()
+    assert np.allclose(after.position[1:], before.position[1:])
+
+
+# --- documents, arrays, tables --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "text", ["[" * 5000, "9" * 5000, "[NaN]", "[1e999]", '["\\ud800"]', "\xff", "{"], ids=lambda text: text[:6]
+)
+def test_a_document_is_json_or_refused_in_one_line(tmp_path, text):
+    (tmp_path / "in.json").write_bytes(text.encode("latin-1"))
+    with pytest.raises(ClothbenchError, match=r"in\.json: found no JSON that can be read .* expected rows"):
+        read_json(tmp_path / "in.json", "rows")
+
+
+@pytest.mark.parametrize("value", [[], {}, "one", True, None, 3])
+@pytest.mark.parametrize("name", ["value", "reference", "case", "seed", "status"])
+def test_a_row_of_another_type_is_refused(tmp_path, capsys, name, value):
+    row = {**dict.fromkeys(ROW), "suite": "s", "case": "c", "status": "ok", "value": 1.0, "low": 0.5, "high": 1.5}
+    for file, rows in (("base.json", [row]), ("new.json", [{**row, name: value}])):
+        (tmp_path / file).write_text(json.dumps(rows))
+    code = main(["compare", str(tmp_path / "base.json"), str(tmp_path / "new.json")])
+    said = capsys.readouterr().err
+    assert code in (0, 1, 2)
+    assert said.count("\n") == (code == 2)
+
+
+def test_texts_of_a_leaderboard_move_no_cursor(tmp_path):
+    (tmp_path / "in.json").write_text(json.dumps([{"suite": "\x1b[2Js", "status": "ok", "value": 1}]))
+    assert load_rows(tmp_path / "in.json")[0]["suite"] == "\ufffd[2Js"
+
+
+@pytest.mark.parametrize("character", ["\x00", "\x1b", "\x7f", "\x9b", "\u202e", "\u2066"])
+def test_texts_of_a_table_move_no_cursor(tmp_path, character):
+    Store(tmp_path).put("ab", {"rows": [row(case=f"é{character}"), row(case="µ, ‰ and \t")]})
+    assert {r["case"] for r in Store(tmp_path).rows()} == {"é\ufffd", "µ, ‰ and \t"}
+
+
+def row(**changes):
+    return {**dict.fromkeys(ROW), "suite": "s", "case": "c", "model": "m", "effects": "", "status": "ok", "key": "ab",
+            "value": 1.0, **changes}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("column", "found"),
+    [
+        (pa.array([["a"]]), "column 'case': found list<"), (pa.array([1.5]), "column 'case': found double"),
+        (pa.array([b"cos\nsystem\n"]), "column 'case': found binary"),
+    ],
+)  # fmt: skip
+def test_a_table_with_another_type_is_refused(tmp_path, column, found):
+    store = Store(tmp_path)
+    store.put("ab", {"rows": [row()]})
+    path = store.cell("ab") / "rows.parquet"
+    table = pq.read_table(path)
+    pq.write_table(table.set_column(table.column_names.index("case"), "case", column), path)
+    with pytest.raises(ClothbenchError, match=found):
+        store.rows()
+
+
+def test_a_table_that_claims_a_thousand_million_values_is_refused(tmp_path):
+    pq.write_table(pa.table({"a": pa.nulls(20_000_000, pa.bool_())}), tmp_path / "in.parquet")
+    with pytest.raises(ClothbenchError, match=r"found a claim of 20000000 values in a file of \d+ bytes"):
+        read_table(tmp_path / "in.parquet")
+
+
+@pytest.mark.parametrize("key", ["../../elsewhere", "AB", ""])
+def test_a_row_that_names_no_cell_is_not_followed(tmp_path, capsys, key):
+    Store(tmp_path).put("ab", {"rows": [{**row(key=key), "finished": "2026-01-01T00:00:00", "clothbench": "0"}]})
+    for command in (["leaderboard", "--out"], ["store", "check"]):
+        assert main([*command, str(tmp_path)]) in (1, 2)
+    assert "found a row of 'c' with" in capsys.readouterr().err
+
+
+def test_pickles_bombs_and_claims_are_no_arrays(tmp_path):
+    np.save(tmp_path / "pickle.npy", np.array([{}], object), allow_pickle=True)
+    header = b"\x93NUMPY\x01\x00v\x00" + b"{'descr': '<f8', 'fortran_order': False, 'shape': (1000000000,), }"
+    (tmp_path / "claim.npy").write_bytes(header.ljust(127) + b"\n" + bytes(80))
+    with zipfile.ZipFile(tmp_path / "dense.npz", "w", zipfile.ZIP_LZMA) as archive:
+        archive.writestr("a.npy", header.ljust(127) + b"\n")
+    (tmp_path / "no.npz").write_bytes(b"PK")
+    for path in sorted(tmp_path.iterdir()):
+        with pytest.raises((ValueError, zipfile.BadZipFile)):
+            read_arrays(path)
+        with pytest.raises(ClothbenchError, match="found a damaged film"):
+            read_film(path)
+
+
+@pytest.mark.parametrize("rate", ["1e-320", "1e308", "nan", "-1", "9" * 400])
+def test_a_marker_file_of_no_possible_rate_is_refused(tmp_path, rate):
+    from clothbench_trackers.markers import Markers
+
+    rows = "".join(f"{k},{k / 100},0,0,{k}\n" for k in range(5))
+    (tmp_path / "in.csv").write_text(f"# unit: mm\n# rate: {rate}\nframe,time,a_x,a_y,a_z\n{rows}")
+    with pytest.raises(ClothbenchError, match=r"in\.csv: (rate|time): found"):
+        Markers(material={"a": (0, 0)}).track(tmp_path / "in.csv")
+
+
+# --- suites ---------------------------------------------------------------------------------------------------------
+
+HYDRAS = {
+    "builds objects": "callbacks: {mine: {_target_: shutil.rmtree, path: x}}",
+    "builds loggers": "job_logging: {handlers: {mine: {(): os.system}}}",
+    "writes elsewhere": "run: {dir: elsewhere}",
+    "sets the environment": "job: {env_set: {LD_PRELOAD: mine.so}}",
+}
+
+
+@pytest.mark.parametrize(("harm", "flag"), list(zip(HYDRAS, ["--config-dir=conf", "-cd conf"] * 2, strict=True)))
+def test_a_suite_from_a_folder_sets_nothing_of_hydras(clothbench, tmp_path, harm, flag):
+    (tmp_path / "conf" / "suite").mkdir(parents=True)
+    text = f"# @package _global_\nsuite: {{name: mine}}\nhydra:\n  {HYDRAS[harm]}\n"
+    (tmp_path / "conf" / "suite" / "mine.yaml").write_text(text)
+    done = clothbench("run", *flag.split(), "+suite=mine")
+    assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
+    assert "found settings of Hydra's own in a suite (hydra." in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["conf"]
+
+
+@pytest.mark.parametrize("text", ["a: [", "a: \x00", "&a [*a]", "\xff: 1"])
+def test_a_file_that_is_no_yaml_is_refused(tmp_path, text):
+    (tmp_path / "in.yaml").write_bytes(text.encode("latin-1"))
+    with pytest.raises(ClothbenchError, match=r"in\.yaml: found"):
+        require_plain(tmp_path / "in.yaml")
+
+
+def test_aliases_that_fill_the_memory_are_counted_and_not_followed(tmp_path):
+    lines = ["a: &a [x, x, x, x, x, x, x, x, x]"]
+    lines += [f"{b}: &{b} [{', '.join([f'*{a}'] * 9)}]" for a, b in zip("abcdefgh", "bcdefghi", strict=True)]
+    (tmp_path / "in.yaml").write_text("\n".join(lines))
+    with pytest.raises(ClothbenchError, match="found more than 100000 values"):
+        require_plain(tmp_path / "in.yaml")
+
+
+def test_every_suite_of_a_sweep_is_looked_at():
+    words = ["-m", "--config-dir", "conf", "+suite=a,b,c", "seed=1,2", "hydra/launcher=joblib"]
+    assert list(each_choice(words)) == [["+suite=a", "seed=1"], ["+suite=b", "seed=2"], ["+suite=c", "seed=2"]]
+
+
+# --- lines ----------------------------------------------------------------------------------------------------------
+
+
+def test_an_error_is_one_line_that_a_terminal_shows_as_it_is():
+    assert one_line("a\n  b\x1b[31m\u202ec\udc80") == "a b\ufffd[31m\ufffdc\ufffd"
+    assert str(ClothbenchError("found " + "x" * 10**6 + ", expected less")).endswith("x, expected less")
+    assert len(str(ClothbenchError("x" * 10**6))) < 2000
+
+
+# --- the fuzzer -----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_a_short_run_of_the_fuzzer_finds_nothing(tmp_path):
+    pytest.importorskip("resource", reason="memory is bounded on POSIX only")
+    pytest.importorskip("c3d", reason="C3D files are read with the package c3d")
+    import fuzz
+
+    kinds = [kind for kind in fuzz.kinds_known() if kind not in ("run", "suite", "words")]  # a second each, and more
+    tallies = fuzz.fuzz(kinds, 600, 28, tmp_path, most=12)
+    assert fuzz.finds(tallies) == []
+    assert {tally.done for tally in tallies.values()} == {12}

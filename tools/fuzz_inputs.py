@@ -1,0 +1,412 @@
+"""What `tools/fuzz.py` feeds to clothbench: for each kind of input a valid one, spoiled by a seed, and who reads it."""
+
+from __future__ import annotations
+
+import json
+import random
+import shutil
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import fuzz_mutations as spoil
+import numpy as np
+import pyarrow.parquet as pq
+
+from clothbench import (
+    Camera,
+    ColourVideo,
+    Curve,
+    DepthImages,
+    GripPath,
+    LaserImages,
+    Recording,
+    Silhouettes,
+    write_curve,
+    write_depth,
+    write_laser,
+    write_recording,
+    write_silhouettes,
+    write_video,
+)
+from clothbench.cli import main
+from clothbench.engine.suite import suites_folder
+from clothbench.recordings.colour_video import Marks
+from clothbench.recordings.depth import Colour
+
+Command = Sequence[str] | Callable[[], Any]
+ABOUT = {"cloth_width": 0.2, "cloth_height": 0.2, "areal_density": 0.2, "fabric": "paper", "motion": "sway"}
+TIME = np.linspace(0, 0.5, 6)
+HELD = np.array([[0.0, 0.0], [0.2, 0.0]])
+CAMERA = Camera.looking_at(np.array([0.1, -1.0, -0.1]), np.array([0.1, 0.0, -0.1]), (80, 72), 0.5)
+CELL = ("model=mass_spring", "optimizer=ga", "metric=node_error", "budget=2", "jobs=1", "rerun=false", "timeout=5",
+        "scene.resolution=[5,5]")  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Kind:
+    """make: writes a spoiled input into an empty folder, beside valid things from the folder `bases`, and says what is
+    to be called there. slow: of a second, not of milliseconds.
+    """
+
+    make: Callable[[Path, Path, random.Random], list[Command]]
+    slow: bool = False
+
+
+# --- valid ones -----------------------------------------------------------------------------------------------------
+
+
+def nodes(name: str = "sway-1", split: str = "fit") -> Recording:
+    u, v = (a.ravel() for a in np.meshgrid(*[np.linspace(0, 0.2, 3)] * 2))
+    sway = 0.02 * np.sin(2 * np.pi * TIME)[:, None, None] * [0, 1, 0]
+    noise = np.random.default_rng(len(name)).normal(0, 1e-3, (6, 9, 3))
+    return Recording(
+        name=name, time=TIME, material=np.stack([u, v], axis=1),
+        position=np.stack([u, 0 * u, -v], axis=1) + sway + noise, grip_time=TIME, grip_material=HELD,
+        grip_position=np.insert(HELD, 1, 0, axis=1) + sway, noise_sigma=1e-3, split=split, notes={"room": "4"},
+        confidence=np.full((6, 9), 0.9), thickness=1e-3, outline=np.array([[0, 0], [0.2, 0], [0.2, 0.2], [0, 0.2]]),
+        sight=CAMERA, **ABOUT,
+    )  # fmt: skip
+
+
+def grips() -> GripPath:
+    return GripPath(TIME, HELD, np.zeros((6, 2, 3)))
+
+
+def pictures() -> list[np.ndarray]:
+    return [np.random.default_rng(k).integers(0, 255, (72, 80, 3)).astype(np.uint8) for k in range(6)]
+
+
+def png(picture: np.ndarray) -> bytes:
+    return cv2.imencode(".png", picture)[1].tobytes()
+
+
+def write_film(path: Path) -> None:
+    film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 30, (80, 72))  # type: ignore[attr-defined]
+    for picture in pictures():
+        film.write(picture)
+    film.release()
+
+
+def video(stream: bytes, ends: np.ndarray | None) -> ColourVideo:
+    return ColourVideo(
+        name="film", time=np.arange(6) / 30, stream=np.frombuffer(stream, np.uint8), ends=ends, camera=CAMERA,
+        world="camera", template=np.full((64, 64, 3), 90, np.uint8),
+        grips=GripPath(np.arange(6) / 30, HELD, np.zeros((6, 2, 3))),
+        marks=Marks(HELD, np.array([[4.0, 4], [60, 4]])), **ABOUT,
+    )  # fmt: skip
+
+
+def write_bases(to: Path) -> None:
+    """One valid input of each kind, and a results folder and a submission made from them."""
+    write_recording(nodes(), to / "nodes.nc")
+    write_recording(nodes("sway-2", "held_out"), to / "measured" / "sway-2.nc")
+    shutil.copy(to / "nodes.nc", to / "measured" / "sway-1.nc")
+    stretch = np.linspace(1.0, 1.5, 20)
+    write_curve(Curve(name="pull", stretch=stretch, force=10 * (stretch - 1), direction="warp"), to / "curve.nc")
+    write_laser(
+        LaserImages("line", TIME[:2], np.full((2, 20, 20), 9, np.uint8), np.eye(3), np.zeros(5), np.eye(3), np.zeros(3),
+                    np.array([0, 1.0, 0, 0])), to / "laser.nc",
+    )  # fmt: skip
+    depth = np.full((6, 72, 80), 1000, np.uint16)
+    colour = Colour(TIME, np.full((6, 72, 80, 3), 90, np.uint8))
+    write_depth(
+        DepthImages(name="deep", time=TIME, depth=depth, depth_step=1e-3, camera=CAMERA, colour=colour, grips=grips(),
+                    **ABOUT), to / "depth.nc",
+    )  # fmt: skip
+    write_film(to / "film.mp4")
+    parts = [png(p) for p in pictures()]
+    write_video(video(b"".join(parts), np.cumsum([len(p) for p in parts])), to / "video_pictures.nc")
+    write_video(video((to / "film.mp4").read_bytes(), None), to / "video_film.nc")
+    shadow = np.full((1, 64, 64), 255, np.uint8)
+    y, x = np.indices((64, 64)) - 31.5
+    shadow[0, np.hypot(x, y) < 26] = 0
+    write_silhouettes(
+        Silhouettes(name="drape", image=shadow, sample=np.zeros(1, int), side=np.ones(1, int), pixel_size=4e-3,
+                    disc_radius=0.15, plate_radius=0.09), to / "silhouette.nc",
+    )  # fmt: skip
+    write_results(to)
+    write_submission(to)
+
+
+def write_results(to: Path) -> None:
+    words = [f"recordings={to / 'measured'}", *CELL[:3], "budget=8", *CELL[4:], "report=[relative_error]"]
+    if main(["run", *words, "+analysis.variability={cases: ['*'], points: 3}", f"out={to / 'runs'}"]):
+        raise SystemExit("the run that is to be spoiled has failed")
+    for name in ("report.html", "rerun", "tracked", "journal"):
+        shutil.rmtree(to / "runs" / name, ignore_errors=True)
+        (to / "runs" / name).unlink(missing_ok=True)
+
+
+def write_submission(to: Path) -> None:
+    for name in ("sway-1", "sway-2"):
+        measured = nodes(name, "fit" if name == "sway-1" else "held_out")
+        moved = np.array(measured.position) + 0.01 * np.sin(np.pi * measured.material[:, 1] / 0.4)[:, None]
+        moved[:, [0, 2]] = measured.grip_position
+        write_recording(replace(measured, position=moved, source="a plate"), to / "submission" / f"{name}.nc")
+    if main(["submit", str(to / "submission"), "--name", "plate", "--recordings", str(to / "measured")]):
+        raise SystemExit("the submission that is to be spoiled was refused")
+
+
+# --- spoiled ones ---------------------------------------------------------------------------------------------------
+
+
+def recording(*names: str) -> Kind:
+    def make(here: Path, bases: Path, chance: random.Random) -> list[Command]:
+        shutil.copy(bases / f"{chance.choice(names)}.nc", here / "in.nc")
+        spoil.other_netcdf(here / "in.nc", chance)
+        return [["validate", "in.nc", *chance.choice(([], ["--json"]))]]
+
+    return Kind(make)
+
+
+def run(here: Path, bases: Path, chance: random.Random) -> list[Command]:
+    """A recording whose numbers or texts are others: where it is still valid, it is simulated."""
+    shutil.copy(bases / "nodes.nc", here / "in.nc")
+    spoil.other_netcdf(here / "in.nc", chance)
+    return [["run", "recording=in.nc", *CELL]]
+
+
+def results(here: Path, bases: Path, chance: random.Random) -> list[Command]:
+    """A results folder of which one file, or the name of a cell, is not what a run writes."""
+    shutil.copytree(bases / "runs", here / "runs")
+    cell = next((here / "runs" / "cells").iterdir())
+    tables = sorted(cell.rglob("*.parquet"))
+    path = cell / "rows.parquet" if chance.random() < 0.5 else chance.choice(sorted(p for p in cell.rglob("*.*")))
+    if path in tables and chance.random() < 0.75:
+        spoil_table(path, chance)
+    else:
+        path.write_bytes(spoil.damaged(path.read_bytes(), chance))
+    if chance.random() < 0.05:
+        cell.rename(cell.parent / chance.choice(("nothing", "0", "abc\ndef", "-x", "a" * 200)))
+    readers: list[Command] = [
+        ["leaderboard", "--out", "runs"], ["leaderboard", "--json", "--out", "runs"], ["store", "check", "runs"],
+        ["compare", "runs", str(bases / "runs")], ["compare", "--markdown", str(bases / "runs"), "runs"],
+        ["store", "merge", "runs", "merged"], ["store", "prune", "runs", "--other-versions", "--dry-run"],
+        ["export", cell.name, "--to", "json", "--runs", "runs", "--out", "made.json"], ["report", "out=runs"],
+    ]  # fmt: skip
+    return chance.sample(readers[:-1], 2) + (readers[-1:] if chance.random() < 0.3 else [])
+
+
+def spoil_table(path: Path, chance: random.Random) -> None:
+    table = pq.read_table(path)
+    try:
+        pq.write_table(spoil.other_table(table, chance), path, write_page_checksum=True)
+    except Exception:  # Arrow does not write that; nobody meets it then
+        path.write_bytes(spoil.damaged(path.read_bytes(), chance))
+
+
+@cache
+def leaderboard_rows(bases: Path) -> list[Any]:
+    from clothbench.engine.store import Store, leaderboard_row
+
+    return [leaderboard_row(row) for row in Store(bases / "runs").rows()]
+
+
+def rows_json(here: Path, bases: Path, chance: random.Random) -> list[Command]:
+    (here / "in.json").write_bytes(spoil.other_json(leaderboard_rows(bases), chance))
+    pair = chance.sample(["in.json", str(bases / "runs")], 2)
+    return [["compare", *pair, *chance.choice(([], ["--json"], ["--markdown"]))]]
+
+
+def submission(here: Path, bases: Path, chance: random.Random) -> list[Command]:
+    shutil.copytree(bases / "submission", here / "in")
+    if chance.random() < 0.6:
+        stated = json.loads((here / "in" / "submission.json").read_text())
+        (here / "in" / "submission.json").write_bytes(spoil.other_json(stated, chance))
+    else:
+        spoil.other_netcdf(here / "in" / "sway-1.nc", chance)
+        if chance.random() < 0.7:  # as one who means harm hands it in: the hash is right
+            state_hashes(here / "in")
+    measured = ["--recordings", str(bases / "measured")]
+    if chance.random() < 0.2:
+        return [["submit", "in", "--name", chance.choice(spoil.TEXTS[1:]), *measured]]
+    return [["verify", "in", "--out", "taken", *measured], ["leaderboard", "--out", "taken"]]
+
+
+def state_hashes(folder: Path) -> None:
+    from clothbench.core.files import sha256
+
+    stated = json.loads((folder / "submission.json").read_text())
+    for entry in stated["entries"]:
+        entry["sha256"] = sha256(folder / entry["file"])
+    (folder / "submission.json").write_text(json.dumps(stated))
+
+
+HYDRA = """hydra:
+  callbacks: {mine: {_target_: os.system, command: touch FUZZED}}
+  run: {dir: ../FUZZED}
+  job: {env_set: {FUZZED: "1"}, chdir: true}
+  job_logging: {version: 1, handlers: {h: {(): os.system, command: touch FUZZED}}}
+  output_subdir: FUZZED
+  launcher: {_target_: os.system}
+"""
+BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
+    f"{b}: &{b} [{', '.join([f'*{a}'] * 9)}]\n" for a, b in zip("abcdefghi", "bcdefghij", strict=True)
+)
+
+
+def suite(here: Path, bases: Path, chance: random.Random) -> list[Command]:
+    """A suite from a folder of a stranger's; it is planned, not simulated."""
+    (here / "conf" / "suite").mkdir(parents=True)
+    text = chance.choice(suite_texts())
+    if chance.random() < 0.3:
+        lines = HYDRA.splitlines()
+        text += "\n".join([lines[0], *chance.sample(lines[1:], chance.randrange(1, 4)), ""])
+    elif chance.random() < 0.1:
+        text += BOMB
+    (here / "conf" / "suite" / "mine.yaml").write_bytes(spoil.other_text(text, chance))
+    return [["run", "--config-dir", "conf", "+suite=mine", f"recordings={bases / 'measured'}"]]
+
+
+@cache
+def suite_texts() -> list[str]:
+    return [p.read_text(encoding="utf-8") for p in sorted((suites_folder() / "suite").glob("*.yaml"))]
+
+
+WORDS = (*CELL, "study=calibration", "effects=[gravity_tilt]", "scene.areal_density=0.2", "scene.start=rest", "seed=1",
+         "bounds.stretch_stiffness=[1,2]", "+options.ga.generations=2", "prior=denim", "out=runs", "data_dir=x",
+         "+suite=static_dynamic", "suite.select=x", "tracker=markers", "report=[node_error]", "choice=knee",
+         "scene.outline=[[0,0],[0.1,0],[0,0.1]]", "scene.obstacles=[{shape:plane}]", "analysis.morris={cases:['*']}",
+         "budget=paper", "~seed", "scene.thickness=0.001")  # fmt: skip
+
+
+def words(here: Path, bases: Path, chance: random.Random) -> list[Command]:
+    """Settings on the command line; they are planned, not simulated."""
+    given = [*CELL[:3], f"recordings={bases / 'measured'}", *chance.sample(WORDS, chance.randrange(1, 5))]
+    for _ in range(chance.choice((1, 1, 2))):
+        at = chance.randrange(len(given))
+        key, _, known = given[at].partition("=")
+        fresh = str(
+            chance.choice((*spoil.NUMBERS, *spoil.TEXTS, *spoil.RAW, "null", "[1,[2", "{a:1,b:{c:2}}", known * 2))
+        )
+        given[at] = chance.choice((f"{key}={fresh}", f"+{key}={fresh}", f"{key}.{fresh}={known}", fresh, f"~{key}"))
+        if chance.random() < 0.1:
+            given[at] = spoil.damaged(given[at].encode(), chance).decode("utf-8", "replace")
+    return [["run", *(word.replace("\x00", "0") for word in given if not word.startswith("-"))]]
+
+
+# --- other programs' files ------------------------------------------------------------------------------------------
+
+
+def cloud(chance: random.Random) -> bytes:
+    """A cloud of points as PLY, or as NumPy writes it."""
+    points = np.stack([*np.meshgrid(np.linspace(-0.1, 0.1, 5), np.linspace(-0.1, 0.1, 5)), np.ones((5, 5))], axis=-1)
+    points = points.reshape(-1, 3).astype("<f4")
+    form = chance.choice(("ascii", "binary_little_endian", "binary_big_endian"))
+    head = (
+        f"ply\nformat {form} 1.0\nelement vertex 25\nproperty float x\nproperty float y\nproperty float z\nend_header\n"
+    )
+    if form == "ascii":
+        return head.encode() + "".join(f"{x} {y} {z}\n" for x, y, z in points).encode()
+    return head.encode() + points.astype(">f4" if "big" in form else "<f4").tobytes()
+
+
+def clouds(here: Path, bases: Path, chance: random.Random) -> list[Command]:
+    """A folder of clouds, or of depth frames."""
+    camera = {"size": [8, 8], "fx": 20.0, "fy": 20.0, "cx": 3.5, "cy": 3.5}
+    about = {"name": "c", "cloth_width": 0.2, "cloth_height": 0.2, "rate": 20, "weather": "fair", "camera": camera,
+             "gravity": [0, 0, -9.81]}  # fmt: skip
+    told = spoil.other_json(about, chance) if chance.random() < 0.4 else json.dumps(about).encode()
+    (here / "in").mkdir()
+    (here / "in" / "recording.json").write_bytes(told)
+    form, spoilt = chance.choice(("ply", "npy", "png")), chance.randrange(3)
+    folder = here / "in" / ("depth" if form == "png" else "clouds")
+    folder.mkdir()
+    for k in range(3):
+        if form == "npy":
+            np.save(folder / f"{k}.npy", np.ones((5, 3)))
+            content = (folder / f"{k}.npy").read_bytes()
+        else:
+            content = png(np.full((8, 8), 1000, np.uint16)) if form == "png" else cloud(chance)
+        if k == spoilt:
+            head, mark, body = content.partition(b"end_header\n")
+            if mark and chance.random() < 0.5:
+                content = spoil.other_text(head.decode(), chance) + mark + body
+            else:
+                content = PICKLED if form == "npy" and chance.random() < 0.1 else spoil.damaged(content, chance)
+        (folder / f"{k}.{form}").write_bytes(content)
+    return [["import", "in", "out=made"]]
+
+
+PICKLED = (
+    b"\x93NUMPY\x01\x00v\x00"
+    + b"{'descr': '|O', 'fortran_order': False, 'shape': (1,), }".ljust(117)
+    + b"\n"
+    + spoil.PICKLE
+)
+
+
+def film(here: Path, bases: Path, chance: random.Random) -> list[Command]:
+    """A video file, or a folder of pictures, with the template."""
+    (here / "template.png").write_bytes(png(np.full((64, 64, 3), 90, np.uint8)))
+    stated = ["template=template.png", "width=0.2", "height=0.2", "marks=4,4;60,4;60,60;4,60", "out=made"]
+    if chance.random() < 0.6:
+        (here / "in.mp4").write_bytes(spoil.damaged((bases / "film.mp4").read_bytes(), chance))
+        return [["import", "in.mp4", *stated]]
+    (here / "in").mkdir()
+    for k, picture in enumerate(pictures()):
+        content = cv2.imencode(".jpg", picture)[1].tobytes() if chance.random() < 0.5 else png(picture)
+        (here / "in" / f"{k}.png").write_bytes(spoil.damaged(content, chance) if chance.random() < 0.3 else content)
+    if chance.random() < 0.3:
+        camera = {"size": [80, 72], "fx": 20.0, "fy": 20.0, "cx": 3.5, "cy": 3.5, "distortion": [0, 0, 0, 0, 0]}
+        (here / "camera.json").write_bytes(spoil.other_json(camera, chance))
+        stated.append("camera=camera.json")
+    return [["import", "in", "rate=30", *stated]]
+
+
+HEAD = "PathFileType\t4\t(X/Y/Z)\tx.trc\nDataRate\tNumFrames\tNumMarkers\tUnits\n100\t5\t2\tmm\n"
+AXES = "Frame#\tTime\ta\t\t\tb\n\t\tX1\tY1\tZ1\tX2\tY2\tZ2\n"
+TRC = HEAD + AXES + "".join(f"{k + 1}\t{k / 100}\t1\t1\t{k}\t200\t1\t{k}\n" for k in range(5))
+CSV = "# unit: mm\n# rate: 100\nframe,time,a_x,a_y,a_z,b_x,b_y,b_z\n"
+CSV += "".join(f"{k},{k / 100},0,0,{k},200,0,{k}\n" for k in range(5))
+
+
+def markers(here: Path, bases: Path, chance: random.Random) -> list[Command]:
+    """A marker file, as the tracker `markers` reads it."""
+    from clothbench_trackers.markers import Markers
+
+    ending, text = chance.choice(((".csv", CSV), (".trc", TRC), (".c3d", "")))
+    path = here / f"in{ending}"
+    if ending == ".c3d":
+        path.write_bytes(spoil.damaged(c3d_file(), chance))
+    else:
+        path.write_bytes(spoil.other_text(text, chance))
+    return [lambda: Markers(material={"a": (0, 0), "b": (0.2, 0)}).track(path)]
+
+
+@cache
+def c3d_file() -> bytes:
+    import io
+
+    import c3d
+
+    writer = c3d.Writer(point_rate=100, analog_rate=0)
+    writer.set_point_labels(["a", "b"])
+    for k in range(5):
+        writer.add_frames([(np.array([[1.0, 1, k, 0, 0], [200, 1, k, 0, 0]]), np.array([[]]))])
+    stream = io.BytesIO()
+    writer.write(stream)
+    return stream.getvalue()
+
+
+KINDS = {
+    "nodes": recording("nodes"),
+    "curve": recording("curve"),
+    "laser": recording("laser"),
+    "depth": recording("depth"),
+    "video": recording("video_pictures", "video_film"),
+    "silhouette": recording("silhouette"),
+    "run": Kind(run, slow=True),
+    "results": Kind(results, slow=True),
+    "rows_json": Kind(rows_json),
+    "submission": Kind(submission),
+    "suite": Kind(suite, slow=True),
+    "words": Kind(words, slow=True),
+    "clouds": Kind(clouds),
+    "film": Kind(film),
+    "markers": Kind(markers),
+}
