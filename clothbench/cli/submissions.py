@@ -117,7 +117,8 @@ def _verified(
                 grade, more = VERIFIED, {**more, "unpublished": [r for r in rows_of(unpublished) if not r["recording"]]}
                 _tell_unpublished(found.submission.name, unpublished)
     if options.verdicts is not None and grade != GRADE:
-        print(f"{write_verdict(options.verdicts, verdict_on(folder, found.submission.name, grade, **more))}: written")
+        verdict = verdict_on(folder, found.submission.name, grade, **more)
+        print(f"{write_verdict(options.verdicts, verdict, folder)}: written")
     if options.out is not None:
         store = Store(options.out)
         keep(found.submission, found.found, store, plugins, REPRODUCED if options.reproduce else GRADE)

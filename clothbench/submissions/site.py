@@ -27,7 +27,8 @@ GRADES = """<h2>What the grades say</h2><dl>
 recordings. Who or what made them is not known.</dd>
 <dt>reproduced</dt><dd>Moreover the plugin was handed in, and fits that were chosen afterwards at random were done again
 with it, within the noise.</dd>
-<dt>verified</dt><dd>Moreover it was fitted and scored on recordings that were never published.</dd></dl>"""
+<dt>verified</dt><dd>The plugin was fitted here, with the settings handed in, and scored on recordings that were never
+published.</dd></dl>"""
 PAGES = "submissions"  # folder of the site
 FIRST = {"verified": 0, "reproduced": 1, GRADE: 2}
 

@@ -7,6 +7,7 @@ version that gave it. A submission brings no verdict with it: what lies in its o
 
 from __future__ import annotations
 
+import dataclasses
 import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
@@ -47,7 +48,13 @@ def verdict_on(folder: Path, name: str, grade: str, **more: Any) -> Verdict:
     return Verdict(name, sha256(folder / FILE), grade, machine=machine, date=now(), **more)
 
 
-def write_verdict(verdicts: Path, verdict: Verdict) -> Path:
+def write_verdict(verdicts: Path, verdict: Verdict, folder: Path) -> Path:
+    """Keep a verdict on the submission in a folder; what an earlier one found about it beside that, stays."""
+    earlier = find_verdict(verdicts, folder)
+    if earlier is not None and not verdict.unpublished and earlier.unpublished:
+        verdict = dataclasses.replace(verdict, grade=earlier.grade, unpublished=earlier.unpublished)
+    if earlier is not None and verdict.seed is None:
+        verdict = dataclasses.replace(verdict, seed=earlier.seed, cells=earlier.cells)
     path = verdicts / f"{verdict.sha256[:16]}.json"
     with whole_file(path) as part:
         part.write_text(json.dumps({"schema": SCHEMA, **asdict(verdict)}, indent=1) + "\n", encoding="utf-8")

@@ -11,7 +11,7 @@ from clothbench import ClothbenchError, write_recording
 from clothbench.plugins.discovery import catalogue
 from clothbench.submissions.site import write_site
 from clothbench.submissions.submission import FILE, pack
-from clothbench.submissions.verdicts import verdict_on, write_verdict
+from clothbench.submissions.verdicts import find_verdict, verdict_on, write_verdict
 
 MEASURED = [swinging_recording("sway-1"), swinging_recording("sway-2", split="held_out")]
 UNPUBLISHED = {
@@ -33,7 +33,7 @@ def place(tmp_path_factory):
     for name in ("second", "changed"):
         mine = folder / "submissions" / name
         more = {"seed": 7, "cells": ["ab"], "unpublished": [UNPUBLISHED], "network": "cut off"}
-        write_verdict(folder / "verdicts", verdict_on(mine, name, "verified", **more))
+        write_verdict(folder / "verdicts", verdict_on(mine, name, "verified", **more), mine)
     forge(folder / "submissions" / "forged", lambda s: s["entries"][0]["scores"].update(node_error=1.0))
     forge(folder / "submissions" / "changed", lambda s: s.update(about="better now"))
     return folder
@@ -85,6 +85,16 @@ def test_no_submission_and_a_damaged_verdict_are_one_line(place, tmp_path):
         (tmp_path / path.name).write_text("{}")
     with pytest.raises(ClothbenchError, match="is no verdict"):
         write_site(place / "submissions", tmp_path / "site", MEASURED, tmp_path, catalogue())
+
+
+def test_a_later_verdict_adds_to_an_earlier_one(place, tmp_path):
+    mine = place / "submissions" / "first"
+    write_verdict(tmp_path, verdict_on(mine, "first", "verified", unpublished=[UNPUBLISHED]), mine)
+    write_verdict(tmp_path, verdict_on(mine, "first", "reproduced", seed=3, cells=["ab"]), mine)
+    found = find_verdict(tmp_path, mine)
+    assert (found.grade, found.seed, found.unpublished) == ("verified", 3, [UNPUBLISHED])
+    write_verdict(tmp_path, verdict_on(mine, "first", "verified", unpublished=[UNPUBLISHED]), mine)
+    assert find_verdict(tmp_path, mine).cells == ["ab"]
 
 
 @pytest.fixture(scope="module")
