@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.markup import escape
 from rich.table import Table
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, seen
 from clothbench.display.terminal import console
 from clothbench.engine.store import Store
 from clothbench.engine.suite import resolve
@@ -33,7 +33,7 @@ def submit(folder: Path, recordings: Sequence[str], metrics: Sequence[str], **ab
     if not folder.is_dir():
         raise ClothbenchError(f"{folder}: is not a folder; expected one with simulated recordings (*.nc)")
     known, plugins = measured(recordings), catalogue()
-    found = pack(folder, known, metrics, plugins, **about)
+    found = pack(folder, known, metrics, plugins, **{name: seen(text) for name, text in about.items()})
     table = Table(title=f"{escape(found.name)}: {len(found.entries)} of {len(known)} recordings", title_justify="left")
     for name in ("recording", *found.metrics):
         table.add_column(name, justify="left" if name == "recording" else "right")
