@@ -84,7 +84,9 @@ def _after(arguments: Sequence[str]) -> list[str]:
 
 
 def _settings(arguments: Sequence[str]) -> list[str]:
-    return [word for word in arguments if not word.startswith("-") and word not in _after(arguments)]
+    """KEY=VALUE and ~KEY; a word that is neither belongs to one of Hydra's flags."""
+    words = [word for word in arguments if not word.startswith("-") and word not in _after(arguments)]
+    return [word for word in words if "=" in word or word.startswith("~")]
 
 
 def _values(word: str) -> list[str]:

@@ -11,7 +11,7 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, seen
 from clothbench.display.terminal import console
 from clothbench.engine.store import Store
 from clothbench.engine.suite import resolve
@@ -44,7 +44,7 @@ def measured(paths: Sequence[str], option: str = "--recordings") -> list[Recordi
 def submit(options: argparse.Namespace, results: Store | None) -> int:
     """Score what was simulated and write what is handed in. results: that it is made from; None: from the folder."""
     folder, known, plugins = options.folder, measured(options.recordings), catalogue()
-    about = {"name": options.name, "by": options.by, "about": options.about, "suite": options.suite}
+    about = {name: seen(getattr(options, name)) for name in ("name", "by", "about", "suite")}
     if results is not None:
         if not options.wheel:
             raise ClothbenchError("submit: --runs needs --wheel FILE, the distribution that the plugins come from")

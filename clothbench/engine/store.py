@@ -29,7 +29,7 @@ import pyarrow as pa
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import parsed_json, read_json, whole_folder
 from clothbench.engine.index import INDEX, indexed
-from clothbench.engine.tables import Columns, as_declared, read_if_there, write_table
+from clothbench.engine.tables import Columns, as_declared, read_if_there, read_table, write_table
 
 _text, _number, _whole = pa.string(), pa.float64(), pa.int64()
 

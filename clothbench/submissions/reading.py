@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, seen
 from clothbench.core.files import read_json
 from clothbench.submissions.submission import FILE, SCHEMA, Asked, Entry, Submission, Wheel
 
@@ -25,6 +25,7 @@ def read_submission(folder: Path) -> Submission:
     for key, value in texts.items():
         if not isinstance(value, str) or (key in ("name", "suite") and not value.strip()):
             raise ClothbenchError(f"{path}: {key} is {value!r}, expected text")
+        texts[key] = seen(value)
     entries = stated.get("entries")
     if not isinstance(entries, list) or not entries:
         raise ClothbenchError(f"{path}: entries is {entries!r}, expected a list of simulated recordings")
