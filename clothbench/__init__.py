@@ -64,6 +64,8 @@ _HOME = {
     "HasKind": "core.optional",
     "HasObjectives": "core.optional",
     "HasStart": "core.optional",
+    "HasTemperature": "core.optional",
+    "FollowsLaw": "core.optional",
     "KnowsMaterials": "core.optional",
     "KnowsTextiles": "core.optional",
     "MayBeAbsent": "core.optional",

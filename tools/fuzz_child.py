@@ -8,6 +8,7 @@ stays bounded. Who started this process sees whether it still lives, and how lon
 from __future__ import annotations
 
 import faulthandler
+import importlib
 import json
 import os
 import random
@@ -18,7 +19,7 @@ import sys
 import tempfile
 import traceback
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TextIO
 
@@ -269,6 +270,8 @@ def main(words: list[str]) -> None:
 
 def warm_up(kind: str, here: Path, bases: Path) -> None:
     """Load what reading loads, with a valid input, so that only the input makes a difference afterwards."""
+    with suppress(ImportError):  # xarray looks whether it is there when it first writes
+        importlib.import_module("dask")
     from clothbench.cli import main as clothbench
 
     clothbench(["validate", *map(str, sorted(bases.glob("*.nc")))])

@@ -14,7 +14,7 @@ from clothbench.cli.results import print_results
 from clothbench.engine.pool import run_cells
 from clothbench.engine.store import Store
 from clothbench.engine.suite import plan
-from clothbench.plugins.discovery import Catalogue, Plugin
+from clothbench.plugins.discovery import OWN, Catalogue, Plugin
 from clothbench.plugins.discovery import catalogue as installed
 from clothbench.reference import mechanics as references
 from clothbench.report.gate import compare_rows
@@ -114,7 +114,7 @@ SETTINGS = {
 
 @pytest.fixture
 def catalogue(monkeypatch) -> Catalogue:
-    plugins = [Plugin("models", n, f"{__name__}:{c}", "", "somebody", "1") for n, c in MODELS.items()]
+    plugins = [Plugin("models", n, f"{__name__}:{c}", "", OWN, "1") for n, c in MODELS.items()]
     others = [p for p in installed().plugins if p.kind in ("effects", "studies")]
     made = Catalogue((*plugins, *others))
     for user in ("engine.run", "report.page", "cli.results"):

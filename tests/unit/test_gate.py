@@ -6,7 +6,7 @@ from clothbench.report.gate import IDENTITY, compare_rows, markdown
 
 
 def row(value, half=1.0, status="ok", **changes):
-    about = dict.fromkeys(IDENTITY, "x")
+    about = dict.fromkeys(IDENTITY, "x") | {"seed": 0}
     low, high = (value - half, value + half) if value is not None else (None, None)
     return {**about, "value": value, "low": low, "high": high, "unit": "mm", "status": status, "reason": "", **changes}
 

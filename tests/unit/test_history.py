@@ -139,7 +139,7 @@ def test_entries_are_added_to_a_folder_and_none_meets_another(tmp_path):
         ({"commit": 3}, "commit is 3, expected text"),
         ({"machine": []}, r"machine is \[\], expected text or null"),
         ({"date": "today"}, "is 'today', expected a date like"),
-        ({"rows": {}}, "expected a list of leaderboard rows"),
+        ({"rows": {}}, "expected rows as `clothbench leaderboard --json` prints them"),
     ],
 )
 def test_a_damaged_entry_is_one_line(tmp_path, change, found):
