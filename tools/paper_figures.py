@@ -17,7 +17,7 @@ from fold_figure import shaded
 from clothbench.engine.store import Store
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration.cell import Bench, asked_and_fitted, set_up, with_recordings
-from clothbench.studies.calibration.transfer import confusions
+from clothbench.studies.calibration.transfer import confusions, transfers
 from clothbench.vision.render import striped
 
 IMAGES = Path(__file__).resolve().parent.parent / "docs" / "images"
@@ -34,20 +34,18 @@ FRAMES = {ROBOT: (12, 28, 44, 70), LONG: (20, 60, 100, 140)}
 def draw_all(store: Store) -> None:
     rows = [r for r in store.rows() if r["metric"] == r["objective"]]
     keys = {r["case"]: r["key"] for r in rows}
-    chosen = {fabric: best_of(rows, fabric) for fabric in FABRICS}
+    chosen = chosen_fits(store, rows)
     draw_curves(store, keys, rows)
     draw_progress(store, keys["satin/waving-1"])
     write("paper-shape.png", shape_panels(store, keys[SHAPE[0]], SHAPE[1]))
     for trial, name in ((ROBOT, "paper-robot.png"), (LONG, "paper-150-frames.png")):
-        strips = [strip(store, keys[chosen[f]], f"{f}/{trial}", FRAMES[trial]) for f in FABRICS]
+        strips = [strip(store, keys[chosen[f"{f}/waving"]], f"{f}/{trial}", FRAMES[trial]) for f in FABRICS]
         write(name, np.vstack(strips) if trial == ROBOT else strips[FABRICS.index("satin")])
 
 
-def best_of(rows: Sequence[dict[str, Any]], fabric: str) -> str:
-    """The waving fit of a fabric with the least E1 + E2."""
-    error = {(r["case"], r["recording"]): r["value"] for r in rows}
-    cases = [f"{fabric}/waving-{n}" for n in (1, 2)]
-    return min(cases, key=lambda case: sum(error[case, other] for other in cases))
+def chosen_fits(store: Store, rows: Sequence[dict[str, Any]]) -> dict[str, str]:
+    """The case with the least E1 + E2 of each fabric and experiment ("satin/waving"), as the paper chose."""
+    return {t.group: t.case for t in transfers(rows, store.table("starts")) if t.chosen}
 
 
 def draw_curves(store: Store, keys: dict[str, str], rows: Sequence[dict[str, Any]]) -> None:

@@ -18,7 +18,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from paper_figures import draw_all
+from paper_figures import chosen_fits, draw_all
 
 from clothbench.engine.store import Store
 
@@ -58,6 +58,7 @@ class Fits:
         self.key = {r["case"]: r["key"] for r in rows}
         self.error = {(r["case"], r["recording"]): r["value"] for r in rows if r["recording"]}
         self.case_of = {key: case for case, key in self.key.items()}
+        self.least = chosen_fits(store, rows)
         self.start = {s["case"]: s["start"] for s in store.table("starts")}
         self.parameters = self._by_case(store.table("parameters"))
         self.variability = self._by_case(store.table("variability"))
@@ -69,13 +70,9 @@ class Fits:
             out.setdefault(self.case_of[row["key"]], []).append(row)
         return out
 
-    def total(self, case: str) -> float:
-        """E1 + E2 of a fit."""
-        return sum(self.error[case, f"{case[:-1]}{n}"] for n in (1, 2))
-
     def chosen(self, fabric: str, experiment: str) -> str:
-        """The fit with the least E1 + E2, as the paper chose."""
-        return min((f"{fabric}/{experiment}-{n}" for n in (1, 2)), key=self.total)
+        """The fit with the least E1 + E2."""
+        return self.least[f"{fabric}/{experiment}"]
 
 
 def error_table(fits: Fits, experiment: str) -> list[str]:
