@@ -125,7 +125,7 @@ def _store_commands(commands: Any) -> None:
 
 
 def _folder(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("folder", metavar="FOLDER", help="results folder")
+    sub.add_argument("folder", metavar="FOLDER", help="results folder, or s3://BUCKET/PREFIX")
 
 
 def _merge(sub: argparse.ArgumentParser) -> None:
@@ -154,7 +154,7 @@ def _paths(sub: argparse.ArgumentParser) -> None:
 
 
 def _store(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("--out", default=DEFAULT_OUT, help="results folder (default: runs)")
+    sub.add_argument("--out", default=DEFAULT_OUT, help="results folder, or s3://BUCKET/PREFIX (default: runs)")
 
 
 def _recordings(sub: argparse.ArgumentParser) -> None:
@@ -329,15 +329,25 @@ def key_values(settings: Sequence[str], allowed: Sequence[str]) -> dict[str, str
     return out
 
 
-def results_in(folder: str | Path, default: str = DEFAULT_OUT) -> Any:
-    """The store in a folder; a folder that was named and holds no results is the user's error."""
+def results_in(place: str | Path, default: str = DEFAULT_OUT, whole: bool = True) -> Any:
+    """The store in a folder or a bucket; one that was named and holds no results is the user's error.
+
+    whole: whether an object of a bucket that cannot be read is one, too.
+    """
+    from clothbench.engine.mirror import results_folder
     from clothbench.engine.store import Store
 
-    if str(folder) != default and not (Path(folder) / "cells").is_dir():
-        raise ClothbenchError(
-            f"{folder}: found no results (no folder 'cells'); make some with clothbench run … out={folder}"
-        )
+    folder = results_folder(place, whole)
+    if str(place) != default and not (folder / "cells").is_dir():
+        raise ClothbenchError(f"{place}: found no results (no 'cells'); make some with clothbench run … out={place}")
     return Store(folder)
+
+
+def _folder_of(place: str) -> Path:
+    """A folder as it was named; the mirror of a bucket, which has to hold results."""
+    from clothbench.engine.bucket import is_address
+
+    return results_in(place).folder if is_address(place) else Path(place)
 
 
 def print_json(document: Any) -> None:
@@ -363,7 +373,7 @@ def improve(options: argparse.Namespace) -> int:
 def suggest(options: argparse.Namespace) -> int:
     from clothbench.cli.suggest import command
 
-    return command(options.name, options.settings, Path(options.runs), options.json)
+    return command(options.name, options.settings, _folder_of(options.runs), options.json)
 
 
 def plugins(options: argparse.Namespace) -> int:
@@ -444,7 +454,7 @@ def compare(options: argparse.Namespace) -> int:
     from clothbench.engine.store import load_rows
     from clothbench.report.gate import compare_rows, markdown, print_gate
 
-    verdict = compare_rows(load_rows(options.base), load_rows(options.new))
+    verdict = compare_rows(load_rows(_folder_of(options.base)), load_rows(_folder_of(options.new)))
     if options.json:
         print_json(verdict)
     elif options.markdown:
@@ -484,11 +494,14 @@ def bench(options: argparse.Namespace) -> int:
 def report(options: argparse.Namespace) -> int:
     from clothbench.report.page import write_page
 
-    folder = Path(key_values(options.settings, ("out",)).get("out", DEFAULT_OUT))
+    place = key_values(options.settings, ("out",)).get("out", DEFAULT_OUT)
     if options.watch:
-        return watched(folder)
-    results_in(folder)
-    print(f"page: {write_page(folder)}")
+        from clothbench.engine.bucket import is_address
+
+        if is_address(place):
+            raise ClothbenchError(f"{place}: found a bucket, expected a folder: --watch follows a run of this machine")
+        return watched(Path(place))
+    print(f"page: {write_page(results_in(place).folder)}")
     return 0
 
 
@@ -513,13 +526,13 @@ def watched(folder: Path) -> int:
 def view(options: argparse.Namespace) -> int:
     from clothbench.cli.view import open_viewer
 
-    return open_viewer(Path(options.out), options.name, options.web)
+    return open_viewer(_folder_of(options.out), options.name, options.web)
 
 
 def export(options: argparse.Namespace) -> int:
     from clothbench.cli.export import export as command
 
-    return command(options.name, options.to, Path(options.runs), options.out)
+    return command(options.name, options.to, _folder_of(options.runs), options.out)
 
 
 def submit(options: argparse.Namespace) -> int:
@@ -558,7 +571,7 @@ def presets(options: argparse.Namespace) -> int:
 def store(options: argparse.Namespace) -> int:
     from clothbench.cli.store import TASKS
 
-    done = TASKS[options.task](results_in(options.folder, default=""), options)
+    done = TASKS[options.task](results_in(options.folder, default="", whole=options.task != "check"), options)
     if options.json:
         print_json(done.document)
     else:

@@ -29,8 +29,10 @@ from omegaconf.errors import OmegaConfBaseException
 from clothbench.cli.own_suites import require_harmless
 from clothbench.cli.results import print_results
 from clothbench.core.errors import ClothbenchError
+from clothbench.engine.bucket import is_address
 from clothbench.engine.executors.settings import LOCAL, executor_settings
 from clothbench.engine.limits import Limits
+from clothbench.engine.mirror import results_folder, up_to_date
 from clothbench.engine.pool import failed, run_cells
 from clothbench.engine.progress import CellBar, Sweep, counting
 from clothbench.engine.settings import KNOWN, last_word
@@ -140,6 +142,8 @@ def _run(config: Any, sweep: Sweep | None) -> dict[str, Any]:
             f"setting 'limits': they are watched on this machine only, found executor={executor['name']}; leave them "
             "out (a scheduler has limits of its own)"
         )
+    if is_address(config.get("out")):
+        config = {**config, "out": str(results_folder(config["out"]))}
     with counting("files") as told:
         cells = plan(config, catalogue(), told)
     out = Path(config["out"])
@@ -165,7 +169,7 @@ def _conclude(notes: Path, sweep: bool) -> int:
     code = 0
     for out in sorted({n["out"] for n in found}):
         mine = [n for n in found if n["out"] == out]
-        store, keys = Store(out), list(dict.fromkeys(k for n in mine for k in n["cells"]))
+        store, keys = up_to_date(Store(out)), list(dict.fromkeys(k for n in mine for k in n["cells"]))
         rows = print_results(store, keys)
         _say_where(store, keys)
         code = max(code, int(failed(r["status"] for r in rows)))
@@ -177,13 +181,14 @@ def _say_where(store: Store, keys: Sequence[str]) -> None:
     from clothbench.studies.calibration.film_rerun import BEST, write_best
 
     shown = Path(os.path.relpath(store.folder)) if store.folder.is_relative_to(Path.cwd()) else store.folder
+    named = store.address if store.bucket is not None else shown
     write_page(store.folder)
     print(f"page:   {shown / PAGE}")
-    print(f"tables: {shown / 'cells'}/KEY/*.parquet   (clothbench leaderboard --out {shown})")
+    print(f"tables: {shown / 'cells'}/KEY/*.parquet   (clothbench leaderboard --out {named})")
     best = write_best(store, keys)
     if best or any((store.cell(k) / "fit.rrd").exists() for k in keys):
         files = f"   ({shown / BEST}: the best fit of each case)" if best else ""
-        print(f"rerun:  clothbench view {keys[0]} --out {shown}{files}")
+        print(f"rerun:  clothbench view {keys[0]} --out {named}{files}")
 
 
 def _one_line(fault: Exception) -> str:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.check import Finding, check
+from clothbench.engine.mirror import pull, results_folder
 from clothbench.engine.progress import counting
 from clothbench.engine.store import Store
 from clothbench.engine.upkeep import DAY, merge, prunable, remove
@@ -25,27 +25,36 @@ class Done:
 
 
 def checked(store: Store, options: argparse.Namespace) -> Done:
+    broken = pull(store, again=True) if store.bucket is not None else {}
     with counting("cells") as told:
-        findings = check(store, catalogue(), told)
+        findings = [*(Finding(store.cell(key), line) for key, line in broken.items()), *check(store, catalogue(), told)]
     faults = sum(not found.harmless for found in findings)
     lines = [f"{'left over' if found.harmless else 'fault'}: {found.line}" for found in findings]
     return Done(
-        _document(findings), [*lines, f"{store.folder}: {f'{faults} faults' if faults else 'ok'}"], int(faults > 0)
+        _document(findings), [*lines, f"{store.address}: {f'{faults} faults' if faults else 'ok'}"], int(faults > 0)
     )
 
 
 def merged(store: Store, options: argparse.Namespace) -> Done:
-    into = Path(options.into)
-    if into.exists() and into.samefile(store.folder):
-        raise ClothbenchError(f"{into}: found the folder to merge from, expected another one")
-    done = merge(store, Store(into), catalogue())
+    into = Store(results_folder(options.into))
+    if into.folder.exists() and into.folder.samefile(store.folder):
+        raise ClothbenchError(f"{into.address}: found the folder to merge from, expected another one")
+    done = merge(store, into, catalogue())
     counts = {"taken": len(done.taken), "same": len(done.same), "errors": len(done.errors)}
     told = f"{counts['taken']} cells taken, {counts['same']} there already, {counts['errors']} errors left out"
-    lines = [*(f"fault: {found.line}" for found in done.findings), f"{into}: {told}, {len(done.findings)} faults"]
+    lines = [
+        *(f"fault: {found.line}" for found in done.findings),
+        f"{into.address}: {told}, {len(done.findings)} faults",
+    ]
     return Done({**counts, "faults": _document(done.findings)}, lines, int(bool(done.findings)))
 
 
 def pruned(store: Store, options: argparse.Namespace) -> Done:
+    if store.bucket is not None and (options.cell or options.other_versions):
+        raise ClothbenchError(
+            f"{store.address}: nothing that is published in a bucket is deleted by clothbench; leave --cell and "
+            "--other-versions out, or delete objects with the tools of the store"
+        )
     found = prunable(
         store, catalogue(), older=options.older * DAY, other_versions=options.other_versions, keys=options.cell
     )

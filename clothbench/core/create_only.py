@@ -66,7 +66,7 @@ def _renames(place: Path) -> int:
         ready.wait()
         return renamed(part, place / "there")
 
-    won = [part.name for part, first in zip(parts, _at_once(put, parts), strict=True) if first]
+    won = [part.name for part, first in zip(parts, at_once(put, parts), strict=True) if first]
     there = [path.name for path in (place / "there").iterdir()]
     return len(won) if won == there else AT_ONCE
 
@@ -83,10 +83,11 @@ def _locks(place: Path) -> int:
             time.sleep(0)  # let another one in, if it can come in
             inside -= 1
 
-    _at_once(enter, list(range(AT_ONCE)))
+    at_once(enter, list(range(AT_ONCE)))
     return most
 
 
-def _at_once(work: Callable[[T], object], what: list[T]) -> list[object]:
+def at_once(work: Callable[[T], object], what: list[T]) -> list[object]:
+    """What comes of `AT_ONCE` of them, each in a thread of its own, all at the same time."""
     with ThreadPoolExecutor(AT_ONCE) as threads:
         return list(threads.map(work, what))

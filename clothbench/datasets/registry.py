@@ -111,6 +111,13 @@ def verify(name: str, folder: Path) -> Check:
     return Check(frozenset(set(present) - set(known.files)), frozenset(wrong))
 
 
+def cache_folder() -> Path:
+    """What may be deleted and made again lies there: the system's own (pooch), or what CLOTHBENCH_CACHE names."""
+    import pooch
+
+    return Path(os.environ.get("CLOTHBENCH_CACHE") or pooch.os_cache("clothbench"))
+
+
 def fetch(name: str, progress: FileProgress | None = None) -> Path:
     """Download what is not in the cache yet, verify every SHA-256, and give the folder in the local layout.
 
@@ -119,7 +126,7 @@ def fetch(name: str, progress: FileProgress | None = None) -> Path:
     import pooch
 
     known = dataset(name)
-    cache = Path(os.environ.get("CLOTHBENCH_CACHE") or pooch.os_cache("clothbench")) / known.name / known.commit[:12]
+    cache = cache_folder() / known.name / known.commit[:12]
     keeper = pooch.create(
         path=cache,
         base_url="",

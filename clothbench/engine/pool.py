@@ -15,7 +15,6 @@ from typing import Any, Literal
 
 import numpy as np
 
-from clothbench.core.create_only import require_create_only
 from clothbench.core.parallel import available_cores, share_cores
 from clothbench.engine.executors.cells import run_cells_on
 from clothbench.engine.executors.settings import LOCAL
@@ -51,7 +50,7 @@ def run_cells(
     kept = store.finished(dict.fromkeys(c.key for c in cells))
     missing = [c for c in cells if c.key not in kept]
     if missing:
-        require_create_only(out)
+        store.require_create_only()
     for cell in cells:
         if cell.key in kept:
             done(cell, "kept")

@@ -15,6 +15,7 @@ from typing import Any
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.scene import AIR_DENSITY, Obstacle, obstacles_of
+from clothbench.engine.bucket import is_address
 from clothbench.plugins.discovery import Catalogue
 
 PLUGINS = ("model", "optimizer", "metric", "effects", "report", "recording", "recordings")  # names, or lists of them
@@ -192,6 +193,8 @@ def writable(value: Any) -> Path:
     """The results folder: it exists or can be made, and can be written to."""
     if not isinstance(value, str) or not value:
         raise ClothbenchError(f"setting 'out' is {value!r}, expected a folder")
+    if is_address(value):
+        raise ClothbenchError(f"setting 'out' is {value!r}, expected a folder: `clothbench run` alone takes a bucket")
     folder = Path(value)
     above = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
     if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):

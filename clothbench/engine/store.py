@@ -7,6 +7,8 @@ RUNS/cells/KEY/films/N.npz          of a calibration: the same thinned, for the 
 RUNS/tracked/KEY.nc                 what a tracker made of images: a recording of nodes
 RUNS/journal/KEY/                   what an unfinished cell has simulated so far
 RUNS/index/                         a cache for listing many cells; may be deleted at any time
+
+Of results in a bucket the folder is a mirror (`clothbench.engine.mirror`): what is put into it is published there first.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import math
 import os
 import platform
 import re
+import shutil
 import string
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -26,8 +29,19 @@ from typing import Any
 import pandas as pd
 import pyarrow as pa
 
+from clothbench.core.create_only import require_create_only
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import parsed_json, read_json, whole_folder
+from clothbench.core.packed import Files, files_in, packed, unpacked, write_files
+from clothbench.engine.bucket import (
+    ATTEMPT,
+    Bucket,
+    attempt_name,
+    cell_object,
+    error_object,
+    mirrored,
+    require_conditional,
+)
 from clothbench.engine.index import INDEX, indexed
 from clothbench.engine.tables import Columns, as_declared, read_if_there, read_table, write_table
 
@@ -106,6 +120,24 @@ class Store:
 
     def __init__(self, folder: str | os.PathLike[str]):
         self.folder = Path(folder)
+        if re.match(r"\w{2,}:/", str(folder)):
+            raise ClothbenchError(f"{folder}: found an address, expected a folder; this command takes no bucket")
+
+    @functools.cached_property
+    def bucket(self) -> Bucket | None:
+        """What the folder is the mirror of; None if it stands for itself."""
+        return mirrored(self.folder)
+
+    @property
+    def address(self) -> str:
+        """As a user names it."""
+        return self.bucket.address if self.bucket is not None else str(self.folder)
+
+    def require_create_only(self) -> None:
+        """Try out that of several who put the same cell here one comes first; a ClothbenchError where it is not so."""
+        require_create_only(self.folder)
+        if self.bucket is not None:
+            require_conditional(self.bucket.address)
 
     def cell(self, key: str) -> Path:
         return self.folder / "cells" / key
@@ -134,35 +166,47 @@ class Store:
         columns: of the tables beside "rows", by name.
         """
         known = {"rows": ROWS, **(columns or {})}
-        with whole_folder(self.cell(key), lambda: self._stands(key, tables["rows"])) as part:
+
+        def fill(part: Path) -> None:
             for name, content in tables.items():
                 write_table(part / f"{name}.parquet", content, known.get(name))
             if extra is not None:
                 extra(part)
-        return self.cell(key)
 
-    def take(self, key: str, files: Mapping[str, bytes]) -> Path:
+        return self._placed(key, fill)
+
+    def take(self, key: str, files: Files) -> Path:
         """Write a cell that was made in another store, by the paths of its files below its folder; as `put` does."""
-        with whole_folder(
-            self.cell(key), lambda: self._stands(key, read_table(part / "rows.parquet").to_pylist())
-        ) as part:
-            for name, content in files.items():
-                (part / name).parent.mkdir(parents=True, exist_ok=True)
-                (part / name).write_bytes(content)
+        return self._placed(key, lambda part: write_files(part, files))
+
+    def _placed(self, key: str, fill: Callable[[Path], None]) -> Path:
+        with whole_folder(self.cell(key), lambda: self._stands(key, part)) as part:
+            fill(part)
+            if self.bucket is not None:
+                self._publish(self.bucket, key, part)
         return self.cell(key)
 
-    def _stands(self, key: str, again: list[dict[str, Any]] | pd.DataFrame) -> bool:
-        """Whether a cell is finished, also against these rows of the same cell."""
+    def _stands(self, key: str, part: Path) -> bool:
+        """Whether a cell is finished, also against the same cell in another folder."""
         if not self.has(key):
             return False
-        rows: list[Any] = again.to_dict("records") if isinstance(again, pd.DataFrame) else again
-        first, second = outcome(self.table("rows", [key])), outcome(rows)
-        if finished(rows) and first != second:
-            warnings.warn(
-                f"{self.cell(key)}: computed twice, first {first}, which stays, then {second}; {SEEDLESS}",
-                stacklevel=3,
-            )
+        _compare(self.cell(key), self.table("rows", [key]), _rows_in(part))
         return True
+
+    def _publish(self, bucket: Bucket, key: str, part: Path) -> None:
+        """Put the cell in a folder into the bucket, by one create. If it is there already, that takes its place in the
+        folder, too; an error has a key of its own.
+        """
+        rows = _rows_in(part)
+        if not finished(rows):
+            (part / ATTEMPT).write_text(attempt := attempt_name())
+            bucket.create(error_object(key, attempt), packed(files_in(part)))
+        elif not bucket.create(name := cell_object(key), packed(files_in(part))):
+            where = f"{bucket.address}/{name}"
+            files = unpacked(bucket.read([name])[name], where)
+            shutil.rmtree(part)
+            write_files(part, files)
+            _compare(where, _rows_in(part), rows)
 
     def rows(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
         """Rows of all cells, or of some, sorted by what they are about."""
@@ -190,6 +234,17 @@ class Store:
             return sorted(name for name in os.listdir(self.folder / "cells") if name[0] in string.hexdigits.lower())
         except FileNotFoundError:
             return []
+
+
+def _rows_in(cell: Path) -> list[dict[str, Any]]:
+    return read_table(cell / "rows.parquet").to_pylist()
+
+
+def _compare(where: object, stays: Sequence[Mapping[str, Any]], again: Sequence[Mapping[str, Any]]) -> None:
+    """Warn if a cell that was computed twice did not come to the same."""
+    first, second = outcome(stays), outcome(again)
+    if finished(again) and first != second:
+        warnings.warn(f"{where}: computed twice, first {first}, which stays, then {second}; {SEEDLESS}", stacklevel=2)
 
 
 def row_order(row: dict[str, Any]) -> tuple[str, ...]:

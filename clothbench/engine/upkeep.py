@@ -9,9 +9,9 @@ from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from clothbench.core.create_only import require_create_only
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import remove_folder, whole_file, whole_folder
+from clothbench.core.files import remove_folder, whole_file
+from clothbench.core.packed import files_in
 from clothbench.engine.cells import plugin_versions
 from clothbench.engine.check import Finding, check_cell, fault, remains, unreadable
 from clothbench.engine.run import TRACKED
@@ -43,7 +43,7 @@ def merge(source: Store, into: Store, plugins: Catalogue) -> Merged:
 
     Unfinished cells are left alone. What trackers made of images comes along.
     """
-    require_create_only(into.folder)
+    into.require_create_only()
     known, out = studies(plugins), Merged()
     for folder in sorted(p for p in (source.folder / "cells").glob("[!.]*")):
         if found := check_cell(folder, known):
@@ -61,8 +61,7 @@ def _merge_cell(folder: Path, into: Store, out: Merged) -> None:
         there = into.table("rows", [key])
         wanted = not there or (finished(rows) and not finished(there))
         if wanted:
-            with whole_folder(into.cell(key), lambda: into.has(key)) as part:
-                shutil.copytree(folder, part, dirs_exist_ok=True)
+            into.take(key, files_in(folder))
             there = into.table("rows", [key])  # of a run, if one was faster
     except ClothbenchError as said:
         out.findings.append(Finding(into.cell(key), str(said)))

@@ -11,15 +11,16 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.packed import Files, files_in
 from clothbench.engine.cells import Source, lie_here
 from clothbench.engine.executors.drive import answers, opened
 from clothbench.engine.executors.work import Answer, Died, Tell, other_versions
+from clothbench.engine.mirror import mirror_of, up_to_date
 from clothbench.engine.rows import failure
 from clothbench.engine.run import CellProgress, failed_with, keep, run_cell, writing
 from clothbench.engine.store import JOURNAL, Store
 from clothbench.engine.study import Cell
 
-Files = Mapping[str, bytes]
 Places = Mapping[str, str | bytes]  # of recordings, by hash: where they lie, or what is in them
 
 
@@ -33,16 +34,18 @@ class Finished:
 
 @dataclass(frozen=True)
 class CellWork:
-    """A cell for a worker. out: the results folder, None: the worker shares no folder, and sends back what it made."""
+    """A cell for a worker. out: the results folder, or the address of a bucket that the worker publishes in; None: it
+    shares no folder, and sends back what it made.
+    """
 
     cell: Cell
     recordings: Places
-    out: Path | None
+    out: Path | str | None
     rerun: bool
 
     def __call__(self, tell: Tell, threads: int) -> Finished:
         lie_here(placed(self.recordings))
-        store = Store(self.out or scratch() / "runs")
+        store = Store(self._folder())
         if reason := other_versions(self.cell.versions):
             result = failure(self.cell, "error", reason)
             keep(store, self.cell, result)
@@ -50,6 +53,11 @@ class CellWork:
         else:
             status = self._run(store, tell, threads)
         return Finished(status, None if self.out else taken_out(store, self.cell.key))
+
+    def _folder(self) -> Path:
+        if isinstance(self.out, str):
+            return mirror_of(self.out)
+        return self.out or scratch() / "runs"
 
     def _run(self, store: Store, tell: Tell, threads: int) -> str:
         def told(_: Cell, steps: int, value: float) -> None:
@@ -71,11 +79,11 @@ def run_cells_on(
 
     A cell whose worker dies is tried once more; if that dies, too, it becomes an error row.
     """
-    store = Store(out.absolute())
+    store, shared = Store(out.absolute()), executor["shared"]
+    written = store.address if store.bucket is not None else store.folder if shared else None
 
     def work(number: int) -> CellWork:
-        shared = executor["shared"]
-        return CellWork(cells[number], places(cells[number], shared), store.folder if shared else None, rerun)
+        return CellWork(cells[number], places(cells[number], shared), written, rerun)
 
     def told(number: int, steps: int, value: float) -> None:
         if progress is not None:
@@ -95,7 +103,7 @@ def concluded(store: Store, cell: Cell, answer: Answer | Died) -> str:
             with writing(store, cell):
                 store.take(cell.key, answer.value.files)
         return answer.value.status
-    if store.has(cell.key):  # its worker had stored it, and died before it could say so
+    if up_to_date(store).has(cell.key):  # its worker had stored it, and died before it could say so
         return "ok"
     result = failed_with(cell, f"the process that ran this cell died twice ({answer.reason})")
     keep(store, cell, result)
@@ -144,8 +152,7 @@ def _scratch() -> tempfile.TemporaryDirectory:
 
 def taken_out(store: Store, key: str) -> dict[str, bytes]:
     """The files of a cell, by their paths below its folder, which goes, and so does what it was made from."""
-    folder = store.cell(key)
-    files = {str(p.relative_to(folder)): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
-    for gone in (folder, store.folder / JOURNAL / key):
+    files = files_in(store.cell(key))
+    for gone in (store.cell(key), store.folder / JOURNAL / key):
         shutil.rmtree(gone, ignore_errors=True)
     return files

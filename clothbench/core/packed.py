@@ -1,0 +1,60 @@
+"""A folder's files as one object: a zip archive in which nothing is compressed, since tables and films are already."""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Mapping
+from pathlib import Path, PurePosixPath
+
+from clothbench.core.errors import ClothbenchError
+
+Files = Mapping[str, bytes]  # content, by the path below the folder, with "/" between its parts
+_DAY = (1980, 1, 1, 0, 0, 0)  # of every file in an archive, so that the same files make the same bytes
+
+
+def files_in(folder: Path) -> dict[str, bytes]:
+    """All files of a folder, in order."""
+    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in sorted(folder.rglob("*")) if p.is_file()}
+
+
+def write_files(folder: Path, files: Files) -> None:
+    for name, content in files.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(content)
+
+
+def packed(files: Files) -> bytes:
+    """One archive of them."""
+    whole = io.BytesIO()
+    with zipfile.ZipFile(whole, "w", zipfile.ZIP_STORED) as archive:
+        for name, content in files.items():
+            archive.writestr(zipfile.ZipInfo(name, _DAY), content)
+    return whole.getvalue()
+
+
+def unpacked(content: bytes, where: str) -> dict[str, bytes]:
+    """The files in an archive that anybody may have made; where: what a fault calls it.
+
+    Raises a ClothbenchError for what is no whole archive, is compressed (and might be far larger than it looks), or
+    would lie outside of the folder.
+    """
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            for member in archive.infolist():
+                _require_harmless(member)
+            return {member.filename: archive.read(member) for member in archive.infolist()}
+    except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, EOFError, RuntimeError) as fault:
+        said = (str(fault).splitlines() or [type(fault).__name__])[0]
+        raise ClothbenchError(
+            f"{where}: found no archive that can be read ({said}), expected a cell's files; delete it and run again"
+        ) from None
+
+
+def _require_harmless(member: zipfile.ZipInfo) -> None:
+    path = PurePosixPath(member.filename)
+    odd = path.is_absolute() or ".." in path.parts or not path.parts or set('\\:"') & set(member.filename)
+    if odd or member.is_dir():
+        raise ValueError(f"{member.filename!r} is no file below its folder")
+    if member.compress_type != zipfile.ZIP_STORED or member.file_size != member.compress_size:
+        raise ValueError(f"{member.filename!r} is compressed")
