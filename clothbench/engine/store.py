@@ -8,7 +8,7 @@ RUNS/tracked/KEY.nc                 what a tracker made of images: a recording o
 RUNS/journal/KEY/                   what an unfinished cell has simulated so far
 RUNS/index/                         a cache for listing many cells; may be deleted at any time
 
-Of results in a bucket the folder is a mirror (`clothbench.engine.mirror`): what is put into it is published there first.
+Of results in a bucket the folder is a mirror (`clothbench.engine.mirror`): what it takes is published there first.
 """
 
 from __future__ import annotations
