@@ -41,9 +41,12 @@ def unpacked(content: bytes, where: str) -> dict[str, bytes]:
     """
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            for member in archive.infolist():
+            members = archive.infolist()
+            for member in members:
                 _require_harmless(member)
-            return {member.filename: archive.read(member) for member in archive.infolist()}
+            if sum(member.file_size for member in members) > len(content):
+                raise ValueError("a claim of more than it holds")
+            return {member.filename: archive.read(member) for member in members}
     except (zipfile.BadZipFile, OSError, ValueError, NotImplementedError, EOFError, RuntimeError) as fault:
         said = (str(fault).splitlines() or [type(fault).__name__])[0]
         raise ClothbenchError(

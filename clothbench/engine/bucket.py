@@ -23,6 +23,7 @@ from clothbench.core.create_only import AT_ONCE, at_once
 from clothbench.core.errors import ClothbenchError
 
 STORES = {"s3": "s3fs", "gs": "gcsfs"}  # by scheme: what fsspec reaches it with
+MIRRORS = "stores"  # folder of all mirrors, in the cache
 MARK = "bucket"  # file of a mirror that says what it mirrors
 ATTEMPT = "attempt"  # file of a cell that ended in an error: which attempt that was
 TRIES = 3  # of a create that the store answers with "busy", as S3 does where two of them meet
@@ -36,7 +37,7 @@ def is_address(text: object) -> bool:
 def address_of(text: str) -> str:
     """An address as it is kept, without a slash at its end; a wrong one is a ClothbenchError."""
     scheme, _, rest = text.partition("://")
-    if scheme not in STORES or not rest.strip("/"):
+    if scheme not in STORES or not rest.strip("/") or set("*?[") & set(rest):
         raise ClothbenchError(f"{text}: found no place of results, expected a folder or s3://BUCKET/PREFIX")
     if importlib.util.find_spec(STORES[scheme]) is None:
         extra = "'clothbench[object]'" if scheme == "s3" else STORES[scheme]
@@ -46,7 +47,7 @@ def address_of(text: str) -> str:
 
 def attempt_name() -> str:
     """Of an attempt: when it ended, and a word that no other has; the last one is the latest."""
-    return f"{datetime.now(UTC):%Y%m%dT%H%M%SZ}-{uuid.uuid4().hex[:8]}"
+    return f"{datetime.now(UTC):%Y%m%dT%H%M%S%fZ}-{uuid.uuid4().hex[:8]}"
 
 
 def cell_object(key: str) -> str:
@@ -61,14 +62,21 @@ def mirrors() -> Path:
     """The folder of all mirrors of this machine."""
     from clothbench.datasets.registry import cache_folder
 
-    return cache_folder() / "stores"
+    return cache_folder() / MIRRORS
 
 
 def mirrored(folder: Path) -> Bucket | None:
     """What a folder is the mirror of; None of any other, whatever a file in it may say."""
-    if not (folder / MARK).is_file() or folder.absolute().parent != mirrors().absolute():
+    above = folder.resolve().parent
+    if above.name != MIRRORS or above != mirrors().resolve():
         return None
-    return Bucket((folder / MARK).read_text())
+    try:
+        return Bucket((folder / MARK).read_text())
+    except FileNotFoundError:  # or else what is put there would look as if it were published
+        raise ClothbenchError(
+            f"{folder}: found that this mirror of a bucket was deleted meanwhile, expected it as it was; run the same "
+            "command again"
+        ) from None
 
 
 class Bucket:

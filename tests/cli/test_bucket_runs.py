@@ -22,23 +22,24 @@ def rows_of(clothbench, out):
     return [{**row, "wall_s": None} for row in json.loads(told.stdout)]
 
 
-@pytest.mark.parametrize("words", [("jobs=2",), ("executor=dask", "jobs=2")], ids=["local", "dask"])
-def test_a_run_in_a_bucket_is_that_in_a_folder_and_is_found_from_elsewhere(clothbench, s3, recordings_folder, words):
-    if "executor=dask" in words and importlib.util.find_spec("distributed") is None:
-        pytest.skip("distributed is not installed")
-    assert clothbench("run", *RUN, *words, "out=folder").returncode == 0
-    out = clothbench("run", *RUN, *words, f"out={s3}")
+def test_runs_in_a_bucket_are_those_in_a_folder_and_are_found_from_elsewhere(clothbench, s3, recordings_folder):
+    assert clothbench("run", *RUN, "jobs=2", "out=folder").returncode == 0
+    expected = rows_of(clothbench, "folder")
+    out = clothbench("run", *RUN, "jobs=2", f"out={s3}")
     assert out.returncode == 0, out.stderr
     assert f"clothbench leaderboard --out {s3}" in out.stdout
     assert len(Bucket(s3).names("cells")) == 2
     assert Bucket(s3).names("errors") == []
-    assert rows_of(clothbench, s3) == rows_of(clothbench, "folder")
+    assert rows_of(clothbench, s3) == expected
     assert clothbench("compare", "folder", s3).returncode == 0
     elsewhere = clothbench("run", *RUN, f"out={s3}", CLOTHBENCH_CACHE="elsewhere")
     assert elsewhere.returncode == 0
     assert elsewhere.stderr.count("kept:") == 2
-    page = clothbench("report", f"out={s3}")
-    assert page.stdout.startswith("page: ")
+    assert clothbench("report", f"out={s3}").stdout.startswith("page: ")
+    if importlib.util.find_spec("distributed") is not None:
+        out = clothbench("run", *RUN, "executor=dask", "jobs=2", f"out={s3}-dask")
+        assert out.returncode == 0, out.stderr
+        assert rows_of(clothbench, f"{s3}-dask") == expected
 
 
 def test_a_dask_worker_that_shares_nothing_publishes_by_itself(s3, recordings_folder, tmp_path, monkeypatch):
