@@ -160,12 +160,12 @@ def test_a_mirror_follows_what_is_deleted_and_is_made_anew_when_it_is_lost(machi
     assert values(one, monkeypatch) == {KEYS[1]: 1.0}
 
 
-def test_a_listing_of_more_than_one_page_is_whole(s3):
+def test_a_listing_of_more_than_one_page_is_whole(s3, tmp_path):
     from moto.core import DEFAULT_ACCOUNT_ID
     from moto.s3.models import s3_backends
 
     store, keys = Store(mirror_of(s3)), [f"{n:016x}" for n in range(1001)]  # a page has 1,000 names
-    content = packed({p.name: p.read_bytes() for p in put(Store(store.folder.parent / "other"), "0a").iterdir()})
+    content = packed({p.name: p.read_bytes() for p in put(Store(tmp_path / "other"), "0a").iterdir()})
     backend, name = s3_backends[DEFAULT_ACCOUNT_ID]["aws"], s3.split("/")[2]
     for key in keys:
         backend.put_object(name, f"runs/cells/{key}.zip", content)
