@@ -122,9 +122,7 @@ def polish(problem: Problem, fitted: Fitted, rounds: int, goal: float = np.inf) 
     return fitted, looks + count
 
 
-def multistart(
-    problem: Problem, base: Fitted, fitted: Fitted, rounds: int, goal: float = np.inf
-) -> tuple[Fitted, int]:
+def multistart(problem: Problem, base: Fitted, fitted: Fitted, rounds: int, goal: float = np.inf) -> tuple[Fitted, int]:
     """The fit of an effect beside the base's, or a better one from places spread over all that the effect can be; and
     how many sets that took.
 

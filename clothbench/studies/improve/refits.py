@@ -90,9 +90,7 @@ def refine_finalists(
     ]
 
 
-def standing(
-    problem: Problem, current: Fitted, better: Mapping[tuple[str, ...], Fitted], fitted: Fitted
-) -> float:
+def standing(problem: Problem, current: Fitted, better: Mapping[tuple[str, ...], Fitted], fitted: Fitted) -> float:
     """The mean square that a fit has to come to if it is to be named beside, or instead of, those that are better; any
     where searches cost so little that none is given up.
 
