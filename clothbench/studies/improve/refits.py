@@ -75,13 +75,12 @@ def refine_finalists(
         goal = standing(problem, current, better, fitted)
         fitted, count = multistart(problem, current, fitted, LOOP.refit_rounds, goal)
         account.count(count)
-        better[fitted.effects] = polished(problem, fitted, account, goal)
+        better[fitted.effects] = polished(problem, fitted, account, goal) if near(fitted, goal) else fitted
     best, shared = min(better.values(), key=lambda f: f.rms, default=current), len(current.theta)
     for k, (effects, fitted) in enumerate(better.items()):
         account.stage(f"round {turn + 1}: contest", len(within) + k, 2 * len(within))
-        if fitted is not best:
+        if fitted is not best and near(fitted, goal := standing(problem, current, better, fitted)):
             start = np.concatenate([best.theta[:shared], fitted.theta[shared:]])
-            goal = standing(problem, current, better, fitted)
             tolerance = problem.evidence.search.contest_tolerance
             better[effects], count = better_of(problem, fitted, start, LOOP.polish_rounds, goal, tolerance)
             account.count(count)
@@ -107,6 +106,11 @@ def standing(problem: Problem, current: Fitted, better: Mapping[tuple[str, ...],
         factor = allowance(-more, alike=True) if more < 2 else 1 / allowance(more, alike=False)
         goals.append(float(factor) * other.rms**2)
     return min(goals)
+
+
+def near(fitted: Fitted, goal: float) -> bool:
+    """Whether a fit may come to the goal if nothing but the ripple that it ended in keeps it from there."""
+    return fitted.rms**2 <= LOOP.polish_reach * goal
 
 
 def polished(problem: Problem, fitted: Fitted, account: Account, goal: float = np.inf) -> Fitted:

@@ -22,6 +22,7 @@ class LoopSettings:
     polish_rounds: int = 5  # rounds of a search that makes sure that another has not ended early
     polish_limit: int = 4  # such searches in a row at most
     polish_points: int = 7  # starts looked at for one of them
+    polish_reach: float = 1.25  # times the goal: a fit that leaves more will not come to it so (seen: a tenth at most)
     polish_radius: float = 0.1  # standard deviation of those starts about the fit, of the scaled range
     least_gain: float = 0.005  # share of the sum of squares; cloth that wrinkles gives as much by chance
     trend_rounds: int = 2  # rounds by whose fall it is judged whether a search can still reach its goal
