@@ -106,8 +106,6 @@ class Problem:
     @cached_property
     def _model(self) -> Any:
         options = dict(self.options.get(self.model, {}))
-        if self._takes("precision"):  # rounding is far below the noise of what was measured
-            options.setdefault("precision", "single")
         if self.step_scale != 1.0:
             options["step_scale"] = self.step_scale * options.get("step_scale", 1.0)
         return self.plugins.make("models", self.model, **options)
