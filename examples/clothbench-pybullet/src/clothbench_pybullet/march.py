@@ -14,14 +14,15 @@ from clothbench_pybullet.world import Cloth, World
 SETTLE = (1.0, 20.0)  # s, least and most that the sheet is given to come to rest
 BRAKE = 0.3  # √(k m): dashpots that let no spring swing while it does
 WATCH = 4e-3  # s, how often it is looked at
-AT_REST, CALM = 1e-6, 6  # m/s, and at how many looks in a row
+AT_REST, CALM = 1e-6, 4  # m/s, and at how many looks in a row
 LOOK = 32  # steps between two looks whether the sheet has blown up
 
 
 def march(cloth: Cloth, batch: GridBatch, b: int) -> tuple[bool, int]:
     """Run member b and fill its positions; whether it was lost, and the steps taken."""
     scene, dt, bounds = batch.simulation.scene, float(batch.dt[b]), batch.bounds()
-    held, shape, settled = batch.simulation.sheet.held, batch.shape, 0
+    held, shape, settled = batch.simulation.sheet.held, batch.shape.copy(), 0
+    shape[held] = scene.grips_at(np.array([scene.start_time]))[0]
     if batch.simulation.anchored:
         brake = BRAKE * np.sqrt(cloth.stiffness * cloth.mass / len(shape))
         with closing(World(dataclasses.replace(cloth, damping=brake), shape, held, dt)) as world:

@@ -18,7 +18,8 @@ def triangles(shape: tuple[int, int]) -> np.ndarray:
     a = j * nu + i
     b, c, d = a + 1, a + nu, a + nu + 1
     other = ((i + j) % 2 == 1)[:, None, None]
-    along, across = (np.stack([np.stack(one, 1), np.stack(two, 1)], 1) for one, two in (((a, b, d), (a, d, c)), ((a, b, c), (b, d, c))))
+    along = np.stack([np.stack([a, b, d], 1), np.stack([a, d, c], 1)], 1)
+    across = np.stack([np.stack([a, b, c], 1), np.stack([b, d, c], 1)], 1)
     return np.where(other, across, along).reshape(-1, 3)
 
 

@@ -15,7 +15,7 @@ from functools import cached_property
 from pathlib import Path
 
 import numpy as np
-from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
+from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene, Stated
 from clothbench.modelling import (
     DIVERGED, OK, BoundEffects, GridBatch, GridSimulation, check_number, check_resolution, grid_shape,
 )  # fmt: skip
@@ -25,6 +25,8 @@ from clothbench_pybullet.mesh import springs, triangles, write_obj
 from clothbench_pybullet.world import Cloth
 
 GUIDE = "PyBullet Quickstart Guide, loadSoftBody"
+LATTICE = "springs along the edges of right triangles whose diagonals alternate, in an endless sheet"
+TENSILE, SHEAR = 4 / 3, 1 / 2  # N/m of cloth that a spring of 1 N/m makes in it: C11 = 3/2, C12 = C66 = 1/2
 SAFETY = 0.5  # of the longest stable step without dashpots
 
 
@@ -37,6 +39,7 @@ class PybulletCloth:
     version = 1
     kind = "explicit"
     built_on = ("pybullet",)
+    repeatability = 1e-5  # m: a sheet that is let go at 1 µm/s may still creep this far
     capabilities = frozenset({"dynamic", "static"})
     parameters = ParameterSpace(
         (
@@ -44,6 +47,11 @@ class PybulletCloth:
             Parameter("damping", "c", "N·s/m", (0.0, 2e-2), "linear", 1e-4, "springDampingStiffness", GUIDE, 0.0),
             Parameter("bending", "b", "N/m", (0.0, 10.0), "linear", 0.5, "springBendingStiffness", GUIDE, 0.0),
         )
+    )
+
+    documented = (
+        Stated("stretch", "4/3 springElasticStiffness [N/m]", lambda theta: TENSILE * float(theta[0]), LATTICE),
+        Stated("shear", "1/2 springElasticStiffness [N/m]", lambda theta: SHEAR * float(theta[0]), LATTICE),
     )
 
     def __init__(self, resolution: int | Sequence[int] = 13, dt: float | None = None, step_scale: float = 1.0):
@@ -59,6 +67,18 @@ class PybulletCloth:
 
     def skip(self, scene: Scene) -> str | None:
         return "pybullet_cloth: is set up without contact" if scene.obstacles or scene.thickness > 0 else None
+
+    def of_material(self, material: Material, scene: Scene) -> np.ndarray:
+        """Parameters (3,) of a textbook material: its tensile stiffness; shear follows as 3/8 of that, and bending
+        springs resist only what is bent a lot (README.md).
+        """
+        if material.bending > 0 or material.bending_ratio != 1 or material.stretch_ratio != 1:
+            raise ClothbenchError(
+                "pybullet_cloth: has no bending rigidity at small curvature, and no warp and weft; bending springs are "
+                "springs from node to node two edges apart"
+            )
+        stiffness = material.stretch / TENSILE
+        return np.array([stiffness, material.stretch_damping / material.stretch * stiffness, 0.0])
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> PybulletSimulation:
         if reason := self.skip_reason() or self.skip(scene):

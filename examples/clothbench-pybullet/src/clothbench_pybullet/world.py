@@ -67,6 +67,8 @@ class World:
         with hushed():
             self.client = self.bullet.connect(self.bullet.DIRECT)
             self.sheet = self._load(cloth)
+        self.pace(NO_TIME)
+        self.step()  # in the first one Bullet measures how long springs are at rest: flat, as in the file
         self.bullet.resetMeshData(self.sheet, shape.tolist(), physicsClientId=self.client)
         self.leaders = [self._leader(int(node), shape[node].tolist()) for node in held]
         self.pace(dt)
