@@ -11,7 +11,7 @@ from clothbench.modelling import GridBatch
 
 from clothbench_pybullet.world import Cloth, World
 
-SETTLE = (1.0, 20.0)  # s, least and most that the sheet is given to come to rest
+SETTLE = (0.5, 20.0)  # s, least and most that the sheet is given to come to rest
 BRAKE = 0.3  # √(k m): dashpots that let no spring swing while it does
 WATCH = 4e-3  # s, how often it is looked at
 AT_REST, CALM = 1e-6, 4  # m/s, and at how many looks in a row
