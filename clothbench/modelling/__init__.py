@@ -11,7 +11,7 @@ effects in a time loop: BoundEffects, EFFECT (their numba type), Terms, SLOTS, F
     add_effects, apply_effects, show_grips
 start, grips, sampling and the end of a time loop: Start, Grips, Sampling, Clock (numba types in capitals, and
     `…_OF_MANY` for loops that run several members at once), grip_point, grip_speed, advance_segment, hold_grips,
-    write_frames, put_grips, fastest, is_lost, as_double, OK, DIVERGED
+    write_frames, put_grips, fastest, is_lost, as_double, put_back, OK, DIVERGED
 contact: obstacle_table, keep_out, inside, layers_of, keep_apart, LAYERS
 force-extension curves: curve_of, CurveSimulation
 threads over members, and the shape to settle from: for_each, initial_shape
@@ -76,6 +76,7 @@ from clothbench.modelling.time_loop import (
     grip_speed,
     hold_grips,
     is_lost,
+    put_back,
     put_grips,
     show_grips,
     write_frames,
@@ -156,6 +157,7 @@ __all__ = [
     "no_effect",
     "obstacle_table",
     "own_sheet",
+    "put_back",
     "put_grips",
     "ready",
     "sheet_normals",

@@ -139,7 +139,7 @@ def add_effects(t, dt, x, v, f, nu, sheet, effects, terms, grips, segment, extra
 
 
 def as_double(array):
-    """The array itself if it is double; effects are not offered in single precision, where this only settles types."""
+    """The array itself if it is double, else a copy that is: what effects, which know doubles only, are shown."""
 
 
 @overload(as_double)
@@ -147,6 +147,23 @@ def _as_double(array):
     if array.dtype == types.float64:
         return lambda array: array
     return lambda array: array.astype(np.float64)
+
+
+def put_back(array, copy):
+    """Take the numbers of a copy that `as_double` made into the array; nothing where that was no copy."""
+
+
+@overload(put_back)
+def _put_back(array, copy):
+    if array.dtype == types.float64:
+        return lambda array, copy: None
+
+    def narrow(array, copy):
+        for c in range(array.shape[0]):
+            for e in range(array.shape[1]):
+                array[c, e] = copy[c, e]
+
+    return narrow
 
 
 @kernel

@@ -13,7 +13,7 @@ from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import multistart
 from clothbench.studies.improve.loop import all_rounds
-from clothbench.studies.improve.refits import polished
+from clothbench.studies.improve.refits import polished, standing
 from clothbench.studies.improve.settings import LOOP, SearchSettings
 from clothbench.studies.improve.state import Round
 
@@ -98,3 +98,28 @@ def test_an_effect_with_several_shape_parameters_is_sought_in_other_valleys(monk
     assert found.theta[0] == 2.0
     assert count == (0 if one_valley else LOOP.multistart_points + 10 * LOOP.multistart_fits)
     assert goals == ([] if one_valley else pytest.approx([1.6e-5, 1e-6]))
+
+
+def with_wind(name: str, shapes: int, rms: float) -> Fitted:
+    """A fit with an effect that so many shape parameters belong to; its amount is 0.5 ± 0.1."""
+    effect = [dataclasses.replace(p, name=f"{name}.{p.name}") for p in wind(shapes)]
+    space = ParameterSpace((*SPACE, *effect))
+    theta = np.array([2.0, 0.5, *np.zeros(shapes)])
+    low, high = theta - 0.1, theta + 0.1
+    return Fitted((name,), space, theta, [np.full(9, rms)] * 3, [np.ones((9, len(space)))] * 3, low, high, 10)
+
+
+def test_a_fit_with_many_more_parameters_has_to_leave_so_much_less():
+    evidence = SimpleNamespace(search=SearchSettings(), objection=lambda before, after: "")
+    problem, current = SimpleNamespace(evidence=evidence), fitted(9e-3)
+    simple, alike, rich = with_wind("a", 0, 2e-3), with_wind("b", 1, 2e-3), with_wind("c", 5, 1.9e-3)
+    known = {simple.effects: simple}
+    assert standing(problem, current, {}, rich) == np.inf
+    margin, penalty = LOOP.tie_margin, LOOP.parameter_penalty
+    assert standing(problem, current, known, alike) == pytest.approx((1 + 2 * margin) * 4e-6)  # may be tied
+    assert standing(problem, current, known, rich) == pytest.approx(4e-6 / (1 + margin + 5 * penalty))  # instead only
+    assert standing(problem, current, {rich.effects: rich}, simple) == pytest.approx(
+        (1 + 2 * margin + 5 * penalty) * 3.61e-6
+    )
+    nothing = dataclasses.replace(simple, low=simple.low - 1)  # an amount that may be none is in nobody's way
+    assert standing(problem, current, {nothing.effects: nothing}, rich) == np.inf

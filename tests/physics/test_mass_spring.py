@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from clothbench_effects.added_mass import AddedMass
 from clothbench_effects.clock_offset import ClockOffset
+from clothbench_effects.linear_drag import LinearDrag
 from clothbench_effects.quadratic_drag import QuadraticDrag
 from clothbench_models.mass_spring import MassSpring
 from clothbench_models.mass_spring_kernels import add_pairwise, spring_forces
@@ -224,7 +225,12 @@ def test_a_clock_offset_is_a_shift_in_time():
     assert np.abs(shifted - plain).max() < 2e-4  # the grips' 400 stamps differ a little between the two scenes
 
 
-def test_single_precision_agrees_while_the_motion_is_smooth():
+@pytest.mark.parametrize(
+    ("effects", "amounts"),
+    [((), ()), ((LinearDrag(), QuadraticDrag()), (0.2, 1.0, 0.05)), ((AddedMass(),), (1.0,))],
+    ids=["springs alone", "forces", "inertia"],
+)
+def test_single_precision_agrees_while_the_motion_is_smooth(effects, amounts):
     def sway(t):
         return np.stack([0 * t, 0.03 * np.sin(5 * t) ** 2, 0 * t], axis=1)
 
@@ -238,7 +244,8 @@ def test_single_precision_agrees_while_the_motion_is_smooth():
         shape=(5, 5),
     )
     double, single = (
-        MassSpring(precision=p).prepare(scene).run([[60.0, 5.0, 0.3]]).position for p in ("double", "single")
+        MassSpring(precision=p).prepare(scene, effects).run([[60.0, 5.0, 0.3, *amounts]]).position
+        for p in ("double", "single")
     )
     assert np.abs(double - single).max() < 5e-5
 

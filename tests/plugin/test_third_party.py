@@ -10,7 +10,7 @@ from conftest import ROOT
 from fresh_venv import make_venv, wheel_of
 
 EXAMPLE = ROOT / "examples" / "clothbench-xpbd"
-TAICHI = ROOT / "examples" / "clothbench-taichi"
+SIMULATORS = {name: ROOT / "examples" / f"clothbench-{name}" for name in ("taichi", "pybullet")}
 pytestmark = pytest.mark.slow
 
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 def stranger(tmp_path_factory):
     """An environment with all the wheels and none of the repository."""
     folder = tmp_path_factory.mktemp("stranger")
-    return make_venv(folder, [wheel_of(project, folder) for project in (ROOT, EXAMPLE, TAICHI)])
+    return make_venv(folder, [wheel_of(project, folder) for project in (ROOT, EXAMPLE, *SIMULATORS.values())])
 
 
 def test_its_plugins_are_listed_beside_the_built_in_ones(stranger):
@@ -37,11 +37,12 @@ def test_its_own_tests_pass(stranger):
     assert " passed" in stranger.pytest(away)
 
 
-def test_a_simulator_keeps_the_rules_or_says_that_it_is_not_there(stranger):
-    away = stranger.away / "taichi"
-    shutil.copytree(TAICHI / "tests", away / "tests")
-    shutil.copy(TAICHI / "pyproject.toml", away)
-    assert (" passed" if importlib.util.find_spec("taichi") else " skipped") in stranger.pytest(away)
+@pytest.mark.parametrize("name", SIMULATORS)
+def test_a_simulator_keeps_the_rules_or_says_that_it_is_not_there(stranger, name):
+    away = stranger.away / name
+    shutil.copytree(SIMULATORS[name] / "tests", away / "tests")
+    shutil.copy(SIMULATORS[name] / "pyproject.toml", away)
+    assert (" passed" if importlib.util.find_spec(name) else " skipped") in stranger.pytest(away)
 
 
 def test_its_suite_runs_and_compares_its_model(stranger):

@@ -235,6 +235,9 @@ class DrapeEvidence:
         """
         return
 
+    def coarse(self) -> DrapeEvidence:
+        return self
+
     def noise(self) -> float:
         """1: the spread between specimens is the unit."""
         return 1.0

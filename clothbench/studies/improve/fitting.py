@@ -122,12 +122,13 @@ def polish(problem: Problem, fitted: Fitted, rounds: int, goal: float = np.inf) 
     return fitted, looks + count
 
 
-def multistart(problem: Problem, base: Fitted, fitted: Fitted, rounds: int) -> tuple[Fitted, int]:
+def multistart(problem: Problem, base: Fitted, fitted: Fitted, rounds: int, goal: float = np.inf) -> tuple[Fitted, int]:
     """The fit of an effect beside the base's, or a better one from places spread over all that the effect can be; and
     how many sets that took.
 
     An effect with several shape parameters has several valleys (little drag in much wind, much drag in little), and
-    what is left in a wrong one looks like another effect. A fit is given up where it will not come below the best.
+    what is left in a wrong one looks like another effect. A fit is given up where it will not come below the best, and
+    below the goal.
     """
     effect, count = problem.space_of(fitted.effects[-1]), LOOP.multistart_points
     if sum(p.null is None for p in effect) < LOOP.multistart_shapes:
@@ -138,7 +139,7 @@ def multistart(problem: Problem, base: Fitted, fitted: Fitted, rounds: int) -> t
     for k in np.argsort(value)[: LOOP.multistart_fits]:  # what could not be simulated comes last
         if np.isfinite(value[k]):
             tolerance = problem.evidence.search.contest_tolerance
-            fitted, spent = better_of(problem, fitted, starts[k], rounds, fitted.rms**2, tolerance)
+            fitted, spent = better_of(problem, fitted, starts[k], rounds, min(fitted.rms**2, goal), tolerance)
             count += spent
     return fitted, count
 

@@ -15,7 +15,7 @@ from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import better_of, fit, multistart, polish
 from clothbench.studies.improve.jumps import jump_along_valley
 from clothbench.studies.improve.problem import Problem
-from clothbench.studies.improve.selection import Candidate, allowance
+from clothbench.studies.improve.selection import Candidate, allowance, faulty
 from clothbench.studies.improve.settings import LOOP
 
 
@@ -68,18 +68,20 @@ def refine_finalists(
     most = min(current.rms**2 - fall / 2, problem.evidence.search.contention * least)
     within = [f for f in fits if f.rms**2 <= most]
     within = sorted(within, key=lambda f: f.rms)[: LOOP.finalists] if len(within) > 1 else []
+    within = sorted(within, key=lambda f: len(f.theta))  # what the simple leave says what the others have to come to
     better: dict[tuple[str, ...], Fitted] = {}
     for k, fitted in enumerate(within):
         account.stage(f"round {turn + 1}: contest", k, 2 * len(within))
-        fitted, count = multistart(problem, current, fitted, LOOP.refit_rounds)
+        goal = standing(problem, current, better, fitted)
+        fitted, count = multistart(problem, current, fitted, LOOP.refit_rounds, goal)
         account.count(count)
-        better[fitted.effects] = polished(problem, fitted, account, tying(problem, better, fitted))
+        better[fitted.effects] = polished(problem, fitted, account, goal) if near(fitted, goal) else fitted
     best, shared = min(better.values(), key=lambda f: f.rms, default=current), len(current.theta)
     for k, (effects, fitted) in enumerate(better.items()):
         account.stage(f"round {turn + 1}: contest", len(within) + k, 2 * len(within))
-        if fitted is not best:
+        if fitted is not best and near(fitted, goal := standing(problem, current, better, fitted)):
             start = np.concatenate([best.theta[:shared], fitted.theta[shared:]])
-            goal, tolerance = tying(problem, better, fitted), problem.evidence.search.contest_tolerance
+            tolerance = problem.evidence.search.contest_tolerance
             better[effects], count = better_of(problem, fitted, start, LOOP.polish_rounds, goal, tolerance)
             account.count(count)
     return [
@@ -87,15 +89,28 @@ def refine_finalists(
     ]
 
 
-def tying(problem: Problem, better: Mapping[tuple[str, ...], Fitted], fitted: Fitted) -> float:
+def standing(problem: Problem, current: Fitted, better: Mapping[tuple[str, ...], Fitted], fitted: Fitted) -> float:
     """The mean square that a fit has to come to if it is to be named beside, or instead of, those that are better; any
     where searches cost so little that none is given up.
+
+    One with two or more parameters more than another is named only instead of it: if it leaves so much less that all
+    of them are paid for (`choose`). A fit that cannot stand itself is in nobody's way.
     """
-    others = [other for effects, other in better.items() if effects != fitted.effects]
-    if not others or not np.isfinite(problem.evidence.search.contention):
+    if not np.isfinite(problem.evidence.search.contention):
         return np.inf
-    best = min(others, key=lambda f: f.rms)
-    return float(allowance(len(fitted.theta) - len(best.theta), alike=True)) * best.rms**2
+    goals = [np.inf]
+    for effects, other in better.items():
+        if effects == fitted.effects or faulty(effects[-1], current, other, problem.evidence):
+            continue
+        more = len(fitted.theta) - len(other.theta)
+        factor = allowance(-more, alike=True) if more < 2 else 1 / allowance(more, alike=False)
+        goals.append(float(factor) * other.rms**2)
+    return min(goals)
+
+
+def near(fitted: Fitted, goal: float) -> bool:
+    """Whether a fit may come to the goal if nothing but the ripple that it ended in keeps it from there."""
+    return fitted.rms**2 <= LOOP.polish_reach * goal
 
 
 def polished(problem: Problem, fitted: Fitted, account: Account, goal: float = np.inf) -> Fitted:

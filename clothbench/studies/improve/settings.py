@@ -22,6 +22,7 @@ class LoopSettings:
     polish_rounds: int = 5  # rounds of a search that makes sure that another has not ended early
     polish_limit: int = 4  # such searches in a row at most
     polish_points: int = 7  # starts looked at for one of them
+    polish_reach: float = 1.25  # times the goal: a fit that leaves more will not come to it so (seen: a tenth at most)
     polish_radius: float = 0.1  # standard deviation of those starts about the fit, of the scaled range
     least_gain: float = 0.005  # share of the sum of squares; cloth that wrinkles gives as much by chance
     trend_rounds: int = 2  # rounds by whose fall it is judged whether a search can still reach its goal
@@ -38,9 +39,10 @@ class LoopSettings:
     richardson: float = 4 / 3  # times the change by halved cells: the whole error, where it is of second order
     refinement_offset: float = 0.05  # how far from a fit the mesh's error is looked at, of the scaled range
 
-    stages: int = 3  # version of what the stages do and write: a cell of another one is asked anew
+    stages: int = 4  # version of what the stages do and write: a cell of another one is asked anew
 
     # Attribution.
+    coarse_nodes: int = 9  # along the longer side of a sheet, at most, where candidates are only looked at
     shape_settings: int = 4  # settings of an effect's shape parameter that are looked at; twice as many of several
     default_step: float = 0.1  # of the range: the step of an amount that has no default of its own
     large_step: float = 5.0  # times the default step: wrinkling hides the answer to anything small

@@ -37,6 +37,7 @@ from clothbench.modelling import (
     keep_apart,
     keep_out,
     kernel,
+    put_back,
     put_grips,
     sheet_normals,
     show_grips,
@@ -312,6 +313,7 @@ def _run_block(
             )  # fmt: skip
             if heavier:
                 bear_inertia(fd, mass, extra)
+            put_back(f, fd)
         kick_and_drift(x, v, f, inverse_mass, weights, kick, step, keep)
         count += 1
         for lane in range(lanes):
