@@ -9,7 +9,7 @@ from collections.abc import Iterator
 
 import pytest
 
-WHY = "moto[server] or s3fs is not installed: there is no object store to test with"
+WHY = "moto, flask or s3fs is not installed: there is no object store to test with"
 _numbers = itertools.count(1)
 
 
