@@ -5,9 +5,6 @@ direction, time, …), which have none.
 
 s_e is what the rollout gains by some of the effect, in exchange for as much of the base as does the same; the base
 parameters' own sensitivities are then projected out of s_e and of the residual, since a refit would take their part.
-
-The rollouts of this stage have a coarse mesh: most candidates come to nothing, and what an effect changes is seen on it
-nearly as well, since its error is in the rollouts with the effect and without.
 """
 
 from __future__ import annotations
@@ -176,26 +173,14 @@ def ridge_solution(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
 
 
 def response(problem: Problem, fitted: Fitted, name: str, theta: np.ndarray) -> list[np.ndarray]:
-    """What the candidate at theta (B, P) changes of the rollout, (B, M) for each fit recording."""
-    coarse = problem.coarse()
-    before = fitted.residual if coarse is problem else coarsely(coarse, fitted)
-    runs = kept(coarse, (*fitted.effects, name), theta)
-    return [run - residual for run, residual in zip(runs, before, strict=True)]
-
-
-def coarsely(coarse: Problem, fitted: Fitted) -> list[np.ndarray]:
-    """Residual (M,) of each fit recording where the model was fitted, on a coarse mesh."""
-    return [run[0] for run in kept(coarse, fitted.effects, fitted.theta[None])]
-
-
-def kept(problem: Problem, names: tuple[str, ...], theta: np.ndarray) -> list[np.ndarray]:
-    """Residuals (B, M) of each fit recording at theta (B, P), with these effects; kept."""
-    key = problem.key("probe", names, array_digest(theta))
+    """What the candidate at theta (B, P) changes of the rollout, (B, M) for each fit recording; kept."""
+    key = problem.key("probe", fitted.effects, fitted.theta.tolist(), name, array_digest(theta))
     if (known := problem.checkpoint.recall(key)) is not None:
         return [known[str(k)] for k in range(len(known))]
-    runs = over(problem.trials(names, "fit"), lambda trial: residuals(trial, theta))
-    problem.checkpoint.keep(key, **{str(k): run for k, run in enumerate(runs)})
-    return runs
+    runs = over(problem.trials((*fitted.effects, name), "fit"), lambda trial: residuals(trial, theta))
+    changes = [run - residual for run, residual in zip(runs, fitted.residual, strict=True)]
+    problem.checkpoint.keep(key, **{str(k): change for k, change in enumerate(changes)})
+    return changes
 
 
 def projected_out(base: np.ndarray, columns: np.ndarray) -> np.ndarray:

@@ -116,9 +116,6 @@ class CurveEvidence:
         """A curve has no mesh."""
         return
 
-    def coarse(self) -> CurveEvidence:
-        return self
-
     def noise(self) -> float:
         """σ of one step [N]: the spread between the fit recordings."""
         sigma = [case.observation.sigma for case in self.cases if case.split == "fit"]

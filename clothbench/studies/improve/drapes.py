@@ -235,9 +235,6 @@ class DrapeEvidence:
         """
         return
 
-    def coarse(self) -> DrapeEvidence:
-        return self
-
     def noise(self) -> float:
         """1: the spread between specimens is the unit."""
         return 1.0

@@ -134,12 +134,6 @@ class Evidence(Protocol):
         """The same with cells of half the size; None where nothing is discretised."""
         ...
 
-    def coarse(self) -> Self:
-        """The same with cells as coarse as may be where many candidates are looked at; itself where they are that
-        already, or nothing is discretised.
-        """
-        ...
-
     def noise(self) -> float:
         """σ of one element of a residual, base unit, over the fit recordings."""
         ...

@@ -22,8 +22,6 @@ from clothbench.estimation.trials import Trial
 from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.improve.evidence import Case, Evidence, of_split
 
-COARSE = -1
-
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -39,7 +37,7 @@ class Problem:
     seed: of all random draws;
     question: key of the cell, below which all that is kept of an unfinished run is keyed;
     step_scale: times the model's own step, for models that have that option;
-    refinement: how often the cells were halved; `COARSE` where candidates are only looked at;
+    refinement: how often the cells were halved;
     made: effects that are no plugins, by name, some of whose numbers are held (`held`);
     own: by recording, parameters that are held in it alone, by name: amounts that differ from recording to recording;
     corrections: (M,) by recording, see `Case.trial`; halvings: of the cells, that they come from;
@@ -83,13 +81,6 @@ class Problem:
         return dataclasses.replace(
             self, evidence=evidence, step_scale=scale, refinement=self.refinement + 1, corrections={}
         )
-
-    def coarse(self) -> Problem:
-        """The same on the mesh on which candidates are looked at, or itself where it has no finer one."""
-        evidence = self.evidence.coarse()
-        if evidence is self.evidence:
-            return self
-        return dataclasses.replace(self, evidence=evidence, refinement=COARSE, corrections={})
 
     def _takes(self, option: str) -> bool:
         return takes_option(self.plugins.load("models", self.model), option)

@@ -42,7 +42,6 @@ class LoopSettings:
     stages: int = 4  # version of what the stages do and write: a cell of another one is asked anew
 
     # Attribution.
-    coarse_nodes: int = 9  # along the longer side of a sheet, at most, where candidates are only looked at
     shape_settings: int = 4  # settings of an effect's shape parameter that are looked at; twice as many of several
     default_step: float = 0.1  # of the range: the step of an amount that has no default of its own
     large_step: float = 5.0  # times the default step: wrinkling hides the answer to anything small

@@ -20,7 +20,7 @@ from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Uni
 from clothbench.studies.improve.law import moved_round
 from clothbench.studies.improve.motion import motion_of
 from clothbench.studies.improve.repeats import spread_of_repeats
-from clothbench.studies.improve.settings import LOOP, SearchSettings
+from clothbench.studies.improve.settings import SearchSettings
 from clothbench.studies.improve.sheet_tables import sheet_tables
 from clothbench.studies.improve.torque import Balance, balance_of
 from clothbench.studies.improve.whereabouts import whereabouts
@@ -152,11 +152,6 @@ class SheetEvidence:
         cases = [dataclasses.replace(case, scene=refined(case.scene)) for case in self.cases]
         return self.restricted(cases)
 
-    def coarse(self) -> SheetEvidence:
-        cases = [dataclasses.replace(case, scene=coarse(case.scene)) for case in self.cases]
-        same = all(a.scene is b.scene for a, b in zip(cases, self.cases, strict=True))
-        return self if same else self.restricted(cases)
-
     def _fitted(self) -> list[SheetCase]:
         return [case for case in self.cases if case.split == "fit"]
 
@@ -212,16 +207,6 @@ def refined(scene: Scene) -> Scene:
     assert scene.resolution is not None  # whoever makes the cases has set it
     nu, nv = scene.resolution
     return dataclasses.replace(scene, resolution=(2 * nu - 1, 2 * nv - 1))
-
-
-def coarse(scene: Scene) -> Scene:
-    """The scene with so many nodes along its longer side that candidates can be looked at; as it is if it has fewer."""
-    assert scene.resolution is not None  # whoever makes the cases has set it
-    if max(scene.resolution) <= LOOP.coarse_nodes:
-        return scene
-    factor = (LOOP.coarse_nodes - 1) / (max(scene.resolution) - 1)
-    nu, nv = (max(3, round(factor * (n - 1)) + 1) for n in scene.resolution)
-    return dataclasses.replace(scene, resolution=(nu, nv))
 
 
 def noise_of(observation: Observation) -> float:
