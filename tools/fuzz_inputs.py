@@ -289,6 +289,26 @@ def words(here: Path, bases: Path, chance: random.Random) -> list[Command]:
     return [["run", *(word.replace("\x00", "0") for word in given if not word.startswith("-"))]]
 
 
+def archive(here: Path, bases: Path, chance: random.Random) -> list[Command]:
+    """A cell as a bucket holds it, brought into a results folder."""
+    from clothbench.core.packed import files_in, packed, unpacked, write_files
+
+    files = dict(files_in(next((bases / "runs" / "cells").iterdir())))
+    if chance.random() < 0.6:
+        odd = chance.choice(
+            (*spoil.TEXTS, "../../FUZZED", "/tmp/FUZZED", "a/../../FUZZED", "rows.parquet/x", "a//b", "./a")
+        )
+        files[odd.replace("\x00", "0")] = b"FUZZED"
+    content = packed(files)
+    if chance.random() < 0.7:
+        content = spoil.damaged(content, chance)
+
+    def bring() -> None:
+        write_files(here / "runs" / "cells" / "abc", unpacked(content, "s3://somebody/cells/abc.zip"))
+
+    return [bring, ["leaderboard", "--out", "runs"]]
+
+
 # --- other programs' files ------------------------------------------------------------------------------------------
 
 
@@ -402,6 +422,7 @@ KINDS = {
     "silhouette": recording("silhouette"),
     "run": Kind(run, slow=True),
     "results": Kind(results, slow=True),
+    "archive": Kind(archive),
     "rows_json": Kind(rows_json),
     "submission": Kind(submission),
     "suite": Kind(suite, slow=True),

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import io
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
 
 from clothbench.core.errors import ClothbenchError
 
 Files = Mapping[str, bytes]  # content, by the path below the folder, with "/" between its parts
+LONGEST = 255  # bytes of a file's name
 _DAY = (1980, 1, 1, 0, 0, 0)  # of every file in an archive, so that the same files make the same bytes
 
 
@@ -44,6 +45,7 @@ def unpacked(content: bytes, where: str) -> dict[str, bytes]:
             members = archive.infolist()
             for member in members:
                 _require_harmless(member)
+            _require_apart([member.filename for member in members])
             if sum(member.file_size for member in members) > len(content):
                 raise ValueError("a claim of more than it holds")
             return {member.filename: archive.read(member) for member in members}
@@ -57,7 +59,16 @@ def unpacked(content: bytes, where: str) -> dict[str, bytes]:
 def _require_harmless(member: zipfile.ZipInfo) -> None:
     path = PurePosixPath(member.filename)
     odd = path.is_absolute() or ".." in path.parts or not path.parts or set('\\:"') & set(member.filename)
+    odd = odd or not member.filename.isprintable() or any(len(part.encode()) > LONGEST for part in path.parts)
     if odd or member.is_dir():
-        raise ValueError(f"{member.filename!r} is no file below its folder")
+        raise ValueError(f"{member.filename[:80]!r} is no file below its folder")
     if member.compress_type != zipfile.ZIP_STORED or member.file_size != member.compress_size:
         raise ValueError(f"{member.filename!r} is compressed")
+
+
+def _require_apart(names: Sequence[str]) -> None:
+    """Of two files neither is the other one's folder, nor the same."""
+    files = [PurePosixPath(name) for name in names]
+    folders = {above for file in files for above in file.parents}
+    if len(set(files)) < len(files) or folders & set(files):
+        raise ValueError("two files that would take each other's place")

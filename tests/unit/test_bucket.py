@@ -267,6 +267,12 @@ def test_an_archive_that_reaches_out_of_its_folder_is_refused(name):
         unpacked(packed({name: b"x"}), "here")
 
 
+@pytest.mark.parametrize("names", [("a/b", "a"), ("a", "a/b"), ("a/b", "a//b")], ids=" ".join)
+def test_files_that_would_take_each_others_place_are_refused(names):
+    with pytest.raises(ClothbenchError, match="two files that would take each other's place"):
+        unpacked(packed(dict.fromkeys(names, b"x")), "here")
+
+
 def test_archives_that_are_broken_or_compressed_are_refused():
     made = io.BytesIO()
     with zipfile.ZipFile(made, "w", zipfile.ZIP_DEFLATED) as archive:
