@@ -57,13 +57,13 @@ def unpacked(content: bytes, where: str) -> dict[str, bytes]:
 
 
 def _require_harmless(member: zipfile.ZipInfo) -> None:
-    path = PurePosixPath(member.filename)
-    odd = path.is_absolute() or ".." in path.parts or not path.parts or set('\\:"') & set(member.filename)
-    odd = odd or not member.filename.isprintable() or any(len(part.encode()) > LONGEST for part in path.parts)
-    if odd or member.is_dir():
-        raise ValueError(f"{member.filename[:80]!r} is no file below its folder")
+    name, path = member.filename, PurePosixPath(member.filename)
+    below = bool(path.parts) and not path.is_absolute() and ".." not in path.parts and not member.is_dir()
+    plain = name.isprintable() and not set('\\:"') & set(name) and all(len(p.encode()) <= LONGEST for p in path.parts)
+    if not (below and plain):
+        raise ValueError(f"{name[:80]!r} is no file below its folder")
     if member.compress_type != zipfile.ZIP_STORED or member.file_size != member.compress_size:
-        raise ValueError(f"{member.filename!r} is compressed")
+        raise ValueError(f"{name!r} is compressed")
 
 
 def _require_apart(names: Sequence[str]) -> None:
