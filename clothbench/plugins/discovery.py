@@ -6,8 +6,11 @@ import contextlib
 import difflib
 import functools
 import importlib
+import os
+import signal
 import sys
-from collections.abc import Iterable
+import threading
+from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
 from importlib.metadata import EntryPoint, PackageNotFoundError, entry_points
@@ -25,6 +28,8 @@ from clothbench.plugins.hookspecs import Registration
 KINDS = ("models", "effects", "metrics", "optimizers", "trackers")
 ALL_KINDS = (*KINDS, "peers", "exporters", "studies")
 OWN = "clothbench"
+PATIENCE = "CLOTHBENCH_IMPORT_SECONDS"  # of a stranger's plugin, compiling included; the environment may say
+IMPORT_SECONDS = 120.0
 
 
 class PluginBroken(ClothbenchError):
@@ -75,7 +80,7 @@ class Catalogue:
         if (kind, name) not in self._loaded:
             plugin = self.find(kind, name)
             try:
-                with quiet_output():
+                with quiet_output(), patience(plugin.distribution):
                     self._loaded[kind, name] = import_target(plugin.target)
             except (Exception, SystemExit) as fault:
                 raise self._broken(plugin, fault) from fault
@@ -116,6 +121,7 @@ class Catalogue:
 @functools.cache
 def catalogue() -> Catalogue:
     """Discover all plugins, once per process."""
+    seconds_to_import()  # a wrong one is told before it would pass for a plugin's fault
     return discover(entry_points(group=hookspecs.PROJECT))
 
 
@@ -167,6 +173,41 @@ def quiet_output() -> AbstractContextManager[Any]:
     return contextlib.redirect_stdout(sys.stderr)
 
 
+@contextlib.contextmanager
+def patience(distribution: str) -> Iterator[None]:
+    """Ends the import of a stranger's plugin that takes longer than `IMPORT_SECONDS` by a TimeoutError, again and again
+    where the plugin catches it. Not where there is no such clock, or another thread imports.
+    """
+    seconds = seconds_to_import()
+    timed = hasattr(signal, "setitimer") and threading.current_thread() is threading.main_thread()
+    if distribution == OWN or not timed:
+        yield
+        return
+
+    def ring(number: int, frame: object) -> None:
+        raise TimeoutError(f"it was still being imported after {seconds:g} s; {PATIENCE} may give it more")
+
+    before = signal.signal(signal.SIGALRM, ring)
+    signal.setitimer(signal.ITIMER_REAL, seconds, 1.0)
+    try:
+        yield
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
+        signal.signal(signal.SIGALRM, before)
+
+
+def seconds_to_import() -> float:
+    """As the environment says, else `IMPORT_SECONDS`; what is no time is a ClothbenchError."""
+    said = os.environ.get(PATIENCE, "")
+    try:
+        seconds = float(said or IMPORT_SECONDS)
+    except ValueError:
+        seconds = 0.0
+    if not 0.0 < seconds < 1e8:
+        raise ClothbenchError(f"environment variable {PATIENCE}: found {said[:80]!r}, expected seconds above 0")
+    return seconds
+
+
 def one_line(fault: BaseException) -> str:
     """An exception as one line for a report: type, and the first line of its message."""
     text = str(fault).strip().splitlines()
@@ -201,7 +242,7 @@ def _load(point: EntryPoint) -> tuple[list[Plugin], list[str]]:
     manager = pluggy.PluginManager(hookspecs.PROJECT)
     manager.add_hookspecs(hookspecs)
     try:
-        with quiet_output():
+        with quiet_output(), patience(distribution):
             manager.register(point.load(), name=point.name)
         manager.check_pending()
         plugins = [p for kind in ALL_KINDS for p in _registered(manager, kind, distribution, version)]

@@ -113,6 +113,21 @@ def test_each_is_listed_with_its_reason_and_no_other_is_touched(clothbench, inst
     assert [r for r in rows if r in usual] == usual
 
 
+def test_one_that_never_returns_from_its_import_is_broken(clothbench, installed):
+    sleeps, quick = "import time\ntime.sleep(600)", {"CLOTHBENCH_IMPORT_SECONDS": "1"}
+    late = HOOK.format(kind="models", name="late", target="later:Later")
+    path = installed(never=sleeps, fine=FINE, late=late, later=sleeps)
+    done = clothbench("plugins", "--json", PYTHONPATH=path, **quick)
+    assert done.returncode == 0, done.stderr
+    broken = {r["name"]: r["broken"] for r in json.loads(done.stdout)}
+    assert broken["fine"] is None
+    for name in ("never", "late"):
+        assert "it was still being imported after 1 s" in broken[name]
+    refused = clothbench("plugins", CLOTHBENCH_IMPORT_SECONDS="soon")
+    assert refused.returncode == 2
+    assert "CLOTHBENCH_IMPORT_SECONDS: found 'soon', expected seconds above 0" in refused.stderr
+
+
 def test_the_table_names_them_too(clothbench, installed):
     done = clothbench("plugins", PYTHONPATH=installed(crashing=BROKEN["crashing"][0]), COLUMNS="200")
     assert done.returncode == 0
