@@ -126,6 +126,11 @@ def _spread(fit: FittedCell, best: Material) -> dict[str, tuple[float, float]]:
 def _origin(fit: FittedCell) -> dict[str, Any]:
     """Where the numbers come from: plain data."""
     cell, every = fit.cell, fit.store.rows([fit.cell.key])
+    if not every:
+        raise ClothbenchError(
+            f"{fit.store.cell(cell.key)}/rows.parquet: found no rows of this cell, expected those of a fit; delete the "
+            "cell and run it again"
+        )
     rows = [r for r in every if r["metric"] == cell.metric and r["value"] is not None]
     return {
         "cell": cell.key,
