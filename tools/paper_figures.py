@@ -26,7 +26,7 @@ COLOURS = ("#1f5fa8", "#c8551b", "#2b8a4f", "#8a3fa0")
 HIGHEST = 100.0  # %, above which the paper does not tell variabilities apart
 ZOOM = 2
 # Figure numbers of the paper, and what is shown for them.
-SHAPE = ("fleece/static-2", 0)  # figures 12 and 13
+SHAPE = ("fleece/waving-2", 30)  # figures 12 and 13
 ROBOT, LONG = "waving-robot", "waving-150"  # figures 15 and 10
 FRAMES = {ROBOT: (12, 28, 44, 70), LONG: (20, 60, 100, 140)}
 
@@ -69,7 +69,7 @@ def draw_curves(store: Store, keys: dict[str, str], rows: Sequence[dict[str, Any
     left.set(xlabel="bending changed by [%]", ylabel="error, over that of the fit")
     left.legend(frameon=False, fontsize=7)
     middle.set_xticks(range(len(names)), names, rotation=60, ha="right", fontsize=6.5)
-    middle.set(ylabel="variability [%], 100 and more: not determined", yscale="log")
+    middle.set(ylabel="variability [%], at most 100", yscale="log")
     told = confusions(store.table("confusion"), rows, store.table("starts"))[-1]
     for fabric, colour in zip(FABRICS, COLOURS, strict=True):
         curve = [told.error[simulated][fabric] for simulated in FABRICS]
