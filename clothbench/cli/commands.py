@@ -71,7 +71,9 @@ def results_in(place: str | Path, default: str = DEFAULT_OUT, whole: bool = True
 
     folder = results_folder(place, whole)
     if str(place) != default and not (folder / "cells").is_dir():
-        raise ClothbenchError(f"{place}: found no results (no 'cells'); make some with clothbench run … out={place}")
+        raise ClothbenchError(
+            f"{place}: found no results (no folder 'cells'); make some with clothbench run … out={place}"
+        )
     return Store(folder)
 
 
