@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
 import os
 import signal
@@ -36,10 +35,6 @@ def test_runs_in_a_bucket_are_those_in_a_folder_and_are_found_from_elsewhere(clo
     assert elsewhere.returncode == 0
     assert elsewhere.stderr.count("kept:") == 2
     assert clothbench("report", f"out={s3}").stdout.startswith("page: ")
-    if importlib.util.find_spec("distributed") is not None:
-        out = clothbench("run", *RUN, "executor=dask", "jobs=2", f"out={s3}-dask")
-        assert out.returncode == 0, out.stderr
-        assert rows_of(clothbench, f"{s3}-dask") == expected
 
 
 def test_a_dask_worker_that_shares_nothing_publishes_by_itself(s3, recordings_folder, tmp_path, monkeypatch):
