@@ -321,13 +321,13 @@ def new_plugin(options: argparse.Namespace) -> int:
     return 0
 
 
-if __name__ == "__main__":
-    sys.exit(main())
-
-
 COMMANDS: Mapping[str, Callable[[argparse.Namespace], int]] = {
     "improve": improve, "suggest": suggest, "plugins": plugins, "validate": validate, "datasets": datasets,
     "import": import_data, "leaderboard": leaderboard, "compare": compare, "history": history, "bench": bench,
     "report": report, "view": view, "export": export, "units": units, "presets": presets, "submit": submit,
     "verify": verify, "site": site, "store": store, "new-plugin": new_plugin,
 }  # fmt: skip
+
+
+if __name__ == "__main__":
+    sys.exit(main())

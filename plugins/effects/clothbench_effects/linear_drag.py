@@ -8,10 +8,11 @@ def push_back(t, dt, x, v, f, sheet, p, state):
     """f −= b A v."""
     if p[0] == 0.0:
         return
-    for c in range(3):  # coordinate by coordinate, which lets the compiler use the vector unit
-        force, speed = f[c], v[c]
-        for i in range(speed.shape[0]):
-            force[i] -= p[0] * sheet.area[i] * speed[i]
+    for i in range(x.shape[1]):
+        drag = p[0] * sheet.area[i]
+        f[0, i] -= drag * v[0, i]
+        f[1, i] -= drag * v[1, i]
+        f[2, i] -= drag * v[2, i]
 
 
 class LinearDrag:
