@@ -278,6 +278,15 @@ class SaysNormals(Protocol):
 
 
 @runtime_checkable
+class SaysAtRest(Protocol):
+    """at_rest: whether a dynamics effect has a say in where a sheet comes to rest, or remembers how it did. Without it:
+    yes. Of one that says no, the same rest serves for all its amounts.
+    """
+
+    at_rest: bool
+
+
+@runtime_checkable
 class VariesByRecording(Protocol):
     """by_recording: names of its parameters that may well differ from one recording to the next, since each time
     something is set up, gripped or started anew. Without it: what is true of one recording is true of all.
@@ -348,6 +357,10 @@ def law_of_force(effect: Any) -> str:
 
 def reads_normals(effect: Any) -> bool:
     return effect.normals if isinstance(effect, SaysNormals) else True
+
+
+def acts_at_rest(effect: Any) -> bool:
+    return effect.at_rest if isinstance(effect, SaysAtRest) else True
 
 
 # --- of a tracker ---------------------------------------------------------------------------------------------------

@@ -10,7 +10,7 @@ parameters of a model and its effects in one space: JoinedParameters
 effects in a time loop: BoundEffects, EFFECT (their numba type), Terms, SLOTS, FORCE, INERTIA, no_effect, ready,
     add_effects, apply_effects, show_grips
 start, grips, sampling and the end of a time loop: Start, Grips, Sampling, Clock (numba types in capitals, and
-    `…_OF_MANY` for loops that run several members at once), grip_point, grip_speed, advance_segment, hold_grips,
+    `…_OF_MANY` for loops that run several members at once), GOES_ON, SETTLES, RESTS, grip_point, grip_speed, advance_segment, hold_grips,
     write_frames, put_grips, fastest, is_lost, as_double, put_back, OK, DIVERGED
 contact: obstacle_table, keep_out, inside, layers_of, keep_apart, LAYERS
 force-extension curves: curve_of, CurveSimulation
@@ -53,11 +53,14 @@ from clothbench.modelling.sheet import (
 from clothbench.modelling.time_loop import (
     CLOCK,
     DIVERGED,
+    GOES_ON,
     GRIPS,
     GRIPS_OF_MANY,
     OK,
+    RESTS,
     SAMPLING,
     SAMPLING_OF_MANY,
+    SETTLES,
     SLOTS,
     START,
     TERMS,
@@ -89,6 +92,7 @@ __all__ = [
     "DIVERGED",
     "EFFECT",
     "FORCE",
+    "GOES_ON",
     "GRIPS",
     "GRIPS_OF_MANY",
     "INERTIA",
@@ -96,8 +100,10 @@ __all__ = [
     "OK",
     "PLACES",
     "PLANE",
+    "RESTS",
     "SAMPLING",
     "SAMPLING_OF_MANY",
+    "SETTLES",
     "SHEET",
     "SHEET_HOOKS",
     "SIGNATURE",

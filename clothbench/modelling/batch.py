@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import ClassVar
@@ -12,6 +13,7 @@ import numpy as np
 
 from clothbench.core.parallel import for_each
 from clothbench.core.parameters import ParameterSpace
+from clothbench.core.resting import RestShapes, rest_shapes
 from clothbench.core.rollout import Interpolator, Rollout
 from clothbench.core.scene import Obstacle, Scene, initial_shape, initial_velocity
 from clothbench.modelling.bound_effects import BoundEffects
@@ -20,7 +22,18 @@ from clothbench.modelling.grid import grid_lines, tributary, unstretched
 from clothbench.modelling.kernels import no_effect
 from clothbench.modelling.mesh import grid_triangles
 from clothbench.modelling.sheet import Sheet, own_sheet, sheet_of
-from clothbench.modelling.time_loop import DIVERGED, SLOTS, Clock, Grips, Sampling, Start, Terms
+from clothbench.modelling.time_loop import (
+    DIVERGED,
+    GOES_ON,
+    RESTS,
+    SETTLES,
+    SLOTS,
+    Clock,
+    Grips,
+    Sampling,
+    Start,
+    Terms,
+)
 
 MAX_STEPS = 20_000_000
 NEAR_DISC = 0.1  # radii over or under a disc at which a sheet still counts as lying on it
@@ -106,6 +119,54 @@ class GridSimulation:
             shape = unstretched(shape, self.lines, sheet.held[: sheet.gripped], grips)
         return _flat_in_clamps(scene, shape, self.clamped), velocity
 
+    @property
+    def settles(self) -> bool:
+        """Whether the sheet comes to rest in its grips before the run."""
+        return self.scene.velocity is None and self.anchored
+
+    @cached_property
+    def hanging(self) -> GridSimulation | None:
+        """The same sheet without what acts in motion only, seen everywhere as the run begins: where it comes to rest.
+
+        None where the time loop has to find that by itself: an effect has a say in it or remembers the way there, the
+        cloth lies on something or on itself, is cut to an outline, or nothing comes after.
+        """
+        scene = self.scene
+        whole = self.cover is None and not scene.obstacles and scene.thickness == 0
+        if not (self.settles and whole and scene.times.max() > scene.start_time) or self.effects.at_rest:
+            return None
+        effects = BoundEffects(self.effects.model, self.effects.at("boundary"))
+        begins = dataclasses.replace(scene, times=np.array([scene.start_time]), points=self.uv, start=None)
+        still = dataclasses.replace(self, scene=begins, effects=effects)
+        vars(still).update(start=self.start, _first_shape=self._first_shape)  # which the scene tells by its own points
+        return still
+
+    def come_to_rest(
+        self, theta: np.ndarray, keys: Sequence[bytes], kept: RestShapes | None
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Shapes (B, n, 3) m in which theta (B, P) come to rest, of a sheet seen everywhere as the run begins; how that
+        ended (B,), and the steps (B,) that it took: none for what is kept under its key.
+        """
+        mine = repr([type(self), *(getattr(self, f.name) for f in dataclasses.fields(self)[2:])]).encode()
+        shapes = np.full((len(theta), self.nodes, 3), np.nan)
+        status, steps, new = np.full(len(theta), "ok", dtype=object), np.zeros(len(theta), np.int64), []
+        for b, key in enumerate(keys):
+            if kept is None or (known := kept.get(mine + key)) is None:
+                new.append(b)
+            else:
+                shapes[b] = known
+        if new:
+            found = self.run(theta[new])
+            shapes[new], status[new], steps[new] = found.position[:, 0], found.status, found.steps
+            for b in new:
+                if kept is not None and status[b] == "ok":
+                    kept.keep(mine + keys[b], shapes[b].copy())
+        return shapes, status, steps
+
+    def calmed(self, theta: np.ndarray) -> np.ndarray:
+        """The parameters (B, P) with which the sheet settles in its grips: where it comes to rest must be the same."""
+        return theta
+
     def stiffest_effect(self, theta: np.ndarray) -> np.ndarray:
         """A bound on what effects add to the largest ω² (B,) 1/s²: that of a plate of the smallest cell [rad²/s²].
 
@@ -139,6 +200,7 @@ class GridBatch:
         self.position = np.full((members, scene.times.size, len(scene.points), 3), np.nan)
         self.status, self.steps = np.zeros(members, np.int64), np.zeros(members, np.int64)
         self.kernels, self.stages, self.terms = effects.kernels(SLOTS, no_effect)
+        self.settling_kernels, _, _ = effects.kernels(SLOTS, no_effect, settling=True)
         cover = simulation.cover
         nodes = None if cover is None else cover.nodes
         self.interpolator = Interpolator.on_lines(scene.points, *simulation.lines, nodes)
@@ -151,21 +213,50 @@ class GridBatch:
         self.late = span / dt > MAX_STEPS
         first, self.alike = effects.distinct(theta, self.times)
         self.members = first[~self.late[first]]
+        self.hung: np.ndarray | None = None
+
+    def hang(self) -> None:
+        """Find where the members come to rest, once for all that come to rest alike; those that fail are not run.
+
+        The steps that this takes are counted where they were made: not again for whoever hangs in the same shape.
+        """
+        still = self.simulation.hanging
+        if still is None or not len(self.members):
+            return
+        members, simulation = self.members, self.simulation
+        theta = simulation.calmed(self.theta[members])
+        pose = self.curves[members % len(self.curves), 3, 0].reshape(len(members), -1)  # of the grips as the run begins
+        questions = np.hstack([simulation.effects.of_model(theta), pose])
+        _, first, of_members = np.unique(questions, axis=0, return_index=True, return_inverse=True)
+        moved = [own[first] for effect, own in simulation.effects.of_effects(theta) if effect.place == "boundary"]
+        rows, keys = np.hstack([still.effects.of_model(theta[first]), *moved]), [q.tobytes() for q in questions[first]]
+        shapes, status, steps = still.come_to_rest(rows, keys, rest_shapes(simulation.scene))
+        self.steps[members[first]] = steps
+        shapes, status = shapes[of_members.ravel()], status[of_members.ravel()]
+        self.late[members] = status == "timeout"
+        self.status[members[status == "diverged"]] = DIVERGED
+        self.hung = np.full((len(self.theta), *shapes.shape[1:]), np.nan)
+        self.hung[members] = shapes
+        self.members = members[status == "ok"]
 
     def run(self, march: Callable[[int], tuple[int, int]]) -> Rollout:
         """March all members side by side, `march(b)` → status and steps filling its `sampling`; what was seen of it."""
 
         def one(b: int) -> None:
-            self.status[b], self.steps[b] = march(b)
+            self.status[b], steps = march(b)
+            self.steps[b] += steps
 
         for_each(one, self.members.tolist())
         return self.rollout()
 
-    def begin(self) -> Start:
-        """Where one member begins, arrays of its own."""
-        settles = self.simulation.scene.velocity is None and self.simulation.anchored
-        x, v = (np.ascontiguousarray(rows.T, dtype=float).copy() for rows in (self.shape, self.velocity))
-        return Start(x, v, settles)
+    def begin(self, b: int | None = None) -> Start:
+        """Where member b begins, arrays of its own; any of them, if none has been hung up yet."""
+        if self.hung is None or b is None:
+            shape, how = self.shape, SETTLES if self.simulation.settles else GOES_ON
+        else:
+            shape, how = self.hung[b], RESTS
+        x, v = (np.ascontiguousarray(rows.T, dtype=float).copy() for rows in (shape, self.velocity))
+        return Start(x, v, how)
 
     def sheet(self) -> Sheet:
         """The sheet for one member's loop, with normals and grips of its own."""

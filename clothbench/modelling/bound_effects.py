@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.optional import Remembers, ShiftsPositions, ShiftsSight, ShiftsTimes, Stiffens, reads_normals
+from clothbench.core.optional import (
+    Remembers,
+    ShiftsPositions,
+    ShiftsSight,
+    ShiftsTimes,
+    Stiffens,
+    acts_at_rest,
+    reads_normals,
+)
 from clothbench.core.protocols import Effect
 from clothbench.core.scene import Scene
 from clothbench.modelling.curves import acts_on_sheets
@@ -41,8 +49,13 @@ class BoundEffects(JoinedParameters):
 
     # --- dynamics -----------------------------------------------------------------------------------------------
 
-    def kernels(self, slots: int, filler: Callable) -> tuple[tuple[Callable, ...], np.ndarray, int]:
-        """Compiled functions for a time loop with `slots` places, their stages (slots,), and how many are used."""
+    def kernels(
+        self, slots: int, filler: Callable, settling: bool = False
+    ) -> tuple[tuple[Callable, ...], np.ndarray, int]:
+        """Compiled functions for a time loop with `slots` places, their stages (slots,), and how many are used.
+
+        settling: those for a sheet that comes to rest, with the filler in place of what acts in motion only.
+        """
         from clothbench.modelling.kernels import ready  # numba is asked for by those who simulate
 
         found = self._stages()
@@ -50,8 +63,12 @@ class BoundEffects(JoinedParameters):
             raise ClothbenchError(
                 f"{len(found)} dynamics terms at once, this model has room for {slots}; name fewer effects"
             )
-        functions = [ready(getattr(e, stage), f"effect {e.name!r}: {stage!r}") for e, stage in found]
-        functions += [ready(filler, "the filler of a slot")] * (slots - len(found))
+        empty = ready(filler, "the filler of a slot")
+        functions = [
+            empty if settling and not acts_at_rest(e) else ready(getattr(e, stage), f"effect {e.name!r}: {stage!r}")
+            for e, stage in found
+        ]
+        functions += [empty] * (slots - len(found))
         stages = [FORCE if stage == "force" else INERTIA for _, stage in found] + [FORCE] * (slots - len(found))
         return tuple(functions), np.array(stages, dtype=np.int64), len(found)
 
@@ -80,6 +97,11 @@ class BoundEffects(JoinedParameters):
     def normals(self) -> bool:
         """Whether any kernel may read `sheet.normal`."""
         return any(reads_normals(e) for e in self.at("dynamics"))
+
+    @property
+    def at_rest(self) -> bool:
+        """Whether any dynamics effect has a say in where a sheet comes to rest."""
+        return any(acts_at_rest(e) for e in self.at("dynamics"))
 
     def _stages(self) -> list[tuple[Effect, str]]:
         """Every force and inertia term, in the order of the effects; an effect that has both appears twice."""

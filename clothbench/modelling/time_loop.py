@@ -14,6 +14,7 @@ from clothbench.modelling.sheet import sheet_normals, wants_normals
 
 SLOTS = 8  # places for dynamics effects in a loop
 OK, DIVERGED = 0, 1
+GOES_ON, SETTLES, RESTS = 0, 1, 2  # how a loop begins
 
 Terms = namedtuple("Terms", "stages count parameters state")
 Terms.__doc__ = """The effects' terms of a time loop, beside their compiled functions, which a loop takes one by one: a
@@ -31,7 +32,8 @@ held, and of_points: the grip of each.
 """
 Start = namedtuple("Start", "x v settles")
 Start.__doc__ = """Where a loop begins. x: (3, n) m, changed in place, and v: (3, n) m/s, of all nodes; settles: whether
-the sheet first comes to rest in its grips. Of several members at once, interleaved: (3, n·members).
+the sheet first comes to rest in its grips (SETTLES), hangs at rest in them already (RESTS) or goes on as it is
+(GOES_ON). Of several members at once, interleaved: (3, n·members).
 """
 Sampling = namedtuple("Sampling", "index weight times out")
 Sampling.__doc__ = """Where and when a loop is looked at.
@@ -46,7 +48,7 @@ how far from the origin a sheet may get before it counts as blown up.
 
 _d1, _d2, _i1 = types.float64[::1], types.float64[:, ::1], types.int64[::1]
 _d3, _d4, _d5 = types.float64[:, :, ::1], types.float64[:, :, :, ::1], types.float64[:, :, :, :, ::1]
-START = bundle_type(Start, _d2, _d2, types.boolean)
+START = bundle_type(Start, _d2, _d2, types.int64)
 TERMS = bundle_type(Terms, _i1, types.int64, _d2, _d2)
 GRIPS = bundle_type(Grips, _d1, _d4, _i1, _i1)
 SAMPLING = bundle_type(Sampling, types.int64[:, ::1], _d2, _d1, _d3)

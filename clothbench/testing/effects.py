@@ -16,6 +16,7 @@ from clothbench.core.optional import (
     Remembers,
     SaysNormals,
     Stiffens,
+    acts_at_rest,
     varying_of,
 )
 from clothbench.core.parameters import ParameterSpace
@@ -146,6 +147,20 @@ def acts_elsewhere(case: EffectCase) -> str | None:
     return None
 
 
+def lets_hang_what_hangs(case: EffectCase) -> str | None:
+    """An effect that says it has no part in where a sheet comes to rest exerts no force on one that does not move."""
+    if acts_at_rest(case.effect) or case.effect.place != "dynamics" or getattr(case.effect, "force", None) is None:
+        return "may act on a sheet at rest, or exerts no force at all"
+    effect, (sheet, x, v) = case.effect, waving_sheet()
+    state = np.zeros(effect.state_size(sheet) if isinstance(effect, Remembers) else 0)
+    for values in probe.acting_values(effect):
+        force = np.zeros_like(x)
+        effect.force.py_func(0.0, 1e-3, x, 0 * v, force, sheet, values, state)  # type: ignore[attr-defined]
+        found = f"a force of {np.abs(force).max():.3g} N at {values.tolist()} on a sheet that does not move"
+        require(not force.any(), found, "none, since at_rest is False")
+    return None
+
+
 def goes_along_with_another_effect(case: EffectCase) -> str | None:
     """Beside a throw-away push: in either order, and with either of the two at its null value."""
     if not acts_on_sheets(case.effect):
@@ -223,6 +238,7 @@ RULES = (
     has_null_values_within_its_bounds,
     vanishes_at_its_null_values,
     acts_elsewhere,
+    lets_hang_what_hangs,
     goes_along_with_another_effect,
     keeps_to_its_own_memory,
     leaves_positions_it_is_given_alone,

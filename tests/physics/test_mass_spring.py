@@ -53,6 +53,25 @@ def forces(grid: SpringGrid, k: np.ndarray, c: float, x: np.ndarray, v: np.ndarr
     return out
 
 
+@pytest.mark.parametrize("lines", [np.linspace(0, 0.3, 6), np.array([0.0, 0.04, 0.1, 0.14, 0.2, 0.3])], ids=["even", "uneven"])
+def test_the_largest_eigenvalue_is_that_of_the_whole_matrix(lines):
+    """By the second differences of the energy of a flat sheet; a step that is just too long for it diverges."""
+    grid = SpringGrid.of((lines, np.linspace(0, 0.25, 5)), (lines[-1], 0.25), 0.2)
+    flat, step = np.vstack([grid.uv.T, np.zeros(len(grid.mass))]), 1e-5
+    for which, bound in enumerate(grid.largest_eigenvalues):
+        k = np.array([float(of == which) for _, _, of in grid.families])
+        count = 2 * len(grid.mass)
+        matrix = np.zeros((count, count))
+        for column in range(count):
+            away = np.zeros((3, len(grid.mass)))
+            away[column // len(grid.mass), column % len(grid.mass)] = step
+            change = forces(grid, k, 0.0, flat + away, 0 * flat) - forces(grid, k, 0.0, flat - away, 0 * flat)
+            matrix[:, column] = -change[:2].ravel() / (2 * step)
+        root = np.tile(grid.mass, 2) ** -0.5
+        true = np.linalg.eigvalsh(root[:, None] * matrix * root).max()
+        assert true <= bound < 1.003 * true
+
+
 @pytest.fixture(scope="module")
 def crumpled():
     lines = (np.array([0.0, 0.04, 0.1, 0.14, 0.2]), np.linspace(0, 0.3, 6))
@@ -104,15 +123,15 @@ def test_free_fall_is_exact():
     scene = sheet(0.2, 0.2, times, points=((0.1, 0.1), (0.0, 0.2)), shape=(5, 5))
     z = MassSpring().prepare(scene).run([[60.0, 1.0, 0.1]]).position[0, :, :, 2]
     # leapfrog samples a parabola with an error of g·dt²/8 between two steps
-    np.testing.assert_allclose(z - z[0], np.broadcast_to(-0.5 * G * times[:, None] ** 2, z.shape), atol=1e-6)
+    np.testing.assert_allclose(z - z[0], np.broadcast_to(-0.5 * G * times[:, None] ** 2, z.shape), atol=2e-6)
 
 
 def swing_frequency(effects=(), phi=(), length=0.297, nodes=17) -> float:
     """Frequency [Hz] of the small free swing, in vacuum, of a sheet held along its top edge and pulled once."""
-    times = np.arange(0.5, 4.0, 0.01)
+    times = np.arange(1.0, 6.0, 0.01)
 
     def pull(t):
-        pulse = 1e-3 * np.exp(-(((t - 0.2) / 0.06) ** 2))
+        pulse = 1e-3 * np.exp(-(((t - 0.4) / 0.15) ** 2))  # so gentle that higher modes than two hardly show
         return np.stack([0 * t, pulse, 0 * t], axis=1)
 
     width = length / 4
@@ -150,7 +169,7 @@ def test_a_hanging_sheet_swings_as_the_bessel_function_says():
 def test_added_mass_slows_the_swing():
     """ω = ω₁ / √(1 + m_a/ρ) for a motion along the normal."""
     ratio = swing_frequency((AddedMass(),), (0.1,)) / swing_frequency()
-    assert ratio == pytest.approx(1 / np.sqrt(1 + 0.1 / 0.2), rel=0.005)
+    assert ratio == pytest.approx(1 / np.sqrt(1 + 0.1 / 0.2), rel=0.01)
 
 
 @pytest.mark.parametrize("coefficient", [0.5, 1.2])

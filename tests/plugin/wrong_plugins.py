@@ -93,6 +93,16 @@ class Braking(Greedy):
     force = staticmethod(braking_force)
 
 
+@effect_kernel
+def pushing_force(t, dt, x, v, f, sheet, p, state):
+    f[1] += p[0] * 1e-3
+
+
+class Pushing(Greedy):
+    force = staticmethod(pushing_force)
+    at_rest = False
+
+
 class Uncompiled(Greedy):
     force = staticmethod(greedy_force.py_func)
 
@@ -135,6 +145,7 @@ EFFECTS = [
     (NullNowhere, "has null values within its bounds", "no parameter with a null value"),
     (NeverNull, "vanishes at its null values", "another motion at the null values"),
     (Idle, "acts elsewhere", "no change of any motion"),
+    (Pushing, "lets hang what hangs", "on a sheet that does not move"),
     (Jealous, "goes along with another effect", "at its null values"),
     (Greedy, "keeps to its own memory", "IndexError"),
     (Braking, "keeps to its own memory", "an input of 'force'"),

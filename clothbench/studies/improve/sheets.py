@@ -12,6 +12,7 @@ from scipy.ndimage import uniform_filter1d
 
 from clothbench.core.observation import Observation
 from clothbench.core.protocols import Effect, Model, Score
+from clothbench.core.resting import remember_rest
 from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
 from clothbench.estimation.trials import Trial
@@ -73,6 +74,7 @@ class SheetCase:
         return float(np.ptp(self.observation.time))
 
     def trial(self, model: Model, effects: Sequence[Effect], correction: np.ndarray | None) -> Trial:
+        remember_rest(self.scene)  # searches ask for it again and again, with what does not change it
         simulation = without_switches(model.prepare(self.scene, effects), len(model.parameters))
         return Trial(
             self.name, self.observation, simulation, CoordinateError(0.0 if correction is None else correction)

@@ -24,6 +24,7 @@ class AddedMass:
     name = "added_mass"
     version = 1
     place = "dynamics"
+    at_rest = False
     family = "air"
     law = "normal acceleration"
     summary = "air carried along by the normal acceleration"

@@ -45,6 +45,7 @@ class AirMemory:
     name = "air_memory"
     version = 1
     place = "dynamics"
+    at_rest = False
     family = "air"
     law = "past normal velocity"
     summary = "air that follows the sheet late: added mass to slow motion, drag to fast"

@@ -28,6 +28,7 @@ class DragCrisis:
     name = "drag_crisis"
     version = 1
     place = "dynamics"
+    at_rest = False
     family = "air"
     summary = "air drag, quadratic when slow, that levels off with speed"
     force = staticmethod(level_off)

@@ -32,6 +32,7 @@ class Lift:
     name = "lift"
     version = 1
     place = "dynamics"
+    at_rest = False
     family = "air"
     summary = "lift of a sheet that moves at an angle through the air"
     force = staticmethod(deflect)

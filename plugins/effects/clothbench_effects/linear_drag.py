@@ -19,6 +19,7 @@ class LinearDrag:
     name = "linear_drag"
     version = 1
     place = "dynamics"
+    at_rest = False
     family = "air"
     normals = False
     summary = "air drag, linear in velocity"

@@ -20,6 +20,7 @@ class QuadraticDrag:
     name = "quadratic_drag"
     version = 1
     place = "dynamics"
+    at_rest = False
     family = "air"
     law = "normal velocity squared"
     summary = "air drag, quadratic in normal velocity"

@@ -20,11 +20,12 @@ import numpy as np
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
 from clothbench.modelling import (
     OK,
+    RESTS,
+    SETTLES,
     BoundEffects,
     Cover,
     GridBatch,
     GridSimulation,
-    Sampling,
     check_number,
     check_resolution,
     grid_shape,
@@ -163,16 +164,42 @@ class BaraffWitkinSimulation(GridSimulation):
     def edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return triangle_edges(self.lines, self.cover)
 
+    def calmed(self, theta: np.ndarray) -> np.ndarray:
+        """With one damping and no air: what hangs still does not depend on them."""
+        out = theta.copy()
+        out[:, 3:6], out[:, 6:9] = PARAMETERS.defaults[3:6], 0.0
+        return out
+
     def run(self, theta: np.ndarray) -> Rollout:
         """Simulate theta (B, P): the nine parameters (eleven of an orthotropic sheet), then the effects'."""
         theta = self.parameters.check(theta)
         batch = GridBatch(self, theta, np.full(len(theta), self.dt), 0.0)
-
+        batch.hang()
         return batch.run(lambda b: self._march(batch, b))
 
     def _march(self, batch: GridBatch, b: int) -> tuple[int, int]:
         """Simulate member b into the batch's arrays → status, steps."""
         scene, theta = self.scene, batch.theta[b : b + 1]
+        begins, result = batch.begin(b), np.zeros(3, np.int64)
+        obstacles, layers, terms = obstacle_table(scene), layers_of(scene, self.sheet), batch.effect_terms(b)
+        size, sampling = max(scene.width, scene.height), batch.sampling(b)
+
+        def march(scheme, tolerance, theta, begins, effects, sampling):
+            kernels.march(scheme)(
+                scheme, TRIANGLES, begins, self.shape[0], batch.sheet(), *self._inner(theta), theta[0, 6:9].copy(),
+                *effects, terms, batch.grips(b), obstacles, layers, batch.clock(b, tolerance), size, sampling, result,
+            )  # fmt: skip
+
+        if begins.settles == SETTLES:  # by the implicit loop, whatever the scheme
+            unseen, calm = sampling._replace(times=np.zeros(0)), self.calmed(theta)
+            march(kernels.BDF2, TOLERANCE["bdf2"], calm, begins, batch.settling_kernels, unseen)
+            begins = begins._replace(settles=RESTS)
+        if result[0] == OK:
+            march(self.scheme, self.tolerance, theta, begins, batch.kernels, sampling)
+        return int(result[0]), int(result[1])
+
+    def _inner(self, theta: np.ndarray) -> tuple[kernels.Membrane, kernels.Plate]:
+        """The inner forces of one parameter set (1, P)."""
         bend, stretch, shear, bend_damping, stretch_damping, shear_damping = theta[0, :6]
         bend_ratio, stretch_ratio = theta[0, 9:11] if self.orthotropic else (1.0, 1.0)
         bending = self.thread_bending.matrix(bend_ratio) if self.orthotropic else self.bending
@@ -183,23 +210,7 @@ class BaraffWitkinSimulation(GridSimulation):
         membrane = kernels.Membrane(lengths, over, shares * stiffness[:, None], shares * dampings[:, None])
         # Effects act along any thread, and the matrix has to know of it along the softer one, too.
         stiffer = self.effects.stiffness(theta)[0] / np.array([stiffness[:2].min(), softer_share(bend_ratio)])
-        plate = kernels.Plate(bending.offsets, bending.values, bend, bend_damping, stiffer)
-        begins, result = batch.begin(), np.zeros(3, np.int64)
-        obstacles, layers = obstacle_table(scene), layers_of(scene, self.sheet)
-        size, sampling = max(scene.width, scene.height), batch.sampling(b)
-
-        def march(scheme: int, tolerance: float, sampling: Sampling) -> None:
-            kernels.march(scheme)(
-                scheme, TRIANGLES, begins, self.shape[0], batch.sheet(), membrane, plate,
-                theta[0, 6:9].copy(), *batch.kernels, batch.effect_terms(b), batch.grips(b), obstacles, layers,
-                batch.clock(b, tolerance), size, sampling, result,
-            )  # fmt: skip
-
-        if self.scheme == kernels.RK45 and begins.settles:  # the implicit loop settles for all
-            march(kernels.BDF2, TOLERANCE["bdf2"], sampling._replace(times=np.zeros(0)))
-        if result[0] == OK:
-            march(self.scheme, self.tolerance, sampling)
-        return int(result[0]), int(result[1])
+        return membrane, kernels.Plate(bending.offsets, bending.values, bend, bend_damping, stiffer)
 
 
 def triangle_edges(

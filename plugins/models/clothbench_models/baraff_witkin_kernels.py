@@ -14,7 +14,9 @@ from clothbench.modelling import (
     EFFECT,
     GRIPS,
     LAYERS,
+    RESTS,
     SAMPLING,
+    SETTLES,
     SHEET,
     SLOTS,
     START,
@@ -179,10 +181,13 @@ def _march_implicit(
     for g in range(pins.shape[0]):
         touch[pins[g]] = STICKS
         free[pins[g]] = 0.0
-    settling, count, done, segment = pins.shape[0] > 0 and begins.settles, 0, 0, 0
+    settling, count, done, segment = pins.shape[0] > 0 and begins.settles == SETTLES, 0, 0, 0
     rounds, h, t, relax, moved_before = 0, 0.01, start, 1.0, np.inf
     if not settling:
-        step_before(x, v, dt, sheet.gravity, sheet.mass, pins, x_old, v_old)
+        if begins.settles == RESTS:
+            x_old[:] = x
+        else:
+            step_before(x, v, dt, sheet.gravity, sheet.mass, pins, x_old, v_old)
         done = write_frames(x, v, x, v, start, start, done, sampling, grips)
     while settling or done < frames:
         if settling:

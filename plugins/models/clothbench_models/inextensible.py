@@ -19,6 +19,7 @@ import numpy as np
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
 from clothbench.modelling import (
     OK,
+    SETTLES,
     BoundEffects,
     GridBatch,
     GridSimulation,
@@ -151,31 +152,37 @@ class InextensibleSimulation(GridSimulation):
         give = np.divide(one, cloth, out=np.zeros_like(one), where=cloth > 0)
         return kernels.Constraints(padded(lengths), padded(share), padded(give))
 
+    def calmed(self, theta: np.ndarray) -> np.ndarray:
+        """With one damping: what hangs still does not depend on it."""
+        out = theta.copy()
+        out[:, 1:3] = PARAMETERS.defaults[1:3]
+        return out
+
     def run(self, theta: np.ndarray) -> Rollout:
         """Simulate theta (B, P): θ N·m, α kg/(m²·s), β N·m·s, the ratio of an orthotropic sheet, then the effects'."""
         theta = self.parameters.check(theta)
         batch = GridBatch(self, theta, np.full(len(theta), self.dt), 0.0)
-
+        batch.hang()
         return batch.run(lambda b: self._march(batch, b))
 
     def _march(self, batch: GridBatch, b: int) -> tuple[int, int]:
         """Simulate member b into the batch's arrays → status, steps."""
         scene, theta = self.scene, batch.theta[b : b + 1]
         bend, alpha, beta = theta[0, :3]
-        begins, result = batch.begin(), np.zeros(3, np.int64)
+        begins, result = batch.begin(b), np.zeros(3, np.int64)
         ratio = theta[0, 3] if self.orthotropic else 1.0
         bending = self.thread_bending.matrix(ratio) if self.orthotropic else self.bending
         stiffer = self.effects.stiffness(theta)[0] / np.array([1.0, softer_share(ratio)])
         plate = triangles.Plate(bending.offsets, bending.values, bend, 0.0, stiffer)
         obstacles, layers, sampling = obstacle_table(scene), layers_of(scene, self.sheet), batch.sampling(b)
         terms, grips = batch.effect_terms(b), batch.grips(b)  # what effects remember of the settling goes on in the run
-        if begins.settles:  # the same sheet with stiff springs for constraints finds rest in a few rounds
+        if begins.settles == SETTLES:  # the same sheet with stiff springs for constraints finds rest in a few rounds
             rest_lengths, over, unit = triangle_edges(self.lines, self.cover)
             stiff = unit * np.array([[TAUT], [TAUT], [2 * self.shear]])  # of a cell, not a triangle
             membrane = triangles.Membrane(rest_lengths, over, stiff, np.zeros_like(stiff))
             triangles.march(triangles.BDF2)(
                 triangles.BDF2, CELLS, begins, self.shape[0], batch.sheet(), membrane,
-                plate, np.zeros(3), *batch.kernels, terms, grips, obstacles, layers,
+                plate, np.zeros(3), *batch.settling_kernels, terms, grips, obstacles, layers,
                 batch.clock(b, 1e-4), max(scene.width, scene.height), sampling._replace(times=np.zeros(0)), result,
             )  # fmt: skip
         if result[0] == OK:

@@ -17,6 +17,7 @@ from clothbench.modelling import (
     CLOCK,
     DIVERGED,
     EFFECT,
+    GOES_ON,
     GRIPS,
     LAYERS,
     SAMPLING,
@@ -369,9 +370,8 @@ def _march(
         free[pins[g]] = 0.0
         lightness[pad + pins[g]] = 0.0
     count, done, segment, rounds, t = 0, 0, 0, 0, start
-    if (
-        pins.shape[0] > 0 and begins.settles
-    ):  # settled by forces that stretched it a little: that is what the constraints pull with
+    if pins.shape[0] > 0 and begins.settles != GOES_ON:
+        # Settled by forces that stretched it a little: that is what the constraints pull with.
         edge_differences(x, nu, work[0:3], work[3:6])
         violations(nu, work[0:3], work[3:6], lengths, share, rows[0])
         for k in range(3):

@@ -19,7 +19,7 @@ from clothbench.modelling import BoundEffects, grid_shape
 from clothbench_models.mass_spring_simulation import SpringOptions, SpringSimulation
 from clothbench_models.orthotropy import refuse_ratios
 
-CALM = 0.05  # damping ratio with which a sheet settles, if its own is larger: more only asks for shorter steps
+CALM = 0.05  # damping ratio with which a sheet settles: more only asks for shorter steps
 SOURCE = "Provot 1995; Cloth mechanical parameter estimation … for optimized robotic manipulation, section 5.2"
 
 PARAMETERS = ParameterSpace(
@@ -111,9 +111,9 @@ class MassSpringSimulation(SpringSimulation):
         return 2 * theta[:, 2:3] * np.sqrt(theta[:, :2] * self.grid.node_mass)
 
     def calmed(self, theta: np.ndarray) -> np.ndarray:
-        """With little damping, where the longest steps are stable: what hangs still does not depend on it."""
+        """With little damping, where long steps are stable: what hangs still does not depend on it."""
         out = theta.copy()
-        out[:, 2] = np.minimum(theta[:, 2], CALM)
+        out[:, 2] = CALM
         return out
 
     def stable_step(self, theta: np.ndarray) -> np.ndarray:

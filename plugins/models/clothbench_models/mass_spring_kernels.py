@@ -22,6 +22,7 @@ from clothbench.modelling import (
     LAYERS,
     OK,
     SAMPLING_OF_MANY,
+    SETTLES,
     SHEET,
     SLOTS,
     TERMS_OF_MANY,
@@ -231,7 +232,7 @@ def _signature(real):
     springs = bundle_type(Springs, i1, r2, r2, r2, r2, d1, double, types.int64)
     settling = bundle_type(Settling, d1, double, double, d1)
     return types.void(
-        types.int64, bundle_type(Start, r2, r2, types.boolean), springs, SHEET, *(EFFECT,) * SLOTS, TERMS_OF_MANY,
+        types.int64, bundle_type(Start, r2, r2, types.int64), springs, SHEET, *(EFFECT,) * SLOTS, TERMS_OF_MANY,
         GRIPS_OF_MANY, double[:, ::1], LAYERS,
         double, double, d1, settling, SAMPLING_OF_MANY, i1, i1,
     )  # fmt: skip
@@ -244,6 +245,7 @@ def _run_block(
 ):  # fmt: skip
     """Run `lanes` interleaved parameter sets from where they begin, settled first if they are to.
 
+    Ends before the run proper where no frames are wanted, which takes a single lane: the others would move on.
     obstacles (K, 9) and layers: for `keep_out` and `keep_apart`, the latter with one lane only; limit: m, how far a
     sheet may get; start: s; dt: (lanes,) s; terms, grips, sampling: of that many members; status, steps: (lanes,).
     """
@@ -259,7 +261,7 @@ def _run_block(
     inverse_mass, step = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
     kick, keep = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
     held = pins.shape[0] > 0
-    settles = held and begins.settles
+    settles = held and begins.settles == SETTLES
     dt_now = settle_dt.copy() if settles else dt.copy()
     dashpots = springs.settle_damping.copy() if settles else damping
     for e in range(entries):
@@ -288,6 +290,9 @@ def _run_block(
                 began[lane] = (
                     count if settled_for > settling.time[1] or fastest(v, lane, lanes) < settling.at_rest else -1
                 )
+            if began[lane] == count and frames == 0:
+                steps[lane] = count
+                return
             if began[lane] == count:
                 dt_now[lane] = dt[lane]
                 begin(v, settles, keep, kick, step, dashpots, damping, lane, lanes, dt[lane], loss[lane])
@@ -337,7 +342,7 @@ def _run_block(
                 status[lane] = DIVERGED
             elif began[lane] >= 0:
                 done[lane] = write_due(x, v, lane, lanes, now, done[lane], sampling, grips)
-            if status[lane] == DIVERGED or done[lane] == frames:
+            if status[lane] == DIVERGED or (began[lane] >= 0 and done[lane] == frames):
                 steps[lane] = count
                 running -= 1
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -12,6 +12,8 @@ import numpy as np
 
 from clothbench import ClothbenchError, Rollout
 from clothbench.modelling import (
+    RESTS,
+    SETTLES,
     SLOTS,
     GridBatch,
     GridSimulation,
@@ -74,6 +76,7 @@ class SpringSimulation(GridSimulation, ABC):
         """Simulate theta (B, P): the model's parameters in order, then those of the effects."""
         theta = self.parameters.check(theta)
         batch = _Batch(self, theta)
+        batch.hang()
         for_each(batch.run_block, batch.blocks)
         return batch.rollout()
 
@@ -84,10 +87,6 @@ class SpringSimulation(GridSimulation, ABC):
     def dashpots(self, theta: np.ndarray) -> np.ndarray | None:
         """The damping that belongs to each of them, (B, K) N·s/m, or None where springs have none."""
         return None
-
-    def calmed(self, theta: np.ndarray) -> np.ndarray:
-        """The parameters (B, P) with which the sheet settles in its grips: where it comes to rest must be the same."""
-        return theta
 
     def loss(self, theta: np.ndarray) -> np.ndarray:
         """Share of the velocity lost per second (B,) 1/s."""
@@ -119,23 +118,26 @@ class _Batch(GridBatch):
             scale = SAFETY * options.step_scale
             dt, self.settle_dt = (scale * simulation.stable_step(values) for values in (theta, self.calmed))
         super().__init__(simulation, theta, dt, SETTLE[1] / simulation.slowest)
-        self.blocks = self._blocks(self.members)
         self.obstacles = obstacle_table(simulation.scene)
         self.strain_limit = math.inf if options.strain_limit is None else options.strain_limit
 
-    def _blocks(self, members: np.ndarray) -> list[np.ndarray]:
+    @property
+    def blocks(self) -> list[np.ndarray]:
         """Members that run together, similar steps side by side; one by one on a large grid."""
         alone = self.simulation.nodes >= SMALL or self.terms > 0 or self.simulation.scene.thickness > 0
         if alone:
-            return [members[k : k + 1] for k in range(len(members))]
-        order = members[np.argsort(self.dt[members], kind="stable")]
+            return [self.members[k : k + 1] for k in range(len(self.members))]
+        order = self.members[np.argsort(self.dt[self.members], kind="stable")]
         return [order[k : k + LANES] for k in range(0, len(order), LANES)]
 
-    def start(self, lanes: int, real: type) -> Start:
-        """Where `lanes` interleaved members begin."""
-        x, v, settles = self.begin()
-        x, v = (np.repeat(rows, lanes, axis=1).astype(real) for rows in (x, v))
-        return Start(x, v, settles)
+    def start(self, members: np.ndarray, real: type) -> Start:
+        """Where interleaved members begin."""
+        each = [self.begin(int(b)) for b in members]
+        x, v = (
+            np.ascontiguousarray(np.stack(rows, axis=2).reshape(3, -1), dtype=real)
+            for rows in ([start.x for start in each], [start.v for start in each])
+        )
+        return Start(x, v, each[0].settles)
 
     def run_block(self, members: np.ndarray) -> None:
         simulation, scene, precision = self.simulation, self.simulation.scene, self.simulation.options.precision
@@ -154,14 +156,27 @@ class _Batch(GridBatch):
         )  # fmt: skip
         slowest, sheet = simulation.slowest, simulation.sheet
         settling = kernels.Settling(SETTLE / slowest, 2 * slowest, AT_REST[precision], self.settle_dt[members])
-        parameters, state = effects.kernel_parameters(theta, SLOTS), effects.kernel_state(lanes, SLOTS, sheet)
-        kernels.run_block(precision)(
-            lanes, self.start(lanes, real), springs, self.sheet(),
-            *self.kernels, Terms(self.stages, self.terms, parameters, state), self.grips_of(members), self.obstacles,
-            layers_of(scene, sheet), self.bounds(), scene.start_time, self.dt[members], settling,
-            Sampling(self.interpolator.index, self.interpolator.weight, self.times[members], out), status, steps,
-        )  # fmt: skip
-        self.position[members], self.status[members], self.steps[members] = out, status, steps
+        terms = Terms(
+            self.stages, self.terms, effects.kernel_parameters(theta, SLOTS), effects.kernel_state(lanes, SLOTS, sheet)
+        )
+        begins, grips, layers = self.start(members, real), self.grips_of(members), layers_of(scene, sheet)
+        sampling = Sampling(self.interpolator.index, self.interpolator.weight, self.times[members], out)
+
+        def march(begins: Start, effects: tuple[Callable, ...], sampling: Sampling) -> None:
+            kernels.run_block(precision)(
+                lanes, begins, springs, self.sheet(), *effects, terms, grips, self.obstacles, layers, self.bounds(),
+                scene.start_time, self.dt[members], settling, sampling, status, steps,
+            )  # fmt: skip
+
+        if begins.settles == SETTLES and self.terms:  # without the effects that act in motion only
+            march(begins, self.settling_kernels, sampling._replace(times=np.zeros((lanes, 0))))
+            self.steps[members] += steps
+            begins, steps[:] = begins._replace(settles=RESTS), 0
+            begins.v[:] = 0.0
+        if not status.any():
+            march(begins, self.kernels, sampling)
+        self.position[members], self.status[members] = out, status
+        self.steps[members] += steps
 
 
 def _of_springs(grid: SpringGrid, values: np.ndarray) -> np.ndarray:

@@ -10,6 +10,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
+from scipy.sparse import coo_matrix, csr_matrix, vstack
+from scipy.sparse.linalg import eigsh
 
 from clothbench.modelling import Cover, spaces, tributary
 
@@ -83,8 +85,37 @@ class SpringGrid:
 
     @cached_property
     def largest_eigenvalues(self) -> tuple[float, ...]:
-        """Bounds on the largest eigenvalue [1/kg] of M⁻¹K of the flat sheet, for each stiffness being 1 N/m alone."""
-        return tuple(float(row.max()) for row in self.eigenvalue_rows)
+        """The largest eigenvalue [1/kg] of M⁻¹K of the flat sheet, for each stiffness being 1 N/m alone: a fifth to a
+        quarter below Gershgorin's circles. To a thousandth, rounded up, so that no last bit of a sum shows in a step.
+        """
+        found = []
+        for which in range(self.stiffnesses):
+            matrix = self._stiffness_matrix(which)
+            start = np.cos(np.arange(len(self.mass) * 2.0) ** 2)  # any vector will do, but always the same
+            value = float(eigsh(matrix, k=1, tol=1e-4, v0=start[: matrix.shape[0]], return_eigenvectors=False)[0])
+            found.append(float(np.format_float_positional(1.0006 * value, 4, unique=False, fractional=False)))
+        return tuple(found)
+
+    def _stiffness_matrix(self, which: int) -> csr_matrix:
+        """M^-½ K M^-½ in the plane of the nodes that carry mass, one of the stiffnesses being 1 N/m."""
+        n = len(self.mass)
+        over = np.zeros(n)
+        over[self.mass > 0] = self.mass[self.mass > 0] ** -0.5
+        rows = []  # of ∂d/∂x of all springs, √share times as long
+        for family, (_, _, of) in enumerate(self.families):
+            first = np.flatnonzero(self.share[family] > 0) if of == which else np.zeros(0, int)
+            second = first + self.strides[family]
+            d = self.uv[second] - self.uv[first]
+            d *= (np.sqrt(self.share[family, first]) / np.linalg.norm(d, axis=1))[:, None]
+            springs = np.arange(len(first))
+            ends = [
+                coo_matrix((sign * d[:, c] * over[end], (springs, 2 * end + c)), (len(first), 2 * n))
+                for sign, end in ((-1.0, first), (1.0, second))
+                for c in range(2)
+            ]
+            rows.append(sum(ends[1:], ends[0]))
+        stretch = csr_matrix(vstack(rows))
+        return csr_matrix(stretch.T @ stretch)
 
     def _add_rows(self, rows: np.ndarray, family: int) -> None:
         stride = self.strides[family]
