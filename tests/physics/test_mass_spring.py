@@ -53,7 +53,9 @@ def forces(grid: SpringGrid, k: np.ndarray, c: float, x: np.ndarray, v: np.ndarr
     return out
 
 
-@pytest.mark.parametrize("lines", [np.linspace(0, 0.3, 6), np.array([0.0, 0.04, 0.1, 0.14, 0.2, 0.3])], ids=["even", "uneven"])
+@pytest.mark.parametrize(
+    "lines", [np.linspace(0, 0.3, 6), np.array([0.0, 0.04, 0.1, 0.14, 0.2, 0.3])], ids=["even", "uneven"]
+)
 def test_the_largest_eigenvalue_is_that_of_the_whole_matrix(lines):
     """By the second differences of the energy of a flat sheet; a step that is just too long for it diverges."""
     grid = SpringGrid.of((lines, np.linspace(0, 0.25, 5)), (lines[-1], 0.25), 0.2)

@@ -29,7 +29,7 @@ from clothbench.modelling import (
 from clothbench_models import mass_spring_kernels as kernels
 from clothbench_models.spring_grid import FAMILIES, SpringGrid
 
-SAFETY = 0.8  # share of the largest stable step that is used
+SAFETY = 0.9  # share of the largest stable step that is used
 SETTLE = np.array([9.0, 36.0])  # least and most settling time in units of 1/ω₁; soft, nearly buckled modes take longest
 SMALL = 256  # nodes below which several parameter sets are interleaved
 LANES = 8  # doubles in one vector register of AVX-512
