@@ -151,14 +151,13 @@ def initial_shape(scene: Scene, uv: np.ndarray) -> np.ndarray:
     """A first guess for material points `uv` (n, 2) m → (n, 3) m, from which a model settles to rest.
 
     The flat sheet hung from its grips, laid on the disc that clamps it, or flat where nothing holds it, bent towards
-    where the points were first seen. Smooth, so that a fine mesh is not shaken by the noise of single nodes.
+    where the points were first seen; or, where nobody saw them, into an arc between grips that are nearer to each other
+    than the cloth between them is long. Smooth, so that a fine mesh is not shaken by the noise of single nodes.
     """
+    seen = np.zeros(0, bool) if scene.start is None else np.isfinite(scene.start).all(axis=1)
+    if scene.start is None or seen.sum() < 6:  # too few to say more about the shape than the grips do
+        return _hung_arched(scene, uv)
     hung = _hung_flat(scene, uv)
-    if scene.start is None:
-        return hung
-    seen = np.isfinite(scene.start).all(axis=1)
-    if seen.sum() < 6:  # too few to say more about the shape than the grips do
-        return hung
     from scipy.interpolate import RBFInterpolator
 
     size = np.array([scene.width, scene.height])
@@ -189,10 +188,54 @@ def initial_velocity(scene: Scene, uv: np.ndarray) -> np.ndarray:
     return terms(uv) @ weight
 
 
+def arc(along: np.ndarray, length: float, chord: float) -> tuple[np.ndarray, np.ndarray]:
+    """Places (n,) m along a strip of that length, when it is bent so that its ends are `chord` apart: how far they lie
+    along the chord from its middle, and across it, (n,) m each. Beyond its ends the circle goes on.
+    """
+    low, high = 1e-6, np.pi
+    for _ in range(80):  # bisection for sin φ / φ = chord / length
+        middle = 0.5 * (low + high)
+        low, high = (middle, high) if np.sin(middle) / middle > chord / length else (low, middle)
+    radius, angle = length / (2.0 * low), low * (2.0 * along / length - 1.0)
+    return radius * np.sin(angle), radius * (np.cos(angle) - np.cos(low))
+
+
+def _hung_arched(scene: Scene, uv: np.ndarray) -> np.ndarray:
+    """The undeformed sheet, bent into an upright arc where the outermost of its grips along u leave it slack.
+
+    In the plane it could only be squeezed, and by symmetry nothing would ever push it out.
+    """
+    flat, held = _hung_flat(scene, uv), scene.grip_material
+    if len(held) < 2 or not np.ptp(held[:, 0]) > 0:
+        return flat
+    left, right = np.argmin(held[:, 0]), np.argmax(held[:, 0])
+    ends, length = scene.grip_position[0][[left, right]], float(np.ptp(held[:, 0]))
+    chord = float(np.linalg.norm(ends[1] - ends[0]))
+    down = _down(scene)
+    forward = np.cross(_across(held, scene.grip_position[0], down), down)
+    if not 0 < chord < (1 - 1e-6) * length or not np.linalg.norm(forward) > 0:
+        return flat
+    along, across = arc(uv[:, 0] - held[left, 0], length, chord)
+    held_along, held_across = arc(held[:, 0] - held[left, 0], length, chord)
+    direction, forward = (ends[1] - ends[0]) / chord, forward / np.linalg.norm(forward)
+    centre = scene.grip_position[0].mean(axis=0)
+    return (
+        centre
+        + (along - held_along.mean())[:, None] * direction
+        + (across - held_across.mean())[:, None] * forward
+        + (uv[:, 1:] - held[:, 1].mean()) * down
+    )
+
+
+def _down(scene: Scene) -> np.ndarray:
+    """Unit vector (3,) into which gravity points, or downwards where there is none."""
+    gravity = np.array(scene.gravity)
+    return gravity / np.linalg.norm(gravity) if np.linalg.norm(gravity) > 0 else np.array([0.0, 0.0, -1.0])
+
+
 def _hung_flat(scene: Scene, uv: np.ndarray) -> np.ndarray:
     """The undeformed sheet in the vertical plane through its grips; u along them, v down."""
-    gravity = np.array(scene.gravity)
-    down = gravity / np.linalg.norm(gravity) if np.linalg.norm(gravity) > 0 else np.array([0.0, 0.0, -1.0])
+    down = _down(scene)
     held, at = scene.grip_material, scene.grip_position[0] if scene.grip_material.size else np.zeros((0, 3))
     across = _across(held, at, down)
     if len(held) == 0 and (disc := next((o for o in scene.obstacles if o.clamps), None)) is not None:

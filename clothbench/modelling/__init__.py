@@ -10,8 +10,8 @@ parameters of a model and its effects in one space: JoinedParameters
 effects in a time loop: BoundEffects, EFFECT (their numba type), Terms, SLOTS, FORCE, INERTIA, no_effect, ready,
     add_effects, apply_effects, show_grips
 start, grips, sampling and the end of a time loop: Start, Grips, Sampling, Clock (numba types in capitals, and
-    `…_OF_MANY` for loops that run several members at once), GOES_ON, SETTLES, RESTS, grip_point, grip_speed, advance_segment, hold_grips,
-    write_frames, put_grips, fastest, is_lost, as_double, put_back, OK, DIVERGED
+    `…_OF_MANY` for loops that run several members at once), GOES_ON, SETTLES, RESTS, grip_point, grip_speed,
+    advance_segment, hold_grips, write_frames, put_grips, fastest, is_lost, as_double, put_back, OK, DIVERGED
 contact: obstacle_table, keep_out, inside, layers_of, keep_apart, LAYERS
 force-extension curves: curve_of, CurveSimulation
 threads over members, and the shape to settle from: for_each, initial_shape

@@ -163,6 +163,10 @@ class GridSimulation:
                     kept.keep(mine + keys[b], shapes[b].copy())
         return shapes, status, steps
 
+    def run(self, theta: np.ndarray) -> Rollout:
+        """Simulate theta (B, P): what each model does its own way."""
+        raise NotImplementedError
+
     def calmed(self, theta: np.ndarray) -> np.ndarray:
         """The parameters (B, P) with which the sheet settles in its grips: where it comes to rest must be the same."""
         return theta

@@ -14,6 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
+from clothbench.core.scene import arc
 from clothbench.reference.kernels import Sheet, advance, advance_damped, bending_energy, membrane_energy, total_force
 from clothbench.reference.mesh import Mesh, hinges, lumped_mass, slopes
 
@@ -209,11 +210,5 @@ def bowed(mesh: Mesh, width: float, separation: float) -> np.ndarray:
 
     Corners at (∓separation/2, 0, 0), the arc bulging towards +y, v downwards; positions (N, 3) [m].
     """
-    low, high = 1e-6, np.pi
-    for _ in range(80):  # bisection for sin φ / φ = separation / width
-        middle = 0.5 * (low + high)
-        low, high = (middle, high) if np.sin(middle) / middle > separation / width else (low, middle)
-    radius = width / (2.0 * low)
-    angle = low * (2.0 * mesh.material[:, 0] / width - 1.0)
-    across = radius * (np.cos(angle) - np.cos(low))
-    return np.column_stack([radius * np.sin(angle), across, -mesh.material[:, 1]])
+    along, across = arc(mesh.material[:, 0], width, separation)
+    return np.column_stack([along, across, -mesh.material[:, 1]])

@@ -1,5 +1,7 @@
 """Scenes: what a recording becomes, how grips are interpolated, and where a model starts from."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from conftest import swinging_recording
@@ -57,3 +59,17 @@ def test_impossible_scenes_are_refused(change):
     }  # fmt: skip
     with pytest.raises(ClothbenchError, match="scene:"):
         Scene(**{**good, **change})
+
+
+def test_slack_between_grips_bends_the_first_guess_into_an_arc():
+    held = np.array([[0.0, 0.0], [0.3, 0.0]])
+    at = np.array([[[0.05, 0.1, 1.0], [0.25, 0.1, 1.0]]] * 2)
+    time, points = np.array([0.0, 1.0]), np.zeros((1, 2))
+    scene = Scene(0.3, 0.2, 0.2, time, held, at, time, points)
+    u = np.linspace(0, 0.3, 301)
+    hung = initial_shape(scene, np.stack([u, 0.1 + 0 * u], axis=1))
+    np.testing.assert_allclose(hung[[0, -1]], at[0] - [0, 0, 0.1], atol=1e-9)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(hung, axis=0), axis=1), 1e-3, rtol=1e-4)
+    assert hung[150, 1] > 0.15
+    taut = dataclasses.replace(scene, grip_position=at + [[-0.05, 0, 0], [0.05, 0, 0]])
+    assert np.ptp(initial_shape(taut, np.stack([u, 0.1 + 0 * u], axis=1))[:, 1]) == 0

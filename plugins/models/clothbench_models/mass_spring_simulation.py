@@ -133,11 +133,11 @@ class _Batch(GridBatch):
     def start(self, members: np.ndarray, real: type) -> Start:
         """Where interleaved members begin."""
         each = [self.begin(int(b)) for b in members]
-        x, v = (
-            np.ascontiguousarray(np.stack(rows, axis=2).reshape(3, -1), dtype=real)
-            for rows in ([start.x for start in each], [start.v for start in each])
-        )
-        return Start(x, v, each[0].settles)
+
+        def interleaved(rows: list[np.ndarray]) -> np.ndarray:
+            return np.ascontiguousarray(np.stack(rows, axis=2).reshape(3, -1), dtype=real)
+
+        return Start(interleaved([s.x for s in each]), interleaved([s.v for s in each]), each[0].settles)
 
     def run_block(self, members: np.ndarray) -> None:
         simulation, scene, precision = self.simulation, self.simulation.scene, self.simulation.options.precision
