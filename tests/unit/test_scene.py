@@ -71,5 +71,5 @@ def test_slack_between_grips_bends_the_first_guess_into_an_arc():
     np.testing.assert_allclose(hung[[0, -1]], at[0] - [0, 0, 0.1], atol=1e-9)
     np.testing.assert_allclose(np.linalg.norm(np.diff(hung, axis=0), axis=1), 1e-3, rtol=1e-4)
     assert hung[150, 1] > 0.15
-    taut = dataclasses.replace(scene, grip_position=at + [[-0.05, 0, 0], [0.05, 0, 0]])
+    taut = dataclasses.replace(scene, grip_position=np.add(at, [[-0.05, 0, 0], [0.05, 0, 0]]))
     assert np.ptp(initial_shape(taut, np.stack([u, 0.1 + 0 * u], axis=1))[:, 1]) == 0
