@@ -16,7 +16,7 @@ from typing import Any
 
 import clothbench
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import sha256, whole_file
+from clothbench.core.files import read_json, sha256, whole_file
 from clothbench.engine.store import now, system_info
 from clothbench.submissions.submission import FILE
 
@@ -69,11 +69,11 @@ def find_verdict(verdicts: Path | None, folder: Path) -> Verdict | None:
     path = verdicts / f"{digest[:16]}.json"
     if not path.is_file():
         return None
+    stated = read_json(path, "a verdict of `clothbench verify`")
     try:
-        stated = json.loads(path.read_text(encoding="utf-8"))
         if stated.pop("schema") != SCHEMA:
             raise ValueError(f"its schema is not {SCHEMA}")
         verdict = Verdict(**stated)
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as fault:
+    except (ValueError, KeyError, TypeError, AttributeError) as fault:
         raise ClothbenchError(f"{path}: is no verdict ({fault}); remove it and verify the submission again") from None
     return verdict if (verdict.sha256, verdict.clothbench) == (digest, clothbench.__version__) else None

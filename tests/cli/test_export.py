@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 
+import pyarrow.parquet as parquet
 import pytest
 from conftest import swinging_recording
 
@@ -55,6 +56,16 @@ def test_a_fit_leaves_with_units_intervals_and_provenance(clothbench, fitted):
         assert len(done.stderr.strip().splitlines()) == 1, done.stderr
         assert found in done.stderr
         assert sorted(p.name for p in fitted.rglob("*")) == before
+
+    (rows,) = fitted.glob("runs/cells/*/rows.parquet")
+    whole = rows.read_bytes()
+    nothing = parquet.read_table(rows).slice(0, 0)
+    rows.unlink()
+    parquet.write_table(nothing, rows)
+    done = clothbench("export", rows.parent.name, "--to", "json")
+    assert (done.returncode, len(done.stderr.strip().splitlines())) == (2, 1)
+    assert "found no rows of this cell" in done.stderr
+    rows.write_bytes(whole)
 
     (fitted / "swing.nc").unlink()
     done = clothbench("export", "paper", "--to", "json")
