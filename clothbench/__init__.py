@@ -76,6 +76,7 @@ _HOME = {
     "Renewable": "core.optional",
     "Repeatable": "core.optional",
     "RunsInThreads": "core.optional",
+    "SaysAtRest": "core.optional",
     "SaysMaterials": "core.optional",
     "SaysNormals": "core.optional",
     "ShiftsPositions": "core.optional",

@@ -29,7 +29,6 @@ from clothbench.modelling import (
 from clothbench_models import mass_spring_kernels as kernels
 from clothbench_models.spring_grid import FAMILIES, SpringGrid
 
-SAFETY = 0.9  # share of the largest stable step that is used
 SETTLE = np.array([9.0, 36.0])  # least and most settling time in units of 1/ω₁; soft, nearly buckled modes take longest
 SMALL = 256  # nodes below which several parameter sets are interleaved
 LANES = 8  # doubles in one vector register of AVX-512
@@ -65,6 +64,7 @@ class SpringSimulation(GridSimulation, ABC):
     options: SpringOptions
 
     families = FAMILIES
+    safety = 0.8  # share of the largest stable step that is used
     limited = 0  # how many of the first families a strain limit holds for
 
     @cached_property
@@ -115,7 +115,7 @@ class _Batch(GridBatch):
         if options.dt is not None:
             dt = self.settle_dt = np.full(len(theta), options.dt)
         else:
-            scale = SAFETY * options.step_scale
+            scale = simulation.safety * options.step_scale
             dt, self.settle_dt = (scale * simulation.stable_step(values) for values in (theta, self.calmed))
         super().__init__(simulation, theta, dt, SETTLE[1] / simulation.slowest)
         self.obstacles = obstacle_table(simulation.scene)

@@ -78,7 +78,7 @@ class MassSpringVerlet:
     """Particles with springs to the four nearest in each direction, position Verlet; see the module.
 
     resolution: nodes along (u, v) or one number for the longer side, where the scene does not say;
-    dt: time step [s], or None for the largest stable one of each parameter set times 0.9; step_scale: multiplies
+    dt: time step [s], or None for the largest stable one of each parameter set times 0.8; step_scale: multiplies
     that step; precision: "double", or "single".
     """
 
