@@ -164,12 +164,6 @@ class BaraffWitkinSimulation(GridSimulation):
     def edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         return triangle_edges(self.lines, self.cover)
 
-    def calmed(self, theta: np.ndarray) -> np.ndarray:
-        """With one damping and no air: what hangs still does not depend on them."""
-        out = theta.copy()
-        out[:, 3:6], out[:, 6:9] = PARAMETERS.defaults[3:6], 0.0
-        return out
-
     def run(self, theta: np.ndarray) -> Rollout:
         """Simulate theta (B, P): the nine parameters (eleven of an orthotropic sheet), then the effects'."""
         theta = self.parameters.check(theta)
@@ -184,18 +178,18 @@ class BaraffWitkinSimulation(GridSimulation):
         obstacles, layers, terms = obstacle_table(scene), layers_of(scene, self.sheet), batch.effect_terms(b)
         size, sampling = max(scene.width, scene.height), batch.sampling(b)
 
-        def march(scheme, tolerance, theta, begins, effects, sampling):
+        def march(scheme, tolerance, begins, effects, sampling):
             kernels.march(scheme)(
                 scheme, TRIANGLES, begins, self.shape[0], batch.sheet(), *self._inner(theta), theta[0, 6:9].copy(),
                 *effects, terms, batch.grips(b), obstacles, layers, batch.clock(b, tolerance), size, sampling, result,
             )  # fmt: skip
 
         if begins.settles == SETTLES:  # by the implicit loop, whatever the scheme
-            unseen, calm = sampling._replace(times=np.zeros(0)), self.calmed(theta)
-            march(kernels.BDF2, TOLERANCE["bdf2"], calm, begins, batch.settling_kernels, unseen)
+            unseen = sampling._replace(times=np.zeros(0))
+            march(kernels.BDF2, TOLERANCE["bdf2"], begins, batch.settling_kernels, unseen)
             begins = begins._replace(settles=RESTS)
         if result[0] == OK:
-            march(self.scheme, self.tolerance, theta, begins, batch.kernels, sampling)
+            march(self.scheme, self.tolerance, begins, batch.kernels, sampling)
         return int(result[0]), int(result[1])
 
     def _inner(self, theta: np.ndarray) -> tuple[kernels.Membrane, kernels.Plate]:
