@@ -156,7 +156,7 @@ def initial_shape(scene: Scene, uv: np.ndarray) -> np.ndarray:
     """
     seen = np.zeros(0, bool) if scene.start is None else np.isfinite(scene.start).all(axis=1)
     if scene.start is None or seen.sum() < 6:  # too few to say more about the shape than the grips do
-        return _hung_arched(scene, uv)
+        return _hung_free(scene, uv)
     hung = _hung_flat(scene, uv)
     from scipy.interpolate import RBFInterpolator
 
@@ -200,31 +200,55 @@ def arc(along: np.ndarray, length: float, chord: float) -> tuple[np.ndarray, np.
     return radius * np.sin(angle), radius * (np.cos(angle) - np.cos(low))
 
 
-def _hung_arched(scene: Scene, uv: np.ndarray) -> np.ndarray:
-    """The undeformed sheet, bent into an upright arc where the outermost of its grips along u leave it slack.
+def _hung_free(scene: Scene, uv: np.ndarray) -> np.ndarray:
+    """The undeformed sheet as its grips let it hang, when nobody saw how: turned so that the line between the two that
+    are farthest apart on the cloth lies along theirs, and the rest hangs down or goes to the other grips; and bent into
+    an arc where they leave it slack.
 
-    In the plane it could only be squeezed, and by symmetry nothing would ever push it out.
+    In its plane slack cloth could only be squeezed, and by symmetry nothing would ever push it out.
     """
-    flat, held = _hung_flat(scene, uv), scene.grip_material
-    if len(held) < 2 or not np.ptp(held[:, 0]) > 0:
-        return flat
-    left, right = np.argmin(held[:, 0]), np.argmax(held[:, 0])
-    ends, length = scene.grip_position[0][[left, right]], float(np.ptp(held[:, 0]))
-    chord = float(np.linalg.norm(ends[1] - ends[0]))
-    down = _down(scene)
-    forward = np.cross(_across(held, scene.grip_position[0], down), down)
-    if not 0 < chord < (1 - 1e-6) * length or not np.linalg.norm(forward) > 0:
-        return flat
-    along, across = arc(uv[:, 0] - held[left, 0], length, chord)
-    held_along, held_across = arc(held[:, 0] - held[left, 0], length, chord)
-    direction, forward = (ends[1] - ends[0]) / chord, forward / np.linalg.norm(forward)
-    centre = scene.grip_position[0].mean(axis=0)
-    return (
-        centre
-        + (along - held_along.mean())[:, None] * direction
-        + (across - held_across.mean())[:, None] * forward
-        + (uv[:, 1:] - held[:, 1].mean()) * down
-    )
+    held = scene.grip_material
+    if len(held) == 0:
+        return _hung_flat(scene, uv)
+    at, down = scene.grip_position[0], _down(scene)
+    apart = np.linalg.norm(held[:, None] - held[None], axis=2)
+    one, other = np.unravel_index(np.argmax(apart), apart.shape)
+    length, span = float(apart[one, other]), at[other] - at[one]
+    chord, middle = float(np.linalg.norm(span)), np.array([scene.width, scene.height]) / 2
+    if length > 0:
+        along = (held[other] - held[one]) / length
+        beside = np.array([-along[1], along[0]])
+        if (middle - held[one]) @ beside < -1e-9 * length:
+            beside = -beside
+    else:
+        beside = middle - held[one] if not np.allclose(middle, held[one]) else np.array([0.0, 1.0])
+        beside = beside / np.linalg.norm(beside)
+        along = np.array([beside[1], -beside[0]])
+    first = span / chord if chord > 0 else _across(held[:1], at[:1], down)
+    second = _aside(scene, first, (held - held[one]) @ beside, at - at[one], down)
+    s, t = (uv - held[one]) @ along, (uv - held[one]) @ beside
+    if length == 0:
+        return at[one] + s[:, None] * first + t[:, None] * second
+    if chord < (1 - 1e-6) * length:
+        s, bulge = arc(s, length, chord)
+    else:
+        s, bulge = s - length / 2, 0 * s
+    ends = (at[one] + at[other]) / 2
+    return ends + s[:, None] * first + t[:, None] * second + bulge[:, None] * np.cross(first, second)
+
+
+def _aside(scene: Scene, first: np.ndarray, beside: np.ndarray, at: np.ndarray, down: np.ndarray) -> np.ndarray:
+    """Unit vector (3,) at right angles to `first`, into which a sheet goes beside the line between two of its grips:
+    towards the others, of which `beside` (G,) m says how far from that line they are on the cloth and `at` (G, 3) m
+    where they are held, both from one end of it; or else downwards.
+    """
+    farthest = int(np.argmax(np.abs(beside)))
+    wanted = [np.sign(beside[farthest]) * at[farthest]] if abs(beside[farthest]) > 1e-9 else []
+    for way in (*wanted, down, *np.eye(3)):
+        aside = way - way @ first * first
+        if (size := float(np.linalg.norm(aside))) > 1e-6 * max(float(np.linalg.norm(way)), 1e-12):
+            return aside / size
+    raise AssertionError("three axes cannot all be parallel to one vector")
 
 
 def _down(scene: Scene) -> np.ndarray:
