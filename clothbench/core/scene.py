@@ -151,8 +151,9 @@ def initial_shape(scene: Scene, uv: np.ndarray) -> np.ndarray:
     """A first guess for material points `uv` (n, 2) m → (n, 3) m, from which a model settles to rest.
 
     The flat sheet hung from its grips, laid on the disc that clamps it, or flat where nothing holds it, bent towards
-    where the points were first seen; or, where nobody saw them, into an arc between grips that are nearer to each other
-    than the cloth between them is long. Smooth, so that a fine mesh is not shaken by the noise of single nodes.
+    where the points were first seen; or, where nobody saw them, turned as the grips hold it and bent into an arc
+    between two that are nearer to each other than the cloth between them is long. Smooth, so that a fine mesh is not
+    shaken by the noise of single nodes.
     """
     seen = np.zeros(0, bool) if scene.start is None else np.isfinite(scene.start).all(axis=1)
     if scene.start is None or seen.sum() < 6:  # too few to say more about the shape than the grips do
@@ -225,7 +226,7 @@ def _hung_free(scene: Scene, uv: np.ndarray) -> np.ndarray:
         beside = beside / np.linalg.norm(beside)
         along = np.array([beside[1], -beside[0]])
     first = span / chord if chord > 0 else _across(held[:1], at[:1], down)
-    second = _aside(scene, first, (held - held[one]) @ beside, at - at[one], down)
+    second = _aside(first, (held - held[one]) @ beside, at - at[one], down)
     s, t = (uv - held[one]) @ along, (uv - held[one]) @ beside
     if length == 0:
         return at[one] + s[:, None] * first + t[:, None] * second
@@ -237,7 +238,7 @@ def _hung_free(scene: Scene, uv: np.ndarray) -> np.ndarray:
     return ends + s[:, None] * first + t[:, None] * second + bulge[:, None] * np.cross(first, second)
 
 
-def _aside(scene: Scene, first: np.ndarray, beside: np.ndarray, at: np.ndarray, down: np.ndarray) -> np.ndarray:
+def _aside(first: np.ndarray, beside: np.ndarray, at: np.ndarray, down: np.ndarray) -> np.ndarray:
     """Unit vector (3,) at right angles to `first`, into which a sheet goes beside the line between two of its grips:
     towards the others, of which `beside` (G,) m says how far from that line they are on the cloth and `at` (G, 3) m
     where they are held, both from one end of it; or else downwards.

@@ -147,7 +147,8 @@ class GridSimulation:
         """Shapes (B, n, 3) m in which theta (B, P) come to rest, of a sheet seen everywhere as the run begins; how that
         ended (B,), and the steps (B,) that it took: none for what is kept under its key.
         """
-        mine = repr([type(self), *(getattr(self, f.name) for f in dataclasses.fields(self)[2:])]).encode()
+        own = [f.name for f in dataclasses.fields(self) if f.name not in ("scene", "effects")]
+        mine = repr([type(self), *(getattr(self, name) for name in own)]).encode()
         shapes = np.full((len(theta), self.nodes, 3), np.nan)
         status, steps, new = np.full(len(theta), "ok", dtype=object), np.zeros(len(theta), np.int64), []
         for b, key in enumerate(keys):

@@ -73,3 +73,42 @@ def test_slack_between_grips_bends_the_first_guess_into_an_arc():
     assert hung[150, 1] > 0.15
     taut = dataclasses.replace(scene, grip_position=np.add(at, [[-0.05, 0, 0], [0.05, 0, 0]]))
     assert np.ptp(initial_shape(taut, np.stack([u, 0.1 + 0 * u], axis=1))[:, 1]) == 0
+
+
+def held_at(material, position) -> Scene:
+    """A sheet of 30 cm × 20 cm with points of it held, at rest; nobody saw how."""
+    material, position = np.array(material, dtype=float), np.array(position, dtype=float)
+    time = np.array([0.0, 1.0])
+    return Scene(0.3, 0.2, 0.2, time, material, np.array([position] * 2), time, np.zeros((1, 2)))
+
+
+@pytest.mark.parametrize(
+    ("material", "position", "lowest"),
+    [
+        ([[0, 0]], [[0, 0, 0]], [0.3, 0.2]),
+        ([[0.3, 0.2]], [[0, 0, 0]], [0, 0]),
+        ([[0, 0], [0, 0.2]], [[0, 0, 0], [0.2, 0, 0]], [0.3, 0.1]),
+        ([[0.3, 0], [0.3, 0.2]], [[0, 0, 0], [0, 0.2, 0]], [0, 0.1]),
+        ([[0, 0.2], [0.3, 0.2]], [[0, 0, 0], [0.3, 0, 0]], [0.15, 0]),
+        ([[0, 0], [0.3, 0.2]], [[0, 0, 0], [np.hypot(0.3, 0.2), 0, 0]], [0, 0.2]),
+    ],
+    ids=["corner", "other corner", "left side", "right side", "lower edge", "opposite corners"],
+)  # fmt: skip
+def test_a_sheet_nobody_saw_hangs_as_its_grips_hold_it(material, position, lowest):
+    """Unstrained, on its grips, and with what is farthest from them at the bottom."""
+    scene = held_at(material, position)
+    u, v = (axis.ravel() for axis in np.meshgrid(np.linspace(0, 0.3, 13), np.linspace(0, 0.2, 9)))
+    uv = np.stack([u, v], axis=1)
+    hung = initial_shape(scene, uv)
+    on_grips = initial_shape(scene, scene.grip_material)
+    np.testing.assert_allclose(on_grips, scene.grip_position[0], atol=1e-9)
+    flat = np.linalg.norm(uv[:, None] - uv[None], axis=2)
+    np.testing.assert_allclose(np.linalg.norm(hung[:, None] - hung[None], axis=2), flat, atol=1e-9)
+    bottom = initial_shape(scene, np.array([lowest], dtype=float))[0, 2]
+    assert bottom == pytest.approx(hung[:, 2].min(), abs=1e-9)
+
+
+def test_a_sheet_held_by_four_corners_lies_between_them():
+    corners = [[0, 0], [0.3, 0], [0, 0.2], [0.3, 0.2]]
+    scene = held_at(corners, np.pad(corners, ((0, 0), (0, 1))))
+    np.testing.assert_allclose(initial_shape(scene, np.array(corners)), scene.grip_position[0], atol=1e-9)

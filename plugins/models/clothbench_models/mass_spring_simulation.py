@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
@@ -27,7 +28,7 @@ from clothbench.modelling import (
     obstacle_table,
 )
 from clothbench_models import mass_spring_kernels as kernels
-from clothbench_models.spring_grid import FAMILIES, SpringGrid
+from clothbench_models.spring_grid import FAMILIES, Families, SpringGrid
 
 SETTLE = np.array([9.0, 36.0])  # least and most settling time in units of 1/ω₁; soft, nearly buckled modes take longest
 SMALL = 256  # nodes below which several parameter sets are interleaved
@@ -70,7 +71,10 @@ class SpringSimulation(GridSimulation, ABC):
     @cached_property
     def grid(self) -> SpringGrid:
         size = (self.scene.width, self.scene.height)
-        return SpringGrid.of(self.lines, size, self.scene.areal_density, self.families, self.cover)
+        if self.cover is not None:
+            return SpringGrid.of(self.lines, size, self.scene.areal_density, self.families, self.cover)
+        u, v = (tuple(map(float, lines)) for lines in self.lines)
+        return whole_grid(u, v, size, self.scene.areal_density, self.families)
 
     def run(self, theta: np.ndarray) -> Rollout:
         """Simulate theta (B, P): the model's parameters in order, then those of the effects."""
@@ -177,6 +181,14 @@ class _Batch(GridBatch):
             march(begins, self.kernels, sampling)
         self.position[members], self.status[members] = out, status
         self.steps[members] += steps
+
+
+@functools.lru_cache(64)
+def whole_grid(
+    u: tuple[float, ...], v: tuple[float, ...], size: tuple[float, float], areal_density: float, families: Families
+) -> SpringGrid:
+    """The grid of a whole sheet, once for all simulations on it: finding its largest eigenvalues takes a while."""
+    return SpringGrid.of((np.array(u), np.array(v)), size, areal_density, families)
 
 
 def _of_springs(grid: SpringGrid, values: np.ndarray) -> np.ndarray:
