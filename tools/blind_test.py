@@ -407,6 +407,15 @@ def judged(planted: dict[str, dict[str, float]], found: dict) -> dict[str, objec
     }  # fmt: skip
 
 
+def verdict_on(name: str, recordings: Path, model: str, out: Path, *words: str) -> dict:
+    """What the installed command says of a folder of recordings, or the end of all, with the case's name."""
+    told = ["improve", f"recordings={recordings}", f"model={model}", f"out={out}", *words]
+    done = subprocess.run([sys.executable, "-m", "clothbench", *told], capture_output=True, text=True)
+    if done.returncode:
+        raise SystemExit(f"{name}: {done.stderr.strip().splitlines()[-1]}")
+    return json.loads((out / "verdict.json").read_text())
+
+
 def run(case: int, folder: Path, model: str, size: Size = FULL) -> dict[str, object]:
     """Make one case, let the installed command loose on it, and judge what it says."""
     recordings, out = folder / f"case-{case:02d}", folder / f"verdict-{case:02d}-{model.strip('[]').replace(',', '-')}"
@@ -415,11 +424,9 @@ def run(case: int, folder: Path, model: str, size: Size = FULL) -> dict[str, obj
         planted_file.write_text(json.dumps(make(case, recordings, size)))
     planted = json.loads(planted_file.read_text())
     # A case that was judged before is kept by the command itself.
-    words = ["improve", f"recordings={recordings}", f"model={model}", f"out={out}", *size.words]
-    done = subprocess.run([sys.executable, "-m", "clothbench", *words], capture_output=True, text=True)
-    if done.returncode:
-        raise SystemExit(f"case {case}: {done.stderr.strip().splitlines()[-1]}")
-    return {"case": case, "model": model} | judged(planted, json.loads((out / "verdict.json").read_text()))
+    return {"case": case, "model": model} | judged(
+        planted, verdict_on(f"case {case}", recordings, model, out, *size.words)
+    )
 
 
 def judge_of(case: int) -> str:

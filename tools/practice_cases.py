@@ -9,22 +9,9 @@ from __future__ import annotations
 
 import argparse
 import json
-import subprocess
-import sys
 from pathlib import Path
 
-from blind_test import mm
-
-
-def verdict_on(case: Path, models: str, out: Path) -> dict:
-    """What `clothbench improve` says of one case."""
-    names = models.split("+")
-    asked = f"model={names[0]}" if len(names) == 1 else f"model=[{','.join(names)}]"
-    words = ["improve", f"recordings={case}", asked, f"out={out}", "rerun=false"]
-    done = subprocess.run([sys.executable, "-m", "clothbench", *words], capture_output=True, text=True)
-    if done.returncode:
-        raise SystemExit(f"{case.name}, {models}: {done.stderr.strip().splitlines()[-1]}")
-    return json.loads((out / "verdict.json").read_text())
+from blind_test import mm, verdict_on
 
 
 def line(case: str, planted: str, models: str, found: dict) -> str:
@@ -51,9 +38,11 @@ def main() -> None:
     print("| case | planted | judged with | verdict | named | p | held out: before | after | noise | mesh | time |")
     print("|---|---|---|---|---|---|---|---|---|---|---|")
     for models in options.models:
+        asked = f"[{models.replace('+', ',')}]" if "+" in models else models
         for case in sorted(path for path in options.cases.iterdir() if path.is_dir()):
             planted = " and ".join(e["name"] for e in known[case.name]["effects"]) if case.name in known else "?"
-            found = verdict_on(case, models, options.out / f"{case.name}-{models}")
+            out = options.out / f"{case.name}-{models}"
+            found = verdict_on(f"{case.name}, {models}", case, asked, out, "rerun=false")
             print(line(case.name, planted or "nothing", models, found), flush=True)
 
 

@@ -155,8 +155,10 @@ def initial_shape(scene: Scene, uv: np.ndarray) -> np.ndarray:
     between two that are nearer to each other than the cloth between them is long. Smooth, so that a fine mesh is not
     shaken by the noise of single nodes.
     """
-    seen = np.zeros(0, bool) if scene.start is None else np.isfinite(scene.start).all(axis=1)
-    if scene.start is None or seen.sum() < 6:  # too few to say more about the shape than the grips do
+    if scene.start is None:
+        return _hung_free(scene, uv)
+    seen = np.isfinite(scene.start).all(axis=1)
+    if seen.sum() < 6:  # too few to say more about the shape than the grips do
         return _hung_free(scene, uv)
     hung = _hung_flat(scene, uv)
     from scipy.interpolate import RBFInterpolator

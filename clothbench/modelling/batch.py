@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
@@ -164,9 +164,9 @@ class GridSimulation:
                     kept.keep(mine + keys[b], shapes[b].copy())
         return shapes, status, steps
 
-    def run(self, theta: np.ndarray) -> Rollout:
-        """Simulate theta (B, P): what each model does its own way."""
-        raise NotImplementedError
+    if TYPE_CHECKING:  # each model has its own; a grid that is only laid out needs none
+
+        def run(self, theta: np.ndarray) -> Rollout: ...
 
     def calmed(self, theta: np.ndarray) -> np.ndarray:
         """The parameters (B, P) with which the sheet settles in its grips: where it comes to rest must be the same."""
@@ -205,7 +205,6 @@ class GridBatch:
         self.position = np.full((members, scene.times.size, len(scene.points), 3), np.nan)
         self.status, self.steps = np.zeros(members, np.int64), np.zeros(members, np.int64)
         self.kernels, self.stages, self.terms = effects.kernels(SLOTS, no_effect)
-        self.settling_kernels, _, _ = effects.kernels(SLOTS, no_effect, settling=True)
         cover = simulation.cover
         nodes = None if cover is None else cover.nodes
         self.interpolator = Interpolator.on_lines(scene.points, *simulation.lines, nodes)
@@ -219,6 +218,11 @@ class GridBatch:
         first, self.alike = effects.distinct(theta, self.times)
         self.members = first[~self.late[first]]
         self.hung: np.ndarray | None = None
+
+    @cached_property
+    def settling_kernels(self) -> tuple[Callable, ...]:
+        """The effects' kernels for a loop in which members come to rest."""
+        return self.simulation.effects.kernels(SLOTS, no_effect, settling=True)[0]
 
     def hang(self) -> None:
         """Find where the members come to rest, once for all that come to rest alike; those that fail are not run.

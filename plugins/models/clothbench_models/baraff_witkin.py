@@ -176,11 +176,11 @@ class BaraffWitkinSimulation(GridSimulation):
         scene, theta = self.scene, batch.theta[b : b + 1]
         begins, result = batch.begin(b), np.zeros(3, np.int64)
         obstacles, layers, terms = obstacle_table(scene), layers_of(scene, self.sheet), batch.effect_terms(b)
-        size, sampling = max(scene.width, scene.height), batch.sampling(b)
+        size, sampling, inner = max(scene.width, scene.height), batch.sampling(b), self._inner(theta)
 
         def march(scheme, tolerance, begins, effects, sampling):
             kernels.march(scheme)(
-                scheme, TRIANGLES, begins, self.shape[0], batch.sheet(), *self._inner(theta), theta[0, 6:9].copy(),
+                scheme, TRIANGLES, begins, self.shape[0], batch.sheet(), *inner, theta[0, 6:9].copy(),
                 *effects, terms, batch.grips(b), obstacles, layers, batch.clock(b, tolerance), size, sampling, result,
             )  # fmt: skip
 

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
@@ -183,7 +182,7 @@ class _Batch(GridBatch):
         self.steps[members] += steps
 
 
-@functools.lru_cache(64)
+@lru_cache(64)
 def whole_grid(
     u: tuple[float, ...], v: tuple[float, ...], size: tuple[float, float], areal_density: float, families: Families
 ) -> SpringGrid:

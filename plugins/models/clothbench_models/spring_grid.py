@@ -88,13 +88,12 @@ class SpringGrid:
         """The largest eigenvalue [1/kg] of M⁻¹K of the flat sheet, for each stiffness being 1 N/m alone: a fifth to a
         quarter below Gershgorin's circles. To a thousandth, rounded up, so that no last bit of a sum shows in a step.
         """
-        found = []
-        for which in range(self.stiffnesses):
-            matrix = self._stiffness_matrix(which)
-            start = np.cos(np.arange(len(self.mass) * 2.0) ** 2)  # any vector will do, but always the same
-            value = float(eigsh(matrix, k=1, tol=1e-4, v0=start[: matrix.shape[0]], return_eigenvectors=False)[0])
-            found.append(float(np.format_float_positional(1.0006 * value, 4, unique=False, fractional=False)))
-        return tuple(found)
+        start = np.cos(np.arange(len(self.mass) * 2.0) ** 2)  # any vector will do, but always the same
+        exact = (
+            eigsh(self._stiffness_matrix(which), k=1, tol=1e-4, v0=start, return_eigenvectors=False)[0]
+            for which in range(self.stiffnesses)
+        )
+        return tuple(float(f"{1.0006 * value:.3e}") for value in exact)
 
     def _stiffness_matrix(self, which: int) -> csr_matrix:
         """M^-½ K M^-½ in the plane of the nodes that carry mass, one of the stiffnesses being 1 N/m."""
@@ -102,8 +101,8 @@ class SpringGrid:
         over = np.zeros(n)
         over[self.mass > 0] = self.mass[self.mass > 0] ** -0.5
         rows = []  # of ∂d/∂x of all springs, √share times as long
-        for family, (_, _, of) in enumerate(self.families):
-            first = np.flatnonzero(self.share[family] > 0) if of == which else np.zeros(0, int)
+        for family in (k for k, (_, _, of) in enumerate(self.families) if of == which):
+            first = np.flatnonzero(self.share[family] > 0)
             second = first + self.strides[family]
             d = self.uv[second] - self.uv[first]
             d *= (np.sqrt(self.share[family, first]) / np.linalg.norm(d, axis=1))[:, None]
