@@ -96,6 +96,14 @@ def test_a_parameter_at_its_bound_is_not_led_beyond(judged):
         assert (after.high <= 1).all()
 
 
+def test_a_path_ends_at_the_bound_also_where_rounding_ends_it_before():
+    path = profile.ProfilePath(0, 1.0, 0.7, np.array([0.1, 0.1]), np.array([1.0, 1.0]), np.ones(1))
+    path.own.append(profile.ProfilePoint(np.nextafter(0.7, 0.0), 0.5, np.array([np.nextafter(0.7, 0.0)])))
+    assert path.next() is None
+    path.own[0] = profile.ProfilePoint(0.6, 0.5, np.array([0.6]))
+    assert path.next() == pytest.approx(0.7)
+
+
 def test_what_is_reported_holds_all_that_leaves_hardly_more(judged):
     def law(theta):
         return bent(theta) + np.array([0.0, 0.0, 0.5 * (theta[1] - 0.2), 0.0])

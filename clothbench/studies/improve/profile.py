@@ -18,6 +18,8 @@ from clothbench.studies.improve.fitted import Fitted, inverse_curvature, normal_
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.settings import LOOP
 
+ROUNDING = 1e-9  # of a distance
+
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class ProfilePoint:
@@ -80,7 +82,8 @@ class ProfilePath:
         half = self.reach[1]
         if beyond is None:
             distance = min(max(2 * last.distance, LOOP.profile_start * half), self.room)
-            done = last.distance >= min(LOOP.profile_end * half, self.room)
+            # A point at the bound comes back a rounding before it, and would be asked for again for ever.
+            done = last.distance >= (1 - ROUNDING) * min(LOOP.profile_end * half, self.room)
         else:
             distance = (last.distance + beyond.distance) / 2
             near = beyond.distance - last.distance <= half
