@@ -19,6 +19,7 @@ from typing import Any
 
 from numba import njit, types
 from numba.core.caching import IndexDataCacheFile
+from numba.core.compiler import Compiler
 from numba.core.errors import NumbaExperimentalFeatureWarning
 
 OTHERS = {*sys.stdlib_module_names, "numpy", "scipy", "numba", "llvmlite"}  # numba's own key knows their versions
@@ -47,6 +48,20 @@ def kernel(function: Callable | None = None, /, *, signature: Any = None, **opti
 
 # For sums that may be taken in any order; no numbers that are not finite are expected away.
 fast_kernel = functools.partial(kernel, fastmath={"contract", "reassoc", "nsz", "arcp"})
+
+
+class _Apart(Compiler):
+    """numba's compiler, told that no argument that a function writes to overlaps another."""
+
+    def define_pipelines(self) -> Any:
+        self.state.flags.noalias = True
+        return super().define_pipelines()
+
+
+# The same for functions none of whose arguments overlaps one that is written to. Loops over many rows become vector
+# code only with that promise (else the compiler would have to compare each row with each before every loop), and only
+# where the index is unsigned: numba takes any other for one that may count from the end.
+apart_kernel = functools.partial(fast_kernel, pipeline_class=_Apart)
 
 
 def bundle_type(kind: type, *fields: Any) -> Any:

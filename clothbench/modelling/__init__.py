@@ -1,6 +1,6 @@
 """For authors of models and effects: what the built-in ones share, public and documented.
 
-compiled code, cached by the content of its sources: kernel, fast_kernel, effect_kernel, bundle_type
+compiled code, cached by the content of its sources: kernel, fast_kernel, apart_kernel, effect_kernel, bundle_type
 the sheet as compiled code sees it: Sheet, SHEET (its numba type), sheet_of, own_sheet, grid_normals, sheet_normals,
     wants_normals, bear_inertia
 meshes: grid_triangles, gradient_weights, curvature_weights, triangle_slots
@@ -17,7 +17,7 @@ force-extension curves: curve_of, CurveSimulation
 threads over members, and the shape to settle from: for_each, initial_shape
 """
 
-from clothbench.core.kernels import bundle_type, fast_kernel, kernel
+from clothbench.core.kernels import apart_kernel, bundle_type, fast_kernel, kernel
 from clothbench.core.parallel import for_each
 from clothbench.core.scene import initial_shape
 from clothbench.modelling.batch import GridBatch, GridSimulation
@@ -132,6 +132,7 @@ __all__ = [
     "advance_segment",
     "answers_curves",
     "answers_sheets",
+    "apart_kernel",
     "apply_effects",
     "as_double",
     "bear_inertia",

@@ -65,28 +65,36 @@ class Step:
             self.shear,
             self.work,
         )
-        self.right, self.delta, self.spare = gamma * force, np.zeros((3, n)), np.zeros((5, 3, n))
+        self.right, self.delta, self.spare = gamma * force, np.zeros((3, n)), np.zeros((4, 3, n))
+        self.swept = np.zeros((3, n + 2 * implicit_grid.margin_of(nu)))
         self.inverse, self.none, self.bend = np.ones((6, n)), np.zeros((6, n)), gamma**2 * timing.CLOTH.bending
         self.touch = np.zeros(n, np.int64)
         self.touch[simulation.sheet.held] = STICKS
         self.free = np.tile(self.touch != STICKS, 3)
+        self.rows = implicit_grid.empty_matrix(nu, n, TRIANGLES)
+        self.assemble()
 
     def iterate(self, tolerance: float = TOLERANCE) -> int:
         """Conjugate gradients into `delta`; how many rounds."""
-        r, normal, z, p, q = self.spare
+        r, normal, z, q = self.spare
         r[:] = self.right
+        self.assemble()
         return implicit_grid.solve(
-            self.delta, r, self.side, self.mass, self.none, False, self.edges, self.shear, self.bending.offsets,
-            self.bending.values, self.bend, self.touch, normal, tolerance, 10_000, self.inverse, z, p, q, self.work,
+            self.delta, r, self.side, self.rows, self.bending.offsets, self.bending.values, self.bend, self.touch,
+            normal, tolerance, 10_000, self.inverse, z, self.swept, q,
+        )  # fmt: skip
+
+    def assemble(self) -> None:
+        implicit_grid.assemble(
+            self.side, self.mass, self.none, False, self.edges, self.shear, self.bending.offsets, self.bending.values,
+            self.bend, self.rows, self.work[:6],
         )  # fmt: skip
 
     def times(self, p: np.ndarray) -> np.ndarray:
         """(M + C + K) p for p (3, n)."""
-        out = np.zeros_like(p)
-        implicit_grid.multiply(
-            p, self.side, self.mass, self.none, False, self.edges, self.shear, self.bending.offsets,
-            self.bending.values, self.bend, out, self.work,
-        )  # fmt: skip
+        out, margin = np.zeros_like(p), implicit_grid.margin_of(self.side)
+        swept = np.pad(p, ((0, 0), (margin, margin)))
+        implicit_grid.multiply(self.rows, self.side, self.bending.offsets, self.bending.values, self.bend, swept, out)
         return out
 
     @functools.cached_property

@@ -95,7 +95,7 @@ class BaraffWitkin:
     """
 
     name = "baraff_witkin"
-    version = 2
+    version = 3
     kind = "implicit"
     parameters = PARAMETERS
     textiles = TEXTILES

@@ -35,7 +35,7 @@ from clothbench.modelling import (
     wants_normals,
     write_frames,
 )
-from clothbench_models.implicit_grid import mass_times, multiply, solve
+from clothbench_models.implicit_grid import assemble, empty_matrix, margin_of, mass_times, multiply, solve
 from clothbench_models.implicit_step import (
     BDF2,
     EULER,
@@ -81,7 +81,7 @@ AT_REST = 2e-8  # m that a node still moves in a settling step as long as a seco
 
 @kernel
 def elastic(x, v, f, nu, membrane, plate, stiffer, k_scale, c_scale, edges, shear, work):
-    """Add all inner forces to f (3, n) N and keep the matrix k_scale·K + c_scale·C for `multiply`.
+    """Add all inner forces to f (3, n) N and keep the matrix k_scale·K + c_scale·C for `assemble`.
 
     stiffer: what effects add to the stretch stiffness, as a share of it (their forces are taken as they are; the matrix
     knows them by this bound, so that they need no shorter step).
@@ -170,8 +170,9 @@ def _march_implicit(
     start, dt, tolerance, limit = clock.start, clock.dt, clock.tolerance, clock.limit
     n, padded, frames = mass.shape[0], mass.shape[0] + 2 * (nu + 1), sampling.times.shape[0]
     edges, shear, work = np.zeros((10, padded)), np.zeros((shear_rows, padded)), np.zeros((20, padded))
+    margin, matrix = margin_of(nu), empty_matrix(nu, n, shear_rows)
     f, r, delta, inverse = np.empty((3, n)), np.empty((3, n)), np.empty((3, n)), np.ones((6, n))
-    z, p, q = np.empty((3, n)), np.empty((3, n)), np.empty((3, n))
+    z, p, q = np.empty((3, n)), np.zeros((3, n + 2 * margin)), np.empty((3, n))
     extra, normal, free = np.zeros((6, n)), np.zeros((3, n)), 1.0 / mass
     x, v, guess, x_bar, v_bar = begins.x, begins.v, np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     x_old, v_old, x_before, v_before = np.empty((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
@@ -216,16 +217,17 @@ def _march_implicit(
         if solid:
             r += gamma * rub
             wanted[:] = r
+        bend_scale = gamma * gamma * (bend + stiffer[1]) + gamma * plate.damping
+        assemble(
+            nu, mass, extra, heavier, edges, shear, plate.offsets, plate.values, bend_scale, matrix, work[14:20]
+        )  # fmt: skip
         rounds += solve(
-            delta, r, nu, mass, extra, heavier, edges, shear, plate.offsets, plate.values,
-            gamma * gamma * (bend + stiffer[1]) + gamma * plate.damping, touch, normal,
-            max(tolerance, ROUGH) if settling else tolerance, 2000, inverse, z, p, q, work,
+            delta, r, nu, matrix, plate.offsets, plate.values, bend_scale, touch, normal,
+            max(tolerance, ROUGH) if settling else tolerance, 2000, inverse, z, p, q,
         )  # fmt: skip
         if solid:
-            multiply(
-                delta, nu, mass, extra, heavier, edges, shear, plate.offsets, plate.values,
-                gamma * gamma * (bend + stiffer[1]) + gamma * plate.damping, z, work,
-            )  # fmt: skip
+            p[:, margin : margin + n] = delta
+            multiply(matrix, nu, plate.offsets, plate.values, bend_scale, p, z)
             for c in range(3):
                 for e in range(n):
                     z[c, e] = (z[c, e] - wanted[c, e]) / gamma

@@ -63,7 +63,7 @@ class Inextensible:
     """
 
     name = "inextensible"
-    version = 2
+    version = 3
     kind = "implicit"
     parameters = PARAMETERS
     capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start", "outline"})
@@ -72,7 +72,7 @@ class Inextensible:
 
     def __init__(
         self, resolution: int | Sequence[int] = 13, integrator: str = "bdf2", dt: float | None = None,
-        step_scale: float = 1.0, tolerance: float = 1e-6, shear: float | None = None, orthotropic: bool = False,
+        step_scale: float = 1.0, tolerance: float = 1e-5, shear: float | None = None, orthotropic: bool = False,
     ):  # fmt: skip
         if integrator not in SCHEMES:
             raise ClothbenchError(f"inextensible: integrator is {integrator!r}, expected one of {', '.join(SCHEMES)}")

@@ -26,16 +26,16 @@ from clothbench.modelling import (
     START,
     TERMS,
     advance_segment,
+    apart_kernel,
     bear_inertia,
     bundle_type,
-    fast_kernel,
     hold_grips,
     is_lost,
     kernel,
     write_frames,
 )
 from clothbench_models.baraff_witkin_kernels import PLATE, add_outer
-from clothbench_models.implicit_grid import hold_back, mass_times, solve
+from clothbench_models.implicit_grid import assemble, empty_matrix, hold_back, margin_of, mass_times, solve
 from clothbench_models.implicit_step import (
     BDF2,
     EULER,
@@ -47,7 +47,7 @@ from clothbench_models.implicit_step import (
     step_before,
 )
 from clothbench_models.resting_contact import STICKS, judge, stop_reversed
-from clothbench_models.sheet_forces import add_diagonals, add_fluxes, edge_differences
+from clothbench_models.sheet_forces import TRIANGLES, add_diagonals, add_fluxes, edge_differences
 
 __all__ = ["BDF2", "EULER", "Constraints", "march"]
 
@@ -61,51 +61,58 @@ CRUMPLED = 0.1  # strain that is left when projecting has failed
 SOLVED = 0.01  # of the residual is left by each round's solver; the next round deals with it
 
 
-@fast_kernel
+@apart_kernel
 def violations(nu, du, dv, lengths, share, c):
     """C (3, P) m from the edge differences du, dv (3, P) m; share (3, P): 1/L, 1/L and 1/√(h_u h_v), 0 outside."""
-    for e in range(share.shape[1]):
+    one, across = np.uint64(1), np.uint64(nu)
+    for k in range(share.shape[1]):
+        e = np.uint64(k)
         square = du[0, e] * du[0, e] + du[1, e] * du[1, e] + du[2, e] * du[2, e]
         c[0, e] = 0.5 * (square * share[0, e] - lengths[0, e])
         square = dv[0, e] * dv[0, e] + dv[1, e] * dv[1, e] + dv[2, e] * dv[2, e]
         c[1, e] = 0.5 * (square * share[1, e] - lengths[1, e])
-    for e in range(share.shape[1] - 1 - nu):
-        total = 0.0
-        for k in range(3):
-            total += (du[k, e] + du[k, e + nu]) * (dv[k, e] + dv[k, e + 1])
+    for k in range(share.shape[1] - 1 - nu):
+        e = np.uint64(k)
+        i, j = e + across, e + one
+        total = (du[0, e] + du[0, i]) * (dv[0, e] + dv[0, j])
+        total += (du[1, e] + du[1, i]) * (dv[1, e] + dv[1, j])
+        total += (du[2, e] + du[2, i]) * (dv[2, e] + dv[2, j])
         c[2, e] = 0.25 * share[2, e] * total
 
 
-@fast_kernel
+@apart_kernel
 def pull(nu, du, dv, share, tension, fu, fv):
-    """Fluxes (3, P) N of the constraint forces −∂Cᵀλ, tension λ (3, P) N."""
-    for k in range(3):
-        uk, vk, a, b = du[k], dv[k], fu[k], fv[k]
-        for e in range(share.shape[1]):
-            a[e] = tension[0, e] * share[0, e] * uk[e]
-            b[e] = tension[1, e] * share[1, e] * vk[e]
-        m = share.shape[1] - 1 - nu
-        for e in range(m):
-            a[e] += 0.25 * tension[2, e] * share[2, e] * (vk[e] + vk[e + 1])
-        for e in range(m):
-            a[e + nu] += 0.25 * tension[2, e] * share[2, e] * (vk[e] + vk[e + 1])
-        for e in range(m):
-            b[e] += 0.25 * tension[2, e] * share[2, e] * (uk[e] + uk[e + nu])
-        for e in range(m):
-            b[e + 1] += 0.25 * tension[2, e] * share[2, e] * (uk[e] + uk[e + nu])
+    """Fluxes (3, P) N of the constraint forces −∂Cᵀλ, tension λ (3, P) N; zero where there are no edges, as before."""
+    one, across = np.uint64(1), np.uint64(nu)
+    for c in range(3):
+        for k in range(share.shape[1] - 2 * nu):
+            e = across + np.uint64(k)
+            i, j = e + one, e - across
+            cell, above = tension[2, e] * share[2, e], tension[2, j] * share[2, j]
+            shear = cell * (dv[c, e] + dv[c, i]) + above * (dv[c, j] + dv[c, j + one])
+            fu[c, e] = tension[0, e] * share[0, e] * du[c, e] + 0.25 * shear
+        for k in range(share.shape[1] - 2 * nu):
+            e = across + np.uint64(k)
+            i, j = e + across, e - one
+            cell, left = tension[2, e] * share[2, e], tension[2, j] * share[2, j]
+            shear = cell * (du[c, e] + du[c, i]) + left * (du[c, j] + du[c, j + across])
+            fv[c, e] = tension[1, e] * share[1, e] * dv[c, e] + 0.25 * shear
 
 
-@fast_kernel
+@apart_kernel
 def rates(nu, du, dv, share, pu, pv, out):
     """∂C·p (3, P) for the edge differences pu, pv of p."""
-    for e in range(share.shape[1]):
+    one, across = np.uint64(1), np.uint64(nu)
+    for k in range(share.shape[1]):
+        e = np.uint64(k)
         out[0, e] = share[0, e] * (du[0, e] * pu[0, e] + du[1, e] * pu[1, e] + du[2, e] * pu[2, e])
         out[1, e] = share[1, e] * (dv[0, e] * pv[0, e] + dv[1, e] * pv[1, e] + dv[2, e] * pv[2, e])
-    for e in range(share.shape[1] - 1 - nu):
-        total = 0.0
-        for k in range(3):
-            total += (pu[k, e] + pu[k, e + nu]) * (dv[k, e] + dv[k, e + 1])
-            total += (du[k, e] + du[k, e + nu]) * (pv[k, e] + pv[k, e + 1])
+    for k in range(share.shape[1] - 1 - nu):
+        e = np.uint64(k)
+        i, j = e + across, e + one
+        total = (pu[0, e] + pu[0, i]) * (dv[0, e] + dv[0, j]) + (du[0, e] + du[0, i]) * (pv[0, e] + pv[0, j])
+        total += (pu[1, e] + pu[1, i]) * (dv[1, e] + dv[1, j]) + (du[1, e] + du[1, i]) * (pv[1, e] + pv[1, j])
+        total += (pu[2, e] + pu[2, i]) * (dv[2, e] + dv[2, j]) + (du[2, e] + du[2, i]) * (pv[2, e] + pv[2, j])
         out[2, e] = 0.25 * share[2, e] * total
 
 
@@ -121,7 +128,7 @@ def yield_to(f, mass, extra, heavier, touch, normal):
     hold_back(f, touch, normal)
 
 
-@kernel
+@apart_kernel
 def schur_diagonal(nu, du, dv, share, weight, give, square, out):
     """The diagonal (3, P) of c/γ² + ∂C W ∂Cᵀ for inverse masses `weight` (P,) padded like the edges, 0 where held."""
     for e in range(share.shape[1] - 1 - nu):
@@ -146,7 +153,7 @@ def schur_diagonal(nu, du, dv, share, weight, give, square, out):
                 out[k, e] = 1.0
 
 
-@kernel
+@apart_kernel
 def factor_lines(nu, du, dv, share, weight, diagonal, off):
     """Turn the diagonal (3, P) into the pivots D of L D Lᵀ for all mesh lines' own blocks; off (2, P): their L.
 
@@ -165,19 +172,24 @@ def factor_lines(nu, du, dv, share, weight, diagonal, off):
         diagonal[1, e] -= off[1, e] * off[1, e] * diagonal[1, f]
 
 
-@fast_kernel
+@apart_kernel
 def times(a, b, out):
-    """out = a b for small matrices (l, m), (m, n)."""
+    """out = a b for small matrices (l, m), (m, n), four rows of b at once."""
+    inner = a.shape[1]
     for i in range(a.shape[0]):
-        row = out[i]
-        row[:] = 0.0
-        for k in range(a.shape[1]):
-            w, other = a[i, k], b[k]
+        for j in range(b.shape[1]):
+            out[i, j] = 0.0
+        for k in range(0, inner - 3, 4):
+            u, v, w, x = a[i, k], a[i, k + 1], a[i, k + 2], a[i, k + 3]
             for j in range(b.shape[1]):
-                row[j] += w * other[j]
+                out[i, j] += u * b[k, j] + v * b[k + 1, j] + w * b[k + 2, j] + x * b[k + 3, j]
+        for k in range(inner - inner % 4, inner):
+            w = a[i, k]
+            for j in range(b.shape[1]):
+                out[i, j] += w * b[k, j]
 
 
-@kernel
+@apart_kernel
 def solve_lines(nu, diagonal, off, waves_u, waves_v, damped, plane, r, z):
     """The preconditioner: z = (L D Lᵀ)⁻¹ r for the mesh lines, and the flat sheet's inverse for the cells.
 
@@ -241,7 +253,7 @@ def sines(count):
     return out
 
 
-@fast_kernel
+@apart_kernel
 def _sum(a, b):
     total = 0.0
     for k in range(3):
@@ -351,12 +363,13 @@ def _march(
     offsets, bending, bend, beta, stiffer = plate.offsets, plate.values, plate.rigidity, plate.damping, plate.stiffer
     start, dt, tolerance, limit = clock.start, clock.dt, clock.tolerance, clock.limit
     n, padded, frames, pad = mass.shape[0], mass.shape[0] + 2 * (nu + 1), sampling.times.shape[0], nu + 1
-    edges, shear, work = np.zeros((10, padded)), np.zeros((13, padded)), np.zeros((20, padded))
+    edges, shear, work = np.zeros((10, padded)), np.zeros((TRIANGLES, padded)), np.zeros((20, padded))
     waves_u, waves_v = sines(nu - 1), sines(n // nu - 1)
     damped, plane = np.empty((n // nu - 1, nu - 1)), np.empty((2, n // nu - 1, nu - 1))
     rows, tension = np.zeros((8, 3, padded)), np.zeros((3, padded))
     f, r, delta, inverse = np.empty((3, n)), np.empty((3, n)), np.empty((3, n)), np.ones((6, n))
     z, p, q = np.empty((3, n)), np.empty((3, n)), np.empty((3, n))
+    matrix, swept = empty_matrix(nu, n, TRIANGLES), np.empty((3, n + 2 * margin_of(nu)))
     extra, normal, free = np.zeros((6, n)), np.zeros((3, n)), 1.0 / mass
     x, v, guess, x_bar, v_bar = begins.x, begins.v, np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     x_old, v_old, x_before, v_before = np.empty((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
@@ -425,9 +438,9 @@ def _march(
         for e in range(n):
             stiff_mass[e] = mass[e] + gamma * alpha * area[e]
         bend_scale = gamma * gamma * (bend + stiffer[1]) + gamma * beta
+        assemble(nu, stiff_mass, extra, heavier, edges, shear, offsets, bending, bend_scale, matrix, work[14:20])
         rounds += solve(
-            delta, r, nu, stiff_mass, extra, heavier, edges, shear, offsets, bending, bend_scale, touch, normal,
-            1e-4, 2000, inverse, z, p, q, work,
+            delta, r, nu, matrix, offsets, bending, bend_scale, touch, normal, 1e-4, 2000, inverse, z, swept, q
         )  # fmt: skip
         for c in range(3):
             for e in range(n):

@@ -1,4 +1,4 @@
-"""Compiled forces of stretch, shear and bending on a grid cut into triangles, and their product with a vector.
+"""Compiled forces of stretch, shear and bending on a grid cut into triangles.
 
 Nodes a, b, c, d = e, e + 1, e + nu, e + nu + 1 make a cell; the triangles abd ("lower") and adc ("upper") have
 w_u and w_v along the cell's own edges, so all of it is written as fluxes along edges: u-edges e → e + 1 and v-edges
@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clothbench.modelling import fast_kernel, kernel
+from clothbench.modelling import kernel
 
 TINY = 1e-30  # m²
 TRIANGLES, CELLS = 13, 7  # rows that shear keeps: two triangles a cell, or whole cells
@@ -47,7 +47,7 @@ def stretch_fluxes(d, rate, rest, stiffness, damping, flux, unit, along, across,
     """Stretch of one family of edges: E = ½ k (|d| − L)², and its dashpot (Baraff and Witkin 1998, eq. 10 and 11).
 
     d, rate: difference of positions m and velocities m/s, (3, P); rest L m, stiffness k N/m, damping c N·s/m (P,).
-    Fills flux (3, P) N, and for `multiply` unit (3, P), along and across (P,): the weights k_scale·k + c_scale·c along
+    Fills flux (3, P) N, and for `assemble` unit (3, P), along and across (P,): the weights k_scale·k + c_scale·c along
     the edge and k_scale·k (1 − L/|d|) across it, the latter only under tension so that the matrix stays positive.
     """
     dx, dy, dz = d[0], d[1], d[2]
@@ -116,44 +116,6 @@ def add_diagonals(offsets, values, x, scale, out):
                     high[e] += scale * w[e] * first[e]
 
 
-@fast_kernel
-def _stretch_times(p, unit, along, across, out):
-    for e in range(along.shape[0]):
-        s = along[e] * (unit[0, e] * p[0, e] + unit[1, e] * p[1, e] + unit[2, e] * p[2, e])
-        out[0, e] = s * unit[0, e] + across[e] * p[0, e]
-        out[1, e] = s * unit[1, e] + across[e] * p[1, e]
-        out[2, e] = s * unit[2, e] + across[e] * p[2, e]
-
-
-@fast_kernel
-def _shear_times(nu, weight, p, q, pl, ql, pu, qu, yl, yu, fu, fv):
-    """Fluxes of the shear term for differences p along u-edges and q along v-edges."""
-    m = weight.shape[0] - 1 - nu
-    p0, p1, p2 = p[0], p[1], p[2]
-    q0, q1, q2 = q[0], q[1], q[2]
-    for e in range(m):
-        b, c = e + 1, e + nu
-        yl[e] = weight[e] * (
-            pl[0, e] * p0[e] + pl[1, e] * p1[e] + pl[2, e] * p2[e]
-            + ql[0, e] * q0[b] + ql[1, e] * q1[b] + ql[2, e] * q2[b]
-        )  # fmt: skip
-        yu[e] = weight[e] * (
-            pu[0, e] * p0[c] + pu[1, e] * p1[c] + pu[2, e] * p2[c]
-            + qu[0, e] * q0[e] + qu[1, e] * q1[e] + qu[2, e] * q2[e]
-        )  # fmt: skip
-    for k in range(3):
-        a, b2 = fu[k], fv[k]
-        lp, lq, up, uq = pl[k], ql[k], pu[k], qu[k]
-        for e in range(m):
-            a[e] += yl[e] * lp[e]
-        for e in range(m):
-            a[e + nu] += yu[e] * up[e]
-        for e in range(m):
-            b2[e + 1] += yl[e] * lq[e]
-        for e in range(m):
-            b2[e] += yu[e] * uq[e]
-
-
 @kernel
 def cell_shear_fluxes(nu, du, dv, ru, rv, over_u, over_v, stiffness, damping, fu, fv, p, q):
     """Shear of whole cells, C = w_u·w_v from the means of a cell's opposite edges, E = ½ k A C²: as `shear_fluxes`, for
@@ -174,24 +136,3 @@ def cell_shear_fluxes(nu, du, dv, ru, rv, over_u, over_v, stiffness, damping, fu
             fu[k, c] += t * p[k, e]
             fv[k, e] += t * q[k, e]
             fv[k, b] += t * q[k, e]
-
-
-@fast_kernel
-def _cell_shear_times(nu, weight, a, b, p, q, y, fu, fv):
-    """Fluxes of `cell_shear_fluxes` for differences a along u-edges and b along v-edges."""
-    m = weight.shape[0] - 1 - nu
-    for e in range(m):
-        total = 0.0
-        for k in range(3):
-            total += p[k, e] * (a[k, e] + a[k, e + nu]) + q[k, e] * (b[k, e] + b[k, e + 1])
-        y[e] = weight[e] * total
-    for k in range(3):
-        fk, gk, pk, qk = fu[k], fv[k], p[k], q[k]
-        for e in range(m):
-            fk[e] += y[e] * pk[e]
-        for e in range(m):
-            fk[e + nu] += y[e] * pk[e]
-        for e in range(m):
-            gk[e] += y[e] * qk[e]
-        for e in range(m):
-            gk[e + 1] += y[e] * qk[e]
