@@ -230,30 +230,39 @@ def report(options: argparse.Namespace) -> int:
 
     place = key_values(options.settings, ("out",)).get("out", DEFAULT_OUT)
     if options.watch:
-        from clothbench.engine.bucket import is_address
-
-        if is_address(place):
-            raise ClothbenchError(f"{place}: found a bucket, expected a folder: --watch follows a run of this machine")
-        return watched(Path(place))
+        return watched(place)
     print(f"page: {write_page(results_in(place).folder)}")
     return 0
 
 
-def watched(folder: Path) -> int:
-    """The page of a folder, in which a run may have yet to begin, followed until Ctrl+C."""
+def watched(place: str) -> int:
+    """The page of a folder or a bucket, in which a run may have yet to begin, followed until Ctrl+C."""
     from clothbench.cli.view import hear_interrupts
+    from clothbench.engine.bucket import is_address
+    from clothbench.engine.mirror import pull, results_folder
+    from clothbench.engine.store import Store
     from clothbench.report.page import PAGE
-    from clothbench.report.watch import watch
+    from clothbench.report.watch import EVERY, watch
 
+    folder = results_folder(place, whole=False)
     folder.mkdir(parents=True, exist_ok=True)
     print(f"page: {folder / PAGE}   (open it once: it follows by itself; Ctrl+C ends that)", flush=True)
 
     def told(page: Path, cells: int) -> None:
         print(f"{page}: {cells} cells", file=sys.stderr, flush=True)
 
+    def bring() -> None:
+        try:
+            pull(Store(folder))
+        except ClothbenchError as fault:  # a network that is away for a while ends no watch
+            print(f"clothbench: {fault}", file=sys.stderr, flush=True)
+
     hear_interrupts()
     with contextlib.suppress(KeyboardInterrupt):
-        watch(folder, told)
+        if is_address(place):
+            watch(folder, told, bring, every=5 * EVERY)
+        else:
+            watch(folder, told)
     return 0
 
 

@@ -18,8 +18,10 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from clothbench.cli.run import composed
 from clothbench.core.create_only import require_create_only
 from clothbench.core.errors import ClothbenchError
+from clothbench.engine.bucket import is_address
 from clothbench.engine.executors.drive import elsewhere, opened
 from clothbench.engine.executors.settings import LOCAL, executor_settings
+from clothbench.engine.mirror import results_folder
 from clothbench.engine.run import TRACEBACK, run_cell
 from clothbench.engine.settings import KNOWN
 from clothbench.engine.store import Store
@@ -50,6 +52,9 @@ WORDS = (*PLAIN, *SHORT, *NESTED, *sorted(KNOWN - {*PLAIN, *NESTED} - OF_RUN))
 def command(words: Sequence[str], as_json: bool = False) -> int:
     """Run the loop with settings as KEY=VALUE words gave them, and print the verdict: in words, or as the document."""
     plugins, settings = catalogue(), settings_of(words)
+    place = settings["out"]
+    if is_address(place):  # the cell goes into the bucket; verdict, page and tables are laid into its mirror
+        settings["out"] = str(results_folder(place))
     executor = executor_settings(settings.get("executor"))
     if executor["name"] == LOCAL and settings["jobs"]:
         raise ClothbenchError("setting 'jobs' is for the workers of an executor: name one, or leave it out")

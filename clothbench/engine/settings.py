@@ -194,7 +194,9 @@ def writable(value: Any) -> Path:
     if not isinstance(value, str) or not value:
         raise ClothbenchError(f"setting 'out' is {value!r}, expected a folder")
     if is_address(value):
-        raise ClothbenchError(f"setting 'out' is {value!r}, expected a folder: `clothbench run` alone takes a bucket")
+        raise ClothbenchError(
+            f"setting 'out' is {value!r}, expected a folder (`run` and `improve` alone take a bucket)"
+        )
     folder = Path(value)
     above = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
     if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):

@@ -17,13 +17,18 @@ EVERY = 1.0  # s between two looks at the store
 BESIDE = "report.state.js"  # beside the page: which state of it is the newest
 
 
-def watch(folder: Path, told: Callable[[Path, int], None]) -> None:
+def watch(
+    folder: Path, told: Callable[[Path, int], None], bring: Callable[[], None] = lambda: None, every: float = EVERY
+) -> None:
     """Write FOLDER/report.html now and after every change of the store in that folder, until interrupted; `told(page,
     cells)` after each. The page that is left does not watch any more.
+
+    bring: what is called before each look, to bring what others have published; every: s between two looks.
     """
     shown = None
     try:
         while True:
+            bring()
             # A run that ends writes a page of its own, which does not watch.
             if (now := (state_of(folder), changed(folder / PAGE))) != shown:
                 page = write_page(folder, [watching(now[0])])
@@ -31,7 +36,7 @@ def watch(folder: Path, told: Callable[[Path, int], None]) -> None:
                 with whole_file(folder / BESIDE) as part:
                     part.write_text(f'self.clothbenchState = "{shown[0]}";\n', encoding="utf-8")
                 told(page, len(finished(folder)))
-            time.sleep(EVERY)
+            time.sleep(every)
     finally:
         write_page(folder)
         (folder / BESIDE).unlink(missing_ok=True)

@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from clothbench import Curve, read_curve, write_curve
+from clothbench.engine.bucket import Bucket
 
 LINE = np.linspace(1.0, 1.5, 300)
 
@@ -96,6 +97,20 @@ def test_improve_names_what_a_linear_sample_lacks(clothbench, curves, tmp_path):
     assert len(found["recordings"]["held_out"]) == 1
     again = clothbench("improve", "recordings=rib", "model=linear_stretch", "out=found", "--json")
     assert json.loads(again.stdout)["effects"] == found["effects"]
+
+
+def test_a_verdict_in_a_bucket_is_found_from_another_machine(clothbench, s3, curves):
+    asked = ("improve", "recordings=rib", "model=linear_stretch", f"out={s3}", "--json")
+    here, there = clothbench(*asked), clothbench(*asked, CLOTHBENCH_CACHE="elsewhere")
+    assert here.returncode == there.returncode == 0, here.stderr + there.stderr
+    assert "kept" not in here.stderr
+    assert "kept, these recordings were judged" in there.stderr
+    assert json.loads(there.stdout) == json.loads(here.stdout)
+    assert len(Bucket(s3).names("cells")) == 1
+    said = clothbench(*asked[:-1])
+    page = Path(said.stdout.partition("page: ")[2].partition("\n")[0])
+    assert page.is_file()
+    assert page.with_name("verdict.json").is_file()
 
 
 @pytest.mark.parametrize(

@@ -84,6 +84,26 @@ def test_a_watched_page_follows_the_run_and_ends_clean(clothbench, recordings_fo
     assert "data-watched" not in page.read_text()
 
 
+@pytest.mark.slow
+def test_a_watched_bucket_shows_what_another_machine_publishes(clothbench, s3, recordings_folder, tmp_path):
+    watching = subprocess.Popen(
+        [sys.executable, "-m", "clothbench", "report", "--watch", f"out={s3}"], cwd=tmp_path, text=True,
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, env={**os.environ, "CLOTHBENCH_CACHE": "watcher"},
+    )  # fmt: skip
+    try:
+        assert watching.stdout is not None
+        page = tmp_path / watching.stdout.readline().removeprefix("page: ").partition("   (")[0]
+        wait_for(lambda: page.is_file() and "no results here yet" in page.read_text())
+        out = clothbench("run", f"recordings={recordings_folder}", *CELL, "optimizer=ga", "budget=20", f"out={s3}")
+        assert out.returncode == 0, out.stderr
+        wait_for(lambda: "no results here yet" not in page.read_text())
+    finally:
+        code = stopped(watching)
+    _, told = watching.communicate()
+    assert code == 0, told
+    assert "1 cells" in told
+
+
 def wait_for(condition, seconds: float = 60.0) -> None:
     end = time.monotonic() + seconds
     while not condition():

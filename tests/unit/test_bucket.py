@@ -231,15 +231,7 @@ def test_a_missing_extra_is_one_line(monkeypatch):
         Bucket("s3://cloth/runs")
 
 
-def test_commands_that_take_a_folder_only_say_so(s3, recordings_folder, capsys):
-    for command in (
-        ["improve", f"recordings={recordings_folder}", "model=mass_spring", f"out={s3}"],
-        ["report", "--watch", f"out={s3}"],
-    ):
-        assert main(command) == 2
-        said = capsys.readouterr().err
-        assert "expected a folder" in said
-        assert said.count("\n") == 1
+def test_an_address_where_a_folder_belongs_is_one_line(s3, capsys):
     with pytest.raises(ClothbenchError, match="found an address, expected a folder"):
         Store("s3:/cloth/runs")
     assert main(["leaderboard", "--out", s3]) == 2
