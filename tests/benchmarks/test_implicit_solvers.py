@@ -233,4 +233,4 @@ def test_factorisation(benchmark, side, solver):
 @pytest.mark.parametrize("side", [21, 41])
 def test_conjugate_gradients_beat_a_factorisation_at_the_default_step(side):
     system = step(side, 2e-3)
-    assert quickest(superlu(system), 3) >= 3 * quickest(system.iterate)
+    assert quickest(superlu(system), 3) >= 8 * quickest(system.iterate)

@@ -4,9 +4,9 @@ The matrix lies in rows over the nodes (`assemble`), the couplings of each node 
 diagonals, so that a product is one loop without branches that reads what it needs once: a third of the time that it
 takes to go by way of edges and cells.
 
-Why conjugate gradients and not a factorisation: on 41 × 41 nodes at 2 ms CHOLMOD, given the pattern, takes 2.4 times
-as long, QDLDL and SuperLU 14 times (`tests/benchmarks/test_implicit_solvers.py`). Only CHOLMOD gets ahead from 8 ms on,
-and only of solves to 1e-4: those to 1e-2 stay quicker up to 1/60 s.
+Why conjugate gradients and not a factorisation: on 41 × 41 nodes at 2 ms CHOLMOD, given the pattern, takes 6 times as
+long, QDLDL and SuperLU 32 times; at 8 ms 1.8 and 9 times, at 1/60 s 1.4 and 7 times
+(`tests/benchmarks/test_implicit_solvers.py`).
 """
 
 from __future__ import annotations
