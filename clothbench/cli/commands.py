@@ -239,13 +239,14 @@ def watched(place: str) -> int:
     """The page of a folder or a bucket, in which a run may have yet to begin, followed until Ctrl+C."""
     from clothbench.cli.view import hear_interrupts
     from clothbench.engine.bucket import is_address
-    from clothbench.engine.mirror import pull, results_folder
+    from clothbench.engine.mirror import results_folder, up_to_date
     from clothbench.engine.store import Store
     from clothbench.report.page import PAGE
     from clothbench.report.watch import EVERY, watch
 
     folder = results_folder(place, whole=False)
     folder.mkdir(parents=True, exist_ok=True)
+    store = Store(folder)
     print(f"page: {folder / PAGE}   (open it once: it follows by itself; Ctrl+C ends that)", flush=True)
 
     def told(page: Path, cells: int) -> None:
@@ -253,16 +254,13 @@ def watched(place: str) -> int:
 
     def bring() -> None:
         try:
-            pull(Store(folder))
+            up_to_date(store)
         except ClothbenchError as fault:  # a network that is away for a while ends no watch
             print(f"clothbench: {fault}", file=sys.stderr, flush=True)
 
     hear_interrupts()
     with contextlib.suppress(KeyboardInterrupt):
-        if is_address(place):
-            watch(folder, told, bring, every=5 * EVERY)
-        else:
-            watch(folder, told)
+        watch(folder, told, bring, every=5 * EVERY if is_address(place) else EVERY)
     return 0
 
 

@@ -52,9 +52,8 @@ WORDS = (*PLAIN, *SHORT, *NESTED, *sorted(KNOWN - {*PLAIN, *NESTED} - OF_RUN))
 def command(words: Sequence[str], as_json: bool = False) -> int:
     """Run the loop with settings as KEY=VALUE words gave them, and print the verdict: in words, or as the document."""
     plugins, settings = catalogue(), settings_of(words)
-    place = settings["out"]
-    if is_address(place):  # the cell goes into the bucket; verdict, page and tables are laid into its mirror
-        settings["out"] = str(results_folder(place))
+    if is_address(settings["out"]):  # the cell goes into the bucket; verdict, page and tables are laid into its mirror
+        settings["out"] = str(results_folder(settings["out"]))
     executor = executor_settings(settings.get("executor"))
     if executor["name"] == LOCAL and settings["jobs"]:
         raise ClothbenchError("setting 'jobs' is for the workers of an executor: name one, or leave it out")

@@ -23,12 +23,11 @@ def watch(
     """Write FOLDER/report.html now and after every change of the store in that folder, until interrupted; `told(page,
     cells)` after each. The page that is left does not watch any more.
 
-    bring: what is called before each look, to bring what others have published; every: s between two looks.
+    bring: what is called before each further look, to bring what others have published; every: s between two looks.
     """
     shown = None
     try:
         while True:
-            bring()
             # A run that ends writes a page of its own, which does not watch.
             if (now := (state_of(folder), changed(folder / PAGE))) != shown:
                 page = write_page(folder, [watching(now[0])])
@@ -37,6 +36,7 @@ def watch(
                     part.write_text(f'self.clothbenchState = "{shown[0]}";\n', encoding="utf-8")
                 told(page, len(finished(folder)))
             time.sleep(every)
+            bring()
     finally:
         write_page(folder)
         (folder / BESIDE).unlink(missing_ok=True)

@@ -218,6 +218,30 @@ def invert_blocks(nu, matrix, touch, normal, inverse):
     return slides
 
 
+@fast_kernel(forceinline=True)
+def _coupled(a, row, p, e, distance, x, y, z):
+    """x, y, z and what the blocks from this row on couple place e with, so far after it and before it."""
+    i = e + distance
+    u, v, w = p[0, i], p[1, i], p[2, i]
+    x += a[row, e] * u + a[row + 1, e] * v + a[row + 2, e] * w
+    y += a[row + 3, e] * u + a[row + 4, e] * v + a[row + 5, e] * w
+    z += a[row + 6, e] * u + a[row + 7, e] * v + a[row + 8, e] * w
+    i = e - distance
+    u, v, w = p[0, i], p[1, i], p[2, i]
+    x += a[row, i] * u + a[row + 3, i] * v + a[row + 6, i] * w
+    y += a[row + 1, i] * u + a[row + 4, i] * v + a[row + 7, i] * w
+    z += a[row + 2, i] * u + a[row + 5, i] * v + a[row + 8, i] * w
+    return x, y, z
+
+
+@fast_kernel(forceinline=True)
+def _alike(a, row, p, e, distance, x, y, z):
+    """The same for numbers that couple each coordinate with itself."""
+    i, j = e + distance, e - distance
+    s, t = a[row, e], a[row, j]
+    return x + s * p[0, i] + t * p[0, j], y + s * p[1, i] + t * p[1, j], z + s * p[2, i] + t * p[2, j]
+
+
 @apart_kernel
 def _times(a, nu, p, qx, qy, qz):
     """q = A p for the rows of a matrix, p (3, margin + n + margin) with zeros around it; returns p·q."""
@@ -229,73 +253,25 @@ def _times(a, nu, p, qx, qy, qz):
         x = a[0, e] * u + a[5, e] * v + a[4, e] * w
         y = a[5, e] * u + a[1, e] * v + a[3, e] * w
         z = a[4, e] * u + a[3, e] * v + a[2, e] * w
-        i = e + one
-        u, v, w = p[0, i], p[1, i], p[2, i]
-        x += a[6, e] * u + a[7, e] * v + a[8, e] * w
-        y += a[9, e] * u + a[10, e] * v + a[11, e] * w
-        z += a[12, e] * u + a[13, e] * v + a[14, e] * w
-        i = e - one
-        u, v, w = p[0, i], p[1, i], p[2, i]
-        x += a[6, i] * u + a[9, i] * v + a[12, i] * w
-        y += a[7, i] * u + a[10, i] * v + a[13, i] * w
-        z += a[8, i] * u + a[11, i] * v + a[14, i] * w
-        i = e + across
-        u, v, w = p[0, i], p[1, i], p[2, i]
-        x += a[15, e] * u + a[16, e] * v + a[17, e] * w
-        y += a[18, e] * u + a[19, e] * v + a[20, e] * w
-        z += a[21, e] * u + a[22, e] * v + a[23, e] * w
-        i = e - across
-        u, v, w = p[0, i], p[1, i], p[2, i]
-        x += a[15, i] * u + a[18, i] * v + a[21, i] * w
-        y += a[16, i] * u + a[19, i] * v + a[22, i] * w
-        z += a[17, i] * u + a[20, i] * v + a[23, i] * w
-        i = e + across + one
-        u, v, w = p[0, i], p[1, i], p[2, i]
-        x += a[24, e] * u + a[25, e] * v + a[26, e] * w
-        y += a[27, e] * u + a[28, e] * v + a[29, e] * w
-        z += a[30, e] * u + a[31, e] * v + a[32, e] * w
-        i = e - across - one
-        u, v, w = p[0, i], p[1, i], p[2, i]
-        x += a[24, i] * u + a[27, i] * v + a[30, i] * w
-        y += a[25, i] * u + a[28, i] * v + a[31, i] * w
-        z += a[26, i] * u + a[29, i] * v + a[32, i] * w
-        i, j = e + one + one, e - one - one
-        s, t = a[33, e], a[33, j]
-        x += s * p[0, i] + t * p[0, j]
-        y += s * p[1, i] + t * p[1, j]
-        z += s * p[2, i] + t * p[2, j]
-        i, j = e + across - one, e - across + one
-        s, t = a[34, e], a[34, j]
-        x += s * p[0, i] + t * p[0, j]
-        y += s * p[1, i] + t * p[1, j]
-        z += s * p[2, i] + t * p[2, j]
-        i, j = e + across + across, e - across - across
-        s, t = a[35, e], a[35, j]
-        x += s * p[0, i] + t * p[0, j]
-        y += s * p[1, i] + t * p[1, j]
-        z += s * p[2, i] + t * p[2, j]
+        x, y, z = _coupled(a, NEXT, p, e, one, x, y, z)
+        x, y, z = _coupled(a, ACROSS, p, e, across, x, y, z)
+        x, y, z = _coupled(a, DIAGONAL, p, e, across + one, x, y, z)
+        x, y, z = _alike(a, SECOND_NEXT, p, e, one + one, x, y, z)
+        x, y, z = _alike(a, BESIDE, p, e, across - one, x, y, z)
+        x, y, z = _alike(a, SECOND_ACROSS, p, e, across + across, x, y, z)
         qx[k], qy[k], qz[k] = x, y, z
-        total += x * p[0, e] + y * p[1, e] + z * p[2, e]
+        total += x * u + y * v + z * w
     return total
 
 
 @apart_kernel
 def _add_antidiagonal(a, nu, p, qx, qy, qz):
-    """q += what the blocks a (9, …) of whole cells couple; returns what that adds to p·q."""
-    start, one, across = np.uint64(margin_of(nu)), np.uint64(1), np.uint64(nu)
+    """q += what the blocks of whole cells couple with the node nu − 1 after; returns what that adds to p·q."""
+    start, distance = np.uint64(margin_of(nu)), np.uint64(nu - 1)
     total = 0.0
     for k in range(qx.shape[0]):
         e = start + np.uint64(k)
-        i = e + across - one
-        u, v, w = p[0, i], p[1, i], p[2, i]
-        x = a[0, e] * u + a[1, e] * v + a[2, e] * w
-        y = a[3, e] * u + a[4, e] * v + a[5, e] * w
-        z = a[6, e] * u + a[7, e] * v + a[8, e] * w
-        i = e - across + one
-        u, v, w = p[0, i], p[1, i], p[2, i]
-        x += a[0, i] * u + a[3, i] * v + a[6, i] * w
-        y += a[1, i] * u + a[4, i] * v + a[7, i] * w
-        z += a[2, i] * u + a[5, i] * v + a[8, i] * w
+        x, y, z = _coupled(a, ANTIDIAGONAL, p, e, distance, 0.0, 0.0, 0.0)
         qx[k] += x
         qy[k] += y
         qz[k] += z
@@ -308,7 +284,7 @@ def multiply(matrix, nu, offsets, bending, bend_scale, p, q):
     """q (3, n) = (M + C + K) p, for p (3, margin + n + margin) with zeros around it; returns p·q."""
     total, margin, n = _times(matrix, nu, p, q[0], q[1], q[2]), margin_of(nu), q.shape[1]
     if matrix.shape[0] > ANTIDIAGONAL:
-        total += _add_antidiagonal(matrix[ANTIDIAGONAL:], nu, p, q[0], q[1], q[2])
+        total += _add_antidiagonal(matrix, nu, p, q[0], q[1], q[2])
     for s in range(offsets.shape[0]):
         k = offsets[s]
         if row_of(k, nu) < 0:  # cloth that ends within cells, and grids of unequal ones

@@ -29,6 +29,7 @@ from clothbench.modelling import (
     apart_kernel,
     bear_inertia,
     bundle_type,
+    fast_kernel,
     hold_grips,
     is_lost,
     kernel,
@@ -80,23 +81,24 @@ def violations(nu, du, dv, lengths, share, c):
         c[2, e] = 0.25 * share[2, e] * total
 
 
-@apart_kernel
+@kernel
 def pull(nu, du, dv, share, tension, fu, fv):
     """Fluxes (3, P) N of the constraint forces −∂Cᵀλ, tension λ (3, P) N; zero where there are no edges, as before."""
-    one, across = np.uint64(1), np.uint64(nu)
+    _pull_along(nu, du, dv, share[0], share[2], tension[0], tension[2], 1, nu, fu)
+    _pull_along(nu, dv, du, share[1], share[2], tension[1], tension[2], nu, 1, fv)
+
+
+@apart_kernel
+def _pull_along(nu, d, cross, share, cells, tension, shear, along, aside, flux):
+    """The same of one family of edges d (3, P) m: `along` places from one to the next, and `aside` to those beside."""
+    step, before = np.uint64(along), np.uint64(aside)
     for c in range(3):
-        for k in range(share.shape[1] - 2 * nu):
-            e = across + np.uint64(k)
-            i, j = e + one, e - across
-            cell, above = tension[2, e] * share[2, e], tension[2, j] * share[2, j]
-            shear = cell * (dv[c, e] + dv[c, i]) + above * (dv[c, j] + dv[c, j + one])
-            fu[c, e] = tension[0, e] * share[0, e] * du[c, e] + 0.25 * shear
-        for k in range(share.shape[1] - 2 * nu):
-            e = across + np.uint64(k)
-            i, j = e + across, e - one
-            cell, left = tension[2, e] * share[2, e], tension[2, j] * share[2, j]
-            shear = cell * (du[c, e] + du[c, i]) + left * (du[c, j] + du[c, j + across])
-            fv[c, e] = tension[1, e] * share[1, e] * dv[c, e] + 0.25 * shear
+        for k in range(share.shape[0] - 2 * nu):
+            e = np.uint64(nu) + np.uint64(k)
+            i = e - before
+            here, there = shear[e] * cells[e], shear[i] * cells[i]
+            slide = here * (cross[c, e] + cross[c, e + step]) + there * (cross[c, i] + cross[c, i + step])
+            flux[c, e] = tension[e] * share[e] * d[c, e] + 0.25 * slide
 
 
 @apart_kernel
@@ -253,7 +255,7 @@ def sines(count):
     return out
 
 
-@apart_kernel
+@fast_kernel
 def _sum(a, b):
     total = 0.0
     for k in range(3):
