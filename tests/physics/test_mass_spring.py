@@ -46,10 +46,11 @@ def energy(grid: SpringGrid, k: np.ndarray, x: np.ndarray) -> float:
 
 
 def forces(grid: SpringGrid, k: np.ndarray, c: float, x: np.ndarray, v: np.ndarray) -> np.ndarray:
-    out, g = np.zeros_like(x), np.empty_like(x)
+    out, begin = np.zeros_like(x), int(grid.strides.max())
+    g = np.zeros((len(grid.strides), 3, begin + x.shape[1]))
     for f in range(len(FAMILIES)):
-        spring_forces(x, v, grid.strides[f], grid.rest[f], k[f] * grid.share[f], c * grid.share[f], g)
-        add_pairwise(out, g, grid.strides[f])
+        spring_forces(x, v, grid.strides[f], grid.rest[f], k[f] * grid.share[f], c * grid.share[f], g[f], begin)
+        add_pairwise(out, g[f], begin, grid.strides[f])
     return out
 
 

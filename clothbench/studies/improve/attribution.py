@@ -9,7 +9,7 @@ parameters' own sensitivities are then projected out of s_e and of the residual,
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -86,36 +86,54 @@ def probe_candidate(problem: Problem, fitted: Fitted, name: str) -> tuple[list[P
     passed for damping: only what is left of both after that exchange tells them apart, and the exchange is too far for
     a tangent. In return, what is small may drown in the ripples of wrinkling cloth.
     """
-    space = problem.space_of(name)
-    settings, tangent = tangents(problem, fitted, name)
-    evaluations = sum(len(amounts) for _, amounts, _ in settings)
-    chosen = sorted(range(len(settings)), key=lambda k: -explained_share(fitted, tangent[k]))
-    out = []
-    for k in chosen[: LOOP.exchanged_settings if len(settings) > 2 + LOOP.shape_settings else 1]:
-        phi, amounts, steps = settings[k]
+    space, out = problem.space_of(name), []
+    chosen, evaluations = best_settings(problem, fitted, name)
+    for (phi, amounts, steps), tangent in zip(chosen, tangents(problem, fitted, name, chosen), strict=True):
+        evaluations += len(amounts)
         rows = [(phi, i, step) for i, step in zip(amounts, steps, strict=True)]
-        exchanges = [exchange(fitted, space, [c[n] for c in tangent[k]], *row) for n, row in enumerate(rows)]
+        exchanges = [exchange(fitted, space, [c[n] for c in tangent], *row) for n, row in enumerate(rows)]
         theta = [with_effect(fitted, s, phi, i, step) for (step, s), i in zip(exchanges, amounts, strict=True)]
         exchanged = response(problem, fitted, name, np.array(theta))
         evaluations += len(theta)
         by, shifts = (np.array(each) for each in zip(*exchanges, strict=True))
-        for columns, used, shift in ((tangent[k], steps, 0 * shifts), (exchanged, by, shifts)):
+        for columns, used, shift in ((tangent, steps, 0 * shifts), (exchanged, by, shifts)):
             if all(np.isfinite(c).all() for c in columns):
                 out.append(Probe(name, phi, amounts, used, shift, [c.T for c in columns]))
     return out, evaluations
 
 
-def tangents(problem: Problem, fitted: Fitted, name: str) -> tuple[list[Setting], list[list[np.ndarray]]]:
-    """The settings of an effect's shape, and at each what its amounts alone change of the rollout, (k, M) for each fit
-    recording.
+def best_settings(problem: Problem, fitted: Fitted, name: str) -> tuple[list[Setting], int]:
+    """The settings of an effect's shape at which its amounts alone explain most; and how many parameter sets that took.
+
+    Looked for on the recordings that leave most: where an effect is worth a fit, they show at which shape.
     """
+    settings = shapes_looked_at(problem, name)
+    where = np.argsort(-fitted.mean_squares)[: LOOP.scouts].tolist()
+    some = fitted.on(where)
+    share = [explained_share(some, change) for change in tangents(problem, fitted, name, settings, where)]
+    count = LOOP.exchanged_settings if len(settings) > 2 + LOOP.shape_settings else 1
+    best = sorted(range(len(settings)), key=lambda k: -share[k])[:count]
+    sets = sum(len(amounts) for _, amounts, _ in settings)
+    return [settings[k] for k in best], -(-sets * len(where) // len(fitted.residual))
+
+
+def shapes_looked_at(problem: Problem, name: str) -> list[Setting]:
+    """The settings of an effect's shape that are looked at."""
     duration = max(case.duration for case in problem.of_split("fit"))
-    settings = list(shape_settings(problem.space_of(name), problem.seed, duration))
+    return list(shape_settings(problem.space_of(name), problem.seed, duration))
+
+
+def tangents(
+    problem: Problem, fitted: Fitted, name: str, settings: Sequence[Setting], where: Sequence[int] | None = None
+) -> list[list[np.ndarray]]:
+    """What an effect's amounts alone change of the rollout at each of the settings of its shape, (k, M) for each fit
+    recording, or for those of the numbers `where`.
+    """
     rows = [(phi, i, step) for phi, amounts, steps in settings for i, step in zip(amounts, steps, strict=True)]
     still = np.zeros(len(fitted.theta))
-    alone = response(problem, fitted, name, np.array([with_effect(fitted, still, *row) for row in rows]))
+    alone = response(problem, fitted, name, np.array([with_effect(fitted, still, *row) for row in rows]), where)
     count = len(settings[0][1])
-    return settings, [[c[k * count : (k + 1) * count] for c in alone] for k in range(len(settings))]
+    return [[c[k * count : (k + 1) * count] for c in alone] for k in range(len(settings))]
 
 
 def explained_share(fitted: Fitted, change: list[np.ndarray]) -> float:
@@ -172,13 +190,20 @@ def ridge_solution(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
     return np.linalg.solve(square + LOOP.ridge * np.trace(square) * np.eye(len(square)), columns.T @ target)
 
 
-def response(problem: Problem, fitted: Fitted, name: str, theta: np.ndarray) -> list[np.ndarray]:
-    """What the candidate at theta (B, P) changes of the rollout, (B, M) for each fit recording; kept."""
-    key = problem.key("probe", fitted.effects, fitted.theta.tolist(), name, array_digest(theta))
+def response(
+    problem: Problem, fitted: Fitted, name: str, theta: np.ndarray, where: Sequence[int] | None = None
+) -> list[np.ndarray]:
+    """What the candidate at theta (B, P) changes of the rollout, (B, M) for each fit recording, or for those of the
+    numbers `where`; kept.
+    """
+    trials = problem.trials((*fitted.effects, name), "fit")
+    numbers = range(len(trials)) if where is None else where
+    question = [fitted.effects, fitted.theta.tolist(), name, array_digest(theta), list(numbers)]
+    key = problem.key("probe", *question)
     if (known := problem.checkpoint.recall(key)) is not None:
         return [known[str(k)] for k in range(len(known))]
-    runs = over(problem.trials((*fitted.effects, name), "fit"), lambda trial: residuals(trial, theta))
-    changes = [run - residual for run, residual in zip(runs, fitted.residual, strict=True)]
+    runs = over([trials[k] for k in numbers], lambda trial: residuals(trial, theta))
+    changes = [run - fitted.residual[k] for run, k in zip(runs, numbers, strict=True)]
     problem.checkpoint.keep(key, **{str(k): change for k, change in enumerate(changes)})
     return changes
 

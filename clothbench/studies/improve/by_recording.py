@@ -19,7 +19,7 @@ from clothbench.core.optional import varying_of
 from clothbench.core.parameters import ParameterSpace
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.ahead import ahead
-from clothbench.studies.improve.attribution import null_point, tangents
+from clothbench.studies.improve.attribution import null_point, shapes_looked_at, tangents
 from clothbench.studies.improve.fitted import Fitted, jackknife_interval
 from clothbench.studies.improve.fitting import fit
 from clothbench.studies.improve.permutation import span_of
@@ -140,7 +140,7 @@ def screen(problem: Problem, current: Fitted, names: Sequence[str]) -> list[Cand
 
 def settings_of(problem: Problem, current: Fitted, name: str) -> list[list[np.ndarray]]:
     """For each fit recording what the effect changes of it, (M, k) weighted, at each setting of its shape."""
-    _, tangent = tangents(problem, current, name)
+    tangent = tangents(problem, current, name, shapes_looked_at(problem, name))
     finite = [columns for columns in tangent if all(np.isfinite(c).all() for c in columns)]
     return [[columns[r].T / columns[r].shape[1] ** 0.5 for columns in finite] for r in range(len(current.residual))]
 

@@ -62,6 +62,11 @@ class Fitted:
         """Mean square of the residual of each fit recording (R,)."""
         return np.array([float(np.mean(r**2)) for r in self.residual])
 
+    def on(self, where: Sequence[int]) -> Fitted:
+        """The same fit as some of its recordings see it, by their numbers."""
+        residual, jacobian = ([parts[k] for k in where] for parts in (self.residual, self.jacobian))
+        return dataclasses.replace(self, residual=residual, jacobian=jacobian)
+
     @property
     def rms(self) -> float:
         """Over all fit recordings; every one has the same say."""

@@ -38,7 +38,7 @@ def fit(
 
     account: is told how far the search is, as the stage that runs; unless: a fit of the same effects, which is returned
     with this search's evaluations if the search comes to nothing better: what is not kept needs no Jacobian; tolerance:
-    relative gain below which two rounds in a row end the search, if more than what suits the evidence.
+    relative gain below which rounds in a row end the search, if more than what suits the evidence.
     """
     settings = search_settings(problem, start is None, tolerance)
     origin = None if start is None else np.asarray(start).tolist()
@@ -81,7 +81,9 @@ def search_settings(problem: Problem, first: bool, tolerance: float = 0.0) -> di
     again = {"starts": suited.restart_starts, "walks": suited.restart_walks}
     own = dict(problem.options.get(problem.optimizer, {}))
     known = options_of(problem.plugins.load("optimizers", problem.optimizer))
-    settings = {"difference": suited.difference, "tolerance": max(suited.tolerance, tolerance)}
+    settings = {
+        "difference": suited.difference, "tolerance": max(suited.tolerance, tolerance), "patience": suited.patience,
+    }  # fmt: skip
     settings |= begin if first else again
     return {name: value for name, value in settings.items() if name in known} | {
         name: value for name, value in own.items() if first or name not in again

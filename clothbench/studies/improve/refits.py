@@ -57,11 +57,17 @@ def first_order_starts(current: Fitted, probe: Probe) -> np.ndarray:
 
 
 def refine_finalists(
-    problem: Problem, current: Fitted, fall: float, tried: Sequence[Candidate], account: Account, turn: int
+    problem: Problem,
+    current: Fitted,
+    floor: float,
+    fall: float,
+    tried: Sequence[Candidate],
+    account: Account,
+    turn: int,
 ) -> list[Candidate]:
     """The candidates, with those that may yet be named sought in other valleys and polished where there are several,
     each of them also from where the best has left what they share: neither a search that ended early nor a better
-    valley must decide between them.
+    valley must decide between them. Whoever could be named only with less than the floor stays as it is.
     """
     fits = [c.fitted for c in tried if c.fitted is not None]
     least = min((f.rms**2 for f in fits), default=0.0)
@@ -73,13 +79,16 @@ def refine_finalists(
     for k, fitted in enumerate(within):
         account.stage(f"round {turn + 1}: contest", k, 2 * len(within))
         goal = standing(problem, current, better, fitted)
-        fitted, count = multistart(problem, current, fitted, LOOP.refit_rounds, goal)
-        account.count(count)
-        better[fitted.effects] = polished(problem, fitted, account, goal) if near(fitted, goal) else fitted
+        if goal >= floor**2:
+            fitted, count = multistart(problem, current, fitted, LOOP.refit_rounds, goal)
+            account.count(count)
+            fitted = polished(problem, fitted, account, goal) if near(fitted, goal) else fitted
+        better[fitted.effects] = fitted
     best, shared = min(better.values(), key=lambda f: f.rms, default=current), len(current.theta)
     for k, (effects, fitted) in enumerate(better.items()):
         account.stage(f"round {turn + 1}: contest", len(within) + k, 2 * len(within))
-        if fitted is not best and near(fitted, goal := standing(problem, current, better, fitted)):
+        goal = standing(problem, current, better, fitted)
+        if fitted is not best and goal >= floor**2 and near(fitted, goal):
             start = np.concatenate([best.theta[:shared], fitted.theta[shared:]])
             tolerance = problem.evidence.search.contest_tolerance
             better[effects], count = better_of(problem, fitted, start, LOOP.polish_rounds, goal, tolerance)

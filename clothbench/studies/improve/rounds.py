@@ -60,7 +60,7 @@ def one_round(
         best = best_probe(candidate.name, found, test)
         assert best is not None  # it was screened
         tried.append(refit(problem, current, candidate, found[best], goal, account))
-    tried = refine_finalists(problem, current, fall, tried, account, turn)
+    tried = refine_finalists(problem, current, floor, fall, tried, account, turn)
     assessed = assess(current, fall, tried, problem.evidence)
     if named := choose(current, assessed):
         current = refit_null(problem, current, next(c.fitted for c in assessed if c.name == named[0]), fall, account)

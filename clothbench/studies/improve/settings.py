@@ -39,10 +39,11 @@ class LoopSettings:
     richardson: float = 4 / 3  # times the change by halved cells: the whole error, where it is of second order
     refinement_offset: float = 0.05  # how far from a fit the mesh's error is looked at, of the scaled range
 
-    stages: int = 4  # version of what the stages do and write: a cell of another one is asked anew
+    stages: int = 5  # version of what the stages do and write: a cell of another one is asked anew
 
     # Attribution.
     shape_settings: int = 4  # settings of an effect's shape parameter that are looked at; twice as many of several
+    scouts: int = 2  # recordings, those that leave most, on which the best of these settings is looked for
     default_step: float = 0.1  # of the range: the step of an amount that has no default of its own
     large_step: float = 5.0  # times the default step: wrinkling hides the answer to anything small
     exchanged_settings: int = (
@@ -110,10 +111,11 @@ class SearchSettings:
     difference: float = (
         0.1  # step of finite differences, of the scaled range; a shorter one sees the ripples of wrinkles
     )
-    tolerance: float = 0.005  # relative gain in the sum of squares below which two rounds in a row end a search
+    tolerance: float = 0.005  # relative gain in the sum of squares below which rounds in a row end a search
     contest_tolerance: float = (
         0.02  # the same of a search between candidates, if that is more: far below the tie margin
     )
+    patience: int = 2  # rounds in a row that gain less, after which a search ends
     starts: int = 31  # points of a first search that are looked at beside the defaults
     walks: int = 4  # from how many of the best of them it sets out
     restart_starts: int = 0  # the same of a search that begins at a known point

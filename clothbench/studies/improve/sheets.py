@@ -139,7 +139,8 @@ class SheetEvidence:
 
     kind: ClassVar[str] = "nodes"
     unit: ClassVar[Unit] = Unit("m", "mm", 1e3)
-    search: ClassVar[SearchSettings] = SearchSettings()
+    # A second round without a gain has steps so short that only ripples are drawn once more.
+    search: ClassVar[SearchSettings] = SearchSettings(patience=1)
     has_rerun: ClassVar[bool] = True
     textile: ClassVar[None] = None
 

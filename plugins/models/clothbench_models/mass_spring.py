@@ -52,7 +52,7 @@ class MassSpring:
     """
 
     name = "mass_spring"
-    version = 3
+    version = 4
     kind = "explicit"
     parameters = PARAMETERS
     textiles = TEXTILES

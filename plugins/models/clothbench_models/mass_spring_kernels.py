@@ -28,6 +28,7 @@ from clothbench.modelling import (
     TERMS_OF_MANY,
     Start,
     advance_segment,
+    apart_kernel,
     apply_effects,
     as_double,
     bear_inertia,
@@ -53,9 +54,9 @@ SWEEPS = 30  # at most, over all limited springs after one step
 SLACK = 0.001  # of a spring's length; strain beyond the limit that needs no further sweep
 
 
-@kernel
-def spring_forces(x, v, stride, rest, stiffness, damping, g):
-    """Force of one family of springs on its first nodes, g (3, n − stride) N:
+@apart_kernel
+def spring_forces(x, v, stride, rest, stiffness, damping, g, begin):
+    """Force of one family of springs on its first nodes, from place `begin` of g (3, begin + n) N on:
 
     g = [k (1 − L/l) + c (ḋ·d)/l²] d, with d = x_b − x_a, l = |d|: a linear spring and a dashpot along it
     (Provot 1995, section 3). `rest` L m, `stiffness` k N/m and `damping` c N·s/m per entry.
@@ -65,9 +66,9 @@ def spring_forces(x, v, stride, rest, stiffness, damping, g):
     bx, by, bz = x[0, stride : stride + n], x[1, stride : stride + n], x[2, stride : stride + n]
     au, av, aw = v[0, :n], v[1, :n], v[2, :n]
     bu, bv, bw = v[0, stride : stride + n], v[1, stride : stride + n], v[2, stride : stride + n]
-    gx, gy, gz = g[0, :n], g[1, :n], g[2, :n]
+    gx, gy, gz = g[0, begin : begin + n], g[1, begin : begin + n], g[2, begin : begin + n]
     one, tiny = x.dtype.type(1.0), x.dtype.type(TINY)  # a double constant would pull single precision up to double
-    for e in range(n):
+    for e in range(np.uint64(n)):
         dx, dy, dz = bx[e] - ax[e], by[e] - ay[e], bz[e] - az[e]
         closing = (bu[e] - au[e]) * dx + (bv[e] - av[e]) * dy + (bw[e] - aw[e]) * dz
         inverse = one / np.sqrt(dx * dx + dy * dy + dz * dz + tiny)
@@ -77,15 +78,15 @@ def spring_forces(x, v, stride, rest, stiffness, damping, g):
         gz[e] = q * dz
 
 
-@kernel
-def elastic_forces(x, stride, rest, stiffness, g):
+@apart_kernel
+def elastic_forces(x, stride, rest, stiffness, g, begin):
     """`spring_forces` without dashpots: g = k (1 − L/l) d."""
     n = x.shape[1] - stride
     ax, ay, az = x[0, :n], x[1, :n], x[2, :n]
     bx, by, bz = x[0, stride : stride + n], x[1, stride : stride + n], x[2, stride : stride + n]
-    gx, gy, gz = g[0, :n], g[1, :n], g[2, :n]
+    gx, gy, gz = g[0, begin : begin + n], g[1, begin : begin + n], g[2, begin : begin + n]
     one, tiny = x.dtype.type(1.0), x.dtype.type(TINY)
-    for e in range(n):
+    for e in range(np.uint64(n)):
         dx, dy, dz = bx[e] - ax[e], by[e] - ay[e], bz[e] - az[e]
         q = stiffness[e] * (one - rest[e] / np.sqrt(dx * dx + dy * dy + dz * dz + tiny))
         gx[e] = q * dx
@@ -93,19 +94,20 @@ def elastic_forces(x, stride, rest, stiffness, g):
         gz[e] = q * dz
 
 
-@kernel
-def add_pairwise(f, g, stride):
-    """f_a += g, f_b −= g: two passes, since one loop over overlapping rows could not be vectorised."""
-    n = f.shape[1] - stride
+@apart_kernel
+def add_pairwise(f, g, begin, stride):
+    """f += what springs do at their first nodes, − what they do at their second: f (3, n) N, g (3, begin + n) N.
+
+    A node's spring forward stands `begin` places on in g, the one that ends in it `stride` places before that; where
+    there is none, g is 0.
+    """
     for c in range(3):
-        first, second, force = f[c, :n], f[c, stride : stride + n], g[c, :n]
-        for e in range(n):
-            first[e] += force[e]
-        for e in range(n):
-            second[e] -= force[e]
+        own, forward, back = f[c], g[c, begin:], g[c, begin - stride :]
+        for e in range(np.uint64(own.shape[0])):
+            own[e] += forward[e] - back[e]
 
 
-@kernel
+@apart_kernel
 def kick_and_drift(x, v, f, inverse_mass, weight, kick, dt, keep):
     """v ← keep·v + kick·f/m, x ← x + dt·v, then f ← weight for the next step (symplectic Euler).
 
@@ -113,7 +115,7 @@ def kick_and_drift(x, v, f, inverse_mass, weight, kick, dt, keep):
     """
     for c in range(3):
         xc, vc, fc, wc = x[c], v[c], f[c], weight[c]
-        for e in range(xc.shape[0]):
+        for e in range(np.uint64(xc.shape[0])):
             w = vc[e] * keep[e] + kick[e] * (fc[e] * inverse_mass[e])
             vc[e] = w
             xc[e] += dt[e] * w
@@ -257,7 +259,8 @@ def _run_block(
     entries = n * lanes
     x, v = begins.x, begins.v
     f = np.empty((3, entries), x.dtype)
-    g, weights = np.empty((3, entries), x.dtype), np.empty((3, entries), x.dtype)
+    longest = strides.max()
+    g, weights = np.zeros((strides.shape[0], 3, longest + entries), x.dtype), np.empty((3, entries), x.dtype)
     inverse_mass, step = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
     kick, keep = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
     held = pins.shape[0] > 0
@@ -271,7 +274,7 @@ def _run_block(
         for c in range(3):
             weights[c, e] = mass[e // lanes] * sheet.gravity[c]
     f[:] = weights
-    extra = np.zeros((6, n if n_effects > 0 else 0))
+    extra, rooms = np.zeros((6, n if n_effects > 0 else 0)), np.empty((3, 3, n if n_effects > 0 else 0))
 
     began = np.zeros(lanes, np.int64)  # step at which the run proper began, −1 while a lane settles in its grips
     for lane in range(lanes):
@@ -302,13 +305,15 @@ def _run_block(
                     kick[e] = dt[lane]
         for family in range(strides.shape[0]):
             if damping.shape[0] > 0:
-                spring_forces(x, v, strides[family], rest[family], stiffness[family], dashpots[family], g)
+                spring_forces(
+                    x, v, strides[family], rest[family], stiffness[family], dashpots[family], g[family], longest
+                )
             else:
-                elastic_forces(x, strides[family], rest[family], stiffness[family], g)
-            add_pairwise(f, g, strides[family])
+                elastic_forces(x, strides[family], rest[family], stiffness[family], g[family], longest)
+            add_pairwise(f, g[family], longest, strides[family])
         if n_effects > 0:
             t = start + max(0, count - began[0]) * dt[0] if began[0] >= 0 else start
-            xd, vd, fd = as_double(x), as_double(v), as_double(f)
+            xd, vd, fd = as_double(x, rooms[0]), as_double(v, rooms[1]), as_double(f, rooms[2])
             show_grips(sheet, knots, curves[0], t, segment[0])
             if normals:
                 sheet_normals(xd, strides[1] // lanes, sheet)

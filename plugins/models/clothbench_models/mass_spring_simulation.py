@@ -13,7 +13,6 @@ import numpy as np
 from clothbench import ClothbenchError, Rollout
 from clothbench.modelling import (
     RESTS,
-    SETTLES,
     SLOTS,
     GridBatch,
     GridSimulation,
@@ -33,9 +32,7 @@ SETTLE = np.array([9.0, 36.0])  # least and most settling time in units of 1/ω�
 SMALL = 256  # nodes below which several parameter sets are interleaved
 LANES = 8  # doubles in one vector register of AVX-512
 REAL = {"double": np.float64, "single": np.float32}
-# Speed [m/s] at which a settling sheet hangs still: so small that it does not matter when exactly it stops, but above
-# what rounding alone keeps alive in single precision (about ω · 3e-8 m with ω of the stiffest mode).
-AT_REST = {"double": 1e-6, "single": 1e-3}
+AT_REST = 1e-6  # m/s at which a settling sheet hangs still: so slow that it does not matter when exactly it stops
 
 
 @dataclass(frozen=True)
@@ -125,59 +122,73 @@ class _Batch(GridBatch):
         self.strain_limit = math.inf if options.strain_limit is None else options.strain_limit
 
     @property
+    def rests_first(self) -> bool:
+        """Whether sheets come to rest in a loop of their own before that of the run: without the effects that act in
+        motion only, and in double precision, since in single rounding alone keeps soft modes moving.
+        """
+        here = self.hung is None and self.simulation.settles
+        return here and (self.terms > 0 or self.simulation.options.precision == "single")
+
+    @property
     def blocks(self) -> list[np.ndarray]:
         """Members that run together, similar steps side by side; one by one on a large grid."""
-        alone = self.simulation.nodes >= SMALL or self.terms > 0 or self.simulation.scene.thickness > 0
-        if alone:
+        many = self.simulation.nodes >= SMALL or self.simulation.scene.thickness > 0
+        if many or self.terms > 0 or self.rests_first:
             return [self.members[k : k + 1] for k in range(len(self.members))]
         order = self.members[np.argsort(self.dt[self.members], kind="stable")]
         return [order[k : k + LANES] for k in range(0, len(order), LANES)]
 
-    def start(self, members: np.ndarray, real: type) -> Start:
+    def start(self, members: np.ndarray) -> Start:
         """Where interleaved members begin."""
         each = [self.begin(int(b)) for b in members]
 
         def interleaved(rows: list[np.ndarray]) -> np.ndarray:
-            return np.ascontiguousarray(np.stack(rows, axis=2).reshape(3, -1), dtype=real)
+            return np.ascontiguousarray(np.stack(rows, axis=2).reshape(3, -1))
 
         return Start(interleaved([s.x for s in each]), interleaved([s.v for s in each]), each[0].settles)
 
-    def run_block(self, members: np.ndarray) -> None:
-        simulation, scene, precision = self.simulation, self.simulation.scene, self.simulation.options.precision
-        grid, effects, lanes, theta = simulation.grid, simulation.effects, len(members), self.theta[members]
-        real = REAL[precision]
-        stiffness = _of_springs(grid, simulation.stiffness(theta)).astype(real)
+    def springs(self, members: np.ndarray, real: type) -> kernels.Springs:
+        """The springs of members that run together, in the precision in which they run."""
+        simulation, lanes, theta = self.simulation, len(members), self.theta[members]
+        grid = simulation.grid
         damping, settle_damping = (
             (np.zeros((0, 0)) if dashpots is None else _of_springs(grid, dashpots)).astype(real)
             for dashpots in (simulation.dashpots(theta), simulation.dashpots(self.calmed[members]))
         )
-        out = np.full((lanes, *self.position.shape[1:]), np.nan)
-        status, steps = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64)
-        springs = kernels.Springs(
-            grid.strides * lanes, np.repeat(grid.rest, lanes, axis=1).astype(real), stiffness, damping, settle_damping,
+        return kernels.Springs(
+            grid.strides * lanes, np.repeat(grid.rest, lanes, axis=1).astype(real),
+            _of_springs(grid, simulation.stiffness(theta)).astype(real), damping, settle_damping,
             simulation.loss(theta), self.strain_limit, simulation.limited,
         )  # fmt: skip
-        slowest, sheet = simulation.slowest, simulation.sheet
-        settling = kernels.Settling(SETTLE / slowest, 2 * slowest, AT_REST[precision], self.settle_dt[members])
+
+    def run_block(self, members: np.ndarray) -> None:
+        simulation, scene, effects = self.simulation, self.simulation.scene, self.simulation.effects
+        lanes, slowest, sheet = len(members), simulation.slowest, simulation.sheet
+        out = np.full((lanes, *self.position.shape[1:]), np.nan)
+        status, steps = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64)
+        settling = kernels.Settling(SETTLE / slowest, 2 * slowest, AT_REST, self.settle_dt[members])
         terms = Terms(
-            self.stages, self.terms, effects.kernel_parameters(theta, SLOTS), effects.kernel_state(lanes, SLOTS, sheet)
-        )
-        begins, grips, layers = self.start(members, real), self.grips_of(members), layers_of(scene, sheet)
+            self.stages, self.terms, effects.kernel_parameters(self.theta[members], SLOTS),
+            effects.kernel_state(lanes, SLOTS, sheet),
+        )  # fmt: skip
+        begins, grips, layers = self.start(members), self.grips_of(members), layers_of(scene, sheet)
         sampling = Sampling(self.interpolator.index, self.interpolator.weight, self.times[members], out)
 
-        def march(begins: Start, effects: tuple[Callable, ...], sampling: Sampling) -> None:
+        def march(precision: str, begins: Start, effects: tuple[Callable, ...], sampling: Sampling) -> Start:
+            real = REAL[precision]
+            begins = begins._replace(x=begins.x.astype(real), v=begins.v.astype(real))
             kernels.run_block(precision)(
-                lanes, begins, springs, self.sheet(), *effects, terms, grips, self.obstacles, layers, self.bounds(),
-                scene.start_time, self.dt[members], settling, sampling, status, steps,
+                lanes, begins, self.springs(members, real), self.sheet(), *effects, terms, grips, self.obstacles,
+                layers, self.bounds(), scene.start_time, self.dt[members], settling, sampling, status, steps,
             )  # fmt: skip
+            return begins
 
-        if begins.settles == SETTLES and self.terms:  # without the effects that act in motion only
-            march(begins, self.settling_kernels, sampling._replace(times=np.zeros((lanes, 0))))
+        if self.rests_first:
+            hung = march("double", begins, self.settling_kernels, sampling._replace(times=np.zeros((lanes, 0))))
             self.steps[members] += steps
-            begins, steps[:] = begins._replace(settles=RESTS), 0
-            begins.v[:] = 0.0
+            begins, steps[:] = Start(hung.x, np.zeros_like(hung.v), RESTS), 0
         if not status.any():
-            march(begins, self.kernels, sampling)
+            march(simulation.options.precision, begins, self.kernels, sampling)
         self.position[members], self.status[members] = out, status
         self.steps[members] += steps
 

@@ -83,7 +83,7 @@ class MassSpringVerlet:
     """
 
     name = "mass_spring_verlet"
-    version = 2
+    version = 3
     kind = "explicit"
     parameters = _parameters()
     textiles = TEXTILES

@@ -20,7 +20,7 @@ class LeastSquares(GeneratorSearch):
     starts: points of a scrambled Sobol sequence (the defaults are one more); walks: from how many of the best of them
     to walk, one after the other; difference: step of the forward differences, in units of the scaled range, long enough
     to look over the ripples that folding cloth leaves in the error; tolerance: relative gain in the sum of squares
-    below which two rounds in a row end a walk. Each round simulates the Jacobian's points as one batch, where the
+    below which so many rounds in a row, `patience`, end a walk. Each round simulates the Jacobian's points as one batch, where the
     last one gained more than that, then four dampings as another.
     """
 
@@ -30,9 +30,10 @@ class LeastSquares(GeneratorSearch):
 
     def __init__(
         self, space: ParameterSpace, *, seed: int, budget: int,
-        starts: int = 31, walks: int = 2, difference: float = 0.03, tolerance: float = 1e-3,
+        starts: int = 31, walks: int = 2, difference: float = 0.03, tolerance: float = 1e-3, patience: int = 2,
     ):  # fmt: skip
-        self.starts, self.walks, self.difference, self.tolerance = starts, walks, difference, tolerance
+        self.starts, self.walks, self.difference = starts, walks, difference
+        self.tolerance, self.patience = tolerance, patience
         super().__init__(space, seed=seed, budget=budget)
 
     def steps(self) -> Steps:
@@ -51,9 +52,9 @@ class LeastSquares(GeneratorSearch):
         return "converged"
 
     def _walk(self, here: np.ndarray, residual: np.ndarray, cost_here: float) -> Walk:
-        """Descend from one point until two rounds in a row gain next to nothing."""
+        """Descend from one point until `patience` rounds in a row gain next to nothing."""
         damping, idle, jacobian = 0.01, 0, None
-        while idle < 2:
+        while idle < self.patience:
             if jacobian is None:
                 away = np.where(here + self.difference <= 1.0, self.difference, -self.difference)
                 shifted = yield here + np.diag(away)
