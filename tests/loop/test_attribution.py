@@ -9,7 +9,8 @@ import pytest
 
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.improve.attribution import exchange, explained_share, shape_settings, shifted
+from clothbench.studies.improve import attribution
+from clothbench.studies.improve.attribution import best_settings, exchange, explained_share, shape_settings, shifted
 from clothbench.studies.improve.fitted import Fitted, with_discrepancy
 from clothbench.studies.improve.selection import Candidate, allowances, choose
 
@@ -55,6 +56,27 @@ def test_share_of_what_is_really_in_it(fit):
     nothing = [np.random.default_rng(5).normal(size=(1, ROWS)) for _ in range(RECORDINGS)]
     assert explained_share(fit, nothing) < 0.05
     assert explained_share(fit, [np.full((1, ROWS), np.nan)] * RECORDINGS) == -1.0
+
+
+def test_the_shape_is_looked_for_where_most_is_left(fit, monkeypatch):
+    """On two recordings out of three, whatever the third has to say."""
+    loud = dataclasses.replace(fit, residual=[fit.residual[0], 3 * fit.residual[1], 2 * fit.residual[2]])
+    settings = [(np.array([shape, 0.0]), (1,), np.array([1.0])) for shape in range(5)]
+    asked = []
+
+    def tangents(problem, fitted, name, settings, where):
+        asked.append(list(where))
+        noise = np.random.default_rng(3).normal(size=(len(settings), len(where), ROWS))
+        out = [[1e-3 * noise[k, i][None] for i in range(len(where))] for k in range(len(settings))]
+        out[3] = [-loud.residual[r][None] for r in where]
+        return out
+
+    monkeypatch.setattr(attribution, "tangents", tangents)
+    monkeypatch.setattr(attribution, "shapes_looked_at", lambda problem, name: settings)
+    chosen, sets = best_settings(None, loud, "an effect with a shape")
+    assert asked == [[1, 2]]
+    assert chosen == [settings[3]]
+    assert sets == 4  # two thirds of five
 
 
 def test_no_time_after_the_end_is_looked_at():

@@ -101,6 +101,7 @@ def test_options_and_bounds_reach_the_search():
     )
     first, again = search_settings(problem, first=True), search_settings(problem, first=False)
     assert (first["walks"], first["tolerance"], first["starts"]) == (2, 1e-3, problem.evidence.search.starts)
+    assert first["patience"] == again["patience"] == problem.evidence.search.patience
     assert (again["walks"], again["tolerance"]) == (problem.evidence.search.restart_walks, 1e-3)
     assert fit(problem, (), None, 3).theta[0] == pytest.approx(30.0)
 

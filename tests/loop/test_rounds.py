@@ -13,7 +13,8 @@ from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import multistart
 from clothbench.studies.improve.loop import all_rounds
-from clothbench.studies.improve.refits import polished, standing
+from clothbench.studies.improve.refits import polished, refine_finalists, standing
+from clothbench.studies.improve.selection import Candidate
 from clothbench.studies.improve.settings import LOOP, SearchSettings
 from clothbench.studies.improve.state import Round
 
@@ -123,3 +124,23 @@ def test_a_fit_with_many_more_parameters_has_to_leave_so_much_less():
     )
     nothing = dataclasses.replace(simple, low=simple.low - 1)  # an amount that may be none is in nobody's way
     assert standing(problem, current, {nothing.effects: nothing}, rich) == np.inf
+
+
+@pytest.mark.parametrize(("floor", "sought"), [(1e-3, ["a", "c"]), (1.9e-3, ["a"])], ids=["room", "no room"])
+def test_nobody_is_sought_who_would_have_to_leave_less_than_the_floor(monkeypatch, floor, sought):
+    """With five parameters more it can only be named instead, if it leaves a quarter less: 1.7 of 2 mm."""
+    evidence = SimpleNamespace(search=SearchSettings(), objection=lambda before, after: "")
+    problem, current, asked = SimpleNamespace(evidence=evidence), fitted(9e-3), []
+
+    def multistart(problem, base, fit, rounds, goal):
+        asked.append(fit.effects[0])
+        return fit, 0
+
+    monkeypatch.setattr("clothbench.studies.improve.refits.multistart", multistart)
+    monkeypatch.setattr("clothbench.studies.improve.refits.polished", lambda problem, fit, account, goal: fit)
+    tried = [
+        Candidate(f.effects[0], 0.5, 0.005, fitted=f) for f in (with_wind("c", 5, 2.2e-3), with_wind("a", 0, 2e-3))
+    ]
+    found = refine_finalists(problem, current, floor, 1e-6, tried, Account(lambda *_: None), 0)
+    assert asked == sought
+    assert [c.fitted for c in found] == [c.fitted for c in tried]

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from clothbench.core.parameters import ParameterSpace
-from clothbench.estimation.trials import over
+from clothbench.estimation.trials import Trial, over
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.problem import Problem, array_digest, residuals
 from clothbench.studies.improve.settings import LOOP
@@ -127,13 +127,30 @@ def tangents(
     problem: Problem, fitted: Fitted, name: str, settings: Sequence[Setting], where: Sequence[int] | None = None
 ) -> list[list[np.ndarray]]:
     """What an effect's amounts alone change of the rollout at each of the settings of its shape, (k, M) for each fit
-    recording, or for those of the numbers `where`.
+    recording, or for those of the numbers `where`; kept for each setting and recording.
     """
-    rows = [(phi, i, step) for phi, amounts, steps in settings for i, step in zip(amounts, steps, strict=True)]
-    still = np.zeros(len(fitted.theta))
-    alone = response(problem, fitted, name, np.array([with_effect(fitted, still, *row) for row in rows]), where)
-    count = len(settings[0][1])
-    return [[c[k * count : (k + 1) * count] for c in alone] for k in range(len(settings))]
+    trials, still = problem.trials((*fitted.effects, name), "fit"), np.zeros(len(fitted.theta))
+    numbers = range(len(trials)) if where is None else where
+    theta = [
+        np.array([with_effect(fitted, still, phi, i, step) for i, step in zip(amounts, steps, strict=True)])
+        for phi, amounts, steps in settings
+    ]
+    question = ["tangent", fitted.effects, fitted.theta.tolist(), name]
+    keys = {r: [problem.key(*question, array_digest(sets), r) for sets in theta] for r in numbers}
+    kept = {r: [problem.checkpoint.recall(key) for key in keys[r]] for r in numbers}
+    change = {r: {k: found["change"] for k, found in enumerate(kept[r]) if found is not None} for r in numbers}
+    new = {r: [k for k in range(len(theta)) if k not in change[r]] for r in numbers}
+    asked = {id(trials[r]): r for r in numbers if new[r]}
+
+    def simulated(trial: Trial) -> list[np.ndarray]:
+        r = asked[id(trial)]
+        return np.split(residuals(trial, np.concatenate([theta[k] for k in new[r]])) - fitted.residual[r], len(new[r]))
+
+    for r, found in zip(asked.values(), over([trials[r] for r in asked.values()], simulated), strict=True):
+        for k, changed in zip(new[r], found, strict=True):
+            change[r][k] = changed
+            problem.checkpoint.keep(keys[r][k], change=changed)
+    return [[change[r][k] for r in numbers] for k in range(len(settings))]
 
 
 def explained_share(fitted: Fitted, change: list[np.ndarray]) -> float:
@@ -190,20 +207,13 @@ def ridge_solution(columns: np.ndarray, target: np.ndarray) -> np.ndarray:
     return np.linalg.solve(square + LOOP.ridge * np.trace(square) * np.eye(len(square)), columns.T @ target)
 
 
-def response(
-    problem: Problem, fitted: Fitted, name: str, theta: np.ndarray, where: Sequence[int] | None = None
-) -> list[np.ndarray]:
-    """What the candidate at theta (B, P) changes of the rollout, (B, M) for each fit recording, or for those of the
-    numbers `where`; kept.
-    """
-    trials = problem.trials((*fitted.effects, name), "fit")
-    numbers = range(len(trials)) if where is None else where
-    question = [fitted.effects, fitted.theta.tolist(), name, array_digest(theta), list(numbers)]
-    key = problem.key("probe", *question)
+def response(problem: Problem, fitted: Fitted, name: str, theta: np.ndarray) -> list[np.ndarray]:
+    """What the candidate at theta (B, P) changes of the rollout, (B, M) for each fit recording; kept."""
+    key = problem.key("probe", fitted.effects, fitted.theta.tolist(), name, array_digest(theta))
     if (known := problem.checkpoint.recall(key)) is not None:
         return [known[str(k)] for k in range(len(known))]
-    runs = over([trials[k] for k in numbers], lambda trial: residuals(trial, theta))
-    changes = [run - fitted.residual[k] for run, k in zip(runs, numbers, strict=True)]
+    runs = over(problem.trials((*fitted.effects, name), "fit"), lambda trial: residuals(trial, theta))
+    changes = [run - residual for run, residual in zip(runs, fitted.residual, strict=True)]
     problem.checkpoint.keep(key, **{str(k): change for k, change in enumerate(changes)})
     return changes
 

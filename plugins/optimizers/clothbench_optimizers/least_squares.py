@@ -20,8 +20,8 @@ class LeastSquares(GeneratorSearch):
     starts: points of a scrambled Sobol sequence (the defaults are one more); walks: from how many of the best of them
     to walk, one after the other; difference: step of the forward differences, in units of the scaled range, long enough
     to look over the ripples that folding cloth leaves in the error; tolerance: relative gain in the sum of squares
-    below which so many rounds in a row, `patience`, end a walk. Each round simulates the Jacobian's points as one batch, where the
-    last one gained more than that, then four dampings as another.
+    below which so many rounds in a row, `patience`, end a walk. Each round simulates the Jacobian's points as one
+    batch, where the last one gained more than that, then four dampings as another.
     """
 
     name = "least_squares"

@@ -1,0 +1,35 @@
+"""When the walks of `least_squares` end."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from clothbench_optimizers.least_squares import DAMPINGS, LeastSquares
+
+from clothbench.core.parameters import Parameter, ParameterSpace
+from clothbench.core.protocols import Evaluation
+from clothbench.estimation.search import drive
+
+SPACE = ParameterSpace(
+    tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.2, "a number", "a test") for n in ("a", "b", "c"))
+)
+
+
+def walked(**settings) -> tuple[np.ndarray, int]:
+    """Where one walk down a bowl ends (3,), and how many points it asked for."""
+
+    def evaluate(theta: np.ndarray) -> Evaluation:
+        residual = np.hstack([theta - 0.6, np.ones((len(theta), 1))])
+        return Evaluation(np.square(residual).sum(axis=1), residual)
+
+    search = LeastSquares(SPACE, seed=0, budget=200, starts=0, walks=1, **settings)
+    asked = [(theta, found.value) for theta, found in drive(search, evaluate)]
+    points, values = (np.concatenate(parts) for parts in zip(*asked, strict=True))
+    return points[int(np.argmin(values))], len(points)
+
+
+def test_a_walk_ends_after_as_many_rounds_without_a_gain_as_it_has_patience():
+    (end, few), (_, more), (_, most) = (walked(patience=patience) for patience in (1, 2, 3))
+    assert end == pytest.approx(0.6, abs=1e-3)
+    assert (more - few, most - more) == (len(DAMPINGS), len(DAMPINGS))
+    assert walked()[1] == more  # two, where nothing is said
