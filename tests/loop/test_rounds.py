@@ -13,7 +13,7 @@ from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import multistart
 from clothbench.studies.improve.loop import all_rounds
-from clothbench.studies.improve.refits import polished, refine_finalists, standing
+from clothbench.studies.improve.refits import polished, refine_finalists, refit, standing
 from clothbench.studies.improve.selection import Candidate
 from clothbench.studies.improve.settings import LOOP, SearchSettings
 from clothbench.studies.improve.state import Round
@@ -144,3 +144,17 @@ def test_nobody_is_sought_who_would_have_to_leave_less_than_the_floor(monkeypatc
     found = refine_finalists(problem, current, floor, 1e-6, tried, Account(lambda *_: None), 0)
     assert asked == sought
     assert [c.fitted for c in found] == [c.fitted for c in tried]
+
+
+@pytest.mark.parametrize(("left", "jumps"), [(1.3e-3, 1), (1.5e-3, 0)])
+def test_only_who_may_come_to_the_goal_jumps_along_its_valley(monkeypatch, left, jumps):
+    """The goal is 1 mm; twice its square is 1.41 mm."""
+    problem = SimpleNamespace(evidence=SimpleNamespace(search=SearchSettings()))
+    jumped, ended = [], with_wind("a", 0, left)
+    refits = "clothbench.studies.improve.refits"
+    monkeypatch.setattr(f"{refits}.first_order_starts", lambda current, probe: None)
+    monkeypatch.setattr(f"{refits}.fit", lambda *_, **__: ended)
+    monkeypatch.setattr(f"{refits}.jump_along_valley", lambda problem, fit: (jumped.append(1) or fit, 1))
+    found = refit(problem, fitted(9e-3), Candidate("a", 0.5, 0.005), None, 1e-6, Account(lambda *_: None))
+    assert found.fitted is ended
+    assert len(jumped) == jumps

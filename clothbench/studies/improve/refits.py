@@ -34,8 +34,9 @@ def refit(
     starts, tolerance = first_order_starts(current, probe), problem.evidence.search.contest_tolerance
     fitted = fit(problem, names, starts, LOOP.refit_rounds, goal=goal, tolerance=tolerance)
     account.count(fitted.evaluations)
-    fitted, count = jump_along_valley(problem, fitted)
-    account.count(count)
+    if near(fitted, goal, LOOP.jump_reach):
+        fitted, count = jump_along_valley(problem, fitted)
+        account.count(count)
     return dataclasses.replace(candidate, fitted=fitted)
 
 
@@ -117,9 +118,9 @@ def standing(problem: Problem, current: Fitted, better: Mapping[tuple[str, ...],
     return min(goals)
 
 
-def near(fitted: Fitted, goal: float) -> bool:
-    """Whether a fit may come to the goal if nothing but the ripple that it ended in keeps it from there."""
-    return fitted.rms**2 <= LOOP.polish_reach * goal
+def near(fitted: Fitted, goal: float, reach: float = LOOP.polish_reach) -> bool:
+    """Whether a fit may come to the goal if only the ripple, or the valley, that it ended in keeps it from there."""
+    return fitted.rms**2 <= reach * goal
 
 
 def polished(problem: Problem, fitted: Fitted, account: Account, goal: float = np.inf) -> Fitted:
