@@ -1,4 +1,4 @@
-"""The loop's own blind test: `python tools/blind_test.py --out FOLDER [--cases 0-5,26] [--model NAME]`.
+"""The loop's own blind test: `python tools/blind_test.py --out FOLDER [--cases 0-5,26] [--model NAME] [--keep]`.
 
 Every case is a piece of cloth that the reference simulation beside this file moves (finite elements on another mesh
 than any model's, explicit steps, noise, dropouts), with something in it that its recordings do not say. `clothbench
@@ -26,6 +26,7 @@ from clothbench.recordings.nodes import Recording, write_recording
 from clothbench.reference.kernels import Sheet
 from clothbench.reference.mesh import Mesh, build, tracking_weights
 from clothbench.reference.simulation import Fabric, State, bowed, discretise, settle, simulate, stable_step
+from clothbench.studies.improve.settings import LOOP
 
 NOISE, GRIP_NOISE, DROPOUT = 1e-3, 1e-4, 0.01
 HEIGHT, RATE = 1.0, 30.0  # m, Hz
@@ -464,10 +465,11 @@ def summary(rows: Sequence[dict]) -> str:
 
 def keep(rows: Sequence[dict]) -> None:
     """The rows for programs, and a table for people beside them."""
-    RESULTS.write_text(json.dumps({"summary": summary(rows), "cases": rows}, indent=1, ensure_ascii=False) + "\n")
+    table = {"summary": summary(rows), "stages": LOOP.stages, "cases": rows}
+    RESULTS.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n")
     lines = [
-        "`python tools/blind_test.py --out FOLDER --keep`, judged with springs where nothing else is said: "
-        f"{summary(rows)}.\n",
+        f"`python tools/blind_test.py --out FOLDER --keep`, {len(rows)} of {OTHER_MODELS[-1] + 1} cases, stages of "
+        f"version {LOOP.stages}, judged with springs where nothing else is said: {summary(rows)}.\n",
         "| case | planted | verdict | named | held out: before | after | floor | p | amounts inside | time |",
         "|---|---|---|---|---|---|---|---|---|---|",
     ]
@@ -503,8 +505,6 @@ def main() -> None:
     parser.add_argument("--model", help="in place of what a case is judged with: springs, or as it says itself")
     parser.add_argument("--keep", action="store_true", help=f"write the table to results/{RESULTS.stem}")
     options = parser.parse_args()
-    if options.keep and numbers(options.cases) != list(range(OTHER_MODELS[-1] + 1)):
-        parser.error("the table that is kept is of all cases; leave out --cases or --keep")
     options.out.mkdir(parents=True, exist_ok=True)
     rows = []
     for case in numbers(options.cases):
@@ -512,7 +512,7 @@ def main() -> None:
         print(line(rows[-1]), flush=True)
     print(summary(rows))
     if options.keep:
-        keep(rows)
+        keep(sorted(rows, key=lambda row: row["case"]))
 
 
 if __name__ == "__main__":
