@@ -118,6 +118,21 @@ def test_what_holds_for_all_recordings_comes_first():
     assert "pay for 8" in by_recording.too_little(refused, candidate("a", 4.5).fitted, 4.75, 8, 1.0)
 
 
+def test_only_what_may_come_below_what_holds_for_all_is_fitted():
+    """From a mean square of 25 to less than 1.21/1.4, what is named and eight numbers more: first order is to see at
+    least a third of that; and not at all where that is less than the floor.
+    """
+    before = fitted_to([np.full(FRAMES, 5.0)] * 3, np.random.default_rng(0))
+    shared = candidate("a", 1.1).fitted
+    goal = by_recording.bar(Round(before, 1.0, (candidate("a", 1.1),), (), ()), len(shared.theta) + 8)
+    assert goal == pytest.approx(1.21 / (1 + 8 * LOOP.parameter_penalty))
+    assert by_recording.within_reach(before, Candidate("b", 0.4, 0.01), goal, 0.5)
+    assert not by_recording.within_reach(before, Candidate("b", 0.3, 0.01), goal, 0.5)
+    assert not by_recording.within_reach(before, Candidate("b", 0.4, 0.01), goal, 1.0)
+    none = by_recording.bar(Round(before, 1.0, (candidate("a", 1.1, "unphysical"),), (), ()), 20)
+    assert by_recording.within_reach(before, Candidate("b", 0.1, 0.01), none, 1.0)
+
+
 @pytest.mark.parametrize(("delay", "why"), [(0.02, ""), (0.5, "its delay runs to the bound 0.5 in rec-01"), (1e-6, "")])
 def test_an_amount_at_its_bound_speaks_against_all(delay, why):
     bounded = dataclasses.replace(DELAY, bounds=(0.0, 0.5))

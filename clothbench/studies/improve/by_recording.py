@@ -44,7 +44,13 @@ def with_own_amounts(state: State, found: Round, candidates: Sequence[str], acco
     fall = least_fall(current, state.floor, state.noise)
     screened = screen(problem, current, [name for name in candidates if name not in current.effects])
     screened = with_what_is_known(screened, found.candidates)
-    promising = with_rivals(screened, fall / LOOP.first_order_optimism / current.rms**2)
+    promising = [
+        candidate
+        for candidate in with_rivals(screened, fall / LOOP.first_order_optimism / current.rms**2)
+        if within_reach(
+            current, candidate, bar(found, size_by_recording(problem, current, candidate.name)), state.floor
+        )
+    ]
     tried: list[Candidate] = []
     own: dict[str, Own] = {}
     for k, candidate in enumerate(promising[: LOOP.fitted_by_recording]):
@@ -86,6 +92,32 @@ def with_rivals(screened: Sequence[Candidate], promise: float) -> list[Candidate
     least = max((c.share for c in screened if not c.why_not), default=np.inf)
     rivals = [c for c in screened if not c.why_not or c.share >= (1 - LOOP.tie_margin) * least]
     return [dataclasses.replace(c, why_not="") for c in rivals if c.share >= promise]
+
+
+def within_reach(current: Fitted, candidate: Candidate, goal: float, floor: float) -> bool:
+    """Whether a candidate may come below the goal, by what it promises to first order; not if that is less than the
+    floor, from where nobody can tell it from what is named for all recordings.
+    """
+    least = (1 - LOOP.first_order_optimism * candidate.share) * current.rms**2
+    return bool(goal >= max(least, floor**2))
+
+
+def bar(found: Round, size: int) -> float:
+    """The mean square below which a fit with so many numbers, each recording's own among them, has to come beside those
+    effects that stand with amounts for all recordings; infinite where none does.
+    """
+    return min((below(c.fitted, size) for c in found.candidates if c.fitted and not c.why_not), default=np.inf)
+
+
+def below(shared: Fitted, size: int) -> float:
+    """What a fit with so many numbers has to leave less than, to be worth more than the shared one."""
+    return shared.rms**2 / (1 + LOOP.parameter_penalty * max(size - len(shared.theta), 0))
+
+
+def size_by_recording(problem: Problem, current: Fitted, name: str) -> int:
+    """How many numbers a fit has with what is each recording's own of an effect."""
+    own, all_ = len(own_names(problem, name)), len(problem.space_of(name))
+    return len(current.theta) + all_ + own * (len(current.residual) - 1)
 
 
 def size_of(own: Own) -> int:
@@ -277,8 +309,7 @@ def too_little(found: Round, fitted: Fitted, gain: float, more: int, fall: float
     if gain < LOOP.parameter_penalty * more * fitted.rms**2:
         return f"what it explains does not pay for {more} parameters"
     for shared in (c.fitted for c in found.candidates if c.fitted is not None and not c.why_not):
-        further = max(len(fitted.theta) + more - len(shared.theta), 0)
-        if shared.rms**2 <= (1 + LOOP.parameter_penalty * further) * fitted.rms**2:
+        if below(shared, len(fitted.theta) + more) <= fitted.rms**2:
             return f"{shared.effects[-1]} explains as much with an amount that holds for all recordings"
     return ""
 
