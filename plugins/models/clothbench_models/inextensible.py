@@ -33,6 +33,7 @@ from clothbench_models import baraff_witkin_kernels as triangles
 from clothbench_models import inextensible_kernels as kernels
 from clothbench_models.baraff_witkin import edge_widths, padded, triangle_edges
 from clothbench_models.bending import Diagonals, ThreadBending, bending_matrix
+from clothbench_models.inextensible_constraints import Constraints
 from clothbench_models.orthotropy import BEND_RATIO, OPTION, check_orthotropic, refuse_ratios, softer_share
 from clothbench_models.sheet_forces import CELLS
 
@@ -134,7 +135,7 @@ class InextensibleSimulation(GridSimulation):
         return ThreadBending.of(self.sheet)
 
     @cached_property
-    def constraints(self) -> kernels.Constraints:
+    def constraints(self) -> Constraints:
         """Rest lengths (2, P) m of u- and v-edges; (3, P): 1/L, 1/L, 1/√(h_u h_v), 0 where there is none; and how
         little each gives way (3, P) m/N. P = the nodes and nu + 1 places before and after them.
         """
@@ -150,7 +151,7 @@ class InextensibleSimulation(GridSimulation):
         # An edge of length L and width w of a sheet of k N/m gives way by L/(k w) a newton; a cell by one over k.
         one = np.stack([lengths[0] / TAUT, lengths[1] / TAUT, (cells > 0) / self.shear])
         give = np.divide(one, cloth, out=np.zeros_like(one), where=cloth > 0)
-        return kernels.Constraints(padded(lengths), padded(share), padded(give))
+        return Constraints(padded(lengths), padded(share), padded(give))
 
     def calmed(self, theta: np.ndarray) -> np.ndarray:
         """With one damping: what hangs still does not depend on it."""

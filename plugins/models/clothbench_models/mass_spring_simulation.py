@@ -151,13 +151,13 @@ class _Batch(GridBatch):
         """The springs of members that run together, in the precision in which they run."""
         simulation, lanes, theta = self.simulation, len(members), self.theta[members]
         grid = simulation.grid
-        damping, settle_damping = (
-            (np.zeros((0, 0)) if dashpots is None else _of_springs(grid, dashpots)).astype(real)
-            for dashpots in (simulation.dashpots(theta), simulation.dashpots(self.calmed[members]))
-        )
+
+        def of_each(values: np.ndarray | None) -> np.ndarray:
+            return np.zeros((0, 0), real) if values is None else _of_springs(grid, values).astype(real)
+
         return kernels.Springs(
-            grid.strides * lanes, np.repeat(grid.rest, lanes, axis=1).astype(real),
-            _of_springs(grid, simulation.stiffness(theta)).astype(real), damping, settle_damping,
+            grid.strides * lanes, np.repeat(grid.rest, lanes, axis=1).astype(real), of_each(simulation.stiffness(theta)),
+            of_each(simulation.dashpots(theta)), of_each(simulation.dashpots(self.calmed[members])),
             simulation.loss(theta), self.strain_limit, simulation.limited,
         )  # fmt: skip
 
