@@ -156,8 +156,9 @@ class _Batch(GridBatch):
             return np.zeros((0, 0), real) if values is None else _of_springs(grid, values).astype(real)
 
         return kernels.Springs(
-            grid.strides * lanes, np.repeat(grid.rest, lanes, axis=1).astype(real), of_each(simulation.stiffness(theta)),
-            of_each(simulation.dashpots(theta)), of_each(simulation.dashpots(self.calmed[members])),
+            grid.strides * lanes, np.repeat(grid.rest, lanes, axis=1).astype(real),
+            of_each(simulation.stiffness(theta)), of_each(simulation.dashpots(theta)),
+            of_each(simulation.dashpots(self.calmed[members])),
             simulation.loss(theta), self.strain_limit, simulation.limited,
         )  # fmt: skip
 
