@@ -8,7 +8,7 @@ import numpy as np
 from numba import types
 from numba.extending import overload
 
-from clothbench.core.kernels import apart_kernel, bundle_type, kernel
+from clothbench.core.kernels import bundle_type, kernel
 from clothbench.modelling.bound_effects import FORCE
 from clothbench.modelling.sheet import sheet_normals, wants_normals
 
@@ -140,42 +140,32 @@ def add_effects(t, dt, x, v, f, nu, sheet, effects, terms, grips, segment, extra
     )
 
 
-def as_double(array, room):
-    """The array (3, n) itself if it is double, else `room` (3, n), filled with its numbers: what effects, which know
-    doubles only, are shown.
-    """
+def as_double(array):
+    """The array itself if it is double, else a copy that is: what effects, which know doubles only, are shown."""
 
 
 @overload(as_double)
-def _as_double(array, room):
+def _as_double(array):
     if array.dtype == types.float64:
-        return lambda array, room: array
-
-    def widened(array, room):
-        _take(array, room)
-        return room
-
-    return widened
+        return lambda array: array
+    return lambda array: array.astype(np.float64)
 
 
-def put_back(array, room):
-    """Take the numbers of the room that `as_double` filled into the array; nothing where there was no need of it."""
+def put_back(array, copy):
+    """Take the numbers of a copy that `as_double` made into the array; nothing where that was no copy."""
 
 
 @overload(put_back)
-def _put_back(array, room):
+def _put_back(array, copy):
     if array.dtype == types.float64:
-        return lambda array, room: None
-    return lambda array, room: _take(room, array)
+        return lambda array, copy: None
 
+    def narrow(array, copy):
+        for c in range(array.shape[0]):
+            for e in range(array.shape[1]):
+                array[c, e] = copy[c, e]
 
-@apart_kernel
-def _take(array, room):
-    """room ← array, (3, n) each, of another precision."""
-    for c in range(array.shape[0]):
-        own, other = array[c], room[c]
-        for e in range(np.uint64(own.shape[0])):
-            other[e] = own[e]
+    return narrow
 
 
 @kernel

@@ -274,7 +274,7 @@ def _run_block(
         for c in range(3):
             weights[c, e] = mass[e // lanes] * sheet.gravity[c]
     f[:] = weights
-    extra, rooms = np.zeros((6, n if n_effects > 0 else 0)), np.empty((3, 3, n if n_effects > 0 else 0))
+    extra = np.zeros((6, n if n_effects > 0 else 0))
 
     began = np.zeros(lanes, np.int64)  # step at which the run proper began, −1 while a lane settles in its grips
     for lane in range(lanes):
@@ -313,7 +313,7 @@ def _run_block(
             add_pairwise(f, g[family], longest, strides[family])
         if n_effects > 0:
             t = start + max(0, count - began[0]) * dt[0] if began[0] >= 0 else start
-            xd, vd, fd = as_double(x, rooms[0]), as_double(v, rooms[1]), as_double(f, rooms[2])
+            xd, vd, fd = as_double(x), as_double(v), as_double(f)
             show_grips(sheet, knots, curves[0], t, segment[0])
             if normals:
                 sheet_normals(xd, strides[1] // lanes, sheet)
