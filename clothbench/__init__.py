@@ -83,6 +83,7 @@ _HOME = {
     "ShiftsSight": "core.optional",
     "ShiftsTimes": "core.optional",
     "ShowsSteps": "core.optional",
+    "StatesItsWork": "core.optional",
     "Stiffens": "core.optional",
     "VariesByRecording": "core.optional",
     "takes_option": "core.optional",

@@ -190,6 +190,15 @@ class HasBenchOptions(Protocol):
 
 
 @runtime_checkable
+class StatesItsWork(Protocol):
+    """work_per_node_step: what one node of one step takes, as "operations" (a multiplication and an addition are two),
+    "roots" (and divisions) and "numbers" that are loaded or stored. Without it: its speed is held against no ceiling.
+    """
+
+    work_per_node_step: Mapping[str, float]
+
+
+@runtime_checkable
 class HasEqualErrorOptions(Protocol):
     """equal_error_options: sets of options that are tried for speed at equal error. Without it: one set, empty."""
 
@@ -228,6 +237,11 @@ def repeatability_of(model: Any) -> float:
 def bench_options_of(factory: Any) -> list[dict[str, Any]]:
     """Sets of options that the speed of a model is measured with."""
     return [dict(one) for one in factory.bench_options] if isinstance(factory, HasBenchOptions) else [{}]
+
+
+def work_of(model: Any) -> Mapping[str, float] | None:
+    """What one node of one step takes; None if the model does not say."""
+    return model.work_per_node_step if isinstance(model, StatesItsWork) else None
 
 
 def equal_error_options_of(factory: Any) -> list[dict[str, Any]]:

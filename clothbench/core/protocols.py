@@ -122,7 +122,8 @@ class Model(Protocol):
     """A cloth model. Made by calling the registered attribute with its options as keywords.
 
     Optional: `MayBeAbsent`, `BuiltOn`, `RefusesScenes`, `KnowsMaterials`, `SaysMaterials`, `Refinable`, `HasKind`,
-    `Repeatable`, `HasBenchOptions`, `HasEqualErrorOptions`; by capability `AnswersCurves`, `FoldsStrips`.
+    `Repeatable`, `HasBenchOptions`, `HasEqualErrorOptions`, `StatesItsWork`; by capability `AnswersCurves`,
+    `FoldsStrips`.
     capabilities: "dynamic" (moves), "static" (finds rest), "effects" (takes them), "contact" (keeps out of the
     scene's obstacles), "self_contact" (keeps the scene's `thickness` between its own layers), "curve" (answers
     force-extension curves; with that alone, `prepare` refuses every scene), "fold" (folds strips on a desk, and says

@@ -23,6 +23,7 @@ from clothbench.core.optional import (
     takes_option,
     textile_of,
     why_skipped,
+    work_of,
 )
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Material, Model
@@ -46,6 +47,7 @@ from clothbench.testing.rules import (
 CAPABILITIES = frozenset(
     {"dynamic", "static", "effects", "contact", "self_contact", "curve", "fold", "moving_start", "outline"}
 )
+WORK = {"operations", "roots", "numbers"}
 CLOTH = Material(bending=1e-6, stretch=100.0, shear=50.0)
 STEPS_TO_TRY = 1e-3 * 2.0 ** np.arange(9)  # s, from fine to hopeless
 
@@ -102,6 +104,9 @@ def keeps_what_it_offers(case: ModelCase) -> None:
     require(length, f"repeatability {far!r}", "metres, 0 or above")
     named = all(isinstance(name, str) and name for name in libraries(make))
     require(named and not isinstance(getattr(make, "built_on", ()), str), f"built_on {libraries(make)}", "names")
+    work = work_of(model)
+    stated = work is None or (set(work) == WORK and all(np.isfinite(w) and w >= 0 for w in work.values()))
+    require(stated, f"work_per_node_step {work!r}", f"finite numbers of {', '.join(sorted(WORK))}")
     for options in (*bench_options_of(make), *equal_error_options_of(make)):
         found = f"options {options} to be measured with, which make no model"
         require(_can_be_made(make, options), found, "some that do")

@@ -19,6 +19,7 @@ from clothbench_models import peers
 
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.speed import bench, timing
+from clothbench.studies.speed.roofline import Work, measured_core
 
 SIDES = (9, 21, 41, 65)
 NODE_STEPS = 4e6  # in one timed call
@@ -59,6 +60,16 @@ def kernel_run(side: int, batch: int, precision: str):
     mass = peers.node_mass(side, timing.SIZE, timing.AREAL_DENSITY)
     theta[:, simulation.parameters.names.index("k1")] = peers.stable_stiffness(mass, timing.STEP)
     return lambda: simulation.run(theta)
+
+
+def test_one_core_does_more_in_single_precision():
+    """A register holds twice as many numbers; and without roots nothing bounds them."""
+    double, single = measured_core("double"), measured_core("single")
+    assert (double.size, single.size) == (8, 4)
+    work = Work(operations=200.0, roots=0.0, numbers=2.0)
+    assert double.ceilings(work)["roots"] == np.inf
+    assert min(double.ceilings(work), key=double.ceilings(work).get) == "arithmetic"
+    assert single.operations > 1.2 * double.operations
 
 
 @pytest.mark.parametrize("precision", ["double", "single"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import MappingProxyType
 from typing import ClassVar
 
 import numpy as np
@@ -286,6 +287,10 @@ class Untimed(Faulty):
     bench_options = ({"nonsense": 1},)
 
 
+class Idle(Faulty):
+    work_per_node_step = MappingProxyType({"operations": 10.0, "roots": -1.0, "numbers": 3.0})
+
+
 class Moody(Faulty):
     def skip(self, scene):
         return True
@@ -322,6 +327,7 @@ CASES = [
     (Undecided, "keeps what it offers", "kind 'sometimes'"),
     (Unrepeatable, "keeps what it offers", "repeatability -1.0"),
     (Untimed, "keeps what it offers", "options {'nonsense': 1} to be measured with"),
+    (Idle, "keeps what it offers", "work_per_node_step"),
     (Moody, "keeps what it offers", "→ True"),
     (Vague, "keeps what it offers", "of_material in scene"),
     (Loose, "keeps what it offers", "threads 'many'"),

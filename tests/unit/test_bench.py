@@ -11,6 +11,8 @@ from clothbench import ClothbenchError
 from clothbench.display.terminal import console
 from clothbench.plugins.discovery import Catalogue, Plugin
 from clothbench.studies.speed import bench, timing
+from clothbench.studies.speed.answer import answer_of
+from clothbench.studies.speed.roofline import Core
 from clothbench.studies.speed.tables import speed_tables
 
 SCHEMA = [
@@ -46,6 +48,10 @@ TOYS = """
 
         def diverges(self, scene):
             return False
+
+    class Counted(Toy):
+        bench_options = ({},)
+        work_per_node_step = {"operations": 4.0, "roots": 1.0, "numbers": 8.0}
 
     class Still(Toy):
         capabilities = frozenset({"static"})
@@ -117,6 +123,22 @@ def test_every_case_of_a_model_stands_beside_every_peer(install, monkeypatch):
     assert cases == expected
     about = {(r["kind"], r["version"], r["peer"], r["note"]) for r in rows}
     assert about == {("explicit", 3, "toys", "step 0.2 ms")}
+
+
+def test_a_model_that_says_what_its_steps_take_is_held_against_the_roofline(install, one_core, monkeypatch):
+    """Of 64 B, 4 operations and a root a node-step, with a core that moves 6.4 GB/s, does 1 Gflop/s and half a billion roots."""
+    core = Core(operations=1e9, roots=0.5e9, bytes=6.4e9, size=8)
+    monkeypatch.setattr(bench, "measured_core", lambda precision: core)
+    install("Counted", "Still", "Stiff", peers=("toys",))
+    rows = bench.run_bench(sides=(5, 7))
+    found = [r for r in rows if r["peer"] == bench.ROOFLINE]
+    fastest = max(r["node_steps_per_s"] for r in rows if r["model"] == "counted")
+    assert [r["model"] for r in found] == ["counted"]
+    assert found[0]["ratio"] == pytest.approx(fastest / 1e8)
+    lines = [line for line in speed_tables(rows) if isinstance(line, str)]
+    assert "of 100 million node-steps/s that memory allows one core (6 GB/s, 64 B a node-step)" in lines[-1]
+    assert "arithmetic would allow 250, roots would allow 500" in lines[-1]
+    assert bench.ROOFLINE not in answer_of(rows)
 
 
 def test_ratios_are_per_thread_and_to_the_peer_of_the_same_size(install, monkeypatch):

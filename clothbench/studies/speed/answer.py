@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from clothbench.display.answer import Card, answer
 from clothbench.display.html import group, text
-from clothbench.studies.speed.bench import PROCESSES, Row
+from clothbench.studies.speed.bench import NO_PEERS, Row
 from clothbench.studies.speed.timing import TOLERABLE
 
 
 def answer_of(rows: Sequence[Row]) -> str:
     """The answer over all measurements, as HTML; "" where there are none."""
-    peers = {r["peer"] for r in rows} - {None, PROCESSES}
-    mine = [r for r in rows if r["model"] not in peers and r["peer"] != PROCESSES]
+    peers = {r["peer"] for r in rows}.difference(NO_PEERS)
+    mine = [r for r in rows if r["model"] not in peers and (r["peer"] in peers or r["peer"] is None)]
     plain, equal = ([r for r in mine if (r["error_m"] is not None) == at_equal] for at_equal in (False, True))
     if not plain:
         return ""
@@ -52,7 +52,7 @@ def kind_card(row: Row) -> Card:
 def peer_cards(rows: Sequence[Row]) -> list[Card]:
     """How many times as quick as each peer the models are, per core."""
     out = []
-    known = [r for r in rows if r["ratio"] is not None and r["peer"] not in (None, PROCESSES)]
+    known = [r for r in rows if r["ratio"] is not None and r["peer"] not in NO_PEERS]
     for peer, mine in sorted(group(known, lambda r: r["peer"]).items()):
         low, high = (end(r["ratio"] for r in mine) for end in (min, max))
         said = f"{low:.2g} × … {high:.2g} ×" if len(mine) > 1 else f"{low:.2g} ×"

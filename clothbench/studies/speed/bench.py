@@ -21,9 +21,11 @@ from clothbench.core.optional import (
     equal_error_options_of,
     kind_of_model,
     takes_option,
+    work_of,
 )
 from clothbench.core.parallel import thread_count
 from clothbench.plugins.discovery import Plugin, catalogue, library_version, one_line
+from clothbench.studies.speed.roofline import Work, measured_core, told
 from clothbench.studies.speed.timing import (
     STEP,
     FailedRun,
@@ -46,6 +48,9 @@ CONVERGED = {"explicit": 0.5}  # of a model's default step, whose motion stands 
 BATCH = 64
 PEER_STEP = f"step {1e3 * STEP:g} ms"
 PROCESSES = "separate processes"
+ROOFLINE = "roofline of one core"
+NO_PEERS = (None, PROCESSES, ROOFLINE)  # what else rows are held against
+DOUBLE = "double"
 
 Row = dict[str, Any]
 Say = Callable[[str], None]
@@ -67,6 +72,9 @@ def run_bench(sides: Sequence[int] = SIDES, progress: Say | None = None, chosen:
         beside = [row for peer in peers for row in _peer_rows(peer, side, say)]
         rows += beside
         rows += [row for variant in variants for row in _model_rows(variant, side, beside, say)]
+    for variant in variants:
+        with _or_skipped(f"roofline of {variant.name}"):
+            rows += _roofline_rows(variant, rows, say)
     middle = min(sides, key=lambda side: abs(side - 21))
     for name in dict.fromkeys(v.name for v in variants):
         say(f"{name}: threads against {PROCESSES}")
@@ -190,6 +198,24 @@ def _measure(variant: _Variant, side: int, threads: int, batch: int) -> Row:
             pass
     model = variant.make()
     return variant.row(model, time_model(model, side, batch, threads), threads, batch, "own step")
+
+
+def _roofline_rows(variant: _Variant, rows: Sequence[Row], say: Say) -> list[Row]:
+    """The fastest of a model's measurements on one thread as a share of what its core could do at most, if the model
+    says what its steps take.
+    """
+    model = variant.make()
+    stated, precision = work_of(model), variant.options.get("precision") or getattr(model, "precision", None) or DOUBLE
+    mine = [r for r in rows if r["model"] == variant.name and r["threads"] == 1 and r["error_m"] is None]
+    mine = [r for r in mine if (r["precision"] or DOUBLE) == precision]
+    if stated is None or not mine:
+        return []
+    work = Work(**stated)
+    say(f"{variant.name}: {ROOFLINE}, {precision}")
+    core, best = measured_core(precision), max(mine, key=lambda r: r["node_steps_per_s"])
+    speed = best["node_steps_per_s"]
+    share = speed / min(core.ceilings(work).values())
+    return [best | {"peer": ROOFLINE, "ratio": share, "note": told(f"{variant.name}, {precision}", speed, core, work)}]
 
 
 def _equal_rows(plugin: Plugin, side: int, say: Say) -> list[Row]:

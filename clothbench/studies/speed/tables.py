@@ -13,7 +13,7 @@ from clothbench.display.html import text
 from clothbench.display.section import Section
 from clothbench.engine.study import Results
 from clothbench.studies.speed.answer import answer_of
-from clothbench.studies.speed.bench import PEER_STEP, PROCESSES, Row
+from clothbench.studies.speed.bench import NO_PEERS, PEER_STEP, PROCESSES, ROOFLINE, Row
 from clothbench.studies.speed.timing import TOLERABLE
 
 
@@ -43,19 +43,20 @@ def _page_line(row: Row) -> list[str]:
 def speed_tables(rows: Sequence[Row]) -> list[Any]:
     """A line for each measurement, with its ratio to each peer; then the share of separate processes."""
     equal, rows = [r for r in rows if r["error_m"] is not None], [r for r in rows if r["error_m"] is None]
-    peers = list(dict.fromkeys(r["peer"] for r in rows if r["peer"] not in (None, PROCESSES)))
+    peers = list(dict.fromkeys(r["peer"] for r in rows if r["peer"] not in NO_PEERS))
     table = Table(title="speed; × a peer: per core", title_justify="left", title_style="bold")
     for name in ("model", "kind", "precision", "step"):
         table.add_column(name, no_wrap=True)
     beside = [f"× {p}" for p in peers]
     for name in ("nodes", "threads", "batch", "million node-steps/s", "× real time", *beside):
         table.add_column(name, justify="right")
-    for cells in _lines([r for r in rows if r["peer"] != PROCESSES], peers):
+    for cells in _lines([r for r in rows if r["peer"] not in (PROCESSES, ROOFLINE)], peers):
         table.add_row(*map(escape, cells))
     out: list[Any] = [table]
     for row in (r for r in rows if r["peer"] == PROCESSES):
         what = f"{row['model']}, {row['nodes']} nodes, {row['threads']} threads"
         out.append(f"{escape(what)}: {row['ratio']:.2f}, {escape(row['note'])}")
+    out += [escape(row["note"]) for row in rows if row["peer"] == ROOFLINE]
     if not equal:
         return out
     title = f"one sheet per core, longest step that errs by {1e3 * TOLERABLE:g} mm at most"
