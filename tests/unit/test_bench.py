@@ -126,7 +126,7 @@ def test_every_case_of_a_model_stands_beside_every_peer(install, monkeypatch):
 
 
 def test_a_model_that_says_what_its_steps_take_is_held_against_the_roofline(install, one_core, monkeypatch):
-    """64 B, 4 operations and a root a node-step; a core that does 6.4 GB/s, 1 Gflop/s and half a billion roots a second."""
+    """64 B, 4 operations and a root a node-step; 6.4 GB, a billion operations and half as many roots a second."""
     core = Core(operations=1e9, roots=0.5e9, bytes=6.4e9, size=8)
     monkeypatch.setattr(bench, "measured_core", lambda precision: core)
     install("Counted", "Still", "Stiff", peers=("toys",))
