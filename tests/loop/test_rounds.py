@@ -146,15 +146,18 @@ def test_nobody_is_sought_who_would_have_to_leave_less_than_the_floor(monkeypatc
     assert [c.fitted for c in found] == [c.fitted for c in tried]
 
 
-@pytest.mark.parametrize(("left", "jumps"), [(1.3e-3, 1), (1.5e-3, 0)])
-def test_only_who_may_come_to_the_goal_jumps_along_its_valley(monkeypatch, left, jumps):
-    """The goal is 1 mm; twice its square is 1.41 mm."""
+def test_a_candidate_is_fitted_from_whichever_of_its_probes_leaves_least(monkeypatch):
+    """First order may promise most where a wind blows the wrong way."""
     problem = SimpleNamespace(evidence=SimpleNamespace(search=SearchSettings()))
-    jumped, ended = [], with_wind("a", 0, left)
-    refits = "clothbench.studies.improve.refits"
-    monkeypatch.setattr(f"{refits}.first_order_starts", lambda current, probe: None)
-    monkeypatch.setattr(f"{refits}.fit", lambda *_, **__: ended)
-    monkeypatch.setattr(f"{refits}.jump_along_valley", lambda problem, fit: (jumped.append(1) or fit, 1))
-    found = refit(problem, fitted(9e-3), Candidate("a", 0.5, 0.005), None, 1e-6, Account(lambda *_: None))
+    refits, asked, ended = "clothbench.studies.improve.refits", [], with_wind("a", 0, 1e-3)
+
+    def fit(problem, names, starts, *_, **__):
+        asked.extend(starts.tolist())
+        return ended
+
+    monkeypatch.setattr(f"{refits}.first_order_starts", lambda current, probe: np.full((3, 2), float(probe)))
+    monkeypatch.setattr(f"{refits}.fit", fit)
+    monkeypatch.setattr(f"{refits}.jump_along_valley", lambda problem, fit: (fit, 1))
+    found = refit(problem, fitted(9e-3), Candidate("a", 0.5, 0.005), [1, 2], 1e-6, Account(lambda *_: None))
     assert found.fitted is ended
-    assert len(jumped) == jumps
+    assert asked == [[1.0, 1.0]] * 3 + [[2.0, 2.0]] * 3

@@ -23,20 +23,22 @@ def refit(
     problem: Problem,
     current: Fitted,
     candidate: Candidate,
-    probe: Probe,
+    probes: Sequence[Probe],
     goal: float,
     account: Account,
 ) -> Candidate:
-    """Everything fitted again with the candidate, from its probe's first-order amount, and beyond the ripple that
-    this may end in; given up where it will not come below the goal, above which it can be neither named nor tied.
+    """Everything fitted again with the candidate, from the first-order amount of that of its probes where this leaves
+    least, and beyond the ripple that it may end in; given up where it will not come below the goal, above which it can
+    be neither named nor tied.
     """
     names = (*current.effects, candidate.name)
-    starts, tolerance = first_order_starts(current, probe), problem.evidence.search.contest_tolerance
+    starts = np.vstack([first_order_starts(current, probe) for probe in probes])
+    tolerance = problem.evidence.search.contest_tolerance
     fitted = fit(problem, names, starts, LOOP.refit_rounds, goal=goal, tolerance=tolerance)
     account.count(fitted.evaluations)
-    if near(fitted, goal, LOOP.jump_reach):
-        fitted, count = jump_along_valley(problem, fitted)
-        account.count(count)
+    # However far it is from the goal: out of a wrong valley a jump may lead all the way (wind that blew the other way).
+    fitted, count = jump_along_valley(problem, fitted)
+    account.count(count)
     return dataclasses.replace(candidate, fitted=fitted)
 
 
@@ -118,9 +120,9 @@ def standing(problem: Problem, current: Fitted, better: Mapping[tuple[str, ...],
     return min(goals)
 
 
-def near(fitted: Fitted, goal: float, reach: float = LOOP.polish_reach) -> bool:
-    """Whether a fit may come to the goal if only the ripple, or the valley, that it ended in keeps it from there."""
-    return fitted.rms**2 <= reach * goal
+def near(fitted: Fitted, goal: float) -> bool:
+    """Whether a fit may come to the goal if nothing but the ripple that it ended in keeps it from there."""
+    return fitted.rms**2 <= LOOP.polish_reach * goal
 
 
 def polished(problem: Problem, fitted: Fitted, account: Account, goal: float = np.inf) -> Fitted:

@@ -57,9 +57,8 @@ def one_round(
         account.stage(f"round {turn + 1}: refits", k, len(promising))
         rivals = [problem.evidence.search.contention * c.fitted.rms**2 for c in tried if c.fitted]
         goal = min([current.rms**2 - fall / 2, *rivals])
-        best = best_probe(candidate.name, found, test)
-        assert best is not None  # it was screened
-        tried.append(refit(problem, current, candidate, found[best], goal, account))
+        probes = [probe for probe in found if probe.effect == candidate.name]
+        tried.append(refit(problem, current, candidate, probes, goal, account))
     tried = refine_finalists(problem, current, floor, fall, tried, account, turn)
     assessed = assess(current, fall, tried, problem.evidence)
     if named := choose(current, assessed):

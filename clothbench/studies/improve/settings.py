@@ -85,7 +85,6 @@ class LoopSettings:
     profile_overshoot: float = 2.0  # times too high a rise, beyond which a nearer point is asked for
     profile_steps: int = 5  # Gauss-Newton steps of the others at each: too few, and a valley is taken for its wall
     jump_factor: float = 2.0  # by which an amount is changed at once to get out of a local minimum
-    jump_reach: float = 2.0  # times the goal: a candidate that leaves more will not come to it so
     jump_steps: int = 2  # Gauss-Newton steps of the others there
     jump_limit: int = 4  # jumps in a row at most
     jump_rounds: int = 1  # rounds of the search after a jump, where only a comparison of candidates is at stake
