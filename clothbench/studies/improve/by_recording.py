@@ -106,7 +106,12 @@ def bar(found: Round, size: int) -> float:
     """The mean square below which a fit with so many numbers, each recording's own among them, has to come beside those
     effects that stand with amounts for all recordings; infinite where none does.
     """
-    return min((below(c.fitted, size) for c in found.candidates if c.fitted and not c.why_not), default=np.inf)
+    return min((below(shared, size) for shared in standing_fits(found)), default=np.inf)
+
+
+def standing_fits(found: Round) -> list[Fitted]:
+    """The fits of effects that stand with amounts for all recordings."""
+    return [c.fitted for c in found.candidates if c.fitted is not None and not c.why_not]
 
 
 def below(shared: Fitted, size: int) -> float:
@@ -308,7 +313,7 @@ def too_little(found: Round, fitted: Fitted, gain: float, more: int, fall: float
         return "its amounts by recording explain too little"
     if gain < LOOP.parameter_penalty * more * fitted.rms**2:
         return f"what it explains does not pay for {more} parameters"
-    for shared in (c.fitted for c in found.candidates if c.fitted is not None and not c.why_not):
+    for shared in standing_fits(found):
         if below(shared, len(fitted.theta) + more) <= fitted.rms**2:
             return f"{shared.effects[-1]} explains as much with an amount that holds for all recordings"
     return ""

@@ -6,14 +6,14 @@ from collections.abc import Sequence
 
 from clothbench.display.answer import Card, answer
 from clothbench.display.html import group, text
-from clothbench.studies.speed.bench import NO_PEERS, Row
+from clothbench.studies.speed.bench import ASIDE, NO_PEERS, Row
 from clothbench.studies.speed.timing import TOLERABLE
 
 
 def answer_of(rows: Sequence[Row]) -> str:
     """The answer over all measurements, as HTML; "" where there are none."""
     peers = {r["peer"] for r in rows}.difference(NO_PEERS)
-    mine = [r for r in rows if r["model"] not in peers and (r["peer"] in peers or r["peer"] is None)]
+    mine = [r for r in rows if r["model"] not in peers and r["peer"] not in ASIDE]
     plain, equal = ([r for r in mine if (r["error_m"] is not None) == at_equal] for at_equal in (False, True))
     if not plain:
         return ""

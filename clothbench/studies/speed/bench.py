@@ -49,8 +49,8 @@ BATCH = 64
 PEER_STEP = f"step {1e3 * STEP:g} ms"
 PROCESSES = "separate processes"
 ROOFLINE = "roofline of one core"
-NO_PEERS = (None, PROCESSES, ROOFLINE)  # what else rows are held against
-DOUBLE = "double"
+ASIDE = (PROCESSES, ROOFLINE)  # what rows that are no speeds of their own are held against
+NO_PEERS = (None, *ASIDE)
 
 Row = dict[str, Any]
 Say = Callable[[str], None]
@@ -138,10 +138,13 @@ class _Variant:
     def at_step(self, dt: float) -> Any:
         return self.make(dt=dt)
 
+    def precision_of(self, model: Any) -> str | None:
+        return getattr(model, "precision", None) or self.options.get("precision")
+
     def row(self, model: Any, speed: Speed, threads: int, batch: int, note: str | None) -> Row:
         about = {
             "kind": kind_of_model(model) or None,
-            "precision": getattr(model, "precision", None) or self.options.get("precision"),
+            "precision": self.precision_of(model),
             "version": getattr(model, "version", None),
         }
         return _row(self.name, speed, threads, batch) | about | {"note": note}
@@ -205,12 +208,11 @@ def _roofline_rows(variant: _Variant, rows: Sequence[Row], say: Say) -> list[Row
     says what its steps take.
     """
     model = variant.make()
-    stated, precision = work_of(model), variant.options.get("precision") or getattr(model, "precision", None) or DOUBLE
-    mine = [r for r in rows if r["model"] == variant.name and r["threads"] == 1 and r["error_m"] is None]
-    mine = [r for r in mine if (r["precision"] or DOUBLE) == precision]
+    stated, own = work_of(model), (variant.name, variant.precision_of(model), 1, None)
+    mine = [r for r in rows if (r["model"], r["precision"], r["threads"], r["error_m"]) == own]
     if stated is None or not mine:
         return []
-    work = Work(**stated)
+    work, precision = Work(**stated), variant.precision_of(model) or "double"
     say(f"{variant.name}: {ROOFLINE}, {precision}")
     core, best = measured_core(precision), max(mine, key=lambda r: r["node_steps_per_s"])
     speed = best["node_steps_per_s"]

@@ -1,7 +1,7 @@
 """What one core could do at most: the roofline of Williams, Waterman and Patterson 2009 (Roofline, section 3).
 
-A model says what one node of one step takes (`work_per_node_step`): operations, roots and divisions among them, and
-numbers that go to and from memory. How fast this core does each of these is measured, from vectors that stay in the
+A model says what one node of one step takes (`work_per_node_step`): operations, roots and divisions apart from them,
+and numbers that go to and from memory. How fast this core does each of these is measured, from vectors that stay in the
 nearest cache; the slowest of them is the ceiling. A faster model has to do less, not the same more cleverly.
 """
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from clothbench.engine.rows import about_cell, no_value
 from clothbench.engine.study import Context, Result
-from clothbench.studies.speed.bench import PROCESSES, ROOFLINE, Row, run_bench
+from clothbench.studies.speed.bench import ASIDE, Row, run_bench
 from clothbench.studies.speed.cell import SpeedCell
 
 
@@ -17,7 +17,7 @@ def run(cell: SpeedCell, context: Context) -> Result:
         rows += run_bench([side], chosen=cell.models)
         context.progress(number, float(number))
     about = {**about_cell(cell), **no_value(), "wall_s": time.perf_counter() - began}
-    measured = {_case(row): row for row in rows if row["peer"] not in (PROCESSES, ROOFLINE)}
+    measured = {_case(row): row for row in rows if row["peer"] not in ASIDE}
     if not measured:
         return Result("skipped", {"rows": [_row(about, cell.case, None)]})
     found = [_row(about, case, row) for case, row in measured.items()]

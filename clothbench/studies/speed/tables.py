@@ -13,7 +13,7 @@ from clothbench.display.html import text
 from clothbench.display.section import Section
 from clothbench.engine.study import Results
 from clothbench.studies.speed.answer import answer_of
-from clothbench.studies.speed.bench import NO_PEERS, PEER_STEP, PROCESSES, ROOFLINE, Row
+from clothbench.studies.speed.bench import ASIDE, NO_PEERS, PEER_STEP, PROCESSES, ROOFLINE, Row
 from clothbench.studies.speed.timing import TOLERABLE
 
 
@@ -25,10 +25,11 @@ def sections(results: Results) -> list[Section]:
     """What `show` prints, as one table of the page."""
     head = ["model", "kind", "precision", "step", "nodes", "threads", "batch", "million node-steps/s", "× real time",
             "peer", "× peer, per core", "error [mm]"]  # fmt: skip
-    body = [[text(cell) for cell in _page_line(row)] for row in results.table("speeds")]
+    rows = results.table("speeds")
+    body = [[text(cell) for cell in _page_line(row)] for row in rows if row["peer"] != ROOFLINE]
     note = '<p class="soft">All in one run, after warm-up. With an error: at the longest step that keeps to it.</p>'
-    found = answer_of(results.table("speeds"))
-    return [Section(f"{found}<h2>Speed</h2>{note}" + html_table(head, body, numeric={4, 5, 6, 7, 8, 10, 11}))]
+    note += "".join(f"<p>{text(line)}</p>" for line in _rooflines(rows))
+    return [Section(f"{answer_of(rows)}<h2>Speed</h2>{note}" + html_table(head, body, numeric={4, 5, 6, 7, 8, 10, 11}))]
 
 
 def _page_line(row: Row) -> list[str]:
@@ -38,6 +39,11 @@ def _page_line(row: Row) -> list[str]:
     pace = [f"{row['node_steps_per_s'] / 1e6:.1f}", f"{row['realtime_factor']:.3g}"]
     ratio = "" if row["ratio"] is None else f"{row['ratio']:.2f}"
     return [*(str(a or "") for a in about), *pace, row["peer"] or "", ratio, error]
+
+
+def _rooflines(rows: Sequence[Row]) -> list[str]:
+    """The lines on what one core could do at most, each once, however many sheets were measured apart."""
+    return list(dict.fromkeys(row["note"] for row in rows if row["peer"] == ROOFLINE))
 
 
 def speed_tables(rows: Sequence[Row]) -> list[Any]:
@@ -50,13 +56,13 @@ def speed_tables(rows: Sequence[Row]) -> list[Any]:
     beside = [f"× {p}" for p in peers]
     for name in ("nodes", "threads", "batch", "million node-steps/s", "× real time", *beside):
         table.add_column(name, justify="right")
-    for cells in _lines([r for r in rows if r["peer"] not in (PROCESSES, ROOFLINE)], peers):
+    for cells in _lines([r for r in rows if r["peer"] not in ASIDE], peers):
         table.add_row(*map(escape, cells))
     out: list[Any] = [table]
     for row in (r for r in rows if r["peer"] == PROCESSES):
         what = f"{row['model']}, {row['nodes']} nodes, {row['threads']} threads"
         out.append(f"{escape(what)}: {row['ratio']:.2f}, {escape(row['note'])}")
-    out += [escape(row["note"]) for row in rows if row["peer"] == ROOFLINE]
+    out += map(escape, _rooflines(rows))
     if not equal:
         return out
     title = f"one sheet per core, longest step that errs by {1e3 * TOLERABLE:g} mm at most"
