@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import textwrap
+from types import SimpleNamespace
 
 import pytest
 
@@ -13,7 +14,7 @@ from clothbench.plugins.discovery import Catalogue, Plugin
 from clothbench.studies.speed import bench, timing
 from clothbench.studies.speed.answer import answer_of
 from clothbench.studies.speed.roofline import Core
-from clothbench.studies.speed.tables import speed_tables
+from clothbench.studies.speed.tables import sections, speed_tables
 
 SCHEMA = [
     "model", "kind", "nodes", "threads", "batch", "node_steps_per_s", "realtime_factor", "peer", "ratio",
@@ -139,6 +140,9 @@ def test_a_model_that_says_what_its_steps_take_is_held_against_the_roofline(inst
     assert "of 100 million node-steps/s that memory allows one core (6 GB/s, 64 B a node-step)" in lines[-1]
     assert "arithmetic would allow 250, roots would allow 500" in lines[-1]
     assert bench.ROOFLINE not in answer_of(rows)
+    (page,) = sections(SimpleNamespace(table=lambda name: [*rows, *found]))
+    assert page.html.count("that memory allows one core") == 1
+    assert bench.ROOFLINE not in page.html
 
 
 def test_ratios_are_per_thread_and_to_the_peer_of_the_same_size(install, monkeypatch):
