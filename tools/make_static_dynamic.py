@@ -24,10 +24,12 @@ from pathlib import Path
 import numpy as np
 
 from clothbench.core.camera import Camera, Projector, Video
+from clothbench.core.scene import Obstacle
 from clothbench.recordings.nodes import Recording, write_recording
 from clothbench.reference.mesh import build, tracking_weights
 from clothbench.reference.simulation import (
     AIR_DENSITY,
+    NO_SPHERES,
     Fabric,
     State,
     bowed,
@@ -43,8 +45,11 @@ from clothbench.vision.surface import surface_of
 
 FOLDER = Path(__file__).resolve().parent.parent / "suites" / "embedded" / "static_dynamic"
 LONG = FOLDER.with_name("static_dynamic_long")  # what budget=paper looks at beside
+BODY = FOLDER.with_name("static_dynamic_body")  # a skirt with hips in it
 SIDE = 0.30  # m, the swatch is square
 SKIRT = (0.75, 0.30)  # m, round the waist and down
+HIPS, HIP = ((-0.045, 0.0, -0.12), (0.045, 0.0, -0.12)), 0.11  # m, two spheres below the waist's middle, their radius
+HIP_FRICTION = 0.3
 SPACING = 0.30 / 8  # m, of the tracked lattice
 HEIGHT = 1.0  # m, of the grips above the floor
 TILT = 0.003  # m, the right grip hangs lower: an even hold leaves the mirror branch to rounding errors
@@ -91,7 +96,11 @@ class Trial:
 
     @property
     def is_skirt(self) -> bool:
-        return self.name.endswith("skirt")
+        return self.name.endswith("skirt") or self.has_body
+
+    @property
+    def has_body(self) -> bool:
+        return self.name.endswith("body")
 
 
 def swing(t: np.ndarray, amplitude: float, frequency: float, ramp: float = 0.3) -> np.ndarray:
@@ -138,6 +147,7 @@ TRIALS = (
           right_corner((0.06, 1.0)), LONG),
     Trial("waving-robot", "held_out", 0.90, 10 / 3, 30.0, "right corner along a sinusoid, 80 mm at 0.6 Hz, 100 frames",
           right_corner((0.08, 0.6)), LONG),
+    Trial("waving-body", "held_out", 0.92, 2.0, 15.0, "a wrapped skirt on skipping hips", skipping, BODY),
 )  # fmt: skip
 
 
@@ -168,6 +178,12 @@ def waist(u: np.ndarray, gathered: float) -> np.ndarray:
     return np.column_stack([radius * np.sin(angle), radius * (1 - np.cos(angle)), np.full(len(u), HEIGHT)])
 
 
+def hips(gathered: float) -> np.ndarray:
+    """Centres of the two spheres in a skirt whose waist is at its place [m], (2, 3)."""
+    radius = gathered * SKIRT[0] / math.radians(320.0)
+    return np.array([0.0, radius, HEIGHT]) + HIPS
+
+
 class Bench:
     """One fabric on one mesh, hung up and run; the shape at rest is kept per separation."""
 
@@ -179,7 +195,7 @@ class Bench:
         self.sheet, self.step = discretise(fabric, self.mesh), implicit_step(fabric, self.mesh)
         self.calm = calmed(fabric, self.mesh)
         self.held = np.arange(columns + 1) if skirt else np.array([0, columns])
-        self.at_rest: dict[float, np.ndarray] = {}
+        self.at_rest: dict[tuple[float, bool], np.ndarray] = {}
 
     def grips(self, trial: Trial, t: np.ndarray) -> np.ndarray:
         """Where the held nodes are (K, G, 3) [m]."""
@@ -189,7 +205,8 @@ class Bench:
 
     def rest(self, trial: Trial) -> np.ndarray:
         """The shape at rest (N, 3) [m]; of a calmer fabric, since it is the same and there sooner."""
-        if trial.separation not in self.at_rest:
+        at_rest = (trial.separation, trial.has_body)
+        if at_rest not in self.at_rest:
             start = self._hung(trial)
             first, last = start[self.held], self.grips(trial, np.zeros(1))[0]
 
@@ -199,8 +216,9 @@ class Bench:
 
             step = stable_step(self.calm, self.mesh)
             calm = discretise(self.calm, self.mesh)
-            self.at_rest[trial.separation] = settle(calm, start, self.held, lower, step, at_rest=5e-4)
-        return self.at_rest[trial.separation]
+            spheres = self.spheres(trial)
+            self.at_rest[at_rest] = settle(calm, start, self.held, lower, step, at_rest=5e-4, spheres=spheres)
+        return self.at_rest[at_rest]
 
     def _hung(self, trial: Trial) -> np.ndarray:
         """A shape without strain to begin from, (N, 3) [m]."""
@@ -215,7 +233,14 @@ class Bench:
             return np.broadcast_to(start, (len(times), *start.shape))
         state = State(start, np.zeros_like(start))
         path = lambda t: self.grips(trial, t)  # noqa: E731
-        return simulate(self.sheet, state, self.held, path, times, self.step, implicit=True)[0]
+        return simulate(self.sheet, state, self.held, path, times, self.step, True, self.spheres(trial))[0]
+
+    def spheres(self, trial: Trial) -> np.ndarray:
+        """The hips as the reference takes them, (2, 5): centre against the grips' mean and radius [m], friction."""
+        if not trial.has_body:
+            return NO_SPHERES
+        away = hips(trial.separation) - self.grips(trial, np.zeros(1))[0].mean(axis=0)
+        return np.column_stack([away, np.full(len(away), HIP), np.full(len(away), HIP_FRICTION)])
 
 
 def markers(size: tuple[float, float] = (SIDE, SIDE)) -> np.ndarray:
@@ -282,8 +307,16 @@ def record(fabric: str, trial: Trial, bench: Bench | None = None) -> Recording:
         sensor=f"simulated marker tracking, {trial.rate:g} Hz, {1e3 * MARKER_NOISE:.1f} mm noise; simulated camera",
         source="clothbench reference simulation (tools/make_static_dynamic.py)", licence="CC0-1.0",
         declared_effects="gravity,elasticity,bending,damping,quadratic_drag,drag_crisis,linear_drag",
-        notes={"experiment": trial.experiment, **notes},
+        obstacles=body_of(trial), notes={"experiment": trial.experiment, **notes},
     )  # fmt: skip
+
+
+def body_of(trial: Trial) -> tuple[Obstacle, ...] | None:
+    """What the recording states of the body in a skirt."""
+    if not trial.has_body:
+        return None
+    places = [(float(x), float(y), float(z)) for x, y, z in hips(trial.separation)]
+    return tuple(Obstacle("sphere", place, radius=HIP, friction=HIP_FRICTION, carried=True) for place in places)
 
 
 def make_all(fabrics: list[str], names: list[str] | None = None) -> None:

@@ -128,13 +128,14 @@ class Model(Protocol):
     scene's obstacles), "self_contact" (keeps the scene's `thickness` between its own layers), "curve" (answers
     force-extension curves; with that alone, `prepare` refuses every scene), "fold" (folds strips on a desk, and says
     with which forces), "moving_start" (goes on from the motion that a scene states, instead of from rest),
-    "outline" (cuts its mesh along the scene's outline, and holds what a disc clamps).
+    "outline" (cuts its mesh along the scene's outline, and holds what a disc clamps), "carried_contact" (keeps out of
+    obstacles that the grips carry along, too).
     """
 
     name: ClassVar[str]
     version: ClassVar[int]
     parameters: ParameterSpace
-    capabilities: ClassVar[frozenset[str]]  # of the nine above
+    capabilities: ClassVar[frozenset[str]]  # of the ten above
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> Simulation: ...
 

@@ -21,12 +21,14 @@ SHAPES = ("plane", "disc", "sphere")
 
 @dataclass(frozen=True, eq=False)
 class Obstacle:
-    """Something solid that does not move and that the cloth cannot enter.
+    """Something solid that the cloth cannot enter.
 
     shape: "plane" (half-space below `centre`, against `normal`), "disc" (flat, `radius` about `centre`, infinitely
     thick against `normal`: a pedestal) or "sphere"; centre: (3,) m; normal: (3,), unit, outwards, of plane and disc;
     radius: m, of disc and sphere; friction: Coulomb's coefficient; clamps: of a disc only, the part of the cloth that
-    lies on it when the run begins is pressed onto it and does not move, as a drapemeter's two plates hold it.
+    lies on it when the run begins is pressed onto it and does not move, as a drapemeter's two plates hold it; carried:
+    it moves as the mean of the grips does, without turning, as the body does that wears a skirt: `centre` is where it
+    stands when the run begins. What is not carried does not move.
     """
 
     shape: str
@@ -35,6 +37,7 @@ class Obstacle:
     radius: float = math.inf
     friction: float = 0.0
     clamps: bool = False
+    carried: bool = False
 
     def __post_init__(self) -> None:
         if self.shape not in SHAPES:
@@ -48,6 +51,8 @@ class Obstacle:
             raise ClothbenchError(f"obstacle: normal is {self.normal}, expected a direction")
         if self.clamps and self.shape != "disc":
             raise ClothbenchError(f"obstacle: a {self.shape} cannot clamp the cloth; only a disc can")
+        if self.clamps and self.carried:
+            raise ClothbenchError("obstacle: a disc that clamps the cloth stands still and cannot be carried by grips")
         object.__setattr__(self, "normal", tuple(c / length for c in self.normal))
 
 
@@ -109,6 +114,8 @@ class Scene:
             raise ClothbenchError("scene: times must be a strictly increasing list of seconds")
         if not (math.isfinite(self.thickness) and self.thickness >= 0):
             raise ClothbenchError(f"scene: thickness is {self.thickness}, expected metres, 0 or above")
+        if any(o.carried for o in self.obstacles) and not self.grip_material.size:
+            raise ClothbenchError("scene: an obstacle is carried by the grips, and the scene has none")
         if self.outline is not None:
             outline = checked_outline(self.outline, self.width, self.height)
             outline.flags.writeable = False

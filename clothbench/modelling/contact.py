@@ -6,7 +6,8 @@ its velocity that points inwards is taken away (a perfectly inelastic impact); a
 tangential velocity at most μ times the normal velocity that was taken away, since friction's impulse in a step is at
 most μ times the normal one. So a resting node feels μ times the force with which it is pressed on, whatever that
 force is made of, and sticks as long as friction suffices. The part of the path that the node went tangentially since
-it touched is taken back in the same proportion; without that a sticking node would creep by g sin(α) dt² a step.
+it touched is taken back in the same proportion; without that a sticking node would creep by g sin(α) dt² a step. All
+velocities are those against the obstacle, which may itself be carried along by the grips.
 """
 
 from __future__ import annotations
@@ -15,14 +16,54 @@ import numpy as np
 
 from clothbench.core.kernels import kernel
 from clothbench.core.scene import SHAPES, Scene
+from clothbench.modelling.time_loop import grip_point
 
 PLANE, DISC, SPHERE = (float(SHAPES.index(shape)) for shape in ("plane", "disc", "sphere"))
 
 
 def obstacle_table(scene: Scene) -> np.ndarray:
-    """The obstacles for `keep_out`, (K, 9): kind, centre (3) m, outward normal (3), radius m, friction."""
-    rows = [(float(SHAPES.index(o.shape)), *o.centre, *o.normal, o.radius, o.friction) for o in scene.obstacles]
-    return np.array(rows, dtype=float).reshape(-1, 9)
+    """The obstacles for `keep_out`, (K, 19): kind, centre (3) m, outward normal (3), radius m, friction, velocity (3)
+    m/s, how many grips carry it, centre when the run begins (3) m, velocity a step before (3) m/s.
+
+    `carry` changes centres and velocities, so that loops that run side by side need a table each.
+    """
+    grips, still = len(scene.grip_material), (0.0, 0.0, 0.0)
+    rows = [
+        (
+            *(SHAPES.index(o.shape), *o.centre, *o.normal, o.radius, o.friction),
+            *(*still, grips * o.carried, *o.centre, *still),
+        )
+        for o in scene.obstacles
+    ]
+    return np.array(rows, dtype=float).reshape(-1, 19)
+
+
+@kernel
+def carry(obstacles, knots, curve, start, t, dt):
+    """Bring the obstacles that the grips carry to where they are at time t, in a run that began at `start` [s].
+
+    Their velocity becomes the mean one over the last dt [s], and that before the one over the dt before. knots (K,) s
+    and curve (4, K−1, G, 3): the grips of one member, as in `Grips`; obstacles: `obstacle_table`, changed in place.
+    """
+    for k in range(obstacles.shape[0]):
+        grips = int(obstacles[k, 12])  # the first of the curve; nodes off the cloth, which never move, come after
+        if grips > 0:
+            for c in range(3):
+                first = _mean_grip(knots, curve, grips, start, c)
+                now = _mean_grip(knots, curve, grips, t, c)
+                before = _mean_grip(knots, curve, grips, max(start, t - dt), c)
+                earlier = _mean_grip(knots, curve, grips, max(start, t - 2 * dt), c)
+                obstacles[k, 1 + c] = obstacles[k, 13 + c] + now - first
+                obstacles[k, 9 + c], obstacles[k, 16 + c] = (now - before) / dt, (before - earlier) / dt
+
+
+@kernel
+def _mean_grip(knots, curve, grips, t, c):
+    """Coordinate c of the mean of the first `grips` curves at time t [m]."""
+    segment, total = min(max(np.searchsorted(knots, t, side="right") - 1, 0), knots.shape[0] - 2), 0.0
+    for g in range(grips):
+        total += grip_point(knots, curve, t, segment, g, c)
+    return total / grips
 
 
 @kernel
@@ -30,7 +71,8 @@ def keep_out(x, v, obstacles, free, lane, lanes):
     """Put the nodes of one lane that are inside an obstacle on its surface; see the module for the scheme.
 
     x (3, n·lanes) m and v m/s are changed in place, after a step; node i of a lane is entry i·lanes + lane.
-    obstacles (K, 9): `obstacle_table`; free (n·lanes,): inverse mass, 0 for a node that is held and stays where it is.
+    obstacles: `obstacle_table`, where they are after the step (`carry`); free (n·lanes,): inverse mass, 0 for a node
+    that is held and stays where it is.
     """
     for k in range(obstacles.shape[0]):
         kind, friction = obstacles[k, 0], obstacles[k, 8]
@@ -39,7 +81,7 @@ def keep_out(x, v, obstacles, free, lane, lanes):
                 continue
             depth, nx, ny, nz = inside(kind, obstacles, k, x[0, e], x[1, e], x[2, e])
             if depth > 0.0:
-                _put_on(x, v, e, depth, nx, ny, nz, friction)
+                _put_on(x, v, e, depth, nx, ny, nz, friction, obstacles[k, 9:12])
 
 
 @kernel
@@ -67,9 +109,11 @@ def inside(kind, obstacles, k, px, py, pz):
 
 
 @kernel
-def _put_on(x, v, e, depth, nx, ny, nz, friction):
-    """Move node e out by `depth` m along the normal, and take what impact and friction take from its velocity."""
-    vx, vy, vz = v[0, e], v[1, e], v[2, e]
+def _put_on(x, v, e, depth, nx, ny, nz, friction, drift):
+    """Move node e out by `depth` m along the normal, and take what impact and friction take from its velocity against
+    the obstacle, which itself moves at `drift` (3,) m/s.
+    """
+    vx, vy, vz = v[0, e] - drift[0], v[1, e] - drift[1], v[2, e] - drift[2]
     speed = vx * nx + vy * ny + vz * nz
     x[0, e] += depth * nx
     x[1, e] += depth * ny
@@ -84,6 +128,6 @@ def _put_on(x, v, e, depth, nx, ny, nz, friction):
     x[0, e] -= back * tx
     x[1, e] -= back * ty
     x[2, e] -= back * tz
-    v[0, e] = (1.0 - lost) * tx
-    v[1, e] = (1.0 - lost) * ty
-    v[2, e] = (1.0 - lost) * tz
+    v[0, e] = drift[0] + (1.0 - lost) * tx
+    v[1, e] = drift[1] + (1.0 - lost) * ty
+    v[2, e] = drift[2] + (1.0 - lost) * tz

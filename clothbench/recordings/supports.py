@@ -6,8 +6,9 @@
 | `obstacle_centre`, `obstacle_normal` | obstacle, space | m, 1 | where each obstacle stands, and which way it faces |
 | `obstacle_radius`, `obstacle_friction` | obstacle | m, 1 | as in `clothbench.Obstacle`; a plane's radius is infinite |
 
-Attributes: `obstacle_shape`, one word each ("plane", "disc", "sphere"); `obstacle_clamps`, 0 or 1 each; `thickness`
-[m], how far apart the cloth's own layers stay. All of them are optional, the obstacles' together.
+Attributes: `obstacle_shape`, one word each ("plane", "disc", "sphere"); `obstacle_clamps`, 0 or 1 each, and
+`obstacle_carried`, whether it moves along with the grips (none does where that is not stated); `thickness` [m], how far
+apart the cloth's own layers stay. All of them are optional, the obstacles' together.
 """
 
 from __future__ import annotations
@@ -24,6 +25,7 @@ from clothbench.recordings.layout import Arrays, Part, Stated, Variable
 
 NUMBERS = ("obstacle_centre", "obstacle_normal", "obstacle_radius", "obstacle_friction")
 STATED = ("obstacle_shape", "obstacle_clamps")
+CARRIED = "obstacle_carried"
 
 
 def _pack_outline(outline: np.ndarray) -> tuple[Arrays, Stated]:
@@ -39,25 +41,29 @@ def _pack_obstacles(obstacles: tuple[Obstacle, ...]) -> tuple[Arrays, Stated]:
         "obstacle_shape": " ".join(o.shape for o in obstacles),
         "obstacle_clamps": " ".join(str(int(o.clamps)) for o in obstacles),
     }
+    if any(o.carried for o in obstacles):
+        words[CARRIED] = " ".join(str(int(o.carried)) for o in obstacles)
     return {name: np.array([getattr(o, name.removeprefix("obstacle_")) for o in obstacles]) for name in NUMBERS}, words
 
 
 def _unpack_obstacles(arrays: Arrays, stated: Stated, path: Path) -> tuple[Obstacle, ...] | None:
-    if not arrays and not any(name in stated for name in STATED):
+    if not arrays and not any(name in stated for name in (*STATED, CARRIED)):
         return None
     if missing := sorted({*NUMBERS, *STATED} - {*arrays, *stated}):
         raise ClothbenchError(f"{path}: '{missing[0]}' is missing beside what else is stated of obstacles; add it")
-    shapes, clamps = (str(stated[name]).split() for name in STATED)
-    if {len(shapes), len(clamps)} != {len(arrays["obstacle_centre"])}:
-        raise ClothbenchError(
-            f"{path}: attribute 'obstacle_shape': found {len(shapes)} words, and {len(clamps)} in 'obstacle_clamps', "
-            f"expected {len(arrays['obstacle_centre'])}, one for each obstacle"
-        )
-    rows = zip(shapes, clamps, *(arrays[name].tolist() for name in NUMBERS), strict=True)
+    count = len(arrays["obstacle_centre"])
+    words = {name: str(stated[name]).split() for name in (*STATED, CARRIED) if name in stated}
+    for name, each in words.items():
+        if len(each) != count:
+            raise ClothbenchError(
+                f"{path}: attribute '{name}': found {len(each)} words, expected {count}, one for each obstacle"
+            )
+    shapes, clamps = (words[name] for name in STATED)
+    rows = zip(shapes, clamps, words.get(CARRIED, ["0"] * count), *(arrays[n].tolist() for n in NUMBERS), strict=True)
     try:
         return tuple(
-            Obstacle(shape, tuple(centre), tuple(normal), radius, friction, clamps=clamp != "0")
-            for shape, clamp, centre, normal, radius, friction in rows
+            Obstacle(shape, tuple(centre), tuple(normal), radius, friction, clamps=clamp != "0", carried=carry != "0")
+            for shape, clamp, carry, centre, normal, radius, friction in rows
         )
     except ClothbenchError as fault:
         raise ClothbenchError(f"{path}: {fault}") from None
@@ -80,7 +86,7 @@ SUPPORTS = {
             "obstacle_radius": Variable(("obstacle",), "m"),
             "obstacle_friction": Variable(("obstacle",), "1"),
         },
-        STATED, _pack_obstacles, _unpack_obstacles,
+        (*STATED, CARRIED), _pack_obstacles, _unpack_obstacles,
     ),
     "thickness": Part({}, ("thickness",), _pack_thickness, _unpack_thickness),
 }  # fmt: skip

@@ -13,6 +13,8 @@ import numpy as np
 
 from clothbench.core.kernels import kernel
 
+DEEP = 1e-3  # m; what lies deeper in a sphere, as a start may, is not pushed out any faster
+
 
 class Sheet(NamedTuple):
     """A discretised cloth. T triangles, H hinges, N nodes."""
@@ -176,6 +178,35 @@ def weight_force(sheet, v, force):
 
 
 @kernel
+def contact_force(spheres, grips, before, step, sheet, x, v, force):
+    """A penalty on nodes within spheres that move with the mean of the grips, and Coulomb's friction.
+
+    f_n = m (ω² d − 2 ω v_n) but not below 0, d the depth up to DEEP, ω = 0.2/Δt, which explicit steps bear; friction
+    takes μ f_n, or the half of what would stop the node within the step. spheres (K, 5): centre against the mean of the
+    grips and radius [m], μ; grips and before (G, 3) m: now, and a step of `step` [s] before; v against the sphere.
+    """
+    omega, carried, centre = 0.2 / step, np.zeros(3), np.zeros(3)
+    for g in range(len(grips)):
+        for d in range(3):
+            centre[d] += grips[g, d] / len(grips)
+            carried[d] += (grips[g, d] - before[g, d]) / step / len(grips)
+    for k in range(len(spheres)):
+        for i in range(len(x)):
+            out = _mix(1.0, _mix(1.0, x[i], -1.0, centre), -1.0, spheres[k, :3])
+            away = math.sqrt(_dot(out, out))
+            depth = spheres[k, 3] - away
+            if depth <= 0.0 or away == 0.0:
+                continue
+            normal, moves = _mix(1.0 / away, out, 0.0, out), _mix(1.0, v[i], -1.0, carried)
+            speed = _dot(moves, normal)
+            press = sheet.mass[i] * max(0.0, omega * omega * min(depth, DEEP) - 2.0 * omega * speed)
+            along = _mix(1.0, moves, -speed, normal)
+            slides = math.sqrt(_dot(along, along))
+            rub = min(spheres[k, 4] * press, 0.5 * sheet.mass[i] * slides / step) / max(slides, 1e-300)
+            _add(force, i, _mix(press, normal, -rub, along))
+
+
+@kernel
 def total_force(sheet, x, v, force, viscous=1.0):
     """All forces on all nodes [N], with that share of the membrane's damping; overwrites `force`."""
     force[:] = 0.0
@@ -186,7 +217,7 @@ def total_force(sheet, x, v, force, viscous=1.0):
 
 
 @kernel
-def advance(sheet, x, v, force, held, path, step):
+def advance(sheet, x, v, force, held, path, step, spheres):
     """Velocity Verlet; the nodes `held` follow `path` (steps + 1, G, 3) [m], one row per `step` [s].
 
     Forces that depend on velocity see v + Δt a (second order), the kick itself is the usual two halves.
@@ -205,6 +236,7 @@ def advance(sheet, x, v, force, held, path, step):
                 x[held[g], d] = path[s + 1, g, d]
                 v[held[g], d] = (path[s + 1, g, d] - path[s, g, d]) / step
         total_force(sheet, x, v, force)
+        contact_force(spheres, path[s + 1], path[s], step, sheet, x, v, force)
         for i in range(len(x)):
             for d in range(3):
                 v[i, d] = half[i, d] + 0.5 * step * force[i, d] / sheet.mass[i]
@@ -266,9 +298,10 @@ def relax(sheet, x, v, step, held, correction, tolerance=5e-3, most=400):
 
 
 @kernel
-def advance_damped(sheet, x, v, force, held, path, step):
+def advance_damped(sheet, x, v, force, held, path, step, spheres):
     """As `advance`, for damping too stiff for explicit steps: it acts by itself after each step, implicitly."""
     total_force(sheet, x, v, force, 0.0)
+    contact_force(spheres, path[0], path[0], step, sheet, x, v, force)
     correction = np.zeros_like(v)
     for s in range(len(path) - 1):
         for i in range(len(x)):
@@ -285,3 +318,4 @@ def advance_damped(sheet, x, v, force, held, path, step):
             for d in range(3):
                 x[held[g], d] = path[s + 1, g, d]
         total_force(sheet, x, v, force, 0.0)
+        contact_force(spheres, path[s + 1], path[s], step, sheet, x, v, force)

@@ -2,8 +2,9 @@
 
 Orthotropic St. Venant–Kirchhoff membrane on constant-strain triangles, discrete-shell hinges calibrated to a
 bending rigidity, Kelvin–Voigt damping of both, mass-proportional damping, air drag, lumped mass, velocity Verlet, or
-where the membrane's damping is too stiff for it, leapfrog with that damping implicit. There is no contact. World frame,
-z up, SI units. It uses none of clothbench's models.
+where the membrane's damping is too stiff for it, leapfrog with that damping implicit. Spheres that the grips carry keep
+nodes out by a penalty and rub them; there is no other contact. World frame, z up, SI units. It uses none of
+clothbench's models.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from clothbench.reference.kernels import Sheet, advance, advance_damped, bending
 from clothbench.reference.mesh import Mesh, hinges, lumped_mass, slopes
 
 AIR_DENSITY = 1.2  # kg/m³, 20 °C
+NO_SPHERES = np.zeros((0, 5))
 
 # The grips' places at given times: (K,) s -> (K, G, 3) m.
 GripPath = Callable[[np.ndarray], np.ndarray]
@@ -155,11 +157,11 @@ def calmed(fabric: Fabric, mesh: Mesh) -> Fabric:
 
 def simulate(
     sheet: Sheet, state: State, held: np.ndarray, grips: GripPath, times: np.ndarray, step: float,
-    implicit: bool = False,
+    implicit: bool = False, spheres: np.ndarray = NO_SPHERES,
 ) -> tuple[np.ndarray, State]:  # fmt: skip
     """Positions at `times` (T, N, 3) [m] and the last state; no step is longer than `step` [s].
 
-    implicit: the membrane's damping, for steps of `implicit_step`.
+    implicit: the membrane's damping, for steps of `implicit_step`; spheres: as `contact_force` takes them.
     """
     now, march = state.copy(), advance_damped if implicit else advance
     force = np.empty_like(now.position)
@@ -168,7 +170,7 @@ def simulate(
     for start, end in pairwise(times):
         count = int(np.ceil((end - start) / step - 1e-9))
         path = np.ascontiguousarray(grips(np.linspace(start, end, count + 1)))
-        march(sheet, now.position, now.velocity, force, held, path, (end - start) / count)
+        march(sheet, now.position, now.velocity, force, held, path, (end - start) / count, spheres)
         if not np.isfinite(now.position).all():
             raise FloatingPointError(f"diverged before t = {end:g} s; take a shorter step than {step:g} s")
         frames.append(now.position.copy())
@@ -176,8 +178,9 @@ def simulate(
 
 
 def settle(
-    sheet: Sheet, start: np.ndarray, held: np.ndarray, grips: GripPath, step: float, at_rest: float = 2e-4
-) -> np.ndarray:
+    sheet: Sheet, start: np.ndarray, held: np.ndarray, grips: GripPath, step: float, at_rest: float = 2e-4,
+    spheres: np.ndarray = NO_SPHERES,
+) -> np.ndarray:  # fmt: skip
     """Shape (N, 3) [m] of the sheet hung up at `start` once no node is faster than `at_rest` [m/s].
 
     Strongly damped (α = 8/s, near critical for a 0.3 m sheet's first swing); grips may move in the first 1 s.
@@ -185,7 +188,7 @@ def settle(
     damped = sheet._replace(damping=np.array([*sheet.damping[:3], 8.0]))
     state, clock, chunk = State(start.copy(), np.zeros_like(start)), 0.0, 0.25
     while clock < 20.0:
-        _, state = simulate(damped, state, held, grips, np.array([clock, clock + chunk]), step)
+        _, state = simulate(damped, state, held, grips, np.array([clock, clock + chunk]), step, spheres=spheres)
         clock += chunk
         if clock >= 1.0 and np.linalg.norm(state.velocity, axis=1).max() < at_rest:
             return state.position

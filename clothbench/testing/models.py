@@ -45,7 +45,10 @@ from clothbench.testing.rules import (
 )
 
 CAPABILITIES = frozenset(
-    {"dynamic", "static", "effects", "contact", "self_contact", "curve", "fold", "moving_start", "outline"}
+    {
+        *("dynamic", "static", "effects", "contact", "self_contact", "curve", "fold", "moving_start", "outline"),
+        "carried_contact",
+    }
 )
 WORK = {"operations", "roots", "numbers"}
 CLOTH = Material(bending=1e-6, stretch=100.0, shear=50.0)

@@ -194,6 +194,18 @@ def cuts_along_the_outline(case: ModelCase) -> str | None:
     return None
 
 
+def is_carried_along(case: ModelCase) -> str | None:
+    """Cloth that lies on a rough table goes where the grips carry the table."""
+    if "carried_contact" not in case.model.capabilities:
+        return "does not claim to know obstacles that the grips carry"
+    scene = scenes.carried()
+    place = case.run(scene, case.theta(0.5)).position[0]
+    table = scene.grips_at(scene.times) - scene.grips_at(scene.times[:1])
+    away = float(np.linalg.norm(place - scene.start - table, axis=2).max())
+    require(away <= RESTS, f"cloth {millimetres(away)} from where the table carries it", "at most 0.5 mm")
+    return None
+
+
 def _shared(scene: Scene) -> tuple[np.ndarray, np.ndarray]:
     """Numbers of the points looked at that are grips, and of the grips that they are."""
     shared = np.abs(scene.points[:, None] - scene.grip_material[None]).max(axis=2) < 1e-9
@@ -237,4 +249,5 @@ RULES = (
     rests_when_held_still,
     goes_on_from_a_motion,
     cuts_along_the_outline,
+    is_carried_along,
 )

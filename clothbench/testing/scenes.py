@@ -88,6 +88,19 @@ def draped() -> Scene:
     )  # fmt: skip
 
 
+def carried() -> Scene:
+    """Flat on a rough table that moves 3 cm sideways and 2 cm up within 0.2 s, with the one corner that is held."""
+    stamps = np.linspace(0.0, 0.2, 21)
+    points = np.vstack([_looked_at(), [[0.0, 0.0]]])
+    flat = np.column_stack([points, np.zeros(len(points))])
+    path = flat[-1] + _smooth(stamps / 0.2)[:, None, None] * np.array([0.03, 0.0, 0.02])
+    return Scene(
+        width=WIDTH, height=HEIGHT, areal_density=AREAL_DENSITY, grip_time=stamps, grip_material=points[-1:],
+        grip_position=path, times=np.linspace(0.0, 0.25, 6), points=points, resolution=RESOLUTION, start=flat,
+        obstacles=(Obstacle("plane", friction=3.0, carried=True),),
+    )  # fmt: skip
+
+
 def free_fall() -> Scene:
     """Nothing holds the sheet; it starts upright and slightly bent, at rest."""
     times = np.linspace(0.0, 0.2, 6)

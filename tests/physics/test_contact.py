@@ -1,5 +1,6 @@
 """Contact against mechanics: obstacles keep cloth out and rub as Coulomb says; a sheet's own layers do not cross."""
 
+import dataclasses
 from functools import partial
 
 import numpy as np
@@ -159,6 +160,58 @@ def test_in_runge_kutta_steps_a_sheet_slides_as_coulomb_says():
     times, path = slide(angle, 0.5, model, TRIANGLES)
     expected = 0.5 * G * (np.sin(angle) - 0.5 * np.cos(angle)) * times**2
     np.testing.assert_allclose(path[0, 1:], expected[1:], rtol=1e-3)
+
+
+def accelerated(model, theta, friction, pull):
+    """Mean path [m] of a loose sheet on a plane that goes off with `pull` m/s², at 0, 0.1, … 0.5 s, beside Coulomb's.
+
+    What carries the plane is a grip on a corner that has been cut off the sheet.
+    """
+    uv, times = lattice((7, 7), 0.12, 0.12), np.linspace(0.0, 0.5, 6)
+    path = np.zeros((6, 1, 3))
+    path[:, 0, 0] = 0.5 * pull * times**2
+    scene = Scene(0.12, 0.12, 0.2, times, uv[:1], path, times, uv[7:], resolution=(7, 7),
+                  start=np.column_stack([uv[7:], np.zeros(42)]), velocity=np.zeros((42, 3)),
+                  outline=np.array([[0.0, 0.02], [0.12, 0.02], [0.12, 0.12], [0.0, 0.12]]),
+                  obstacles=(Obstacle("plane", friction=friction, carried=True),))  # fmt: skip
+    x = model().prepare(scene).run(theta).position[0]
+    return (x - x[0])[..., 0].mean(axis=1), 0.5 * min(pull, friction * G) * times**2
+
+
+CARRIED = {
+    "mass_spring": (MassSpring, SOFT),
+    "mass_spring_verlet": (MassSpringVerlet, VERLET),
+    **{name: (model, theta) for name, (model, theta, _) in SCHEMES.items()},
+    "baraff_witkin rk45": (partial(BaraffWitkin, integrator="rk45"), TRIANGLES),
+}
+
+
+@pytest.mark.parametrize(("model", "theta"), CARRIED.values(), ids=CARRIED)
+def test_a_plane_that_is_carried_off_takes_the_sheet_along_as_coulomb_says(model, theta):
+    """With the plane where friction suffices, with μ g where it does not; a few steps late, as above."""
+    for friction in (0.05, 0.2):
+        path, expected = accelerated(model, theta, friction, 1.0)
+        np.testing.assert_allclose(path, expected, atol=1e-3)
+        np.testing.assert_allclose(path[-1], expected[-1], rtol=0.02)
+
+
+@pytest.mark.parametrize(("model", "theta"), CARRIED.values(), ids=CARRIED)
+def test_a_sphere_that_is_carried_into_a_hanging_sheet_pushes_it_aside(model, theta):
+    """The grips take it along sideways; no node is inside at any frame, and the sheet follows on its far side only."""
+    uv, times = lattice((9, 9), 0.3, 0.3), np.linspace(0.0, 0.6, 7)
+    moved = 0.15 * np.clip(times / 0.4, 0.0, 1.0)[:, None, None] * np.array([0.0, 1.0, 0.0])
+    start = np.column_stack([uv[:, 0], np.zeros(81), 1.0 - uv[:, 1]])
+    ball = Obstacle("sphere", (0.15, -0.061, 0.8), radius=0.06, friction=0.2, carried=True)
+    scene = Scene(0.3, 0.3, 0.2, times, uv[[0, 8]], start[[0, 8]] + moved, times, uv, resolution=(9, 9), start=start,
+                  obstacles=(ball,))  # fmt: skip
+    rollout = model().prepare(scene).run(theta)
+    assert rollout.status == ("ok",)
+    centre = np.array(ball.centre) + moved[:, 0]
+    away = np.linalg.norm(rollout.position[0] - centre[:, None], axis=2)
+    assert away.min() > 0.06 - 1e-5
+    ahead = rollout.position[0, 4, 40, 1] - moved[4, 0, 1]  # of the middle, where cloth without a ball would trail
+    alone = model().prepare(dataclasses.replace(scene, obstacles=())).run(theta).position[0, 4, 40, 1] - moved[4, 0, 1]
+    assert ahead > -0.01 > alone
 
 
 def drape(obstacle, times, thickness=0.0, nodes=17, model=MassSpring, theta=SOFT):

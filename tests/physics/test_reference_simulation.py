@@ -8,6 +8,8 @@ import make_static_dynamic as maker
 import numpy as np
 import pytest
 
+from clothbench.recordings.nodes import read_recording
+from clothbench.recordings.scenes import scene_of
 from clothbench.reference import kernels
 from clothbench.reference.mechanics import clamped_annulus_sag
 from clothbench.reference.mesh import Mesh, build, ring, tracking_weights
@@ -276,11 +278,47 @@ def test_a_skirt_hangs_from_its_gathered_waist():
         assert length == pytest.approx(gathered * maker.SKIRT[0], rel=1e-4)
 
 
+def on_a_ball(depth, velocity, carried=(0.0, 0.0, 0.0), friction=0.3, step=1e-3):
+    """Force [N] of a sphere of 10 cm on three nodes of a sheet, the first `depth` m inside on its top, and its mass."""
+    sheet, x, v = discretise(SATIN, build(0.1, 0.1, 4, 4)), np.full((3, 3), 9.0), np.zeros((3, 3))
+    x[0], v[0] = [0.0, 0.0, 0.1 - depth], velocity
+    force, now = np.zeros((3, 3)), np.zeros((1, 3))
+    spheres = np.array([[0.0, 0.0, 0.0, 0.1, friction]])
+    kernels.contact_force(spheres, now, now - step * np.array(carried), step, sheet, x, v, force)
+    assert not force[1:].any()
+    return force[0], sheet.mass[0]
+
+
+def test_the_penalty_pushes_out_and_rubs_as_coulomb_says():
+    force, mass = on_a_ball(1e-4, (0.5, 0.0, 0.0))
+    press = mass * 200.0**2 * 1e-4
+    np.testing.assert_allclose(force, [-0.3 * press, 0.0, press], rtol=1e-12)
+    force, mass = on_a_ball(1e-4, (0.5, 0.0, 0.0), carried=(0.5, 0.0, 0.0))  # moves along
+    np.testing.assert_allclose(force, [0.0, 0.0, press], atol=1e-12 * press)
+    force, mass = on_a_ball(1e-4, (1e-6, 0.0, 0.0))  # nearly at rest: half of what would stop it, not all that rubs
+    np.testing.assert_allclose(force[0], -0.5 * mass * 1e-6 / 1e-3, rtol=1e-9)
+    assert not on_a_ball(-1e-6, (0.0, 0.0, -1.0))[0].any()
+    assert not on_a_ball(1e-4, (0.0, 0.0, 1.0))[0].any()  # it leaves, and nothing holds it
+    deeper = on_a_ball(0.05, (0.0, 0.0, 0.0))[0]
+    np.testing.assert_allclose(deeper, [0.0, 0.0, mass * 200.0**2 * kernels.DEEP], rtol=1e-12)
+
+
+@pytest.mark.parametrize("fabric", maker.FABRICS)
+def test_a_skirt_lies_on_the_hips_that_skip_with_it(fabric):
+    """The markers are as deep in them as edges of 21 mm between nodes on the surface may be, and their noise."""
+    recording = read_recording(maker.BODY / f"{fabric}-waving-body.nc")
+    scene = scene_of(recording)
+    moved = scene.grips_at(scene.times).mean(axis=1) - scene.grips_at(scene.times[:1]).mean(axis=1)
+    assert np.linalg.norm(moved, axis=1).max() > 0.03
+    for hip in scene.obstacles:
+        away = np.linalg.norm(recording.position - hip.centre - moved[:, None], axis=2)
+        assert np.nanmin(away) > hip.radius - 4 * maker.MARKER_NOISE - 0.5e-3
+        assert np.nanmean(away < hip.radius + 2e-3) > 0.05
+
+
 @pytest.mark.slow
 def test_the_recordings_are_what_the_script_makes():
     """One static trial made anew; bit for bit on one machine, to the tracker's resolution on any."""
-    from clothbench.recordings.nodes import read_recording
-
     stored = read_recording(maker.FOLDER / "linen-static-1.nc")
     made = maker.record("linen", maker.TRIALS[0])
     np.testing.assert_allclose(made.position, stored.position, atol=2e-5)

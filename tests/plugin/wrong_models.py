@@ -245,6 +245,13 @@ class Unclamped(Faulty):
         return shifted(rollout, 0.01 * bool(scene.obstacles))
 
 
+class Rooted(Faulty):
+    """Takes every obstacle for one that stands still."""
+
+    def scene(self, scene):
+        return dataclasses.replace(scene, obstacles=[dataclasses.replace(o, carried=False) for o in scene.obstacles])
+
+
 class Sleepwalking(Faulty):
     """Goes on sinking where it should rest."""
 
@@ -358,6 +365,7 @@ CASES = [
     (Worn, "keeps what it offers", "textile 'soft' with parameters"),
     (Uncut, "cuts along the outline", "a sheet cut to 60 %"),
     (Unclamped, "cuts along the outline", "clamped cloth 17"),
+    (Rooted, "is carried along", "from where the table carries it"),
     (Sleepwalking, "rests when held still", "a sheet that moves by"),
 ]
 IDS = [f"{make.__name__}-{rule}" for make, rule, _ in CASES]

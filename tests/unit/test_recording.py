@@ -142,6 +142,7 @@ SUPPORTS = {
     "obstacles": (
         Obstacle("plane", (0.0, 0.0, -1.0), friction=0.3),
         Obstacle("disc", (0.1, 0.0, 0.5), radius=0.05, clamps=True),
+        Obstacle("sphere", (0.1, -0.2, 0.5), radius=0.05, friction=0.2, carried=True),
     ),
     "thickness": 4e-4,
 }
@@ -157,7 +158,7 @@ def test_outline_obstacles_and_thickness_are_kept(tmp_path):
     for one, other in zip(again.obstacles, SUPPORTS["obstacles"], strict=True):
         assert dataclasses.asdict(one) == dataclasses.asdict(other)
     scene = scene_of(again, areal_density=0.2)
-    assert (len(scene.obstacles), scene.thickness, len(scene.outline)) == (2, 4e-4, 5)
+    assert (len(scene.obstacles), scene.thickness, len(scene.outline)) == (3, 4e-4, 5)
     assert scene_of(plain, areal_density=0.2).obstacles == ()
     assert scene_of(again, areal_density=0.2, obstacles=[], thickness=0.0).obstacles == ()
 
@@ -165,10 +166,12 @@ def test_outline_obstacles_and_thickness_are_kept(tmp_path):
 def test_cloth_that_only_an_obstacle_holds_needs_no_grips(tmp_path):
     plain = swinging_recording()
     free = {"grip_material": np.zeros((0, 2)), "grip_position": np.zeros((len(plain.grip_time), 0, 3))}
-    borne = dataclasses.replace(plain, obstacles=SUPPORTS["obstacles"], **free)
+    borne = dataclasses.replace(plain, obstacles=SUPPORTS["obstacles"][:2], **free)
     assert read_recording(write_recording(borne, tmp_path / "r.nc")).grip_material.shape == (0, 2)
     with pytest.raises(ClothbenchError, match="no entries along 'grip'"):
         dataclasses.replace(plain, **free)
+    with pytest.raises(ClothbenchError, match="no entries along 'grip'"):  # nothing carries what should be carried
+        dataclasses.replace(plain, obstacles=SUPPORTS["obstacles"], **free)
 
 
 @pytest.mark.parametrize(
@@ -186,8 +189,10 @@ def test_wrong_supports_are_refused(change, says):
 @pytest.mark.parametrize(
     ("attributes", "says"),
     [
-        ({"obstacle_shape": "plane"}, "found 1 words"),
-        ({"obstacle_shape": "plane cone"}, "shape is 'cone'"),
+        ({"obstacle_shape": "plane"}, "'obstacle_shape': found 1 words, expected 3"),
+        ({"obstacle_carried": "0 1"}, "'obstacle_carried': found 2 words, expected 3"),
+        ({"obstacle_carried": "0 1 1"}, "a disc that clamps the cloth stands still"),
+        ({"obstacle_shape": "plane cone disc"}, "shape is 'cone'"),
         ({"obstacle_clamps": None}, "'obstacle_clamps' is missing"),
     ],
 )

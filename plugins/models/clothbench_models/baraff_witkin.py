@@ -99,7 +99,9 @@ class BaraffWitkin:
     kind = "implicit"
     parameters = PARAMETERS
     textiles = TEXTILES
-    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start", "outline"})
+    capabilities = frozenset(
+        {"dynamic", "static", "effects", "contact", "carried_contact", "self_contact", "moving_start", "outline"}
+    )
     repeatability = 1e-5  # m: what the tolerance of the linear solver leaves open
     bench_options: tuple[dict[str, str], ...] = ({}, {"integrator": "implicit_euler"})
 

@@ -25,6 +25,7 @@ from clothbench.modelling import (
     apply_effects,
     bear_inertia,
     bundle_type,
+    carry,
     grip_speed,
     hold_grips,
     is_lost,
@@ -44,6 +45,7 @@ from clothbench_models.implicit_step import (
     follow_grips,
     moved_on,
     rest_on,
+    slip,
     step_before,
 )
 from clothbench_models.resting_contact import STICKS, judge, part_layers, stop_reversed
@@ -176,7 +178,7 @@ def _march_implicit(
     extra, normal, free = np.zeros((6, n)), np.zeros((3, n)), 1.0 / mass
     x, v, guess, x_bar, v_bar = begins.x, begins.v, np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     x_old, v_old, x_before, v_before = np.empty((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
-    touch, friction, rub = np.zeros(n, np.int64), np.zeros(n), np.zeros((3, n))
+    touch, friction, rub, on = np.zeros(n, np.int64), np.zeros(n), np.zeros((3, n)), np.full(n, -1)
     solid = obstacles.shape[0] > 0
     wanted = np.empty((3, n if solid else 0))
     for g in range(pins.shape[0]):
@@ -201,7 +203,8 @@ def _march_implicit(
         segment = advance_segment(grips.knots, t, segment)
         follow_grips(guess, x_bar, gamma, pins, grips, t, segment)
         if solid:
-            rest_on(guess, x, x_bar, gamma, obstacles, free, touch, normal, friction, z, q)
+            carry(obstacles, grips.knots, grips.curve, start, t, dt)
+            rest_on(guess, x, x_bar, gamma, dt, obstacles, free, touch, normal, friction, on, z, q)
         moved_on(x_bar, gamma, guess, q)
         f[:] = 0.0
         step = dt if not settling else min(h, dt)
@@ -231,7 +234,8 @@ def _march_implicit(
             for c in range(3):
                 for e in range(n):
                     z[c, e] = (z[c, e] - wanted[c, e]) / gamma
-                    q[c, e] = guess[c, e] + delta[c, e]
+                    r[c, e] = guess[c, e] + delta[c, e]
+            slip(scheme, r, obstacles, on, q)
             stop_reversed(q, touch, rub)
             judge(z, q, free, touch, normal, friction, rub)
         if settling:
@@ -365,6 +369,7 @@ def _march_adaptive(
             speed[0] = speed[6]
             push[0] = push[6]
             if obstacles.shape[0] > 0:
+                carry(obstacles, grips.knots, grips.curve, start, t + h, h)
                 keep_out(x, v, obstacles, free, 0, 1)
                 fresh = True
             if layers.size[0] > 0.0:

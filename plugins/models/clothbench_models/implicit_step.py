@@ -41,18 +41,35 @@ def follow_grips(guess, x_bar, gamma, pins, grips, t, segment):
 
 
 @kernel
-def rest_on(guess, x, x_bar, gamma, obstacles, free, touch, normal, friction, z, q):
-    """Find who touches an obstacle, and take from the guess what such a node cannot follow; z, q are overwritten."""
-    touching(x, obstacles, free, touch, normal, friction)
+def rest_on(guess, x, x_bar, gamma, dt, obstacles, free, touch, normal, friction, on, z, q):
+    """Find who touches an obstacle, and take from the guess what such a node cannot follow; z, q are overwritten.
+
+    The obstacles are where they will be after the step of dt [s]; on (n,): as `touching` leaves it.
+    """
+    touching(x, dt, obstacles, free, touch, normal, friction, on)
     for e in range(x.shape[1]):
         if free[e] > 0.0 and touch[e] != FREE:  # x̄ lies off the surface by what x did before
             for c in range(3):
-                z[c, e] = guess[c, e] - (x[c, e] - x_bar[c, e]) / gamma
+                z[c, e] = guess[c, e] - (x[c, e] + dt * obstacles[on[e], 9 + c] - x_bar[c, e]) / gamma
         else:
             z[0, e] = z[1, e] = z[2, e] = 0.0
     q[:] = z
     hold_back(q, touch, normal)
     guess += q - z
+
+
+@kernel
+def slip(scheme, v, obstacles, on, out):
+    """out (3, n) = the velocity v of nodes against the obstacle that they touch, whose own is that of the scheme: over
+    the step of Euler; of BDF2, whose velocities are those at the end of the step, (3 V − V₋)/2.
+    """
+    ahead = 0.5 if scheme == BDF2 else 0.0
+    for e in range(v.shape[1]):
+        for c in range(3):
+            out[c, e] = v[c, e]
+            if on[e] >= 0:
+                now = obstacles[on[e], 9 + c]
+                out[c, e] -= now + ahead * (now - obstacles[on[e], 16 + c])
 
 
 @kernel

@@ -67,7 +67,9 @@ class Inextensible:
     version = 3
     kind = "implicit"
     parameters = PARAMETERS
-    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start", "outline"})
+    capabilities = frozenset(
+        {"dynamic", "static", "effects", "contact", "carried_contact", "self_contact", "moving_start", "outline"}
+    )
     repeatability = 1e-5  # m: what the tolerance of the projection leaves open
     bench_options: tuple[dict[str, str], ...] = ({},)
 

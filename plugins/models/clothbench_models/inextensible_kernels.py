@@ -20,6 +20,7 @@ from clothbench.modelling import (
     START,
     TERMS,
     advance_segment,
+    carry,
     hold_grips,
     is_lost,
     kernel,
@@ -35,6 +36,7 @@ from clothbench_models.implicit_step import (
     follow_grips,
     moved_on,
     rest_on,
+    slip,
     step_before,
 )
 from clothbench_models.inextensible_constraints import CONSTRAINTS, pull, sines, tighten, violations
@@ -72,7 +74,7 @@ def _march(
     extra, normal, free = np.zeros((6, n)), np.zeros((3, n)), 1.0 / mass
     x, v, guess, x_bar, v_bar = begins.x, begins.v, np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     x_old, v_old, x_before, v_before = np.empty((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
-    touch, friction, rub = np.zeros(n, np.int64), np.zeros(n), np.zeros((3, n))
+    touch, friction, rub, on = np.zeros(n, np.int64), np.zeros(n), np.zeros((3, n)), np.full(n, -1)
     stiff_mass, lightness = np.empty(n), np.zeros(padded)
     solid = obstacles.shape[0] > 0
     for e in range(n):
@@ -108,7 +110,8 @@ def _march(
         segment = advance_segment(grips.knots, t, segment)
         follow_grips(guess, x_bar, gamma, pins, grips, t, segment)
         if solid:
-            rest_on(guess, x, x_bar, gamma, obstacles, free, touch, normal, friction, z, q)
+            carry(obstacles, grips.knots, grips.curve, start, t, dt)
+            rest_on(guess, x, x_bar, gamma, dt, obstacles, free, touch, normal, friction, on, z, q)
         moved_on(x_bar, gamma, guess, q)
         f[:] = 0.0
         heavier = add_outer(t, dt, q, guess, f, nu, NO_AIR, sheet, effects, terms, terms.state, extra, grips, segment)
@@ -170,8 +173,9 @@ def _march(
                     q[c, e] = q[c, e] / gamma - f[c, e]
                     z[c, e] = gamma * (v[c, e] - guess[c, e])
             add_diagonals(offsets, bending, z, bend, q)
-            stop_reversed(v, touch, rub)
-            judge(q, v, free, touch, normal, friction, rub)
+            slip(scheme, v, obstacles, on, z)
+            stop_reversed(z, touch, rub)
+            judge(q, z, free, touch, normal, friction, rub)
         end_step(x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, layers, z, q)
         count += 1
         if is_lost(x, 0, 1, limit):

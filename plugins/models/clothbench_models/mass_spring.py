@@ -56,7 +56,9 @@ class MassSpring:
     kind = "explicit"
     parameters = PARAMETERS
     textiles = TEXTILES
-    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start", "outline"})
+    capabilities = frozenset(
+        {"dynamic", "static", "effects", "contact", "carried_contact", "self_contact", "moving_start", "outline"}
+    )
 
     bench_options: tuple[dict[str, str], ...] = ({}, {"precision": "single"})
     # Of six springs, the adding of their forces and the step of one node: counted in `mass_spring_kernels`.

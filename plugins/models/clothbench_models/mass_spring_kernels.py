@@ -33,6 +33,7 @@ from clothbench.modelling import (
     as_double,
     bear_inertia,
     bundle_type,
+    carry,
     fastest,
     grip_point,
     is_lost,
@@ -248,7 +249,7 @@ def _run_block(
     """Run `lanes` interleaved parameter sets from where they begin, settled first if they are to.
 
     Ends before the run proper where no frames are wanted, which takes a single lane: the others would move on.
-    obstacles (K, 9) and layers: for `keep_out` and `keep_apart`, the latter with one lane only; limit: m, how far a
+    obstacles and layers: for `keep_out` and `keep_apart`, the latter with one lane only; limit: m, how far a
     sheet may get; start: s; dt: (lanes,) s; terms, grips, sampling: of that many members; status, steps: (lanes,).
     """
     strides, rest, stiffness, damping = springs.strides, springs.rest, springs.stiffness, springs.damping
@@ -340,6 +341,7 @@ def _run_block(
             if layers.triangles.shape[0] > 0:
                 keep_apart(x, v, dt_now[lane], inverse_mass, layers)
             if obstacles.shape[0] > 0:
+                carry(obstacles, knots, curve, start, now, dt_now[lane])
                 keep_out(x, v, obstacles, inverse_mass, lane, lanes)
             if steps[lane] > 0:
                 continue

@@ -118,7 +118,6 @@ class _Batch(GridBatch):
             scale = simulation.safety * options.step_scale
             dt, self.settle_dt = (scale * simulation.stable_step(values) for values in (theta, self.calmed))
         super().__init__(simulation, theta, dt, SETTLE[1] / simulation.slowest)
-        self.obstacles = obstacle_table(simulation.scene)
         self.strain_limit = math.inf if options.strain_limit is None else options.strain_limit
 
     @property
@@ -179,7 +178,7 @@ class _Batch(GridBatch):
             real = REAL[precision]
             begins = begins._replace(x=begins.x.astype(real), v=begins.v.astype(real))
             kernels.run_block(precision)(
-                lanes, begins, self.springs(members, real), self.sheet(), *effects, terms, grips, self.obstacles,
+                lanes, begins, self.springs(members, real), self.sheet(), *effects, terms, grips, obstacle_table(scene),
                 layers, self.bounds(), scene.start_time, self.dt[members], settling, sampling, status, steps,
             )  # fmt: skip
             return begins

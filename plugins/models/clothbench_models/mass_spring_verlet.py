@@ -87,7 +87,9 @@ class MassSpringVerlet:
     kind = "explicit"
     parameters = _parameters()
     textiles = TEXTILES
-    capabilities = frozenset({"dynamic", "static", "effects", "contact", "self_contact", "moving_start", "outline"})
+    capabilities = frozenset(
+        {"dynamic", "static", "effects", "contact", "carried_contact", "self_contact", "moving_start", "outline"}
+    )
 
     def __init__(
         self, resolution: int | Sequence[int] = 13, dt: float | None = None, step_scale: float = 1.0,

@@ -20,8 +20,9 @@ SKIN = 2e-9  # m; as near as this is touching
 
 
 @kernel
-def touching(x, obstacles, free, touch, normal, friction):
-    """Find the nodes of x (3, n) m on an obstacle: their outward normal (3, n) and friction (n,).
+def touching(x, dt, obstacles, free, touch, normal, friction, on):
+    """Find the nodes of x (3, n) m that lay on an obstacle before it moved on for dt [s] to where it is: their outward
+    normal (3, n), the friction (n,) there, and on (n,), the number of the obstacle, −1 of nodes that touch none.
 
     touch (n,) keeps what a node did before, as far as it still touches; a new contact sticks if there is friction.
     """
@@ -29,10 +30,16 @@ def touching(x, obstacles, free, touch, normal, friction):
         if free[i] == 0.0:
             continue
         found = False
+        on[i] = -1
         for k in range(obstacles.shape[0]):
             kind = obstacles[k, 0]
             ax, ay, az = obstacles[k, 4], obstacles[k, 5], obstacles[k, 6]
-            dx, dy, dz = x[0, i] - obstacles[k, 1], x[1, i] - obstacles[k, 2], x[2, i] - obstacles[k, 3]
+            px, py, pz = (
+                x[0, i] + dt * obstacles[k, 9],
+                x[1, i] + dt * obstacles[k, 10],
+                x[2, i] + dt * obstacles[k, 11],
+            )
+            dx, dy, dz = px - obstacles[k, 1], py - obstacles[k, 2], pz - obstacles[k, 3]
             if kind == SPHERE:
                 away = np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-300
                 sx, sy, sz = dx / away, dy / away, dz / away
@@ -43,13 +50,12 @@ def touching(x, obstacles, free, touch, normal, friction):
                     rx, ry, rz = dx - height * ax, dy - height * ay, dz - height * az
                     away = np.sqrt(rx * rx + ry * ry + rz * rz) + 1e-300
                     sx, sy, sz = sx + rx / away, sy + ry / away, sz + rz / away
-            depth, nx, ny, nz = inside(
-                kind, obstacles, k, x[0, i] - SKIN * sx, x[1, i] - SKIN * sy, x[2, i] - SKIN * sz
-            )
+            depth, nx, ny, nz = inside(kind, obstacles, k, px - SKIN * sx, py - SKIN * sy, pz - SKIN * sz)
             if depth > 0.0:
                 found = True
                 normal[0, i], normal[1, i], normal[2, i] = nx, ny, nz
                 friction[i] = obstacles[k, 8]
+                on[i] = k
                 break
         if not found or touch[i] == LEAVES:
             touch[i] = FREE
@@ -61,7 +67,7 @@ def touching(x, obstacles, free, touch, normal, friction):
 def judge(reaction, moved, free, touch, normal, friction, rub):
     """What touching nodes do next, from the obstacle's reaction (3, n) N and how they moved (3, n), in any unit.
 
-    rub (3, n) N: friction on sliding nodes, to be added to the forces of the next step. A node let go LEAVES.
+    moved: against the obstacle; rub (3, n) N: friction on sliding nodes, to be added to the forces of the next step. A node let go LEAVES.
     """
     for i in range(reaction.shape[1]):
         rub[0, i] = rub[1, i] = rub[2, i] = 0.0
