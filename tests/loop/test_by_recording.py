@@ -12,11 +12,11 @@ from scipy.ndimage import gaussian_filter1d
 from clothbench import Parameter, ParameterSpace
 from clothbench.core.optional import varying_of
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.improve import by_recording
+from clothbench.studies.improve import by_recording, loop
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.selection import Candidate
 from clothbench.studies.improve.settings import LOOP
-from clothbench.studies.improve.state import Round
+from clothbench.studies.improve.state import Round, State
 
 DELAY = Parameter("late.delay", "τ", "s", (-0.5, 0.5), "linear", 0.02, "how late", "a test", null=0.0)
 STIFFNESS = Parameter("k", "k", "N/m", (0.0, 2.0), "linear", 1.0, "stiffness", "a test")
@@ -168,3 +168,28 @@ def test_no_moment_after_the_end_is_looked_at():
     assert (
         by_recording.moments_within(catalogue().make("effects", "clock_offset").parameters, "clock_offset", 2.5) == {}
     )
+
+
+@pytest.mark.parametrize(("held_out", "asked"), [([1.2, 1.2], False), ([3.2, 2.0], True)])
+def test_amounts_that_do_not_hold_on_what_was_held_out_are_asked_by_recording(monkeypatch, held_out, asked):
+    """From where the loop stood before them, as one that no amount for all explains; not if they hold, or none was."""
+    before, named, other = (
+        fitted_to([np.full(FRAMES, 5.0)] * 3, np.random.default_rng(0)),
+        *map(candidate, "ab", (1, 2)),
+    )
+    found = Round(before, 1.0, (named, other), (), ("a",), named.fitted)
+    earlier = State(SimpleNamespace(), before, before, 1.0, 0.5)
+    state = dataclasses.replace(earlier, final=named.fitted, rounds=(found,), earlier=earlier)
+    seen = []
+    monkeypatch.setattr(loop, "held_out_errors", lambda problem, fitted: held_out)
+    monkeypatch.setattr(loop, "with_own_amounts", lambda *given: seen.append(given))
+    loop.where_amounts_differ(state, [2.0, 2.0], None)
+    loop.where_amounts_differ(earlier, [2.0, 2.0], None)
+    assert len(seen) == asked
+    if asked:
+        begun, refuted, names, _ = seen[0]
+        assert begun is earlier
+        assert names == ["a", "b"]
+        assert [bool(c.why_not) for c in refuted.candidates] == [True, False]
+        assert not refuted.named
+        assert refuted.after is None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -52,7 +54,7 @@ def test_a_motion_done_otherwise():
 def test_the_motion_named_parts_the_two_by_what_it_says(problem):
     """Still air and air that drags differ the more, the faster the sheet moves."""
     one, other = fit_of(problem, ("quadratic_drag",), normal=0.3), fit_of(problem, ("quadratic_drag",), normal=1.0)
-    best = parting_experiment(problem, one, other)
+    best = parting_experiment((problem, one), (problem, other))
     recorded = float(np.sqrt(np.mean((one.residual[0] - other.residual[0]) ** 2)))
     assert best.apart > 1.5 * recorded
     way, speed = next(motion for motion, how in MOTIONS.items() if how == best.how)
@@ -60,6 +62,26 @@ def test_the_motion_named_parts_the_two_by_what_it_says(problem):
     seen = [t.simulation.run(f.theta[None]).position[0] for f in (one, other) for t in moved.trials(f.effects, "fit")]
     assert best.apart == pytest.approx(float(np.sqrt(np.mean((seen[0] - seen[1]) ** 2))))
     assert best.seconds == pytest.approx(moved.of_split("fit")[0].duration)
+
+
+def test_fits_whose_amounts_are_each_recording_s_own_are_simulated_with_them(problem):
+    """Such a fit has the shared parameters only; the amount is held by a problem of its own."""
+    (case,) = problem.of_split("fit")[:1]
+    shared = fit_of(problem, ())
+
+    def own(drag):
+        amount = {f"quadratic_drag.{p.name}": p.default for p in problem.space_of("quadratic_drag")}
+        amount["quadratic_drag.normal"] = drag
+        return dataclasses.replace(problem.restricted(case), own={case.name: amount})
+
+    def with_drag(drag):
+        return own(drag), dataclasses.replace(shared, effects=("quadratic_drag",))
+
+    best = parting_experiment(with_drag(0.3), with_drag(1.0))
+    held = parting_experiment(
+        *((problem.restricted(case), fit_of(problem, ("quadratic_drag",), normal=n)) for n in (0.3, 1.0))
+    )
+    assert best == held
 
 
 def test_nothing_is_proposed_where_nothing_is_moved(problem):
@@ -70,4 +92,4 @@ def test_nothing_is_proposed_where_nothing_is_moved(problem):
     case = problem.of_split("fit")[0]
     still = problem.restricted(Still(**{name: getattr(case, name) for name in case.__dataclass_fields__}))
     fit = fit_of(problem, ())
-    assert parting_experiment(still, fit, fit) is None
+    assert parting_experiment((still, fit), (still, fit)) is None

@@ -29,20 +29,22 @@ class Experiment:
     apart: float
 
 
-def parting_experiment(problem: Problem, one: Fitted, other: Fitted) -> Experiment | None:
+def parting_experiment(one: tuple[Problem, Fitted], other: tuple[Problem, Fitted]) -> Experiment | None:
     """Of all recorded motions done otherwise the one in which two fits differ most, before either is fitted again; None
     where recordings have no motion that could be done otherwise, or none of it could be simulated.
+
+    Each fit comes with its problem, which holds what is each recording's own of it.
     """
     found = []
-    for case in problem.of_split("fit"):
+    for case in one[0].of_split("fit"):
         for (way, speed), how in MOTIONS.items():
             if (moved := case.moved(way, speed)) is not None:
-                apart = float(np.sqrt(np.mean((seen(problem, moved, one) - seen(problem, moved, other)) ** 2)))
+                apart = float(np.sqrt(np.mean((seen(moved, *one) - seen(moved, *other)) ** 2)))
                 found += [Experiment(case.name, how, moved.duration, apart)] if np.isfinite(apart) else []
     return max(found, key=lambda e: e.apart, default=None)
 
 
-def seen(problem: Problem, case: Case, fitted: Fitted) -> np.ndarray:
+def seen(case: Case, problem: Problem, fitted: Fitted) -> np.ndarray:
     """What the sensor would see of a case with this fit; NaN where it cannot be simulated."""
     (trial,) = problem.restricted(case).trials(fitted.effects, "fit")
     return case.simulated(trial.simulation.run(fitted.theta[None]))

@@ -28,7 +28,7 @@ from clothbench.studies.improve.rounds import one_round, withdrawn
 from clothbench.studies.improve.selection import faulty, least_fall
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round, State
-from clothbench.studies.improve.verdict import concluded
+from clothbench.studies.improve.verdict import concluded, fails_to_hold
 
 
 def improve(
@@ -145,7 +145,7 @@ def confirmed(state: State, found: Round, account: Account) -> tuple[State, bool
     if why:
         why = f"{why} once the errors of mesh and model are allowed for"
         return with_round(state, withdrawn(found, state.floor, why)), False
-    state = dataclasses.replace(state, problem=problem, final=after, mesh=mesh)
+    state = dataclasses.replace(state, problem=problem, final=after, mesh=mesh, earlier=state)
     return with_round(state, dataclasses.replace(found, after=after)), True
 
 
@@ -164,12 +164,13 @@ def continued(problem: Problem, named: Fitted, account: Account) -> Fitted:
 
 def finding_of(state: State, account: Account, timed_out: bool = False) -> Finding:
     """Stages 6 and 7: the only look at the held-out recordings, and all that is told of the run."""
-    problem, base = state.problem, state.base
+    base = state.base
     account.stage("without any model", 0, 1)
-    balance, description = problem.evidence.balance(problem.seed), None
+    balance, description = state.problem.evidence.balance(state.problem.seed), None
     account.stage("held-out recordings", 0, 1)
-    before = held_out_errors(problem, base)
-    own = dict(state.own)
+    before = held_out_errors(state.problem, base)
+    state = where_amounts_differ(state, before, account) or state
+    problem, own = state.problem, dict(state.own)
     for name, amounts in own.items():
         problem, unseen = on_held_out(problem, state.final, name)
         own[name] = {**amounts, **unseen}
@@ -193,6 +194,25 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
         own=own if end.fit.effects else {}, comparisons=comparisons, evaluations=account.evaluations,
         wall_s=problem.checkpoint.seconds, stages=account.table, timed_out=timed_out,
     )  # fmt: skip
+
+
+def where_amounts_differ(state: State, before: Sequence[float], account: Account) -> State | None:
+    """Where the last effect's amounts, as they hold for all fit recordings, do not hold on the recordings held out: the
+    state in which they are each recording's own, if that explains what is left; else None.
+
+    before: errors of the calibrated model on the recordings held out.
+    """
+    if state.earlier is None or not fails_to_hold(before, held_out_errors(state.problem, state.final)):
+        return None
+    found = next(r for r in reversed(state.rounds) if r.named)
+    candidates = [
+        dataclasses.replace(c, why_not="its amounts do not hold on the recordings held out")
+        if c.name in found.named
+        else c
+        for c in found.candidates
+    ]
+    refuted = dataclasses.replace(found, candidates=tuple(candidates), named=(), after=None)
+    return with_own_amounts(state.earlier, refuted, [c.name for c in candidates], account)
 
 
 def notes(problem: Problem, rounds: Sequence[Round]) -> dict[str, Note]:

@@ -23,7 +23,7 @@ class Round:
     probes: of the candidates, for the next round; none in a finding;
     named: the effect that was named, and one that is tied with it, if any;
     after: the fit with the first of them;
-    by_recording: whether its candidates' amounts were each recording's own.
+    own: what is each recording's own of those that were named, by effect and recording; empty where amounts are shared.
     """
 
     before: Fitted
@@ -32,7 +32,7 @@ class Round:
     probes: tuple[Probe, ...]
     named: tuple[str, ...]
     after: Fitted | None = None
-    by_recording: bool = False
+    own: Mapping[str, Mapping[str, Fitted]] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +47,8 @@ class State:
         decisions are made by;
     rounds: so far;
     alone: the base fitted to each recording by itself, by its name;
-    own: by effect and recording, the amounts that are each recording's own.
+    own: by effect and recording, the amounts that are each recording's own;
+    earlier: where the loop stood before the last effect that was named with amounts for all recordings.
     """
 
     problem: Problem
@@ -58,6 +59,7 @@ class State:
     rounds: tuple[Round, ...] = ()
     alone: Mapping[str, Fitted] = field(default_factory=dict)
     own: Mapping[str, Mapping[str, Fitted]] = field(default_factory=dict)
+    earlier: State | None = None
 
     @property
     def floor(self) -> float:

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from clothbench.core.optional import law_of_force
+from clothbench.studies.improve.by_recording import with_own
 from clothbench.studies.improve.experiment import parting_experiment
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.law import Law
@@ -232,16 +233,17 @@ def undecided(state: State, found: Round) -> str:
     return (
         f"{listed(found.named)} fit alike (what they correct correlates with {correlation}); {which} differ most in "
         f"{case.name}, by {unit.scale * size:.2g} {unit.reported}, around {case.peak(apart)}: "
-        f"{what_would_part(state, pair, size)}"
+        f"{what_would_part(state, found, pair, size)}"
     )
 
 
-def what_would_part(state: State, pair: tuple[Candidate, Candidate], size: float) -> str:
+def what_would_part(state: State, found: Round, pair: tuple[Candidate, Candidate], size: float) -> str:
     """The motion in which two fits differ most, and by how much; or what to look for where none can be simulated."""
-    one, other = pair
-    assert one.fitted is not None
-    assert other.fitted is not None
-    best, unit = parting_experiment(state.problem, one.fitted, other.fitted), state.problem.evidence.unit
+    fits = []
+    for one in pair:
+        assert one.fitted is not None  # what is named was fitted
+        fits.append((with_own(state.problem, found.own.get(one.name, {})), one.fitted))
+    best, unit = parting_experiment(*fits), state.problem.evidence.unit
     if best is None or best.apart <= size:
         return "a recording that goes further there would tell them apart"
     return (

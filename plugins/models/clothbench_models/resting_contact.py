@@ -67,7 +67,8 @@ def touching(x, dt, obstacles, free, touch, normal, friction, on):
 def judge(reaction, moved, free, touch, normal, friction, rub):
     """What touching nodes do next, from the obstacle's reaction (3, n) N and how they moved (3, n), in any unit.
 
-    moved: against the obstacle; rub (3, n) N: friction on sliding nodes, to be added to the forces of the next step. A node let go LEAVES.
+    moved: against the obstacle; rub (3, n) N: friction on sliding nodes, to be added to the forces of the next step. A
+    node let go LEAVES.
     """
     for i in range(reaction.shape[1]):
         rub[0, i] = rub[1, i] = rub[2, i] = 0.0
