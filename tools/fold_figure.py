@@ -54,7 +54,7 @@ def worn(fabric: str) -> np.ndarray:
 
 
 def observed_and_simulated(recording: Recording, **settings: Any) -> tuple[Any, Any, np.ndarray]:
-    """What the tracker sees of a recording, how it is looked at, and its frames (T, N, 3) m with the true parameters."""
+    """What is seen of a recording, how it is looked at, and its frames (T, N, 3) m with the true parameters."""
     plugins = catalogue()
     observation = plugins.make("trackers", "stripes").track(recording)
     simulation = plugins.make("models", "baraff_witkin").prepare(scene_of(recording, spacing=0.0375, **settings))

@@ -184,7 +184,7 @@ def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
 def _check(r: Recording, where: str) -> None:
     """Every rule of the kind, in the order in which a reader would trip over it."""
     arrays = {name: getattr(r, name) for name in LAYOUT.variables}
-    alone = bool(r.obstacles) and not any(o.carried for o in r.obstacles)  # may bear the cloth without any grip
+    alone = bool(r.obstacles) and not any(o.carried for o in r.obstacles or ())  # may bear the cloth without any grip
     check_shapes(arrays, LAYOUT, where, may_be_empty="grip" if alone else "")
     check_clock(r.time, "time", where)
     check_clock(r.grip_time, "grip_time", where)

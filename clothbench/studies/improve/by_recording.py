@@ -67,8 +67,8 @@ def with_own_amounts(state: State, found: Round, candidates: Sequence[str], acco
     others = [c for c in found.candidates if c.name not in own]
     after = next(c.fitted for c in tried if c.name == named[0])
     assert after is not None  # all that were tried were fitted
-    amounts = {name: own[name] for name in named}
-    last = Round(current, state.floor, (*tried, *others), found.probes, named, after, own=amounts)
+    of_each = {name: own[name] for name in named}
+    last = Round(current, state.floor, (*tried, *others), found.probes, named, after, own=of_each)
     return dataclasses.replace(
         state, problem=with_own(problem, own[named[0]]), final=after, rounds=(*state.rounds, last),
         own={named[0]: own[named[0]]},
