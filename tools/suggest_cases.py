@@ -26,7 +26,6 @@ from clothbench.reference.mesh import Mesh, build, tracking_weights
 from clothbench.reference.simulation import Fabric, State, bowed, discretise, settle, simulate, stable_step
 from clothbench.studies.improve.problem import Problem
 from clothbench.suggest.experiments import experiments
-from clothbench.suggest.information import half_widths
 from clothbench.suggest.ranking import Promise, promises, ranked
 from clothbench.suggest.settings import Wanted
 from clothbench.suggest.subject import Subject, searched, subject_of, tie_of
@@ -153,7 +152,7 @@ def held_against(cloth: Cloth, subject: Subject, best: Promise, both: Problem) -
         return searched(both, names, values)
 
     before, after = subject.known, again(subject.known, subject.known.fitted.effects)
-    space, now, then = before.fitted.space, half_widths(before.matrix), half_widths(after.matrix)
+    space, now, then = before.fitted.space, before.half, after.half
     factors = {
         name: (float(now[k] / best.after[k]), float(now[k] / then[k]), float(now[k]), float(then[k]))
         for k, name in enumerate(space.names)

@@ -17,7 +17,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import file_name, whole_files
 from clothbench.engine.store import finite
 from clothbench.recordings.nodes import Recording, write_recording
-from clothbench.suggest.information import BEFOREHAND, half_widths
+from clothbench.suggest.information import BEFOREHAND
 from clothbench.suggest.ranking import LeftOut, Promise, rank_of
 from clothbench.suggest.settings import Wanted
 from clothbench.suggest.subject import Known, Subject
@@ -49,7 +49,7 @@ def suggestion(subject: Subject, found: Sequence[Promise], left: Sequence[LeftOu
 
 def parameters(known: Known) -> dict[str, Any]:
     """Each parameter with its interval by what the recordings tell."""
-    half = half_widths(known.matrix)
+    half = known.half
     return {
         p.name: {
             "value": float(known.fitted.theta[k]), **ends(known, half)[p.name], "unit": p.unit, "meaning": p.meaning,
@@ -69,7 +69,7 @@ def ends(known: Known, half: np.ndarray) -> dict[str, dict[str, float]]:
 def entry(subject: Subject, number: int, promise: Promise, wanted: Wanted) -> dict[str, Any]:
     """One experiment with what it promises; factors are of the intervals' widths, now over then."""
     known, experiment = subject.known, promise.experiment
-    now, expected = half_widths(known.matrix), ends(known, promise.after)
+    now, expected = known.half, ends(known, promise.after)
     return {
         "rank": number, "name": name_of(promise), "grips": experiment.grips, "motion": experiment.motion,
         "duration_s": promise.duration, "frames_per_s": subject.rate, "points": len(experiment.scene.points),

@@ -29,9 +29,17 @@ def information(jacobian: np.ndarray, counted: float) -> np.ndarray:
     return jacobian.T @ jacobian / counted**2
 
 
-def half_widths(known: np.ndarray) -> np.ndarray:
-    """Of the 95 % intervals (P,), in scaled ranges, from all information together (P, P)."""
-    return TWO_SIDED * np.sqrt(np.diag(np.linalg.inv(known)))
+def half_widths(known: np.ndarray, pull: np.ndarray) -> np.ndarray:
+    """Of the 95 % intervals (P,), in scaled ranges, from all information together (P, P), and from how far the mesh may
+    have moved the fit to first order, by which each reaches further; pull: (P,), see `pull_of`.
+    """
+    inverse = np.linalg.inv(known)
+    return TWO_SIDED * np.sqrt(np.diag(inverse)) + np.abs(inverse @ pull)
+
+
+def pull_of(jacobian: np.ndarray, error: np.ndarray, counted: float) -> np.ndarray:
+    """Jᵀe/κ² (P,): how an error e (M,) of the model itself, such as its mesh's, pulls at the parameters."""
+    return jacobian.T @ error / counted**2
 
 
 def gain(known: np.ndarray, more: np.ndarray) -> float:

@@ -13,8 +13,9 @@ from clothbench.estimation.intervals import BLOCK
 from clothbench.estimation.trials import Trial
 from clothbench.studies.improve.fitting import finite_differences
 from clothbench.studies.improve.problem import residuals
+from clothbench.studies.improve.settings import LOOP
 from clothbench.suggest.experiments import Experiment
-from clothbench.suggest.information import counted_noise, gain, half_widths, information, separation
+from clothbench.suggest.information import counted_noise, gain, half_widths, information, pull_of, separation
 from clothbench.suggest.settings import INFORMATION, TIE, Wanted
 from clothbench.suggest.subject import Known, Subject, Tie
 
@@ -124,7 +125,8 @@ def promised(subject: Subject, experiment: Experiment, sets: np.ndarray) -> Iter
             tangents.append(jacobian)
     if len(at) < len(sets):
         raise Unsimulated(f"could not be simulated with {len(sets) - len(at)} of {len(sets)} parameter sets")
-    doubt = doubts(subject, experiment, trial, at[0], tangents[0])
+    mesh = mesh_error(subject, experiment, at[0])
+    doubt = doubts(subject, trial, at[0], tangents[0], mesh)
     rivals = [rival_of(subject, experiment, tie) for tie in subject.ties]
     rows = len(at[0]) // len(experiment.scene.times)
     for duration in experiment.durations:
@@ -132,7 +134,8 @@ def promised(subject: Subject, experiment: Experiment, sets: np.ndarray) -> Iter
         part = slice(0, rows * frames)
         counted = counted_there(known, doubt[part], tangents[0][part], duration)
         more = [information(jacobian[part], counted) for jacobian in tangents]
-        after = np.array([half_widths(known.matrix + one) for one in more])
+        pulls = [known.pull + pull_of(jacobian[part], mesh[part], counted) for jacobian in tangents]
+        after = np.array([half_widths(known.matrix + one, pull) for one, pull in zip(more, pulls, strict=True)])
         yield Promise(
             experiment, duration, float(np.mean([gain(known.matrix, one) for one in more])),
             np.exp(np.log(after).mean(axis=0)), after.min(axis=0), after.max(axis=0),
@@ -150,21 +153,29 @@ def counted_there(known: Known, doubt: np.ndarray, jacobian: np.ndarray, duratio
     return max(own, known.usual)
 
 
-def doubts(subject: Subject, experiment: Experiment, trial: Trial, at: np.ndarray, jacobian: np.ndarray) -> np.ndarray:
-    """By how much the model may be wrong at every coordinate (M,) m: what half the cells change, and what the
-    least change of the parameters brings beyond the tangent; less what a refit makes up for.
+def mesh_error(subject: Subject, experiment: Experiment, at: np.ndarray) -> np.ndarray:
+    """What a finer mesh would change at every coordinate (M,) m of an experiment, which the fit has at (M,) m, carried
+    on to the limit from half the cells; 0 where the mesh is the model's own.
+    """
+    fitted = subject.known.fitted
+    if (finer := subject.finer_trial(experiment.scene, fitted.effects)) is None:
+        return np.zeros_like(at)
+    (there,) = residuals(finer, fitted.theta[None])
+    return LOOP.richardson * (there - at)
+
+
+def doubts(subject: Subject, trial: Trial, at: np.ndarray, jacobian: np.ndarray, mesh: np.ndarray) -> np.ndarray:
+    """By how much the model may be wrong at every coordinate (M,) m: by its mesh (M,), and by what the least change of
+    the parameters brings beyond the tangent; less what a refit makes up for.
     """
     known = subject.known
     step = np.where(known.unit < 0.5, NUDGE, -NUDGE)
     (nudged,) = residuals(trial, known.fitted.space.from_unit(known.unit + step)[None])
-    wrong = nudged - at - jacobian @ step
-    if (finer := subject.finer_trial(experiment.scene, known.fitted.effects)) is not None:
-        (there,) = residuals(finer, known.fitted.theta[None])
-        wrong = wrong + there - at
+    wrong = nudged - at - jacobian @ step + mesh
     if not np.isfinite(wrong).all():
         raise Unsimulated("could not be simulated with half the cells, or after the least change of the parameters")
     told = information(jacobian, known.usual)
-    return wrong - jacobian @ np.linalg.solve(known.matrix + told, jacobian.T @ wrong / known.usual**2)
+    return wrong - jacobian @ np.linalg.solve(known.matrix + told, pull_of(jacobian, wrong, known.usual))
 
 
 def rival_of(subject: Subject, experiment: Experiment, tie: Tie) -> tuple[np.ndarray, np.ndarray]:
@@ -221,4 +232,4 @@ def value_of(subject: Subject, rank: str | None) -> Callable[[Promise], float]:
     if rank == INFORMATION:
         return lambda promise: promise.gain
     k = subject.known.fitted.space.names.index(rank)
-    return lambda promise: float(half_widths(subject.known.matrix)[k] / promise.after[k])
+    return lambda promise: float(subject.known.half[k] / promise.after[k])

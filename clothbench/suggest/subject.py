@@ -18,9 +18,10 @@ from clothbench.estimation.trials import Trial
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import finite_differences, fit
 from clothbench.studies.improve.problem import Problem
+from clothbench.studies.improve.refinement import refinements
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.sheets import SheetCase, SheetEvidence, noise_of
-from clothbench.suggest.information import beforehand, counted_noise, information
+from clothbench.suggest.information import beforehand, counted_noise, half_widths, information, pull_of
 from clothbench.suggest.weighted import patient, weighted
 
 REWEIGHTED = 1  # times that recordings are weighed anew by what the fit before left of each
@@ -31,18 +32,26 @@ class Known:
     """A fitted model and what the recordings tell of its parameters.
 
     fitted: the fit; counted: (R,) m, what each coordinate of each recording counts as its noise; noise: m, the
-    sensor's; matrix: (P, P), the information of the recordings and of the range that is searched, in the unit cube.
+    sensor's; mesh: m, what a finer mesh would change in each recording, (M,) each; matrix: (P, P), the information of
+    the recordings and of the range that is searched, in the unit cube; pull: (P,), how the mesh pulls at the fit.
     """
 
     fitted: Fitted
     counted: np.ndarray
     noise: float
+    mesh: tuple[np.ndarray, ...]
     matrix: np.ndarray
+    pull: np.ndarray
 
     @cached_property
     def unit(self) -> np.ndarray:
         """The fit in the unit cube (P,)."""
         return self.fitted.space.to_unit(self.fitted.theta)
+
+    @property
+    def half(self) -> np.ndarray:
+        """Half-widths of the 95 % intervals (P,), in scaled ranges."""
+        return half_widths(self.matrix, self.pull)
 
     @property
     def usual(self) -> float:
@@ -140,7 +149,18 @@ def known_of(problem: Problem, fitted: Fitted) -> Known:
             for trial, residual, jacobian, sigma in zip(trials, fitted.residual, fitted.jacobian, noise, strict=True)
         ]
     )
-    return counting(Known(fitted, counted, float(np.sqrt(np.mean(noise**2))), np.empty(0)), counted)
+    mesh = mesh_errors(problem, fitted)
+    return counting(Known(fitted, counted, float(np.sqrt(np.mean(noise**2))), mesh, np.empty(0), np.empty(0)), counted)
+
+
+def mesh_errors(problem: Problem, fitted: Fitted) -> tuple[np.ndarray, ...]:
+    """What a finer mesh would change in each recording, (M,) m each, carried on to the limit from one halving of cells
+    and step; 0 where the mesh is the model's own.
+    """
+    stated = all(case.scene.resolution is not None for case in problem.of_split("fit"))  # type: ignore[attr-defined]
+    for error, _ in refinements(problem, fitted, "fit", 1) if stated else ():
+        return tuple(error)
+    return tuple(np.zeros_like(residual) for residual in fitted.residual)
 
 
 def seconds(trial: Trial, rows: int) -> list[np.ndarray]:
@@ -150,9 +170,10 @@ def seconds(trial: Trial, rows: int) -> list[np.ndarray]:
 
 def counting(known: Known, counted: np.ndarray) -> Known:
     """The same with other noises (R,) m that the coordinates count for."""
-    told = [information(jacobian, kappa) for jacobian, kappa in zip(known.fitted.jacobian, counted, strict=True)]
-    matrix = beforehand(len(known.fitted.space)) + np.sum(told, axis=0)
-    return dataclasses.replace(known, counted=counted, matrix=matrix)
+    each = list(zip(known.fitted.jacobian, known.mesh, counted, strict=True))
+    matrix = beforehand(len(known.fitted.space)) + np.sum([information(j, kappa) for j, _, kappa in each], axis=0)
+    pull = np.sum([pull_of(*one) for one in each], axis=0)
+    return dataclasses.replace(known, counted=counted, matrix=matrix, pull=pull)
 
 
 def fitted_at(problem: Problem, names: tuple[str, ...], values: Mapping[str, float]) -> Fitted:

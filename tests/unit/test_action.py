@@ -204,6 +204,25 @@ def test_events_with_a_token_beside_code_of_forks_are_refused(job, event):
     assert f"found event {event}" in found.steps[0][2]
 
 
+@pytest.mark.parametrize(
+    "event", [{"name": "schedule"}, {"name": "workflow_dispatch"}, {"name": "push", "before": "0" * 40}]
+)
+def test_where_the_event_names_no_base_it_is_the_commit_before(job, event):
+    found = job("schedule", (10.0, 20.0))
+    found.event = event
+    assert not found.run()
+    assert found.outputs == {"passed": "false"}
+    assert found.read("GITHUB_STEP_SUMMARY").splitlines()[0] == WORSE
+
+
+def test_a_base_that_is_not_fetched_is_one_line(job):
+    found = job("pull_request", base="a" * 40)
+    assert not found.run()
+    name, code, said = found.steps[1]
+    assert (name, code) == ("Run base and head, and compare", 2)
+    assert said.strip().splitlines()[-1].startswith(f"compare_commits.sh: BASE: found no commit {'a' * 40}")
+
+
 def test_a_token_left_by_the_checkout_is_refused(job):
     found = job("pull_request")
     git(found.place / "repository", "config", "http.https://github.com/.extraheader", "AUTHORIZATION: basic x")

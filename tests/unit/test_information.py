@@ -29,6 +29,7 @@ from clothbench.suggest.information import (
     gain,
     half_widths,
     information,
+    pull_of,
     separation,
 )  # fmt: skip
 from clothbench.suggest.settings import Wanted, wanted_of
@@ -46,14 +47,16 @@ def scene() -> Scene:
 
 
 def test_without_measurements_an_interval_is_the_whole_range():
-    assert half_widths(beforehand(3)) == pytest.approx([BEFOREHAND] * 3)
+    assert half_widths(beforehand(3), np.zeros(3)) == pytest.approx([BEFOREHAND] * 3)
 
 
 def test_information_of_a_known_slope():
     """100 points of slope 2 and noise 0.1: σ = 0.1 / √(100 · 4)."""
     told = information(np.full((100, 1), 2.0), 0.1)
     known = beforehand(1) + told
-    assert half_widths(known) == pytest.approx([1.96 * 0.005], rel=1e-3)
+    assert half_widths(known, np.zeros(1)) == pytest.approx([1.96 * 0.005], rel=1e-3)
+    pull = pull_of(np.full((100, 1), 2.0), np.full(100, -0.05), 0.1)  # an error of slope and all: a shift by 0.025
+    assert half_widths(known, pull) == pytest.approx([1.96 * 0.005 + 0.025], rel=1e-3)
     assert gain(known, 3 * known) == pytest.approx(np.log(2))  # four times as much, half as wide
 
 
