@@ -2,7 +2,7 @@
 
 This keeps accidents apart, not attacks: the plugin runs with the rights of whoever started the command. It gets an
 environment without variables but a few, a home and a working folder of its own, no network where `unshare` can take it
-away, and a time limit after which all of its processes are ended.
+away, and a time limit. When a fit is done, or out of time, all processes that it has started are ended.
 """
 
 from __future__ import annotations
@@ -23,11 +23,12 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, one_line
 from clothbench.core.files import file_name
 from clothbench.recordings.nodes import Recording, read_recording, write_recording
 from clothbench.studies.calibration.cell import CalibrationCell, asked
 from clothbench.submissions.again import blank
+from clothbench.submissions.processes import all_ended
 
 TOLD = (
     "PATH",
@@ -114,22 +115,30 @@ class Sandbox:
         told = {name: os.environ[name] for name in TOLD if name in os.environ}
         told |= {"HOME": str(place / "home"), "TMPDIR": str(place / "home"), "PYTHONDONTWRITEBYTECODE": "1"}
         words = [*self.fence, self.python, "-m", "clothbench.submissions.again", place / "job.json", place / "out"]
-        with subprocess.Popen(
-            [str(word) for word in words], cwd=place / "home", env=told, start_new_session=True, text=True,
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        heard = place / "stderr"  # a file: who outlives the fit may hold a pipe open
+        with all_ended(), heard.open("wb") as stderr, subprocess.Popen(
+            [str(word) for word in words], cwd=place / "home", env=told, start_new_session=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=stderr,
         ) as process:  # fmt: skip
             try:
-                _, said = process.communicate(timeout=self.limit)
+                process.wait(timeout=self.limit)
             except subprocess.TimeoutExpired:
                 raise ClothbenchError(
                     f"took longer than {self.limit:g} s and was ended; more with --time-limit"
                 ) from None
             finally:
                 with contextlib.suppress(ProcessLookupError):
-                    os.killpg(process.pid, signal.SIGKILL)  # whatever it has left running
+                    os.killpg(process.pid, signal.SIGKILL)
         if process.returncode:
-            lines = said.strip().splitlines() or [f"ended with {process.returncode} and said nothing"]
-            raise ClothbenchError(f"could not be run: {lines[-1]}")
+            lines = _end_of(heard).strip().splitlines() or [f"ended with {process.returncode} and said nothing"]
+            raise ClothbenchError(f"could not be run: {one_line(lines[-1])}")
+
+
+def _end_of(file: Path, size: int = 2000) -> str:
+    """The last bytes of a file, as text."""
+    with file.open("rb") as stream:
+        stream.seek(max(0, file.stat().st_size - size))
+        return stream.read(size).decode(errors="replace")
 
 
 def _is_of(path: str, standard: str) -> bool:

@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from conftest import ROOT, swinging_recording
 
@@ -155,6 +156,29 @@ def test_a_plugin_that_hangs_or_leaves_is_one_line(stranger, mine, harm, limit, 
     finally:
         back()
     assert said in fault
+
+
+LEAVES = """
+import os
+from pathlib import Path
+if os.fork() == 0:
+    os.setsid()
+    if os.fork() == 0:
+        Path(os.environ["HOME"], "..", "out", "left").write_text(str(os.getpid()))
+        os.execlp("sleep", "sleep", "600")
+    os._exit(0)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not say whose child it was")
+def test_what_has_left_its_session_and_its_parent_is_ended(stranger, mine):
+    back = swapped(stranger[1], LEAVES + MODEL)
+    try:
+        assert found_in(mine, stranger[1]) == []
+    finally:
+        back()
+    (left,) = stranger[0].glob("*/out/left")
+    assert not psutil.pid_exists(int(left.read_text()))
 
 
 SPY = """
