@@ -21,8 +21,6 @@ from clothbench.submissions.packing import metrics_of, require_checkable
 from clothbench.submissions.sandbox import Sandbox
 from clothbench.submissions.submission import FILE, Compared, Submission, compared
 
-REPRODUCED, VERIFIED = "reproduced", "verified"
-
 
 @dataclass(frozen=True)
 class Chosen:
@@ -64,18 +62,18 @@ def cells_of(folder: Path, submission: Submission, plugins: Catalogue) -> dict[s
 
 def reproduce(
     folder: Path, submission: Submission, found: Sequence[Compared], chosen: Chosen, place: Sandbox, plugins: Catalogue
-) -> list[str]:
-    """Run the chosen cells again and hold what comes of them against what was handed in; a fault for each that differs
-    by more than the noise. found: what was handed in, scored here.
+) -> dict[str, list[str]]:
+    """Run the chosen cells again and hold what comes of them against what was handed in: by the keys of those that do
+    not pass, a fault for each score that differs by more than the noise. found: what was handed in, scored here.
     """
-    cells, faults = cells_of(folder, submission, plugins), []
+    cells, faults = cells_of(folder, submission, plugins), {}
     for key in chosen.keys:
         stated = {one.measured.hash: one for one in found if one.cell == key}
         try:
-            faults += _again(key, cells[key], stated, place, plugins)
+            faults[key] = _again(key, cells[key], stated, place, plugins)
         except ClothbenchError as fault:
-            faults.append(f"cell {key}: {fault}")
-    return faults
+            faults[key] = [f"cell {key}: {fault}".replace(f"{place.folder}/", "")]
+    return {key: said for key, said in faults.items() if said}
 
 
 def _again(

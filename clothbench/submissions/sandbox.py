@@ -23,7 +23,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 
-from clothbench.core.errors import ClothbenchError, one_line
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import file_name
 from clothbench.recordings.nodes import Recording, read_recording, write_recording
 from clothbench.studies.calibration.cell import CalibrationCell, asked
@@ -131,7 +131,7 @@ class Sandbox:
                     os.killpg(process.pid, signal.SIGKILL)
         if process.returncode:
             lines = _end_of(heard).strip().splitlines() or [f"ended with {process.returncode} and said nothing"]
-            raise ClothbenchError(f"could not be run: {one_line(lines[-1])}")
+            raise ClothbenchError(f"could not be run: {lines[-1]}")
 
 
 def _end_of(file: Path, size: int = 2000) -> str:

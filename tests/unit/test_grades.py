@@ -73,7 +73,9 @@ def found_in(folder, place):
     found = verify(folder, known(), catalogue())
     assert found.faults == ()
     chosen = choose(folder, found.submission, 2, seed=1)
-    return reproduce(folder, found.submission, found.found, chosen, place, catalogue())
+    faults = reproduce(folder, found.submission, found.found, chosen, place, catalogue())
+    assert faults.keys() <= set(chosen.keys)
+    return [fault for said in faults.values() for fault in said]
 
 
 def test_what_is_packed_says_all_and_names_no_place(stranger):
@@ -232,9 +234,9 @@ def test_a_damaged_submission_is_one_line(mine, change, found):
 
 
 def test_as_a_verifier_does_it(stranger, mine, clothbench, tmp_path):
-    for recording in unpublished():
-        write_recording(recording, tmp_path / "secret" / f"{recording.name}.nc")
+    put_aside(tmp_path)
     given = ["--recordings", str(stranger[0] / "recordings")]
+    assert clothbench("verify", mine, *given, "--out", "board").returncode == 0
     done = clothbench("verify", mine, *given, "--reproduce")
     assert (done.returncode, done.stdout) == (2, "")
     assert "--run-their-code" in done.stderr
@@ -249,4 +251,42 @@ def test_as_a_verifier_does_it(stranger, mine, clothbench, tmp_path):
     kept = "".join(path.read_text() for path in Path(tmp_path, "verdicts").glob("*"))
     rows = json.loads(clothbench("leaderboard", "--json", "--out", "board").stdout)
     assert "secret" not in kept + json.dumps(rows)
-    assert {row["optimizer"].partition(", ")[2] for row in rows} == {"submitted, reproduced", "submitted, verified"}
+    shown = {(row["recording"], row["split"], row["optimizer"].partition(", ")[2]) for row in rows}
+    assert len(rows) == len(shown) == 5
+    assert {(split, grade) for recording, split, grade in shown if not recording} == {
+        ("fit", "submitted, reproduced"), ("held_out", "submitted, reproduced"), ("held_out", "submitted, verified")
+    }  # fmt: skip
+    done = clothbench("verify", mine, *given, "--out", "board", "--verdicts", "verdicts")
+    assert [line.split()[-2] for line in done.stdout.splitlines() if "node_error" in line] == [
+        "reproduced", "reproduced", "verified"
+    ]  # fmt: skip
+    assert json.loads(clothbench("leaderboard", "--json", "--out", "board").stdout) == rows
+
+
+def put_aside(folder):
+    for recording in unpublished():
+        write_recording(recording, folder / "secret" / f"{recording.name}.nc")
+
+
+def test_forged_public_scores_get_no_grade_from_unpublished_recordings(stranger, mine, clothbench, tmp_path):
+    put_aside(tmp_path)
+    shutil.move(mine, tmp_path / "submissions" / "mine")
+
+    def other(stated):
+        question = json.loads(stated["cells"][0]["question"])
+        stated["cells"][0]["question"] = json.dumps(question | {"bounds": {"bulge": [0.015, 0.02]}})
+
+    edit(tmp_path / "submissions" / "mine", other)
+    given = ["--recordings", str(stranger[0] / "recordings"), "--verdicts", "verdicts"]
+    run = ["verify", "submissions/mine", *given, "--run-their-code", "--out", "board"]
+    done = clothbench(*run, "--held-out", "secret")
+    assert done.returncode == 0, done.stderr
+    assert "plate (submissions/mine): recomputed, 2 of 2 recordings" in done.stdout
+    assert clothbench("site", "submissions", *given, "--out", "site").stdout.startswith("submissions/mine: recomputed")
+    unpublished, held_out = (tmp_path / "site" / "index.html").read_text().split("<h2 id=")[2:4]
+    assert (unpublished.count(">verified<"), held_out.count(">verified<")) == (1, 0)
+    done = clothbench(*run, "--reproduce")
+    assert done.returncode == 1
+    assert "when run again, handed in were 1.5" in done.stderr
+    assert clothbench("site", "submissions", *given, "--out", "site").stdout.startswith("submissions/mine: refused")
+    assert list((tmp_path / "board" / "cells").iterdir()) == []

@@ -95,6 +95,16 @@ def test_a_forged_score_and_a_file_changed_afterwards_are_refused(folder):
     assert "is not the file that was handed in" in found.faults[1]
 
 
+def test_a_second_simulation_and_one_under_another_name_are_refused(folder):
+    packed(folder)
+    edit(folder, lambda stated: stated["entries"].append(stated["entries"][1]))
+    assert "sway-2.nc: is a second one of 'sway-2'" in verify(folder, MEASURED, catalogue()).faults[0]
+    edit(folder, lambda stated: stated["entries"][0].update(cell="ab", recording="sway-2"))
+    edit(folder, lambda stated: stated["entries"][1].update(recording="sway-1"))
+    faults = verify(folder, MEASURED, catalogue()).faults
+    assert "sway-1.nc: is said to be of 'sway-2', but its hash is that of 'sway-1'" in faults[0]
+
+
 def test_results_of_another_version_are_set_aside(folder):
     packed(folder)
     edit(folder, lambda stated: stated.update(clothbench="0.0.1"))
@@ -152,7 +162,7 @@ def test_as_a_user_hands_in_and_checks(folder, recordings_folder, clothbench):
     assert done.returncode == 0, done.stderr
     done = clothbench("verify", folder, *given, "--out", "runs")
     assert done.returncode == 0, done.stderr
-    assert "recomputed" in done.stdout
+    assert done.stdout.count("recomputed") == 3  # of the whole, and of each row
     rows = json.loads(clothbench("leaderboard", "--json", "--out", "runs").stdout)
     assert {row["model"] for row in rows} == {"my-simulator"}
     assert "my-simulator" in clothbench("leaderboard", "--out", "runs").stdout
@@ -161,3 +171,4 @@ def test_as_a_user_hands_in_and_checks(folder, recordings_folder, clothbench):
     done = clothbench("verify", folder, *given, "--out", "other")
     assert done.returncode == 1
     assert done.stderr.startswith("refused: ")
+    assert done.stdout == f"my-simulator ({folder}): refused, 1 fault\n"
