@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -17,12 +17,13 @@ from clothbench.engine.store import Store
 from clothbench.engine.suite import resolve
 from clothbench.plugins.discovery import Catalogue, catalogue
 from clothbench.recordings.nodes import Recording, find_recordings, read_recording
-from clothbench.submissions.grades import cells_of, choose, held_out, reproduce
+from clothbench.submissions.grades import choose, held_out, reproduce, require_new
 from clothbench.submissions.kept import drop, keep, rows_of
 from clothbench.submissions.packing import pack_results
 from clothbench.submissions.sandbox import sandbox
 from clothbench.submissions.site import write_site
 from clothbench.submissions.submission import FILE, Compared, pack
+from clothbench.submissions.unpublished import Fabric, by_fabric, require_unpublished
 from clothbench.submissions.verdicts import HELD_OUT, WHEELS, Verdict, find_verdict, verdict_on, write_verdict
 from clothbench.submissions.verification import REFUSED, REPRODUCED, VERIFIED, Verified, verify
 
@@ -72,9 +73,11 @@ def verify_all(options: argparse.Namespace) -> int:
         raise ClothbenchError(f"verify: --reproduce and --held-out {WARNING}")
     known, plugins, bad = measured(options.recordings), catalogue(), 0
     secret = measured(options.held_out, "--held-out") if options.held_out else []
+    require_unpublished(secret, known)
+    fabrics = by_fabric(secret)
     for folder in options.folders:
         try:
-            bad += not _verified(folder, known, secret, plugins, options)
+            bad += not _verified(folder, known, fabrics, plugins, options)
         except ClothbenchError as fault:
             print(f"clothbench: {fault}", file=sys.stderr)
             bad += 1
@@ -87,7 +90,7 @@ def verify_all(options: argparse.Namespace) -> int:
 def _verified(
     folder: Path,
     known: Sequence[Recording],
-    secret: Sequence[Recording],
+    fabrics: Mapping[str, Fabric],
     plugins: Catalogue,
     options: argparse.Namespace,
 ) -> bool:
@@ -97,11 +100,11 @@ def _verified(
         _refuse(folder, found, found.faults)
         return False
     verdict, unpublished = verdict_on(folder, found.submission.name), list[Compared]()
-    if options.reproduce or secret:
-        verdict, unpublished = _run(folder, found, verdict, known, secret, plugins, options)
+    if options.reproduce or fabrics:
+        verdict, unpublished = _run(folder, found, verdict, fabrics, plugins, options)
     if options.verdicts is not None:
         verdict = verdict.after(find_verdict(options.verdicts, folder))
-        if options.reproduce or secret:
+        if options.reproduce or fabrics:
             print(f"{write_verdict(options.verdicts, verdict, folder)}: written")
     if options.out is not None:
         store = Store(options.out)
@@ -121,14 +124,13 @@ def _run(
     folder: Path,
     found: Verified,
     verdict: Verdict,
-    known: Sequence[Recording],
-    secret: Sequence[Recording],
+    fabrics: Mapping[str, Fabric],
     plugins: Catalogue,
     options: argparse.Namespace,
 ) -> tuple[Verdict, list[Compared]]:
     """Run the plugin of a submission as was asked for: what came of it, and what it made of unpublished recordings."""
     of, unpublished = found.submission, list[Compared]()
-    cells_of(folder, of, plugins)
+    require_new(folder, of, fabrics, plugins)
     what = WHEELS
     try:
         with sandbox([folder / wheel.file for wheel in of.wheels], options.time_limit) as place:
@@ -144,9 +146,9 @@ def _run(
                 if faults:
                     return verdict, []
                 print(f"{of.name}: {REPRODUCED}, {told}, within the noise")
-            if secret:
+            if fabrics:
                 what = HELD_OUT
-                unpublished = held_out(folder, of, secret, known, place, plugins)
+                unpublished = held_out(folder, of, fabrics, place, plugins)
                 means = [row for row in rows_of(unpublished) if row["recording"] is None]
                 verdict = replace(verdict, unpublished=means)
     except ClothbenchError as fault:

@@ -16,10 +16,11 @@ from clothbench import ClothbenchError, write_recording
 from clothbench.core.files import sha256
 from clothbench.plugins.discovery import catalogue
 from clothbench.submissions.again import blank
-from clothbench.submissions.grades import choose, held_out, reproduce
+from clothbench.submissions.grades import choose, held_out, reproduce, require_new
 from clothbench.submissions.reading import read_submission
 from clothbench.submissions.sandbox import Sandbox
 from clothbench.submissions.submission import FILE
+from clothbench.submissions.unpublished import by_fabric, require_unpublished
 from clothbench.submissions.verification import verify
 
 sys.path.append(str(ROOT / "tests" / "plugin"))
@@ -208,13 +209,48 @@ def test_an_honest_submission_is_reproduced_and_told_no_token_and_no_position(st
 
 def test_verified_on_recordings_that_nobody_else_has(stranger, mine):
     submission = read_submission(mine)
-    (found,) = held_out(mine, submission, unpublished(), known(), stranger[1], catalogue())
+    (found,) = held_out(mine, submission, by_fabric(unpublished()), stranger[1], catalogue())
     assert found.measured.name == "secret-1"
     assert 1.5 < found.scores["node_error"] < 3.0
+    with pytest.raises(ClothbenchError, match="the submission was fitted to it"):
+        require_new(mine, submission, by_fabric(known()), catalogue())
+
+
+def altered(recording, **changes):
+    return dataclasses.replace(recording, name="secret", fabric="silk", source="another", **changes)
+
+
+@pytest.mark.parametrize(
+    "copy",
+    [
+        lambda r: altered(r),
+        lambda r: altered(r, time=r.time[2:] - r.time[2], position=r.position[2:] + 1e-9),
+        lambda r: altered(r, material=r.material[::-2], position=r.position[:, ::-2]),
+    ],
+    ids=["renamed", "later", "fewer points"],
+)
+def test_a_published_recording_is_known_by_what_was_measured(copy):
     with pytest.raises(ClothbenchError, match=r"is published \('sway-1'\)"):
-        held_out(mine, submission, known(), known(), stranger[1], catalogue())
-    with pytest.raises(ClothbenchError, match="found 1 recordings to fit and 0 to score on of fabric 'paper'"):
-        held_out(mine, submission, unpublished()[:1], known(), stranger[1], catalogue())
+        require_unpublished([copy(known()[0])], known())
+    require_unpublished(unpublished(), known())
+
+
+def test_held_out_faults_are_found_before_a_plugin_is_installed(stranger, mine, clothbench, tmp_path):
+    words = ["verify", mine, "--recordings", str(stranger[0] / "recordings"), "--run-their-code", "--held-out"]
+    write_recording(altered(known()[0]), tmp_path / "renamed" / "a.nc")
+    write_recording(unpublished()[0], tmp_path / "alone" / "a.nc")
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "a.nc").write_text("no recording")
+    for folder, said in (
+        ("renamed", "is published ('sway-1')"),
+        ("alone", "found 1 recordings to fit and 0 to score on of fabric 'paper'"),
+        ("bad", "a.nc"),
+        ("nowhere", "nowhere: no such file or folder"),
+    ):
+        done = clothbench(*words, folder)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert said in done.stderr
+        assert len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize(

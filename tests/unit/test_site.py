@@ -24,7 +24,7 @@ UNPUBLISHED = {
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """Six submissions: one forged, one verified, one that was run again in vain, one with a verdict on what it was before."""
+    """Six submissions: one forged, one verified, one that failed later, one with a verdict on what it was before."""
     folder = tmp_path_factory.mktemp("place")
     for number, name in enumerate(("first", "second", "third", "forged", "changed", "failed")):
         mine = folder / "submissions" / name
@@ -69,8 +69,8 @@ def test_grades_come_from_verdicts_on_the_very_submission(place):
     found = write_site(place / "submissions", place / "again", MEASURED, place / "verdicts", catalogue())
     grades = {one.folder.name: one.grade for one in found}
     assert grades == {
-        "first": "recomputed", "second": "verified", "third": "recomputed", "forged": "refused", "changed": "recomputed",
-        "failed": "refused",
+        "first": "recomputed", "second": "verified", "third": "recomputed", "forged": "refused",
+        "changed": "recomputed", "failed": "refused",
     }  # fmt: skip
     without = write_site(place / "submissions", place / "again", MEASURED, None, catalogue())
     assert {one.grade for one in without} == {"recomputed", "refused"}
