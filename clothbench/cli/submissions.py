@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -45,7 +46,8 @@ def measured(paths: Sequence[str], option: str = "--recordings") -> list[Recordi
 def submit(options: argparse.Namespace, results: Store | None) -> int:
     """Score what was simulated and write what is handed in. results: that it is made from; None: from the folder."""
     folder, known, plugins = options.folder, measured(options.recordings), catalogue()
-    about = {name: seen(getattr(options, name)) for name in ("name", "by", "about", "suite")}
+    about = {name: seen(getattr(options, name)) for name in ("name", "by", "about")}
+    about["suite"] = seen(options.suite or suite_of(options.recordings))
     if results is not None:
         if not options.wheel:
             raise ClothbenchError("submit: --runs needs --wheel FILE, the distribution that the plugins come from")
@@ -63,8 +65,20 @@ def submit(options: argparse.Namespace, results: Store | None) -> int:
             escape(entry.recording), *(f"{entry.scores[m]:.4g}" if m in entry.scores else "" for m in found.metrics)
         )
     console().print(table)
-    print(f"{folder / FILE}: written; anybody can check it with `clothbench verify {folder}`")
+    check = shlex.join(["clothbench", "verify", str(folder), "--recordings", *options.recordings])
+    print(f"{folder / FILE}: written; anybody who has the recordings can check it with `{check}`")
     return 0
+
+
+def suite_of(recordings: Sequence[str]) -> str:
+    """What recordings are called as a whole: by the names of their folders, or of what has them built in."""
+    places = []
+    for name in recordings:
+        path = (
+            Path(name.partition(":")[2]) if name.startswith(("builtin:", "dataset:", "pkg:")) else Path(name).resolve()
+        )
+        places.append(path.parent.name if path.suffix == ".nc" else path.name)
+    return ", ".join(filter(None, dict.fromkeys(places))) or "recordings"
 
 
 def verify_all(options: argparse.Namespace) -> int:

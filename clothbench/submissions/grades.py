@@ -45,8 +45,8 @@ def cells_of(folder: Path, submission: Submission, plugins: Catalogue) -> dict[s
     """The fits that are handed in, by key. They come from a stranger: what is no cell is one line."""
     if not submission.cells:
         raise ClothbenchError(
-            f"{folder}: holds no fits that could be run again; pack them with `clothbench submit {folder} --runs RUNS "
-            "--wheel FILE`"
+            f"{folder}: holds no fits that could be run again; pack them with `clothbench submit FOLDER --name "
+            "NAME --runs RUNS --wheel FILE`"
         )
     out = {}
     for told in submission.cells:

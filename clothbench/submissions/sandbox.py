@@ -151,8 +151,8 @@ def sandbox(wheels: Sequence[Path], limit: float) -> Iterator[Sandbox]:
     """A fresh environment with these wheels; it is gone afterwards."""
     if not wheels:
         raise ClothbenchError(
-            "found no wheels, expected those of its plugins; pack them with `clothbench submit FOLDER --runs RUNS "
-            "--wheel FILE`"
+            "found no wheels, expected those of its plugins; pack them with `clothbench submit FOLDER --name NAME "
+            "--runs RUNS --wheel FILE`"
         )
     if os.name != "posix":
         raise ClothbenchError(

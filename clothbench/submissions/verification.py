@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -37,7 +38,7 @@ def verify(folder: Path, measured: Sequence[Recording], plugins: Catalogue) -> V
     if submission.clothbench != clothbench.__version__:
         raise ClothbenchError(
             f"{folder}: scored by clothbench {submission.clothbench}, this is {clothbench.__version__}; set aside: "
-            f"score it again with `clothbench submit {folder}`"
+            f"score it again with `clothbench submit {folder} --name {shlex.quote(submission.name)}`"
         )
     require_all(folder, [entry.recording for entry in submission.entries], measured)
     by_hash, found, faults = {recording.hash: recording for recording in measured}, [], []
