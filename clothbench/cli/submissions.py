@@ -21,7 +21,7 @@ from clothbench.recordings.nodes import Recording, find_recordings, read_recordi
 from clothbench.submissions.grades import choose, held_out, reproduce, require_new
 from clothbench.submissions.kept import drop, keep, rows_of
 from clothbench.submissions.packing import pack_results
-from clothbench.submissions.sandbox import sandbox
+from clothbench.submissions.sandbox import require_posix, sandbox
 from clothbench.submissions.site import write_site
 from clothbench.submissions.submission import FILE, Compared, pack
 from clothbench.submissions.unpublished import Fabric, by_fabric, require_unpublished
@@ -74,9 +74,8 @@ def suite_of(recordings: Sequence[str]) -> str:
     """What recordings are called as a whole: by the names of their folders, or of what has them built in."""
     places = []
     for name in recordings:
-        path = (
-            Path(name.partition(":")[2]) if name.startswith(("builtin:", "dataset:", "pkg:")) else Path(name).resolve()
-        )
+        inside = name.startswith(("builtin:", "dataset:", "pkg:"))
+        path = Path(name.partition(":")[2]) if inside else Path(name).resolve()
         places.append(path.parent.name if path.suffix == ".nc" else path.name)
     return ", ".join(filter(None, dict.fromkeys(places))) or "recordings"
 
@@ -144,6 +143,7 @@ def _run(
 ) -> tuple[Verdict, list[Compared]]:
     """Run the plugin of a submission as was asked for: what came of it, and what it made of unpublished recordings."""
     of, unpublished = found.submission, list[Compared]()
+    require_posix()
     require_new(folder, of, fabrics, plugins)
     what = WHEELS
     try:
@@ -166,9 +166,10 @@ def _run(
                 means = [row for row in rows_of(unpublished) if row["recording"] is None]
                 verdict = replace(verdict, unpublished=means)
     except ClothbenchError as fault:
-        print(f"clothbench: {fault}", file=sys.stderr)
-        # What a fault says of unpublished recordings is for whoever has them.
-        said = str(fault) if what == WHEELS else "it could not be fitted to unpublished recordings, or scored on them"
+        if what == WHEELS:
+            return replace(verdict, faults={what: [str(fault)]}), []
+        print(f"clothbench: {fault}", file=sys.stderr)  # for whoever has the recordings; it may name them
+        said = "it could not be fitted to unpublished recordings, or scored on them"
         return replace(verdict, faults={what: [said]}), []
     return verdict, unpublished
 

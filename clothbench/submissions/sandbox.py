@@ -146,6 +146,12 @@ def _is_of(path: str, standard: str) -> bool:
     return Path(path).is_relative_to(standard) and Path(path).name not in ("site-packages", "dist-packages")
 
 
+def require_posix() -> None:
+    """Refuse systems on which a plugin cannot be ended."""
+    if os.name != "posix":
+        raise ClothbenchError("running somebody's plugin needs a POSIX system, which can end the processes it starts")
+
+
 @contextlib.contextmanager
 def sandbox(wheels: Sequence[Path], limit: float) -> Iterator[Sandbox]:
     """A fresh environment with these wheels; it is gone afterwards."""
@@ -153,10 +159,6 @@ def sandbox(wheels: Sequence[Path], limit: float) -> Iterator[Sandbox]:
         raise ClothbenchError(
             "found no wheels, expected those of its plugins; pack them with `clothbench submit FOLDER --name NAME "
             "--runs RUNS --wheel FILE`"
-        )
-    if os.name != "posix":
-        raise ClothbenchError(
-            "running somebody's plugin needs a POSIX system, which can end all processes that it starts"
         )
     with tempfile.TemporaryDirectory(prefix="clothbench-", ignore_cleanup_errors=True) as folder:
         made = Sandbox(Path(folder), limit)

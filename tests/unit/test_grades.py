@@ -326,3 +326,23 @@ def test_forged_public_scores_get_no_grade_from_unpublished_recordings(stranger,
     assert "when run again, handed in were 1.5" in done.stderr
     assert clothbench("site", "submissions", *given, "--out", "site").stdout.startswith("submissions/mine: refused")
     assert list((tmp_path / "board" / "cells").iterdir()) == []
+
+
+def test_what_went_wrong_on_unpublished_recordings_is_told_to_the_verifier_only(stranger, mine, clothbench, tmp_path):
+    put_aside(tmp_path)
+
+    def other(stated):
+        question = json.loads(stated["cells"][0]["question"])
+        stated["cells"][0]["question"] = json.dumps(question | {"model": "secret-1"})
+
+    edit(mine, other)
+    given = ["--recordings", str(stranger[0] / "recordings"), "--verdicts", "verdicts"]
+    done = clothbench("verify", mine, *given, "--run-their-code", "--held-out", "secret")
+    assert done.returncode == 1
+    assert "no model named 'secret-1'" in done.stderr
+    (verdict,) = Path(tmp_path, "verdicts").glob("*.json")
+    assert json.loads(verdict.read_text())["grade"] == "refused"
+    assert "secret" not in verdict.read_text()
+    again = clothbench("verify", mine, *given)  # without running anything: what was found stands
+    assert again.returncode == 1
+    assert "refused: it could not be fitted to unpublished recordings" in again.stderr
