@@ -72,10 +72,15 @@ class Sandbox:
         own = sysconfig.get_path("stdlib")
         here = [path for path in sys.path if path and Path(path).is_dir() and not _is_of(path, own)]
         (place / "verifier.pth").write_text("\n".join(here) + "\n", encoding="utf-8")
-        pip = [sys.executable, "-m", "pip", "--python", str(self.python), "--disable-pip-version-check", "install"]
-        for how in (["--no-deps", "--no-index", "--force-reinstall", "--ignore-installed"], ["--only-binary=:all:"]):
+        # First what the wheels need, then they themselves, by this Python: once they lie there, starting the other one
+        # runs what they bring (.pth), which is not to happen before it has been fenced in.
+        pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
+        for how in (
+            ["--python", str(self.python), "install", "--only-binary=:all:"],
+            ["install", "--no-deps", "--no-index", "--upgrade", "--target", str(place)],
+        ):
             done = subprocess.run(
-                [*pip, "--quiet", *how, *map(str, wheels)], capture_output=True, text=True, check=False
+                [*pip, *how, "--quiet", *map(str, wheels)], capture_output=True, text=True, check=False
             )
             if done.returncode:
                 said = next(

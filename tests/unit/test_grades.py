@@ -5,6 +5,7 @@ import json
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
@@ -62,6 +63,17 @@ def stranger(tmp_path_factory):
 @pytest.fixture
 def mine(stranger, tmp_path):
     return shutil.copytree(stranger[0] / "mine", tmp_path / "mine")
+
+
+def test_nothing_of_a_wheel_is_run_while_it_is_installed(tmp_path):
+    wheel = wheel_of_plate(tmp_path)
+    with zipfile.ZipFile(wheel, "a") as archive:
+        archive.writestr("plate.pth", f"import pathlib; pathlib.Path({str(tmp_path / 'ran')!r}).touch()\n")
+    place = Sandbox(tmp_path, limit=120.0)
+    place.install([wheel])
+    assert not (tmp_path / "ran").exists()
+    subprocess.run([place.python, "-c", "import clothbench_plate.model"], check=True)
+    assert (tmp_path / "ran").exists()
 
 
 def edit(folder, change):
