@@ -167,7 +167,7 @@ def _run(
                 verdict = replace(verdict, unpublished=means)
     except ClothbenchError as fault:
         if what == WHEELS:
-            return replace(verdict, faults={what: [str(fault)]}), []
+            return replace(verdict, faults={what: [str(fault).replace(f"{folder}/", "")]}), []
         print(f"clothbench: {fault}", file=sys.stderr)  # for whoever has the recordings; it may name them
         said = "it could not be fitted to unpublished recordings, or scored on them"
         return replace(verdict, faults={what: [said]}), []

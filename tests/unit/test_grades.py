@@ -76,6 +76,19 @@ def test_nothing_of_a_wheel_is_run_while_it_is_installed(tmp_path):
     assert (tmp_path / "ran").exists()
 
 
+def test_a_wheel_that_cannot_be_installed_is_a_fault_without_a_place(mine, stranger, clothbench, tmp_path):
+    (wheel,) = (mine / "wheels").iterdir()
+    wheel.write_bytes(b"no wheel")
+    edit(mine, lambda stated: stated["wheels"][0].update(sha256=sha256(wheel)))
+    given = ["--recordings", str(stranger[0] / "recordings"), "--verdicts", "verdicts"]
+    done = clothbench("verify", mine, *given, "--run-their-code", "--reproduce")
+    assert done.returncode == 1
+    (verdict,) = (path.read_text() for path in Path(tmp_path, "verdicts").glob("*.json"))
+    assert "cannot be installed" in verdict
+    assert json.loads(verdict)["grade"] == "refused"
+    assert str(mine) not in verdict
+
+
 def edit(folder, change):
     stated = json.loads((folder / FILE).read_text())
     change(stated)
