@@ -7,6 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from clothbench.core.files import require_folder
+
 DEFAULT_OUT = "runs"
 
 EPILOG = """\
@@ -119,13 +121,13 @@ def _recordings(sub: argparse.ArgumentParser) -> None:
 
 
 def _submit(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("folder", type=Path, help="of simulated recordings: copies of the measured ones' files (kind "
+    sub.add_argument("folder", type=_local, help="of simulated recordings: copies of the measured ones' files (kind "
                      "nodes) with the simulated `position`")  # fmt: skip
     _recordings(sub)
     sub.add_argument("--name", required=True, help="what the model is called on the leaderboard")
     sub.add_argument("--by", default="", help="who hands it in")
     sub.add_argument("--about", default="", help="one line about the model")
-    sub.add_argument("--suite", default="static_dynamic", help="what its rows are grouped by (default: static_dynamic)")
+    sub.add_argument("--suite", help="what its rows are grouped by (default: what --recordings are called)")
     sub.add_argument("--metric", nargs="+", help="that scores it (default: node_error; of --runs: those of the fits)")
     sub.add_argument("--runs", metavar="RUNS", help="pack the calibrations of a results folder into FOLDER")
     sub.add_argument(
@@ -134,9 +136,9 @@ def _submit(sub: argparse.ArgumentParser) -> None:
 
 
 def _verify(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("folders", nargs="+", type=Path, metavar="FOLDER", help="a submission")
+    sub.add_argument("folders", nargs="+", type=_local, metavar="FOLDER", help="a submission")
     _recordings(sub)
-    sub.add_argument("--out", type=Path, help="results folder that takes what stands")
+    sub.add_argument("--out", type=_local, help="results folder that takes what stands")
     sub.add_argument("--reproduce", action="store_true", help="run random cells of it again, with its own wheels")
     sub.add_argument(
         "--held-out", nargs="+", metavar="PATH", help="refit it, and score it, on recordings that were never published"
@@ -150,17 +152,27 @@ def _verify(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--time-limit", type=float, default=3600.0, metavar="S", help="s that one fit may take (default: 3600)"
     )
-    sub.add_argument("--verdicts", type=Path, metavar="FOLDER", help="keep what was found here, for `clothbench site`")
+    sub.add_argument(
+        "--verdicts", type=_local, metavar="FOLDER", help="keep what was found here, for `clothbench site`"
+    )
 
 
 def _site(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("folder", type=Path, metavar="FOLDER", help="with a folder for each submission")
+    sub.add_argument("folder", type=_local, metavar="FOLDER", help="with a folder for each submission")
     _recordings(sub)
-    sub.add_argument("--out", type=Path, required=True, metavar="FOLDER", help="that takes index.html and submissions/")
     sub.add_argument(
-        "--verdicts", type=Path, metavar="FOLDER",
+        "--out", type=_local, required=True, metavar="FOLDER", help="that takes index.html and submissions/"
+    )
+    sub.add_argument(
+        "--verdicts", type=_local, metavar="FOLDER",
         help="of `clothbench verify --verdicts`: grades that took running a plugin",
     )  # fmt: skip
+
+
+def _local(text: str) -> Path:
+    """A folder of this machine, by its name: of an address a path would drop a slash."""
+    require_folder(text)
+    return Path(text)
 
 
 def _count(text: str) -> int:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import argparse
+import shlex
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
@@ -17,14 +18,15 @@ from clothbench.engine.store import Store
 from clothbench.engine.suite import resolve
 from clothbench.plugins.discovery import Catalogue, catalogue
 from clothbench.recordings.nodes import Recording, find_recordings, read_recording
-from clothbench.submissions.grades import REPRODUCED, VERIFIED, cells_of, choose, held_out, reproduce
-from clothbench.submissions.kept import keep, rows_of
+from clothbench.submissions.grades import choose, held_out, reproduce, require_new
+from clothbench.submissions.kept import drop, keep, rows_of
 from clothbench.submissions.packing import pack_results
-from clothbench.submissions.sandbox import sandbox
+from clothbench.submissions.sandbox import require_posix, sandbox
 from clothbench.submissions.site import write_site
 from clothbench.submissions.submission import FILE, Compared, pack
-from clothbench.submissions.verdicts import verdict_on, write_verdict
-from clothbench.submissions.verification import GRADE, Verified, verify
+from clothbench.submissions.unpublished import Fabric, by_fabric, require_unpublished
+from clothbench.submissions.verdicts import HELD_OUT, WHEELS, Verdict, find_verdict, verdict_on, write_verdict
+from clothbench.submissions.verification import REFUSED, REPRODUCED, VERIFIED, Verified, verify
 
 WARNING = (
     "runs the submitter's plugin with your rights: it can read, change and send whatever you can; do it on a machine "
@@ -44,7 +46,8 @@ def measured(paths: Sequence[str], option: str = "--recordings") -> list[Recordi
 def submit(options: argparse.Namespace, results: Store | None) -> int:
     """Score what was simulated and write what is handed in. results: that it is made from; None: from the folder."""
     folder, known, plugins = options.folder, measured(options.recordings), catalogue()
-    about = {name: seen(getattr(options, name)) for name in ("name", "by", "about", "suite")}
+    about = {name: seen(getattr(options, name)) for name in ("name", "by", "about")}
+    about["suite"] = seen(options.suite or suite_of(options.recordings))
     if results is not None:
         if not options.wheel:
             raise ClothbenchError("submit: --runs needs --wheel FILE, the distribution that the plugins come from")
@@ -62,8 +65,19 @@ def submit(options: argparse.Namespace, results: Store | None) -> int:
             escape(entry.recording), *(f"{entry.scores[m]:.4g}" if m in entry.scores else "" for m in found.metrics)
         )
     console().print(table)
-    print(f"{folder / FILE}: written; anybody can check it with `clothbench verify {folder}`")
+    check = shlex.join(["clothbench", "verify", str(folder), "--recordings", *options.recordings])
+    print(f"{folder / FILE}: written; anybody who has the recordings can check it with `{check}`")
     return 0
+
+
+def suite_of(recordings: Sequence[str]) -> str:
+    """What recordings are called as a whole: by the names of their folders, or of what has them built in."""
+    places = []
+    for name in recordings:
+        inside = name.startswith(("builtin:", "dataset:", "pkg:"))
+        path = Path(name.partition(":")[2]) if inside else Path(name).resolve()
+        places.append(path.parent.name if path.suffix == ".nc" else path.name)
+    return ", ".join(filter(None, dict.fromkeys(places))) or "recordings"
 
 
 def verify_all(options: argparse.Namespace) -> int:
@@ -72,9 +86,11 @@ def verify_all(options: argparse.Namespace) -> int:
         raise ClothbenchError(f"verify: --reproduce and --held-out {WARNING}")
     known, plugins, bad = measured(options.recordings), catalogue(), 0
     secret = measured(options.held_out, "--held-out") if options.held_out else []
+    require_unpublished(secret, known)
+    fabrics = by_fabric(secret)
     for folder in options.folders:
         try:
-            bad += not _verified(folder, known, secret, plugins, options)
+            bad += not _verified(folder, known, fabrics, plugins, options)
         except ClothbenchError as fault:
             print(f"clothbench: {fault}", file=sys.stderr)
             bad += 1
@@ -87,43 +103,75 @@ def verify_all(options: argparse.Namespace) -> int:
 def _verified(
     folder: Path,
     known: Sequence[Recording],
-    secret: Sequence[Recording],
+    fabrics: Mapping[str, Fabric],
     plugins: Catalogue,
     options: argparse.Namespace,
 ) -> bool:
     """Check one submission as far as was asked for, and keep what stands; whether all of it does."""
     found = verify(folder, known, plugins)
-    tell(folder, found, len(known))
     if found.faults:
+        _refuse(folder, found, found.faults)
         return False
-    grade, more = GRADE, dict[str, Any]()
-    unpublished: list[Compared] = []
-    if options.reproduce or secret:
-        cells_of(folder, found.submission, plugins)
-        wheels = [folder / wheel.file for wheel in found.submission.wheels]
-        with sandbox(wheels, options.time_limit) as place:
-            more["network"] = "cut off" if place.fence else "open"
-            print(f"running its plugin, network {more['network']}, {options.time_limit:g} s at most for each fit")
-            if options.reproduce:
-                chosen = choose(folder, found.submission, options.cells, options.seed)
-                told = f"{len(chosen.keys)} of {len(found.submission.cells)} cells by seed {chosen.seed}"
-                print(f"chosen: {told}: {', '.join(chosen.keys)}")
-                if not refused(reproduce(folder, found.submission, found.found, chosen, place, plugins)):
-                    return False
-                grade, more = REPRODUCED, {**more, "seed": chosen.seed, "cells": chosen.keys}
-                print(f"{found.submission.name}: {REPRODUCED}, {told}, within the noise")
-            if secret:
-                unpublished = held_out(folder, found.submission, secret, known, place, plugins)
-                grade, more = VERIFIED, {**more, "unpublished": [r for r in rows_of(unpublished) if not r["recording"]]}
-                _tell_unpublished(found.submission.name, unpublished)
-    if options.verdicts is not None and grade != GRADE:
-        verdict = verdict_on(folder, found.submission.name, grade, **more)
-        print(f"{write_verdict(options.verdicts, verdict, folder)}: written")
+    verdict, unpublished = verdict_on(folder, found.submission.name), list[Compared]()
+    if options.reproduce or fabrics:
+        verdict, unpublished = _run(folder, found, verdict, fabrics, plugins, options)
+    if options.verdicts is not None:
+        verdict = verdict.after(find_verdict(options.verdicts, folder))
+        if options.reproduce or fabrics:
+            print(f"{write_verdict(options.verdicts, verdict, folder)}: written")
     if options.out is not None:
         store = Store(options.out)
-        keep(found.submission, found.found, store, plugins, REPRODUCED if options.reproduce else GRADE)
-        keep(found.submission, unpublished, store, plugins, VERIFIED, named=False)
+        if verdict.faults:
+            drop(found.submission, store)
+        else:
+            keep(found.submission, found.found, store, plugins, verdict.cells)
+            keep(found.submission, unpublished, store, plugins, named=False)
+    if verdict.faults:
+        _refuse(folder, found, [fault for faults in verdict.faults.values() for fault in faults])
+        return False
+    tell(folder, found, len(known), verdict)
     return True
+
+
+def _run(
+    folder: Path,
+    found: Verified,
+    verdict: Verdict,
+    fabrics: Mapping[str, Fabric],
+    plugins: Catalogue,
+    options: argparse.Namespace,
+) -> tuple[Verdict, list[Compared]]:
+    """Run the plugin of a submission as was asked for: what came of it, and what it made of unpublished recordings."""
+    of, unpublished = found.submission, list[Compared]()
+    require_posix()
+    require_new(folder, of, fabrics, plugins)
+    what = WHEELS
+    try:
+        with sandbox([folder / wheel.file for wheel in of.wheels], options.time_limit) as place:
+            verdict = replace(verdict, network="cut off" if place.fence else "open")
+            print(f"running its plugin, network {verdict.network}, {options.time_limit:g} s at most for each fit")
+            if options.reproduce:
+                chosen = choose(folder, of, options.cells, options.seed)
+                told = f"{len(chosen.keys)} of {len(of.cells)} cells by seed {chosen.seed}"
+                print(f"chosen: {told}: {', '.join(chosen.keys)}")
+                faults = reproduce(folder, of, found.found, chosen, place, plugins)
+                passed = [key for key in chosen.keys if key not in faults]
+                verdict = replace(verdict, seed=chosen.seed, cells=passed, faults=faults)
+                if faults:
+                    return verdict, []
+                print(f"{of.name}: {REPRODUCED}, {told}, within the noise")
+            if fabrics:
+                what = HELD_OUT
+                unpublished = held_out(folder, of, fabrics, place, plugins)
+                means = [row for row in rows_of(unpublished) if row["recording"] is None]
+                verdict = replace(verdict, unpublished=means)
+    except ClothbenchError as fault:
+        if what == WHEELS:
+            return replace(verdict, faults={what: [str(fault).replace(f"{folder}/", "")]}), []
+        print(f"clothbench: {fault}", file=sys.stderr)  # for whoever has the recordings; it may name them
+        said = "it could not be fitted to unpublished recordings, or scored on them"
+        return replace(verdict, faults={what: [said]}), []
+    return verdict, unpublished
 
 
 def site(folder: Path, out: Path, recordings: Sequence[str], verdicts: Path | None) -> int:
@@ -134,38 +182,29 @@ def site(folder: Path, out: Path, recordings: Sequence[str], verdicts: Path | No
     return 0
 
 
-def refused(faults: Sequence[str]) -> bool:
-    """Say each fault in a line; whether there was none."""
+def _refuse(folder: Path, found: Verified, faults: Sequence[str]) -> None:
+    """Say why a submission does not stand, a line for each fault."""
+    print(f"{found.submission.name} ({folder}): {REFUSED}, {len(faults)} fault{'s' if len(faults) > 1 else ''}")
     for fault in faults:
         print(f"refused: {fault}", file=sys.stderr)
-    return not faults
 
 
-def _tell_unpublished(name: str, found: Sequence[Compared]) -> None:
-    """Means only: which recordings they are is nobody's business."""
-    table = Table(
-        title=f"{name}: {VERIFIED}, on {len(found)} simulations of unpublished recordings", title_justify="left"
-    )
-    for column in ("metric", "mean error", "floor"):
-        table.add_column(column, justify="left" if column == "metric" else "right")
-    for row in rows_of(found):
-        if row["recording"] is None:
-            floor = "" if row["floor"] is None else f"{row['floor']:.3g}"
-            table.add_row(row["metric"], f"{row['value']:.4g} {row['unit']}", floor)
-    console().print(table)
-
-
-def tell(folder: Path, found: Verified, of: int) -> None:
-    grade = f"[red]refused[/], {len(found.faults)} faults" if found.faults else f"[green]{GRADE}[/]"
+def tell(folder: Path, found: Verified, of: int, verdict: Verdict) -> None:
+    """Every score, each with the grade that it was shown to have."""
     name, recordings = found.submission.name, len({one.measured.hash for one in found.found})
-    title = f"{escape(f'{name} ({folder})')}: {grade}, {recordings} of {of} recordings"
+    title = f"{escape(f'{name} ({folder})')}: [green]{verdict.grade}[/], {recordings} of {of} recordings"
     table = Table(title=title, title_justify="left")
-    table.add_column("recording")
-    for name in ("metric", "computed again", "floor"):
-        table.add_column(name, justify="left" if name == "metric" else "right")
+    for column in ("recording", "metric", "computed again", "floor", "grade"):
+        table.add_column(column, justify="right" if column in ("computed again", "floor") else "left")
     for one in found.found:
         for metric, value in one.scores.items():
-            floor = "" if one.floors[metric] != one.floors[metric] else f"{one.floors[metric]:.3g}"
-            table.add_row(escape(one.measured.name), metric, f"{value:.4g} {one.units[metric]}", floor)
+            score = _scored(metric, value, one.units[metric], one.floors[metric])
+            table.add_row(escape(one.measured.name), *score, verdict.grade_of([one.cell]))
+    for row in verdict.unpublished:  # means only: which recordings they are is nobody's business
+        score = _scored(row["metric"], row["value"], row["unit"], row["floor"])
+        table.add_row("unpublished, mean", *score, VERIFIED)
     console().print(table)
-    refused(found.faults)
+
+
+def _scored(metric: str, value: float, unit: str, floor: float | None) -> tuple[str, str, str]:
+    return metric, f"{value:.4g} {unit}", "" if floor is None or floor != floor else f"{floor:.3g}"

@@ -32,6 +32,12 @@ def file_name(recording: str) -> str:
     return re.sub(r"[^\w.-]+", "_", recording).lstrip(".") or "recording"
 
 
+def require_folder(name: str) -> None:
+    """Refuse an address, as of a bucket, where a folder of this machine is needed."""
+    if re.match(r"\w{2,}:/", name):
+        raise ClothbenchError(f"{name}: found an address, expected a folder; this command takes no bucket")
+
+
 def sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
     with path.open("rb") as stream:

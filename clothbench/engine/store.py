@@ -31,7 +31,7 @@ import pyarrow as pa
 
 from clothbench.core.create_only import require_create_only
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import parsed_json, read_json, whole_folder
+from clothbench.core.files import parsed_json, read_json, require_folder, whole_folder
 from clothbench.core.packed import Files, files_in, packed, unpacked, write_files
 from clothbench.engine.bucket import (
     ATTEMPT,
@@ -120,8 +120,7 @@ class Store:
 
     def __init__(self, folder: str | os.PathLike[str]):
         self.folder = Path(folder)
-        if re.match(r"\w{2,}:/", str(folder)):
-            raise ClothbenchError(f"{folder}: found an address, expected a folder; this command takes no bucket")
+        require_folder(str(folder))
 
     @functools.cached_property
     def bucket(self) -> Bucket | None:

@@ -12,16 +12,14 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import sha256
-from clothbench.engine.cells import Source, resplit, seed_of
+from clothbench.engine.cells import seed_of
 from clothbench.engine.judgement import judge
 from clothbench.plugins.discovery import Catalogue
-from clothbench.recordings.nodes import Recording
 from clothbench.studies.calibration.cell import CalibrationCell, asked, asked_again
 from clothbench.submissions.packing import metrics_of, require_checkable
 from clothbench.submissions.sandbox import Sandbox
 from clothbench.submissions.submission import FILE, Compared, Submission, compared
-
-REPRODUCED, VERIFIED = "reproduced", "verified"
+from clothbench.submissions.unpublished import Fabric
 
 
 @dataclass(frozen=True)
@@ -47,8 +45,8 @@ def cells_of(folder: Path, submission: Submission, plugins: Catalogue) -> dict[s
     """The fits that are handed in, by key. They come from a stranger: what is no cell is one line."""
     if not submission.cells:
         raise ClothbenchError(
-            f"{folder}: holds no fits that could be run again; pack them with `clothbench submit {folder} --runs RUNS "
-            "--wheel FILE`"
+            f"{folder}: holds no fits that could be run again; pack them with `clothbench submit FOLDER --name "
+            "NAME --runs RUNS --wheel FILE`"
         )
     out = {}
     for told in submission.cells:
@@ -64,18 +62,18 @@ def cells_of(folder: Path, submission: Submission, plugins: Catalogue) -> dict[s
 
 def reproduce(
     folder: Path, submission: Submission, found: Sequence[Compared], chosen: Chosen, place: Sandbox, plugins: Catalogue
-) -> list[str]:
-    """Run the chosen cells again and hold what comes of them against what was handed in; a fault for each that differs
-    by more than the noise. found: what was handed in, scored here.
+) -> dict[str, list[str]]:
+    """Run the chosen cells again and hold what comes of them against what was handed in: by the keys of those that do
+    not pass, a fault for each score that differs by more than the noise. found: what was handed in, scored here.
     """
-    cells, faults = cells_of(folder, submission, plugins), []
+    cells, faults = cells_of(folder, submission, plugins), {}
     for key in chosen.keys:
         stated = {one.measured.hash: one for one in found if one.cell == key}
         try:
-            faults += _again(key, cells[key], stated, place, plugins)
+            faults[key] = _again(key, cells[key], stated, place, plugins)
         except ClothbenchError as fault:
-            faults.append(f"cell {key}: {fault}")
-    return faults
+            faults[key] = [f"cell {key}: {fault}".replace(f"{place.folder}/", "")]
+    return {key: said for key, said in faults.items() if said}
 
 
 def _again(
@@ -107,29 +105,30 @@ def _row(one: Compared, metric: str) -> dict[str, float | None]:
 def held_out(
     folder: Path,
     submission: Submission,
-    secret: Sequence[Recording],
-    published: Sequence[Recording],
+    fabrics: Mapping[str, Fabric],
     place: Sandbox,
     plugins: Catalogue,
 ) -> list[Compared]:
     """Fit the submitted plugin, with the submitted settings, to recordings that nobody else has, and score it on others
     of them, whose positions it is never told.
     """
-    known = {recording.hash for recording in published} | {entry.recording_hash for entry in submission.entries}
-    for recording in secret:
-        if recording.hash in known:
-            raise ClothbenchError(
-                f"{recording.path}: is published ({recording.name!r}); expected recordings that are not"
-            )
-    fabrics: dict[str, list[Recording]] = {}
-    for recording in secret:
-        fabrics.setdefault(recording.fabric, []).append(recording)
     found = []
     for key, cell in _setups(cells_of(folder, submission, plugins)).items():
-        require_checkable(cell, key)
-        for fabric, mine in fabrics.items():
-            found += _scored(key, cell, fabric, mine, place, plugins)
+        for name, fabric in fabrics.items():
+            found += _scored(key, cell, name, fabric, place, plugins)
     return found
+
+
+def require_new(folder: Path, submission: Submission, fabrics: Mapping[str, Fabric], plugins: Catalogue) -> None:
+    """Refuse recordings that the submission knows, and fits that could not be scored on others."""
+    cells = cells_of(folder, submission, plugins)
+    known = {source.hash for cell in cells.values() for source in (*cell.recordings, *cell.rivals)}
+    for fabric in fabrics.values():
+        for recording in (*fabric.shown.values(), *fabric.wanted):
+            if recording.hash in known:
+                raise ClothbenchError(f"{recording.path}: the submission was fitted to it; expected one that is not")
+    for key, cell in _setups(cells).items():
+        require_checkable(cell, key)
 
 
 def _setups(cells: Mapping[str, CalibrationCell]) -> dict[str, CalibrationCell]:
@@ -142,16 +141,9 @@ def _setups(cells: Mapping[str, CalibrationCell]) -> dict[str, CalibrationCell]:
 
 
 def _scored(
-    key: str, cell: CalibrationCell, fabric: str, recordings: Sequence[Recording], place: Sandbox, plugins: Catalogue
+    key: str, cell: CalibrationCell, name: str, fabric: Fabric, place: Sandbox, plugins: Catalogue
 ) -> list[Compared]:
-    sources = resplit([Source(r.path, r.name, r.hash, r.split) for r in recordings], seed=0)
-    shown = {s.hash: r for s, r in zip(sources, recordings, strict=True) if s.split == "fit"}
-    wanted = [dataclasses.replace(r, split="held_out") for r in recordings if r.hash not in shown]
-    if not shown or not wanted:
-        raise ClothbenchError(
-            f"--held-out: found {len(shown)} recordings to fit and {len(wanted)} to score on of fabric {fabric!r}, "
-            "expected one of each at least"
-        )
-    asked_for = dataclasses.replace(cell, case=fabric, recordings=tuple(sources))
-    simulated = place.fitted(asked_for, shown, wanted)
+    asked_for = dataclasses.replace(cell, case=name, recordings=fabric.sources)
+    wanted = [dataclasses.replace(recording, split="held_out") for recording in fabric.wanted]
+    simulated = place.fitted(asked_for, fabric.shown, wanted)
     return [compared(*simulated[r.name], r, metrics_of(cell), plugins, key) for r in wanted]

@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
 
+from clothbench.core.files import remove_folder
 from clothbench.engine.cells import digest, listed, plugin_versions
 from clothbench.engine.store import Store, finite, now, system_info
 from clothbench.estimation.intervals import mean_interval
 from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.calibration.cell import asked_again
 from clothbench.submissions.submission import Compared, Submission
-from clothbench.submissions.verification import GRADE
+from clothbench.submissions.verification import GRADE, REPRODUCED, VERIFIED
 
 
 def keep(
@@ -22,13 +25,15 @@ def keep(
     found: Sequence[Compared],
     store: Store,
     plugins: Catalogue,
-    grade: str = GRADE,
+    reproduced: Collection[str] = (),
     named: bool = True,
 ) -> list[str]:
     """A cell of the store for each fit, or for each fabric where the fits are not known, with a row for each score and
-    for the mean of each split; gives their keys. Rows show the grade beside the optimizer, or in its place.
+    for the mean of each split; gives their keys. Rows show the grade beside the optimizer, or in its place. A cell that
+    is there already makes way for one of the same grade or a better one, so that a submission is there once.
 
-    named: whether rows may say of which recordings they are; else there are means only.
+    reproduced: keys of the fits that were run again; named: whether rows may say of which recordings they are; else
+    these were never published, and there are means only.
     """
     cells = {asked.key: asked_again(asked.question) for asked in submission.cells}
     versions = plugin_versions([("metrics", metric) for metric in submission.metrics], plugins)
@@ -38,8 +43,8 @@ def keep(
     keys = []
     for (of, fabric), mine in groups.items():
         cell = cells.get(of)
-        scores = sorted([one.measured.hash, *map(float, one.scores.values())] for one in mine)
-        key = digest([submission.name, grade, of, fabric, scores, sorted(submission.metrics)])
+        grade = VERIFIED if not named else REPRODUCED if of in reproduced else GRADE
+        key = content_of(submission) + digest([of, fabric, named], 8)
         case = cell.case if cell is not None and named else fabric
         about = {
             "study": "calibration", "suite": submission.suite, "case": case, "model": submission.name,
@@ -49,9 +54,33 @@ def keep(
             "budget": None, "settings": None, "plugins": listed(versions), "threads": None,
             "finished": now(), **system_info(),
         }  # fmt: skip
-        store.put(key, {"rows": [{**about, **row} for row in rows_of(mine) if named or row["recording"] is None]})
+        rows = [{**about, **row} for row in rows_of(mine) if named or row["recording"] is None]
+        if _makes_way(store, key, grade):
+            store.put(key, {"rows": rows})
         keys.append(key)
     return keys
+
+
+def content_of(submission: Submission) -> str:
+    """Hexadecimal digits of what was handed in, whoever did, whenever, and whatever was said about it."""
+    return digest(asdict(dataclasses.replace(submission, by="", about="")))
+
+
+def _makes_way(store: Store, key: str, grade: str) -> bool:
+    """Remove a cell, unless its grade is better than this one; whether its place is free now."""
+    order = (GRADE, REPRODUCED, VERIFIED)
+    for row in store.rows([key]):
+        if order.index(row["optimizer"].rpartition(", ")[2]) > order.index(grade):
+            return False
+    if store.cell(key).exists():
+        remove_folder(store.cell(key))
+    return True
+
+
+def drop(submission: Submission, store: Store) -> None:
+    """Remove what the store has of a submission."""
+    for cell in store.folder.glob(f"cells/{content_of(submission)}*"):
+        remove_folder(cell)
 
 
 def rows_of(compared: Sequence[Compared]) -> list[dict[str, Any]]:

@@ -16,7 +16,7 @@ def read_submission(folder: Path) -> Submission:
     """What a folder's `submission.json` says; faults are one line."""
     path = folder / FILE
     if not path.exists():
-        raise ClothbenchError(f"{folder}: found no {FILE}; make one with `clothbench submit {folder}`")
+        raise ClothbenchError(f"{folder}: found no {FILE}; make one with `clothbench submit {folder} --name NAME`")
     stated = read_json(path, f"what `clothbench submit {folder}` writes")
     if not isinstance(stated, dict) or stated.get("schema") != SCHEMA:
         found = stated.get("schema") if isinstance(stated, dict) else type(stated).__name__

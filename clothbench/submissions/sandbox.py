@@ -2,7 +2,7 @@
 
 This keeps accidents apart, not attacks: the plugin runs with the rights of whoever started the command. It gets an
 environment without variables but a few, a home and a working folder of its own, no network where `unshare` can take it
-away, and a time limit after which all of its processes are ended.
+away, and a time limit. When a fit is done, or out of time, all processes that it has started are ended.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from clothbench.core.files import file_name
 from clothbench.recordings.nodes import Recording, read_recording, write_recording
 from clothbench.studies.calibration.cell import CalibrationCell, asked
 from clothbench.submissions.again import blank
+from clothbench.submissions.processes import all_ended
 
 TOLD = (
     "PATH",
@@ -71,10 +72,15 @@ class Sandbox:
         own = sysconfig.get_path("stdlib")
         here = [path for path in sys.path if path and Path(path).is_dir() and not _is_of(path, own)]
         (place / "verifier.pth").write_text("\n".join(here) + "\n", encoding="utf-8")
-        pip = [sys.executable, "-m", "pip", "--python", str(self.python), "--disable-pip-version-check", "install"]
-        for how in (["--no-deps", "--no-index", "--force-reinstall", "--ignore-installed"], ["--only-binary=:all:"]):
+        # First what the wheels need, then they themselves, by this Python: once they lie there, starting the other one
+        # runs what they bring (.pth), which is not to happen before it has been fenced in.
+        pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
+        for how in (
+            ["--python", str(self.python), "install", "--only-binary=:all:"],
+            ["install", "--no-deps", "--no-index", "--upgrade", "--target", str(place)],
+        ):
             done = subprocess.run(
-                [*pip, "--quiet", *how, *map(str, wheels)], capture_output=True, text=True, check=False
+                [*pip, *how, "--quiet", *map(str, wheels)], capture_output=True, text=True, check=False
             )
             if done.returncode:
                 said = next(
@@ -114,22 +120,30 @@ class Sandbox:
         told = {name: os.environ[name] for name in TOLD if name in os.environ}
         told |= {"HOME": str(place / "home"), "TMPDIR": str(place / "home"), "PYTHONDONTWRITEBYTECODE": "1"}
         words = [*self.fence, self.python, "-m", "clothbench.submissions.again", place / "job.json", place / "out"]
-        with subprocess.Popen(
-            [str(word) for word in words], cwd=place / "home", env=told, start_new_session=True, text=True,
-            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+        heard = place / "stderr"  # a file: who outlives the fit may hold a pipe open
+        with all_ended(), heard.open("wb") as stderr, subprocess.Popen(
+            [str(word) for word in words], cwd=place / "home", env=told, start_new_session=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=stderr,
         ) as process:  # fmt: skip
             try:
-                _, said = process.communicate(timeout=self.limit)
+                process.wait(timeout=self.limit)
             except subprocess.TimeoutExpired:
                 raise ClothbenchError(
                     f"took longer than {self.limit:g} s and was ended; more with --time-limit"
                 ) from None
             finally:
                 with contextlib.suppress(ProcessLookupError):
-                    os.killpg(process.pid, signal.SIGKILL)  # whatever it has left running
+                    os.killpg(process.pid, signal.SIGKILL)
         if process.returncode:
-            lines = said.strip().splitlines() or [f"ended with {process.returncode} and said nothing"]
+            lines = _end_of(heard).strip().splitlines() or [f"ended with {process.returncode} and said nothing"]
             raise ClothbenchError(f"could not be run: {lines[-1]}")
+
+
+def _end_of(file: Path, size: int = 2000) -> str:
+    """The last bytes of a file, as text."""
+    with file.open("rb") as stream:
+        stream.seek(max(0, file.stat().st_size - size))
+        return stream.read(size).decode(errors="replace")
 
 
 def _is_of(path: str, standard: str) -> bool:
@@ -137,17 +151,19 @@ def _is_of(path: str, standard: str) -> bool:
     return Path(path).is_relative_to(standard) and Path(path).name not in ("site-packages", "dist-packages")
 
 
+def require_posix() -> None:
+    """Refuse systems on which a plugin cannot be ended."""
+    if os.name != "posix":
+        raise ClothbenchError("running somebody's plugin needs a POSIX system, which can end the processes it starts")
+
+
 @contextlib.contextmanager
 def sandbox(wheels: Sequence[Path], limit: float) -> Iterator[Sandbox]:
     """A fresh environment with these wheels; it is gone afterwards."""
     if not wheels:
         raise ClothbenchError(
-            "found no wheels, expected those of its plugins; pack them with `clothbench submit FOLDER --runs RUNS "
-            "--wheel FILE`"
-        )
-    if os.name != "posix":
-        raise ClothbenchError(
-            "running somebody's plugin needs a POSIX system, which can end all processes that it starts"
+            "found no wheels, expected those of its plugins; pack them with `clothbench submit FOLDER --name NAME "
+            "--runs RUNS --wheel FILE`"
         )
     with tempfile.TemporaryDirectory(prefix="clothbench-", ignore_cleanup_errors=True) as folder:
         made = Sandbox(Path(folder), limit)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,17 +20,19 @@ from clothbench.recordings.nodes import Recording
 from clothbench.submissions.kept import rows_of
 from clothbench.submissions.submission import FILE
 from clothbench.submissions.verdicts import Verdict, find_verdict
-from clothbench.submissions.verification import GRADE, Verified, verify
+from clothbench.submissions.verification import GRADE, REFUSED, REPRODUCED, VERIFIED, Verified, verify
 
 GRADES = """<h2>What the grades say</h2><dl>
 <dt>recomputed</dt><dd>Every score was computed here, from the positions that were handed in, and these can be of the
 recordings. Who or what made them is not known.</dd>
-<dt>reproduced</dt><dd>Moreover the plugin was handed in, and fits that were chosen afterwards at random were done again
-with it, within the noise.</dd>
+<dt>reproduced</dt><dd>Moreover the plugin was handed in, and the fit was done again with it, within the noise. A mean
+is reproduced if all its fits are.</dd>
 <dt>verified</dt><dd>The plugin was fitted here, with the settings handed in, and scored on recordings that were never
-published.</dd></dl>"""
+published.</dd></dl>
+<p>Every score has a grade of its own. A submission as a whole is reproduced if fits that were chosen afterwards at
+random are, and verified if it has been scored on unpublished recordings besides.</p>"""
 PAGES = "submissions"  # folder of the site
-FIRST = {"verified": 0, "reproduced": 1, GRADE: 2}
+FIRST = {VERIFIED: 0, REPRODUCED: 1, GRADE: 2}
 
 
 @dataclass(frozen=True)
@@ -46,7 +48,14 @@ class Standing:
 
     @property
     def grade(self) -> str:
+        """Of the submission as a whole."""
+        if self.reason:
+            return REFUSED
         return self.verdict.grade if self.verdict else GRADE
+
+    def grade_of(self, cells: Iterable[str]) -> str:
+        """Of a row about these fits, on recordings that are published."""
+        return self.verdict.grade_of(cells) if self.verdict else GRADE
 
     @property
     def name(self) -> str:
@@ -82,7 +91,9 @@ def _standing(folder: Path, measured: Sequence[Recording], verdicts: Path | None
         return Standing(folder, None, None, _without(folder, str(fault)))
     if found.faults:
         return Standing(folder, found, None, _without(folder, "; ".join(found.faults)))
-    return Standing(folder, found, find_verdict(verdicts, folder))
+    verdict = find_verdict(verdicts, folder)
+    faults = verdict.faults.values() if verdict else ()
+    return Standing(folder, found, verdict, "; ".join(fault for said in faults for fault in said))
 
 
 def _without(folder: Path, said: str) -> str:
@@ -96,7 +107,7 @@ def _index(standings: Sequence[Standing]) -> str:
     cards = [Card(grade, str(sum(s.grade == grade for s in good)), "submissions") for grade in FIRST]
     cards.append(Card("refused", str(len(bad)), "do not stand as handed in", good=False if bad else None))
     top = f"<h1>Leaderboard of submissions</h1><p class='soft'>made {text(now()[:16].replace('T', ' '))} UTC</p>"
-    lead = f"{len(standings)} submissions; every score below was computed again from the positions that were handed in."
+    lead = f"{len(standings)} submissions; every score below was computed here, and has a grade of its own."
     sections = [Section(top + answer("Who stands, and how sure is it?", lead, cards))]
     rows = [(s, row) for s in good for row in means(s)]
     for (suite, split), mine in group_of(rows).items():
@@ -109,11 +120,17 @@ def _index(standings: Sequence[Standing]) -> str:
 
 
 def means(standing: Standing) -> list[dict[str, Any]]:
-    """The means of a submission over its recordings, and over unpublished ones."""
+    """The means of a submission over its recordings, and over unpublished ones, each with its grade."""
     assert standing.found is not None  # it stands
-    public = [row for row in rows_of(standing.found.found) if row["recording"] is None]
+    found, out = standing.found.found, []
+    for row in rows_of(found):
+        if row["recording"] is None:
+            cells = {one.cell for one in found if one.measured.split == row["split"]}
+            again = sum(standing.grade_of([cell]) == REPRODUCED for cell in cells)
+            said = f"{again} of {len(cells)} fits reproduced" if 0 < again < len(cells) else ""
+            out.append({**row, "grade": standing.grade_of(cells), "said": said})
     secret = standing.verdict.unpublished if standing.verdict else ()
-    return [*public, *({**row, "split": "unpublished"} for row in secret)]
+    return [*out, *({**row, "split": "unpublished", "grade": VERIFIED, "said": ""} for row in secret)]
 
 
 def group_of(
@@ -140,8 +157,10 @@ def _board(rows: Sequence[tuple[Standing, dict[str, Any]]]) -> str:
         assert standing.found is not None
         about = standing.found.submission
         shown = [_score(values[m]) if m in values else "–" for m in metrics]
+        of = next(iter(values.values()))  # one split has one grade
+        grade = _pill(of["grade"]) + below(text(of["said"]))
         link = f'<a href="{text(standing.page)}">{text(about.name)}</a>{below(text(about.about))}'
-        body.append([text(place), link, text(about.by), _pill(standing), *shown])
+        body.append([text(place), link, text(about.by), grade, *shown])
     head = ["place", "model", "by", "grade", *(f"{name} [{unit}]" for name, unit in metrics)]
     return table(head, body, numeric={0, *range(4, len(head))})
 
@@ -150,15 +169,14 @@ def _score(row: dict[str, Any]) -> str:
     return f"{row['value']:.4g}" + below(interval(row, ".4g"))
 
 
-def _pill(standing: Standing) -> str:
-    if standing.reason:
-        return '<span class="pill">refused</span>'
-    return f'<span class="pill{" ok" if FIRST[standing.grade] < 2 else " note"}">{text(standing.grade)}</span>'
+def _pill(grade: str) -> str:
+    kind = "" if grade == REFUSED else " note" if grade == GRADE else " ok"
+    return f'<span class="pill{kind}">{text(grade)}</span>'
 
 
 def _page(standing: Standing) -> str:
     """Of one submission: its grade and what it rests on, then every score."""
-    top = f'<p><a href="../index.html">All submissions</a></p><h1>{text(standing.name)} {_pill(standing)}</h1>'
+    top = f'<p><a href="../index.html">All submissions</a></p><h1>{text(standing.name)} {_pill(standing.grade)}</h1>'
     if standing.reason:
         said = f"<b>It does not stand as handed in</b><p>{text(standing.reason)}</p>"
         why = f'<div class="failures" role="note">{said}</div>'
@@ -171,7 +189,7 @@ def _page(standing: Standing) -> str:
         sections.append(
             Section(f"<h2>On recordings that were never published</h2>{_means(standing.verdict.unpublished)}")
         )
-    sections.append(Section(f"<h2>Every score</h2>{_scores(standing.found)}"))
+    sections.append(Section(f"<h2>Every score</h2>{_scores(standing)}"))
     files = [[f"<code>{text(w.file)}</code>", f"<code>{text(w.sha256)}</code>"] for w in about.wheels]
     if files:
         sections.append(Section(f"<h2>Plugin</h2>{table(['wheel', 'SHA-256'], files, set())}"))
@@ -186,7 +204,9 @@ def _rests_on(standing: Standing) -> str:
     said = []
     if verdict.seed is not None:
         keys = ", ".join(verdict.cells)
-        said.append(f"Done again, chosen by seed {verdict.seed}, and found to be the same within the noise: {keys}.")
+        said.append(f"Done again, last chosen by seed {verdict.seed}, and the same within the noise: {keys}.")
+    else:
+        said.append("The scores of published recordings rest on the positions that were handed in.")
     if verdict.unpublished:
         said.append("Fitted and scored on recordings that were never published.")
     said.append(f"{verdict.date[:10]}, {verdict.machine}, network {verdict.network} while it ran.")
@@ -194,21 +214,23 @@ def _rests_on(standing: Standing) -> str:
 
 
 def _means(rows: Sequence[dict[str, Any]]) -> str:
-    body = [[text(row["metric"]), _score(row), text(row["unit"]), _floor(row)] for row in rows]
-    return table(["metric", "mean error", "unit", "floor"], body, numeric={1, 3})
+    body = [[text(row["metric"]), _score(row), text(row["unit"]), _floor(row), _pill(VERIFIED)] for row in rows]
+    return table(["metric", "mean error", "unit", "floor", "grade"], body, numeric={1, 3})
 
 
-def _scores(found: Verified) -> str:
+def _scores(standing: Standing) -> str:
+    assert standing.found is not None
     body = []
-    for fit, mine in group(list(_each(found)), lambda row: row["fit"]).items():
+    for fit, mine in group(list(_each(standing.found)), lambda row: row["fit"]).items():
+        grade = _pill(standing.grade_of([fit]))
         if fit:
             body.append([f"fit <code>{text(fit)}</code>"])
         body += [
             [text(r["recording"]), text(r["split"].replace("_", " ")), text(r["metric"]), _score(r), text(r["unit"]),
-             _floor(r)]
+             _floor(r), grade]
             for r in mine
         ]  # fmt: skip
-    return table(["recording", "split", "metric", "error", "unit", "floor"], body, numeric={3, 5})
+    return table(["recording", "split", "metric", "error", "unit", "floor", "grade"], body, numeric={3, 5})
 
 
 def _each(found: Verified) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,7 +16,7 @@ from clothbench.recordings.nodes import Recording, read_recording
 from clothbench.submissions.reading import read_submission
 from clothbench.submissions.submission import Compared, Entry, Submission, compared, require_all
 
-GRADE = "recomputed"
+GRADE, REPRODUCED, VERIFIED, REFUSED = "recomputed", "reproduced", "verified", "refused"
 AGREES = 1e-6  # relative: what the order of a sum may change from machine to machine
 
 
@@ -37,7 +38,7 @@ def verify(folder: Path, measured: Sequence[Recording], plugins: Catalogue) -> V
     if submission.clothbench != clothbench.__version__:
         raise ClothbenchError(
             f"{folder}: scored by clothbench {submission.clothbench}, this is {clothbench.__version__}; set aside: "
-            f"score it again with `clothbench submit {folder}`"
+            f"score it again with `clothbench submit {folder} --name {shlex.quote(submission.name)}`"
         )
     require_all(folder, [entry.recording for entry in submission.entries], measured)
     by_hash, found, faults = {recording.hash: recording for recording in measured}, [], []
@@ -46,7 +47,11 @@ def verify(folder: Path, measured: Sequence[Recording], plugins: Catalogue) -> V
             require_same_file(folder / wheel.file, wheel.sha256)
         except ClothbenchError as fault:
             faults.append(str(fault))
-    for entry in submission.entries:
+    of = [(entry.cell, entry.recording_hash) for entry in submission.entries]
+    for number, entry in enumerate(submission.entries):
+        if of[number] in of[:number]:
+            faults.append(f"{folder / entry.file}: is a second one of {entry.recording!r}, expected one for each fit")
+            continue
         try:
             found.append(_again(folder / entry.file, entry, by_hash, plugins))
         except ClothbenchError as fault:
@@ -71,6 +76,8 @@ def _again(path: Path, entry: Entry, measured: Mapping[str, Recording], plugins:
             f"{path}: is of a recording {entry.recording!r} with hash {entry.recording_hash[:12]}…, which is not among "
             "those given; name the right ones with --recordings"
         )
+    if entry.recording != (name := measured[entry.recording_hash].name):
+        raise ClothbenchError(f"{path}: is said to be of {entry.recording!r}, but its hash is that of {name!r}")
     again = compared(path, read_recording(path), measured[entry.recording_hash], entry.scores, plugins, entry.cell)
     for metric, claimed in entry.scores.items():
         if not math.isclose(again.scores[metric], claimed, rel_tol=AGREES, abs_tol=1e-12):

@@ -5,9 +5,11 @@ import json
 import shutil
 import subprocess
 import sys
+import zipfile
 from pathlib import Path
 
 import numpy as np
+import psutil
 import pytest
 from conftest import ROOT, swinging_recording
 
@@ -15,10 +17,11 @@ from clothbench import ClothbenchError, write_recording
 from clothbench.core.files import sha256
 from clothbench.plugins.discovery import catalogue
 from clothbench.submissions.again import blank
-from clothbench.submissions.grades import choose, held_out, reproduce
+from clothbench.submissions.grades import choose, held_out, reproduce, require_new
 from clothbench.submissions.reading import read_submission
 from clothbench.submissions.sandbox import Sandbox
 from clothbench.submissions.submission import FILE
+from clothbench.submissions.unpublished import by_fabric, require_unpublished
 from clothbench.submissions.verification import verify
 
 sys.path.append(str(ROOT / "tests" / "plugin"))
@@ -62,6 +65,30 @@ def mine(stranger, tmp_path):
     return shutil.copytree(stranger[0] / "mine", tmp_path / "mine")
 
 
+def test_nothing_of_a_wheel_is_run_while_it_is_installed(tmp_path):
+    wheel = wheel_of_plate(tmp_path)
+    with zipfile.ZipFile(wheel, "a") as archive:
+        archive.writestr("plate.pth", f"import pathlib; pathlib.Path({str(tmp_path / 'ran')!r}).touch()\n")
+    place = Sandbox(tmp_path, limit=120.0)
+    place.install([wheel])
+    assert not (tmp_path / "ran").exists()
+    subprocess.run([place.python, "-c", "import clothbench_plate.model"], check=True)
+    assert (tmp_path / "ran").exists()
+
+
+def test_a_wheel_that_cannot_be_installed_is_a_fault_without_a_place(mine, stranger, clothbench, tmp_path):
+    (wheel,) = (mine / "wheels").iterdir()
+    wheel.write_bytes(b"no wheel")
+    edit(mine, lambda stated: stated["wheels"][0].update(sha256=sha256(wheel)))
+    given = ["--recordings", str(stranger[0] / "recordings"), "--verdicts", "verdicts"]
+    done = clothbench("verify", mine, *given, "--run-their-code", "--reproduce")
+    assert done.returncode == 1
+    (verdict,) = (path.read_text() for path in Path(tmp_path, "verdicts").glob("*.json"))
+    assert "cannot be installed" in verdict
+    assert json.loads(verdict)["grade"] == "refused"
+    assert str(mine) not in verdict
+
+
 def edit(folder, change):
     stated = json.loads((folder / FILE).read_text())
     change(stated)
@@ -72,7 +99,9 @@ def found_in(folder, place):
     found = verify(folder, known(), catalogue())
     assert found.faults == ()
     chosen = choose(folder, found.submission, 2, seed=1)
-    return reproduce(folder, found.submission, found.found, chosen, place, catalogue())
+    faults = reproduce(folder, found.submission, found.found, chosen, place, catalogue())
+    assert faults.keys() <= set(chosen.keys)
+    return [fault for said in faults.values() for fault in said]
 
 
 def test_what_is_packed_says_all_and_names_no_place(stranger):
@@ -157,6 +186,29 @@ def test_a_plugin_that_hangs_or_leaves_is_one_line(stranger, mine, harm, limit, 
     assert said in fault
 
 
+LEAVES = """
+import os
+from pathlib import Path
+if os.fork() == 0:
+    os.setsid()
+    if os.fork() == 0:
+        Path(os.environ["HOME"], "..", "out", "left").write_text(str(os.getpid()))
+        os.execlp("sleep", "sleep", "600")
+    os._exit(0)
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="other systems do not say whose child it was")
+def test_what_has_left_its_session_and_its_parent_is_ended(stranger, mine):
+    back = swapped(stranger[1], LEAVES + MODEL)
+    try:
+        assert found_in(mine, stranger[1]) == []
+    finally:
+        back()
+    (left,) = stranger[0].glob("*/out/left")
+    assert not psutil.pid_exists(int(left.read_text()))
+
+
 SPY = """
 import json, os
 from pathlib import Path
@@ -182,13 +234,48 @@ def test_an_honest_submission_is_reproduced_and_told_no_token_and_no_position(st
 
 def test_verified_on_recordings_that_nobody_else_has(stranger, mine):
     submission = read_submission(mine)
-    (found,) = held_out(mine, submission, unpublished(), known(), stranger[1], catalogue())
+    (found,) = held_out(mine, submission, by_fabric(unpublished()), stranger[1], catalogue())
     assert found.measured.name == "secret-1"
     assert 1.5 < found.scores["node_error"] < 3.0
+    with pytest.raises(ClothbenchError, match="the submission was fitted to it"):
+        require_new(mine, submission, by_fabric(known()), catalogue())
+
+
+def altered(recording, **changes):
+    return dataclasses.replace(recording, name="secret", fabric="silk", source="another", **changes)
+
+
+@pytest.mark.parametrize(
+    "copy",
+    [
+        lambda r: altered(r),
+        lambda r: altered(r, time=r.time[2:] - r.time[2], position=r.position[2:] + 1e-9),
+        lambda r: altered(r, material=r.material[::-2], position=r.position[:, ::-2]),
+    ],
+    ids=["renamed", "later", "fewer points"],
+)
+def test_a_published_recording_is_known_by_what_was_measured(copy):
     with pytest.raises(ClothbenchError, match=r"is published \('sway-1'\)"):
-        held_out(mine, submission, known(), known(), stranger[1], catalogue())
-    with pytest.raises(ClothbenchError, match="found 1 recordings to fit and 0 to score on of fabric 'paper'"):
-        held_out(mine, submission, unpublished()[:1], known(), stranger[1], catalogue())
+        require_unpublished([copy(known()[0])], known())
+    require_unpublished(unpublished(), known())
+
+
+def test_held_out_faults_are_found_before_a_plugin_is_installed(stranger, mine, clothbench, tmp_path):
+    words = ["verify", mine, "--recordings", str(stranger[0] / "recordings"), "--run-their-code", "--held-out"]
+    write_recording(altered(known()[0]), tmp_path / "renamed" / "a.nc")
+    write_recording(unpublished()[0], tmp_path / "alone" / "a.nc")
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "a.nc").write_text("no recording")
+    for folder, said in (
+        ("renamed", "is published ('sway-1')"),
+        ("alone", "found 1 recordings to fit and 0 to score on of fabric 'paper'"),
+        ("bad", "a.nc"),
+        ("nowhere", "nowhere: no such file or folder"),
+    ):
+        done = clothbench(*words, folder)
+        assert (done.returncode, done.stdout) == (2, "")
+        assert said in done.stderr
+        assert len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize(
@@ -208,9 +295,9 @@ def test_a_damaged_submission_is_one_line(mine, change, found):
 
 
 def test_as_a_verifier_does_it(stranger, mine, clothbench, tmp_path):
-    for recording in unpublished():
-        write_recording(recording, tmp_path / "secret" / f"{recording.name}.nc")
+    put_aside(tmp_path)
     given = ["--recordings", str(stranger[0] / "recordings")]
+    assert clothbench("verify", mine, *given, "--out", "board").returncode == 0
     done = clothbench("verify", mine, *given, "--reproduce")
     assert (done.returncode, done.stdout) == (2, "")
     assert "--run-their-code" in done.stderr
@@ -225,4 +312,62 @@ def test_as_a_verifier_does_it(stranger, mine, clothbench, tmp_path):
     kept = "".join(path.read_text() for path in Path(tmp_path, "verdicts").glob("*"))
     rows = json.loads(clothbench("leaderboard", "--json", "--out", "board").stdout)
     assert "secret" not in kept + json.dumps(rows)
-    assert {row["optimizer"].partition(", ")[2] for row in rows} == {"submitted, reproduced", "submitted, verified"}
+    shown = {(row["recording"], row["split"], row["optimizer"].partition(", ")[2]) for row in rows}
+    assert len(rows) == len(shown) == 5
+    assert {(split, grade) for recording, split, grade in shown if not recording} == {
+        ("fit", "submitted, reproduced"), ("held_out", "submitted, reproduced"), ("held_out", "submitted, verified")
+    }  # fmt: skip
+    done = clothbench("verify", mine, *given, "--out", "board", "--verdicts", "verdicts")
+    assert [line.split()[-2] for line in done.stdout.splitlines() if "node_error" in line] == [
+        "reproduced", "reproduced", "verified"
+    ]  # fmt: skip
+    assert json.loads(clothbench("leaderboard", "--json", "--out", "board").stdout) == rows
+
+
+def put_aside(folder):
+    for recording in unpublished():
+        write_recording(recording, folder / "secret" / f"{recording.name}.nc")
+
+
+def test_forged_public_scores_get_no_grade_from_unpublished_recordings(stranger, mine, clothbench, tmp_path):
+    put_aside(tmp_path)
+    shutil.move(mine, tmp_path / "submissions" / "mine")
+
+    def other(stated):
+        question = json.loads(stated["cells"][0]["question"])
+        stated["cells"][0]["question"] = json.dumps(question | {"bounds": {"bulge": [0.015, 0.02]}})
+
+    edit(tmp_path / "submissions" / "mine", other)
+    given = ["--recordings", str(stranger[0] / "recordings"), "--verdicts", "verdicts"]
+    run = ["verify", "submissions/mine", *given, "--run-their-code", "--out", "board"]
+    done = clothbench(*run, "--held-out", "secret")
+    assert done.returncode == 0, done.stderr
+    assert "plate (submissions/mine): recomputed, 2 of 2 recordings" in done.stdout
+    assert clothbench("site", "submissions", *given, "--out", "site").stdout.startswith("submissions/mine: recomputed")
+    unpublished, held_out = (tmp_path / "site" / "index.html").read_text().split("<h2 id=")[2:4]
+    assert (unpublished.count(">verified<"), held_out.count(">verified<")) == (1, 0)
+    done = clothbench(*run, "--reproduce")
+    assert done.returncode == 1
+    assert "when run again, handed in were 1.5" in done.stderr
+    assert clothbench("site", "submissions", *given, "--out", "site").stdout.startswith("submissions/mine: refused")
+    assert list((tmp_path / "board" / "cells").iterdir()) == []
+
+
+def test_what_went_wrong_on_unpublished_recordings_is_told_to_the_verifier_only(stranger, mine, clothbench, tmp_path):
+    put_aside(tmp_path)
+
+    def other(stated):
+        question = json.loads(stated["cells"][0]["question"])
+        stated["cells"][0]["question"] = json.dumps(question | {"model": "secret-1"})
+
+    edit(mine, other)
+    given = ["--recordings", str(stranger[0] / "recordings"), "--verdicts", "verdicts"]
+    done = clothbench("verify", mine, *given, "--run-their-code", "--held-out", "secret")
+    assert done.returncode == 1
+    assert "no model named 'secret-1'" in done.stderr
+    (verdict,) = Path(tmp_path, "verdicts").glob("*.json")
+    assert json.loads(verdict.read_text())["grade"] == "refused"
+    assert "secret" not in verdict.read_text()
+    again = clothbench("verify", mine, *given)  # without running anything: what was found stands
+    assert again.returncode == 1
+    assert "refused: it could not be fitted to unpublished recordings" in again.stderr

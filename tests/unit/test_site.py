@@ -1,5 +1,6 @@
 """The static site of submissions: verified first, graded by verdicts that lie elsewhere, sortable, for everybody."""
 
+import dataclasses
 import json
 
 import pytest
@@ -9,9 +10,10 @@ from test_submissions import simulated
 
 from clothbench import ClothbenchError, write_recording
 from clothbench.plugins.discovery import catalogue
-from clothbench.submissions.site import write_site
+from clothbench.submissions.site import Standing, means, write_site
 from clothbench.submissions.submission import FILE, pack
 from clothbench.submissions.verdicts import find_verdict, verdict_on, write_verdict
+from clothbench.submissions.verification import verify
 
 MEASURED = [swinging_recording("sway-1"), swinging_recording("sway-2", split="held_out")]
 UNPUBLISHED = {
@@ -22,9 +24,9 @@ UNPUBLISHED = {
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    """Five submissions, one of them forged, one verified, one with a verdict on what it was before."""
+    """Six submissions: one forged, one verified, one that failed later, one with a verdict on what it was before."""
     folder = tmp_path_factory.mktemp("place")
-    for number, name in enumerate(("first", "second", "third", "forged", "changed")):
+    for number, name in enumerate(("first", "second", "third", "forged", "changed", "failed")):
         mine = folder / "submissions" / name
         for recording in MEASURED:
             write_recording(simulated(recording, away=0.003 + 0.001 * number), mine / f"{recording.name}.nc")
@@ -33,7 +35,10 @@ def place(tmp_path_factory):
     for name in ("second", "changed"):
         mine = folder / "submissions" / name
         more = {"seed": 7, "cells": ["ab"], "unpublished": [UNPUBLISHED], "network": "cut off"}
-        write_verdict(folder / "verdicts", verdict_on(mine, name, "verified", **more), mine)
+        write_verdict(folder / "verdicts", verdict_on(mine, name, **more), mine)
+    mine = folder / "submissions" / "failed"
+    write_verdict(folder / "verdicts", verdict_on(mine, "failed", seed=7, cells=["ab"], network="open"), mine)
+    write_verdict(folder / "verdicts", verdict_on(mine, "failed", seed=8, faults={"ab": ["cell ab: is another"]}), mine)
     forge(folder / "submissions" / "forged", lambda s: s["entries"][0]["scores"].update(node_error=1.0))
     forge(folder / "submissions" / "changed", lambda s: s.update(about="better now"))
     return folder
@@ -56,18 +61,50 @@ def site(place):
 
 def test_every_submission_has_a_page_and_what_was_withdrawn_has_none(site):
     pages = sorted(path.relative_to(site).as_posix() for path in site.rglob("*.*"))
-    names = ("changed", "first", "forged", "second", "third")
+    names = ("changed", "failed", "first", "forged", "second", "third")
     assert pages == ["index.html", "mine.txt", *(f"submissions/{name}.html" for name in names)]
 
 
 def test_grades_come_from_verdicts_on_the_very_submission(place):
     found = write_site(place / "submissions", place / "again", MEASURED, place / "verdicts", catalogue())
-    grades = {one.folder.name: "refused" if one.reason else one.grade for one in found}
+    grades = {one.folder.name: one.grade for one in found}
     assert grades == {
-        "first": "recomputed", "second": "verified", "third": "recomputed", "forged": "refused", "changed": "recomputed"
+        "first": "recomputed", "second": "verified", "third": "recomputed", "forged": "refused",
+        "changed": "recomputed", "failed": "refused",
     }  # fmt: skip
     without = write_site(place / "submissions", place / "again", MEASURED, None, catalogue())
-    assert {one.grade for one in without} == {"recomputed"}
+    assert {one.grade for one in without} == {"recomputed", "refused"}
+
+
+def test_each_row_has_the_grade_that_it_was_shown_to_have(place, site):
+    found = write_site(place / "submissions", place / "again", MEASURED, place / "verdicts", catalogue())
+    (second,) = (one for one in found if one.folder.name == "second")
+    assert {row["split"]: row["grade"] for row in means(second)} == {
+        "fit": "recomputed", "held_out": "recomputed", "unpublished": "verified"
+    }  # fmt: skip
+    unpublished, held_out = (site / "index.html").read_text().split("<h2 id=")[2:4]
+    assert unpublished.count(">verified<") == 1
+    assert ">verified<" not in held_out
+    page = (site / "submissions" / "second.html").read_text()
+    scores = page.partition('<h2 id="every-score"')[2].partition("<h2")[0]
+    assert scores.count(">recomputed<") == 2
+
+
+def test_a_mean_is_reproduced_if_all_its_fits_are(place):
+    mine = place / "submissions" / "first"
+    found = verify(mine, MEASURED, catalogue())
+    fits = [dataclasses.replace(one, cell=fit) for one in found.found for fit in ("ab", "cd")]
+    found = dataclasses.replace(found, found=tuple(fits))
+    some = Standing(mine, found, verdict_on(mine, "first", seed=1, cells=["ab"]))
+    assert {(row["grade"], row["said"]) for row in means(some)} == {("recomputed", "1 of 2 fits reproduced")}
+    all_of_them = Standing(mine, found, verdict_on(mine, "first", seed=1, cells=["ab", "cd"]))
+    assert {(row["grade"], row["said"]) for row in means(all_of_them)} == {("reproduced", "")}
+
+
+def test_one_that_failed_later_is_shown_as_refused(site):
+    page = (site / "submissions" / "failed.html").read_text()
+    assert "cell ab: is another" in page
+    assert ">reproduced<" not in page.partition("What the grades say")[0]
 
 
 def test_a_forged_one_is_shown_as_refused_with_the_reason_and_without_a_score(site, place):
@@ -89,12 +126,28 @@ def test_no_submission_and_a_damaged_verdict_are_one_line(place, tmp_path):
 
 def test_a_later_verdict_adds_to_an_earlier_one(place, tmp_path):
     mine = place / "submissions" / "first"
-    write_verdict(tmp_path, verdict_on(mine, "first", "verified", unpublished=[UNPUBLISHED]), mine)
-    write_verdict(tmp_path, verdict_on(mine, "first", "reproduced", seed=3, cells=["ab"]), mine)
+    write_verdict(tmp_path, verdict_on(mine, "first", unpublished=[UNPUBLISHED]), mine)
+    assert find_verdict(tmp_path, mine).grade == "recomputed"  # unpublished recordings say nothing of its own scores
+    write_verdict(tmp_path, verdict_on(mine, "first", seed=3, cells=["ab"]), mine)
     found = find_verdict(tmp_path, mine)
     assert (found.grade, found.seed, found.unpublished) == ("verified", 3, [UNPUBLISHED])
-    write_verdict(tmp_path, verdict_on(mine, "first", "verified", unpublished=[UNPUBLISHED]), mine)
-    assert find_verdict(tmp_path, mine).cells == ["ab"]
+    write_verdict(tmp_path, verdict_on(mine, "first", seed=4, cells=["cd"]), mine)
+    assert find_verdict(tmp_path, mine).cells == ["ab", "cd"]
+
+
+def test_a_fault_stays_until_the_same_fit_is_run_again_without_one(place, tmp_path):
+    mine = place / "submissions" / "first"
+
+    def after(**found):
+        write_verdict(tmp_path, verdict_on(mine, "first", **found), mine)
+        return find_verdict(tmp_path, mine)
+
+    assert after(seed=1, cells=["ab", "cd"], unpublished=[UNPUBLISHED]).grade == "verified"
+    failed = after(seed=2, cells=["cd"], faults={"ab": ["cell ab: took longer"], "wheels": ["no network"]})
+    assert (failed.grade, failed.cells) == ("refused", ["cd"])
+    assert after(seed=3, cells=["cd"], network="open").faults == {"ab": ["cell ab: took longer"]}
+    again = after(seed=2, cells=["ab"], network="open")
+    assert (again.grade, again.cells) == ("verified", ["ab", "cd"])
 
 
 @pytest.fixture(scope="module")

@@ -2,12 +2,15 @@
 
 import dataclasses
 import json
+import shlex
+from pathlib import Path
 
 import numpy as np
 import pytest
 from conftest import swinging_recording
 
 from clothbench import ClothbenchError, read_recording, write_recording
+from clothbench.cli.submissions import suite_of
 from clothbench.engine.store import Store
 from clothbench.plugins.discovery import catalogue
 from clothbench.submissions.kept import keep
@@ -95,6 +98,16 @@ def test_a_forged_score_and_a_file_changed_afterwards_are_refused(folder):
     assert "is not the file that was handed in" in found.faults[1]
 
 
+def test_a_second_simulation_and_one_under_another_name_are_refused(folder):
+    packed(folder)
+    edit(folder, lambda stated: stated["entries"].append(stated["entries"][1]))
+    assert "sway-2.nc: is a second one of 'sway-2'" in verify(folder, MEASURED, catalogue()).faults[0]
+    edit(folder, lambda stated: stated["entries"][0].update(cell="ab", recording="sway-2"))
+    edit(folder, lambda stated: stated["entries"][1].update(recording="sway-1"))
+    faults = verify(folder, MEASURED, catalogue()).faults
+    assert "sway-1.nc: is said to be of 'sway-2', but its hash is that of 'sway-1'" in faults[0]
+
+
 def test_results_of_another_version_are_set_aside(folder):
     packed(folder)
     edit(folder, lambda stated: stated.update(clothbench="0.0.1"))
@@ -148,11 +161,13 @@ def test_a_damaged_submission_is_one_line(folder, change, found):
 
 def test_as_a_user_hands_in_and_checks(folder, recordings_folder, clothbench):
     given = ["--recordings", str(recordings_folder)]
-    done = clothbench("submit", folder, "--name", "my-simulator", "--suite", "sway", *given)
+    done = clothbench("submit", folder, "--name", "my-simulator", *given)
     assert done.returncode == 0, done.stderr
-    done = clothbench("verify", folder, *given, "--out", "runs")
+    assert read_submission(folder).suite == "recordings"  # as the folder is called
+    _, check, _ = done.stdout.rsplit("`", 2)
+    done = clothbench(*shlex.split(check)[1:], "--out", "runs")
     assert done.returncode == 0, done.stderr
-    assert "recomputed" in done.stdout
+    assert done.stdout.count("recomputed") == 3  # of the whole, and of each row
     rows = json.loads(clothbench("leaderboard", "--json", "--out", "runs").stdout)
     assert {row["model"] for row in rows} == {"my-simulator"}
     assert "my-simulator" in clothbench("leaderboard", "--out", "runs").stdout
@@ -161,3 +176,28 @@ def test_as_a_user_hands_in_and_checks(folder, recordings_folder, clothbench):
     done = clothbench("verify", folder, *given, "--out", "other")
     assert done.returncode == 1
     assert done.stderr.startswith("refused: ")
+    assert done.stdout == f"my-simulator ({folder}): refused, 1 fault\n"
+
+
+def test_a_suite_is_called_as_its_recordings_are(tmp_path):
+    assert suite_of(["builtin:static_dynamic"]) == "static_dynamic"
+    assert (
+        suite_of([str(tmp_path / "linen"), str(tmp_path / "wool" / "a.nc"), "dataset:shaken"]) == "linen, wool, shaken"
+    )
+    assert suite_of(["pkg://somebody.cloth/waving"]) == "waving"
+    assert suite_of(["."]) == Path().resolve().name
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["verify", "mine", "--out", "s3://b/board"],
+        ["verify", "mine", "--verdicts", "s3://b/board"],
+        ["site", "mine", "--out", "s3://b/board"],
+    ],
+)
+def test_a_bucket_is_refused_in_one_line(clothbench, words):
+    done = clothbench(*words)
+    assert (done.returncode, done.stdout) == (2, "")
+    said = "found an address, expected a folder; this command takes no bucket"
+    assert done.stderr == f"clothbench: s3://b/board: {said}\n"
