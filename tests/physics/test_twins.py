@@ -15,7 +15,8 @@ from clothbench_models.baraff_witkin import BaraffWitkin
 from conftest import ROOT
 from twins_at_work import apart, in_mujoco, in_newton
 
-from clothbench import Material, Twin, read_recording, scene_of
+from clothbench import Material, Obstacle, Scene, Twin, read_recording, scene_of
+from clothbench.estimation.prior import hanging
 
 CLOTH = Material(1e-4, 200.0, 100.0, 1e-6, 0.02)  # about that of the stiffer of two cloths held in two hands
 
@@ -97,6 +98,93 @@ def test_newton_reads_the_usd_stage(held, tmp_path):
     assert builder.edge_bending_properties[-1][0] == pytest.approx(CLOTH.bending)
 
 
+def dropped(obstacle: Obstacle) -> Scene:
+    """A sheet of 30 cm that falls onto what is 1 cm below it."""
+    side = np.linspace(0, 0.3, 7)
+    points = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    start = np.stack([points[:, 0] - 0.15, 0.15 - points[:, 1], np.full(len(points), 0.01)], axis=1)
+    return Scene(
+        width=0.3, height=0.3, areal_density=0.2, grip_time=np.array([0.0, 1.0]), grip_material=np.zeros((0, 2)),
+        grip_position=np.zeros((2, 0, 3)), times=np.linspace(0, 0.15, 4), points=points, start=start,
+        obstacles=(obstacle,),
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("obstacle", "depth"), [
+    (Obstacle("plane", friction=0.3), lambda x: x[..., 2]),
+    (Obstacle("sphere", centre=(0.0, 0.0, -0.06), radius=0.06, friction=0.3),
+     lambda x: np.linalg.norm(x - [0.0, 0.0, -0.06], axis=-1) - 0.06),
+    (Obstacle("disc", radius=0.09, friction=0.3),
+     lambda x: np.maximum(x[..., 2], np.linalg.norm(x[..., :2], axis=-1) - 0.09)),
+])  # fmt: skip
+def test_cloth_lies_on_exported_obstacles_as_it_does_in_our_own_model(obstacle, depth, tmp_path):
+    pytest.importorskip("mujoco")
+    twin = Twin("it falls", dropped(obstacle), CLOTH, {}, "as planted")
+    model = BaraffWitkin(resolution=13)
+    own = model.prepare(twin.scene).run(model.of_material(CLOTH, twin.scene)[None]).position[0]
+    written = mjcf.export(twin)
+    assert not any(line.startswith("obstacle") for line in written.cannot)
+    (file := tmp_path / "cloth.xml").write_text(written.text)
+    moved = in_mujoco(file, twin.scene, settle=0.0)
+    print(f"{obstacle.shape}: {1e3 * apart(moved, own):.2f} mm apart, deepest {1e3 * depth(moved).min():.2f} mm")
+    assert depth(moved).min() > -1e-3
+    assert apart(moved[-1], own[-1]) < 0.015
+    assert apart(moved[-1], moved[0]) > 0.008
+
+
+@pytest.mark.slow
+def test_what_grips_carry_pushes_the_cloth(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    ball = Obstacle("sphere", centre=(0.15, 0.07, -0.15), radius=0.05, carried=True)
+    scene = dataclasses.replace(hanging(0.3, 0.3, 0.2), obstacles=(ball,))
+    (file := tmp_path / "cloth.xml").write_text(mjcf.export(Twin("it hangs", scene, CLOTH, {}, "")).text)
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    for k in range(500):
+        data.mocap_pos[-1] = [0.0, -1e-4 * k, 0.0]
+        mujoco.mj_step(model, data)
+    apart = np.linalg.norm(data.flexvert_xpos - np.array(ball.centre) - data.mocap_pos[-1], axis=1)
+    assert apart.min() > ball.radius - 1e-3
+    assert data.flexvert_xpos[:, 1].min() < -0.02
+
+
+def test_a_cut_sheet_leaves_whole_with_what_clamps_it(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    round_ = 0.15 + 0.149 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    scene = dataclasses.replace(dropped(Obstacle("disc", radius=0.09, clamps=True)), outline=round_, start=None)
+    written = mjcf.export(Twin("a drape", scene, CLOTH, {}, ""))
+    assert any(line.startswith("outline") for line in written.cannot)
+    model = mujoco.MjModel.from_xml_string(written.text)
+    assert model.flex_vertnum[0] < 169
+    assert model.body_mass.sum() == pytest.approx(0.2 * np.pi * 0.149**2, rel=0.02)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    for _ in range(300):
+        mujoco.mj_step(model, data)
+    x = data.flexvert_xpos
+    assert np.abs(x[np.linalg.norm(x[:, :2], axis=1) < 0.05, 2]).max() < 2e-3
+    assert x[:, 2].min() < -0.01
+
+
+def test_what_is_around_the_cloth_is_written_or_a_line(held):
+    around = (Obstacle("plane"), Obstacle("sphere", radius=0.1, carried=True))
+    outline = np.array([[0.0, 0.0], [0.2, 0.0], [0.0, 0.2]])
+    scene = dataclasses.replace(held[0].scene, obstacles=around, thickness=1e-3, outline=outline)
+    twin = dataclasses.replace(held[0], scene=scene)
+    lines = twin.unheld("a reader")
+    assert [line.partition(":")[0] for line in lines] == ["obstacle 0", "obstacle 1", "thickness", "outline"]
+    assert "carried sphere" in lines[1]
+    assert set(twin.unheld("ppf-contact-solver")) <= set(ppf.export(twin).cannot)
+    document = json.loads(plain.export(twin).text)
+    assert [o["shape"] for o in document["obstacles"]] == ["plane", "sphere"]
+    assert document["obstacles"][0]["radius"] is None
+    assert document["thickness"] == {"value": 1e-3, "unit": "m"}
+    assert document["outline"]["material"] == outline.tolist()
+
+
 def test_what_a_target_cannot_hold_is_a_line_each(held):
     own = Material(0.0, np.inf, 20.0, 0.0, 0.0)
     twin = dataclasses.replace(held[0], material=own, others={"quadratic_drag.normal": (1.2, "1")})
@@ -116,4 +204,10 @@ def test_ppf_has_stretch_over_density(held):
 
 def test_numbers_leave_with_units_and_intervals(held):
     document = json.loads(plain.export(held[0]).text)
-    assert document["material"]["bending"] == {"value": 1e-4, "low": 8e-5, "high": 2e-4, "unit": "N·m"}
+    assert document["material"]["bending"] == {
+        "value": 1e-4,
+        "low": 8e-5,
+        "high": 2e-4,
+        "unit": "N·m",
+        "determined": None,
+    }

@@ -13,7 +13,7 @@ import json
 import numpy as np
 
 from clothbench import Export, Twin, catalogue
-from clothbench_exporters.mesh import grip_nodes, sheet_of_twin
+from clothbench_exporters.mesh import grip_nodes, margin, sheet_of_twin
 
 suffix = ".py"
 SETTLE = 2.0  # s
@@ -114,7 +114,8 @@ def export(twin: Twin) -> Export:
             f"stretch damping: Newton's tri_kd brakes turns as well; {material.stretch_damping:.3g} N·s/m is left out"
         )
         material = dataclasses.replace(material, stretch_damping=0.0)
-    lines += twin.unheld("Newton")
+    lines += twin.unheld("Newton", ("outline",)) + margin(twin)
+    twin = dataclasses.replace(twin, scene=dataclasses.replace(twin.scene, obstacles=(), thickness=0.0))
     sheet, start = sheet_of_twin(twin)
     model = catalogue().make("models", "newton", resolution=_shape(sheet))
     theta = model.of_material(material, twin.scene)
