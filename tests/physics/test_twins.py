@@ -194,12 +194,21 @@ def test_what_a_target_cannot_hold_is_a_line_each(held):
     assert plain.export(twin).cannot == ()
 
 
-def test_ppf_has_stretch_over_density(held):
+def test_ppf_has_the_material_as_its_source_makes_it(held):
     import tomllib
 
-    (profile,) = tomllib.loads(ppf.export(held[0]).text).values()
-    assert profile["shell_young_modulus"] == pytest.approx(CLOTH.stretch / held[0].scene.areal_density)
-    assert "bend" not in profile
+    woven = dataclasses.replace(CLOTH, shear=40.0, bending_ratio=4.0)
+    written = ppf.export(dataclasses.replace(held[0], material=woven))
+    (profile,) = tomllib.loads(written.text).values()
+    density, young, poisson = (profile[f"shell_{n}"] for n in ("density", "young_modulus", "poisson_ratio"))
+    assert density * young / 2 / (1 + poisson) == pytest.approx(woven.stretch)
+    assert density * young * poisson / (1 + poisson) / (1 - 2 * poisson) == pytest.approx(woven.shear)
+    assert 1.28e-5 * density * profile["bend"] == pytest.approx(woven.bending)
+    assert [line.partition(":")[0] for line in written.cannot] == [
+        "bending", "bend_warp, bend_weft", "deformation_damping", "bending_damping"
+    ]  # fmt: skip
+    warp, weft = (b / 1.28e-5 / density for b in woven.along("bending"))
+    assert f"bend = {weft:.4g}, bend_warp = {warp - weft:.4g} and bend_weft = 0" in written.cannot[1]
 
 
 def test_numbers_leave_with_units_and_intervals(held):
