@@ -19,7 +19,7 @@ def fitted(name: str, results: Path) -> FittedCell | None:
     try:
         return FittedCell.of(results, find_cell(results, name).name)
     except ClothbenchError as fault:
-        if name in presets():
+        if name.strip().lower() in presets():
             return None
         raise ClothbenchError(f"{fault}; a class of fabrics can be exported, too: {', '.join(presets())}") from None
 
