@@ -66,18 +66,34 @@ def test_newtons_script_runs_by_itself(held, tmp_path):
 
 def test_the_stage_is_whole_and_in_si(held, tmp_path):
     pytest.importorskip("pxr")
-    from pxr import Usd, UsdGeom, UsdShade
+    from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
     file = tmp_path / "cloth.usda"
     file.write_text(usd.export(held[0]).text)
     stage = Usd.Stage.Open(str(file))
     assert (UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)) == (1.0, "Z")
-    mesh = stage.GetDefaultPrim()
+    mesh = stage.GetPrimAtPath("/World/Cloth")
+    assert stage.GetDefaultPrim() == mesh.GetParent()
     bound, _ = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial("physics")
     (thickness,) = mesh.GetAttribute("physics:thicknesses").Get()
     density = bound.GetPrim().GetAttribute("physics:density").Get()
     assert density * thickness == pytest.approx(held[0].scene.areal_density, rel=1e-5)
     assert bound.GetPrim().GetAttribute("physics:surfaceBendStiffness").Get() == pytest.approx(CLOTH.bending)
+    for name in ("restBendAnglesDefault", "thicknesses:elementType"):
+        assert mesh.GetAttribute(f"physics:{name}").GetVariability() == Sdf.VariabilityUniform
+    gravity = UsdPhysics.Scene(stage.GetPrimAtPath("/World/PhysicsScene"))
+    assert gravity.GetGravityMagnitudeAttr().Get() == pytest.approx(9.81)
+    assert list(gravity.GetGravityDirectionAttr().Get()) == [0.0, 0.0, -1.0]
+
+
+def test_the_stage_says_each_thing_once(held):
+    pytest.importorskip("pxr")
+    woven = dataclasses.replace(CLOTH, bending_ratio=4.0)
+    lines = usd.export(dataclasses.replace(held[0], material=woven, others={"lift": (1.0, "1")})).cannot
+    assert [line.partition(":")[0] for line in lines] == [
+        "bending", "hinges", "bending damping", "stretch damping", "lift"
+    ]  # fmt: skip
+    assert lines[-1] == "lift: the schema has no place for it; 1 is left out"
 
 
 def test_newton_reads_the_usd_stage(held, tmp_path):
@@ -96,6 +112,38 @@ def test_newton_reads_the_usd_stage(held, tmp_path):
     assert sum(builder.particle_mass) == pytest.approx(mass, rel=1e-5)
     assert builder.tri_materials[0][0] == pytest.approx(CLOTH.stretch)  # μ, and the schema's stretch is taken for it
     assert builder.edge_bending_properties[-1][0] == pytest.approx(CLOTH.bending)
+    assert len(builder.attachment_particle_body_particle) == 2
+
+
+@pytest.mark.slow
+def test_newton_holds_what_the_usd_stage_attaches(held, tmp_path):
+    pytest.importorskip("pxr")
+    pytest.importorskip("newton_usd_schemas")
+    newton = pytest.importorskip("newton")
+    from pxr import Usd
+
+    (file := tmp_path / "cloth.usda").write_text(usd.export(held[0]).text)
+    builder = newton.ModelBuilder()
+    with pytest.warns(newton.NewtonWarning, match="surfaceShearStiffness is not applied"):
+        builder.add_usd(Usd.Stage.Open(str(file)))
+    builder.add_body()  # Newton 1.8's SolverVBD wants a joint where there are bodies
+    places, grips = after_a_while(newton, builder), held[0].scene.grip_position[0]
+    apart = np.linalg.norm(places[:, None] - grips[None], axis=-1)
+    assert apart.min(axis=0).max() < 3e-3
+    assert places[:, 2].min() < grips[:, 2].min() - 0.1
+
+
+def after_a_while(newton, builder) -> np.ndarray:
+    """Where particles (n, 3) m are after a tenth of a second of SolverVBD, which attaches them to bodies."""
+    builder.color()
+    model = builder.finalize(device="cpu")
+    solver = newton.solvers.SolverVBD(model, iterations=10)
+    now, after, control = model.state(), model.state(), model.control()
+    for _ in range(50):
+        now.clear_forces()
+        solver.step(now, after, control, None, 2e-3)
+        now, after = after, now
+    return now.particle_q.numpy()
 
 
 def dropped(obstacle: Obstacle) -> Scene:
