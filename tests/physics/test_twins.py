@@ -61,6 +61,8 @@ def test_newtons_script_runs_by_itself(held, tmp_path):
         [sys.executable, file, "path.npz", "out.npz"], cwd=tmp_path, capture_output=True, text=True, check=True
     )
     assert "lowest node" in done.stdout
+    done = subprocess.run([sys.executable, file, "-h"], capture_output=True, text=True, check=True)
+    assert "usage: cloth.py [-h] [PATH.npz] [OUT.npz]" in done.stdout
     assert np.isfinite(np.load(tmp_path / "out.npz")["position"]).all()
 
 
