@@ -124,7 +124,11 @@ def amount(value: float, unit: str) -> str:
 
 @dataclass(frozen=True)
 class Export:
-    """The text of a file, and one line on each thing that the target cannot hold, with the change that this brings."""
+    """The text of a file, and one line on each thing that the target cannot hold, with the change that this brings.
+
+    material: what the file does hold, where that is not what `Twin.isotropic` makes of the twin.
+    """
 
     text: str
     cannot: tuple[str, ...]
+    material: Material | None = None

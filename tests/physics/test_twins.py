@@ -257,6 +257,7 @@ def test_ppf_has_the_material_as_its_source_makes_it(held):
     assert [line.partition(":")[0] for line in written.cannot] == [
         "bending", "bend_warp, bend_weft", "deformation_damping", "bending_damping"
     ]  # fmt: skip
+    assert written.material == dataclasses.replace(woven.alike, bending_damping=0.0, stretch_damping=0.0)
     warp, weft = (b / 1.28e-5 / density for b in woven.along("bending"))
     assert f"bend = {weft:.4g}, bend_warp = {warp - weft:.4g} and bend_weft = 0" in written.cannot[1]
 

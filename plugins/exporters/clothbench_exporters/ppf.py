@@ -10,6 +10,7 @@ A hinge of length l between two triangles of the area A together has ½ k θ² w
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 
@@ -43,7 +44,8 @@ def export(twin: Twin) -> Export:
     }  # fmt: skip
     head = [f"# {line}" for line in (*twin.about(), *lines)]
     body = [f"{name} = {value}" for name, value in values.items()]
-    return Export("\n".join([*head, f"[{json.dumps(twin.name)}]", *body]) + "\n", tuple(lines))
+    held = dataclasses.replace(material, shear=shear, bending_damping=0.0, stretch_damping=0.0)
+    return Export("\n".join([*head, f"[{json.dumps(twin.name)}]", *body]) + "\n", tuple(lines), held)
 
 
 def _by_hand(whole: Material, alike: Material, density: float) -> list[str]:

@@ -9,6 +9,7 @@ Grips are kinematic rigid bodies to which held points are attached. Units of the
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from typing import Any
 
@@ -67,7 +68,8 @@ def export(twin: Twin) -> Export:
         _hold(stage, f"grip_{g}", [node], start[node], np.zeros((1, 3)))
     if len(clamped := clamped_nodes(twin, sheet)):
         _hold(stage, "clamp", clamped.tolist(), np.zeros(3), start[clamped])
-    return Export(stage.GetRootLayer().ExportToString(), tuple(lines))
+    held = dataclasses.replace(material, shear=shear, bending_damping=0.0, stretch_damping=0.0)
+    return Export(stage.GetRootLayer().ExportToString(), tuple(lines), held)
 
 
 def _unread(material: Material) -> list[str]:
