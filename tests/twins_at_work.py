@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clothbench import Interpolator, Scene
+from clothbench import Interpolator, Observation, Recording, Scene
 
 SETTLE = 2.0  # s
 
@@ -57,3 +57,13 @@ def in_newton(file: Path, scene: Scene) -> np.ndarray:
 def apart(one: np.ndarray, other: np.ndarray) -> float:
     """Mean distance of points [m]."""
     return float(np.nanmean(np.linalg.norm(one - other, axis=-1)))
+
+
+def off(position: np.ndarray, recording: Recording) -> float:
+    """Mean distance [m] of points (T, N, 3) m from where a recording has them in its first T frames; of one that a
+    single camera saw across the lines of sight, as along them nothing was measured.
+    """
+    time, seen = recording.time[: len(position)], recording.position[: len(position)]
+    visible = np.isfinite(seen).all(axis=-1)
+    watched = Observation(time, seen, visible, recording.noise_sigma, recording.material, sight=recording.sight)
+    return float(np.linalg.norm(watched.differences(position)[visible], axis=-1).mean())
