@@ -99,6 +99,8 @@ def of_recordings(
 ) -> Problem:
     words = {key: value for key, value in given.items() if key.partition(".")[0] in OF_RECORDINGS}
     words |= {"recordings": name, "out": str(out)}
+    if document is not None and "prior" in words:
+        raise ClothbenchError("found prior= beside verdict=, whose search is done; leave one of them out")
     if document is not None:
         for key, value in (("model", document["model"]), ("base", ",".join(document["base"]))):
             if words.setdefault(key, value) != value:
