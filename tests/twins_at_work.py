@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from clothbench import Interpolator, Scene
+from clothbench import Interpolator, Observation, Recording, Scene
 
 SETTLE = 2.0  # s
 
@@ -18,7 +18,7 @@ def grids(rest: np.ndarray, points: np.ndarray) -> Interpolator:
     return Interpolator.on_lines(points, u, v)
 
 
-def in_mujoco(file: Path, scene: Scene) -> np.ndarray:
+def in_mujoco(file: Path, scene: Scene, settle: float = SETTLE) -> np.ndarray:
     """Load the file as it is, settle, lead the mocap bodies; positions (T, N, 3) m at the scene's times and points."""
     import mujoco
 
@@ -29,12 +29,12 @@ def in_mujoco(file: Path, scene: Scene) -> np.ndarray:
     rest = model.body_pos[model.flex_vertbodyid[: model.flex_vertnum[0]]][:, :2]
     look = grids(rest, scene.points)
     step, seen = model.opt.timestep, []
-    t = scene.start_time - SETTLE
+    t = scene.start_time - settle
     while len(seen) < len(scene.times):
         if t >= scene.times[len(seen)] - step / 2:
             seen.append(look(data.flexvert_xpos.copy()))
             continue
-        data.mocap_pos[:] = scene.grips_at(np.array([t + step]))[0]
+        data.mocap_pos[: len(scene.grip_material)] = scene.grips_at(np.array([t + step]))[0]
         if t < scene.start_time:
             data.qvel[:] *= 1 - 8 * step
         mujoco.mj_step(model, data)
@@ -57,3 +57,13 @@ def in_newton(file: Path, scene: Scene) -> np.ndarray:
 def apart(one: np.ndarray, other: np.ndarray) -> float:
     """Mean distance of points [m]."""
     return float(np.nanmean(np.linalg.norm(one - other, axis=-1)))
+
+
+def off(position: np.ndarray, recording: Recording) -> float:
+    """Mean distance [m] of points (T, N, 3) m from where a recording has them in its first T frames; of one that a
+    single camera saw across the lines of sight, as along them nothing was measured.
+    """
+    time, seen = recording.time[: len(position)], recording.position[: len(position)]
+    visible = np.isfinite(seen).all(axis=-1)
+    watched = Observation(time, seen, visible, recording.noise_sigma, recording.material, sight=recording.sight)
+    return float(np.linalg.norm(watched.differences(position)[visible], axis=-1).mean())

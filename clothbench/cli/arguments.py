@@ -211,7 +211,7 @@ def _suggest(sub: argparse.ArgumentParser) -> None:
         help="a recording or a folder of them, with model=NAME; or a cell, a case or a recording of a run as in `view`",
     )  # fmt: skip
     sub.add_argument(
-        "settings", nargs="*", metavar="KEY=VALUE",
+        "settings", nargs="*", default=[], metavar="KEY=VALUE",
         help="model=NAME [out=DIR] [effects=NAME,…] [tied=ONE,OTHER] [verdict=FOLDER of improve] "
         "[rank=information|tie|PARAMETER] [max_speed=M/S] [max_acceleration=M/S²] [reach=M] [durations=S,…] "
         "[grips=NAME,…] [draws=N] [best=N], and what improve takes of recordings and models",
@@ -271,7 +271,9 @@ def _export(sub: argparse.ArgumentParser) -> None:
 
 def _units(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("name", metavar="MODEL", help="mujoco, newton, or any model that knows materials")
-    sub.add_argument("settings", nargs="*", metavar="OPTION=VALUE", help="options of the model, for example solver=vbd")
+    sub.add_argument(
+        "settings", nargs="*", default=[], metavar="OPTION=VALUE", help="options of the model, for example solver=vbd"
+    )
 
 
 def _presets(sub: argparse.ArgumentParser) -> None:

@@ -19,7 +19,7 @@ def fitted(name: str, results: Path) -> FittedCell | None:
     try:
         return FittedCell.of(results, find_cell(results, name).name)
     except ClothbenchError as fault:
-        if name in presets():
+        if name.strip().lower() in presets():
             return None
         raise ClothbenchError(f"{fault}; a class of fabrics can be exported, too: {', '.join(presets())}") from None
 
@@ -41,7 +41,7 @@ def export(name: str, target: str, results: Path, out: Path | None) -> int:
     for line in written.cannot:
         print(f"not held: {line}", file=sys.stderr)
     if written.cannot and fit is not None:
-        away = 1e3 * brought(fit, twin.isotropic(target)[0])
+        away = 1e3 * brought(fit, written.material or twin.isotropic(target)[0])
         where = f"mean, {fit.bench.recordings[0].name}"
         print(
             f"not held: altogether this moves {fit.cell.model}'s own sheet by {away:.3g} mm ({where})", file=sys.stderr

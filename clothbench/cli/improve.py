@@ -33,6 +33,7 @@ from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.common import common_document
 from clothbench.studies.improve.document import document_in, json_text
 from clothbench.studies.improve.files import publish
+from clothbench.studies.improve.plan import NOT_ASKED
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.terminal import verdict_lines
 
@@ -47,6 +48,8 @@ SHORT = {"resolution": "suite.resolution", "damping": "suite.damping", "areal_de
 NESTED = ("options", "bounds")  # told as KEY.NAME=VALUE
 OF_RUN = {"study", "suite", "budget", "limits", "effects", "finer"}  # settings that mean nothing here
 WORDS = (*PLAIN, *SHORT, *NESTED, *sorted(KNOWN - {*PLAIN, *NESTED} - OF_RUN))
+
+SHOWN = tuple(word for word in WORDS if word not in NOT_ASKED)  # the rest is refused with the reason
 
 
 def command(words: Sequence[str], as_json: bool = False) -> int:
@@ -116,7 +119,7 @@ def settings_of(words: Sequence[str]) -> dict[str, Any]:
         key, sign, value = word.partition("=")
         first = key.partition(".")[0]
         if not sign or first not in WORDS:
-            raise ClothbenchError(f"found {word!r}, expected {' or '.join(f'{a}=VALUE' for a in WORDS)}")
+            raise ClothbenchError(f"found {word!r}, expected {' or '.join(f'{a}=VALUE' for a in SHOWN)}")
         if key in PLAIN:
             plain[key] = value
         elif first in NESTED:  # what a plugin or a model brings is not known to the settings before

@@ -16,6 +16,7 @@ from clothbench.core.parallel import set_thread_count
 from clothbench.display.terminal import console
 from clothbench.plugins.discovery import Catalogue, catalogue
 from clothbench.studies.improve.document import VERDICT
+from clothbench.studies.improve.plan import NOT_ASKED as REFUSED
 from clothbench.studies.improve.problem import Problem
 from clothbench.suggest.document import DOCUMENT, MOTION, json_text, suggestion, write_all
 from clothbench.suggest.experiments import experiments
@@ -63,7 +64,7 @@ def told(words: Sequence[str]) -> dict[str, str]:
     for word in words:
         key, sign, value = word.partition("=")
         if not sign or key.partition(".")[0] not in (*OWN, *OF_RECORDINGS):
-            known = sorted({*OWN, *OF_RECORDINGS})
+            known = sorted({*OWN, *OF_RECORDINGS} - set(REFUSED))
             raise ClothbenchError(f"found {word!r}, expected {' or '.join(f'{a}=VALUE' for a in known)}")
         out[key] = value
     return out
@@ -98,6 +99,8 @@ def of_recordings(
 ) -> Problem:
     words = {key: value for key, value in given.items() if key.partition(".")[0] in OF_RECORDINGS}
     words |= {"recordings": name, "out": str(out)}
+    if document is not None and "prior" in words:
+        raise ClothbenchError("found prior= beside verdict=, whose search is done; leave one of them out")
     if document is not None:
         for key, value in (("model", document["model"]), ("base", ",".join(document["base"]))):
             if words.setdefault(key, value) != value:

@@ -120,22 +120,42 @@ def find_cell(out: Path, name: str) -> Path:
         raise ClothbenchError(f"{out}: found no cells; make some with: clothbench run +suite=static_dynamic")
     if not found and (key := best_cell_of(out, name)):
         return out / "cells" / key
-    what = "several cells" if found else "no case, no recording and no cell"
-    names = [p.name for p in found or cells]
-    listed = ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
-    raise ClothbenchError(f"{out}: found {what} whose key begins with {name!r}; there are: {listed}")
+    if found:
+        raise ClothbenchError(
+            f"{out}: found several cells whose key begins with {name!r}; there are: {_listed([p.name for p in found])}"
+        )
+    known = names_in(out) or [p.name for p in cells]
+    raise ClothbenchError(
+        f"{out}: found no case, no recording and no cell whose key begins with {name!r}; there are: {_listed(known)}"
+    )
+
+
+def names_in(out: Path) -> list[str]:
+    """Cases of a run, then its recordings, as `find_cell` takes them; those that were fitted come first."""
+    from clothbench.engine.store import Store
+
+    rows = [r for r in Store(out).rows() if r["value"] is not None and r["metric"] == r["objective"]]
+    recordings = sorted((r["split"] != "fit", r["recording"]) for r in rows if r["recording"])
+    return list(dict.fromkeys([*sorted({r["case"] for r in rows}), *(name for _, name in recordings)]))
+
+
+def _listed(names: list[str]) -> str:
+    return ", ".join(names[:12]) + (f" and {len(names) - 12} more" if len(names) > 12 else "")
 
 
 def best_cell_of(out: Path, name: str) -> str | None:
     """Key of the cell that comes nearest to what it was fitted to, of those whose case or recording is called so; those
-    that were fitted to it come first. Says which it is where there are several.
+    that were fitted to it come first. Of a recording "CASE/NAME" that is the only one the last part will do, as tables
+    call it. Says which it is where there are several.
     """
     from clothbench.engine.store import Store
 
     rows = [r for r in Store(out).rows() if r["value"] is not None and r["metric"] == r["objective"]]
     mine = [r for r in rows if name in (r["case"], f"{r['suite']} · {r['case']}", r["recording"])]
-    if not mine:
-        return None
+    if not mine:  # as the table of a run calls a recording below its case
+        mine = [r for r in rows if (r["recording"] or "").rpartition("/")[2] == name]
+        if len({r["recording"] for r in mine}) != 1:
+            return None
     order = sorted(mine, key=lambda r: (r["split"] != "fit", r["value"], r["key"]))
     keys = list(dict.fromkeys(r["key"] for r in order))
     if len(keys) > 1:

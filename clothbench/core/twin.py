@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -24,9 +24,10 @@ CLOSE = 0.02  # share by which a value may be off before a file says so
 class Twin:
     """A cloth, how it is held and begins, and how sure its numbers are.
 
-    name: one line for people; scene: size, mass, grips and their path, gravity; material: SI; spread: low and high of
-    the quantities of `UNITS` that have an interval, in those units, "what" says of which kind it is; others: what
-    belongs to the fit and is no material, as drag, by "plugin.parameter", with its unit; provenance: plain data.
+    name: one line for people; scene: size, mass, grips and their path, gravity, what is around; material: SI; others:
+    what belongs to the fit and is no material, as drag, by "plugin.parameter", with its unit; spread: low and high of
+    the quantities of `UNITS` and of the others that have an interval, each in its unit, "what" says of which kind it
+    is; determined: whether the data say what they are, of those of which that is known; provenance: plain data.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Twin:
     what: str
     others: Mapping[str, tuple[float, str]] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
+    determined: Mapping[str, bool] = field(default_factory=dict)
 
     @property
     def units(self) -> dict[str, str]:
@@ -51,13 +53,19 @@ class Twin:
         """Lines for the head of a file: values with intervals, where they come from."""
         lines = [f"clothbench export: {self.name}"]
         for name, value in self.values.items():
-            low, high = self.spread.get(name, (math.nan, math.nan))
-            interval = f" ({low:.3g} … {high:.3g}, {self.what})" if math.isfinite(low) else " (no interval)"
+            interval = f" ({self.interval(name)})"
             if not name.endswith("_ratio"):
                 lines.append(f"{name.replace('_', ' ')}: {value:.4g} {UNITS[name]}{interval if value else ''}")
             elif value != 1.0:
                 lines.append(f"{name.replace('_', ' ')}: {value:.4g}, warp over weft{interval}")
         return lines + [f"{name}: {value}" for name, value in self.provenance.items()]
+
+    def interval(self, name: str) -> str:
+        """Low and high of a quantity and of which kind they are, in words."""
+        low, high = self.spread.get(name, (math.nan, math.nan))
+        if not self.determined.get(name, True):
+            return "not determined by what was fitted"
+        return f"{low:.3g} … {high:.3g}, {self.what}" if math.isfinite(low) else "no interval"
 
     def isotropic(self, target: str) -> tuple[Material, list[str]]:
         """The nearest material with shear = stretch/2, finite stretch and some bending, alike along warp and weft: all
@@ -85,18 +93,42 @@ class Twin:
                 )
         return dataclasses.replace(m.alike, bending=bending, stretch=stretch, shear=stretch / 2), lines
 
-    def unheld(self, target: str) -> list[str]:
-        """A line on each part of the fit that is no material."""
-        return [
-            f"{name}: {target} has no place for it; {value:.4g}{unit and ' ' + unit} is left out"
+    def unheld(self, target: str, holds: Collection[str] = ()) -> list[str]:
+        """A line on each part of the fit that is no material, and on each thing of the scene beside the sheet and its
+        grips. holds: those of the scene's that the target has a place for: "obstacles", "thickness", "outline".
+        """
+        lines = [
+            f"{name}: {target} has no place for it; {amount(value, unit)} is left out"
             for name, (value, unit) in self.others.items()
             if value
         ]
+        scene = self.scene
+        if "obstacles" not in holds:
+            lines += [
+                f"obstacle {k}: the {'carried ' * o.carried}{o.shape} is left out, and nothing stops the cloth there"
+                for k, o in enumerate(scene.obstacles)
+            ]
+        if "thickness" not in holds and scene.thickness > 0:
+            lines.append(f"thickness: {target} is not told that layers stay {scene.thickness:g} m apart")
+        if "outline" not in holds and scene.outline is not None:
+            lines.append(f"outline: the cut along {len(scene.outline)} corners is left out")
+        if scene.velocity is not None:
+            lines.append("velocity: how the cloth moved when it was first seen is left out; here it begins at rest")
+        return lines
+
+
+def amount(value: float, unit: str) -> str:
+    """A value with its unit, which a number without one has not."""
+    return f"{value:.4g}" if unit in ("", "1") else f"{value:.4g} {unit}"
 
 
 @dataclass(frozen=True)
 class Export:
-    """The text of a file, and one line on each thing that the target cannot hold, with the change that this brings."""
+    """The text of a file, and one line on each thing that the target cannot hold, with the change that this brings.
+
+    material: what the file does hold, where that is not what `Twin.isotropic` makes of the twin.
+    """
 
     text: str
     cannot: tuple[str, ...]
+    material: Material | None = None

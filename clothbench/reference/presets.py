@@ -66,9 +66,9 @@ def presets() -> Mapping[str, Preset]:
 
 
 def preset(name: str) -> Preset:
-    """The class of that name; else an error that says which there are."""
-    if name not in presets():
+    """The class of that name, in capitals or not; else an error that says which there are."""
+    if (known := name.strip().lower()) not in presets():
         raise ClothbenchError(
             f"no preset {name!r}: there is no measured fabric of that class at hand; there are: {', '.join(presets())}"
         )
-    return presets()[name]
+    return presets()[known]

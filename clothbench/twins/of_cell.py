@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ from clothbench.engine.store import Store
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.scenes import scenes_of
 from clothbench.studies.calibration.cell import Bench, CalibrationCell, asked_and_fitted, set_up, with_recordings
+from clothbench.studies.calibration.estimates import FAR, WIDE, Estimate, estimates
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,8 +69,15 @@ def twin_of_cell(fit: FittedCell) -> Twin:
         for name, value in values.items()
         if name not in used and (name in model.parameters.names or name.partition(".")[0] in fit.cell.effects)
     }
+    found = estimates(fit.fitted)
+    inside = _moved(fit, material, found, [(e.low, e.high) for e in found])
+    spread = {name: (min(low), max(high)) for name, (low, high) in _by_quantity(inside).items()}
+    for e in found:
+        if e.name in others and e.low is not None and e.high is not None:
+            spread[e.name] = (e.low, e.high)
+    determined = {e.name: e.determined for e in found if e.name in others} | _determined(fit, material, found)
     name = f"{fit.cell.case}, fitted by {fit.cell.model}"
-    return Twin(name, scene, material, _spread(fit, material), "95 % interval of the fit", others, _origin(fit))
+    return Twin(name, scene, material, spread, "95 % interval of the fit", others, _origin(fit), determined)
 
 
 def brought(fit: FittedCell, material: Material) -> float:
@@ -109,18 +118,54 @@ def _matters(model: Any, theta: np.ndarray, name: str, scene: Scene) -> bool:
     return model.material_of(changed, scene) != model.material_of(theta, scene)
 
 
-def _spread(fit: FittedCell, best: Material) -> dict[str, tuple[float, float]]:
-    """Least and most of each quantity as one parameter after another goes to the ends of its interval."""
-    ends: dict[str, list[float]] = {}
-    for row in fit.fitted:
-        for end in (row["low"], row["high"]):
-            if end is None or row["name"] not in fit.model.parameters.names:
-                continue
-            there = fit.model.material_of(_theta(fit.model, {**fit.values, row["name"]: end}), fit.scene)
-            for name, value in dataclasses.asdict(there).items():
-                if value != getattr(best, name):
-                    ends.setdefault(name, [getattr(best, name)]).append(value)
-    return {name: (min(found), max(found)) for name, found in ends.items()}
+Ends = tuple[float, float]
+
+
+def _moved(
+    fit: FittedCell, best: Material, found: Sequence[Estimate], ends: Sequence[tuple[float | None, float | None]]
+) -> list[dict[str, Ends]]:
+    """Least and most of each quantity that a parameter moves, as each of those found goes to its two ends alone."""
+    out: list[dict[str, Ends]] = []
+    for one, (low, high) in zip(found, ends, strict=True):
+        out.append({})
+        if low is None or high is None or one.name not in fit.model.parameters.names:
+            continue
+        there = [
+            fit.model.material_of(_theta(fit.model, {**fit.values, one.name: end}), fit.scene) for end in (low, high)
+        ]
+        for name, value in dataclasses.asdict(best).items():
+            reached = (value, *(getattr(m, name) for m in there))
+            if min(reached) < max(reached):
+                out[-1][name] = (min(reached), max(reached))
+    return out
+
+
+def _by_quantity(moved: Sequence[Mapping[str, Ends]]) -> dict[str, tuple[list[float], list[float]]]:
+    """Lows and highs of each quantity, of one parameter after another."""
+    out: dict[str, tuple[list[float], list[float]]] = {}
+    for one in moved:
+        for name, (low, high) in one.items():
+            lows, highs = out.setdefault(name, ([], []))
+            lows.append(low)
+            highs.append(high)
+    return out
+
+
+def _determined(fit: FittedCell, best: Material, found: Sequence[Estimate]) -> dict[str, bool]:
+    """Whether the recordings say what a quantity is: not where a parameter that they do not determine moves it, within
+    the range that was searched, over half of what all of them do.
+    """
+    ranges = _moved(fit, best, found, [(e.lower, e.upper) for e in found])
+    out = {}
+    for name, (lows, highs) in _by_quantity(ranges).items():
+        low, high = min(lows), max(highs)
+        size = math.log if low > 0 and high > FAR * low else float
+        most = max(
+            (size(r[name][1]) - size(r[name][0]) for e, r in zip(found, ranges, strict=True)
+             if name in r and not e.determined), default=0.0,
+        )  # fmt: skip
+        out[name] = most < WIDE * (size(high) - size(low))
+    return out
 
 
 def _origin(fit: FittedCell) -> dict[str, Any]:
@@ -138,6 +183,9 @@ def _origin(fit: FittedCell) -> dict[str, Any]:
         "recordings": {s.name: s.hash for s in cell.recordings if s.split == "fit"},
         "model": f"{cell.model} ({cell.versions.get(f'models/{cell.model}', 'version not known')})",
         "effects": list(cell.effects),
+        "optimizer": cell.optimizer,
+        "seed": cell.seed,
+        "budget": cell.budget,
         "errors": {f"{r['recording'] or 'mean'} ({r['split']})": f"{r['value']:.4g} {r['unit']}" for r in rows},
         "clothbench": every[0]["clothbench"],
     }

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 
 import pyarrow.parquet as parquet
 import pytest
 from conftest import swinging_recording
 
-from clothbench import write_recording
+from clothbench import ClothbenchError, write_recording
+from clothbench.cli.view import find_cell
+from clothbench.engine.store import Store
+from clothbench.twins.of_cell import FittedCell, twin_of_cell
 
 CELL = ("model=baraff_witkin", "optimizer=ga", "metric=node_error", "+options.baraff_witkin.resolution=5", "budget=8")
 ORTHOTROPIC = "+options.baraff_witkin.orthotropic=true"
@@ -35,7 +39,11 @@ def test_a_fit_leaves_with_units_intervals_and_provenance(clothbench, fitted):
     assert ratio["low"] < ratio["high"]
     assert document["provenance"]["recordings"] == {"swing": swinging_recording().hash}
     assert document["provenance"]["model"].startswith("baraff_witkin (clothbench")
-    assert document["others"]["added_mass.areal_density"]["unit"] == "kg/m²"
+    added = document["others"]["added_mass.areal_density"]
+    assert added["unit"] == "kg/m²"
+    assert added["low"] <= added["value"] <= added["high"]
+    assert document["schema"] == 1
+    assert (document["provenance"]["seed"], document["provenance"]["budget"]) == (0, 8)
 
     done = clothbench("export", "paper", "--to", "mujoco", "--out", "deep/cloth.xml")
     assert done.returncode == 0, done.stderr
@@ -44,7 +52,7 @@ def test_a_fit_leaves_with_units_intervals_and_provenance(clothbench, fitted):
     assert "altogether this moves baraff_witkin's own sheet by" in done.stderr
 
     for arguments, found in (
-        (("nothing", "--to", "json"), "no cell whose key begins with 'nothing'"),
+        (("nothing", "--to", "json"), "there are: paper, swing; a class of fabrics"),
         (("paper", "--to", "bullet"), "no exporter named 'bullet'"),
         (("paper", "--to", "json", "--out", "deep"), "is a folder"),
         (("paper", "--to", "json", "--out", "swing.nc/cloth.json"), "swing.nc"),
@@ -71,3 +79,29 @@ def test_a_fit_leaves_with_units_intervals_and_provenance(clothbench, fitted):
     done = clothbench("export", "paper", "--to", "json")
     assert done.returncode == 2
     assert "swing.nc: the recording of cell" in done.stderr
+
+
+def test_a_quantity_that_the_recordings_leave_open_is_called_so(fitted, monkeypatch):
+    monkeypatch.chdir(fitted)
+    store = Store(fitted / "runs")
+    (row,) = store.rows()[:1]
+    fit = FittedCell.of(fitted / "runs", row["key"])
+    wide = [
+        {**r, "low": r["lower"], "high": r["upper"], "at_bound": False} if r["name"] == "bend" else
+        {**r, "low": 0.9 * r["value"], "high": 1.1 * r["value"], "at_bound": False} for r in fit.fitted
+    ]  # fmt: skip
+    twin = twin_of_cell(dataclasses.replace(fit, fitted=wide))
+    assert (twin.determined["bending"], twin.determined["stretch"]) == (False, True)
+    assert "not determined" in twin.interval("bending")
+    assert any(line.startswith("bending:") and "not determined" in line for line in twin.about())
+    at_bound = [{**r, "at_bound": r["name"] == "stretch"} for r in wide]
+    assert not twin_of_cell(dataclasses.replace(fit, fitted=at_bound)).determined["stretch"]
+
+
+def test_a_recording_goes_by_its_last_name_where_that_is_enough(fitted, monkeypatch):
+    rows = [{**r, "recording": r["recording"] and f"paper/{r['recording']}"} for r in Store(fitted / "runs").rows()]
+    monkeypatch.setattr(Store, "rows", lambda self: rows)
+    assert find_cell(fitted / "runs", "swing").name == rows[0]["key"]
+    monkeypatch.setattr(Store, "rows", lambda self: [*rows, *({**r, "recording": "denim/swing"} for r in rows)])
+    with pytest.raises(ClothbenchError, match="there are: paper, denim/swing, paper/swing"):
+        find_cell(fitted / "runs", "swing")

@@ -3,8 +3,10 @@ against the recording beside the rollout of a model of the house."""
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import json
+import shutil
 import subprocess
 import sys
 
@@ -13,20 +15,22 @@ import pytest
 from clothbench_exporters import mjcf, newton_script, plain, ppf, usd
 from clothbench_models.baraff_witkin import BaraffWitkin
 from conftest import ROOT
-from twins_at_work import apart, in_mujoco, in_newton
+from twins_at_work import apart, in_mujoco, in_newton, off
 
-from clothbench import Material, Twin, read_recording, scene_of
+from clothbench import Material, Obstacle, Recording, Scene, Twin, read_recording, scene_of
+from clothbench.estimation.prior import hanging
+from clothbench.twins.of_cell import FittedCell, twin_of_cell
 
 CLOTH = Material(1e-4, 200.0, 100.0, 1e-6, 0.02)  # about that of the stiffer of two cloths held in two hands
 
 
 @pytest.fixture(scope="module")
-def held() -> tuple[Twin, np.ndarray]:
-    """The first second of a recording that the finite-element reference made, and where its points were (T, N, 3) m."""
+def held() -> tuple[Twin, Recording]:
+    """A cloth, and a recording of it that the finite-element reference made, of which the first second is looked at."""
     recording = read_recording(ROOT / "suites" / "embedded" / "hold_nodes" / "stiff-hold-1.nc")
     scene = scene_of(recording)
     scene = dataclasses.replace(scene, times=scene.times[:31])
-    return Twin("a cloth in two hands", scene, CLOTH, {"bending": (8e-5, 2e-4)}, "as planted"), recording.position[:31]
+    return Twin("a cloth in two hands", scene, CLOTH, {"bending": (8e-5, 2e-4)}, "as planted"), recording
 
 
 @pytest.mark.slow
@@ -41,11 +45,40 @@ def test_a_twin_follows_the_recording_as_our_own_model_does(held, module, export
     file = tmp_path / f"cloth{exporter.suffix}"
     file.write_text(exporter.export(twin).text)
     moved = drive(file, twin.scene)
-    far = float(np.nanmean(np.linalg.norm(seen - seen[:1], axis=-1)))
-    print(f"{module}: {1e3 * apart(moved, seen):.2f} mm, own {1e3 * apart(own, seen):.2f} mm, moved {1e3 * far:.1f} mm")
+    far = off(np.repeat(seen.position[:1], 31, axis=0), seen)
+    print(f"{module}: {1e3 * off(moved, seen):.2f} mm, own {1e3 * off(own, seen):.2f} mm, moved {1e3 * far:.1f} mm")
     assert far > 0.03
     assert apart(moved, own) < 3e-3
-    assert apart(moved, seen) < 1.25 * apart(own, seen) + 1e-3
+    assert off(moved, seen) < 1.25 * off(own, seen) + 1e-3
+
+
+@pytest.mark.slow
+def test_a_fit_in_mujoco_is_off_by_what_the_file_does_not_hold(clothbench, tmp_path):
+    pytest.importorskip("mujoco")
+    for name in ("fleece-waving-1.nc", "fleece-waving-2.nc"):  # fitted; held out
+        shutil.copy(ROOT / "suites" / "embedded" / "static_dynamic" / name, tmp_path)
+    done = clothbench(
+        "run", "recordings=.", "model=baraff_witkin", "optimizer=least_squares", "metric=node_error", "budget=120",
+        "+scene.resolution=[9,9]", "rerun=false", "jobs=1",
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    (cell,) = (tmp_path / "runs" / "cells").glob("[0-9a-f]*")
+    with contextlib.chdir(tmp_path):
+        fit = FittedCell.of(tmp_path / "runs", cell.name)
+    twin, model = twin_of_cell(fit), fit.model
+    written = mjcf.export(twin)
+    (file := tmp_path / "cloth.xml").write_text(written.text)
+    for number in (1, 2):
+        recording = read_recording(tmp_path / f"fleece-waving-{number}.nc")
+        scene = dataclasses.replace(scene_of(recording), resolution=(9, 9))
+        whole = np.array([fit.values[p.name] for p in model.parameters])
+        less = model.of_material(twin.isotropic("MuJoCo")[0], scene)
+        own, reduced = (model.prepare(scene).run(theta[None]).position[0] for theta in (whole, less))
+        moved = in_mujoco(file, scene)
+        off_by = {"own": off(own, recording), "less": off(reduced, recording), "mujoco": off(moved, recording)}
+        print(recording.name, {name: f"{1e3 * value:.1f} mm" for name, value in off_by.items()})
+        assert off_by["own"] < 0.01
+        assert off_by["mujoco"] < 1.25 * off_by["less"] + 1e-3
 
 
 @pytest.mark.slow
@@ -60,23 +93,41 @@ def test_newtons_script_runs_by_itself(held, tmp_path):
         [sys.executable, file, "path.npz", "out.npz"], cwd=tmp_path, capture_output=True, text=True, check=True
     )
     assert "lowest node" in done.stdout
+    done = subprocess.run([sys.executable, file, "-h"], capture_output=True, text=True, check=True)
+    assert "usage: cloth.py [-h] [PATH.npz] [OUT.npz]" in done.stdout
     assert np.isfinite(np.load(tmp_path / "out.npz")["position"]).all()
 
 
 def test_the_stage_is_whole_and_in_si(held, tmp_path):
     pytest.importorskip("pxr")
-    from pxr import Usd, UsdGeom, UsdShade
+    from pxr import Sdf, Usd, UsdGeom, UsdPhysics, UsdShade
 
     file = tmp_path / "cloth.usda"
     file.write_text(usd.export(held[0]).text)
     stage = Usd.Stage.Open(str(file))
     assert (UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)) == (1.0, "Z")
-    mesh = stage.GetDefaultPrim()
+    mesh = stage.GetPrimAtPath("/World/Cloth")
+    assert stage.GetDefaultPrim() == mesh.GetParent()
     bound, _ = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial("physics")
     (thickness,) = mesh.GetAttribute("physics:thicknesses").Get()
     density = bound.GetPrim().GetAttribute("physics:density").Get()
     assert density * thickness == pytest.approx(held[0].scene.areal_density, rel=1e-5)
     assert bound.GetPrim().GetAttribute("physics:surfaceBendStiffness").Get() == pytest.approx(CLOTH.bending)
+    for name in ("restBendAnglesDefault", "thicknesses:elementType"):
+        assert mesh.GetAttribute(f"physics:{name}").GetVariability() == Sdf.VariabilityUniform
+    gravity = UsdPhysics.Scene(stage.GetPrimAtPath("/World/PhysicsScene"))
+    assert gravity.GetGravityMagnitudeAttr().Get() == pytest.approx(9.81)
+    assert list(gravity.GetGravityDirectionAttr().Get()) == [0.0, 0.0, -1.0]
+
+
+def test_the_stage_says_each_thing_once(held):
+    pytest.importorskip("pxr")
+    woven = dataclasses.replace(CLOTH, bending_ratio=4.0)
+    lines = usd.export(dataclasses.replace(held[0], material=woven, others={"lift": (1.0, "1")})).cannot
+    assert [line.partition(":")[0] for line in lines] == [
+        "bending", "hinges", "bending damping", "stretch damping", "lift"
+    ]  # fmt: skip
+    assert lines[-1] == "lift: the schema has no place for it; 1 is left out"
 
 
 def test_newton_reads_the_usd_stage(held, tmp_path):
@@ -95,6 +146,125 @@ def test_newton_reads_the_usd_stage(held, tmp_path):
     assert sum(builder.particle_mass) == pytest.approx(mass, rel=1e-5)
     assert builder.tri_materials[0][0] == pytest.approx(CLOTH.stretch)  # μ, and the schema's stretch is taken for it
     assert builder.edge_bending_properties[-1][0] == pytest.approx(CLOTH.bending)
+    assert len(builder.attachment_particle_body_particle) == 2
+
+
+@pytest.mark.slow
+def test_newton_holds_what_the_usd_stage_attaches(held, tmp_path):
+    pytest.importorskip("pxr")
+    pytest.importorskip("newton_usd_schemas")
+    newton = pytest.importorskip("newton")
+    from pxr import Usd
+
+    (file := tmp_path / "cloth.usda").write_text(usd.export(held[0]).text)
+    builder = newton.ModelBuilder()
+    with pytest.warns(newton.NewtonWarning, match="surfaceShearStiffness is not applied"):
+        builder.add_usd(Usd.Stage.Open(str(file)))
+    builder.add_body()  # Newton 1.8's SolverVBD wants a joint where there are bodies
+    places, grips = after_a_while(newton, builder), held[0].scene.grip_position[0]
+    apart = np.linalg.norm(places[:, None] - grips[None], axis=-1)
+    assert apart.min(axis=0).max() < 3e-3
+    assert places[:, 2].min() < grips[:, 2].min() - 0.1
+
+
+def after_a_while(newton, builder) -> np.ndarray:
+    """Where particles (n, 3) m are after a tenth of a second of SolverVBD, which attaches them to bodies."""
+    builder.color()
+    model = builder.finalize(device="cpu")
+    solver = newton.solvers.SolverVBD(model, iterations=10)
+    now, after, control = model.state(), model.state(), model.control()
+    for _ in range(50):
+        now.clear_forces()
+        solver.step(now, after, control, None, 2e-3)
+        now, after = after, now
+    return now.particle_q.numpy()
+
+
+def dropped(obstacle: Obstacle) -> Scene:
+    """A sheet of 30 cm that falls onto what is 1 cm below it."""
+    side = np.linspace(0, 0.3, 7)
+    points = np.stack(np.meshgrid(side, side), axis=-1).reshape(-1, 2)
+    start = np.stack([points[:, 0] - 0.15, 0.15 - points[:, 1], np.full(len(points), 0.01)], axis=1)
+    return Scene(
+        width=0.3, height=0.3, areal_density=0.2, grip_time=np.array([0.0, 1.0]), grip_material=np.zeros((0, 2)),
+        grip_position=np.zeros((2, 0, 3)), times=np.linspace(0, 0.15, 4), points=points, start=start,
+        obstacles=(obstacle,),
+    )  # fmt: skip
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("obstacle", "depth"), [
+    (Obstacle("plane", friction=0.3), lambda x: x[..., 2]),
+    (Obstacle("sphere", centre=(0.0, 0.0, -0.06), radius=0.06, friction=0.3),
+     lambda x: np.linalg.norm(x - [0.0, 0.0, -0.06], axis=-1) - 0.06),
+    (Obstacle("disc", radius=0.09, friction=0.3),
+     lambda x: np.maximum(x[..., 2], np.linalg.norm(x[..., :2], axis=-1) - 0.09)),
+])  # fmt: skip
+def test_cloth_lies_on_exported_obstacles_as_it_does_in_our_own_model(obstacle, depth, tmp_path):
+    pytest.importorskip("mujoco")
+    twin = Twin("it falls", dropped(obstacle), CLOTH, {}, "as planted")
+    model = BaraffWitkin(resolution=13)
+    own = model.prepare(twin.scene).run(model.of_material(CLOTH, twin.scene)[None]).position[0]
+    written = mjcf.export(twin)
+    assert not any(line.startswith("obstacle") for line in written.cannot)
+    (file := tmp_path / "cloth.xml").write_text(written.text)
+    moved = in_mujoco(file, twin.scene, settle=0.0)
+    print(f"{obstacle.shape}: {1e3 * apart(moved, own):.2f} mm apart, deepest {1e3 * depth(moved).min():.2f} mm")
+    assert depth(moved).min() > -1e-3
+    assert apart(moved[-1], own[-1]) < 0.015
+    assert apart(moved[-1], moved[0]) > 0.008
+
+
+@pytest.mark.slow
+def test_what_grips_carry_pushes_the_cloth(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    ball = Obstacle("sphere", centre=(0.15, 0.07, -0.15), radius=0.05, carried=True)
+    scene = dataclasses.replace(hanging(0.3, 0.3, 0.2), obstacles=(ball,))
+    (file := tmp_path / "cloth.xml").write_text(mjcf.export(Twin("it hangs", scene, CLOTH, {}, "")).text)
+    model = mujoco.MjModel.from_xml_path(str(file))
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    for k in range(500):
+        data.mocap_pos[-1] = [0.0, -1e-4 * k, 0.0]
+        mujoco.mj_step(model, data)
+    apart = np.linalg.norm(data.flexvert_xpos - np.array(ball.centre) - data.mocap_pos[-1], axis=1)
+    assert apart.min() > ball.radius - 1e-3
+    assert data.flexvert_xpos[:, 1].min() < -0.02
+
+
+def test_a_cut_sheet_leaves_whole_with_what_clamps_it(tmp_path):
+    mujoco = pytest.importorskip("mujoco")
+    turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    round_ = 0.15 + 0.149 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
+    scene = dataclasses.replace(dropped(Obstacle("disc", radius=0.09, clamps=True)), outline=round_, start=None)
+    written = mjcf.export(Twin("a drape", scene, CLOTH, {}, ""))
+    assert any(line.startswith("outline") for line in written.cannot)
+    model = mujoco.MjModel.from_xml_string(written.text)
+    assert model.flex_vertnum[0] < 169
+    assert model.body_mass.sum() == pytest.approx(0.2 * np.pi * 0.149**2, rel=0.02)
+    data = mujoco.MjData(model)
+    mujoco.mj_resetDataKeyframe(model, data, 0)
+    for _ in range(300):
+        mujoco.mj_step(model, data)
+    x = data.flexvert_xpos
+    assert np.abs(x[np.linalg.norm(x[:, :2], axis=1) < 0.05, 2]).max() < 2e-3
+    assert x[:, 2].min() < -0.01
+
+
+def test_what_is_around_the_cloth_is_written_or_a_line(held):
+    around = (Obstacle("plane"), Obstacle("sphere", radius=0.1, carried=True))
+    outline = np.array([[0.0, 0.0], [0.2, 0.0], [0.0, 0.2]])
+    scene = dataclasses.replace(held[0].scene, obstacles=around, thickness=1e-3, outline=outline)
+    twin = dataclasses.replace(held[0], scene=scene)
+    lines = twin.unheld("a reader")
+    assert [line.partition(":")[0] for line in lines] == ["obstacle 0", "obstacle 1", "thickness", "outline"]
+    assert "carried sphere" in lines[1]
+    assert set(twin.unheld("ppf-contact-solver")) <= set(ppf.export(twin).cannot)
+    document = json.loads(plain.export(twin).text)
+    assert [o["shape"] for o in document["obstacles"]] == ["plane", "sphere"]
+    assert document["obstacles"][0]["radius"] is None
+    assert document["thickness"] == {"value": 1e-3, "unit": "m"}
+    assert document["outline"]["material"] == outline.tolist()
 
 
 def test_what_a_target_cannot_hold_is_a_line_each(held):
@@ -106,14 +276,30 @@ def test_what_a_target_cannot_hold_is_a_line_each(held):
     assert plain.export(twin).cannot == ()
 
 
-def test_ppf_has_stretch_over_density(held):
+def test_ppf_has_the_material_as_its_source_makes_it(held):
     import tomllib
 
-    (profile,) = tomllib.loads(ppf.export(held[0]).text).values()
-    assert profile["shell_young_modulus"] == pytest.approx(CLOTH.stretch / held[0].scene.areal_density)
-    assert "bend" not in profile
+    woven = dataclasses.replace(CLOTH, shear=40.0, bending_ratio=4.0)
+    written = ppf.export(dataclasses.replace(held[0], material=woven))
+    (profile,) = tomllib.loads(written.text).values()
+    density, young, poisson = (profile[f"shell_{n}"] for n in ("density", "young_modulus", "poisson_ratio"))
+    assert density * young / 2 / (1 + poisson) == pytest.approx(woven.stretch)
+    assert density * young * poisson / (1 + poisson) / (1 - 2 * poisson) == pytest.approx(woven.shear)
+    assert 1.28e-5 * density * profile["bend"] == pytest.approx(woven.bending)
+    assert [line.partition(":")[0] for line in written.cannot] == [
+        "bending", "bend_warp, bend_weft", "deformation_damping", "bending_damping"
+    ]  # fmt: skip
+    assert written.material == dataclasses.replace(woven.alike, bending_damping=0.0, stretch_damping=0.0)
+    warp, weft = (b / 1.28e-5 / density for b in woven.along("bending"))
+    assert f"bend = {weft:.4g}, bend_warp = {warp - weft:.4g} and bend_weft = 0" in written.cannot[1]
 
 
 def test_numbers_leave_with_units_and_intervals(held):
     document = json.loads(plain.export(held[0]).text)
-    assert document["material"]["bending"] == {"value": 1e-4, "low": 8e-5, "high": 2e-4, "unit": "N·m"}
+    assert document["material"]["bending"] == {
+        "value": 1e-4,
+        "low": 8e-5,
+        "high": 2e-4,
+        "unit": "N·m",
+        "determined": None,
+    }

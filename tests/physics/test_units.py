@@ -48,6 +48,16 @@ def test_what_a_model_cannot_be_told_is_a_reason_and_no_number():
     assert (one.found, one.reason) == (None, "finds rest only, and nothing holds this sheet")
 
 
+def test_a_row_says_where_it_is_documented(clothbench):
+    pytest.importorskip("mujoco")
+    rows = [units._measured(Mujoco(), probe(9, 0.1), 9, 0.1) for probe in (units.stretch, units.inertia)]
+    assert "https://mujoco.readthedocs.io" in rows[0].source
+    assert rows[1].source == ""  # of mass nothing need be documented
+    done = clothbench("units")
+    assert done.returncode == 2
+    assert done.stderr.strip().endswith("the following arguments are required: MODEL")
+
+
 def test_mujocos_units_hold_but_for_bending_at_the_margins():
     pytest.importorskip("mujoco")
     for probe in (units.stretch, units.shear, units.inertia):

@@ -2,16 +2,22 @@
 
 from __future__ import annotations
 
+import json
+
 import numpy as np
 import pytest
 from clothbench_models.baraff_witkin import BaraffWitkin
 from clothbench_models.mass_spring import MassSpring
+from conftest import swinging_recording
 
-from clothbench import ClothbenchError, Recording, write_recording
+from clothbench import ClothbenchError, Recording, catalogue, scene_of, write_recording
+from clothbench.cli.improve import settings_of
 from clothbench.engine.store import Store
+from clothbench.engine.suite import plan
 from clothbench.estimation.prior import hanging, prior_of
 from clothbench.reference import mechanics as references
 from clothbench.reference.presets import preset
+from clothbench.studies.improve.prepare import prepare
 from clothbench.studies.mechanics import scenes
 
 PLANTED, DENSITY, LENGTH = 9e-5, 0.35, 0.1  # N·m, kg/m², m
@@ -88,3 +94,25 @@ def test_a_class_that_nobody_measured_is_one_line(clothbench, tmp_path):
     assert done.stderr.strip().startswith("clothbench: no preset 'silk': there is no measured fabric of that class")
     with pytest.raises(ClothbenchError, match="no preset 'silk'"):
         preset("silk")
+
+
+def test_improve_and_suggest_search_where_a_class_says(clothbench, tmp_path):
+    write_recording(swinging_recording("sway"), tmp_path / "rec" / "sway.nc")
+    words = ["model=mass_spring", "resolution=5", "prior=denim"]
+    (cell,) = plan(settings_of([*words, f"recordings={tmp_path / 'rec'}", f"out={tmp_path}"]), catalogue())
+    known = prior_of(preset("denim"), MassSpring(), scene_of(swinging_recording("sway"), resolution=(5, 5)))
+    assert cell.bounds == known.bounds
+    assert cell.begins == known.start
+    (k1,) = (p for p in prepare(cell, catalogue()).space(()) if p.name == "k1")
+    assert (k1.bounds, k1.default) == (pytest.approx(known.bounds["k1"]), pytest.approx(known.start["k1"]))
+    (own,) = plan(settings_of([*words, "bounds.k1=[1,2]", f"recordings={tmp_path / 'rec'}"]), catalogue())
+    assert own.bounds["k1"] == (1.0, 2.0)
+    done = clothbench(
+        "suggest", "rec", *words, "base=", "durations=0.4", "draws=0", "best=1", "grips=as recorded", "--json"
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)["parameters"]["k1"]
+    assert known.bounds["k1"][0] <= found["low"] <= found["high"] <= known.bounds["k1"][1]
+    wrong = clothbench("improve", "recordings=rec", "sailing=fast")
+    assert "prior=VALUE" in wrong.stderr
+    assert "metric=VALUE" not in wrong.stderr

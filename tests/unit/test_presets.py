@@ -30,7 +30,10 @@ def test_they_are_printed_with_their_sources(clothbench):
     assert (done.returncode, done.stderr) == (0, "")
     assert "1.46e-05 … 4.11e-05" in done.stdout
     assert len(json.loads(clothbench("presets", "--json").stdout)) == len(preset_rows(None))
-    assert clothbench("presets", "silk").returncode == 2
+    assert clothbench("presets", "Wool").stdout == done.stdout
+    unknown = clothbench("presets", "silk")
+    assert unknown.returncode == 2
+    assert unknown.stderr.strip().endswith(f"there are: {', '.join(presets())}")
 
 
 def test_a_preset_leaves_for_a_simulator():

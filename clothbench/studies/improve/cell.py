@@ -28,6 +28,7 @@ class ImproveCell:
     scene: areal_density, kg/m², where a recording does not know it (None: each has to), air_density, kg/m³, and
         resolution, nodes along the longer side of the mesh; empty where nothing is simulated on a mesh;
     bounds: of parameters, by name, in place of those that the plugins state;
+    begins: where a search begins, by parameter, in place of the defaults;
     fixed: values of parameters that are not searched for, by name;
     seed: of all random draws;
     timeout: s after which no further round is begun; None: no limit;
@@ -46,6 +47,7 @@ class ImproveCell:
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     scene: Mapping[str, Any] = field(default_factory=dict)
     bounds: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    begins: Mapping[str, float] = field(default_factory=dict)
     fixed: Mapping[str, float] = field(default_factory=dict)
     seed: int = 0
     timeout: float | None = None
@@ -70,8 +72,9 @@ class ImproveCell:
         question["options"] = {name: options for name, options in question["options"].items() if name in used}
         for name in ("split_by_seed", "suite", "case"):  # the splits say it; a name changes no answer
             del question[name]
-        if not question["fixed"]:  # as cells were asked before there were any
-            del question["fixed"]
+        for name in ("begins", "fixed"):
+            if not question[name]:  # as cells were asked before there were any
+                del question[name]
         return digest([question, asdict(LOOP), __version__])
 
     @property

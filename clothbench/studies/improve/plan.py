@@ -15,6 +15,7 @@ from clothbench.engine.cells import Source, matching, plugin_versions, resplit
 from clothbench.engine.run import TRACKED
 from clothbench.engine.settings import refuse, require_plugins, whole, words
 from clothbench.engine.suite import where
+from clothbench.estimation.prior import prior_of
 from clothbench.modelling.curves import answers_curves
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.codec import kind_of
@@ -22,11 +23,13 @@ from clothbench.recordings.curve import LAYOUT as CURVES
 from clothbench.recordings.curve import read_curve
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.silhouette import LAYOUT as DRAPES
+from clothbench.reference.presets import Preset, preset
 from clothbench.studies.improve.candidates import candidates_of, names
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.fitting import search_settings
 from clothbench.studies.improve.prepare import prepare
 from clothbench.studies.improve.problem import Problem
+from clothbench.studies.improve.sheets import SheetCase
 
 # Nodes along the longer side, where the user does not say: implicit models take several times as long for a node, and
 # what a coarser mesh does to them is known better, since they converge.
@@ -38,7 +41,7 @@ NEEDED = {  # capabilities, by kind of recording
     "nodes": ("moves", frozenset({"dynamic", "effects"})),
     DRAPES.kind: ("can be cut to a disc", frozenset({"outline", "effects"})),
 }
-NOT_ASKED = ("metric", "report", "analysis", "prior")
+NOT_ASKED = ("metric", "report", "analysis")
 
 
 def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[ImproveCell]:
@@ -91,12 +94,13 @@ def cell_of(
     if reason := absent(loaded):
         raise ClothbenchError(f"model {model!r}: {reason}")
     require_able(kind, model, settings["options"].get(model, {}), plugins)
+    prior = prior_asked(settings, kind)
     if kind == CURVES.kind:
         refuse_what_needs_a_mesh(settings)
     cell = ImproveCell(
         recordings=tuple(resplit(list(sources), settings["seed"])), kind=kind, model=model, base=(), candidates=(),
         tracker=settings["tracker"] if kind != CURVES.kind else None, optimizer=optimizer, options=settings["options"],
-        scene={} if kind == CURVES.kind else scene_of_settings(settings, loaded, kind), seed=settings["seed"],
+        scene={} if kind == CURVES.kind else scene_of_settings(settings, loaded, kind, prior), seed=settings["seed"],
         timeout=settings["timeout"], bounds=settings["bounds"], split_by_seed=not any(s.split for s in sources),
         suite=suite.get("name") or "improve", case=case,
     )  # fmt: skip
@@ -104,6 +108,12 @@ def cell_of(
     if textile := problem.evidence.textile:  # what its drapes cannot tell is held
         free, held = textile_of(loaded, textile)
         cell = dataclasses.replace(cell, bounds=free | dict(settings["bounds"]), fixed=held)
+        problem = prepare(cell, plugins, kept=Path(settings["out"]) / TRACKED)
+    if prior:
+        first, made = problem.evidence.cases[0], plugins.make("models", model, **settings["options"].get(model, {}))
+        assert isinstance(first, SheetCase)  # the only kind that is given a prior
+        known = prior_of(prior, made, first.scene)
+        cell = dataclasses.replace(cell, bounds=known.bounds | dict(settings["bounds"]), begins=known.start)
         problem = prepare(cell, plugins, kept=Path(settings["out"]) / TRACKED)
     base = base_of(settings, problem)
     candidates = candidates_of(suite.get("candidates"), kind, base, plugins, problem.evidence.in_pictures)
@@ -140,8 +150,21 @@ def refuse_what_needs_a_mesh(settings: Mapping[str, Any]) -> None:
             raise ClothbenchError(f"found {key}=…, which force-extension curves have no use for; leave it out")
 
 
-def scene_of_settings(settings: Mapping[str, Any], model: Any, kind: str) -> dict[str, Any]:
-    """How fine the mesh is, the density of air, and that of cloth where a recording does not know it."""
+def prior_asked(settings: Mapping[str, Any], kind: str) -> Preset | None:
+    """The class of fabrics that gives bounds and start of the search, if one is asked for."""
+    if not settings["prior"]:
+        return None
+    if kind != "nodes":
+        raise ClothbenchError(
+            f"setting 'prior': found recordings of kind {kind!r}, expected cloth that moves; give bounds.NAME instead"
+        )
+    return preset(str(settings["prior"]))
+
+
+def scene_of_settings(settings: Mapping[str, Any], model: Any, kind: str, prior: Preset | None) -> dict[str, Any]:
+    """How fine the mesh is, the density of air, and that of cloth where a recording does not know it: stated, or that
+    of a class of fabrics.
+    """
     nodes, scene = settings["suite"].get("resolution"), settings["scene"]
     if nodes is None:
         nodes = IMPLICIT_NODES if kind_of_model(model) == "implicit" else NODES
@@ -151,8 +174,11 @@ def scene_of_settings(settings: Mapping[str, Any], model: Any, kind: str) -> dic
         raise ClothbenchError("setting 'scene.start': drapes begin from several first shapes; leave it out")
     if begins and "moving_start" not in model.capabilities:
         raise ClothbenchError(f"model {model.name!r} starts from rest only; leave scene.start=measured out")
+    density = scene.get("areal_density")
+    if density is None and prior:
+        density = prior.numbers["areal_density"].value
     return begins | {
-        "areal_density": scene.get("areal_density"), "air_density": scene.get("air_density", AIR_DENSITY),
+        "areal_density": density, "air_density": scene.get("air_density", AIR_DENSITY),
         "resolution": whole("resolution", nodes, LEAST_NODES),
     }  # fmt: skip
 

@@ -42,8 +42,8 @@ def prepare(
     return Problem(
         model=cell.model, evidence=evidence_of(cell, recordings, plugins, kept), plugins=plugins,
         optimizer=cell.optimizer,
-        base=cell.base, options=cell.options, bounds=cell.bounds, seed=cell.seed, question=cell.key,
-        checkpoint=checkpoint or Checkpoint(), elsewhere=elsewhere,
+        base=cell.base, options=cell.options, bounds=cell.bounds, begins=cell.begins, seed=cell.seed,
+        question=cell.key, checkpoint=checkpoint or Checkpoint(), elsewhere=elsewhere,
     )  # fmt: skip
 
 

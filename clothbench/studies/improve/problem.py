@@ -18,6 +18,7 @@ from clothbench.engine.cells import digest
 from clothbench.engine.checkpoint import Checkpoint
 from clothbench.engine.study import Elsewhere
 from clothbench.estimation.fixed import holding
+from clothbench.estimation.prior import begun
 from clothbench.estimation.trials import Trial
 from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.improve.evidence import Case, Evidence, of_split
@@ -42,7 +43,8 @@ class Problem:
     own: by recording, parameters that are held in it alone, by name: amounts that differ from recording to recording;
     corrections: (M,) by recording, see `Case.trial`; halvings: of the cells, that they come from;
     checkpoint: what was computed already;
-    elsewhere: workers that do pieces of the work, see `Context`.
+    elsewhere: workers that do pieces of the work, see `Context`;
+    begins: where a search of parameters begins, by name, in place of their defaults.
     """
 
     model: str
@@ -62,6 +64,7 @@ class Problem:
     halvings: int = 0
     checkpoint: Checkpoint = field(default_factory=Checkpoint)
     elsewhere: Elsewhere | None = None
+    begins: Mapping[str, float] = field(default_factory=dict)
 
     def of_split(self, split: str) -> list[Case]:
         return of_split(self.evidence, split)
@@ -115,8 +118,10 @@ class Problem:
         return self.bounded(self.trials(names, "fit")[0].simulation.parameters)
 
     def bounded(self, space: ParameterSpace) -> ParameterSpace:
-        """The space with those of the bounds that are of its parameters."""
-        return space.bounded({name: pair for name, pair in self.bounds.items() if name in space.names})
+        """The space with those of the bounds and beginnings that are of its parameters."""
+        return begun(
+            space.bounded({name: pair for name, pair in self.bounds.items() if name in space.names}), self.begins
+        )
 
     def space_of(self, effect: str) -> ParameterSpace:
         """The parameters of one effect, by their own names."""

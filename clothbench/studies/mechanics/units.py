@@ -175,7 +175,7 @@ def _measured(model: Any, probe: Probe, along: int, density: float) -> Measured:
 def _stated(model: Any, probe: Probe, theta: np.ndarray) -> Stated:
     """What documentation says of a quantity; where there is none, what the model itself says."""
     if probe.quantity == "inertia":
-        return Stated("inertia", "mass: areal density × area of each node", lambda theta: 1.0, "mechanics")
+        return Stated("inertia", "mass: areal density × area of each node", lambda theta: 1.0, "")
     for stated in model.documented if isinstance(model, DocumentsUnits) else ():
         if stated.quantity == probe.quantity:
             return stated

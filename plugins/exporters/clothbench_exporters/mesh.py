@@ -11,11 +11,32 @@ NODES = 13  # along the longer side, where the scene does not say
 
 
 def sheet_of_twin(twin: Twin) -> tuple[Sheet, np.ndarray]:
-    """The sheet, flat, and the shape (n, 3) m from which it settles into its grips' first pose."""
+    """The sheet, flat, and the shape (n, 3) m from which it settles into its grips' first pose; where it is cut along
+    an outline, without the nodes that no cloth is at.
+    """
     grid = GridSimulation(twin.scene, grid_shape(twin.scene, NODES), BoundEffects(ParameterSpace(), ()))
-    return grid.sheet, grid.start[0]
+    sheet, start = grid.sheet, grid.start[0]
+    cloth = sheet.mass > 0
+    cloth[sheet.held[: sheet.gripped]] = True
+    number = np.cumsum(cloth) - 1
+    return sheet._replace(
+        uv=sheet.uv[cloth], mass=sheet.mass[cloth], area=sheet.area[cloth], triangles=number[sheet.triangles],
+        held=number[sheet.held[cloth[sheet.held]]],
+    ), start[cloth]  # fmt: skip
 
 
 def grip_nodes(twin: Twin, sheet: Sheet) -> np.ndarray:
     """Numbers of the nodes that are held, in the order of the scene's grips (G,)."""
     return np.array(sheet.held[: len(twin.scene.grip_material)], dtype=int)
+
+
+def clamped_nodes(twin: Twin, sheet: Sheet) -> np.ndarray:
+    """Numbers of the nodes that lie between a disc and the plate upon it, and never move."""
+    return np.array(sheet.held[len(twin.scene.grip_material) :], dtype=int)
+
+
+def margin(twin: Twin) -> list[str]:
+    """A line on a sheet that is cut along an outline, of which a mesh holds whole triangles only."""
+    if twin.scene.outline is None:
+        return []
+    return ["outline: the cut goes along whole triangles of the mesh, which are as stiff as if no outline crossed them"]

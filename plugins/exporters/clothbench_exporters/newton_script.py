@@ -13,7 +13,7 @@ import json
 import numpy as np
 
 from clothbench import Export, Twin, catalogue
-from clothbench_exporters.mesh import grip_nodes, sheet_of_twin
+from clothbench_exporters.mesh import grip_nodes, margin, sheet_of_twin
 
 suffix = ".py"
 SETTLE = 2.0  # s
@@ -26,14 +26,21 @@ PATH.npz has time (K,) s and position (K, G, 3) m of the grips; without it the c
 time (T,) s and position (T, N, 3) m of the nodes, which lie at `REST` when flat.
 """
 
+import argparse
 import json
-import sys
+
+if __name__ == "__main__":  # before Warp is loaded, which takes seconds
+    parser = argparse.ArgumentParser(description="Run the cloth in Newton, its grips led along a path.")
+    parser.add_argument("path", nargs="?", metavar="PATH.npz", help="time (K,) s and position (K, G, 3) m of the grips "
+                        "(default: they hold still for a second)")
+    parser.add_argument("out", nargs="?", metavar="OUT.npz", help="where time (T,) s and position (T, N, 3) m go")
+    asked = parser.parse_args()
 
 import numpy as np
 import warp as wp
 
 wp.config.log_level = wp.LOG_WARNING
-import newton  # noqa: E402
+import newton
 
 DATA = json.loads("""@DATA@""")
 REST, START = np.array(DATA["rest"]), np.array(DATA["start"])  # m
@@ -89,16 +96,16 @@ def run(time, path, times):
 
 
 if __name__ == "__main__":
-    if len(sys.argv) > 1:
-        motion = np.load(sys.argv[1])
+    if asked.path:
+        motion = np.load(asked.path)
         time, path = motion["time"], motion["position"]
     else:
         time, path = np.array([0.0, 1.0]), np.stack([START[GRIPS], START[GRIPS]])
     times = np.arange(time[0], time[-1] + 1e-9, 0.02)
     position = run(time, path, times)
     print(f"lowest node at the end: {position[-1, :, 2].min():.4f} m")
-    if len(sys.argv) > 2:
-        np.savez(sys.argv[2], time=times, position=position)
+    if asked.out:
+        np.savez(asked.out, time=times, position=position)
 '''
 
 
@@ -114,7 +121,8 @@ def export(twin: Twin) -> Export:
             f"stretch damping: Newton's tri_kd brakes turns as well; {material.stretch_damping:.3g} N·s/m is left out"
         )
         material = dataclasses.replace(material, stretch_damping=0.0)
-    lines += twin.unheld("Newton")
+    lines += twin.unheld("Newton", ("outline",)) + margin(twin)
+    twin = dataclasses.replace(twin, scene=dataclasses.replace(twin.scene, obstacles=(), thickness=0.0))
     sheet, start = sheet_of_twin(twin)
     model = catalogue().make("models", "newton", resolution=_shape(sheet))
     theta = model.of_material(material, twin.scene)

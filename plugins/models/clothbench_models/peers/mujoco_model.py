@@ -66,12 +66,13 @@ PARAMETERS = ParameterSpace(
     )
 )
 
+PAGE = "MuJoCo 4.0, https://mujoco.readthedocs.io/en/stable/XMLreference.html#flexcomp-elasticity"
 DOCUMENTED = (
     Stated("bending", "young [Pa] · thickness³ [m³] / 12(1 − poisson²)",
-           lambda p: float(p[0] * p[2] ** 3 / 12 / (1 - p[1] ** 2)), SOURCE),
-    Stated("stretch", "young [Pa] · thickness [m]", lambda p: float(p[0] * p[2]), SOURCE),
+           lambda p: float(p[0] * p[2] ** 3 / 12 / (1 - p[1] ** 2)), PAGE),
+    Stated("stretch", "young [Pa] · thickness [m]", lambda p: float(p[0] * p[2]), PAGE),
     Stated("shear", "young [Pa] · thickness [m] / 2(1 + poisson)", lambda p: float(p[0] * p[2] / 2 / (1 + p[1])),
-           SOURCE),
+           PAGE),
 )  # fmt: skip
 
 

@@ -65,7 +65,10 @@ PARAMETERS = {
 }
 
 # Newton's documentation says no more of its attributes than this, and nothing of what the solvers make of them.
-ATTRIBUTES = "Newton 1.8, Model.tri_materials and Model.edge_bending_properties"
+ATTRIBUTES = (
+    "Newton 1.8, Model.tri_materials and Model.edge_bending_properties, "
+    "https://newton-physics.github.io/newton/stable/api/_generated/newton.Model.html"
+)
 DOCUMENTED = (
     Stated("bending", "edge_ke [N·m/rad]", lambda p: float(p[3]), ATTRIBUTES),
     Stated("stretch", "4 tri_ke (tri_ka + tri_ke) / (tri_ka + 2 tri_ke) [Pa]",
