@@ -46,7 +46,7 @@ def run_cells(
     whenever one of them has nothing more to do: the last cell has all of them. A cell of a stranger's plugins, or one
     with a limit, never runs in this process: whatever it does there, this one is left to tell of it.
     """
-    store = Store(out)
+    store, limits = Store(out), limits or Limits()
     kept = store.finished(dict.fromkeys(c.key for c in cells))
     missing = [c for c in cells if c.key not in kept]
     if missing:
@@ -55,14 +55,14 @@ def run_cells(
         if cell.key in kept:
             done(cell, "kept")
     workers = min(jobs or available_cores(), len(missing))
-    here = not (limits and limits.stated) and all(map(_of_our_own, missing))
+    here = not limits.stated and all(map(_of_our_own, missing))
     if missing and executor and executor["name"] != LOCAL:
-        run_cells_on(executor, missing, out, jobs=jobs, rerun=rerun, done=done, progress=progress)
+        run_cells_on(executor, missing, out, jobs=jobs, rerun=rerun, done=done, progress=progress, limits=limits)
     elif here and (len(missing) == 1 or jobs == 1):
         for cell in missing:
             done(cell, run_cell(cell, out, rerun=rerun, progress=progress))
     elif missing:
-        _run_in_processes(missing, out, workers, rerun, done, progress, limits or Limits())
+        _run_in_processes(missing, out, workers, rerun, done, progress, limits)
 
 
 def _of_our_own(cell: Cell) -> bool:

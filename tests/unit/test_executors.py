@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import pickle
+import signal
 import socket
 import subprocess
 import sys
@@ -18,9 +19,11 @@ from clothbench import ClothbenchError
 from clothbench.engine.cells import Source, lie_here
 from clothbench.engine.executors import settings
 from clothbench.engine.executors.cells import CellWork, concluded, places, sources_of
+from clothbench.engine.executors.child import Ended, _kept, in_child
 from clothbench.engine.executors.drive import answers, elsewhere
 from clothbench.engine.executors.settings import executor_settings
 from clothbench.engine.executors.work import Answer, Died, Owner, attended, seldom
+from clothbench.engine.limits import Limits, Watch
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store, outcome
 from clothbench.engine.suite import plan
@@ -171,6 +174,70 @@ def test_an_owner_that_was_killed_lives_no_more():
     assert not owner.lives
     child.communicate()
     assert not Owner(os.getpid(), 1.0).lives  # another process has the number
+
+
+# --- in a child of a worker -------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class Harmful:
+    """Does something to its process."""
+
+    harm: str
+
+    def __call__(self, tell, threads):
+        tell(3, 0.5)
+        {"print": print, "die": lambda _: os.kill(os.getpid(), signal.SIGKILL), "sleep": lambda _: time.sleep(600),
+         "exit": sys.exit, "fork": lambda _: os.fork() or time.sleep(600)}[self.harm]("x")  # fmt: skip
+        return os.getpid(), threads
+
+
+@pytest.fixture
+def child():
+    pytest.importorskip("threadpoolctl", reason="comes with the extras dask, ray and slurm")
+    told = []
+
+    def done(harm, limits=Limits(seconds=60.0), tell=lambda *word: told.append(word)):  # noqa: B008
+        return in_child(Harmful(harm), "cell", tell, 2, Watch(limits, 1))
+
+    yield done, told
+    while _kept:
+        _kept.pop().close()
+
+
+def test_a_child_is_kept_from_work_to_work_and_prints_aside(child, capfd):
+    done, _ = child
+    pid, threads = done("print").value
+    assert (pid != os.getpid(), threads) == (True, 2)
+    assert done("exit") == Answer(fault=f"worker on {socket.gethostname()}: SystemExit: x")
+    assert done("fork").value == (pid, 2)
+    alive = [p.pid for p in psutil.Process().children(recursive=True) if p.status() != psutil.STATUS_ZOMBIE]
+    assert alive == [pid]  # what it forked has gone
+    assert capfd.readouterr().out == ""
+
+
+def test_a_child_that_dies_is_tried_once_more_and_one_that_sleeps_is_ended(child):
+    done, told = child
+    with pytest.raises(Ended, match=r"the process that ran this cell died \(exit code -9\)"):
+        done("die")
+    with pytest.raises(Ended, match=r"took more than 2 s, the limit \(limits.seconds\), and was ended"):
+        done("sleep", Limits(seconds=2.0))
+    assert (3, 0.5) in told
+    assert done("print").value[1] == 2
+
+
+def test_a_child_ends_with_a_work_that_nobody_waits_for(child):
+    done, _ = child
+
+    class Stopped(BaseException):
+        pass
+
+    def stop(steps, value):
+        raise Stopped
+
+    with pytest.raises(Stopped):
+        done("sleep", tell=stop)
+    assert psutil.Process().children() == []
 
 
 # --- cells ------------------------------------------------------------------------------------------------------------
