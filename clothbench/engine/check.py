@@ -12,6 +12,7 @@ import pyarrow as pa
 from clothbench.core.errors import ClothbenchError, one_line
 from clothbench.core.files import half_written, read_arrays, read_json
 from clothbench.engine.index import INDEX
+from clothbench.engine.leases import LEASES, live
 from clothbench.engine.run import TRACKED
 from clothbench.engine.store import FINISHED, JOURNAL, KEY, ROW, ROWS, Store
 from clothbench.engine.study import Study, studies
@@ -139,3 +140,6 @@ def remains(store: Store) -> Iterator[tuple[Path, str]]:
             yield path, "the journal of a cell that is finished"
         else:
             yield path, "an unfinished cell; the command that began it goes on with it"
+    for path in sorted((store.folder / LEASES).glob("*")):
+        if not live(path):
+            yield path, "the lease of a command that has gone"

@@ -20,7 +20,7 @@ from clothbench.engine.cells import Source, lie_here
 from clothbench.engine.executors import settings
 from clothbench.engine.executors.cells import CellWork, concluded, places, sources_of
 from clothbench.engine.executors.child import Ended, _kept, in_child
-from clothbench.engine.executors.drive import answers, elsewhere
+from clothbench.engine.executors.drive import InOrder, answers, elsewhere
 from clothbench.engine.executors.settings import executor_settings
 from clothbench.engine.executors.work import Answer, Died, Owner, attended, seldom
 from clothbench.engine.limits import Limits, Watch
@@ -110,7 +110,7 @@ class Made:
 
 def test_a_work_whose_worker_dies_is_tried_once_more():
     workers, told = Made({1: 1, 2: 2}), []
-    found = dict(answers(workers, lambda n: lambda tell, threads: n * n, 5, lambda *word: told.append(word)))
+    found = dict(answers(workers, lambda n: lambda tell, threads: n * n, InOrder(5), lambda *word: told.append(word)))
     assert found == {0: Answer(0), 1: Answer(1), 2: Died("gone"), 3: Answer(9), 4: Answer(16)}
     assert sorted(workers.begun) == [0, 1, 1, 2, 2, 3, 4]
     assert workers.most == 2

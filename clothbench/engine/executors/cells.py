@@ -18,6 +18,7 @@ from clothbench.engine.executors.child import Ended, in_child
 from clothbench.engine.executors.drive import answers, opened
 from clothbench.engine.executors.settings import of_this_machine
 from clothbench.engine.executors.work import Answer, Died, Tell, Work, other_versions
+from clothbench.engine.leases import KEPT, Leases, Line
 from clothbench.engine.limits import Limits, Watch
 from clothbench.engine.mirror import mirror_of, up_to_date
 from clothbench.engine.rows import failure
@@ -102,7 +103,7 @@ class WithinLimits:
 
 def run_cells_on(
     executor: Mapping[str, Any], cells: Sequence[Cell], out: Path, *, jobs: int, rerun: bool,
-    done: Callable[[Cell, str], None], progress: CellProgress | None, limits: Limits,
+    done: Callable[[Cell, str], None], progress: CellProgress | None, limits: Limits, leases: Leases,
 ) -> None:  # fmt: skip
     """Run cells on the workers of an executor, `jobs` at a time (0: as many as it takes); `done(cell, status)` after.
 
@@ -122,9 +123,15 @@ def run_cells_on(
         if progress is not None:
             progress(cells[number], steps, value)
 
+    def taken(number: int) -> None:
+        done(cells[number], KEPT)
+
+    line = Line(range(len(cells)), leases, lambda number: cells[number].key, taken)
     with opened(executor, jobs, len(cells), store.folder) as workers:
-        for number, answer in answers(workers, work, len(cells), told):
-            done(cells[number], concluded(store, cells[number], answer))
+        for number, answer in answers(workers, work, line, told):
+            status = concluded(store, cells[number], answer)
+            leases.give_back(cells[number].key)
+            done(cells[number], status)
 
 
 def concluded(store: Store, cell: Cell, answer: Answer | Died) -> str:
