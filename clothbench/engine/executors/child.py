@@ -7,16 +7,17 @@ from __future__ import annotations
 
 import contextlib
 import os
-import pickle
-import queue
 import signal
 import socket
 import subprocess
 import sys
 import tempfile
-import threading
 import time
-from typing import IO, Any
+from multiprocessing import Pipe
+from multiprocessing.connection import Connection
+from typing import Any
+
+import psutil
 
 from clothbench.engine.executors.work import SELDOM, Answer, Owner, Tell, Work, attended
 from clothbench.engine.limits import Watch, end, end_forks
@@ -55,18 +56,18 @@ _kept: list[_Child] = []  # the child of this process, if there is one; works co
 
 
 class _Child:
-    """A process that does works; they go in by its standard input, and words and answers come out of its output."""
+    """A process that does works; they go in by one pipe, out of which words and answers come."""
 
     def __init__(self) -> None:
         self.folder = tempfile.TemporaryDirectory(prefix="clothbench-", ignore_cleanup_errors=True)
         paths = os.pathsep.join(path for path in sys.path if path)
-        self.process = subprocess.Popen(
-            [sys.executable, "-m", "clothbench.engine.executors.child"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-            env={**os.environ, "PYTHONPATH": paths, "TMPDIR": self.folder.name},
-        )  # fmt: skip
-        self.said: queue.SimpleQueue[Any] = queue.SimpleQueue()
-        self.hearing = threading.Thread(target=self._hear, daemon=True)
-        self.hearing.start()
+        self.pipe, there = Pipe()
+        with there:
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "clothbench.engine.executors.child", str(there.fileno())],
+                pass_fds=[there.fileno()], stdin=subprocess.DEVNULL, stdout=2,
+                env={**os.environ, "PYTHONPATH": paths, "TMPDIR": self.folder.name},
+            )  # fmt: skip
 
     @property
     def lives(self) -> bool:
@@ -78,83 +79,59 @@ class _Child:
 
     def answer(self, work: Work, name: str, tell: Tell, threads: int, watch: Watch) -> Answer | None:
         """What came of a work; None if the process died, or was ended by `watch`."""
-        assert self.process.stdin is not None
-        with contextlib.suppress(BrokenPipeError):
-            _put(self.process.stdin, (work, threads, Owner()))
-        steps, value, looked = 0, 0.0, time.monotonic()
-        while True:
-            with contextlib.suppress(queue.Empty):
-                said = self.said.get(timeout=SELDOM)
-                if said is None or isinstance(said, Answer):
+        said, looked = None, time.monotonic()
+        try:
+            self.pipe.send((work, threads, Owner()))
+            while self.pipe.poll(SELDOM) or self.lives:  # a fork of a dead one may still hold the pipe
+                if self.pipe.poll() and isinstance(said := self.pipe.recv(), Answer):
                     return said
-                steps, value = said
-            if time.monotonic() - looked >= SELDOM:
-                looked = time.monotonic()
-                watch.look({name: self.process.pid})
-                if steps:
-                    tell(steps, value)  # again and again: the engine says there that nobody waits for the work
-            if not self.lives and self.said.empty():  # a fork of it may still hold the pipe
-                return None
+                if time.monotonic() - looked >= SELDOM:
+                    looked = time.monotonic()
+                    watch.look({name: self.process.pid})
+                    if said is not None:
+                        tell(*said)  # again and again: the engine says there that nobody waits for the work
+        except (EOFError, ConnectionError):
+            pass
+        return None
 
     def close(self) -> None:
         """End it and all that it has started."""
-        with contextlib.suppress(Exception):
+        with contextlib.suppress(psutil.Error):
             end(self.process.pid)
         self.process.kill()
         self.process.wait()
-        with contextlib.suppress(BrokenPipeError):
-            self.process.stdin.close()  # type: ignore[union-attr]
-        self.hearing.join(SELDOM)  # what has detached itself from the child may still hold its output
+        self.pipe.close()
         self.folder.cleanup()
-
-    def _hear(self) -> None:
-        assert self.process.stdout is not None
-        with self.process.stdout, contextlib.suppress(Exception):
-            while True:
-                self.said.put(pickle.load(self.process.stdout))
-        self.said.put(None)
-
-
-def _put(stream: IO[bytes], what: Any) -> None:
-    pickle.dump(what, stream)
-    stream.flush()
 
 
 # --- in the child ----------------------------------------------------------------------------------------------------
 
 
-def main() -> None:
-    """Do works until nobody has any more. What plugins print goes to standard error, and they have nothing to read."""
+def main(handle: int) -> None:
+    """Do works until nobody has any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of Ctrl+C the command hears
-    works, said = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
-    os.dup2(2, 1)
-    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
     mine = os.getpid()
+    with Connection(handle) as pipe:
 
-    def tell(steps: int, value: float) -> None:
-        if os.getpid() == mine:
-            _put(said, (steps, value))
+        def tell(steps: int, value: float) -> None:
+            if os.getpid() == mine:
+                pipe.send((steps, value))
 
-    while (asked := _next(works)) is not None:
-        answer = asked if isinstance(asked, Answer) else attended(asked[0], tell, *asked[1:])
-        end_forks()
-        _put(said, answer)
+        while (asked := _next(pipe)) is not None:
+            answer = asked if isinstance(asked, Answer) else attended(asked[0], tell, *asked[1:])
+            end_forks()
+            pipe.send(answer)
 
 
-def _next(works: IO[bytes]) -> Any:
+def _next(pipe: Connection) -> Any:
     """Work, threads and owner; the answer to a work that cannot be read here; None if nobody has any more."""
-    idle = threading.Timer(IDLE, os._exit, (0,))
-    idle.daemon = True
-    idle.start()
     try:
-        return pickle.load(works)
+        return pipe.recv() if pipe.poll(IDLE) else None
     except EOFError:
         return None
     except Exception as fault:
         return Answer(fault=f"worker on {socket.gethostname()}: {one_line(fault)}; expected the same clothbench there")
-    finally:
-        idle.cancel()
 
 
 if __name__ == "__main__":
-    main()
+    main(int(sys.argv[1]))
