@@ -184,6 +184,8 @@ def _say_where(store: Store, keys: Sequence[str]) -> None:
     if best or any((store.cell(k) / "fit.rrd").exists() for k in keys):
         files = f"   ({shown / BEST}: the best fit of each case)" if best else ""
         print(f"rerun:  clothbench view {keys[0]} --out {named}{files}")
+    for key in dict.fromkeys(path.parent.name for path in store.disagreements(keys)):
+        print(f"fault:  {key} was computed twice and did not come to the same (clothbench store check {named})")
 
 
 def _one_line(fault: Exception) -> str:
