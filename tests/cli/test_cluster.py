@@ -163,9 +163,10 @@ def test_a_dask_cluster_loses_a_worker_then_its_scheduler(place):
         *lines, last = said.splitlines()
         gone = f"clothbench: executor: found no scheduler any more at {where}; finished cells are kept, run the same"
         assert last == f"{gone} command again when there is one"
-        assert 1 <= len(lines) < 6
+        assert len(lines) < 6
         assert all("ok: " in line for line in lines), said
         kept = {path.name for path in place.glob("scheduler-lost/cells/[0-9a-f]*")}
+        assert kept
         said, code = on_cluster(place, "scheduler-lost", dask_cluster(stack, 2)[0])
         assert (code, said.count("ok: ")) == (0, 6 - said.count("kept: ")), said
         assert said.count("kept: ") >= max(1, len(lines))

@@ -25,6 +25,7 @@ from clothbench.plugins.discovery import one_line
 
 IDLE = 300.0  # s without a work, after which a child ends
 TRIES = 2  # of a work whose child dies by itself
+GONE = object()
 
 
 class Ended(Exception):
@@ -79,20 +80,28 @@ class _Child:
 
     def answer(self, work: Work, name: str, tell: Tell, threads: int, watch: Watch) -> Answer | None:
         """What came of a work; None if the process died, or was ended by `watch`."""
-        said, looked = None, time.monotonic()
-        try:
+        with contextlib.suppress(ConnectionError):  # that it has gone is seen below
             self.pipe.send((work, threads, Owner()))
-            while self.pipe.poll(SELDOM) or self.lives:  # a fork of a dead one may still hold the pipe
-                if self.pipe.poll() and isinstance(said := self.pipe.recv(), Answer):
-                    return said
-                if time.monotonic() - looked >= SELDOM:
-                    looked = time.monotonic()
-                    watch.look({name: self.process.pid})
-                    if said is not None:
-                        tell(*said)  # again and again: the engine says there that nobody waits for the work
-        except (EOFError, ConnectionError):
-            pass
+        word, looked = None, time.monotonic()
+        while (said := self._said()) is not GONE:
+            if isinstance(said, Answer):
+                return said
+            word = said or word
+            if time.monotonic() - looked >= SELDOM:
+                looked = time.monotonic()
+                watch.look({name: self.process.pid})
+                if word is not None:
+                    tell(*word)  # again and again: the engine says there that nobody waits for the work
         return None
+
+    def _said(self) -> Any:
+        """Its next word or its answer; None if it says nothing for a while, `GONE` if it has ended."""
+        try:
+            if self.pipe.poll(SELDOM):
+                return self.pipe.recv()
+        except (EOFError, ConnectionError):
+            return GONE
+        return None if self.lives else GONE  # a fork of it may still hold the pipe
 
     def close(self) -> None:
         """End it and all that it has started."""
