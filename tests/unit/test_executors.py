@@ -232,7 +232,6 @@ def test_a_child_that_dies_is_tried_once_more_and_one_that_sleeps_is_ended(child
     done, told = child
     with pytest.raises(Ended, match=r"the process that ran this cell died \(exit code -9\)"):
         done("die")
-    done("print")  # begins another one, which takes some seconds
     with pytest.raises(Ended, match=r"took more than 2 s, the limit \(limits.seconds\), and was ended"):
         done("sleep", Limits(seconds=2.0))
     assert (3, 0.5) in told

@@ -25,7 +25,8 @@ from clothbench.plugins.discovery import one_line
 
 IDLE = 300.0  # s without a work, after which a child ends
 TRIES = 2  # of a work whose child dies by itself
-GONE = object()
+START = 120.0  # s that a child has to begin a work, before its limits count anyway
+BEGUN, GONE = "begun", object()
 
 
 class Ended(Exception):
@@ -82,14 +83,19 @@ class _Child:
         """What came of a work; None if the process died, or was ended by `watch`."""
         with contextlib.suppress(ConnectionError):  # that it has gone is seen below
             self.pipe.send((work, threads, Owner()))
-        word, looked = None, time.monotonic()
+        word, began, sent = None, False, time.monotonic()
+        looked = sent
         while (said := self._said()) is not GONE:
             if isinstance(said, Answer):
                 return said
-            word = said or word
-            if time.monotonic() - looked >= SELDOM:
-                looked = time.monotonic()
-                watch.look({name: self.process.pid})
+            if said == BEGUN:
+                began = True
+            elif said is not None:
+                word = said
+            if (now := time.monotonic()) - looked >= SELDOM:
+                looked = now
+                if began or now - sent > START:
+                    watch.look({name: self.process.pid})
                 if word is not None:
                     tell(*word)  # again and again: the engine says there that nobody waits for the work
         return None
@@ -127,6 +133,7 @@ def main(handle: int) -> None:
                 pipe.send((steps, value))
 
         while (asked := _next(pipe)) is not None:
+            pipe.send(BEGUN)
             answer = asked if isinstance(asked, Answer) else attended(asked[0], tell, *asked[1:])
             end_forks()
             pipe.send(answer)
