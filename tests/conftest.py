@@ -65,9 +65,14 @@ Run = Callable[..., subprocess.CompletedProcess[str]]
 
 @pytest.fixture
 def clothbench(tmp_path: Path) -> Run:
-    """Run the command as a user would: `clothbench("run", …)` in an empty folder; the process and all it said."""
+    """Run the command as a user would: `clothbench("run", …)` in an empty folder; the process and all it said. A
+    PYTHONPATH comes before that of the tests.
+    """
 
     def call(*arguments: str, cwd: Path = tmp_path, **environment: str) -> subprocess.CompletedProcess[str]:
+        if "PYTHONPATH" in environment:
+            paths = environment["PYTHONPATH"], os.environ.get("PYTHONPATH", "")
+            environment["PYTHONPATH"] = os.pathsep.join(filter(None, paths))
         return subprocess.run(
             [sys.executable, "-m", "clothbench", *map(str, arguments)], cwd=cwd, capture_output=True, text=True,
             timeout=600, env={**os.environ, **environment}, check=False,

@@ -2,8 +2,9 @@
 
 A sweep of short cells is killed again and again (SIGKILL, at random moments, the command or one of its workers, one
 command or two in the same folder). After each round, no finished cell may have changed or gone and `clothbench store
-check` may find no fault; what was resumed to its end must be, number by number, what an undisturbed sweep found. Then
-the same sweep meets a full disk, a folder that it may not write to, a clock that jumps, and a second command in its
+check` may find no fault; what was resumed to its end must be, number by number, what an undisturbed sweep found. So it
+is with a Dask cluster (`--dask N` kills; the command, the scheduler or one of two workers). Then the same sweep meets a
+full disk, a folder that it may not write to, a clock that jumps, and a second command in its
 folder; each must end in one clear line or in the right result, and leave nothing half-written.
 
 Ctrl+C ends the killing early: the table is then of the kills so far. As root on Linux, disks are small file systems in
@@ -14,12 +15,14 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import functools
 import hashlib
 import multiprocessing
 import os
 import random
 import resource
 import shutil
+import socket
 import subprocess
 import sys
 import tempfile
@@ -55,6 +58,8 @@ from clothbench.cli import main
 sys.exit(main(sys.argv[1:]))
 """
 AT_ONCE = multiprocessing.get_context("forkserver")
+PAGE = 4096  # bytes, of which a file system in memory gives a file whole ones
+GONE = 90.0  # s within which a command ends whose scheduler was killed
 Outcomes = dict[str, list[float | str]]
 
 
@@ -130,10 +135,11 @@ def listed(words: tuple[str, ...]) -> str:
 
 @dataclass
 class Tally:
-    """What was killed: commands, workers; and what came of it."""
+    """What was killed: commands, workers, schedulers; and what came of it."""
 
     commands: int = 0
     workers: int = 0
+    schedulers: int = 0
     rounds: int = 0
     sweeps: int = 0
     resumed: int = 0  # rounds that began with finished cells, and with others missing
@@ -144,13 +150,18 @@ class Tally:
 
     @property
     def kills(self) -> int:
-        return self.commands + self.workers
+        return self.commands + self.workers + self.schedulers
+
+
+Round = Callable[[Sweep, Tally, int, float, random.Random], None]
 
 
 def killed_sweeps(
-    make: Callable[[], Sweep], expected: Outcomes, kills: int, pause: float, chance: random.Random
+    make: Callable[[], Sweep], expected: Outcomes, kills: int, pause: float, chance: random.Random, of_round: Round
 ) -> Tally:
-    """Kill until that has happened often enough, in one folder after the other, and let the last sweep end."""
+    """Kill until that has happened often enough, in one folder after the other, and let the last sweep end. of_round:
+    begins what is killed, `killed_round` or `cluster_round`.
+    """
     tally = Tally()
     while tally.kills < kills:
         sweep = make()
@@ -158,7 +169,7 @@ def killed_sweeps(
         while len(sweep.outcomes()) < len(expected) and tally.kills < kills:
             tally.resumed += bool(sweep.kept)
             try:
-                killed_round(sweep, tally, kills, pause, chance)
+                of_round(sweep, tally, kills, pause, chance)
             except KeyboardInterrupt:
                 kills = tally.kills
             sweep.look()
@@ -207,6 +218,53 @@ def kill_some(running: list[Any], tally: Tally, kills: int, pause: float, chance
             tally.commands += 1
 
 
+def cluster_round(sweep: Sweep, tally: Tally, kills: int, pause: float, chance: random.Random) -> None:
+    """A command with a Dask cluster, and kills until it has ended: of the command, of a worker, in whose place another
+    is begun, or of the scheduler, without which the command has to end by itself, with exit code 2.
+    """
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        where = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    scheduler = dask("scheduler", "--host", "127.0.0.1", "--port", where.rpartition(":")[2])
+    workers = [dask("worker", where, "--nthreads", "1", "--no-nanny") for _ in range(2)]
+    asked = ["executor=dask", f"executor.address={where}", "executor.shared=true"]
+    running = AT_ONCE.Process(target=command, args=([*sweep.words, *asked, f"out={sweep.out}"],))
+    running.start()
+    tally.rounds += 1
+    try:
+        while running.is_alive() and tally.kills < kills:
+            time.sleep(chance.expovariate(1 / pause))
+            victim = chance.choice(("command", "worker", "worker", "scheduler"))
+            if not running.is_alive():
+                break
+            if victim == "command":
+                running.kill()
+                tally.commands += 1
+            elif victim == "worker":
+                chance.choice([worker for worker in workers if worker.poll() is None]).kill()
+                workers.append(dask("worker", where, "--nthreads", "1", "--no-nanny"))
+                tally.workers += 1
+            else:
+                scheduler.kill()
+                tally.schedulers += 1
+                running.join(GONE)
+                if running.exitcode not in (0, 2):  # 0: it had all answers by then
+                    sweep.faults.append(f"the scheduler was killed: exit code {running.exitcode}")
+                break
+    finally:
+        running.kill()
+        running.join()
+        for process in (scheduler, *workers):
+            process.kill()
+            process.wait()
+
+
+def dask(kind: str, *words: str) -> subprocess.Popen[bytes]:
+    """A scheduler or a worker, as a process of its own."""
+    call = [sys.executable, "-m", f"distributed.cli.dask_{kind}", *words, "--no-dashboard"]
+    return subprocess.Popen(call, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
 def command(words: list[str]) -> None:
     """`clothbench WORDS`, in a process of its own."""
     from clothbench.cli import main as clothbench
@@ -248,22 +306,28 @@ def small_disk(folder: Path, size: str) -> Iterator[Callable[[str], None] | None
         subprocess.run(["umount", folder], check=True)
 
 
-def full_disk(make: Callable[[], Sweep], expected: Outcomes) -> list[str]:
-    """The disk fills in mid-sweep; then there is room again."""
+def size_of(folder: Path) -> int:
+    """What the files of a folder take on a disk of pages [bytes]."""
+    return sum(-(-path.stat().st_size // PAGE) * PAGE for path in folder.rglob("*"))
+
+
+def full_disk(make: Callable[[], Sweep], expected: Outcomes, room: int) -> list[str]:
+    """The disk fills in mid-sweep, with `room` for so many bytes; then there is room again."""
     sweep = make()
-    with small_disk(sweep.out, "200k") as remount:
+    with small_disk(sweep.out, str(room)) as remount:
         if remount is None:
             limit = 4096  # bytes that a file may have; tables are larger
             code, said = sweep.end(preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit)))
             name = f"files limited to {limit} bytes, then not"
         else:
             code, said = sweep.end()
-            name = "full disk (200 kB), then room"
+            name = f"full disk ({room / 1000:.0f} kB), then room"
         sweep.look()
         left, before = sweep.left(), len(sweep.kept)
         if remount is not None:
             remount("size=200m")
-        return judged(name, sweep, expected, f"exit {code} after {before} cells: {said}", code != 0 and not left)
+        well = code == 2 and not left and (remount is None or 0 < before < len(expected))
+        return judged(name, sweep, expected, f"exit {code} after {before} cells: {said}", well)
 
 
 def read_only(make: Callable[[], Sweep], expected: Outcomes) -> list[str]:
@@ -333,6 +397,9 @@ def equal(wrong: int, expected: Outcomes) -> str:
 def main() -> int:
     options = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     options.add_argument("--kills", type=int, default=100)
+    options.add_argument(
+        "--dask", type=int, default=0, help="kills on a Dask cluster besides; slow, each round begins one"
+    )
     options.add_argument("--seed", type=int, default=0, help="of victims and moments")
     options.add_argument("--pause", type=float, default=2.0, help="mean time between two kills [s]")
     options.add_argument("--only-kills", action="store_true", help="no full disk, read-only folder, clock")
@@ -366,22 +433,18 @@ def lines(folder: Path, given: argparse.Namespace) -> tuple[list[str], bool]:
         raise SystemExit(f"the undisturbed sweep failed: {said}")
     expected = undisturbed.outcomes()
     print(f"undisturbed: {len(expected)} cells in {took:.0f} s", file=sys.stderr, flush=True)
-    rows = []
-    for disturbed in () if given.only_kills else (full_disk, read_only, jumping_clock, two_commands):
+    rows, room = [], size_of(undisturbed.out / "cells") // 3
+    disturbances = (functools.partial(full_disk, room=room), read_only, jumping_clock, two_commands)
+    for disturbed in () if given.only_kills else disturbances:
         rows.append(disturbed(make, expected))
         print(" | ".join(rows[-1]), file=sys.stderr, flush=True)
     AT_ONCE.set_forkserver_preload(list(IMPORTED))
-    tally = killed_sweeps(make, expected, given.kills, given.pause, random.Random(given.seed))
-    for line in tally.faults:
-        print(f"kills: {line}", file=sys.stderr)
-    well = not (tally.lost or tally.faults or tally.wrong)
-    name = f"{tally.kills} kills ({tally.commands} of commands, {tally.workers} of workers)"
-    said = f"{tally.rounds} rounds, {tally.resumed} resumed, {tally.sweeps} sweeps; {tally.left} half-written left over"
-    rows.insert(
-        0,
-        [name, str(len(tally.lost)), str(len(tally.faults)), equal(len(tally.wrong), expected), said,
-         "yes" if well else "NO"],
-    )  # fmt: skip
+    killed = []
+    for kills, of_round, what in ((given.kills, killed_round, "kills"), (given.dask, cluster_round, "kills with Dask")):
+        if kills:
+            tally = killed_sweeps(make, expected, kills, given.pause, random.Random(given.seed), of_round)
+            killed.append(tallied(what, tally, expected))
+    rows[:0] = killed
     heads = (
         "what happened",
         "finished cells lost",
@@ -392,6 +455,18 @@ def lines(folder: Path, given: argparse.Namespace) -> tuple[list[str], bool]:
     )
     table = [f"| {' | '.join(heads)} |", f"|{'---|' * len(heads)}", *(f"| {' | '.join(row)} |" for row in rows)]
     return table, all(row[-1] == "yes" for row in rows)
+
+
+def tallied(what: str, tally: Tally, expected: Outcomes) -> list[str]:
+    """A line of the table."""
+    for line in tally.faults:
+        print(f"{what}: {line}", file=sys.stderr)
+    well = not (tally.lost or tally.faults or tally.wrong)
+    schedulers = f", {tally.schedulers} of schedulers" if tally.schedulers else ""
+    name = f"{tally.kills} {what} ({tally.commands} of commands, {tally.workers} of workers{schedulers})"
+    said = f"{tally.rounds} rounds, {tally.resumed} resumed, {tally.sweeps} sweeps; {tally.left} half-written left over"
+    same = equal(len(tally.wrong), expected)
+    return [name, str(len(tally.lost)), str(len(tally.faults)), same, said, "yes" if well else "NO"]
 
 
 if __name__ == "__main__":

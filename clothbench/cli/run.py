@@ -30,7 +30,7 @@ from clothbench.cli.own_suites import require_harmless
 from clothbench.cli.results import print_results
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.bucket import is_address
-from clothbench.engine.executors.settings import LOCAL, executor_settings
+from clothbench.engine.executors.settings import executor_settings
 from clothbench.engine.limits import Limits
 from clothbench.engine.mirror import results_folder, up_to_date
 from clothbench.engine.pool import failed, run_cells
@@ -137,11 +137,6 @@ def job(config: Any) -> None:
 
 def _run(config: Any, sweep: Sweep | None) -> dict[str, Any]:
     executor, limits = executor_settings(config.get("executor")), Limits.of(config.get("limits"))
-    if limits.stated and executor["name"] != LOCAL:
-        raise ClothbenchError(
-            f"setting 'limits': they are watched on this machine only, found executor={executor['name']}; leave them "
-            "out (a scheduler has limits of its own)"
-        )
     if is_address(config.get("out")):
         config = {**config, "out": str(results_folder(config["out"]))}
     with counting("files") as told:
@@ -189,6 +184,8 @@ def _say_where(store: Store, keys: Sequence[str]) -> None:
     if best or any((store.cell(k) / "fit.rrd").exists() for k in keys):
         files = f"   ({shown / BEST}: the best fit of each case)" if best else ""
         print(f"rerun:  clothbench view {keys[0]} --out {named}{files}")
+    for key in dict.fromkeys(path.parent.name for path in store.disagreements(keys)):
+        print(f"fault:  {key} was computed twice and did not come to the same (clothbench store check {named})")
 
 
 def _one_line(fault: Exception) -> str:

@@ -12,8 +12,9 @@ import pyarrow as pa
 from clothbench.core.errors import ClothbenchError, one_line
 from clothbench.core.files import half_written, read_arrays, read_json
 from clothbench.engine.index import INDEX
+from clothbench.engine.leases import LEASES, live
 from clothbench.engine.run import TRACKED
-from clothbench.engine.store import FINISHED, JOURNAL, KEY, ROW, ROWS, Store
+from clothbench.engine.store import FINISHED, JOURNAL, KEY, ROW, ROWS, SEEDLESS, Store, recorded
 from clothbench.engine.study import Study, studies
 from clothbench.engine.tables import as_declared, read_table
 from clothbench.plugins.discovery import Catalogue
@@ -43,6 +44,7 @@ def check(store: Store, plugins: Catalogue, told: Callable[[int, int, str], None
         out += check_cell(entry, known)
         told(done + 1, len(entries), entry.name)
     out += [found for path in sorted((store.folder / TRACKED).glob("*.nc")) if (found := unreadable(path))]
+    out += disagreeing(store)
     out += [Finding(path, f"{path}: {what}", harmless=True) for path, what in remains(store)]
     return out
 
@@ -125,6 +127,20 @@ def bad_rows(path: Path, table: pa.Table, missing: Sequence[str], known: Collect
         yield fault(path, f"study {study!r}", " or ".join(sorted(known)), "install the plugin that wrote it")
 
 
+def disagreeing(store: Store) -> Iterator[Finding]:
+    """Cells that did not come to the same when they were computed twice; not those that are gone."""
+    for path in store.disagreements():
+        if not store.cell(path.parent.name).is_dir():
+            continue
+        try:
+            first, second = recorded(path)
+        except ClothbenchError as said:
+            yield Finding(path, str(said))
+            continue
+        found = f"that this cell was computed twice, first {first}, which stays, then {second}"
+        yield fault(path, found, "the same of the same cell", SEEDLESS)
+
+
 def remains(store: Store) -> Iterator[tuple[Path, str]]:
     """What runs that were stopped have left, or what one that is under way is writing: where, and what it is."""
     for folder in (
@@ -139,3 +155,9 @@ def remains(store: Store) -> Iterator[tuple[Path, str]]:
             yield path, "the journal of a cell that is finished"
         else:
             yield path, "an unfinished cell; the command that began it goes on with it"
+    for path in store.disagreements():
+        if not store.cell(path.parent.name).is_dir():
+            yield path, "the record of a disagreement about a cell that is gone"
+    for path in sorted((store.folder / LEASES).glob("*")):
+        if not live(path):
+            yield path, "the lease of a command that has gone"

@@ -1,5 +1,5 @@
-"""What a cell may take of time and memory, and who sees to it: the process that gives out the cells, from outside,
-since a plugin may sleep, fill the memory or fork, and then hears nobody.
+"""What a cell may take of time and memory, and who sees to it: the process that gives out the cells, or a cluster's
+worker, from outside, since a plugin may sleep, fill the memory or fork, and then hears nobody.
 """
 
 from __future__ import annotations

@@ -17,11 +17,12 @@ from clothbench.core.files import remove_folder, whole_file, whole_folder
 from clothbench.core.packed import files_in, unpacked, write_files
 from clothbench.engine.bucket import ATTEMPT, MARK, Bucket, cell_object, error_object, is_address, mirrors
 from clothbench.engine.cells import digest
-from clothbench.engine.store import Store
+from clothbench.engine.store import DISAGREEMENTS, Store
 
 AT_A_TIME = 64  # objects that are read together
 _CELL = re.compile(r"cells/(?P<key>[0-9a-f]+)\.zip")
 _ERROR = re.compile(r"errors/(?P<key>[0-9a-f]+)/[0-9A-Za-z-]+\.zip")
+_RECORD = re.compile(DISAGREEMENTS + r"/[0-9a-f]+/[0-9a-f]+\.json")
 
 
 def results_folder(place: str | os.PathLike[str], whole: bool = True) -> Path:
@@ -74,7 +75,19 @@ def pull(store: Store, again: bool = False) -> dict[str, str]:
                 _bring(store, wanted[name], name, content)
             except ClothbenchError as said:
                 faults[wanted[name]] = str(said)
+    _pull_disagreements(store, store.bucket)
     return faults
+
+
+def _pull_disagreements(store: Store, bucket: Bucket) -> None:
+    """Bring the records of cells that did not come to the same twice, and remove those that the bucket has no more."""
+    here = {path.relative_to(store.folder).as_posix() for path in store.disagreements()}
+    there = {name for name in bucket.names(DISAGREEMENTS) if _RECORD.fullmatch(name)}
+    for name in here - there:
+        (store.folder / name).unlink(missing_ok=True)
+    for name, content in bucket.read(sorted(there - here)).items():
+        with whole_file(store.folder / name) as part:
+            part.write_bytes(content)
 
 
 def objects_here(store: Store) -> dict[str, str]:

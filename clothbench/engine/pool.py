@@ -18,6 +18,7 @@ import numpy as np
 from clothbench.core.parallel import available_cores, share_cores
 from clothbench.engine.executors.cells import run_cells_on
 from clothbench.engine.executors.settings import LOCAL
+from clothbench.engine.leases import KEPT, Leases, Line
 from clothbench.engine.limits import Limits, Watch, end_forks
 from clothbench.engine.run import CellProgress, failed_with, keep, run_cell
 from clothbench.engine.store import Store
@@ -46,23 +47,44 @@ def run_cells(
     whenever one of them has nothing more to do: the last cell has all of them. A cell of a stranger's plugins, or one
     with a limit, never runs in this process: whatever it does there, this one is left to tell of it.
     """
-    store = Store(out)
+    store, limits = Store(out), limits or Limits()
     kept = store.finished(dict.fromkeys(c.key for c in cells))
     missing = [c for c in cells if c.key not in kept]
     if missing:
         store.require_create_only()
     for cell in cells:
         if cell.key in kept:
-            done(cell, "kept")
-    workers = min(jobs or available_cores(), len(missing))
-    here = not (limits and limits.stated) and all(map(_of_our_own, missing))
-    if missing and executor and executor["name"] != LOCAL:
-        run_cells_on(executor, missing, out, jobs=jobs, rerun=rerun, done=done, progress=progress)
-    elif here and (len(missing) == 1 or jobs == 1):
-        for cell in missing:
-            done(cell, run_cell(cell, out, rerun=rerun, progress=progress))
-    elif missing:
-        _run_in_processes(missing, out, workers, rerun, done, progress, limits or Limits())
+            done(cell, KEPT)
+    if missing:
+        with Leases(store) as leases:
+            _run_missing(missing, out, jobs, rerun, done, progress, executor, limits, leases)
+
+
+def _run_missing(
+    cells: Sequence[Cell], out: Path, jobs: int, rerun: bool, done: Callable[[Cell, str], None],
+    progress: CellProgress | None, executor: Mapping[str, Any] | None, limits: Limits, leases: Leases,
+) -> None:  # fmt: skip
+    workers = min(jobs or available_cores(), len(cells))
+    here = not limits.stated and all(map(_of_our_own, cells))
+    if executor and executor["name"] != LOCAL:
+        run_cells_on(
+            executor, cells, out, jobs=jobs, rerun=rerun, done=done, progress=progress, limits=limits, leases=leases
+        )
+        return
+    line = Line(cells, leases, lambda cell: cell.key, lambda cell: done(cell, KEPT))
+
+    def ended(cell: Cell, status: str) -> None:
+        leases.give_back(cell.key)
+        done(cell, status)
+
+    if here and (len(cells) == 1 or jobs == 1):
+        while line:
+            if (cell := line.begin()) is not None:
+                ended(cell, run_cell(cell, out, rerun=rerun, progress=progress))
+            elif line:
+                time.sleep(WATCH)
+    else:
+        _run_in_processes(cells, line, out, workers, rerun, ended, progress, limits)
 
 
 def _of_our_own(cell: Cell) -> bool:
@@ -72,27 +94,28 @@ def _of_our_own(cell: Cell) -> bool:
 
 
 def _run_in_processes(
-    cells: Sequence[Cell], out: Path, workers: int, rerun: bool, done: Callable[[Cell, str], None],
+    cells: Sequence[Cell], line: Line[Cell], out: Path, workers: int, rerun: bool, done: Callable[[Cell, str], None],
     progress: CellProgress | None, limits: Limits,
 ) -> None:  # fmt: skip
-    """Keep `workers` processes busy.
+    """Keep `workers` processes busy. line: of the cells, those that wait to be begun.
 
     If one dies, the cells that were running are tried again, each alone: the one that kills its process a second
     time is the culprit and becomes an error row. One that was ended because it went beyond a limit becomes one at once.
     """
     from loky.process_executor import BrokenProcessPool
 
-    waiting = list(cells)[::-1]
     running: dict[Future, Cell] = {}
     told, numbers = _told_file(len(cells)), {c.key: n for n, c in enumerate(cells)}
     running_now = _counter(_count_file())
     executor, watch = _pool(workers), Watch(limits, workers)
-    while waiting or running:
+    while line or running:
         try:
-            while waiting and len(running) < workers:
-                cell = waiting[-1]
-                running[executor.submit(_run_and_tell, cell, out, rerun, told, numbers[cell.key])] = cell
-                waiting.pop()
+            while len(running) < workers and (cell := line.begin()) is not None:
+                try:
+                    running[executor.submit(_run_and_tell, cell, out, rerun, told, numbers[cell.key])] = cell
+                except BrokenProcessPool:
+                    line.again(cell)
+                    raise
             running_now[0] = len(running)
             for future in _first(running, told, numbers, progress, watch):
                 status = future.result()
@@ -105,7 +128,7 @@ def _run_in_processes(
                 if cell.key in watch.ended:
                     done(cell, _failed(cell, out, watch.ended[cell.key]))
                 elif any(suspect.key in watch.ended for suspect in suspects) and not Store(out).has(cell.key):
-                    waiting.append(cell)  # its process went down with another's that was ended
+                    line.again(cell)  # its process went down with another's that was ended
                 else:
                     done(cell, _run_alone(cell, out, rerun, told, numbers, watch))
             executor = _pool(workers)
@@ -114,18 +137,20 @@ def _run_in_processes(
 def _first(
     running: Mapping[Future, Cell], told: Path, numbers: Mapping[str, int], progress: CellProgress | None, watch: Watch
 ) -> Iterable[Future]:
-    """Those that have ended, as soon as one has; until then `progress` hears how far the others are, and `watch` sees
-    to it that they keep to their limits.
+    """Those that have ended, as soon as one has; or none after a while, when `progress` has heard how far they are, and
+    `watch` seen to it that they keep to their limits.
     """
-    while not (ended := wait(list(running), timeout=WATCH, return_when=FIRST_COMPLETED).done):
-        pids = {}
-        for cell in running.values():
-            steps, value, pid = _told(told, numbers[cell.key], "r")
-            if steps > 0 and progress is not None:
-                progress(cell, int(steps), float(value))
-            if pid > 0:
-                pids[cell.key] = int(pid)
-        watch.look(pids)
+    if not running:  # others are at all that is left
+        time.sleep(WATCH)
+    ended = wait(list(running), timeout=WATCH, return_when=FIRST_COMPLETED).done
+    pids = {}
+    for cell in running.values() if not ended else ():
+        steps, value, pid = _told(told, numbers[cell.key], "r")
+        if steps > 0 and progress is not None:
+            progress(cell, int(steps), float(value))
+        if pid > 0:
+            pids[cell.key] = int(pid)
+    watch.look(pids)
     return ended
 
 
@@ -163,7 +188,8 @@ def _run_alone(cell: Cell, out: Path, rerun: bool, told: Path, numbers: Mapping[
         return "ok"
     try:
         future = _pool(1).submit(_run_and_tell, cell, out, rerun, told, numbers[cell.key])
-        _first({future: cell}, told, numbers, None, watch)
+        while not _first({future: cell}, told, numbers, None, watch):
+            pass
         return future.result()
     except BrokenProcessPool as fault:
         reason = str(fault).strip().splitlines()[0] if str(fault).strip() else "no word from it"

@@ -5,6 +5,7 @@ RUNS/cells/KEY/TABLE.parquet        what else the cell's study has to tell: each
 RUNS/cells/KEY/fit.rrd              of a calibration: recording beside rollout, for Rerun
 RUNS/cells/KEY/films/N.npz          of a calibration: the same thinned, for the page's player
 RUNS/tracked/KEY.nc                 what a tracker made of images: a recording of nodes
+RUNS/disagreements/KEY/DIGEST.json  that a cell was computed twice and did not come to the same: what stays, what not
 RUNS/journal/KEY/                   what an unfinished cell has simulated so far
 RUNS/index/                         a cache for listing many cells; may be deleted at any time
 
@@ -14,11 +15,13 @@ Of results in a bucket the folder is a mirror (`clothbench.engine.mirror`): what
 from __future__ import annotations
 
 import functools
+import json
 import math
 import os
 import platform
 import re
 import shutil
+import socket
 import string
 import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -31,7 +34,7 @@ import pyarrow as pa
 
 from clothbench.core.create_only import require_create_only
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import parsed_json, read_json, require_folder, whole_folder
+from clothbench.core.files import parsed_json, read_json, require_folder, whole_file, whole_folder
 from clothbench.core.packed import Files, files_in, packed, unpacked, write_files
 from clothbench.engine.bucket import (
     ATTEMPT,
@@ -42,6 +45,7 @@ from clothbench.engine.bucket import (
     mirrored,
     require_conditional,
 )
+from clothbench.engine.cells import digest
 from clothbench.engine.index import INDEX, indexed
 from clothbench.engine.tables import Columns, as_declared, read_if_there, read_table, write_table
 
@@ -68,6 +72,8 @@ ROWS = {**ROW, **SYSTEM}
 FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
 
 KEY = re.compile(r"[0-9a-f]+")  # of a cell, and the name of its folder
+DISAGREEMENTS = "disagreements"  # folder of the records of cells that were computed twice and did not come to the same
+RECORD = "the record of a disagreement, as a run writes it"
 JOURNAL = "journal"  # folder of what unfinished cells have simulated
 SEEDLESS = "something in this cell does not go by its seed: a model, a tracker, or a library's threads"
 
@@ -185,11 +191,35 @@ class Store:
                 self._publish(self.bucket, key, part)
         return self.cell(key)
 
+    def record(self, key: str, first: Sequence[float | str], second: Sequence[float | str]) -> None:
+        """Keep it that a cell did not come to the same twice: the outcome that stays, and the one that was dropped."""
+        name = f"{DISAGREEMENTS}/{key}/{digest([first, second])}.json"
+        text = json.dumps({"key": key, "first": list(first), "second": list(second), "on": socket.gethostname()})
+        if self.bucket is not None:
+            self.bucket.create(name, text.encode())
+        with whole_file(self.folder / name) as part:
+            part.write_text(text)
+
+    def disagreements(self, keys: Iterable[str] = ("*",)) -> list[Path]:
+        """The records of all cells that did not come to the same twice, or of some."""
+        return sorted(path for key in keys for path in (self.folder / DISAGREEMENTS).glob(f"{key}/*.json"))
+
+    def _compare(
+        self, key: str, where: object, stays: Sequence[Mapping[str, Any]], again: Sequence[Mapping[str, Any]]
+    ) -> None:
+        """Tell and record it if a cell that was computed twice did not come to the same."""
+        first, second = outcome(stays), outcome(again)
+        if finished(again) and first != second:
+            self.record(key, first, second)
+            warnings.warn(
+                f"{where}: computed twice, first {first}, which stays, then {second}; {SEEDLESS}", stacklevel=2
+            )
+
     def _stands(self, key: str, part: Path) -> bool:
         """Whether a cell is finished, also against the same cell in another folder."""
         if not self.has(key):
             return False
-        _compare(self.cell(key), self.table("rows", [key]), _rows_in(part))
+        self._compare(key, self.cell(key), self.table("rows", [key]), _rows_in(part))
         return True
 
     def _publish(self, bucket: Bucket, key: str, part: Path) -> None:
@@ -205,7 +235,7 @@ class Store:
             files = unpacked(bucket.read([name])[name], where)
             shutil.rmtree(part)
             write_files(part, files)
-            _compare(where, _rows_in(part), rows)
+            self._compare(key, where, _rows_in(part), rows)
 
     def rows(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
         """Rows of all cells, or of some, sorted by what they are about."""
@@ -239,11 +269,13 @@ def _rows_in(cell: Path) -> list[dict[str, Any]]:
     return read_table(cell / "rows.parquet").to_pylist()
 
 
-def _compare(where: object, stays: Sequence[Mapping[str, Any]], again: Sequence[Mapping[str, Any]]) -> None:
-    """Warn if a cell that was computed twice did not come to the same."""
-    first, second = outcome(stays), outcome(again)
-    if finished(again) and first != second:
-        warnings.warn(f"{where}: computed twice, first {first}, which stays, then {second}; {SEEDLESS}", stacklevel=2)
+def recorded(path: Path) -> tuple[list[float | str], list[float | str]]:
+    """What a record of a disagreement holds: the outcome that stays, and the other; a ClothbenchError if it is none."""
+    found = read_json(path, RECORD)
+    both = [found.get(name) if isinstance(found, dict) else None for name in ("first", "second")]
+    if not all(isinstance(one, list) and all(isinstance(value, str | int | float) for value in one) for one in both):
+        raise ClothbenchError(f"{path}: found something else, expected {RECORD}")
+    return both[0], both[1]  # type: ignore[return-value]
 
 
 def row_order(row: dict[str, Any]) -> tuple[str, ...]:

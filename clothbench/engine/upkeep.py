@@ -15,7 +15,7 @@ from clothbench.core.packed import files_in
 from clothbench.engine.cells import plugin_versions
 from clothbench.engine.check import Finding, check_cell, fault, remains, unreadable
 from clothbench.engine.run import TRACKED
-from clothbench.engine.store import KEY, ROWS, SEEDLESS, Store, finished, outcome
+from clothbench.engine.store import KEY, ROWS, SEEDLESS, Store, finished, outcome, recorded
 from clothbench.engine.study import studies
 from clothbench.engine.tables import read_table
 from clothbench.plugins.discovery import Catalogue
@@ -52,6 +52,11 @@ def merge(source: Store, into: Store, plugins: Catalogue) -> Merged:
             _merge_cell(folder, into, out)
     for path in sorted((source.folder / TRACKED).glob("*.nc")):
         out.findings += _merge_tracked(path, into.folder / TRACKED / path.name)
+    for path in source.disagreements([*out.taken, *out.same]):
+        try:
+            into.record(path.parent.name, *recorded(path))
+        except ClothbenchError as said:
+            out.findings.append(Finding(path, str(said)))
     return out
 
 
@@ -71,6 +76,7 @@ def _merge_cell(folder: Path, into: Store, out: Merged) -> None:
     elif outcome(rows) == outcome(there):
         (out.taken if wanted else out.same).append(key)
     else:
+        into.record(key, outcome(there), outcome(rows))
         found = f"{outcome(there)}, which stays, and {outcome(rows)} in {folder}"
         out.findings.append(fault(into.cell(key), found, "the same of the same cell", SEEDLESS))
 
@@ -107,7 +113,8 @@ def prunable(
         found.append((store.cell(key), "named"))
     if other_versions:
         found += _of_other_versions(store, plugins, {path for path, _ in found})
-    return found
+    gone = [path.name for path, _ in found if path == store.cell(path.name)]
+    return found + [(path, "a disagreement about a cell that goes") for path in store.disagreements(gone)]
 
 
 def _of_other_versions(store: Store, plugins: Catalogue, named: set[Path]) -> Iterator[tuple[Path, str]]:

@@ -5,6 +5,10 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import logging
+import socket
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pyarrow.parquet as pq
@@ -99,6 +103,75 @@ def test_a_dask_scheduler_whose_workers_share_no_folder(place, here):
     assert done == OK
     assert told == {("ga", True), ("nelder_mead", True)}
     assert tables(place / "far") == here
+
+
+SHORT = ("recordings=recordings", *CELL, "optimizer=[ga,annealing,cma_es]", "metric=[node_error,relative_error]")
+
+
+def dask(stack, *words):
+    """A scheduler or a worker as a process of its own, which ends with the test."""
+    command = [sys.executable, "-m", "distributed.cli.dask_" + words[0], *words[1:], "--no-dashboard"]
+    process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    stack.callback(process.wait)
+    stack.callback(process.kill)
+    return process
+
+
+def dask_cluster(stack, workers):
+    """Its address, its scheduler and its workers."""
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    scheduler = dask(stack, "scheduler", "--host", "127.0.0.1", "--port", str(port))
+    where = f"tcp://127.0.0.1:{port}"
+    begun = [dask(stack, "worker", where, "--nthreads", "1", "--no-nanny") for _ in range(workers)]
+    return where, scheduler, begun
+
+
+def on_cluster(place, out, where, kill=None):
+    """Six cells on a cluster, of which a process is killed as soon as one cell is finished; the command and its words.
+
+    All workers are at a cell then.
+    """
+    words = (*SHORT, "budget=200", f"out={out}", "executor=dask", f"executor.address={where}", "executor.shared=true")
+    command = subprocess.Popen(
+        [sys.executable, "-m", "clothbench", "run", *words], cwd=place, text=True,
+        stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
+    )  # fmt: skip
+    deadline = time.monotonic() + 120
+    while kill is not None and command.poll() is None and time.monotonic() < deadline:
+        if list(place.glob(f"{out}/cells/[0-9a-f]*")):
+            kill.kill()
+            break
+        time.sleep(0.05)
+    return command.communicate(timeout=200)[1], command.returncode
+
+
+@pytest.mark.slow
+def test_a_dask_cluster_loses_a_worker_then_its_scheduler(place):
+    """Processes of their own on the loopback address. A worker takes a try of its cell with it; the scheduler ends the
+    command in one line, and the same command goes on where there is one again.
+    """
+    needs("distributed")
+    with contextlib.ExitStack() as stack:
+        where, scheduler, workers = dask_cluster(stack, 3)
+        said, code = on_cluster(place, "worker-lost", where, workers[1])
+        assert (code, said.count("ok: ") + said.count("kept: "), said.count("\n")) == (0, 6, 6), said
+        assert workers[1].poll() is not None
+        said, code = on_cluster(place, "scheduler-lost", where, scheduler)
+        assert code == 2, said
+        *lines, last = said.splitlines()
+        gone = f"clothbench: executor: found no scheduler any more at {where}; finished cells are kept, run the same"
+        assert last == f"{gone} command again when there is one"
+        assert len(lines) < 6
+        assert all("ok: " in line for line in lines), said
+        kept = {path.name for path in place.glob("scheduler-lost/cells/[0-9a-f]*")}
+        assert kept
+        said, code = on_cluster(place, "scheduler-lost", dask_cluster(stack, 2)[0])
+        assert (code, said.count("ok: ")) == (0, 6 - said.count("kept: ")), said
+        assert said.count("kept: ") >= max(1, len(lines))
+        assert kept <= {path.name for path in place.glob("scheduler-lost/cells/[0-9a-f]*")}
+    assert tables(place / "scheduler-lost") == tables(place / "worker-lost")
 
 
 def test_an_address_without_a_scheduler_is_one_line(monkeypatch):

@@ -72,10 +72,13 @@ def site(tmp_path):
 
 
 @pytest.mark.slow
-def test_each_has_its_own_row_and_nothing_else(clothbench, site, recordings_folder):
+@pytest.mark.parametrize("executor", ["local", "dask"])
+def test_each_has_its_own_row_and_nothing_else(clothbench, site, recordings_folder, executor):
+    if executor == "dask":
+        pytest.importorskip("distributed")
     done = clothbench(
         "run", f"recordings={recordings_folder}", *CELL, "optimizer=[ga,leaves,vanishes,sleeps,fills,prints,forks]",
-        "limits.seconds=30", "limits.memory=1", PYTHONPATH=site,
+        "limits.seconds=30", "limits.memory=1", f"executor={executor}", PYTHONPATH=site,
     )  # fmt: skip
     assert done.returncode == 1, done.stderr[-2000:]
     assert "xxx" not in done.stdout
@@ -90,7 +93,7 @@ def test_each_has_its_own_row_and_nothing_else(clothbench, site, recordings_fold
     for optimizer in ("ga", "prints", "forks"):
         assert {row["status"] for row in of[optimizer]} == {"ok"}, of[optimizer]
     assert clothbench("store", "check", "runs").returncode == 0
-    mine = [p for p in psutil.process_iter(["environ"]) if (p.info["environ"] or {}).get("PYTHONPATH") == site]
+    mine = [p for p in psutil.process_iter(["environ"]) if site in (p.info["environ"] or {}).get("PYTHONPATH", "")]
     assert [p.pid for p in mine if p.status() != psutil.STATUS_ZOMBIE] == []
 
 
@@ -100,6 +103,16 @@ def test_a_single_cell_of_a_stranger_cannot_take_the_command_with_it(clothbench,
     assert done.returncode == 1, done.stderr
     (row,) = json.loads(clothbench("leaderboard", "--json").stdout)
     assert (row["status"], "the process that ran this cell died" in row["reason"]) == ("error", True)
+
+
+@pytest.mark.slow
+def test_a_print_in_a_worker_of_the_commands_own_is_no_part_of_its_output(clothbench, site, recordings_folder):
+    pytest.importorskip("distributed")
+    words = ("optimizer=prints", "executor=dask", "jobs=1")
+    done = clothbench("run", f"recordings={recordings_folder}", *CELL, *words, PYTHONPATH=site)
+    assert done.returncode == 0, done.stderr[-2000:]
+    assert "xxx" not in done.stdout
+    assert "xxx" in done.stderr
 
 
 @pytest.mark.parametrize("word", ["limits.seconds=-1", "limits.seconds=soon", "limits.memory=0", "+limits.hours=1"])

@@ -18,7 +18,7 @@ from clothbench.core.packed import packed, unpacked
 from clothbench.engine import bucket as buckets
 from clothbench.engine.bucket import Bucket, mirrored, require_conditional
 from clothbench.engine.mirror import mirror_of, pull, results_folder
-from clothbench.engine.store import ROW, Store
+from clothbench.engine.store import ROW, Store, recorded
 
 KEYS = [f"{n:016x}" for n in range(3)]
 
@@ -80,6 +80,13 @@ def test_the_second_of_a_cell_takes_the_first_and_a_disagreement_is_told(machine
         put(other, KEYS[1], 2.0)
     assert Bucket(s3).read([f"cells/{KEYS[1]}.zip"]) == before
     assert values(other, monkeypatch, refresh=False) == {KEYS[0]: 1.0, KEYS[1]: 1.0}
+    (record,) = other.disagreements()
+    values(one, monkeypatch)
+    assert [recorded(path) for path in one.disagreements()] == [recorded(record)] == [([1.0], [2.0])]
+    (name,) = Bucket(s3).names("disagreements")
+    Bucket(s3).forget(name)
+    values(one, monkeypatch)
+    assert one.disagreements() == []
 
 
 def test_errors_have_keys_of_their_own_and_give_way_to_a_result(machines, s3, monkeypatch):

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import os
 import pickle
+import signal
 import socket
 import subprocess
 import sys
@@ -18,9 +20,11 @@ from clothbench import ClothbenchError
 from clothbench.engine.cells import Source, lie_here
 from clothbench.engine.executors import settings
 from clothbench.engine.executors.cells import CellWork, concluded, places, sources_of
-from clothbench.engine.executors.drive import answers, elsewhere
+from clothbench.engine.executors.child import Ended, _kept, in_child
+from clothbench.engine.executors.drive import InOrder, answers, elsewhere
 from clothbench.engine.executors.settings import executor_settings
 from clothbench.engine.executors.work import Answer, Died, Owner, attended, seldom
+from clothbench.engine.limits import Limits, Watch
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store, outcome
 from clothbench.engine.suite import plan
@@ -107,7 +111,7 @@ class Made:
 
 def test_a_work_whose_worker_dies_is_tried_once_more():
     workers, told = Made({1: 1, 2: 2}), []
-    found = dict(answers(workers, lambda n: lambda tell, threads: n * n, 5, lambda *word: told.append(word)))
+    found = dict(answers(workers, lambda n: lambda tell, threads: n * n, InOrder(5), lambda *word: told.append(word)))
     assert found == {0: Answer(0), 1: Answer(1), 2: Died("gone"), 3: Answer(9), 4: Answer(16)}
     assert sorted(workers.begun) == [0, 1, 1, 2, 2, 3, 4]
     assert workers.most == 2
@@ -171,6 +175,81 @@ def test_an_owner_that_was_killed_lives_no_more():
     assert not owner.lives
     child.communicate()
     assert not Owner(os.getpid(), 1.0).lives  # another process has the number
+
+
+# --- in a child of a worker -------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class Harmful:
+    """Does something to its process."""
+
+    harm: str
+
+    def __call__(self, tell, threads):
+        tell(3, 0.5)
+        {"print": print, "die": lambda _: os.kill(os.getpid(), signal.SIGKILL), "sleep": lambda _: time.sleep(600),
+         "exit": sys.exit, "fork": lambda _: os.fork() or time.sleep(600)}[self.harm]("x")  # fmt: skip
+        return os.getpid(), threads
+
+
+@pytest.fixture
+def child():
+    pytest.importorskip("threadpoolctl", reason="comes with the extras dask, ray and slurm")
+    told = []
+
+    def done(harm, limits=Limits(seconds=60.0), tell=lambda *word: told.append(word)):  # noqa: B008
+        return in_child(Harmful(harm), "cell", tell, 2, Watch(limits, 1))
+
+    yield done, told
+    while _kept:
+        _kept.pop().close()
+
+
+def ended_but(*pids):
+    """Whether all processes that were begun here have ended, but for these; in a moment at most."""
+    until = time.monotonic() + 10
+    while time.monotonic() < until:
+        begun = psutil.Process().children(recursive=True)
+        with contextlib.suppress(psutil.NoSuchProcess):
+            if {p.pid for p in begun if p.status() != psutil.STATUS_ZOMBIE} == set(pids):
+                return True
+        time.sleep(0.05)
+    return False
+
+
+def test_a_child_is_kept_from_work_to_work_and_prints_aside(child, capfd):
+    done, _ = child
+    pid, threads = done("print").value
+    assert (pid != os.getpid(), threads) == (True, 2)
+    assert done("exit") == Answer(fault=f"worker on {socket.gethostname()}: SystemExit: x")
+    assert done("fork").value == (pid, 2)
+    assert ended_but(pid)  # what it forked has gone
+    assert capfd.readouterr().out == ""
+
+
+def test_a_child_that_dies_is_tried_once_more_and_one_that_sleeps_is_ended(child):
+    done, told = child
+    with pytest.raises(Ended, match=r"the process that ran this cell died \(exit code -9\)"):
+        done("die")
+    with pytest.raises(Ended, match=r"took more than 2 s, the limit \(limits.seconds\), and was ended"):
+        done("sleep", Limits(seconds=2.0))
+    assert (3, 0.5) in told
+    assert done("print").value[1] == 2
+
+
+def test_a_child_ends_with_a_work_that_nobody_waits_for(child):
+    done, _ = child
+
+    class Stopped(BaseException):
+        pass
+
+    def stop(steps, value):
+        raise Stopped
+
+    with pytest.raises(Stopped):
+        done("sleep", tell=stop)
+    assert ended_but()
 
 
 # --- cells ------------------------------------------------------------------------------------------------------------

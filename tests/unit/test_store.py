@@ -8,7 +8,7 @@ import pytest
 
 from clothbench import ClothbenchError
 from clothbench.engine import index
-from clothbench.engine.store import ROW, Store, leaderboard_row, load_rows
+from clothbench.engine.store import ROW, Store, leaderboard_row, load_rows, recorded
 
 
 def one_row(status="ok", **changes):
@@ -40,6 +40,9 @@ def test_a_finished_cell_stays_and_a_disagreement_is_told(tmp_path):
         UserWarning, match=r"computed twice, first \[1\.0, 'skipped'\], which stays, then \[2\.0, 'skipped'\]"
     ):
         store.put("abc", {"rows": [one_row(value=2.0), one_row("skipped")]})
+    (record,) = store.disagreements()
+    assert record.parent.name == "abc"
+    assert recorded(record) == ([1.0, "skipped"], [2.0, "skipped"])
     assert store.rows()[0]["value"] == 1.0
     assert [p.name for p in (tmp_path / "cells").iterdir()] == ["abc"]
 

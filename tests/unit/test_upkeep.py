@@ -12,7 +12,7 @@ import pytest
 from clothbench.cli import main
 from clothbench.core.files import half_written
 from clothbench.engine.check import check
-from clothbench.engine.store import ROW, Store
+from clothbench.engine.store import ROW, SEEDLESS, Store, recorded
 from clothbench.engine.upkeep import merge
 from clothbench.plugins.discovery import catalogue
 
@@ -114,6 +114,47 @@ def test_merge_tells_a_disagreement_and_overwrites_nothing(filled, tmp_path, cap
     assert f"fault: {there / 'cells' / KEYS[0]}: found [2.0], which stays, and [1.0] in " in out
     assert "damaged table" in out
     assert {r["key"]: r["value"] for r in Store(there).rows()} == {KEYS[0]: 2.0, KEYS[2]: 1.0, KEYS[3]: 1.0}
+
+
+def disagreeing(folder):
+    """A cell that was computed twice."""
+    with pytest.warns(UserWarning, match="computed twice"):
+        put(folder, KEYS[0], 2.0)
+    (record,) = Store(folder).disagreements()
+    return record
+
+
+def test_a_disagreement_is_a_fault_until_its_cell_goes(filled, capsys):
+    record = disagreeing(filled)
+    assert faults(filled) == [
+        f"{record}: found that this cell was computed twice, first [1.0], which stays, then [2.0], expected the same "
+        f"of the same cell; {SEEDLESS}"
+    ]
+    assert main(["store", "check", str(filled)]) == 1
+    assert main(["store", "prune", str(filled), "--cell", KEYS[0]]) == 0
+    assert main(["store", "check", str(filled)]) == 0
+    assert not record.exists()
+
+
+@pytest.mark.parametrize("text", ["", "[]", '{"first": [1], "second": 2}', '{"first": [1], "second": [{}]}'])
+def test_what_is_no_record_is_one_line(filled, text):
+    record = disagreeing(filled)
+    record.write_text(text)
+    (said,) = faults(filled)
+    assert said.startswith(f"{record}: found ")
+    assert said.endswith("expected the record of a disagreement, as a run writes it")
+
+
+def test_a_disagreement_goes_where_its_cell_goes(filled, tmp_path):
+    there = tmp_path / "b"
+    disagreeing(filled)
+    merge(Store(filled), Store(there), catalogue())
+    assert [recorded(path) for path in Store(there).disagreements()] == [([1.0], [2.0])]
+    put(tmp_path / "c", KEYS[1], 3.0)
+    merge(Store(filled), Store(tmp_path / "c"), catalogue())
+    assert {path.parent.name: recorded(path) for path in Store(tmp_path / "c").disagreements()} == {
+        KEYS[0]: ([1.0], [2.0]), KEYS[1]: ([3.0], [1.0]),
+    }  # fmt: skip
 
 
 def test_prune_removes_what_is_old_and_no_cell_unasked(filled, capsys):

@@ -12,9 +12,14 @@ from typing import Any
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.packed import Files, files_in
+from clothbench.core.parallel import available_cores
 from clothbench.engine.cells import Source, lie_here
+from clothbench.engine.executors.child import Ended, in_child
 from clothbench.engine.executors.drive import answers, opened
-from clothbench.engine.executors.work import Answer, Died, Tell, other_versions
+from clothbench.engine.executors.settings import of_this_machine
+from clothbench.engine.executors.work import Answer, Died, Tell, Work, other_versions
+from clothbench.engine.leases import KEPT, Leases, Line
+from clothbench.engine.limits import Limits, Watch
 from clothbench.engine.mirror import mirror_of, up_to_date
 from clothbench.engine.rows import failure
 from clothbench.engine.run import CellProgress, failed_with, keep, run_cell, writing
@@ -47,11 +52,16 @@ class CellWork:
         lie_here(placed(self.recordings))
         store = Store(self._folder())
         if reason := other_versions(self.cell.versions):
-            result = failure(self.cell, "error", reason)
-            keep(store, self.cell, result)
-            status = result.status
-        else:
-            status = self._run(store, tell, threads)
+            return self.failed(reason)
+        return self._finished(store, self._run(store, tell, threads))
+
+    def failed(self, reason: str) -> Finished:
+        """An error row in place of a result."""
+        store, result = Store(self._folder()), failure(self.cell, "error", reason)
+        keep(store, self.cell, result)
+        return self._finished(store, result.status)
+
+    def _finished(self, store: Store, status: str) -> Finished:
         return Finished(status, None if self.out else taken_out(store, self.cell.key))
 
     def _folder(self) -> Path:
@@ -71,27 +81,57 @@ class CellWork:
             return result.status
 
 
+@dataclass(frozen=True)
+class WithinLimits:
+    """A cell that a worker runs in a child process, which it ends if the cell goes beyond its limits. together: how
+    many cells share the memory of the worker's machine, as far as the command knows.
+    """
+
+    work: CellWork
+    limits: Limits
+    together: int
+
+    def __call__(self, tell: Tell, threads: int) -> Finished:
+        try:
+            answer = in_child(self.work, self.work.cell.key, tell, threads, Watch(self.limits, self.together))
+        except Ended as reason:
+            return self.work.failed(str(reason))
+        if answer.fault is not None:
+            raise ClothbenchError(answer.fault)
+        return answer.value
+
+
 def run_cells_on(
     executor: Mapping[str, Any], cells: Sequence[Cell], out: Path, *, jobs: int, rerun: bool,
-    done: Callable[[Cell, str], None], progress: CellProgress | None,
+    done: Callable[[Cell, str], None], progress: CellProgress | None, limits: Limits, leases: Leases,
 ) -> None:  # fmt: skip
     """Run cells on the workers of an executor, `jobs` at a time (0: as many as it takes); `done(cell, status)` after.
 
-    A cell whose worker dies is tried once more; if that dies, too, it becomes an error row.
+    A cell whose worker dies is tried once more; if that dies, too, it becomes an error row. One that goes beyond its
+    limits becomes one at once.
     """
     store, shared = Store(out.absolute()), executor["shared"]
     written = store.address if store.bucket is not None else store.folder if shared else None
 
-    def work(number: int) -> CellWork:
-        return CellWork(cells[number], places(cells[number], shared), written, rerun)
+    together = min(jobs or available_cores(), len(cells)) if of_this_machine(executor) else 1
+
+    def work(number: int) -> Work:
+        work = CellWork(cells[number], places(cells[number], shared), written, rerun)
+        return WithinLimits(work, limits, together) if limits.stated else work
 
     def told(number: int, steps: int, value: float) -> None:
         if progress is not None:
             progress(cells[number], steps, value)
 
+    def taken(number: int) -> None:
+        done(cells[number], KEPT)
+
+    line = Line(range(len(cells)), leases, lambda number: cells[number].key, taken)
     with opened(executor, jobs, len(cells), store.folder) as workers:
-        for number, answer in answers(workers, work, len(cells), told):
-            done(cells[number], concluded(store, cells[number], answer))
+        for number, answer in answers(workers, work, line, told):
+            status = concluded(store, cells[number], answer)
+            leases.give_back(cells[number].key)
+            done(cells[number], status)
 
 
 def concluded(store: Store, cell: Cell, answer: Answer | Died) -> str:

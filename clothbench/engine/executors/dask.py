@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import collections
 import contextlib
+import functools
 import logging
+import os
 import time
 import uuid
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import distributed
@@ -18,6 +20,8 @@ from clothbench.engine.executors.work import Answer, Died, Owner, Tell, Work, at
 from clothbench.plugins.discovery import one_line
 
 CONNECT = 15.0  # s until a scheduler that does not answer is given up
+LOOK = 0.1  # s between two looks at whether it is found again
+FETCH = 10.0  # s until an answer that does not come is asked for again
 CLOSE = 10.0  # s for a cluster to close in good order
 
 
@@ -31,7 +35,8 @@ class DaskWorkers:
     """
 
     def __init__(self, executor: Mapping[str, Any], jobs: int, works: int):
-        logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a worker's death is told in its cell's row
+        for name in ("distributed", "distributed.client"):  # a worker's death is told in its cell's row
+            logging.getLogger(name).setLevel(logging.CRITICAL)
         self.running: dict[int, tuple[distributed.Future, str]] = {}
         self.words: collections.deque[tuple[int, int, float]] = collections.deque()
         self.topic = f"clothbench-{uuid.uuid4().hex}"
@@ -40,6 +45,7 @@ class DaskWorkers:
         self.wait, self.seen = executor["wait"], time.monotonic()
         self.owner = None if executor["address"] else Owner()
         self.cluster = None if executor["address"] else _cluster(min(jobs or available_cores(), works))
+        self.where = executor["address"] or self.cluster.scheduler_address  # type: ignore[union-attr]
         try:
             self.client = _client(executor["address"] or self.cluster, executor["wait"])
         except BaseException:
@@ -55,10 +61,11 @@ class DaskWorkers:
 
     def begin(self, works: Mapping[int, Work]) -> None:
         for (number, work), place in zip(works.items(), self.idle, strict=False):
-            future = self.client.submit(
-                _attended, work, number, self.topic, self.owner, key=f"{self.topic}-{uuid.uuid4().hex}",
-                workers=[place], allow_other_workers=False, retries=0, pure=False,
-            )  # fmt: skip
+            with self._reached():
+                future = self.client.submit(
+                    _attended, work, number, self.topic, self.owner, key=f"{self.topic}-{uuid.uuid4().hex}",
+                    workers=[place], allow_other_workers=False, retries=0, pure=False,
+                )  # fmt: skip
             self.running[number] = future, place
 
     def ended(self, seconds: float) -> Iterable[tuple[int, Answer | Died]]:
@@ -92,14 +99,14 @@ class DaskWorkers:
                 self.cluster.close(timeout=CLOSE)
 
     def _there(self) -> list[str]:
-        """Addresses of the workers that the scheduler knows; others may come when all have gone, but not for ever."""
-        try:
+        """Addresses of the workers that the scheduler knows; others may come when all have gone, but not for ever.
+
+        A client that has lost its scheduler looks for it for `CONNECT`, then it is closed.
+        """
+        while self.client.status == "connecting":
+            time.sleep(LOOK)
+        with self._reached():
             there = list(self.client.scheduler_info(n_workers=-1)["workers"])
-        except (OSError, ValueError) as fault:
-            raise ClothbenchError(
-                f"executor: found no scheduler any more ({one_line(fault)}); finished cells are kept, run the same "
-                "command again when there is one"
-            ) from fault
         if there:
             self.seen = time.monotonic()
         elif time.monotonic() - self.seen > self.wait:
@@ -108,6 +115,19 @@ class DaskWorkers:
                 "run the same command again"
             )
         return there
+
+    @contextlib.contextmanager
+    def _reached(self) -> Iterator[None]:
+        """Makes one line of whatever the client raises when its scheduler has gone."""
+        try:
+            yield
+        except Exception as fault:
+            if self.client.status == "running" and not isinstance(fault, OSError):
+                raise
+            raise ClothbenchError(
+                f"executor: found no scheduler any more at {self.where}; finished cells are kept, run the same command "
+                "again when there is one"
+            ) from fault
 
 
 def _cluster(workers: int) -> distributed.LocalCluster:
@@ -140,9 +160,12 @@ def _client(address: Any, wait: float) -> distributed.Client:
 
 
 def _answer(future: distributed.Future, place: str, there: bool) -> Answer | Died | None:
-    """What came of a work; None if it is still running."""
+    """What came of a work; None if it is still running, or if its answer is still on the way."""
     if future.status == "finished":
-        return future.result()
+        try:
+            return future.result(timeout=FETCH)
+        except (TimeoutError, distributed.CancelledError):  # the answer may have gone with its worker
+            return None if there else Died(f"worker {place}")
     if future.status == "error":
         fault = future.exception()
         if isinstance(fault, distributed.scheduler.KilledWorker):
@@ -155,9 +178,17 @@ def _answer(future: distributed.Future, place: str, there: bool) -> Answer | Die
 
 def _attended(work: Work, number: int, topic: str, owner: Owner | None) -> Answer:
     """In a worker."""
+    if owner is not None:
+        speak_aside()
     worker = distributed.get_worker()
     key = worker.get_current_task()
     return attended(work, _teller(worker, key, number, topic), worker.state.nthreads, owner)
+
+
+@functools.cache
+def speak_aside() -> None:
+    """What plugins print goes to standard error, in a worker whose standard output is the command's."""
+    os.dup2(2, 1)
 
 
 def _teller(worker: distributed.Worker, key: Any, number: int, topic: str) -> Tell:

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.executors.work import Answer, Died, Tell, Work, Workers, other_versions
@@ -49,7 +49,7 @@ def elsewhere(workers: Workers, versions: Mapping[str, str]) -> Elsewhere:
 
     def pieces(works: Sequence[Work]) -> Iterator[tuple[int, Any]]:
         checked = [AsInstalled(work, versions) for work in works]
-        for number, answer in answers(workers, checked.__getitem__, len(works), lambda *_: None):
+        for number, answer in answers(workers, checked.__getitem__, InOrder(len(works)), lambda *_: None):
             if isinstance(answer, Died):
                 warnings.warn(f"a worker died twice ({answer.reason}); what it was at is done here", stacklevel=2)
             elif answer.fault is not None:
@@ -72,13 +72,45 @@ class AsInstalled:
         return self.work(tell, threads)
 
 
+class Waiting(Protocol):
+    """Numbers of works that wait to be begun."""
+
+    def begin(self) -> int | None:
+        """The next one; None if none may be begun now."""
+        ...
+
+    def again(self, number: int) -> None:
+        """It is to be begun once more."""
+        ...
+
+
+class InOrder:
+    """So many of them, one after the other."""
+
+    def __init__(self, count: int):
+        self.numbers = list(range(count))[::-1]
+
+    def __bool__(self) -> bool:
+        return bool(self.numbers)
+
+    def begin(self) -> int | None:
+        return self.numbers.pop() if self.numbers else None
+
+    def again(self, number: int) -> None:
+        self.numbers.append(number)
+
+
 def answers(
-    workers: Workers, work: Callable[[int], Work], count: int, told: Callable[[int, int, float], None]
+    workers: Workers, work: Callable[[int], Work], line: Waiting, told: Callable[[int, int, float], None]
 ) -> Iterator[tuple[int, Answer | Died]]:
-    """(number, what came of it) of `work(0)`, `work(1)` … as they end; one whose worker dies is tried `TRIES` times."""
-    waiting, running, tries = list(range(count))[::-1], set[int](), Counter[int]()
-    while waiting or running:
-        chosen = [waiting.pop() for _ in range(min(workers.room(), len(waiting)))]
+    """(number, what came of it) of works as they end; one whose worker dies is tried `TRIES` times."""
+    running, tries = set[int](), Counter[int]()
+    while line or running:
+        chosen = []
+        for _ in range(workers.room() if line else 0):
+            if (number := line.begin()) is None:
+                break
+            chosen.append(number)
         if chosen:
             workers.begin({number: work(number) for number in chosen})
             running.update(chosen)
@@ -90,6 +122,6 @@ def answers(
             running.discard(number)
             tries[number] += 1
             if isinstance(answer, Died) and tries[number] < TRIES:
-                waiting.append(number)
+                line.again(number)
             else:
                 yield number, answer

@@ -33,6 +33,11 @@ def executor_settings(given: Any) -> dict[str, Any]:
     return {"name": name, **(_slurm(stated) if name == "slurm" else _cluster(stated) if name != LOCAL else {})}
 
 
+def of_this_machine(executor: Mapping[str, Any]) -> bool:
+    """Whether the workers of an executor are begun by the command, beside it."""
+    return executor["cluster"] == "local" if executor["name"] == "slurm" else executor["address"] is None
+
+
 def _cluster(stated: Mapping[str, Any]) -> dict[str, Any]:
     """Of Dask and Ray. shared: as stated; else workers of this machine find everything, and no others."""
     address, shared = stated.get("address"), stated.get("shared")
