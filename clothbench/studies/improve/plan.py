@@ -29,7 +29,6 @@ from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.fitting import search_settings
 from clothbench.studies.improve.prepare import prepare
 from clothbench.studies.improve.problem import Problem
-from clothbench.studies.improve.sheets import SheetCase
 
 # Nodes along the longer side, where the user does not say: implicit models take several times as long for a node, and
 # what a coarser mesh does to them is known better, since they converge.
@@ -110,9 +109,9 @@ def cell_of(
         cell = dataclasses.replace(cell, bounds=free | dict(settings["bounds"]), fixed=held)
         problem = prepare(cell, plugins, kept=Path(settings["out"]) / TRACKED)
     if prior:
-        first, made = problem.evidence.cases[0], plugins.make("models", model, **settings["options"].get(model, {}))
-        assert isinstance(first, SheetCase)  # the only kind that is given a prior
-        known = prior_of(prior, made, first.scene)
+        made = plugins.make("models", model, **settings["options"].get(model, {}))
+        scene = problem.evidence.cases[0].scene  # type: ignore[attr-defined]  # of the only kind that is given a prior
+        known = prior_of(prior, made, scene)
         cell = dataclasses.replace(cell, bounds=known.bounds | dict(settings["bounds"]), begins=known.start)
         problem = prepare(cell, plugins, kept=Path(settings["out"]) / TRACKED)
     base = base_of(settings, problem)

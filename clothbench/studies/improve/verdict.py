@@ -242,7 +242,8 @@ def what_would_part(state: State, found: Round, pair: tuple[Candidate, Candidate
     fits = []
     for one in pair:
         assert one.fitted is not None  # what is named was fitted
-        fits.append((with_own(state.problem, found.own.get(one.name, {})), one.fitted))
+        own = found.own.get(one.name)
+        fits.append((with_own(state.problem, own) if own else state.problem, one.fitted))
     best, unit = parting_experiment(*fits), state.problem.evidence.unit
     if best is None or best.apart <= size:
         return "a recording that goes further there would tell them apart"
