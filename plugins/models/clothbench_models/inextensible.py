@@ -64,7 +64,7 @@ class Inextensible:
     """
 
     name = "inextensible"
-    version = 3
+    version = 4
     kind = "implicit"
     parameters = PARAMETERS
     capabilities = frozenset(
