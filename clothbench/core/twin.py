@@ -67,9 +67,11 @@ class Twin:
             return "not determined by what was fitted"
         return f"{low:.3g} … {high:.3g}, {self.what}" if math.isfinite(low) else "no interval"
 
-    def isotropic(self, target: str) -> tuple[Material, list[str]]:
+    def isotropic(self, target: str, shears: bool = False) -> tuple[Material, list[str]]:
         """The nearest material with shear = stretch/2, finite stretch and some bending, alike along warp and weft: all
         that an isotropic sheet without cross contraction can be; and a line on each thing that this changes.
+
+        shears: the target has a shear stiffness of its own; it is the material's, where that is finite.
         """
         m, lines = self.material, []
         stretch, bending = min(m.stretch, STIFFEST), max(m.bending, LIMPEST)
@@ -77,11 +79,11 @@ class Twin:
             lines.append(f"stretch: {target} holds a finite one: {stretch:g} N/m stands for {m.stretch:g}")
         if bending > m.bending:
             lines.append(f"bending: {target} holds some: {bending:g} N·m stands for {m.bending:g}")
-        if math.isfinite(m.shear) and abs(m.shear / (stretch / 2) - 1) > CLOSE:
-            factor = stretch / 2 / m.shear
+        shear = m.shear if shears and math.isfinite(m.shear) else stretch / 2
+        if math.isfinite(m.shear) and abs(m.shear / shear - 1) > CLOSE:
             lines.append(
-                f"shear: {target} has no parameter of its own for it: {stretch / 2:.4g} N/m stands for {m.shear:.4g} "
-                f"(factor {factor:.3g})"
+                f"shear: {target} has no parameter of its own for it: {shear:.4g} N/m stands for {m.shear:.4g} "
+                f"(factor {shear / m.shear:.3g})"
             )
         for quantity, mean in (("bending", bending), ("stretch", stretch)):
             warp, weft = m.along(quantity)
@@ -91,7 +93,7 @@ class Twin:
                     f"{warp:.4g} along the warp and {weft:.4g} along the weft "
                     f"(factors {mean / warp:.3g} and {mean / weft:.3g})"
                 )
-        return dataclasses.replace(m.alike, bending=bending, stretch=stretch, shear=stretch / 2), lines
+        return dataclasses.replace(m.alike, bending=bending, stretch=stretch, shear=shear), lines
 
     def unheld(self, target: str, holds: Collection[str] = ()) -> list[str]:
         """A line on each part of the fit that is no material, and on each thing of the scene beside the sheet and its

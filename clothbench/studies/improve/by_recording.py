@@ -69,10 +69,8 @@ def with_own_amounts(state: State, found: Round, candidates: Sequence[str], acco
     assert after is not None  # all that were tried were fitted
     of_each = {name: own[name] for name in named}
     last = Round(current, state.floor, (*tried, *others), found.probes, named, after, own=of_each)
-    return dataclasses.replace(
-        state, problem=with_own(problem, own[named[0]]), final=after, rounds=(*state.rounds, last),
-        own={named[0]: own[named[0]]},
-    )  # fmt: skip
+    mine = with_own(problem, own[named[0]])
+    return dataclasses.replace(state, problem=mine, final=after, rounds=(*state.rounds, last))
 
 
 def with_what_is_known(screened: Sequence[Candidate], shared: Sequence[Candidate]) -> list[Candidate]:

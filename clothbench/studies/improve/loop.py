@@ -170,7 +170,7 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
     account.stage("held-out recordings", 0, 1)
     before = held_out_errors(state.problem, base)
     state = where_amounts_differ(state, before, account) or state
-    problem, own = state.problem, dict(state.own)
+    problem, own = state.problem, state.own
     for name, amounts in own.items():
         problem, unseen = on_held_out(problem, state.final, name)
         own[name] = {**amounts, **unseen}

@@ -47,7 +47,6 @@ class State:
         decisions are made by;
     rounds: so far;
     alone: the base fitted to each recording by itself, by its name;
-    own: by effect and recording, the amounts that are each recording's own;
     earlier: where the loop stood before the last effect that was named with amounts for all recordings.
     """
 
@@ -58,8 +57,12 @@ class State:
     mesh: float
     rounds: tuple[Round, ...] = ()
     alone: Mapping[str, Fitted] = field(default_factory=dict)
-    own: Mapping[str, Mapping[str, Fitted]] = field(default_factory=dict)
     earlier: State | None = None
+
+    @property
+    def own(self) -> dict[str, Mapping[str, Fitted]]:
+        """By effect and recording, the amounts in `final` that are each recording's own."""
+        return {r.named[0]: r.own[r.named[0]] for r in self.rounds if r.own}
 
     @property
     def floor(self) -> float:

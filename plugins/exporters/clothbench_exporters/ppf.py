@@ -12,7 +12,6 @@ from __future__ import annotations
 
 import dataclasses
 import json
-import math
 
 from clothbench import Export, Material, Twin
 
@@ -27,14 +26,9 @@ def skip_reason() -> str | None:
 
 def export(twin: Twin) -> Export:
     """One entry, named after the twin."""
-    material, lines = twin.isotropic(f"a profile of {NAME}")
-    shear = twin.material.shear
-    if math.isfinite(shear):  # it has one of its own
-        lines = [line for line in lines if not line.startswith("shear")]
-    else:
-        shear = material.shear
+    material, lines = twin.isotropic(f"a profile of {NAME}", shears=True)
     density = twin.scene.areal_density
-    poisson = shear / 2 / (material.stretch + shear)
+    poisson = material.shear / 2 / (material.stretch + material.shear)
     lines += _by_hand(twin.material, material, density) + twin.unheld(NAME)
     values = {
         "object_type": '"SHELL"', "shell_model": '"BARAFF_WITKIN"', "shell_density": repr(density),
@@ -44,7 +38,7 @@ def export(twin: Twin) -> Export:
     }  # fmt: skip
     head = [f"# {line}" for line in (*twin.about(), *lines)]
     body = [f"{name} = {value}" for name, value in values.items()]
-    held = dataclasses.replace(material, shear=shear, bending_damping=0.0, stretch_damping=0.0)
+    held = dataclasses.replace(material, bending_damping=0.0, stretch_damping=0.0)
     return Export("\n".join([*head, f"[{json.dumps(twin.name)}]", *body]) + "\n", tuple(lines), held)
 
 

@@ -36,14 +36,10 @@ def export(twin: Twin) -> Export:
     """The stage as text: below /World the cloth, its material, gravity, grips and what attaches the cloth to them."""
     from pxr import Usd, UsdGeom, UsdPhysics, UsdShade
 
-    material, lines = twin.isotropic("the schema")
-    shear = twin.material.shear
-    if math.isfinite(shear):  # the schema has shear; its readers may not
-        lines = [line for line in lines if not line.startswith("shear")]
-        if abs(shear / material.shear - 1) > 0.02:
-            lines.append(f"shear: the schema holds {shear:.4g} N/m, but Newton 1.8 reads it and makes no use of it")
-    else:
-        shear = material.shear
+    material, lines = twin.isotropic("the schema", shears=True)
+    if abs(material.shear / (material.stretch / 2) - 1) > 0.02:
+        shear = f"{material.shear:.4g} N/m"
+        lines.append(f"shear: the schema holds {shear}, but Newton 1.8 reads it and makes no use of it")
     lines += _unread(material) + twin.unheld("the schema", ("outline",)) + margin(twin)
     thickness = math.sqrt(12 * material.bending / material.stretch)
     sheet, start = sheet_of_twin(twin)
@@ -59,8 +55,8 @@ def export(twin: Twin) -> Export:
     cloth.GetPrim().AddAppliedSchema("PhysicsSurfaceDeformableMaterialAPI")
     for name, value in (
         ("density", twin.scene.areal_density / thickness), ("youngsModulus", material.stretch / thickness),
-        ("poissonsRatio", 0.0), ("surfaceStretchStiffness", material.stretch), ("surfaceShearStiffness", shear),
-        ("surfaceBendStiffness", material.bending),
+        ("poissonsRatio", 0.0), ("surfaceStretchStiffness", material.stretch),
+        ("surfaceShearStiffness", material.shear), ("surfaceBendStiffness", material.bending),
     ):  # fmt: skip
         _set(cloth.GetPrim(), name, "Float", value)
     UsdShade.MaterialBindingAPI.Apply(mesh).Bind(cloth, materialPurpose="physics")
@@ -68,7 +64,7 @@ def export(twin: Twin) -> Export:
         _hold(stage, f"grip_{g}", [node], start[node], np.zeros((1, 3)))
     if len(clamped := clamped_nodes(twin, sheet)):
         _hold(stage, "clamp", clamped.tolist(), np.zeros(3), start[clamped])
-    held = dataclasses.replace(material, shear=shear, bending_damping=0.0, stretch_damping=0.0)
+    held = dataclasses.replace(material, bending_damping=0.0, stretch_damping=0.0)
     return Export(stage.GetRootLayer().ExportToString(), tuple(lines), held)
 
 
