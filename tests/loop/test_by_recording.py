@@ -185,6 +185,8 @@ def test_amounts_that_do_not_hold_on_what_was_held_out_are_asked_by_recording(mo
     monkeypatch.setattr(loop, "with_own_amounts", lambda *given: seen.append(given))
     loop.where_amounts_differ(state, [2.0, 2.0], None)
     loop.where_amounts_differ(earlier, [2.0, 2.0], None)
+    own = Round(named.fitted, 1.0, (other,), (), ("b",), other.fitted, own={"b": {"recording": other.fitted}})
+    loop.where_amounts_differ(dataclasses.replace(state, rounds=(found, own)), [2.0, 2.0], None)  # it has been asked
     assert len(seen) == asked
     if asked:
         begun, refuted, names, _ = seen[0]

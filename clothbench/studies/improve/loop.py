@@ -163,7 +163,9 @@ def continued(problem: Problem, named: Fitted, account: Account) -> Fitted:
 
 
 def finding_of(state: State, account: Account, timed_out: bool = False) -> Finding:
-    """Stages 6 and 7: the only look at the held-out recordings, and all that is told of the run."""
+    """Stages 6 and 7: the look at the held-out recordings, which changes nothing but whether amounts are shared, and
+    all that is told of the run.
+    """
     base = state.base
     account.stage("without any model", 0, 1)
     balance, description = state.problem.evidence.balance(state.problem.seed), None
@@ -200,9 +202,10 @@ def where_amounts_differ(state: State, before: Sequence[float], account: Account
     """Where the last effect's amounts, as they hold for all fit recordings, do not hold on the recordings held out: the
     state in which they are each recording's own, if that explains what is left; else None.
 
-    before: errors of the calibrated model on the recordings held out.
+    before: errors of the calibrated model on the recordings held out. One effect of a run may have amounts of each
+    recording's own.
     """
-    if state.earlier is None or not fails_to_hold(before, held_out_errors(state.problem, state.final)):
+    if state.earlier is None or state.own or not fails_to_hold(before, held_out_errors(state.problem, state.final)):
         return None
     found = next(r for r in reversed(state.rounds) if r.named)
     candidates = [
