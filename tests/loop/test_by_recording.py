@@ -133,6 +133,16 @@ def test_only_what_may_come_below_what_holds_for_all_is_fitted():
     assert by_recording.within_reach(before, Candidate("b", 0.1, 0.01), none, 1.0)
 
 
+def test_nothing_is_fitted_where_no_amounts_of_each_recordings_own_could_be_paid_for(monkeypatch):
+    """Two numbers in each of three recordings cost three tenths: what leaves little more than the floor is let be."""
+    before, name = fitted_to([np.full(FRAMES, 5.0)] * 3, np.random.default_rng(0)), "b"
+    monkeypatch.setattr(by_recording, "own_names", lambda problem, name: ("b.x", "b.y"))
+    assert by_recording.price(None, before, name) == pytest.approx(before.rms**2 / (1 + 6 * LOOP.parameter_penalty))
+    within = by_recording.within_reach
+    assert within(before, Candidate(name, 0.4, 0.01), by_recording.price(None, before, name), before.rms / 1.15)
+    assert not within(before, Candidate(name, 0.4, 0.01), by_recording.price(None, before, name), before.rms / 1.1)
+
+
 @pytest.mark.parametrize(("delay", "why"), [(0.02, ""), (0.5, "its delay runs to the bound 0.5 in rec-01"), (1e-6, "")])
 def test_an_amount_at_its_bound_speaks_against_all(delay, why):
     bounded = dataclasses.replace(DELAY, bounds=(0.0, 0.5))

@@ -51,6 +51,8 @@ def with_own_amounts(state: State, found: Round, candidates: Sequence[str], acco
             current, candidate, bar(found, size_by_recording(problem, current, candidate.name)), state.floor
         )
     ]
+    if not any(within_reach(current, c, price(problem, current, c.name), state.floor) for c in promising):
+        return None
     tried: list[Candidate] = []
     own: dict[str, Own] = {}
     for k, candidate in enumerate(promising[: LOOP.fitted_by_recording]):
@@ -99,6 +101,12 @@ def within_reach(current: Fitted, candidate: Candidate, goal: float, floor: floa
     """
     least = (1 - LOOP.first_order_optimism * candidate.share) * current.rms**2
     return bool(goal >= max(least, floor**2))
+
+
+def price(problem: Problem, current: Fitted, name: str) -> float:
+    """The mean square below which a fit has to come for an effect's amounts, each recording's own, to be paid for."""
+    count = len(own_names(problem, name)) * len(current.residual)
+    return current.rms**2 / (1 + LOOP.parameter_penalty * count)
 
 
 def bar(found: Round, size: int) -> float:
