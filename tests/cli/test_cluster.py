@@ -5,6 +5,8 @@ from __future__ import annotations
 import contextlib
 import importlib.util
 import logging
+import os
+import signal
 import socket
 import subprocess
 import sys
@@ -117,23 +119,33 @@ def dask(stack, *words):
     return process
 
 
-def dask_cluster(stack, workers):
-    """Its address, its scheduler and its workers."""
+def free_port():
     with socket.socket() as free:
         free.bind(("127.0.0.1", 0))
-        port = free.getsockname()[1]
+        return free.getsockname()[1]
+
+
+def dask_cluster(stack, workers):
+    """Its address, its scheduler and its workers."""
+    port = free_port()
     scheduler = dask(stack, "scheduler", "--host", "127.0.0.1", "--port", str(port))
     where = f"tcp://127.0.0.1:{port}"
     begun = [dask(stack, "worker", where, "--nthreads", "1", "--no-nanny") for _ in range(workers)]
     return where, scheduler, begun
 
 
-def on_cluster(place, out, where, kill=None):
-    """Six cells on a cluster, of which a process is killed as soon as one cell is finished; the command and its words.
-
-    All workers are at a cell then.
+def on_cluster(place, out, engine, where, kill=None):
+    """Six cells on a cluster, something of which is killed as soon as one cell is finished; what the command said, and
+    how it ended. All workers are at a cell then.
     """
-    words = (*SHORT, "budget=200", f"out={out}", "executor=dask", f"executor.address={where}", "executor.shared=true")
+    words = (
+        *SHORT,
+        "budget=200",
+        f"out={out}",
+        f"executor={engine}",
+        f"executor.address={where}",
+        "executor.shared=true",
+    )
     command = subprocess.Popen(
         [sys.executable, "-m", "clothbench", "run", *words], cwd=place, text=True,
         stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
@@ -141,7 +153,7 @@ def on_cluster(place, out, where, kill=None):
     deadline = time.monotonic() + 120
     while kill is not None and command.poll() is None and time.monotonic() < deadline:
         if list(place.glob(f"{out}/cells/[0-9a-f]*")):
-            kill.kill()
+            kill()
             break
         time.sleep(0.05)
     return command.communicate(timeout=200)[1], command.returncode
@@ -155,10 +167,10 @@ def test_a_dask_cluster_loses_a_worker_then_its_scheduler(place):
     needs("distributed")
     with contextlib.ExitStack() as stack:
         where, scheduler, workers = dask_cluster(stack, 3)
-        said, code = on_cluster(place, "worker-lost", where, workers[1])
+        said, code = on_cluster(place, "worker-lost", "dask", where, workers[1].kill)
         assert (code, said.count("ok: ") + said.count("kept: "), said.count("\n")) == (0, 6, 6), said
         assert workers[1].poll() is not None
-        said, code = on_cluster(place, "scheduler-lost", where, scheduler)
+        said, code = on_cluster(place, "scheduler-lost", "dask", where, scheduler.kill)
         assert code == 2, said
         *lines, last = said.splitlines()
         gone = f"clothbench: executor: found no scheduler any more at {where}; finished cells are kept, run the same"
@@ -167,7 +179,7 @@ def test_a_dask_cluster_loses_a_worker_then_its_scheduler(place):
         assert all("ok: " in line for line in lines), said
         kept = {path.name for path in place.glob("scheduler-lost/cells/[0-9a-f]*")}
         assert kept
-        said, code = on_cluster(place, "scheduler-lost", dask_cluster(stack, 2)[0])
+        said, code = on_cluster(place, "scheduler-lost", "dask", dask_cluster(stack, 2)[0])
         assert (code, said.count("ok: ")) == (0, 6 - said.count("kept: ")), said
         assert said.count("kept: ") >= max(1, len(lines))
         assert kept <= {path.name for path in place.glob("scheduler-lost/cells/[0-9a-f]*")}
@@ -223,6 +235,40 @@ def test_ray_on_this_machine(place, here):
     assert done == OK
     assert told == {("ga", True), ("nelder_mead", True)}
     assert tables(place / "ray") == here
+
+
+def ray_node(stack, *words):
+    """A head or another node of a Ray cluster as a process of its own, whose helpers end with it and the test."""
+    process = subprocess.Popen(
+        [Path(sys.executable).with_name("ray"), "start", *words, "--num-cpus", "1", "--node-ip-address", "127.0.0.1",
+         "--disable-usage-stats", "--block"],
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True,
+    )  # fmt: skip
+
+    def end():
+        with contextlib.suppress(ProcessLookupError):  # it was killed
+            os.killpg(process.pid, signal.SIGTERM)
+        process.wait()
+
+    stack.callback(end)
+    return process
+
+
+@pytest.mark.slow
+def test_a_ray_cluster_loses_a_node(place, monkeypatch):
+    """A head and two nodes as processes of their own on the loopback address; a node takes a try of its cell along."""
+    needs("ray")
+    monkeypatch.setenv("RAY_AUTH_MODE", "disabled")
+    with contextlib.ExitStack() as stack:
+        port = free_port()
+        where = f"127.0.0.1:{port}"
+        ray_node(stack, "--head", "--port", str(port), "--include-dashboard", "false")
+        nodes = [ray_node(stack, "--address", where) for _ in range(2)]
+        said, code = on_cluster(place, "node-lost", "ray", where, lambda: os.killpg(nodes[1].pid, signal.SIGKILL))
+        assert (code, said.count("ok: ") + said.count("kept: "), said.count("\n")) == (0, 6, 6), said
+        assert nodes[1].wait(10) != 0
+    run_in(place, "node-kept", "optimizer=[ga,annealing,cma_es]", "metric=[node_error,relative_error]", "budget=200")
+    assert tables(place / "node-lost") == tables(place / "node-kept")
 
 
 def test_an_executor_that_does_not_exist_is_one_line():
