@@ -131,7 +131,7 @@ def mark_hidden(eye, points, obstacles, hidden):
 
 
 def derivative(camera: Camera, points: np.ndarray) -> np.ndarray:
-    """Of a point's pixel [px/m] and of its depth by its place (..., 3) m: (..., 3, 3). For lenses without distortion."""
+    """Of a point's pixel [px/m] and depth by its place (..., 3) m: (..., 3, 3). For a lens without distortion."""
     x, y, z = np.moveaxis(camera.in_view(points), -1, 0)
     flat = np.zeros((*z.shape, 3, 3))
     flat[..., 0, 0] = flat[..., 1, 1] = 1 / z

@@ -17,7 +17,8 @@ def asked(folder: Path, number: int, tied: bool) -> Kept:
     poor = [cloth.poor(0.02, 1.0), cloth.poor(0.015, 1.0, 1.0)] if tied else [cloth.poor(0.0, 0.6)]
     base = "" if tied else "linear_drag"
     wanted = Wanted(durations=(1.5,), draws=0 if tied else 1)
-    return kept(cloth, lambda recordings: problem_of(recordings, base), wanted, POOR_TO_GOOD, poor, tied)
+    (found,) = kept(cloth, lambda recordings: problem_of(recordings, base), wanted, POOR_TO_GOOD, poor, tied)
+    return found
 
 
 @pytest.mark.slow
