@@ -151,7 +151,8 @@ def look_of(view: Placed, sensor: Sensor, place: np.ndarray, wrong: float) -> Lo
     measured = 3 if sensor.kind == DEPTH else 2
     slope = derivative(view.camera, points[seen])[:, :measured]
     depth = view.camera.in_view(points[seen])[:, 2]
-    noise = np.stack([0 * depth + sensor.noise, 0 * depth + sensor.noise, sensor.depth_noise * depth**2], axis=1)
+    noise = np.full((len(depth), 3), sensor.noise)
+    noise[:, 2] = sensor.depth_noise * depth**2
     covariance = wrong**2 * slope @ slope.swapaxes(1, 2) + np.eye(measured) * noise[:, :measured, None] ** 2
     weight = np.zeros((*seen.shape, measured, 3))
     weight[seen] = np.linalg.solve(np.linalg.cholesky(covariance), slope)
