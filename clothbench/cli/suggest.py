@@ -178,7 +178,7 @@ def table(found: Mapping[str, Any]) -> Table:
     for head in ("", "grips", "motion"):
         out.add_column(head)
     if found["settings"]["cameras"]:
-        out.add_column("camera", min_width=max(map(len, PLACEMENTS)))
+        out.add_column("camera", min_width=max(map(len, PLACEMENTS)), overflow="fold")
     out.add_column("s", justify="right")
     for tie in ties:
         out.add_column(f"{tie['one']} | {tie['other']}", justify="right", overflow="fold")

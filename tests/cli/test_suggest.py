@@ -98,7 +98,7 @@ def test_one_camera_sees_it(told, place, capsys):
     assert main(["suggest", str(place / "rec"), *QUICK, f"out={out}", *asked]) == 0
     said = capsys.readouterr().out
     assert "seen by one depth camera: 1280 x 720 px, 60° across, noise 0.4 px and 1.5 mm at 1 m; in brackets" in said
-    assert "three-quarter" in said
+    assert "front (100 %)" in said
     found = json.loads((out / "suggest.json").read_text())
     assert found["settings"]["cameras"] == ["side", "front", "three-quarter"]
     for one in found["experiments"]:
