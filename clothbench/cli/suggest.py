@@ -18,7 +18,7 @@ from clothbench.plugins.discovery import Catalogue, catalogue
 from clothbench.studies.improve.document import VERDICT
 from clothbench.studies.improve.plan import NOT_ASKED as REFUSED
 from clothbench.studies.improve.problem import Problem
-from clothbench.suggest.document import DOCUMENT, MOTION, json_text, suggestion, write_all
+from clothbench.suggest.document import CAMERA, DOCUMENT, MOTION, json_text, suggestion, write_all
 from clothbench.suggest.experiments import experiments
 from clothbench.suggest.ranking import promises, rank_of, ranked
 from clothbench.suggest.settings import DEPTH, PLACEMENTS, TIE, WORDS, wanted_of
@@ -167,7 +167,8 @@ def say(found: Mapping[str, Any], out: Path) -> None:
     show.print(table(found))
     for one in found["left_out"]:
         show.print(f"left out: {one['grips']}: {one['motion']}: {one['reason']}", soft_wrap=True)
-    print(f"motions: {out / 'experiments'}/1/{MOTION} and so on; all of it: {out / DOCUMENT}")
+    camera = f", {CAMERA} beside it," if found["settings"]["cameras"] else ""
+    print(f"motions: {out / 'experiments'}/1/{MOTION}{camera} and so on; all of it: {out / DOCUMENT}")
 
 
 def table(found: Mapping[str, Any]) -> Table:

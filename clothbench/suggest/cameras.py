@@ -104,7 +104,7 @@ def drawn_size(camera: Camera) -> tuple[int, int]:
 def in_picture(camera: Camera, points: np.ndarray) -> np.ndarray:
     """Whether points (..., 3) m are before the camera and inside its picture (...)."""
     pixel, _ = camera.project(points)
-    return ((pixel > -0.5) & (pixel < np.array(camera.size) - 0.5)).all(axis=-1)
+    return np.asarray(((pixel > -0.5) & (pixel < np.array(camera.size) - 0.5)).all(axis=-1))
 
 
 def behind_obstacles(eye: np.ndarray, scene: Scene, position: np.ndarray) -> np.ndarray:

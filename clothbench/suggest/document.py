@@ -100,7 +100,7 @@ def seen(known: Known, promise: Promise) -> dict[str, Any]:
     """What the experiment promises as one of the cameras sees it."""
     view = promise.view
     assert view is not None  # as of all that are to choose from
-    frames = int(np.sum(promise.experiment.scene.times <= promise.duration + 1e-9))
+    frames = len(promise.experiment.lasting(promise.duration).times)
     factors = (known.half / promise.after).tolist()
     return {
         **place_of(view), "points_seen": float(view.seen[:frames].mean()), "information_nats": promise.gain,

@@ -135,11 +135,12 @@ def promised(subject: Subject, experiment: Experiment, sets: np.ndarray, wanted:
     rivals = [rival_of(subject, experiment, tie) for tie in subject.ties]
     frames = len(experiment.scene.times)
     rows = len(at[0]) // frames
-    views = placed(subject.like.scene, experiment.scene, at[0].reshape(frames, -1, 3), wanted)
+    position = at[0].reshape(frames, -1, 3)
+    views: list[Placed | None] = [*placed(subject.like.scene, experiment.scene, position, wanted)] or [None]
     for duration in experiment.durations:
         part = slice(0, rows * int(np.sum(experiment.scene.times <= duration + 1e-9)))
         counted = counted_there(known, doubt[part], tangents[0][part], duration)
-        for view in views or [None]:
+        for view in views:
             looks, noise = looks_of(view, wanted, [one[part] for one in at], counted, known.noise)
             jacobians = [look(jacobian[part]) for look, jacobian in zip(looks, tangents, strict=True)]
             wrong = [look(mesh[part]) for look in looks]
@@ -150,8 +151,8 @@ def promised(subject: Subject, experiment: Experiment, sets: np.ndarray, wanted:
                 experiment, duration, float(np.mean([gain(known.matrix, one) for one in more])),
                 np.exp(np.log(after).mean(axis=0)), after.min(axis=0), after.max(axis=0),
                 tuple(
-                    apart(tie, *(one[part] for one in (*rival, doubt)), looks[0], noise)
-                    for tie, rival in zip(subject.ties, rivals, strict=True)
+                    apart(tie, away[part], tangent[part], doubt[part], looks[0], noise)
+                    for tie, (away, tangent) in zip(subject.ties, rivals, strict=True)
                 ),
                 counted, float(np.sqrt(np.mean(doubt[part] ** 2))), view,
             )  # fmt: skip
