@@ -21,7 +21,7 @@ from clothbench.studies.improve.problem import Problem
 from clothbench.suggest.document import CAMERA, DOCUMENT, MOTION, json_text, suggestion, write_all
 from clothbench.suggest.experiments import experiments
 from clothbench.suggest.ranking import promises, rank_of, ranked
-from clothbench.suggest.settings import DEPTH, PLACEMENTS, TIE, WORDS, wanted_of
+from clothbench.suggest.settings import DEPTH, TIE, WORDS, wanted_of
 from clothbench.suggest.source import problem_of_cell, problem_of_settings, require_same, verdict_in
 from clothbench.suggest.subject import Subject, subject_of
 
@@ -161,9 +161,9 @@ def say(found: Mapping[str, Any], out: Path) -> None:
         depth = f" and {1e3 * camera['depth_noise']:g} mm at 1 m" if camera["kind"] == DEPTH else ""
         show.print(
             f"seen by one {camera['kind']} camera: {' x '.join(map(str, camera['size']))} px, "
-            f"{camera['field_of_view']:g}° across, noise {camera['noise']:g} px{depth}; in brackets the points it sees",
+            f"{camera['field_of_view']:g}° across, noise {camera['noise']:g} px{depth}",
             soft_wrap=True,
-        )  # fmt: skip
+        )
     show.print(table(found))
     for one in found["left_out"]:
         show.print(f"left out: {one['grips']}: {one['motion']}: {one['reason']}", soft_wrap=True)
@@ -179,7 +179,8 @@ def table(found: Mapping[str, Any]) -> Table:
     for head in ("", "grips", "motion"):
         out.add_column(head)
     if found["settings"]["cameras"]:
-        out.add_column("camera", min_width=max(map(len, PLACEMENTS)), overflow="fold")
+        out.add_column("camera", no_wrap=True)
+        out.add_column("sees", justify="right", no_wrap=True)
     out.add_column("s", justify="right")
     for tie in ties:
         out.add_column(f"{tie['one']} | {tie['other']}", justify="right", overflow="fold")
@@ -189,7 +190,7 @@ def table(found: Mapping[str, Any]) -> Table:
     for one in found["experiments"][:SHOWN]:
         out.add_row(
             str(one["rank"]), one["grips"], one["motion"],
-            *(f"{best['name']} ({100 * best['points_seen']:.0f} %)" for best in one["cameras"][:1]),
+            *(text for best in one["cameras"][:1] for text in (best["name"], f"{100 * best['points_seen']:.0f} %")),
             f"{one['duration_s']:g}",
             *(f"{tie['sigma']:.1f} σ (≥ {tie['sigma_least']:.1f})" for tie in one["ties"]),
             f"{one['information_nats']:.1f}",
