@@ -1,9 +1,10 @@
-"""Whether `clothbench suggest` keeps what it promises: `python tools/suggest_cases.py [--cases 0-11]`.
+"""Whether `clothbench suggest` keeps what it promises: `python tools/suggest_cases.py [--cases 0-11] [--cameras]`.
 
 In every case the reference simulation (finite elements on another mesh than any model's, explicit steps, noise) moves a
 piece of cloth in a poor experiment: it hangs still, or swings a little. The model is fitted to that, the best
 experiment that is suggested is made with the same cloth, and the model is fitted to both. Cases with even numbers ask
-about the parameters; those with odd ones tie `quadratic_drag`, which is in the cloth, with `linear_drag`.
+about the parameters; those with odd ones tie `quadratic_drag`, which is in the cloth, with `linear_drag`. With cameras
+the experiment is seen by one alone, first from the best place, then from the worst that sees half of the points.
 """
 
 from __future__ import annotations
@@ -18,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from clothbench.core.camera import Camera
 from clothbench.core.parallel import set_thread_count
 from clothbench.core.scene import Scene
 from clothbench.plugins.discovery import catalogue
@@ -25,9 +27,11 @@ from clothbench.recordings.nodes import Recording, write_recording
 from clothbench.reference.mesh import Mesh, build, tracking_weights
 from clothbench.reference.simulation import Fabric, State, bowed, discretise, settle, simulate, stable_step
 from clothbench.studies.improve.problem import Problem
+from clothbench.suggest.cameras import seen_from
+from clothbench.suggest.document import name_of
 from clothbench.suggest.experiments import experiments
 from clothbench.suggest.ranking import Promise, promises, ranked
-from clothbench.suggest.settings import Wanted
+from clothbench.suggest.settings import PLACEMENTS, Sensor, Wanted
 from clothbench.suggest.subject import Subject, searched, subject_of, tie_of
 
 NOISE, RATE = 1e-3, 30.0  # m, Hz
@@ -74,7 +78,7 @@ class Cloth:
         rows = 2 * round(1.155 * self.cells * self.height / self.width / 2)
         return build(self.width, self.height, self.cells, rows)
 
-    def recorded(self, scene: Scene, name: str, random: np.random.Generator) -> Recording:
+    def recorded(self, scene: Scene, name: str, random: np.random.Generator, noise: float = NOISE) -> Recording:
         """The scene as the reference simulation has it, with noise; its grips must be nodes of the mesh."""
         mesh = self.mesh
         sheet = discretise(self.fabric, mesh, scene.gravity)
@@ -96,9 +100,9 @@ class Cloth:
         truth = np.einsum("mn,tnd->tmd", tracking_weights(mesh, scene.points), frames)
         return Recording(
             name=name, fabric=self.fabric.name, split="fit", time=scene.times, material=scene.points,
-            position=truth + random.normal(0.0, NOISE, truth.shape), grip_time=scene.grip_time,
+            position=truth + random.normal(0.0, noise, truth.shape), grip_time=scene.grip_time,
             grip_material=scene.grip_material, grip_position=scene.grip_position, cloth_width=self.width,
-            cloth_height=self.height, areal_density=self.fabric.areal_density, noise_sigma=NOISE,
+            cloth_height=self.height, areal_density=self.fabric.areal_density, noise_sigma=noise,
         )  # fmt: skip
 
     def poor(self, amplitude: float, seconds: float, rate: float = 0.7) -> Scene:
@@ -132,16 +136,36 @@ class Kept:
 
 def kept(
     cloth: Cloth, problem_of, wanted: Wanted, chosen: Sequence[tuple[str, str]], poor: Sequence[Scene], tied: bool
-) -> Kept:
-    """Fit, suggest, do what is suggested, fit again. problem_of: recordings → their problem."""
+) -> list[Kept]:
+    """Fit, suggest, do what is suggested, fit again; where cameras are asked for, with the best of them and the worst.
+    problem_of: recordings → their problem.
+    """
     random = np.random.default_rng(7)
     recordings = [cloth.recorded(scene, f"poor-{k}", random) for k, scene in enumerate(poor)]
     names = TIED[:1] if tied else ()
     subject = subject_of(problem_of(recordings), names, [TIED] if tied else [])
     found, _ = promises(subject, list(experiments(subject.like.scene, RATE, wanted, False, chosen)), wanted)
     best = ranked(subject, found, wanted.rank)[0]
-    done = cloth.recorded(best.experiment.lasting(best.duration), "suggested", random)
-    return held_against(cloth, subject, best, problem_of([*recordings, done]))
+    scene = best.experiment.lasting(best.duration)
+    if not wanted.cameras:
+        done = cloth.recorded(scene, "suggested", random)
+        return [held_against(cloth, subject, best, problem_of([*recordings, done]))]
+    out, truth = [], cloth.recorded(scene, "suggested", random, noise=0.0)
+    for seen in (best.views[0], [one for one in best.views if one.view.seen.mean() > 0.5][-1]):
+        done = pictured(truth, scene, seen.view.camera, wanted.camera, random)
+        out.append(held_against(cloth, subject, seen, problem_of([*recordings, done])))
+    return out
+
+
+def pictured(truth: Recording, scene: Scene, camera: Camera, sensor: Sensor, random: np.random.Generator) -> Recording:
+    """A recording without noise as one colour camera has it: places on lines of sight, where it sees the points."""
+    metres = sensor.noise * camera.in_view(truth.position)[..., 2:] / camera.matrix[0, 0]  # that the noise is there
+    seen = seen_from(camera, scene, truth.position)
+    place = truth.position + metres * random.normal(size=(*seen.shape, 2)) @ camera.rotation[:2]
+    return dataclasses.replace(
+        truth, position=np.where(seen[..., None], place, np.nan), sight=camera,
+        noise_sigma=float(metres.mean()),
+    )  # fmt: skip
 
 
 def held_against(cloth: Cloth, subject: Subject, best: Promise, both: Problem) -> Kept:
@@ -164,7 +188,7 @@ def held_against(cloth: Cloth, subject: Subject, best: Promise, both: Problem) -
     sigma = None
     for tie, apart in zip(subject.ties, best.apart, strict=True):
         sigma = (tie.now, apart.sigma, tie_of(*TIED, after, again(tie.rival, TIED[1:])).now)
-    experiment = f"{best.experiment.grips}: {best.experiment.motion}, {best.duration:g} s"
+    experiment = name_of(best) + (f", seen from {best.view.name}" if best.view else "")
     return Kept(experiment, factors, inside, sigma)
 
 
@@ -184,31 +208,40 @@ def problem_in(folder: Path, resolution: int):
     return problem_of
 
 
-def case_of(number: int, folder: Path, resolution: int = 9) -> Kept:
+def case_of(number: int, folder: Path, resolution: int = 9, cameras: tuple[str, ...] | None = None) -> list[Kept]:
     cloth, tied = Cloth.drawn(number), bool(number % 2)
     problem_of = problem_in(folder, resolution)
     base = "" if tied else "linear_drag"
     swings = [cloth.poor(0.02, 1.0), cloth.poor(0.015, 1.0, 1.0)]
     poor = swings if number % 4 else [cloth.poor(0.0, 1.0)] * 2
-    return kept(cloth, lambda r: problem_of(r, base), Wanted(durations=(2.0,), draws=2), CHOSEN, poor, tied)
+    wanted = Wanted(durations=(2.0,), draws=2, cameras=cameras)
+    return kept(cloth, lambda r: problem_of(r, base), wanted, CHOSEN, poor, tied)
 
 
 def main() -> None:
     arguments = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     arguments.add_argument("--cases", default="0-7", help="numbers, as 0-7 or 3,5")
-    given = arguments.parse_args().cases
-    numbers = [n for part in given.split(",") for n in range(int(part.split("-")[0]), int(part.split("-")[-1]) + 1)]
+    arguments.add_argument(
+        "--cameras", action="store_true", help="seen by one camera, from the best place and the worst"
+    )
+    given = arguments.parse_args()
+    ends = [part.split("-") for part in given.cases.split(",")]
     set_thread_count(0)
-    for number in numbers:
+    for number in [n for first, *last in ends for n in range(int(first), int((last or [first])[-1]) + 1)]:
         with tempfile.TemporaryDirectory() as folder:
-            row = case_of(number, Path(folder))
-        print(f"{number:2d} {row.experiment}")
-        for name, (promised, came, now, then) in row.factors.items():
-            inside = "".join(f"   truth inside: {a}, {b}" for a, b in [row.inside[name]]) if name in row.inside else ""
-            print(f"     {name:24s} promised ÷ {promised:5.2f}  kept ÷ {came:5.2f}   ({now:.3f} → {then:.3f}){inside}")
-        if row.sigma:
-            print("     tie: now {:.1f} σ, promised {:.1f} σ, kept {:.1f} σ".format(*row.sigma))
+            rows = case_of(number, Path(folder), cameras=tuple(PLACEMENTS) if given.cameras else None)
+        for row in rows:
+            say(number, row)
         print(f"     {time.process_time():.0f} s of CPU so far", flush=True)
+
+
+def say(number: int, row: Kept) -> None:
+    print(f"{number:2d} {row.experiment}")
+    for name, (promised, came, now, then) in row.factors.items():
+        inside = "".join(f"   truth inside: {a}, {b}" for a, b in [row.inside[name]]) if name in row.inside else ""
+        print(f"     {name:24s} promised ÷ {promised:5.2f}  kept ÷ {came:5.2f}   ({now:.3f} → {then:.3f}){inside}")
+    if row.sigma:
+        print("     tie: now {:.1f} σ, promised {:.1f} σ, kept {:.1f} σ".format(*row.sigma))
 
 
 if __name__ == "__main__":

@@ -214,7 +214,8 @@ def _suggest(sub: argparse.ArgumentParser) -> None:
         "settings", nargs="*", default=[], metavar="KEY=VALUE",
         help="model=NAME [out=DIR] [effects=NAME,…] [tied=ONE,OTHER] [verdict=FOLDER of improve] "
         "[rank=information|tie|PARAMETER] [max_speed=M/S] [max_acceleration=M/S²] [reach=M] [durations=S,…] "
-        "[grips=NAME,…] [draws=N] [best=N], and what improve takes of recordings and models",
+        "[grips=NAME,…] [cameras=all|NAME,…] [camera.kind=colour|depth] [draws=N] [best=N], "
+        "and what improve takes of recordings and models",
     )  # fmt: skip
     sub.add_argument("--runs", default=DEFAULT_OUT, metavar="FOLDER", help="results folder of a cell (default: runs)")
 

@@ -18,10 +18,10 @@ from clothbench.plugins.discovery import Catalogue, catalogue
 from clothbench.studies.improve.document import VERDICT
 from clothbench.studies.improve.plan import NOT_ASKED as REFUSED
 from clothbench.studies.improve.problem import Problem
-from clothbench.suggest.document import DOCUMENT, MOTION, json_text, suggestion, write_all
+from clothbench.suggest.document import CAMERA, DOCUMENT, MOTION, json_text, suggestion, write_all
 from clothbench.suggest.experiments import experiments
 from clothbench.suggest.ranking import promises, rank_of, ranked
-from clothbench.suggest.settings import TIE, WORDS, wanted_of
+from clothbench.suggest.settings import DEPTH, TIE, WORDS, wanted_of
 from clothbench.suggest.source import problem_of_cell, problem_of_settings, require_same, verdict_in
 from clothbench.suggest.subject import Subject, subject_of
 
@@ -53,7 +53,7 @@ def command(name: str, words: Sequence[str], runs: Path, as_json: bool = False) 
         raise ClothbenchError(f"no experiment can be simulated: {left[0].grips}, {left[0].motion}: {left[0].reason}")
     found = ranked(subject, found, wanted.rank)
     document = suggestion(subject, found, left, wanted)
-    write_all(out, subject, found, document)
+    write_all(out, subject, found, document, wanted.camera)
     print(json_text(document)) if as_json else say(document, out)
     return 0
 
@@ -112,7 +112,7 @@ def of_recordings(
 
 def of_cell(name: str, given: Mapping[str, str], runs: Path, plugins: Catalogue) -> Subject:
     """A cell, a case or a recording of a run, as it was fitted there."""
-    if strays := [key for key in given if key not in (*WORDS, "out")]:
+    if strays := [key for key in given if key.partition(".")[0] not in (*WORDS, "out")]:
         raise ClothbenchError(
             f"{name}: no such file or folder, and of a cell of {runs} everything is known: leave {strays[0]}= out"
         )
@@ -156,10 +156,19 @@ def say(found: Mapping[str, Any], out: Path) -> None:
         show.print(f"  {name} = {p['value']:.3g} {p['unit']} ({p['low']:.3g} … {p['high']:.3g}){open_}", soft_wrap=True)
     for tie in found["ties"]:
         show.print(f"  {tie['one']} and {tie['other']}: {tie['sigma_now']:.1f} σ apart now", soft_wrap=True)
+    if found["settings"]["cameras"]:
+        camera = found["settings"]["camera"]
+        depth = f" and {1e3 * camera['depth_noise']:g} mm at 1 m" if camera["kind"] == DEPTH else ""
+        show.print(
+            f"seen by one {camera['kind']} camera: {' x '.join(map(str, camera['size']))} px, "
+            f"{camera['field_of_view']:g}° across, noise {camera['noise']:g} px{depth}",
+            soft_wrap=True,
+        )
     show.print(table(found))
     for one in found["left_out"]:
         show.print(f"left out: {one['grips']}: {one['motion']}: {one['reason']}", soft_wrap=True)
-    print(f"motions: {out / 'experiments'}/1/{MOTION} and so on; all of it: {out / DOCUMENT}")
+    camera = f", {CAMERA} beside it," if found["settings"]["cameras"] else ""
+    print(f"motions: {out / 'experiments'}/1/{MOTION}{camera} and so on; all of it: {out / DOCUMENT}")
 
 
 def table(found: Mapping[str, Any]) -> Table:
@@ -169,6 +178,9 @@ def table(found: Mapping[str, Any]) -> Table:
     out = Table(title=f"experiments by {by}", title_justify="left", title_style="bold")
     for head in ("", "grips", "motion"):
         out.add_column(head)
+    if found["settings"]["cameras"]:
+        out.add_column("camera", no_wrap=True)
+        out.add_column("sees", justify="right", no_wrap=True)
     out.add_column("s", justify="right")
     for tie in ties:
         out.add_column(f"{tie['one']} | {tie['other']}", justify="right", overflow="fold")
@@ -177,7 +189,9 @@ def table(found: Mapping[str, Any]) -> Table:
         out.add_column(name, justify="right", overflow="fold")
     for one in found["experiments"][:SHOWN]:
         out.add_row(
-            str(one["rank"]), one["grips"], one["motion"], f"{one['duration_s']:g}",
+            str(one["rank"]), one["grips"], one["motion"],
+            *(text for best in one["cameras"][:1] for text in (best["name"], f"{100 * best['points_seen']:.0f} %")),
+            f"{one['duration_s']:g}",
             *(f"{tie['sigma']:.1f} σ (≥ {tie['sigma_least']:.1f})" for tie in one["ties"]),
             f"{one['information_nats']:.1f}",
             *(f"÷ {one['parameters'][name]['factor']:.2g}" for name in names),

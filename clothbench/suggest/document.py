@@ -1,5 +1,5 @@
-"""What is written of a suggestion: `suggest.json` (schema 1), and of an experiment a motion for a robot and a recording
-of what the fitted model expects.
+"""What is written of a suggestion: `suggest.json` (schema 1), and of an experiment a motion for a robot, where a camera
+is to stand (if one is to see it), and a recording of what the fitted model expects.
 """
 
 from __future__ import annotations
@@ -13,18 +13,20 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.core.camera import LENSES
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import file_name, whole_files
 from clothbench.engine.store import finite
 from clothbench.recordings.nodes import Recording, write_recording
+from clothbench.suggest.cameras import Placed
 from clothbench.suggest.information import BEFOREHAND
 from clothbench.suggest.ranking import LeftOut, Promise, rank_of
-from clothbench.suggest.settings import Wanted
+from clothbench.suggest.settings import Sensor, Wanted
 from clothbench.suggest.subject import Known, Subject
 
 SCHEMA = 1
 DOCUMENT = "suggest.json"
-MOTION, EXPECTED = "motion.csv", "expected.nc"
+MOTION, EXPECTED, CAMERA = "motion.csv", "expected.nc", "camera.json"
 OLD = (DOCUMENT, "experiments/*/*")  # of an earlier run
 DETERMINED = BEFOREHAND / 2  # half of an interval, in scaled ranges, below which a parameter counts as determined
 
@@ -89,8 +91,40 @@ def entry(subject: Subject, number: int, promise: Promise, wanted: Wanted) -> di
             }
             for a in promise.apart
         ],
+        "camera": promise.view.name if promise.view else None, "cameras": [seen(known, view) for view in promise.views],
         "folder": f"experiments/{number}" if number <= wanted.best else None,
     }  # fmt: skip
+
+
+def seen(known: Known, promise: Promise) -> dict[str, Any]:
+    """What the experiment promises as one of the cameras sees it."""
+    view = promise.view
+    assert view is not None  # as of all that are to choose from
+    frames = len(promise.experiment.lasting(promise.duration).times)
+    factors = (known.half / promise.after).tolist()
+    return {
+        **place_of(view), "points_seen": float(view.seen[:frames].mean()), "information_nats": promise.gain,
+        "factors": dict(zip(known.fitted.space.names, factors, strict=True)),
+        "ties": [
+            {"one": a.tie.one, "other": a.tie.other, "sigma": a.sigma, "sigma_least": a.least} for a in promise.apart
+        ],
+    }  # fmt: skip
+
+
+def place_of(view: Placed) -> dict[str, Any]:
+    """Where it stands, in the axes of the motion."""
+    return {
+        "name": view.name, "position_m": view.camera.place.tolist(), "target_m": view.target.tolist(),
+        "up": view.up.tolist(),
+    }  # fmt: skip
+
+
+def camera_text(view: Placed, sensor: Sensor) -> str:
+    """A camera as JSON: where to put it, and as `clothbench import … camera=FILE` reads it."""
+    camera = view.camera
+    lens = {name: getattr(camera, name).tolist() for name in LENSES}
+    told = {"kind": sensor.kind, "field_of_view_deg": sensor.field_of_view, "size": list(camera.size)}
+    return json_text({**place_of(view), **told, **lens})
 
 
 def name_of(promise: Promise) -> str:
@@ -102,7 +136,9 @@ def json_text(document: Mapping[str, Any]) -> str:
     return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
 
 
-def write_all(out: Path, subject: Subject, found: Sequence[Promise], document: Mapping[str, Any]) -> None:
+def write_all(
+    out: Path, subject: Subject, found: Sequence[Promise], document: Mapping[str, Any], sensor: Sensor
+) -> None:
     """The document, and the folders of the best experiments, all or nothing; other files in `out` stay."""
     with whole_files(out, instead_of=OLD) as part:
         (part / DOCUMENT).write_text(json_text(document) + "\n", encoding="utf-8")
@@ -111,6 +147,9 @@ def write_all(out: Path, subject: Subject, found: Sequence[Promise], document: M
                 (folder := part / one["folder"]).mkdir(parents=True)
                 write_motion(folder / MOTION, promise)
                 write_recording(expected(subject, promise), folder / EXPECTED)
+                if promise.view:
+                    text = camera_text(promise.view, sensor)
+                    (folder / CAMERA).write_text(text + "\n", encoding="utf-8")
 
 
 def write_motion(path: Path, promise: Promise) -> None:

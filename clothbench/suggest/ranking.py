@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
@@ -14,6 +15,7 @@ from clothbench.estimation.trials import Trial
 from clothbench.studies.improve.fitting import finite_differences
 from clothbench.studies.improve.problem import residuals
 from clothbench.studies.improve.settings import LOOP
+from clothbench.suggest.cameras import Look, Placed, look_of, placed
 from clothbench.suggest.experiments import Experiment
 from clothbench.suggest.information import counted_noise, gain, half_widths, information, pull_of, separation
 from clothbench.suggest.settings import INFORMATION, TIE, Wanted
@@ -43,7 +45,8 @@ class Promise:
     gain: nats, over all parameters together; after: (P,), expected half-widths of the 95 % intervals, in scaled ranges;
     best, worst: (P,), the same at the luckiest and the unluckiest of the parameter sets looked at; apart: one for each
     tie; counted: m, what a coordinate counts as its noise there; doubt: m, rms by which the model itself may be wrong
-    there.
+    there; view: the camera that sees it, None for markers; views: the same experiment seen by each of the cameras, the
+    best first.
     """
 
     experiment: Experiment
@@ -55,6 +58,8 @@ class Promise:
     apart: tuple[Apart, ...]
     counted: float
     doubt: float
+    view: Placed | None = None
+    views: tuple[Promise, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -97,12 +102,12 @@ def draws(subject: Subject, count: int) -> np.ndarray:
 def promises(
     subject: Subject, chosen: Sequence[Experiment], wanted: Wanted, told: StageProgress = lambda *_: None
 ) -> tuple[list[Promise], list[LeftOut]]:
-    """What each experiment would tell, in no order, one for each duration; and those that tell nothing."""
+    """What each experiment would tell, in no order, one for each duration and camera; and those that tell nothing."""
     sets, out, left = draws(subject, wanted.draws), [], []
     for k, experiment in enumerate(chosen):
         told("experiments", k, len(chosen))
         try:
-            out += list(promised(subject, experiment, sets))
+            out += list(promised(subject, experiment, sets, wanted))
         except (Unsimulated, ClothbenchError) as fault:  # the latter from a model that cannot do such a scene
             left.append(LeftOut(experiment.grips, experiment.motion, str(fault)))
     return out, left
@@ -112,8 +117,8 @@ class Unsimulated(Exception):
     """Why an experiment cannot be simulated."""
 
 
-def promised(subject: Subject, experiment: Experiment, sets: np.ndarray) -> Iterator[Promise]:
-    """What it tells at parameter sets (S, P) in the unit cube, for each of its durations."""
+def promised(subject: Subject, experiment: Experiment, sets: np.ndarray, wanted: Wanted) -> Iterator[Promise]:
+    """What it tells at parameter sets (S, P) in the unit cube, for each of its durations and of the cameras."""
     known, difference = subject.known, subject.problem.evidence.search.difference
     trial = subject.trial(experiment.scene, known.fitted.effects)
     at, tangents = [], []
@@ -128,20 +133,42 @@ def promised(subject: Subject, experiment: Experiment, sets: np.ndarray) -> Iter
     mesh = mesh_error(subject, experiment, at[0])
     doubt = doubts(subject, trial, at[0], tangents[0], mesh)
     rivals = [rival_of(subject, experiment, tie) for tie in subject.ties]
-    rows = len(at[0]) // len(experiment.scene.times)
+    frames = len(experiment.scene.times)
+    rows = len(at[0]) // frames
+    position = at[0].reshape(frames, -1, 3)
+    views: list[Placed | None] = [*placed(subject.like.scene, experiment.scene, position, wanted)] or [None]
     for duration in experiment.durations:
-        frames = int(np.sum(experiment.scene.times <= duration + 1e-9))
-        part = slice(0, rows * frames)
+        part = slice(0, rows * int(np.sum(experiment.scene.times <= duration + 1e-9)))
         counted = counted_there(known, doubt[part], tangents[0][part], duration)
-        more = [information(jacobian[part], counted) for jacobian in tangents]
-        pulls = [known.pull + pull_of(jacobian[part], mesh[part], counted) for jacobian in tangents]
-        after = np.array([half_widths(known.matrix + one, pull) for one, pull in zip(more, pulls, strict=True)])
-        yield Promise(
-            experiment, duration, float(np.mean([gain(known.matrix, one) for one in more])),
-            np.exp(np.log(after).mean(axis=0)), after.min(axis=0), after.max(axis=0),
-            tuple(apart(tie, *rival, doubt, part, counted) for tie, rival in zip(subject.ties, rivals, strict=True)),
-            counted, float(np.sqrt(np.mean(doubt[part] ** 2))),
-        )  # fmt: skip
+        for view in views:
+            looks, noise = looks_of(view, wanted, [one[part] for one in at], counted, known.noise)
+            jacobians = [look(jacobian[part]) for look, jacobian in zip(looks, tangents, strict=True)]
+            wrong = [look(mesh[part]) for look in looks]
+            more = [information(jacobian, noise) for jacobian in jacobians]
+            pulls = [known.pull + pull_of(j, error, noise) for j, error in zip(jacobians, wrong, strict=True)]
+            after = np.array([half_widths(known.matrix + one, pull) for one, pull in zip(more, pulls, strict=True)])
+            yield Promise(
+                experiment, duration, float(np.mean([gain(known.matrix, one) for one in more])),
+                np.exp(np.log(after).mean(axis=0)), after.min(axis=0), after.max(axis=0),
+                tuple(
+                    apart(tie, away[part], tangent[part], doubt[part], looks[0], noise)
+                    for tie, (away, tangent) in zip(subject.ties, rivals, strict=True)
+                ),
+                counted, float(np.sqrt(np.mean(doubt[part] ** 2))), view,
+            )  # fmt: skip
+
+
+def looks_of(
+    view: Placed | None, wanted: Wanted, places: Sequence[np.ndarray], counted: float, noise: float
+) -> tuple[list[Look], float]:
+    """How an experiment with its points at each of several places (M,) m is looked at, and what each row then counts as
+    its noise: markers as they are and as `counted` m; in a picture in σ. noise: m, of the sensor of the recordings,
+    whose share in `counted` goes: the camera has its own.
+    """
+    if view is None:
+        return [lambda rows: rows] * len(places), counted
+    wrong = float(np.sqrt(max(counted**2 - noise**2, 0.0)))
+    return [look_of(view, wanted.camera, place, wrong) for place in places], 1.0
 
 
 def counted_there(known: Known, doubt: np.ndarray, jacobian: np.ndarray, duration: float) -> float:
@@ -190,11 +217,11 @@ def rival_of(subject: Subject, experiment: Experiment, tie: Tie) -> tuple[np.nda
     return there - seen, jacobian
 
 
-def apart(tie: Tie, away: np.ndarray, jacobian: np.ndarray, doubt: np.ndarray, part: slice, counted: float) -> Apart:
-    """How far apart the two are in a part of the experiment's rows."""
+def apart(tie: Tie, away: np.ndarray, jacobian: np.ndarray, doubt: np.ndarray, look: Look, noise: float) -> Apart:
+    """How far apart the two are in rows (M,) m, (M, P) and (M,) m of the experiment, as they are looked at."""
     rival = tie.rival
-    sigma, least = separation(away[part], jacobian[part], rival.matrix, rival.unit, counted, doubt[part])
-    return Apart(tie, sigma, least, float(np.sqrt(np.mean(away[part] ** 2))))
+    sigma, least = separation(look(away), look(jacobian), rival.matrix, rival.unit, noise, look(doubt))
+    return Apart(tie, sigma, least, float(np.sqrt(np.mean(away**2))))
 
 
 def ranked(subject: Subject, found: Sequence[Promise], rank: str | None) -> list[Promise]:
@@ -202,6 +229,7 @@ def ranked(subject: Subject, found: Sequence[Promise], rank: str | None) -> list
     others.
     """
     value = value_of(subject, rank)
+    found = well_seen(found, value)
     experiments = {id(p.experiment): [q for q in found if q.experiment is p.experiment] for p in found}
     first = []
     for those in experiments.values():
@@ -209,6 +237,18 @@ def ranked(subject: Subject, found: Sequence[Promise], rank: str | None) -> list
         first.append(min((p for p in those if value(p) >= ENOUGH * most), key=lambda p: p.duration))
     rest = [p for p in found if p not in first]
     return [*sorted(first, key=value, reverse=True), *sorted(rest, key=value, reverse=True)]
+
+
+def well_seen(found: Sequence[Promise], value: Callable[[Promise], float]) -> list[Promise]:
+    """Each experiment of each duration by the best of the cameras; all as they are where there is none to choose."""
+    groups: dict[tuple[int, float], list[Promise]] = {}
+    for promise in found:
+        groups.setdefault((id(promise.experiment), promise.duration), []).append(promise)
+    out = []
+    for those in groups.values():
+        best, *_ = those = sorted(those, key=value, reverse=True)
+        out.append(best if best.view is None else dataclasses.replace(best, views=tuple(those)))
+    return out
 
 
 def rank_of(subject: Subject, rank: str | None) -> str:

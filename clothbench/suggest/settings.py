@@ -6,9 +6,39 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
 
+from clothbench.core.camera import MOST_PIXELS
 from clothbench.core.errors import ClothbenchError
+from clothbench.vision.depth_camera import DepthSensor
 
 INFORMATION, TIE = "information", "tie"
+COLOUR, DEPTH = "colour", "depth"
+ALL = "all"
+WIDEST = 170.0  # degrees, of a field of view: a pinhole's picture has no room for more
+
+# Where a camera may be put: its direction from the middle of the motion, across, out and up of the sheet, and what is
+# up in its picture. Seen from the front, the warp runs to the right. A new one is a line here.
+PLACEMENTS = {
+    "front": ((0, -1, 0), (0, 0, 1)),
+    "three-quarter": ((1, -1, 0), (0, 0, 1)),
+    "side": ((1, 0, 0), (0, 0, 1)),
+    "above": ((0, 0, 1), (0, 1, 0)),
+    "front above": ((0, -1, 1), (0, 0, 1)),
+    "front below": ((0, -1, -1), (0, 0, 1)),
+}
+
+
+@dataclass(frozen=True)
+class Sensor:
+    """The camera that is to see an experiment. kind: "colour", which tells where in its picture a point is, or "depth",
+    which tells how far away, too; noise: px, of each of the two; depth_noise: m at 1 m, growing with the square of the
+    distance; field_of_view: degrees, across the picture; size: (width, height) px.
+    """
+
+    kind: str = COLOUR
+    noise: float = 0.5
+    depth_noise: float = DepthSensor.noise
+    field_of_view: float = 60.0
+    size: tuple[int, int] = (1280, 720)
 
 
 @dataclass(frozen=True)
@@ -17,7 +47,9 @@ class Wanted:
     durations: s, of the motions, rising; rank: "information" (all parameters together), "tie" (how far apart tied
     effects would be), or a parameter's name; None: by the tie where there is one; draws: parameter sets, drawn as the
     recordings leave them open, at which each experiment is looked at beside the fit; best: so many experiments are
-    shown and written; grips: names of those that the robot has; None: all.
+    shown and written; grips: names of those that the robot has; None: all; cameras: names of the places where the one
+    camera may stand that is to see the experiment; None: every point is measured in space, as markers are; camera: what
+    it is.
     """
 
     max_speed: float = 0.5
@@ -28,6 +60,8 @@ class Wanted:
     draws: int = 4
     best: int = 5
     grips: tuple[str, ...] | None = None
+    cameras: tuple[str, ...] | None = None
+    camera: Sensor = Sensor()
 
 
 WORDS = tuple(field.name for field in fields(Wanted))
@@ -45,12 +79,60 @@ def wanted_of(words: Mapping[str, str]) -> Wanted:
     if "durations" in words:
         parts = words["durations"].removeprefix("[").removesuffix("]").split(",")
         read["durations"] = tuple(sorted({above_zero("durations", part) for part in parts}))
-    if "grips" in words:
-        parts = words["grips"].removeprefix("[").removesuffix("]").split(",")
-        read["grips"] = tuple(part.strip() for part in parts)
+    for name in ("grips", "cameras"):
+        if name in words:
+            parts = words[name].removeprefix("[").removesuffix("]").split(",")
+            read[name] = tuple(part.strip() for part in parts)
     if "rank" in words:
         read["rank"] = words["rank"]
-    return Wanted(**read)  # type: ignore[arg-type]
+    if "cameras" in words:
+        read["cameras"] = placements(read["cameras"])  # type: ignore[arg-type]
+    of_camera = {key: text for key, text in words.items() if key.partition(".")[0] == "camera"}
+    if of_camera and "cameras" not in words:
+        raise ClothbenchError(f"found {next(iter(of_camera))}= and no cameras=; say where it may stand, as cameras=all")
+    return Wanted(**read, camera=sensor_of(of_camera))  # type: ignore[arg-type]
+
+
+def placements(names: tuple[str, ...]) -> tuple[str, ...]:
+    """The names, or all there are."""
+    for name in names:
+        if name not in (*PLACEMENTS, ALL):
+            raise ClothbenchError(f"setting 'cameras' names {name!r}, expected some of {', '.join(PLACEMENTS)}, or all")
+    return tuple(PLACEMENTS) if ALL in names else tuple(dict.fromkeys(names))
+
+
+def sensor_of(words: Mapping[str, str]) -> Sensor:
+    """From words camera.NAME."""
+    read: dict[str, object] = {}
+    for key, text in words.items():
+        name = key.removeprefix("camera.")
+        if name == "kind":
+            if text not in (COLOUR, DEPTH):
+                raise ClothbenchError(f"setting {key!r} is {text!r}, expected {COLOUR} or {DEPTH}")
+            read[name] = text
+        elif name == "size":
+            read[name] = size(key, text)
+        elif name in ("noise", "depth_noise", "field_of_view"):
+            read[name] = above_zero(key, text)
+        else:
+            known = ", ".join(f"camera.{field.name}=" for field in fields(Sensor))
+            raise ClothbenchError(f"found {key}=, expected {known}; where it may stand is said with cameras=")
+    sensor = Sensor(**read)  # type: ignore[arg-type]
+    if sensor.field_of_view >= WIDEST:
+        raise ClothbenchError(
+            f"setting 'camera.field_of_view' is {words['camera.field_of_view']!r}, expected degrees below {WIDEST:g}"
+        )
+    return sensor
+
+
+def size(name: str, text: str) -> tuple[int, int]:
+    parts = text.split("x")
+    if len(parts) != 2 or not all(part.isdecimal() and int(part) > 0 for part in parts):
+        raise ClothbenchError(f"setting {name!r} is {text!r}, expected pixels, as 1280x720")
+    width, height = map(int, parts)
+    if width * height > MOST_PIXELS:
+        raise ClothbenchError(f"setting {name!r} is {text!r}, expected {MOST_PIXELS} pixels at most")
+    return width, height
 
 
 def above_zero(name: str, text: str) -> float:

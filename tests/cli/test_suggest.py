@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ from conftest import swinging_recording
 
 from clothbench import write_recording
 from clothbench.cli.commands import main
+from clothbench.core.files import read_json
+from clothbench.datasets.depth_folder import camera_of
 from clothbench.recordings.nodes import read_recording
 
 QUICK = ("model=mass_spring", "resolution=5", "durations=0.4", "draws=0", "best=2", "grips=as recorded,level side")
@@ -89,9 +92,44 @@ def test_the_table_and_a_parameter_that_is_asked_for(told, place, capsys):
     assert factors == sorted(factors, reverse=True)
 
 
+def test_one_camera_sees_it(told, place, capsys):
+    """The best of the placements for each experiment, in the table, in the document and as a file that import reads."""
+    out, by_markers = told[0], {one["name"]: one["information_nats"] for one in told[1]["experiments"]}
+    asked = ["cameras=side,front,three-quarter", "camera.kind=depth", "camera.noise=0.4", "max_speed=0.3"]
+    assert main(["suggest", str(place / "rec"), *QUICK, f"out={out}", *asked]) == 0
+    said = capsys.readouterr().out
+    assert "seen by one depth camera: 1280 x 720 px, 60° across, noise 0.4 px and 1.5 mm at 1 m" in said
+    assert re.search(r"front +│ +100 %", said)
+    found = json.loads((out / "suggest.json").read_text())
+    assert found["settings"]["cameras"] == ["side", "front", "three-quarter"]
+    for one in found["experiments"]:
+        names, nats = ([camera[key] for camera in one["cameras"]] for key in ("name", "information_nats"))
+        assert set(names) == {"side", "front", "three-quarter"}
+        assert (one["camera"], one["information_nats"]) == (names[0], nats[0])
+        assert nats == sorted(nats, reverse=True)
+        assert nats[0] < 1.05 * by_markers[one["name"]]  # markers on both sides of the sheet, whose noise is 1 mm
+        for camera in one["cameras"]:
+            assert 0 <= camera["points_seen"] <= 1
+            assert set(camera["factors"]) == set(found["parameters"])
+    swings = [one for one in found["experiments"] if "swing across" in one["name"]]
+    assert swings
+    assert all(one["cameras"][-1]["name"] == "side" for one in swings)  # which sees a stiff sheet edge-on
+    files = [f"experiments/{k}/{name}" for k in (1, 2) for name in ("camera.json", "expected.nc", "motion.csv")]
+    assert sorted(path.relative_to(out).as_posix() for path in (out / "experiments").rglob("*.*")) == files
+    stated, best = read_json(out / files[0], "a camera"), found["experiments"][0]["cameras"][0]
+    assert (stated["name"], stated["kind"]) == (best["name"], "depth")
+    camera = camera_of(stated, out / files[0])
+    assert camera.place == pytest.approx(np.array(best["position_m"]))
+    pixel, _ = camera.project(read_recording(out / "experiments" / "1" / "expected.nc").position)
+    assert (pixel > 0).all()
+    assert (pixel < [1280, 720]).all()
+
+
 @pytest.mark.parametrize(
     ("words", "said"),
     [
+        (["model=mass_spring", "cameras=sideways"], "setting 'cameras' names 'sideways', expected some of front, "),
+        (["model=mass_spring", "camera.noise=1"], "found camera.noise= and no cameras=; say where it may stand"),
         (["model=mass_spring", "max_sped=1"], "found 'max_sped=1', expected"),
         ([], "found no model=…, expected clothbench suggest RECORDINGS model=NAME"),
         (["model=mass_spring", "rank=k9"], "setting 'rank' is 'k9', expected one of information, tie, k1"),
