@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -73,7 +74,7 @@ def write_site(
     found = sorted(path.parent for path in folder.glob(f"*/{FILE}"))
     if not found:
         raise ClothbenchError(f"{folder}: found no submissions, expected folders with a {FILE} in them")
-    standings = [_standing(one, measured, verdicts, plugins) for one in found]
+    standings = _without_copies([_standing(one, measured, verdicts, plugins) for one in found])
     pages = {one.page: _page(one) for one in standings} | {"index.html": _index(standings)}
     if len(pages) != len(standings) + 1:
         raise ClothbenchError(f"{folder}: found folders whose pages would have one name; rename one of them")
@@ -94,6 +95,27 @@ def _standing(folder: Path, measured: Sequence[Recording], verdicts: Path | None
     verdict = find_verdict(verdicts, folder)
     faults = verdict.faults.values() if verdict else ()
     return Standing(folder, found, verdict, "; ".join(fault for said in faults for fault in said))
+
+
+def _without_copies(standings: Sequence[Standing]) -> list[Standing]:
+    """The same, with those refused that hold the very positions of another: the better grade stands, and of equal ones
+    the first.
+    """
+    first: dict[frozenset[str], Standing] = {}
+    for one in sorted((s for s in standings if not s.reason), key=lambda s: FIRST[s.grade]):
+        first.setdefault(_positions(one), one)
+    return [
+        one
+        if one.reason or (other := first[_positions(one)]) is one
+        else dataclasses.replace(one, reason=f"holds the same positions as {other.folder.name}")
+        for one in standings
+    ]
+
+
+def _positions(standing: Standing) -> frozenset[str]:
+    """What tells the positions that were handed in from others."""
+    assert standing.found is not None  # it stands
+    return frozenset(entry.sha256 for entry in standing.found.submission.entries)
 
 
 def _without(folder: Path, said: str) -> str:

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import shutil
 
 import pytest
 from browser_page import Page, started
@@ -74,6 +75,18 @@ def test_grades_come_from_verdicts_on_the_very_submission(place):
     }  # fmt: skip
     without = write_site(place / "submissions", place / "again", MEASURED, None, catalogue())
     assert {one.grade for one in without} == {"recomputed", "refused"}
+
+
+def test_a_copy_is_refused_whatever_it_is_called(place, tmp_path):
+    """The one with a verdict stands, though it comes second by name."""
+    shutil.copytree(place / "submissions" / "second", tmp_path / "all" / "second")
+    shutil.copytree(place / "submissions" / "second", tmp_path / "all" / "again")
+    forge(tmp_path / "all" / "again", lambda s: s.update(name="mine", by="somebody else"))
+    found = write_site(tmp_path / "all", tmp_path / "site", MEASURED, place / "verdicts", catalogue())
+    assert {one.folder.name: (one.grade, one.reason) for one in found} == {
+        "again": ("refused", "holds the same positions as second"), "second": ("verified", ""),
+    }  # fmt: skip
+    assert "holds the same positions as second" in (tmp_path / "site" / "index.html").read_text()
 
 
 def test_each_row_has_the_grade_that_it_was_shown_to_have(place, site):
