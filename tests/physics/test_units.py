@@ -7,6 +7,7 @@ import dataclasses
 import numpy as np
 import pytest
 from clothbench_models.baraff_witkin import BaraffWitkin
+from clothbench_models.inextensible import Inextensible
 from clothbench_models.kirchhoff_love import KirchhoffLove
 from clothbench_models.peers.mujoco_model import Mujoco
 from clothbench_models.peers.newton_model import Newton
@@ -48,6 +49,8 @@ def test_a_unit_that_forgets_the_density_shows_as_a_factor_of_it():
 def test_what_a_model_cannot_be_told_is_a_reason_and_no_number():
     one = units._measured(KirchhoffLove(), units.inertia(9, 0.1), 9, 0.1)
     assert (one.found, one.reason) == (None, "finds rest only, and nothing holds this sheet")
+    one = units._measured(Inextensible(), units.stretch_damping(9, 0.1), 9, 0.1)
+    assert (one.found, one.reason) == (None, "the model has no parameter for it")
 
 
 def test_a_row_says_where_it_is_documented(clothbench):

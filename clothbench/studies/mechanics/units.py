@@ -209,16 +209,10 @@ def _measured(model: Any, probe: Probe, along: int, density: float) -> Measured:
         return dataclasses.replace(blank, reason=reason)
     if probe.moves and "dynamic" not in model.capabilities:
         return dataclasses.replace(blank, reason="the model finds rest only")
-    cloth = probe.material
     try:
-        theta = model.of_material(cloth, probe.scene)
+        theta = _told(model, probe)
     except ClothbenchError as fault:
-        if probe.quantity == "bending":
-            return dataclasses.replace(blank, reason=str(fault))
-        try:
-            theta = model.of_material(dataclasses.replace(cloth, bending=0.0, bending_damping=0.0), probe.scene)
-        except ClothbenchError:
-            return dataclasses.replace(blank, reason=str(fault))
+        return dataclasses.replace(blank, reason=str(fault))
     stated = _stated(model, probe, theta)
     blank = dataclasses.replace(blank, formula=stated.formula, source=stated.source, documented=stated.worth(theta))
     rollout = model.prepare(probe.scene).run(theta[None])
@@ -228,6 +222,22 @@ def _measured(model: Any, probe: Probe, along: int, density: float) -> Measured:
         return dataclasses.replace(blank, found=probe.found(rollout.position[0]))
     except (ClothbenchError, ValueError) as fault:
         return dataclasses.replace(blank, reason=str(fault).splitlines()[0])
+
+
+def _told(model: Any, probe: Probe) -> np.ndarray:
+    """The model's parameters (P,) for a probe's cloth, without bending where it knows none and none is asked for."""
+    cloth, scene = probe.material, probe.scene
+    try:
+        theta = model.of_material(cloth, scene)
+    except ClothbenchError:
+        if probe.quantity.startswith("bending"):
+            raise
+        cloth = dataclasses.replace(cloth, bending=0.0, bending_damping=0.0)
+        theta = model.of_material(cloth, scene)
+    dry = dataclasses.replace(cloth, bending_damping=0.0, stretch_damping=0.0)
+    if probe.quantity.endswith("_damping") and np.array_equal(theta, model.of_material(dry, scene)):
+        raise ClothbenchError("the model has no parameter for it")
+    return np.asarray(theta)
 
 
 def _stated(model: Any, probe: Probe, theta: np.ndarray) -> Stated:
