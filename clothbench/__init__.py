@@ -72,6 +72,7 @@ _HOME = {
     "ReadsKinds": "core.optional",
     "Refinable": "core.optional",
     "RefusesScenes": "core.optional",
+    "StatesUnits": "core.optional",
     "Remembers": "core.optional",
     "Renewable": "core.optional",
     "Repeatable": "core.optional",

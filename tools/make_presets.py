@@ -2,10 +2,11 @@
 
     python tools/make_presets.py DATA
 
-DATA has `wang2011-arcsim-materials` (ten fabrics, Wang, O'Brien and Ramamoorthi 2011) and `cantilever-618-fabrics`
-(Feng et al. 2022). The files stay there: only medians and ranges of classes go into the project. Fold heights are those
-of `clothbench.reference.fabrics`; drape coefficients and folds are what the tracker `drape` found in the silhouettes of
-`cusick-drape-bdp` (docs/drape.md), mean and two standard deviations between captures.
+DATA has `wang2011-arcsim-materials` (ten fabrics, Wang, O'Brien and Ramamoorthi 2011), `cantilever-618-fabrics`
+(Feng et al. 2022) and `knit-uniaxial-gatech` (hand knits, Singal et al. 2024). The files stay there: only medians and
+ranges of classes go into the project. Fold heights are those of `clothbench.reference.fabrics`; drape coefficients and
+folds are what the tracker `drape` found in the silhouettes of `cusick-drape-bdp` (docs/drape.md), mean and two standard
+deviations between captures; fits are those of the suite `static_dynamic` in `results/static_dynamic_paper.md`.
 """
 
 from __future__ import annotations
@@ -13,28 +14,38 @@ from __future__ import annotations
 import csv
 import json
 import math
+import re
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from clothbench.datasets.knit_uniaxial_gatech import curve_of, find_swatches, read_videos
 from clothbench.reference.fabrics import FABRICS
 
 ROOT = Path(__file__).parents[1]
 TARGET = ROOT / "clothbench" / "reference" / "presets.json"
+FITS = ROOT / "results" / "static_dynamic_paper.md"
 WANG = "Wang, O'Brien and Ramamoorthi 2011"
 FENG = "Feng et al. 2022, cantilevers of 618 fabrics"
+SINGAL = "Singal et al. 2024: 4 stitches knitted by hand, along courses and wales, 40 runs to 10 % strain"
+BHAT = "stand-ins for what Bhat et al. 2003 found of the fabric"
 PETRIK = (
     "fold heights of table I, Automatic Material Properties Estimation for the Physics-Based Robotic Garment Folding"
 )
 CUSICK = "Gong, Mao and Wang 2024, Cusick silhouettes, by the tracker drape (mean ± 2 standard deviations)"
 WEIGHED = "Gong, Mao and Wang 2024"
+STAND_INS = {"fleece": 0.24, "linen": 0.22}  # kg/m², of tools/make_static_dynamic.py
+USUAL = "usual for such a fabric, ± 20 % assumed; Bhat et al. 2003 give no weight"
 UNITS = {
     "areal_density": "kg/m²", "bending_warp": "N·m", "bending_weft": "N·m", "stretch": "N/m", "shear": "N/m",
     "drape_coefficient": "%", "folds": "1",
 }  # fmt: skip
+CLAMP, INITIAL = 0.0355, 0.1  # m, the clamp that scales the films (their template.nb); strain before yarns lock
+FIT = re.compile(r"(\S+), (\S+) … (\S+) \((\S+)\)")  # value, interval, and what the stand-in was made with
+FITTED = {"bend": "bending_warp", "stretch": "stretch", "shear": "shear"}
 KNITS = ("camel-ponte-roma", "gray-interlock", "ivory-rib-knit", "navy-sparkle-sweat", "white-swim-solid")
 POLYESTERS = ("pink-ribbon-brown", "white-dots-on-blk", "tango-red-jet-set")
 EVERY = ("11oz-black-denim", "royal-target", *KNITS, *POLYESTERS)
@@ -63,7 +74,7 @@ def spread(values: Sequence[float] | np.ndarray, source: str) -> Number:
 
 
 class Measured:
-    """The two data sets in a folder."""
+    """The data sets of bending, stretch and shear in a folder."""
 
     def __init__(self, folder: Path):
         self.fabrics = {
@@ -72,6 +83,7 @@ class Measured:
         with (folder / "cantilever-618-fabrics" / "dataset.csv").open() as stream:
             rows = list(csv.reader(stream))[1:]
         self.cantilevers = np.array([[float(v) for v in row] for row in rows])
+        self.hand_knits = hand_knits(folder / "knit-uniaxial-gatech")
 
     def wang(self, names: Sequence[str], why: str = "") -> dict[str, Number]:
         """Of these fabrics: both thread directions at all curvatures, stretch along both, shear. The first of the three
@@ -84,9 +96,13 @@ class Measured:
             "areal_density": spread([fabric["density"] for fabric in mine], source),
             "bending_warp": spread(np.concatenate([fabric["bending"][0] for fabric in mine]), source),
             "bending_weft": spread(np.concatenate([fabric["bending"][2] for fabric in mine]), source),
-            "stretch": spread(np.concatenate([s[:, [0, 2]].ravel() for s in sheets]), source),
+            "stretch": spread(self.pulled(names), source),
             "shear": spread(np.concatenate([s[:, 3] for s in sheets]), source),
         }
+
+    def pulled(self, names: Sequence[str]) -> np.ndarray:
+        """Stretch of these fabrics along both threads, at all their strains [N/m]."""
+        return np.concatenate([np.array(self.fabrics[name]["stretching"])[:, [0, 2]].ravel() for name in names])
 
     def weighing(self, low: float, high: float) -> dict[str, Number]:
         """Bending of the 618 fabrics that weigh between low and high kg/m²: median, and where 95 % of them lie."""
@@ -106,6 +122,46 @@ class Measured:
         share = "all" if below == 1 else f"the lightest {below:.0%}"
         middle, low, high = (float(v) for v in np.percentile(mine, [50, 2.5, 97.5]))
         return number(middle, low, high, f"{FENG}: {share}, 95 % of them")
+
+
+def hand_knits(folder: Path) -> list[float]:
+    """Of every run the slope over its first tenth of strain, for each metre of what the clamps hold [N/m]."""
+    slopes = []
+    for swatch in find_swatches(folder):
+        for number, video in read_videos(swatch.path).items():
+            curve, _ = curve_of(swatch, number, video, swatch.path.name)
+            first = curve.stretch <= 1 + INITIAL
+            width = video["fabricSize"] / video["clampSize"] * CLAMP
+            slopes.append(float(np.polyfit(curve.stretch[first], curve.force[first], 1)[0] / width))
+    return slopes
+
+
+def suite_fits(fabric: str) -> Iterator[tuple[str, str, list[float]]]:
+    """Case, parameter, and [value, low, high, truth] of the fits of a stand-in; of none that is open over its range."""
+    column, case = 0, ""
+    for line in FITS.read_text().splitlines():
+        cells = [cell.strip() for cell in line.split("|")]
+        for k, cell in enumerate(cells):
+            if re.fullmatch(rf"{fabric}/(static|waving)-\d", cell):
+                column, case = k, cell
+        if case and column < len(cells) and (fit := FIT.fullmatch(cells[column])):
+            yield case, cells[1].split(" [")[0], [float(word) for word in fit.groups()]
+
+
+def fitted(fabric: str, whole: dict[str, Number]) -> dict[str, Number]:
+    """What baraff_witkin found of a stand-in: geometric mean of its fits, and the ends of their intervals. A fit whose
+    interval is wider than the range of any fabric at all says nothing.
+    """
+    weight = STAND_INS[fabric]
+    out = {"areal_density": number(weight, 0.8 * weight, 1.2 * weight, USUAL)}
+    for name, quantity in FITTED.items():
+        widest = whole[quantity]["high"] / whole[quantity]["low"]
+        fits = [fit for fit in suite_fits(fabric) if fit[1] == name and fit[2][2] / fit[2][1] < widest]
+        values, lows, highs, truths = zip(*(numbers for _, _, numbers in fits), strict=True)
+        made, cases = " and ".join(f"{t:.3g}" for t in truths), " and ".join(case for case, _, _ in fits)
+        source = f"fitted by baraff_witkin to {cases} of static_dynamic, 95 % intervals; {BHAT}: {made}"
+        out[quantity] = number(math.exp(float(np.log(values).mean())), min(lows), max(highs), source)
+    return {**out, "bending_weft": out["bending_warp"]}
 
 
 def folded(names: Sequence[str], density: Number) -> dict[str, Number]:
@@ -139,14 +195,18 @@ def presets(folder: Path) -> dict[str, Any]:
     once = ", one fabric, ± 20 % assumed"
     wool = number(0.274, 0.8 * 0.274, 1.2 * 0.274, WEIGHED + once)
     viscose = number(0.213, 0.8 * 0.213, 1.2 * 0.213, WEIGHED + once)
+    knit = data.wang(KNITS)
+    knit["stretch"] = spread([*data.pulled(KNITS), *data.hand_knits], f"{knit['stretch']['source']}; and {SINGAL}")
     sheer, woven = data.densities(0.1), data.wang(("11oz-black-denim", "royal-target"), " (99 and 65 % cotton)")
-    whole = data.densities(1.0)
+    whole = {"areal_density": data.densities(1.0), **data.weighing(0.0, 10.0), **wide}
     classes = {
-        "any": ("any fabric at all", {"areal_density": whole, **data.weighing(0.0, 10.0), **wide}),
+        "any": ("any fabric at all", whole),
         "cotton": ("woven cotton", {"areal_density": cotton, **data.weighing(0.059, 0.192),
                                     "stretch": woven["stretch"], "shear": woven["shear"], **draped("cotton")}),
         "denim": ("denim, 11 oz", denim),
-        "knit": ("knitted jersey, rib and interlock", data.wang(KNITS)),
+        "fleece": ("fleece as found in video", fitted("fleece", whole)),
+        "knit": ("knitted jersey, rib and interlock; of stretch hand knits, too", knit),
+        "linen": ("linen as found in video, stiffer than any of 618 measured fabrics", fitted("linen", whole)),
         "polyester": ("polyester, from jacket to blanket", data.wang(POLYESTERS)),
         "sheer": ("chiffon and georgette", {"areal_density": sheer, **folded(("chiffon", "georgette"), sheer), **wide}),
         "viscose": ("woven viscose", {"areal_density": viscose, **data.weighing(viscose["low"], viscose["high"]),

@@ -271,7 +271,9 @@ def _export(sub: argparse.ArgumentParser) -> None:
 
 
 def _units(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("name", metavar="MODEL", help="mujoco, newton, or any model that knows materials")
+    sub.add_argument(
+        "name", metavar="MODEL", help="mujoco, newton, or any model that knows materials; usd or ppf, as documented"
+    )
     sub.add_argument(
         "settings", nargs="*", default=[], metavar="OPTION=VALUE", help="options of the model, for example solver=vbd"
     )

@@ -12,15 +12,20 @@ from rich.markup import escape
 from rich.table import Table
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.optional import absent
+from clothbench.core.optional import StatesUnits, absent
+from clothbench.core.twin import UNITS
 from clothbench.display.terminal import console
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.mechanics.units import measured
 
 
 def unit_rows(name: str, settings: Sequence[str] = ()) -> list[dict[str, Any]]:
-    """One row for each quantity, mesh and density of a model with options, "solver=vbd"."""
+    """One row for each quantity, mesh and density of a model with options, "solver=vbd"; of a target of export that
+    does not run here one for each quantity.
+    """
     plugins = catalogue()
+    if name not in plugins.names("models") and name in plugins.names("exporters"):
+        return stated_rows(name)
     factory = plugins.load("models", name)
     if reason := absent(factory):
         raise ClothbenchError(f"model {name!r}: {reason}")
@@ -32,6 +37,19 @@ def unit_rows(name: str, settings: Sequence[str] = ()) -> list[dict[str, Any]]:
         row["translation"] = one.found / one.asked if one.found else None
         rows.append({"model": name, **row})
     return rows
+
+
+def stated_rows(name: str) -> list[dict[str, Any]]:
+    """What is documented of a target of export, and why it was not measured."""
+    target = catalogue().load("exporters", name)
+    if not isinstance(target, StatesUnits):
+        raise ClothbenchError(f"{name!r} has no units of its own: what it writes says them")
+    blank = dict.fromkeys(("along", "density", "asked", "documented", "found", "factor", "translation"))
+    return [
+        {"model": name, "quantity": quantity, "unit": UNITS.get(quantity, "1"), "formula": formula,
+         "source": target.documentation, "reason": target.unmeasured, **blank}
+        for quantity, formula in target.units.items()
+    ]  # fmt: skip
 
 
 def _option(word: str) -> tuple[str, Any]:
@@ -46,6 +64,9 @@ def _option(word: str) -> tuple[str, Any]:
 
 def print_units(name: str, rows: list[dict[str, Any]]) -> None:
     """A line for each quantity and mesh, the densities side by side."""
+    if all(row["along"] is None for row in rows):
+        print_stated(name, rows)
+        return
     densities = sorted({row["density"] for row in rows})
     table = Table(title=f"{name}: measured over documented, and over what export asks for", title_justify="left")
     for column in ("quantity", "documented", "nodes"):
@@ -58,6 +79,23 @@ def print_units(name: str, rows: list[dict[str, Any]]) -> None:
         about = mine[0]["formula"] or mine[0]["reason"]
         table.add_row(f"{quantity} [{mine[0]['unit']}]".replace("[", "\\["), escape(about), str(along), *cells)
     console().print(table)
+    print_sources(rows)
+
+
+def print_stated(name: str, rows: list[dict[str, Any]]) -> None:
+    """What is documented, line by line, and why it was not measured."""
+    table = Table(title=f"{name}: as documented", title_justify="left")
+    for column in ("quantity", "documented"):
+        table.add_column(column, overflow="fold")
+    for row in rows:
+        table.add_row(escape(f"{row['quantity']} [{row['unit']}]"), escape(row["formula"]))
+    console().print(table)
+    for reason in dict.fromkeys(row["reason"] for row in rows):
+        print(reason)
+    print_sources(rows)
+
+
+def print_sources(rows: list[dict[str, Any]]) -> None:
     for source in dict.fromkeys(row["source"] for row in rows if row["source"]):
         print(f"documented in: {source}")
 

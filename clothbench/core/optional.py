@@ -125,6 +125,19 @@ class DocumentsUnits(Protocol):
 
 
 @runtime_checkable
+class StatesUnits(Protocol):
+    """An exporter to what does not run here. Without it: `clothbench units` measures the model of the same name.
+
+    units: by quantity, as of a `Stated`, what in the file stands for it, in the documented unit; documentation: where
+    that is said; unmeasured: why it is not held against mechanics.
+    """
+
+    units: Mapping[str, str]
+    documentation: str
+    unmeasured: str
+
+
+@runtime_checkable
 class KnowsTextiles(Protocol):
     """A model that says what is to be searched for in a type of textile. Without it: all its parameters, everywhere.
 

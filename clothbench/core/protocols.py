@@ -107,8 +107,8 @@ class Material:
 class Stated:
     """What a simulator's documentation says of its parameters.
 
-    quantity: "bending", "stretch" or "shear", N·m or N/m; formula: of parameters with the units that are documented;
-    worth: what that makes of parameters theta (P,), in SI; source: where it is said.
+    quantity: of `Material`, in its unit; formula: of parameters with the units that are documented; worth: what that
+    makes of parameters theta (P,), in SI; source: where it is said.
     """
 
     quantity: str

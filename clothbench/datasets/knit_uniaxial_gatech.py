@@ -6,8 +6,8 @@ positions of tracked points, `/videoK/frames`; `/clampSize` and `/fabricSize` in
 
 What the originals leave open, and what is made of it:
 
-- No length in the data is in millimetres (the clamp is the scale of the picture, and its own length is not stated). The
-  stretch is a ratio, so it needs none; the sample's width and length stay unknown, and stiffnesses are the sample's.
+- No length in the data is in millimetres: the clamp is the scale of the picture, and its own length, 35.5 mm, stands in
+  the originals' notebook `template.nb` alone. The stretch is a ratio, so it needs none; stiffnesses are the sample's.
 - The stretch is the distance of the clamps over that in the first frames. The distance of the two pins inside says
   less: swatches curl before they are pulled, and the pins' unloaded distances differ by up to 6 % between runs of one
   swatch, the clamps' by up to 3 %.

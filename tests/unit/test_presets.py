@@ -25,6 +25,16 @@ def test_every_number_has_a_spread_a_unit_and_a_source():
         assert {"areal_density", "bending_warp", "bending_weft", "stretch", "shear"} <= set(one.numbers)
 
 
+def test_a_fitted_class_says_by_what_and_of_what():
+    """The interval of a fit holds what its stand-in was made with."""
+    made = {"linen": (0.0008, 0.0045), "fleece": (0.0001,)}
+    for name, truths in made.items():
+        bending = presets()[name].bending
+        assert all(bending.low <= truth <= bending.high for truth in truths)
+        assert bending.source.startswith(f"fitted by baraff_witkin to {name}/static-2")
+        assert "Bhat et al. 2003" in bending.source
+
+
 def test_they_are_printed_with_their_sources(clothbench):
     done = clothbench("presets", "wool")
     assert (done.returncode, done.stderr) == (0, "")
@@ -46,7 +56,7 @@ def test_a_preset_leaves_for_a_simulator():
 
 @pytest.mark.data
 def test_the_numbers_are_those_of_the_data(data_dir):
-    for name in ("wang2011-arcsim-materials", "cantilever-618-fabrics"):
+    for name in ("wang2011-arcsim-materials", "cantilever-618-fabrics", "knit-uniaxial-gatech"):
         if not (data_dir / name).is_dir():
             pytest.skip(f"{name} is not in {data_dir}")
     assert make_presets.presets(data_dir) == json.loads(make_presets.TARGET.read_text())

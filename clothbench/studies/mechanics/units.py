@@ -1,6 +1,6 @@
 """What a model's parameters are worth, measured by mechanics: bending by a cantilever, stretch by a hanging strip,
-shear by a strip that hangs in its own plane between two held sides, inertia by a free fall; on two meshes, at two
-densities.
+shear by a strip that hangs in its own plane between two held sides, inertia by a free fall, viscosities by how a free
+strip stops to swing; on two meshes, at two densities.
 
 A unit that its documentation states wrongly shows as a factor, and as one that changes with mesh or density.
 """
@@ -25,6 +25,8 @@ LOAD = 10.0  # Γ of the cantilever
 HANGING, SLIDING, FALLING = 0.3, 0.2, 0.3  # m, length of a hanging strip and width of a sliding one; s of fall
 STRAIN = 0.005  # of the hanging strip at its upper edge, and of the sliding one at its sides
 LIMP = 1e-4  # N·m, of strips that are stretched: so stiff that they stay flat
+RINGING, SWINGS, LOOKS, RATIO = 0.1, 2, 48, 0.1  # m, length of a strip that rings; periods; frames; damping ratio
+FREE_BEAM, SLOPE = 4.730041, 0.01  # first root of cos x · cosh x = 1; of a bent strip, small enough to be linear
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,11 @@ class Probe:
     scene: Scene
     material: Material
     found: Callable[[np.ndarray], float]
+
+    @property
+    def moves(self) -> bool:
+        """Whether it is seen in how the sheet moves, and not in how it rests."""
+        return len(self.scene.times) > 2 or self.quantity == "inertia"
 
     @property
     def asked(self) -> float:
@@ -115,7 +122,58 @@ def inertia(along: int, density: float) -> Probe:
     return Probe("inertia", "1", scene, cloth, lambda x: measures.drop(scene, x) / references.fall(FALLING))
 
 
-PROBES = (bending, stretch, shear, inertia)
+def stretch_damping(along: int, density: float) -> Probe:
+    """A free strip that was pulled goes on as cos(ku), k = π/L: K k² = ρω²."""
+    k, stiffness = math.pi / RINGING, 5.0 * density
+    omega = k * math.sqrt(stiffness / density)
+    cloth = Material(1e-2 * density, stiffness, stiffness / 2, 0.0, 2 * RATIO / omega * stiffness)
+    mode = np.outer(np.cos(k * _ringing_points(along)[:, 0]), [STRAIN / k, 0.0, 0.0])
+    scene = _let_go(along, density, mode, omega)
+    return Probe("stretch_damping", "N·s/m", scene, cloth, lambda x: stiffness * _lag(scene, mode, x))
+
+
+def bending_damping(along: int, density: float) -> Probe:
+    """A free strip that was bent goes on as the first mode of a free beam, kL = 4.73: D k⁴ = ρω²."""
+    k, rigidity = FREE_BEAM / RINGING, 1e-3 * density
+    omega = k**2 * math.sqrt(rigidity / density)
+    cloth = Material(rigidity, 100.0 * density, 50.0 * density, 2 * RATIO / omega * rigidity, 0.0)
+    u = k * _ringing_points(along)[:, 0]
+    part = (math.cosh(FREE_BEAM) - math.cos(FREE_BEAM)) / (math.sinh(FREE_BEAM) - math.sin(FREE_BEAM))
+    mode = np.outer(np.cosh(u) + np.cos(u) - part * (np.sinh(u) + np.sin(u)), [0.0, 0.0, SLOPE / k])
+    scene = _let_go(along, density, mode, omega)
+    return Probe("bending_damping", "N·m·s", scene, cloth, lambda x: rigidity * _lag(scene, mode, x))
+
+
+PROBES = (bending, stretch, shear, inertia, stretch_damping, bending_damping)
+
+
+def _let_go(along: int, density: float, mode: np.ndarray, omega: float) -> Scene:
+    """A strip without weight that nothing holds, let go at rest in the shape of a mode (N, 3) m of ω [rad/s]."""
+    points, times = _ringing_points(along), np.linspace(0.0, 2 * math.pi * SWINGS / omega, LOOKS + 1)
+    return Scene(
+        width=RINGING, height=RINGING / 4, areal_density=density, grip_time=np.array([0.0, 1.0]),
+        grip_material=np.zeros((0, 2)), grip_position=np.zeros((2, 0, 3)), times=times, points=points,
+        gravity=(0.0, 0.0, 0.0), resolution=(along, scenes.nodes_across(along)), start=_flat(points) + mode,
+        velocity=np.zeros_like(mode),
+    )  # fmt: skip
+
+
+def _lag(scene: Scene, mode: np.ndarray, x: np.ndarray) -> float:
+    """Viscosity over stiffness [s], 2δ/(ω² + δ²) of a mode that goes on as q = e^(−δt) cos(ωt + φ): of three frames τ
+    apart q₊ = 2e^(−δτ) cos(ωτ) q − e^(−2δτ) q₋. Whether the mesh is too stiff or too soft does not come into it.
+    """
+    q, tau = ((x - _flat(scene.points)) * mode).sum(axis=(1, 2)), scene.times[1]
+    (turned, lost), *_ = np.linalg.lstsq(np.stack([q[1:-1], -q[:-2]], axis=1), q[2:])
+    delta, omega = -math.log(lost) / 2 / tau, math.acos(turned / 2 / math.sqrt(lost)) / tau
+    return 2 * delta / (omega**2 + delta**2)
+
+
+def _flat(points: np.ndarray) -> np.ndarray:
+    return np.pad(points, ((0, 0), (0, 1)))
+
+
+def _ringing_points(along: int) -> np.ndarray:
+    return scenes._nodes(RINGING, RINGING / 4, along, scenes.nodes_across(along))
 
 
 def _still(width: float, height: float, shape, held: np.ndarray, points: np.ndarray, density: float) -> Scene:
@@ -149,18 +207,12 @@ def _measured(model: Any, probe: Probe, along: int, density: float) -> Measured:
     blank = Measured(probe.quantity, probe.unit, "", "", along, density, probe.asked, None, None)
     if reason := why_skipped(model, probe.scene):
         return dataclasses.replace(blank, reason=reason)
-    if probe.quantity == "inertia" and "dynamic" not in model.capabilities:
+    if probe.moves and "dynamic" not in model.capabilities:
         return dataclasses.replace(blank, reason="the model finds rest only")
-    cloth = probe.material
     try:
-        theta = model.of_material(cloth, probe.scene)
+        theta = _told(model, probe)
     except ClothbenchError as fault:
-        if probe.quantity == "bending":
-            return dataclasses.replace(blank, reason=str(fault))
-        try:
-            theta = model.of_material(dataclasses.replace(cloth, bending=0.0, bending_damping=0.0), probe.scene)
-        except ClothbenchError:
-            return dataclasses.replace(blank, reason=str(fault))
+        return dataclasses.replace(blank, reason=str(fault))
     stated = _stated(model, probe, theta)
     blank = dataclasses.replace(blank, formula=stated.formula, source=stated.source, documented=stated.worth(theta))
     rollout = model.prepare(probe.scene).run(theta[None])
@@ -170,6 +222,22 @@ def _measured(model: Any, probe: Probe, along: int, density: float) -> Measured:
         return dataclasses.replace(blank, found=probe.found(rollout.position[0]))
     except (ClothbenchError, ValueError) as fault:
         return dataclasses.replace(blank, reason=str(fault).splitlines()[0])
+
+
+def _told(model: Any, probe: Probe) -> np.ndarray:
+    """The model's parameters (P,) for a probe's cloth, without bending where it knows none and none is asked for."""
+    cloth, scene = probe.material, probe.scene
+    try:
+        theta = model.of_material(cloth, scene)
+    except ClothbenchError:
+        if probe.quantity.startswith("bending"):
+            raise
+        cloth = dataclasses.replace(cloth, bending=0.0, bending_damping=0.0)
+        theta = model.of_material(cloth, scene)
+    dry = dataclasses.replace(cloth, bending_damping=0.0, stretch_damping=0.0)
+    if probe.quantity.endswith("_damping") and np.array_equal(theta, model.of_material(dry, scene)):
+        raise ClothbenchError("the model has no parameter for it")
+    return np.asarray(theta)
 
 
 def _stated(model: Any, probe: Probe, theta: np.ndarray) -> Stated:

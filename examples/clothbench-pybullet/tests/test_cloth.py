@@ -5,6 +5,7 @@ import sys
 
 import numpy as np
 import pytest
+from clothbench import Scene
 from clothbench.testing import scenes
 
 from clothbench_pybullet.mesh import springs, write_obj
@@ -44,6 +45,22 @@ def test_at_rest_flat_springs_bear_nodes_of_equal_weight():
     force[:, 2] -= weight
     free = np.setdiff1d(np.arange(simulation.nodes), simulation.sheet.held)
     assert np.abs(force[free]).max() < 1e-3 * weight
+
+
+def test_a_limp_strip_that_begins_too_long_does_not_crumple():
+    """It hangs level across, where one that springs back stays in creases."""
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, 0.3, 17), np.linspace(0, 0.075, 5)))
+    start = np.stack([0.8 * u, v, 4 * (u**2 - 0.3 * u)], axis=1)
+    ends = (u == 0) | (u == 0.3)
+    scene = Scene(
+        width=0.3, height=0.075, areal_density=0.15, grip_time=np.array([0.0, 1.0]), resolution=(17, 5),
+        grip_material=np.stack([u, v], axis=1)[ends], grip_position=np.stack([start[ends], start[ends]]),
+        times=np.array([0.0, 0.1]), points=np.stack([u, v], axis=1), start=start,
+    )  # fmt: skip
+    rollout = PybulletCloth().prepare(scene).run(np.array([[750.0, 0.0, 0.0]]))
+    across = rollout.position[0, -1, np.isclose(u, 0.15), 2]
+    assert np.ptp(across) < 5e-4
+    assert across.mean() == pytest.approx(-0.0797, rel=5e-3)  # the catenary
 
 
 def test_held_nodes_are_where_they_are_led(tmp_path):

@@ -18,6 +18,16 @@ from clothbench import Export, Material, Twin
 suffix = ".toml"
 BEND_SCALE = 1.28e-5  # m⁴/s² for each unit of `bend`
 NAME = "ppf-contact-solver"
+units = {
+    "bending": f"{BEND_SCALE} m⁴/s² · bend [1] · shell_density [kg/m²]",
+    "stretch": "shell_density [kg/m²] · shell_young_modulus [m²/s²] / 2(1 + ν)",
+    "shear": "shell_density [kg/m²] · shell_young_modulus [m²/s²] · ν / (1 + ν)(1 − 2ν)",
+    "inertia": "shell_density [kg/m²] × area",
+    "stretch_damping": "no part of a profile; deformation_damping [s] times stretch in the panel",
+    "bending_damping": "no part of a profile; bending_damping [s] times bending in the panel",
+}
+documentation = "github.com/st-tech/ppf-contact-solver at f23b3565: builder.rs, baraffwitkin.hpp and energy.cu"
+unmeasured = "not measured: the solver has to be built with CUDA; what is here was read in its source"
 
 
 def skip_reason() -> str | None:

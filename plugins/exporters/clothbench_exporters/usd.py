@@ -24,6 +24,16 @@ SCHEMA = (
     "and thicknesses as Newton 1.8 reads them, of a later revision"
 )
 WORLD = "/World"
+units = {
+    "bending": "surfaceBendStiffness [N·m]",
+    "stretch": "surfaceStretchStiffness [N/m]",
+    "shear": "surfaceShearStiffness [N/m]",
+    "inertia": "mass [kg], or density [kg/m³] · thicknesses [m] × area",
+    "stretch_damping": "none",
+    "bending_damping": "none",
+}
+documentation = SCHEMA
+unmeasured = "not measured: a schema moves nothing; what a reader makes of it is the reader's (Newton's: docs/twins.md)"
 
 
 def skip_reason() -> str | None:
@@ -71,8 +81,9 @@ def export(twin: Twin) -> Export:
 def _unread(material: Material) -> list[str]:
     """A line on what the schema, or its reader, makes nothing or something else of."""
     lines = [
+        f"modulus: Newton 1.8 takes {material.stretch:.4g} N/m for μ, which makes its cloth twice as stiff",
         f"hinges: Newton 1.8 takes {material.bending:.4g} N·m for the stiffness of a hinge on any mesh, see clothbench "
-        "units newton"
+        "units newton",
     ]
     for name, value, unit in (
         ("bending", material.bending_damping, "N·m·s"), ("stretch", material.stretch_damping, "N·s/m")

@@ -13,6 +13,7 @@ from clothbench_pybullet.world import Cloth, World
 
 SETTLE = (0.5, 20.0)  # s, least and most that the sheet is given to come to rest
 BRAKE = 0.3  # √(k m): dashpots that let no spring swing while it does
+EASED, SHORT = 300, 8  # times that the sheet is stopped after so few steps, before it may move
 WATCH = 4e-3  # s, how often it is looked at
 AT_REST, CALM = 1e-6, 4  # m/s, and at how many looks in a row
 LOOK = 32  # steps between two looks whether the sheet has blown up
@@ -44,11 +45,16 @@ def march(cloth: Cloth, batch: GridBatch, b: int) -> tuple[bool, int]:
 def settle(world: World, bounds: float) -> tuple[np.ndarray, int]:
     """The shape (n, 3) m in which the sheet comes to rest, and the steps that it took.
 
-    Its speed is taken away whenever that has been largest (kinetic damping: Barnes 1999, Form finding and analysis of
-    tension structures by dynamic relaxation).
+    First it gives way to its springs and is stopped again and again: let go at once, a sheet that begins longer than it
+    is would spring back, and stay crumpled where nothing resists bending. Then its speed is taken away whenever that
+    has been largest (kinetic damping: Barnes 1999, Form finding and analysis of tension structures by dynamic
+    relaxation).
     """
     each = max(1, round(WATCH / world.dt))
     least, most = (int(np.ceil(span / (each * world.dt))) for span in SETTLE)
+    for _ in range(EASED):
+        world.step(SHORT)
+        world.stop()
     place, before, calm, look = world.places(), 0.0, 0, 0
     while look < most and not (look >= least and calm >= CALM):
         world.step(each)
@@ -62,7 +68,7 @@ def settle(world: World, bounds: float) -> tuple[np.ndarray, int]:
             world.stop()
             energy = 0.0
         before = energy
-    return place, look * each
+    return place, EASED * SHORT + look * each
 
 
 def follow(world: World, scene: Scene, stops: np.ndarray, bounds: float) -> np.ndarray:

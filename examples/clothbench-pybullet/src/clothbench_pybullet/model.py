@@ -43,7 +43,7 @@ class PybulletCloth:
     """
 
     name = "pybullet_cloth"
-    version = 1
+    version = 2
     kind = "explicit"
     built_on = ("pybullet",)
     repeatability = 1e-5  # m: a sheet that is let go at 1 µm/s may still creep this far

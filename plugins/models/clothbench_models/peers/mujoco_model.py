@@ -73,6 +73,9 @@ DOCUMENTED = (
     Stated("stretch", "young [Pa] · thickness [m]", lambda p: float(p[0] * p[2]), PAGE),
     Stated("shear", "young [Pa] · thickness [m] / 2(1 + poisson)", lambda p: float(p[0] * p[2] / 2 / (1 + p[1])),
            PAGE),
+    Stated("stretch_damping", "damping [s] times stretch", lambda p: float(p[3] * p[0] * p[2]), PAGE),
+    Stated("bending_damping", "damping [s] times bending",
+           lambda p: float(p[3] * p[0] * p[2] ** 3 / 12 / (1 - p[1] ** 2)), PAGE),
 )  # fmt: skip
 
 

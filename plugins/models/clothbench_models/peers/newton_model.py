@@ -5,9 +5,9 @@ makes them; the parameters are its arguments. What they mean depends on the solv
 `_src/solvers/semi_implicit/kernels_particle.py` and `_src/solvers/vbd/particle_vbd_kernels.py`), so each solver has
 its own list, with the units that its formulas imply:
 
-- `semi_implicit` (symplectic Euler): P = k_e F + k_a (J − 1 − k_e/k_a) ∂J/∂F + k_d Ḟ, so Lamé's λ is k_a − k_e, and
-  k_d also brakes rotation. Bending forces l θ k_e d with |d| a length: the stiffness of a hinge is 2 A l k_e (l its
-  length, A half the area of both triangles), hence N/m².
+- `semi_implicit` (symplectic Euler): P = k_e F + k_a (J − 1 − k_e/k_a) ∂J/∂F + k_d (Ḟ + J̇ ∂J/∂F), so Lamé's λ is
+  k_a − k_e, and k_d also brakes rotation. Bending forces l θ k_e d with |d| a length: the stiffness of a hinge is
+  2 A l k_e (l its length, A half the area of both triangles), hence N/m².
 - `vbd` (vertex block descent, backward Euler): k_e and k_a are Lamé's μ and λ, k_d acts on the rate of FᵀF, and the
   stiffness of a hinge is l k_e, hence N.
 
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 
 SAFETY = 0.8  # share of the largest stable step that is used
 IMPLICIT_STEP = 2e-3  # s
+VISCOSITY = {"semi_implicit": 2.0, "vbd": 4.0}  # N·s/m of a strip that is pulled, for each unit of tri_kd
 SOURCE = "Newton 1.8, ModelBuilder.add_cloth_mesh and kernels of the solver "
 
 
@@ -74,6 +75,8 @@ DOCUMENTED = (
     Stated("stretch", "4 tri_ke (tri_ka + tri_ke) / (tri_ka + 2 tri_ke) [Pa]",
            lambda p: float(4 * p[0] * (p[1] + p[0]) / (p[1] + 2 * p[0])), ATTRIBUTES),
     Stated("shear", "tri_ke [Pa]", lambda p: float(p[0]), ATTRIBUTES),
+    Stated("stretch_damping", "tri_kd [Pa·s]", lambda p: float(p[2]), ATTRIBUTES),
+    Stated("bending_damping", "edge_kd [N·s]", lambda p: float(p[4]), ATTRIBUTES),
 )  # fmt: skip
 
 
@@ -134,7 +137,7 @@ class Newton:
         area, edge_kd = shear if self.solver == "semi_implicit" else 0.0, space["edge_kd"].bounds[0]
         if material.bending_damping > 0:
             edge_kd = material.bending_damping / material.bending * hinge / self._brake(sheet)
-        tri_kd = material.stretch_damping / (1.0 if self.solver == "semi_implicit" else 4.0)
+        tri_kd = material.stretch_damping / VISCOSITY[self.solver]
         return np.array([shear, area, max(space["tri_kd"].bounds[0], tri_kd), hinge, edge_kd])
 
     def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
@@ -146,7 +149,7 @@ class Newton:
         bending = hinge * unit_bending(sheet, self.solver)
         damping = edge_kd * self._brake(sheet) / hinge * bending
         stretch = 4 * mu * (lam + mu) / (lam + 2 * mu)
-        return Material(bending, stretch, mu, damping, tri_kd if semi else 4 * tri_kd)
+        return Material(bending, stretch, mu, damping, VISCOSITY[self.solver] * tri_kd)
 
     def _brake(self, sheet: Sheet) -> float:
         """What makes of edge_kd over edge_ke the time by which a hinge's damping lags its stiffness: 2 A for
