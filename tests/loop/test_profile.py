@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import sys
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.core.protocols import Evaluation
 from clothbench.studies.improve import constrained, jumps, profile
 from clothbench.studies.improve.fitted import Fitted
-from clothbench.studies.improve.settings import LOOP
+from clothbench.studies.improve.settings import LOOP, SearchSettings
 
 SPACE = ParameterSpace(
     tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.5, "one of three", "a test") for n in ("base", "a", "b"))
@@ -20,8 +21,12 @@ SPACE = ParameterSpace(
 BEST = np.array([0.5, 0.2, 0.6])
 
 
+@dataclasses.dataclass
 class OneParameterBase:
     """All that is asked of a problem: the base has one parameter, two belong to the effect."""
+
+    bounds: dict = dataclasses.field(default_factory=dict)
+    evidence = SimpleNamespace(search=SearchSettings())
 
     def space(self, names):
         return SPACE.parameters[: 1 + 2 * len(names)]
@@ -212,3 +217,33 @@ def test_a_longer_search_may_set_out_from_a_jump_that_landed_in_a_ripple(monkeyp
     goals = [before.rms**2]
     after, _ = jumps.jump_along_valley(OneParameterBase(), before, LOOP.jump_limit, 8, worse)
     assert after.theta[1] == pytest.approx(end)
+
+
+@pytest.mark.parametrize(("driven", "end"), [(0.0, 0.5), (1.0, 1.0)])
+def test_an_amount_at_its_bound_stays_there_only_if_half_of_it_leaves_more(monkeypatch, driven, end):
+    """The same hem with half of the weight on twice the width; or one whose weight alone is wanted beyond the bound."""
+
+    def law(theta):
+        return np.array([theta[0] - 0.5, 10 * (theta[1] * theta[2] - 0.09), driven * (theta[1] - 1.5), 0.03])
+
+    def differences(trials, space, theta, step):
+        again = fitted(law, space, theta)
+        return again.residual, again.jacobian, 1 + len(space)
+
+    def fit(problem, effects, theta, rounds, goal):
+        (low, high), asked = problem.bounds["hem.a"], theta[1]
+        assert (low, high, asked) == (0.0, 0.5, 0.5)
+        return fitted(law, HEM, np.array([0.5, high, 0.09 / high]))
+
+    monkeypatch.setattr(jumps, "fit", fit)
+    monkeypatch.setattr(jumps, "finite_differences", differences)
+    before = fitted(law, HEM, np.array([0.5, 1.0, 0.09]))
+    after, count = jumps.off_bounds(OneParameterBase(), before)
+    assert after.theta[1] == pytest.approx(end)
+    assert after.theta[1] * after.theta[2] == pytest.approx(0.09, rel=0.05)
+    assert count == (1 + 1 + len(HEM) if driven == 0 else 1)
+
+
+def test_an_amount_within_its_bounds_is_let_be():
+    before = fitted(rippled, HEM, START)
+    assert jumps.off_bounds(OneParameterBase(), before) == (before, 0)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from clothbench.studies.improve.constrained import conditional_direction, constrained_fits
-from clothbench.studies.improve.fitted import Fitted, normal_equations
-from clothbench.studies.improve.fitting import better_of
+from clothbench.studies.improve.fitted import Fitted, jackknife_interval, normal_equations
+from clothbench.studies.improve.fitting import better_of, finite_differences, fit
 from clothbench.studies.improve.problem import Problem
-from clothbench.studies.improve.selection import amounts_of
+from clothbench.studies.improve.selection import amounts_at_bound, amounts_of
 from clothbench.studies.improve.settings import LOOP
 
 
@@ -42,6 +44,33 @@ def jump_along_valley(
         if fitted.rms**2 >= (1 - LOOP.least_gain) * before:
             break
     return fitted, evaluations
+
+
+def off_bounds(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
+    """The fit of an effect whose amount has run to its bound, or one that can hardly be told from it with half of that
+    amount at most; and how many parameter sets that took.
+
+    A hem twice as heavy and half as wide is nearly the same hem: that a search ends at one end of such a valley says
+    nothing against the effect. What leaves more with half of the amount is driven to its bound.
+    """
+    space, bound = fitted.space, amounts_at_bound(fitted.effects[-1], fitted) if fitted.effects else []
+    halved = [(i, point) for i, point in zip(*jumps(fitted), strict=True) if i in bound] if bound else []
+    if not halved:
+        return fitted, 0
+    start = space.from_unit(np.clip(halved[0][1], 0.0, 1.0))
+    half = {space.names[i]: tuple(sorted((space.parameters[i].null, start[i]))) for i in bound[:1]}
+    limit = (1 + LOOP.tie_margin) * fitted.rms**2
+    nearer = dataclasses.replace(problem, bounds={**problem.bounds, **half})
+    again = fit(nearer, fitted.effects, start, LOOP.refit_rounds, goal=limit)
+    if not again.rms**2 <= limit:
+        return fitted, again.evaluations
+    difference = problem.evidence.search.difference
+    residual, jacobian, spent = finite_differences(
+        problem.trials(fitted.effects, "fit"), space, again.theta, difference
+    )
+    low, high = jackknife_interval(space, again.theta, residual, jacobian)
+    inside = Fitted(fitted.effects, space, again.theta, residual, jacobian, low, high, fitted.evaluations)
+    return inside, again.evaluations + spent
 
 
 def jumps(fitted: Fitted) -> tuple[list[int], list[np.ndarray]]:

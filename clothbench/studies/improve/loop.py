@@ -20,7 +20,7 @@ from clothbench.studies.improve.finding import Finding, Note
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import better_of, fit, planned_evaluations
 from clothbench.studies.improve.held_out import comparisons_of, held_out_errors, placebo_of
-from clothbench.studies.improve.jumps import jump_along_valley
+from clothbench.studies.improve.jumps import jump_along_valley, off_bounds
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.profile import profile_intervals
 from clothbench.studies.improve.refinement import corrected
@@ -158,6 +158,8 @@ def continued(problem: Problem, named: Fitted, account: Account) -> Fitted:
     fitted, count = better_of(problem, named, named.theta, LOOP.final_rounds)
     account.count(count)
     fitted, count = jump_along_valley(problem, fitted, LOOP.final_jumps, LOOP.refit_rounds, LOOP.final_jump_margin)
+    account.count(count)
+    fitted, count = off_bounds(problem, fitted)
     account.count(count)
     return fitted
 

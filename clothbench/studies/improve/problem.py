@@ -134,7 +134,10 @@ class Problem:
         corrections = {name: array_digest(c) for name, c in self.corrections.items()}
         cases = [(case.name, case.split) for case in self.evidence.cases]
         made = [sorted(effect.held.items()) for effect in self.made.values()]
-        question = [self.question, self.model, self.base, cases, self.step_scale, self.refinement, corrections, more]
+        bounds = sorted(self.bounds.items())
+        question = [
+            self.question, self.model, self.base, cases, self.step_scale, self.refinement, corrections, bounds, more
+        ]  # fmt: skip
         own = sorted((name, sorted(values.items())) for name, values in self.own.items())
         return digest([*question, *([made] if made else []), *([own] if own else [])])
 

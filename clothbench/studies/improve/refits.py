@@ -13,7 +13,7 @@ from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.attribution import Probe, ridge_solution, shifted
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import better_of, fit, multistart, polish
-from clothbench.studies.improve.jumps import jump_along_valley
+from clothbench.studies.improve.jumps import jump_along_valley, off_bounds
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.selection import Candidate, allowance, faulty
 from clothbench.studies.improve.settings import LOOP
@@ -96,9 +96,15 @@ def refine_finalists(
             tolerance = problem.evidence.search.contest_tolerance
             better[effects], count = better_of(problem, fitted, start, LOOP.polish_rounds, goal, tolerance)
             account.count(count)
-    return [
-        c if c.fitted is None else dataclasses.replace(c, fitted=better.get(c.fitted.effects, c.fitted)) for c in tried
-    ]
+    out = []
+    for candidate in tried:
+        if candidate.fitted is not None:
+            fitted = better.get(candidate.fitted.effects, candidate.fitted)
+            fitted, count = off_bounds(problem, fitted) if fitted.rms**2 <= most else (fitted, 0)
+            account.count(count)
+            candidate = dataclasses.replace(candidate, fitted=fitted)
+        out.append(candidate)
+    return out
 
 
 def standing(problem: Problem, current: Fitted, better: Mapping[tuple[str, ...], Fitted], fitted: Fitted) -> float:

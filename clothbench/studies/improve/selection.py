@@ -102,10 +102,9 @@ def unphysical(name: str, fitted: Fitted, together: bool = False) -> str:
     null = np.array([space.parameters[i].null for i in amounts])
     if np.isnan(fitted.low[amounts]).all():
         return f"fewer than {LOOP.least_recordings} recordings to fit give its amount no interval"
-    far = np.abs(fitted.theta[amounts] - null) > LOOP.away_from_null * (space.high - space.low)[amounts]
-    at_bound = [i for i, away in zip(amounts, far, strict=True) if away and fitted.at_bound[i]]
-    if at_bound:
+    if at_bound := amounts_at_bound(name, fitted):
         return f"its {space.names[at_bound[0]]} runs to the bound {fitted.theta[at_bound[0]]:.3g}"
+    far = away_from_null(fitted, amounts, null)
     if not far.any():
         return "its amount is fitted to nothing"
     low, high = fitted.low[amounts], fitted.high[amounts]
@@ -113,6 +112,19 @@ def unphysical(name: str, fitted: Fitted, together: bool = False) -> str:
     if not alone and not (together and told_from_nothing(fitted, amounts, null)):
         return "its amount cannot be told from nothing"
     return ""
+
+
+def away_from_null(fitted: Fitted, amounts: Sequence[int], null: np.ndarray) -> np.ndarray:
+    """Which amounts (A,), by their numbers in the space, are more than nothing, `null` (A,)."""
+    range_ = (fitted.space.high - fitted.space.low)[list(amounts)]
+    return np.asarray(np.abs(fitted.theta[list(amounts)] - null) > LOOP.away_from_null * range_)
+
+
+def amounts_at_bound(name: str, fitted: Fitted) -> list[int]:
+    """Which amounts of an effect, by their numbers in the space, have run to a bound that is not nothing."""
+    amounts = amounts_of(fitted.space, name)
+    far = away_from_null(fitted, amounts, np.array([fitted.space.parameters[i].null for i in amounts]))
+    return [i for i, away in zip(amounts, far, strict=True) if away and fitted.at_bound[i]]
 
 
 def told_from_nothing(fitted: Fitted, amounts: Sequence[int], null: np.ndarray) -> bool:
