@@ -253,7 +253,6 @@ def test_a_short_run_of_the_fuzzer_finds_nothing(tmp_path):
     pytest.importorskip("resource", reason="memory is bounded on POSIX only")
     import fuzz
 
-    kinds = ("nodes", "video", "results", "rows_json", "clouds", "film")  # each starts a process of its own
-    tallies = fuzz.fuzz(kinds, 600, 28, tmp_path, most=20)
+    tallies = fuzz.fuzz(fuzz.kinds_known(), 600, 28, tmp_path, most=10, together=True)
     assert fuzz.finds(tallies) == []
-    assert {tally.done for tally in tallies.values()} == {20}
+    assert {tally.done for tally in tallies.values()} == {10}
