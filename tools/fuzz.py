@@ -31,6 +31,7 @@ from fuzz_child import turn
 
 CHILD = Path(__file__).with_name("fuzz_child.py")
 BATCH = 2000  # inputs of one process
+QUICK = 4  # turns of a quick kind to one of a slow kind, where they take turns
 SLICE = 60.0  # s at a time for each kind
 CPU, WALL = 15.0, 240.0  # s for one input: of a processor, and by the clock of a machine that has others to serve
 
@@ -51,7 +52,7 @@ class Tally:
 
 @dataclass
 class Reader:
-    """One child that reads inputs of some kinds in turn, from a number on. tallies: of each of these kinds."""
+    """One child that reads inputs of one kind, or of several in turn, from a number on. tallies: of each kind."""
 
     kinds: Sequence[str]
     tallies: dict[str, Tally]
@@ -76,15 +77,13 @@ class Reader:
         try:
             return self._follow(child, lines, first, until, first + count)
         finally:
-            for kind in self.kinds:
+            for kind in self.kinds:  # what each took by itself is not known
                 self.tallies[kind].seconds += (time.monotonic() - began) / len(self.kinds)
             child.kill()
             child.wait()
             pump.join()
 
-    def _follow(
-        self, child: subprocess.Popen[str], lines: queue.Queue[str], first: int, until: float, end: int
-    ) -> int:
+    def _follow(self, child: subprocess.Popen[str], lines: queue.Queue[str], first: int, until: float, end: int) -> int:
         number, since, cpu = first, time.monotonic(), cpu_of(child.pid)
         begun = False
         while number < end:
@@ -178,11 +177,12 @@ def fuzz(
     number: int = 0, told: Callable[[dict[str, Tally]], None] = lambda _: None, together: bool = False,
 ) -> dict[str, Tally]:  # fmt: skip
     """Read spoiled inputs of all kinds in turn, for so long or until there were `most` of each. told: after each kind's
-    turn. together: one process reads all kinds, which spares a short run the start of one for each.
+    turn. together: one process reads all kinds, which spares a short run the start of one for each, and more of those
+    that are read quickly.
     """
     bases = make_bases(folder)
     tallies = {kind: Tally() for kind in kinds}
-    next_one = dict.fromkeys([tuple(kinds)] if together else [(kind,) for kind in kinds], number)
+    next_one = dict.fromkeys([rounds(kinds)] if together else [(kind,) for kind in kinds], number)
     end = time.monotonic() + seconds
 
     def left(group: tuple[str, ...]) -> int:
@@ -236,6 +236,13 @@ def main() -> int:
         tallies = fuzz(kinds, given.seconds, given.seed, Path(made), given.keep, one, given.number or 0, told)
     print("\n".join([*table(tallies), "", *finds(tallies)]))
     return 1 if any(tally.finds for tally in tallies.values()) else 0
+
+
+def rounds(kinds: Sequence[str]) -> tuple[str, ...]:
+    """Whose turn it is in a round: each slow kind's once, each other one's QUICK times."""
+    from fuzz_inputs import KINDS
+
+    return tuple(kind for kind in kinds for _ in range(1 if KINDS[kind].slow else QUICK))
 
 
 def kinds_known() -> list[str]:

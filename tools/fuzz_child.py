@@ -166,8 +166,9 @@ def wrong(code: int | None, texts: dict[str, str], guard: Guard) -> str | None:
 
 
 def turn(kinds: Sequence[str], number: int) -> tuple[str, int]:
-    """Whose turn it is where kinds take turns, and the how manyeth of that kind it is."""
-    return kinds[number % len(kinds)], number // len(kinds)
+    """The kind whose turn it is in rounds of these kinds, and the number of that input among those of its kind."""
+    done, at = divmod(number, len(kinds))
+    return kinds[at], done * kinds.count(kinds[at]) + kinds[:at].count(kinds[at])
 
 
 def serve(

@@ -49,7 +49,7 @@ CELL = ("model=mass_spring", "optimizer=ga", "metric=node_error", "budget=2", "j
 @dataclass(frozen=True)
 class Kind:
     """make: writes a spoiled input into an empty folder, beside valid things from the folder `bases`, and says what is
-    to be called there. slow: of a second, not of milliseconds.
+    to be called there. slow: of tenths of a second, not of milliseconds.
     """
 
     make: Callable[[Path, Path, random.Random], list[Command]]
@@ -289,15 +289,16 @@ def words(here: Path, bases: Path, chance: random.Random) -> list[Command]:
     return [["run", *(word.replace("\x00", "0") for word in given if not word.startswith("-"))]]
 
 
+UPWARDS = "../../../../FUZZED"  # out of a cell's folder in `runs`, and out of the folder that may be written to
+
+
 def archive(here: Path, bases: Path, chance: random.Random) -> list[Command]:
     """A cell as a bucket holds it, brought into a results folder."""
     from clothbench.core.packed import files_in, packed, unpacked, write_files
 
     files = dict(files_in(next((bases / "runs" / "cells").iterdir())))
     if chance.random() < 0.6:
-        odd = chance.choice(
-            (*spoil.TEXTS, "../../FUZZED", "/tmp/FUZZED", "a/../../FUZZED", "rows.parquet/x", "a//b", "./a")
-        )
+        odd = chance.choice((*spoil.TEXTS, UPWARDS, "/tmp/FUZZED", f"a/../{UPWARDS}", "rows.parquet/x", "a//b", "./a"))
         files[odd.replace("\x00", "0")] = b"FUZZED"
     content = packed(files)
     if chance.random() < 0.7:
@@ -424,7 +425,7 @@ KINDS = {
     "results": Kind(results, slow=True),
     "archive": Kind(archive),
     "rows_json": Kind(rows_json),
-    "submission": Kind(submission),
+    "submission": Kind(submission, slow=True),
     "suite": Kind(suite, slow=True),
     "words": Kind(words, slow=True),
     "clouds": Kind(clouds),
