@@ -290,6 +290,7 @@ def words(here: Path, bases: Path, chance: random.Random) -> list[Command]:
 
 
 UPWARDS = "../../../../FUZZED"  # out of a cell's folder in `runs`, and out of the folder that may be written to
+ODD_PATHS = (UPWARDS, f"a/../{UPWARDS}", "/tmp/FUZZED", "rows.parquet/x", "a//b", "./a")
 
 
 def archive(here: Path, bases: Path, chance: random.Random) -> list[Command]:
@@ -298,10 +299,10 @@ def archive(here: Path, bases: Path, chance: random.Random) -> list[Command]:
 
     files = dict(files_in(next((bases / "runs" / "cells").iterdir())))
     if chance.random() < 0.6:
-        odd = chance.choice((*spoil.TEXTS, UPWARDS, "/tmp/FUZZED", f"a/../{UPWARDS}", "rows.parquet/x", "a//b", "./a"))
+        odd = chance.choice(chance.choice((spoil.TEXTS, ODD_PATHS)))
         files[odd.replace("\x00", "0")] = b"FUZZED"
     content = packed(files)
-    if chance.random() < 0.7:
+    if chance.random() < 0.5:
         content = spoil.damaged(content, chance)
 
     def bring() -> None:

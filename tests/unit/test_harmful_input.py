@@ -124,6 +124,17 @@ def test_a_row_of_another_type_is_refused(tmp_path, capsys, name, value):
     assert said.count("\n") == (code == 2)
 
 
+def test_texts_of_a_table_are_no_markup_of_the_terminal(tmp_path, capsys):
+    names = {n: f"[/]{n}" for n in ("suite", "case", "model", "optimizer", "metric", "unit", "recording")}
+    rows = [row(**names | {"case": f"[/]{n}", "objective": names["metric"], "study": "calibration", "seed": 1,
+                           "split": "held_out", "evaluations": 1, "wall_s": 1.0, "finished": "2026-01-01T00:00:00", "clothbench": "0"}) for n in range(2)]  # fmt: skip
+    Store(tmp_path).put("ab", {"rows": rows})
+    assert main(["leaderboard", "--out", str(tmp_path)]) == 0
+    said = capsys.readouterr().out
+    assert "[/]suite: error" in said
+    assert "1.00 [/]unit over 2 recordings ([/]model" in said
+
+
 def test_texts_of_a_leaderboard_move_no_cursor(tmp_path):
     (tmp_path / "in.json").write_text(json.dumps([{"suite": "\x1b[2Js", "status": "ok", "value": 1}]))
     assert load_rows(tmp_path / "in.json")[0]["suite"] == "\ufffd[2Js"
@@ -214,6 +225,14 @@ def test_a_suite_from_a_folder_sets_nothing_of_hydras(clothbench, tmp_path, harm
     assert (done.returncode, done.stdout, done.stderr.count("\n")) == (2, "", 1), done.stderr
     assert "found settings of Hydra's own in a suite (hydra." in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["conf"]
+
+
+def test_a_place_of_a_list_that_is_no_number_is_refused(capsys):
+    assert main(["run", "effects.first=[gravity_tilt]"]) == 2
+    assert capsys.readouterr().err == (
+        "clothbench: found a setting without a place (invalid literal for int() with base 10: 'first'), expected "
+        "KEY=VALUE of a run\n"
+    )
 
 
 @pytest.mark.parametrize("text", ["a: [", "a: \x00", "&a [*a]", "\xff: 1"])
