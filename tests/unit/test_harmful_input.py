@@ -125,9 +125,10 @@ def test_a_row_of_another_type_is_refused(tmp_path, capsys, name, value):
 
 
 def test_texts_of_a_table_are_no_markup_of_the_terminal(tmp_path, capsys):
-    names = {n: f"[/]{n}" for n in ("suite", "case", "model", "optimizer", "metric", "unit", "recording")}
-    rows = [row(**names | {"case": f"[/]{n}", "objective": names["metric"], "study": "calibration", "seed": 1,
-                           "split": "held_out", "evaluations": 1, "wall_s": 1.0, "finished": "2026-01-01T00:00:00", "clothbench": "0"}) for n in range(2)]  # fmt: skip
+    names = {n: f"[/]{n}" for n in ("suite", "model", "optimizer", "metric", "unit", "recording")}
+    about = {"objective": names["metric"], "study": "calibration", "split": "held_out", "seed": 1, "evaluations": 1,
+             "wall_s": 1.0, "finished": "2026-01-01T00:00:00", "clothbench": "0"}  # fmt: skip
+    rows = [row(**names, **about, case=f"[/]{n}") for n in range(2)]
     Store(tmp_path).put("ab", {"rows": rows})
     assert main(["leaderboard", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out
