@@ -124,11 +124,21 @@ def test_a_row_of_another_type_is_refused(tmp_path, capsys, name, value):
     assert said.count("\n") == (code == 2)
 
 
+ABOUT = {"study": "calibration", "split": "held_out", "seed": 1, "evaluations": 1, "wall_s": 1.0,
+         "finished": "2026-01-01T00:00:00", "clothbench": "0"}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", [n for n in ROW if n not in ("key", "suite", "case", "model", "effects", "status")])
+def test_rows_in_which_something_is_missing_are_shown_all_the_same(tmp_path, capsys, name):
+    rows = [row(recording="r", objective="m", metric="m", optimizer="o", unit="m") | ABOUT for _ in range(2)]
+    Store(tmp_path).put("ab", {"rows": [rows[0], rows[1] | {name: None}]})
+    assert main(["leaderboard", "--out", str(tmp_path)]) == 0
+    assert main(["report", f"out={tmp_path}"]) == 0
+
+
 def test_texts_of_a_table_are_no_markup_of_the_terminal(tmp_path, capsys):
     names = {n: f"[/]{n}" for n in ("suite", "model", "optimizer", "metric", "unit", "recording")}
-    about = {"objective": names["metric"], "study": "calibration", "split": "held_out", "seed": 1, "evaluations": 1,
-             "wall_s": 1.0, "finished": "2026-01-01T00:00:00", "clothbench": "0"}  # fmt: skip
-    rows = [row(**names, **about, case=f"[/]{n}") for n in range(2)]
+    rows = [row(**names, **ABOUT, objective=names["metric"], case=f"[/]{n}") for n in range(2)]
     Store(tmp_path).put("ab", {"rows": rows})
     assert main(["leaderboard", "--out", str(tmp_path)]) == 0
     said = capsys.readouterr().out

@@ -47,7 +47,7 @@ def error_table(suite: str, rows: Rows) -> Table:
     cells = list(group(rows, lambda r: r["key"]).values())
     crowded = max((sum(bool(r["recording"]) for r in mine) for mine in cells), default=0) > MANY
     for mine in cells[:MOST]:
-        effort = f"{mine[0]['evaluations']} evaluations, {mine[0]['wall_s']:.1f} s"
+        effort = f"{mine[0]['evaluations']} evaluations, {mine[0]['wall_s'] or 0.0:.1f} s"
         table.add_row(f"[bold]{escape(cell_name(mine[0]))}[/] [dim]({effort})[/]")
         for row in mine:
             # Single recordings by the metric that was minimised; by the others the totals say enough.
