@@ -142,6 +142,8 @@ def job(config: Any) -> None:
         note = _run(last_word(settings, HydraConfig.get().overrides.task), sweep_now())  # type: ignore[arg-type]
     except ClothbenchError as fault:
         note = {"error": str(fault)}
+    except OmegaConfBaseException as fault:
+        note = {"error": _one_line(fault)}
     folder = Path(os.environ[NOTES])
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{uuid.uuid4().hex}.json").write_text(json.dumps(note))

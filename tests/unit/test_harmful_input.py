@@ -18,6 +18,7 @@ from clothbench.cli.own_suites import each_choice, require_plain
 from clothbench.core.errors import one_line
 from clothbench.core.files import read_arrays, read_json
 from clothbench.display.film import read_film
+from clothbench.engine.settings import KNOWN
 from clothbench.engine.store import ROW, Store, load_rows
 from clothbench.engine.tables import read_table
 
@@ -244,6 +245,22 @@ def test_a_place_of_a_list_that_is_no_number_is_refused(capsys):
         "clothbench: found a setting without a place (invalid literal for int() with base 10: 'first'), expected "
         "KEY=VALUE of a run\n"
     )
+
+
+def test_a_setting_that_refers_to_none_is_refused(capsys):
+    assert main(["run", "+bounds.k1=${sue}"]) == 2
+    said = capsys.readouterr().err
+    assert (said.count("\n"), said[:48]) == (1, "clothbench: Interpolation key 'sue' not found fu"), said
+
+
+@pytest.mark.parametrize("name", sorted(KNOWN - {"study", "suite"}))
+def test_a_setting_may_be_taken_out(tmp_path, monkeypatch, capsys, name):
+    monkeypatch.chdir(tmp_path)
+    write_recording(swinging_recording(), tmp_path / "in.nc")
+    monkeypatch.setattr("clothbench.cli.run.run_cells", lambda *_, **__: None)
+    words = ["recording=in.nc", "model=mass_spring", "optimizer=ga", "metric=node_error"]
+    code = main(["run", *(word for word in words if not word.startswith(f"{name}=")), f"~{name}"])
+    assert (code, capsys.readouterr().err.count("\n")) in ((0, 0), (2, 1))
 
 
 @pytest.mark.parametrize("text", ["a: [", "a: \x00", "&a [*a]", "\xff: 1"])
