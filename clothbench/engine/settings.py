@@ -198,7 +198,7 @@ def writable(value: Any) -> Path:
             f"setting 'out' is {value!r}, expected a folder (`run` and `improve` alone take a bucket)"
         )
     folder = Path(value)
-    above = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    above = next(p for p in (folder.absolute(), *folder.absolute().parents) if os.path.exists(p))
     if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
         raise ClothbenchError(f"setting 'out': {folder} cannot be written to; give a folder of yours")
     return folder

@@ -253,6 +253,23 @@ def test_a_setting_that_refers_to_none_is_refused(capsys):
     assert (said.count("\n"), said[:48]) == (1, "clothbench: Interpolation key 'sue' not found fu"), said
 
 
+@pytest.mark.parametrize(
+    "word", ["recordings=pkg://", "recordings=pkg://.os/", f"recordings={'a' * 300}", f"recording={'a' * 300}"]
+)
+def test_recordings_that_can_be_nowhere_are_refused(capsys, word):
+    assert main(["run", "model=mass_spring", "optimizer=ga", "metric=node_error", word]) == 2
+    said = capsys.readouterr().err
+    assert (said.count("\n"), said[:12]) == (1, "clothbench: "), said
+
+
+def test_a_place_of_results_whose_name_is_too_long_is_refused(tmp_path, capsys):
+    write_recording(swinging_recording(), tmp_path / "in.nc")
+    words = [f"recording={tmp_path / 'in.nc'}", "model=mass_spring", "optimizer=ga", "metric=node_error", "jobs=1"]
+    assert main(["run", *words, f"out={tmp_path / ('a' * 300)}"]) == 2
+    said = capsys.readouterr().err
+    assert (said.count("\n"), "File name too long" in said) == (1, True), said
+
+
 @pytest.mark.parametrize("name", sorted(KNOWN - {"study", "suite"}))
 def test_a_setting_may_be_taken_out(tmp_path, monkeypatch, capsys, name):
     monkeypatch.chdir(tmp_path)
