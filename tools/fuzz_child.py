@@ -263,12 +263,12 @@ def main(words: list[str]) -> None:
     told = os.fdopen(os.dup(1), "w")
     os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
     os.environ["TMPDIR"] = folder
-    import fuzz_inputs as inputs
-
     place = Path(bases)
     if first == "bases":
+        from fuzz_bases import write_bases
+
         os.chdir(place)
-        inputs.write_bases(place)
+        write_bases(place)
         return
     warm = Path(tempfile.mkdtemp(prefix="warm-", dir=folder))
     os.chdir(warm)
