@@ -39,15 +39,15 @@ class BucketLeases:
         if self.refused or key in self.held:
             return True
         with self._asked():
-            if self._live(name):
+            if self._live(name, LIST):
                 return False
-            for _ in range(2):
-                if self.bucket.create(name, self.text):
-                    self.held.add(key)
-                    return True
-                if self._live(name, unlisted=True):  # it was created since the last listing
-                    return False
+            created = self.bucket.create(name, self.text)
+            if not created and name in self._dates and not self._live(name, 0.0):  # nor has another taken it over
                 self.bucket.forget(name)
+                created = self.bucket.create(name, self.text)
+            if created:
+                self.held.add(key)
+            return created
         return True
 
     def renew(self) -> None:
@@ -69,13 +69,13 @@ class BucketLeases:
             if not self.refused and self.bucket.read([name]).get(name) == text.encode():
                 self.bucket.forget(name)
 
-    def _live(self, name: str, unlisted: bool = False) -> bool:
-        """Whether a lease was lately written anew. unlisted: what to say of one that is in no listing yet."""
+    def _live(self, name: str, age: float) -> bool:
+        """Whether a lease is there and was lately written anew, by a listing that is not older than `age` [s]."""
         now = time.monotonic()
-        if now - self._listed > LIST:
+        if now - self._listed >= age:
             self._dates, self._listed = self.bucket.dates("leases"), now
         if name not in self._dates:
-            return unlisted
+            return False
         date, since = self._unchanged.get(name, (None, now))
         if date != self._dates[name]:
             since = now

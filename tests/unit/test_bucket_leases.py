@@ -96,6 +96,20 @@ def test_a_lease_counts_for_as_long_as_it_is_dated_anew_by_whatever_clock(machin
     assert Bucket(s3).names("leases") == [f"leases/{KEYS[0]}"]
 
 
+def test_a_stale_lease_that_another_machine_has_taken_over_is_left_to_it(machines, s3, monkeypatch):
+    one, other = machines
+    clock = SimpleNamespace(now=0.0)
+    monkeypatch.setattr(bucket_leases, "time", SimpleNamespace(monotonic=lambda: clock.now))
+    assert one.take(KEYS[0])
+    assert not other.take(KEYS[0])
+    clock.now = 65.0
+    assert not other.shared._live(f"leases/{KEYS[0]}", 0.0)
+    dated(s3, KEYS[0], 1e-3)
+    monkeypatch.setattr(bucket_leases, "LIST", 5.0)  # what was just listed is not listed anew
+    assert not other.take(KEYS[0])
+    assert other.held == other.shared.held == set()
+
+
 def test_a_lease_is_renewed_while_it_is_held_and_not_afterwards(machines, s3):
     one, _ = machines
     assert one.take(KEYS[0])
