@@ -27,9 +27,11 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+from fuzz_child import turn
 
 CHILD = Path(__file__).with_name("fuzz_child.py")
 BATCH = 2000  # inputs of one process
+QUICK = 4  # turns of a quick kind to one of a slow kind, where they take turns
 SLICE = 60.0  # s at a time for each kind
 CPU, WALL = 15.0, 240.0  # s for one input: of a processor, and by the clock of a machine that has others to serve
 
@@ -50,18 +52,19 @@ class Tally:
 
 @dataclass
 class Reader:
-    """One child that reads inputs of a kind, from a number on."""
+    """One child that reads inputs of one kind, or of several in turn, from a number on. tallies: of each kind."""
 
-    kind: str
+    kinds: Sequence[str]
+    tallies: dict[str, Tally]
     folder: Path
     bases: Path
     seed: int
     keep: Path | None = None
 
-    def read(self, first: int, until: float, tally: Tally, count: int = BATCH) -> int:
+    def read(self, first: int, until: float, count: int = BATCH) -> int:
         """Let it read until a moment of the monotonic clock; the number that comes next."""
         self.folder.mkdir(parents=True, exist_ok=True)
-        words = [self.kind, str(first), str(count), str(self.folder), str(self.bases), str(self.seed),
+        words = [",".join(self.kinds), str(first), str(count), str(self.folder), str(self.bases), str(self.seed),
                  str(self.keep or "")]  # fmt: skip
         with open(self.folder / "stderr.txt", "w", encoding="utf-8") as said:
             child = subprocess.Popen(
@@ -72,16 +75,15 @@ class Reader:
         pump.start()
         began = time.monotonic()
         try:
-            return self._follow(child, lines, first, until, tally, first + count)
+            return self._follow(child, lines, first, until, first + count)
         finally:
-            tally.seconds += time.monotonic() - began
+            for kind in self.kinds:  # what each took by itself is not known
+                self.tallies[kind].seconds += (time.monotonic() - began) / len(self.kinds)
             child.kill()
             child.wait()
             pump.join()
 
-    def _follow(
-        self, child: subprocess.Popen[str], lines: queue.Queue[str], first: int, until: float, tally: Tally, end: int
-    ) -> int:
+    def _follow(self, child: subprocess.Popen[str], lines: queue.Queue[str], first: int, until: float, end: int) -> int:
         number, since, cpu = first, time.monotonic(), cpu_of(child.pid)
         begun = False
         while number < end:
@@ -91,34 +93,35 @@ class Reader:
                 told = None
                 if child.poll() is None:
                     if begun and (cpu_of(child.pid) - cpu > CPU or time.monotonic() - since > WALL):
-                        return self._lost(tally, "hang", number, self._where(child))
+                        return self._lost("hang", number, self._where(child))
                     continue
             if told is None:
                 child.wait()
                 if number == first and not begun:
-                    raise SystemExit(f"{self.kind}: did not start: {(self.folder / 'stderr.txt').read_text()}")
-                return self._lost(tally, f"died of {signal_name(child.returncode)}", number, self._log())
+                    raise SystemExit(f"{self.kinds[0]}: did not start: {(self.folder / 'stderr.txt').read_text()}")
+                return self._lost(f"died of {signal_name(child.returncode)}", number, self._log())
             if "begun" in told:
                 number, since, cpu, begun = told["begun"], time.monotonic(), cpu_of(child.pid), True
                 continue
+            kind, of_kind = turn(self.kinds, number)
+            tally = self.tallies[kind]
             tally.done += 1
             for code in told["codes"]:
                 tally.codes[str(code)] = tally.codes.get(str(code), 0) + 1
             if told["fault"]:
-                tally.found(told["fault"], number, told["command"])
+                tally.found(told["fault"], of_kind, told["command"])
             number, begun = number + 1, False
             if time.monotonic() > until:
                 break
         return number
 
-    def _lost(self, tally: Tally, what: str, number: int, where: str) -> int:
+    def _lost(self, what: str, number: int, where: str) -> int:
         """An input that its reader did not survive."""
-        tally.done += 1
-        tally.found(f"{what} {where}", number, "")
+        kind, of_kind = turn(self.kinds, number)
+        self.tallies[kind].done += 1
+        self.tallies[kind].found(f"{what} {where}", of_kind, "")
         if self.keep is not None:
-            shutil.copytree(
-                self.folder / "case", self.keep / f"{self.kind}-{number}", dirs_exist_ok=True, symlinks=True
-            )
+            shutil.copytree(self.folder / "case", self.keep / f"{kind}-{of_kind}", dirs_exist_ok=True, symlinks=True)
         return number + 1
 
     def _where(self, child: subprocess.Popen[str]) -> str:
@@ -171,20 +174,25 @@ def make_bases(folder: Path) -> Path:
 
 def fuzz(
     kinds: Sequence[str], seconds: float, seed: int, folder: Path, keep: Path | None = None, most: int | None = None,
-    number: int = 0, told: Callable[[dict[str, Tally]], None] = lambda _: None,
+    number: int = 0, told: Callable[[dict[str, Tally]], None] = lambda _: None, together: bool = False,
 ) -> dict[str, Tally]:  # fmt: skip
     """Read spoiled inputs of all kinds in turn, for so long or until there were `most` of each. told: after each kind's
-    turn.
+    turn. together: one process reads all kinds, which spares a short run the start of one for each, and more of those
+    that are read quickly.
     """
     bases = make_bases(folder)
-    tallies, next_one = {kind: Tally() for kind in kinds}, dict.fromkeys(kinds, number)
+    tallies = {kind: Tally() for kind in kinds}
+    next_one = dict.fromkeys([rounds(kinds)] if together else [(kind,) for kind in kinds], number)
     end = time.monotonic() + seconds
-    while (left := [k for k in kinds if most is None or tallies[k].done < most]) and time.monotonic() < end:
-        for kind in left:
+
+    def left(group: tuple[str, ...]) -> int:
+        return BATCH if most is None else number + most * len(group) - next_one[group]
+
+    while (groups := [group for group in next_one if left(group)]) and time.monotonic() < end:
+        for group in groups:
             until = min(end, time.monotonic() + SLICE)
-            reader = Reader(kind, folder / kind, bases, seed, keep)
-            count = BATCH if most is None else most - tallies[kind].done
-            next_one[kind] = reader.read(next_one[kind], until, tallies[kind], count)
+            reader = Reader(group, tallies, folder / group[0], bases, seed, keep)
+            next_one[group] = reader.read(next_one[group], until, left(group))
             told(tallies)
             if time.monotonic() > end:
                 break
@@ -228,6 +236,13 @@ def main() -> int:
         tallies = fuzz(kinds, given.seconds, given.seed, Path(made), given.keep, one, given.number or 0, told)
     print("\n".join([*table(tallies), "", *finds(tallies)]))
     return 1 if any(tally.finds for tally in tallies.values()) else 0
+
+
+def rounds(kinds: Sequence[str]) -> tuple[str, ...]:
+    """Whose turn it is in a round: each slow kind's once, each other one's QUICK times."""
+    from fuzz_inputs import KINDS
+
+    return tuple(kind for kind in kinds for _ in range(1 if KINDS[kind].slow else QUICK))
 
 
 def kinds_known() -> list[str]:

@@ -6,7 +6,7 @@ import json
 import random
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -15,140 +15,21 @@ import cv2
 import fuzz_mutations as spoil
 import numpy as np
 import pyarrow.parquet as pq
+from fuzz_bases import CELL, pictures, png
 
-from clothbench import (
-    Camera,
-    ColourVideo,
-    Curve,
-    DepthImages,
-    GripPath,
-    LaserImages,
-    Recording,
-    Silhouettes,
-    write_curve,
-    write_depth,
-    write_laser,
-    write_recording,
-    write_silhouettes,
-    write_video,
-)
-from clothbench.cli import main
 from clothbench.engine.suite import suites_folder
-from clothbench.recordings.colour_video import Marks
-from clothbench.recordings.depth import Colour
 
 Command = Sequence[str] | Callable[[], Any]
-ABOUT = {"cloth_width": 0.2, "cloth_height": 0.2, "areal_density": 0.2, "fabric": "paper", "motion": "sway"}
-TIME = np.linspace(0, 0.5, 6)
-HELD = np.array([[0.0, 0.0], [0.2, 0.0]])
-CAMERA = Camera.looking_at(np.array([0.1, -1.0, -0.1]), np.array([0.1, 0.0, -0.1]), (80, 72), 0.5)
-CELL = ("model=mass_spring", "optimizer=ga", "metric=node_error", "budget=2", "jobs=1", "rerun=false", "timeout=5",
-        "scene.resolution=[5,5]")  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Kind:
     """make: writes a spoiled input into an empty folder, beside valid things from the folder `bases`, and says what is
-    to be called there. slow: of a second, not of milliseconds.
+    to be called there. slow: of tenths of a second, not of milliseconds.
     """
 
     make: Callable[[Path, Path, random.Random], list[Command]]
     slow: bool = False
-
-
-# --- valid ones -----------------------------------------------------------------------------------------------------
-
-
-def nodes(name: str = "sway-1", split: str = "fit") -> Recording:
-    u, v = (a.ravel() for a in np.meshgrid(*[np.linspace(0, 0.2, 3)] * 2))
-    sway = 0.02 * np.sin(2 * np.pi * TIME)[:, None, None] * [0, 1, 0]
-    noise = np.random.default_rng(len(name)).normal(0, 1e-3, (6, 9, 3))
-    return Recording(
-        name=name, time=TIME, material=np.stack([u, v], axis=1),
-        position=np.stack([u, 0 * u, -v], axis=1) + sway + noise, grip_time=TIME, grip_material=HELD,
-        grip_position=np.insert(HELD, 1, 0, axis=1) + sway, noise_sigma=1e-3, split=split, notes={"room": "4"},
-        confidence=np.full((6, 9), 0.9), thickness=1e-3, outline=np.array([[0, 0], [0.2, 0], [0.2, 0.2], [0, 0.2]]),
-        sight=CAMERA, **ABOUT,
-    )  # fmt: skip
-
-
-def grips() -> GripPath:
-    return GripPath(TIME, HELD, np.zeros((6, 2, 3)))
-
-
-def pictures() -> list[np.ndarray]:
-    return [np.random.default_rng(k).integers(0, 255, (72, 80, 3)).astype(np.uint8) for k in range(6)]
-
-
-def png(picture: np.ndarray) -> bytes:
-    return cv2.imencode(".png", picture)[1].tobytes()
-
-
-def write_film(path: Path) -> None:
-    film = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 30, (80, 72))  # type: ignore[attr-defined]
-    for picture in pictures():
-        film.write(picture)
-    film.release()
-
-
-def video(stream: bytes, ends: np.ndarray | None) -> ColourVideo:
-    return ColourVideo(
-        name="film", time=np.arange(6) / 30, stream=np.frombuffer(stream, np.uint8), ends=ends, camera=CAMERA,
-        world="camera", template=np.full((64, 64, 3), 90, np.uint8),
-        grips=GripPath(np.arange(6) / 30, HELD, np.zeros((6, 2, 3))),
-        marks=Marks(HELD, np.array([[4.0, 4], [60, 4]])), **ABOUT,
-    )  # fmt: skip
-
-
-def write_bases(to: Path) -> None:
-    """One valid input of each kind, and a results folder and a submission made from them."""
-    write_recording(nodes(), to / "nodes.nc")
-    write_recording(nodes("sway-2", "held_out"), to / "measured" / "sway-2.nc")
-    shutil.copy(to / "nodes.nc", to / "measured" / "sway-1.nc")
-    stretch = np.linspace(1.0, 1.5, 20)
-    write_curve(Curve(name="pull", stretch=stretch, force=10 * (stretch - 1), direction="warp"), to / "curve.nc")
-    write_laser(
-        LaserImages("line", TIME[:2], np.full((2, 20, 20), 9, np.uint8), np.eye(3), np.zeros(5), np.eye(3), np.zeros(3),
-                    np.array([0, 1.0, 0, 0])), to / "laser.nc",
-    )  # fmt: skip
-    depth = np.full((6, 72, 80), 1000, np.uint16)
-    colour = Colour(TIME, np.full((6, 72, 80, 3), 90, np.uint8))
-    write_depth(
-        DepthImages(name="deep", time=TIME, depth=depth, depth_step=1e-3, camera=CAMERA, colour=colour, grips=grips(),
-                    **ABOUT), to / "depth.nc",
-    )  # fmt: skip
-    write_film(to / "film.mp4")
-    parts = [png(p) for p in pictures()]
-    write_video(video(b"".join(parts), np.cumsum([len(p) for p in parts])), to / "video_pictures.nc")
-    write_video(video((to / "film.mp4").read_bytes(), None), to / "video_film.nc")
-    shadow = np.full((1, 64, 64), 255, np.uint8)
-    y, x = np.indices((64, 64)) - 31.5
-    shadow[0, np.hypot(x, y) < 26] = 0
-    write_silhouettes(
-        Silhouettes(name="drape", image=shadow, sample=np.zeros(1, int), side=np.ones(1, int), pixel_size=4e-3,
-                    disc_radius=0.15, plate_radius=0.09), to / "silhouette.nc",
-    )  # fmt: skip
-    write_results(to)
-    write_submission(to)
-
-
-def write_results(to: Path) -> None:
-    words = [f"recordings={to / 'measured'}", *CELL[:3], "budget=8", *CELL[4:], "report=[relative_error]"]
-    if main(["run", *words, "+analysis.variability={cases: ['*'], points: 3}", f"out={to / 'runs'}"]):
-        raise SystemExit("the run that is to be spoiled has failed")
-    for name in ("report.html", "rerun", "tracked", "journal"):
-        shutil.rmtree(to / "runs" / name, ignore_errors=True)
-        (to / "runs" / name).unlink(missing_ok=True)
-
-
-def write_submission(to: Path) -> None:
-    for name in ("sway-1", "sway-2"):
-        measured = nodes(name, "fit" if name == "sway-1" else "held_out")
-        moved = np.array(measured.position) + 0.01 * np.sin(np.pi * measured.material[:, 1] / 0.4)[:, None]
-        moved[:, [0, 2]] = measured.grip_position
-        write_recording(replace(measured, position=moved, source="a plate"), to / "submission" / f"{name}.nc")
-    if main(["submit", str(to / "submission"), "--name", "plate", "--recordings", str(to / "measured")]):
-        raise SystemExit("the submission that is to be spoiled was refused")
 
 
 # --- spoiled ones ---------------------------------------------------------------------------------------------------
@@ -249,17 +130,52 @@ BOMB = "a: &a [x, x, x, x, x, x, x, x, x]\n" + "".join(
 )
 
 
+# Most built-in suites refuse the recordings that are here before they read on; this one is planned to its end.
+MINE = """# @package _global_
+suite:
+  name: mine
+  version: 1
+  title: of a stranger's
+  select: ["*"]
+  case: fabric
+  each: ["*-1"]
+  together: []
+  fixed: {"*": {linear_drag.coefficient: 0.5}}
+  effects:
+    mass_spring: [linear_drag]
+  budgets:
+    long: {budget: 20, finer: {spacing: 0.02, share: 0.25}}
+model: [mass_spring]
+optimizer: [ga, least_squares]
+metric: [node_error]
+report: [relative_error]
+scene: {spacing: 0.05, areal_density: 0.1, start: rest, thickness: 0.001}
+bounds: {k1: [10, 100]}
+options:
+  ga: {generations: 3}
+analysis:
+  variability: {cases: ["*"], points: 3}
+  repeats: {cases: ["*"], count: 2}
+  morris: {cases: ["*"], trajectories: 2}
+  map: {cases: ["*"], points: 3}
+limits: {seconds: 10}
+budget: 8
+seed: 3
+"""
+
+
 def suite(here: Path, bases: Path, chance: random.Random) -> list[Command]:
     """A suite from a folder of a stranger's; it is planned, not simulated."""
     (here / "conf" / "suite").mkdir(parents=True)
-    text = chance.choice(suite_texts())
+    text = MINE if chance.random() < 0.5 else chance.choice(suite_texts())
+    measured = [f"recordings={bases / 'measured'}"] if "recordings:" in text or text is MINE else []
     if chance.random() < 0.3:
         lines = HYDRA.splitlines()
         text += "\n".join([lines[0], *chance.sample(lines[1:], chance.randrange(1, 4)), ""])
     elif chance.random() < 0.1:
         text += BOMB
     (here / "conf" / "suite" / "mine.yaml").write_bytes(spoil.other_text(text, chance))
-    return [["run", "--config-dir", "conf", "+suite=mine", f"recordings={bases / 'measured'}"]]
+    return [["run", "--config-dir", "conf", "+suite=mine", *measured]]
 
 
 @cache
@@ -268,9 +184,9 @@ def suite_texts() -> list[str]:
 
 
 WORDS = (*CELL, "study=calibration", "effects=[gravity_tilt]", "scene.areal_density=0.2", "scene.start=rest", "seed=1",
-         "bounds.stretch_stiffness=[1,2]", "+options.ga.generations=2", "prior=denim", "out=runs", "data_dir=x",
-         "+suite=static_dynamic", "suite.select=x", "tracker=markers", "report=[node_error]", "choice=knee",
-         "scene.outline=[[0,0],[0.1,0],[0,0.1]]", "scene.obstacles=[{shape:plane}]", "analysis.morris={cases:['*']}",
+         "+bounds.k1=[1,2]", "+options.ga.generations=2", "prior=denim", "out=runs", "data_dir=x",
+         "+suite=static_dynamic", "+suite.select=*", "tracker=markers", "report=[node_error]", "choice=knee",
+         "scene.outline=[[0,0],[0.1,0],[0,0.1]]", "scene.obstacles=[{shape:plane}]", "+analysis.morris={cases:['*']}",
          "budget=paper", "~seed", "scene.thickness=0.001")  # fmt: skip
 
 
@@ -289,18 +205,20 @@ def words(here: Path, bases: Path, chance: random.Random) -> list[Command]:
     return [["run", *(word.replace("\x00", "0") for word in given if not word.startswith("-"))]]
 
 
+UPWARDS = "../../../../FUZZED"  # out of a cell's folder in `runs`, and out of the folder that may be written to
+ODD_PATHS = (UPWARDS, f"a/../{UPWARDS}", "/tmp/FUZZED", "rows.parquet/x", "a//b", "./a")
+
+
 def archive(here: Path, bases: Path, chance: random.Random) -> list[Command]:
     """A cell as a bucket holds it, brought into a results folder."""
     from clothbench.core.packed import files_in, packed, unpacked, write_files
 
     files = dict(files_in(next((bases / "runs" / "cells").iterdir())))
     if chance.random() < 0.6:
-        odd = chance.choice(
-            (*spoil.TEXTS, "../../FUZZED", "/tmp/FUZZED", "a/../../FUZZED", "rows.parquet/x", "a//b", "./a")
-        )
+        odd = chance.choice(chance.choice((spoil.TEXTS, ODD_PATHS)))
         files[odd.replace("\x00", "0")] = b"FUZZED"
     content = packed(files)
-    if chance.random() < 0.7:
+    if chance.random() < 0.5:
         content = spoil.damaged(content, chance)
 
     def bring() -> None:
@@ -424,7 +342,7 @@ KINDS = {
     "results": Kind(results, slow=True),
     "archive": Kind(archive),
     "rows_json": Kind(rows_json),
-    "submission": Kind(submission),
+    "submission": Kind(submission, slow=True),
     "suite": Kind(suite, slow=True),
     "words": Kind(words, slow=True),
     "clouds": Kind(clouds),

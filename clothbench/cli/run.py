@@ -8,6 +8,7 @@ import os
 import shutil
 import sys
 import tempfile
+import traceback
 import uuid
 from collections.abc import Sequence
 from functools import cache
@@ -80,8 +81,19 @@ def run(arguments: Sequence[str]) -> int:
         return _conclude(notes, sweep)
     except (HydraException, OmegaConfBaseException) as fault:
         raise ClothbenchError(_one_line(fault)) from fault
+    except ValueError as fault:
+        if _of_a_job(fault):
+            raise
+        raise ClothbenchError(f"found a setting without a place ({fault}), expected KEY=VALUE of a run") from fault
     finally:
         shutil.rmtree(notes, ignore_errors=True)
+
+
+def _of_a_job(fault: Exception) -> bool:
+    """Whether it came up in a job, and not before, when OmegaConf read its settings: that has no exception of its own
+    for a place in a list that is no number.
+    """
+    return any(frame.f_code is job.__code__ for frame, _ in traceback.walk_tb(fault.__traceback__))
 
 
 def jobs_of(words: Sequence[str]) -> int:
@@ -130,6 +142,8 @@ def job(config: Any) -> None:
         note = _run(last_word(settings, HydraConfig.get().overrides.task), sweep_now())  # type: ignore[arg-type]
     except ClothbenchError as fault:
         note = {"error": str(fault)}
+    except OmegaConfBaseException as fault:
+        note = {"error": _one_line(fault)}
     folder = Path(os.environ[NOTES])
     folder.mkdir(parents=True, exist_ok=True)
     (folder / f"{uuid.uuid4().hex}.json").write_text(json.dumps(note))

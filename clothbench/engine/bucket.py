@@ -1,7 +1,8 @@
-"""An object store as the place of results: objects that are created once, read and listed, never replaced.
+"""An object store as the place of results: results are created once, read and listed, never replaced.
 
 s3://BUCKET/PREFIX/cells/KEY.zip             a finished cell: the files of its folder
 s3://BUCKET/PREFIX/errors/KEY/ATTEMPT.zip    an attempt at a cell that ended in an error, under a key of its own
+s3://BUCKET/PREFIX/leases/KEY                no result: that a command is at a cell (`clothbench.engine.bucket_leases`)
 
 What is in a bucket is read from its mirror, a folder of this machine (`clothbench.engine.mirror`).
 """
@@ -56,6 +57,10 @@ def cell_object(key: str) -> str:
 
 def error_object(key: str, attempt: str) -> str:
     return f"errors/{key}/{attempt}.zip"
+
+
+def lease_object(key: str) -> str:
+    return f"leases/{key}"
 
 
 def mirrors() -> Path:
@@ -118,6 +123,19 @@ class Bucket:
         """Names of all objects below one of them, in order."""
         with self._reached():
             return sorted(path[len(self._root) + 1 :] for path in self._files.find(f"{self.address}/{below}"))
+
+    def dates(self, below: str) -> dict[str, object]:
+        """When each object below one of them was written, as the object store says it, by its name."""
+        with self._reached():
+            found = self._files.find(f"{self.address}/{below}", detail=True)
+            return {
+                path[len(self._root) + 1 :]: of.get("LastModified", of.get("updated")) for path, of in found.items()
+            }
+
+    def replace(self, name: str, content: bytes) -> None:
+        """Write an object that is no result anew."""
+        with self._reached():
+            self._files.pipe_file(f"{self.address}/{name}", content)
 
     def forget(self, name: str) -> None:
         """Delete an object that is no result; who may not delete leaves it there."""

@@ -2,6 +2,9 @@
 
 RUNS/leases/KEY    host and process of the command that is at a cell; gone when it is done with it
 
+In the mirror of a bucket they tell commands of this machine from each other; those of others by leases in the bucket
+(`clothbench.engine.bucket_leases`).
+
 A cell that is leased elsewhere is put to the end. Whoever has nothing else left waits for it a little, then computes
 it, too; what is published first stays, as ever.
 """
@@ -24,7 +27,9 @@ import psutil
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import read_json
+from clothbench.engine.bucket_leases import BucketLeases
 from clothbench.engine.executors.work import Owner
+from clothbench.engine.mirror import pull_result
 from clothbench.engine.store import Store
 
 LEASES = "leases"
@@ -33,6 +38,9 @@ RENEW = 15.0  # s between two signs of life of a command
 STALE = 60.0  # s without one, after which it counts as gone
 PATIENCE = 60.0  # s that a command with nothing else left waits for the cells of others
 LOOK = 0.5  # s between two looks at what others are at
+
+# What reading a lease may raise that is just being written, or is none.
+UNREADABLE = (OSError, ClothbenchError, psutil.Error, KeyError, TypeError, ValueError, OverflowError)
 
 T = TypeVar("T")
 
@@ -44,6 +52,7 @@ class Leases:
         self.store, self.folder = store, store.folder / LEASES
         self.mine = json.dumps({"host": socket.gethostname(), **vars(Owner())})
         self.held: set[str] = set()
+        self.shared = BucketLeases(store.bucket, self.mine) if store.bucket is not None else None
         self._ended = threading.Event()
 
     def __enter__(self) -> Leases:
@@ -52,15 +61,28 @@ class Leases:
 
     def __exit__(self, *_: object) -> None:
         self._ended.set()
-        for key in list(self.held):
+        for key in [*self.held, *(self.shared.held if self.shared is not None else ())]:
             self.give_back(key)
         with contextlib.suppress(OSError):  # others are at work
             self.folder.rmdir()
 
     def take(self, key: str) -> bool:
-        """Take the lease of a cell; False if another live command has it."""
+        """Take the lease of a cell; False if another live command has it. If the bucket has a result of it by now, that
+        is brought here.
+        """
         if key in self.held:  # and the cell is tried again
             return True
+        if not self._take_here(key):
+            return False
+        if self.shared is not None:
+            if not self.shared.take(key):
+                self.give_back(key)
+                return False
+            with contextlib.suppress(ClothbenchError, OSError):
+                pull_result(self.store, key)
+        return True
+
+    def _take_here(self, key: str) -> bool:
         with contextlib.suppress(OSError):
             for _ in range(2):
                 try:
@@ -73,20 +95,30 @@ class Leases:
                 except FileExistsError:
                     if live(self.folder / key):
                         return False
-                    (self.folder / key).unlink(missing_ok=True)
+                    self._clear(key)
         return True
+
+    def _clear(self, key: str) -> None:
+        """Delete the lease of a command that has gone, here and in the bucket."""
+        if self.shared is not None:
+            self.shared.clear(key, (self.folder / key).read_text(errors="replace"))
+        (self.folder / key).unlink(missing_ok=True)
 
     def give_back(self, key: str) -> None:
         if key in self.held:
             self.held.discard(key)
             with contextlib.suppress(OSError):
                 (self.folder / key).unlink(missing_ok=True)
+        if self.shared is not None:
+            self.shared.give_back(key)
 
     def _renew(self) -> None:
         while not self._ended.wait(RENEW):
             for key in list(self.held):
                 with contextlib.suppress(OSError):
                     os.utime(self.folder / key)
+            if self.shared is not None:
+                self.shared.renew()
 
 
 class Line(Generic[T]):
@@ -156,13 +188,5 @@ def live(lease: Path) -> bool:
         return held["host"] != socket.gethostname() or Owner(int(held["pid"]), float(held["began"])).lives
     except FileNotFoundError:
         return False
-    except (
-        OSError,
-        ClothbenchError,
-        psutil.Error,
-        KeyError,
-        TypeError,
-        ValueError,
-        OverflowError,
-    ):  # just being written
+    except UNREADABLE:
         return True

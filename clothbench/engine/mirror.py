@@ -79,6 +79,13 @@ def pull(store: Store, again: bool = False) -> dict[str, str]:
     return faults
 
 
+def pull_result(store: Store, key: str) -> None:
+    """Bring the result of one cell, if the bucket has it by now."""
+    assert store.bucket is not None
+    for name, content in store.bucket.read([cell_object(key)]).items():
+        _bring(store, key, name, content)
+
+
 def _pull_disagreements(store: Store, bucket: Bucket) -> None:
     """Bring the records of cells that did not come to the same twice, and remove those that the bucket has no more."""
     here = {path.relative_to(store.folder).as_posix() for path in store.disagreements()}

@@ -34,7 +34,7 @@ SUITE_WORDS = {"name", "version", "title", "budgets"}  # of every study; each ma
 
 def checked(config: Mapping[str, Any], plugins: Catalogue, suite_words: frozenset[str]) -> dict[str, Any]:
     """The settings with their types made sure; refuses what means nothing here. suite_words: of the study."""
-    out = dict(config)
+    out = {**dict.fromkeys(KNOWN), **config}  # one that ~KEY takes out is empty
     known_words("setting", out, KNOWN)
     out["suite"] = mapping("suite", suite_chosen(out.get("suite")))
     known_words("setting of 'suite'", out["suite"], SUITE_WORDS | suite_words)
@@ -198,7 +198,7 @@ def writable(value: Any) -> Path:
             f"setting 'out' is {value!r}, expected a folder (`run` and `improve` alone take a bucket)"
         )
     folder = Path(value)
-    above = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    above = next(p for p in (folder.absolute(), *folder.absolute().parents) if os.path.exists(p))
     if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
         raise ClothbenchError(f"setting 'out': {folder} cannot be written to; give a folder of yours")
     return folder

@@ -50,7 +50,7 @@ def resolve(path: str, config: Mapping[str, Any], progress: FileProgress | None 
         package, _, folder = path.removeprefix("pkg://").partition("/")
         try:
             return [Path(str(files(package).joinpath(folder)))]
-        except ModuleNotFoundError as fault:
+        except (ImportError, ValueError, TypeError) as fault:  # also of what can be no name of a package
             raise ClothbenchError(f"recordings {path!r}: {fault}; install the package that has them") from fault
     if path.startswith("dataset:"):
         from clothbench.datasets.convert import converted

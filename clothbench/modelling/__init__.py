@@ -12,7 +12,7 @@ effects in a time loop: BoundEffects, EFFECT (their numba type), Terms, SLOTS, F
 start, grips, sampling and the end of a time loop: Start, Grips, Sampling, Clock (numba types in capitals, and
     `…_OF_MANY` for loops that run several members at once), GOES_ON, SETTLES, RESTS, grip_point, grip_speed,
     advance_segment, hold_grips, write_frames, put_grips, fastest, is_lost, as_double, put_back, OK, DIVERGED
-contact: obstacle_table, carry, keep_out, inside, layers_of, keep_apart, LAYERS
+contact: obstacle_table, OBSTACLE (its columns), vector_of, carry, keep_out, inside, layers_of, keep_apart, LAYERS
 force-extension curves: curve_of, CurveSimulation
 threads over members, and the shape to settle from: for_each, initial_shape
 """
@@ -22,7 +22,17 @@ from clothbench.core.parallel import for_each
 from clothbench.core.scene import initial_shape
 from clothbench.modelling.batch import GridBatch, GridSimulation
 from clothbench.modelling.bound_effects import FORCE, INERTIA, PLACES, BoundEffects
-from clothbench.modelling.contact import DISC, PLANE, SPHERE, carry, inside, keep_out, obstacle_table
+from clothbench.modelling.contact import (
+    DISC,
+    OBSTACLE,
+    PLANE,
+    SPHERE,
+    carry,
+    inside,
+    keep_out,
+    obstacle_table,
+    vector_of,
+)
 from clothbench.modelling.cover import Cover, spaces
 from clothbench.modelling.curves import (
     CURVE_HOOKS,
@@ -97,6 +107,7 @@ __all__ = [
     "GRIPS_OF_MANY",
     "INERTIA",
     "LAYERS",
+    "OBSTACLE",
     "OK",
     "PLACES",
     "PLANE",
@@ -174,6 +185,7 @@ __all__ = [
     "spaces",
     "triangle_slots",
     "tributary",
+    "vector_of",
     "wants_normals",
     "write_frames",
 ]

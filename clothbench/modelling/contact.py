@@ -12,6 +12,8 @@ velocities are those against the obstacle, which may itself be carried along by 
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from clothbench.core.kernels import kernel
@@ -21,9 +23,26 @@ from clothbench.modelling.time_loop import grip_point
 PLANE, DISC, SPHERE = (float(SHAPES.index(shape)) for shape in ("plane", "disc", "sphere"))
 
 
+class ObstacleColumns(NamedTuple):
+    """The columns of `obstacle_table`; of a vector the first of three."""
+
+    kind: int = 0  # PLANE, DISC or SPHERE
+    centre: int = 1  # m
+    normal: int = 4  # outward, of length 1
+    radius: int = 7  # m
+    friction: int = 8
+    velocity: int = 9  # m/s
+    carriers: int = 12  # how many grips carry it
+    first_centre: int = 13  # m, when the run begins
+    velocity_before: int = 16  # m/s, a step before
+    end: int = 19
+
+
+OBSTACLE = ObstacleColumns()
+
+
 def obstacle_table(scene: Scene) -> np.ndarray:
-    """The obstacles for `keep_out`, (K, 19): kind, centre (3) m, outward normal (3), radius m, friction, velocity (3)
-    m/s, how many grips carry it, centre when the run begins (3) m, velocity a step before (3) m/s.
+    """The obstacles for `keep_out`, a row each, with the columns of `OBSTACLE`.
 
     `carry` changes centres and velocities, so that loops that run side by side need a table each.
     """
@@ -35,7 +54,13 @@ def obstacle_table(scene: Scene) -> np.ndarray:
         )
         for o in scene.obstacles
     ]
-    return np.array(rows, dtype=float).reshape(-1, 19)
+    return np.array(rows, dtype=float).reshape(-1, OBSTACLE.end)
+
+
+@kernel
+def vector_of(obstacles, k, column):
+    """The vector (3,) of obstacle k that begins in a column."""
+    return obstacles[k, column], obstacles[k, column + 1], obstacles[k, column + 2]
 
 
 @kernel
@@ -46,15 +71,16 @@ def carry(obstacles, knots, curve, start, t, dt):
     and curve (4, K−1, G, 3): the grips of one member, as in `Grips`; obstacles: `obstacle_table`, changed in place.
     """
     for k in range(obstacles.shape[0]):
-        grips = int(obstacles[k, 12])  # the first of the curve; nodes off the cloth, which never move, come after
+        grips = int(obstacles[k, OBSTACLE.carriers])  # the first of the curve; nodes off the cloth come after, at rest
         if grips > 0:
             for c in range(3):
                 first = _mean_grip(knots, curve, grips, start, c)
                 now = _mean_grip(knots, curve, grips, t, c)
                 before = _mean_grip(knots, curve, grips, max(start, t - dt), c)
                 earlier = _mean_grip(knots, curve, grips, max(start, t - 2 * dt), c)
-                obstacles[k, 1 + c] = obstacles[k, 13 + c] + now - first
-                obstacles[k, 9 + c], obstacles[k, 16 + c] = (now - before) / dt, (before - earlier) / dt
+                obstacles[k, OBSTACLE.centre + c] = obstacles[k, OBSTACLE.first_centre + c] + now - first
+                obstacles[k, OBSTACLE.velocity + c] = (now - before) / dt
+                obstacles[k, OBSTACLE.velocity_before + c] = (before - earlier) / dt
 
 
 @kernel
@@ -75,20 +101,23 @@ def keep_out(x, v, obstacles, free, lane, lanes):
     that is held and stays where it is.
     """
     for k in range(obstacles.shape[0]):
-        kind, friction = obstacles[k, 0], obstacles[k, 8]
+        kind, friction = obstacles[k, OBSTACLE.kind], obstacles[k, OBSTACLE.friction]
+        drift = vector_of(obstacles, k, OBSTACLE.velocity)
         for e in range(lane, x.shape[1], lanes):
             if free[e] == 0.0:
                 continue
             depth, nx, ny, nz = inside(kind, obstacles, k, x[0, e], x[1, e], x[2, e])
             if depth > 0.0:
-                _put_on(x, v, e, depth, nx, ny, nz, friction, obstacles[k, 9:12])
+                _put_on(x, v, e, depth, nx, ny, nz, friction, drift)
 
 
 @kernel
 def inside(kind, obstacles, k, px, py, pz):
     """How deep the point is in obstacle k [m], ≤ 0 outside, and the way out: a unit normal."""
-    dx, dy, dz = px - obstacles[k, 1], py - obstacles[k, 2], pz - obstacles[k, 3]
-    nx, ny, nz, radius = obstacles[k, 4], obstacles[k, 5], obstacles[k, 6], obstacles[k, 7]
+    cx, cy, cz = vector_of(obstacles, k, OBSTACLE.centre)
+    dx, dy, dz = px - cx, py - cy, pz - cz
+    nx, ny, nz = vector_of(obstacles, k, OBSTACLE.normal)
+    radius = obstacles[k, OBSTACLE.radius]
     if kind == SPHERE:
         square = dx * dx + dy * dy + dz * dz
         if square >= radius * radius or square == 0.0:

@@ -166,7 +166,7 @@ def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
     """The recording files named, or lying in the folders named, sorted; an empty find is an error."""
     found: list[Path] = []
     for path in map(Path, paths):
-        if path.is_dir():
+        if os.path.isdir(path):  # which does not stumble over a name that is too long
             # Hidden folders are what a killed import left behind.
             inside = sorted(
                 p for p in path.rglob("*.nc") if not any(x.startswith(".") for x in p.relative_to(path).parts)
@@ -174,7 +174,7 @@ def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
             if not inside:
                 raise ClothbenchError(f"{path}: found no recordings, expected files ending in .nc in this folder")
             found += inside
-        elif path.exists():
+        elif os.path.exists(path):
             found.append(path)
         else:
             raise ClothbenchError(f"{path}: no such file or folder; give a recording (.nc) or a folder of them")

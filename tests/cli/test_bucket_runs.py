@@ -5,10 +5,14 @@ from __future__ import annotations
 import json
 import os
 import signal
+import subprocess
+import sys
 import time
 
 import pytest
 from test_killed import CELL, started
+from test_two_commands import CELL as SHORT
+from test_two_commands import EIGHT
 
 from clothbench.engine.bucket import Bucket
 
@@ -62,6 +66,24 @@ def test_a_dask_worker_that_shares_nothing_publishes_by_itself(s3, recordings_fo
     assert pull(store) == {}
     assert [row["status"] for row in store.rows()] == ["ok"] * len(store.rows()) != []
     assert list((tmp_path / "worker").glob("stores/*/cells/*/rows.parquet"))
+
+
+@pytest.mark.slow
+def test_two_machines_in_one_bucket_compute_every_cell_once(s3, recordings_folder, tmp_path):
+    words = [f"recordings={recordings_folder}", f"out={s3}", *SHORT, *EIGHT]
+    both = [
+        subprocess.Popen(
+            [sys.executable, "-m", "clothbench", "run", *words], cwd=tmp_path, stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE, text=True, env={**os.environ, "CLOTHBENCH_CACHE": str(tmp_path / name)},
+        )
+        for name in ("one", "other")
+    ]  # fmt: skip
+    said = [process.communicate()[1] for process in both]
+    assert [process.returncode for process in both] == [0, 0], said
+    computed = [text.count("ok: ") for text in said]
+    assert (min(computed) > 0, sum(computed)) == (True, 8), said
+    assert [text.count("kept: ") for text in said] == [8 - count for count in computed]
+    assert Bucket(s3).names("leases") == []
 
 
 @pytest.mark.slow

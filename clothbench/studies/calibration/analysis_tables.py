@@ -69,7 +69,7 @@ def unit_of(moved: Sequence[Transfer], way: str) -> str:
 
 def confusion_table(c: Confusion) -> Table:
     """Rows: recorded fabrics; columns: whose parameters; the nearest is marked."""
-    table = _table(f"which fabric is it? {escape(c.way)}, error [{c.unit}]", "recorded")
+    table = _table(escape(f"which fabric is it? {c.way}, error [{c.unit}]"), "recorded")
     for fabric in c.fabrics:
         table.add_column(f"as {escape(fabric)}", justify="right")
     for recorded in c.fabrics:
@@ -116,7 +116,7 @@ def repeats_table(rows: Rows, about: dict[str, str]) -> Table:
             table.add_row(*(escape(x) for x in (label, _number(each[0]["start"]), "  ".join(map(_number, values)),
                                                 percent(spread(values)))))  # fmt: skip
         errors = {r["repeat"]: r["error"] for r in mine}
-        table.add_row(f"  error [{mine[0]['error_unit']}]", _number(mine[0]["error_start"]),
+        table.add_row(escape(f"  error [{mine[0]['error_unit']}]"), _number(mine[0]["error_start"]),
                       "  ".join(map(_number, errors.values())), percent(spread(list(errors.values()))))  # fmt: skip
         table.add_section()
     return table

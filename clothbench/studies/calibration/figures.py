@@ -28,7 +28,7 @@ def panels(store: Store, rows: Rows) -> list[dict[str, Any]]:
 
     traces: figures by recording; legend: [name, colour, dash] per cell, whose lines carry its name as `meta`.
     """
-    rows = [r for r in rows if r["recording"]]
+    rows = [r for r in rows if r["recording"] and r["split"] and r["metric"]]  # no run leaves one of the others out
     per_trace = int(np.clip(POINTS / max(len(rows), 1), 40, 400))
     tables = {key: cell_tables(store.cell(key), per_trace) for key in {r["key"] for r in rows}}
     names = series_names(rows, {key: table["metric"] for key, table in tables.items()})

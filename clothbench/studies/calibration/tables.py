@@ -40,14 +40,14 @@ def show(results: Results) -> list[Any]:
 
 def error_table(suite: str, rows: Rows) -> Table:
     """Errors beside their floor. What a row is about stands in one column, so that the table fits 80 characters."""
-    table = Table(title=f"{suite}: error, 95 % interval", title_justify="left", title_style="bold")
+    table = Table(title=f"{escape(suite)}: error, 95 % interval", title_justify="left", title_style="bold")
     table.add_column("recording", overflow="fold")
     for name in ("error", "interval", "floor"):
         table.add_column(name, justify="right", no_wrap=True)
     cells = list(group(rows, lambda r: r["key"]).values())
     crowded = max((sum(bool(r["recording"]) for r in mine) for mine in cells), default=0) > MANY
     for mine in cells[:MOST]:
-        effort = f"{mine[0]['evaluations']} evaluations, {mine[0]['wall_s']:.1f} s"
+        effort = f"{mine[0]['evaluations']} evaluations, {mine[0]['wall_s'] or 0.0:.1f} s"
         table.add_row(f"[bold]{escape(cell_name(mine[0]))}[/] [dim]({effort})[/]")
         for row in mine:
             # Single recordings by the metric that was minimised; by the others the totals say enough.
@@ -75,10 +75,9 @@ def overall(rows: Rows) -> list[str]:
         if len(cases) > 1 and all(r["value"] is not None for r in mine):
             mean = sum(r["value"] for r in mine) / len(mine)
             name = " + ".join([model, *(e for e in effects.split(",") if e)])
-            what = f"{escape(name)} · {escape(optimizer)} · {escape(metric)}, seed {seed}"
-            out.append(
-                f"held out, all {len(cases)} cases: {mean:.2f} {mine[0]['unit']} over {len(mine)} recordings ({what})"
-            )
+            what = f"{name} · {optimizer} · {metric}, seed {seed}"
+            error = f"{mean:.2f} {mine[0]['unit']}"
+            out.append(escape(f"held out, all {len(cases)} cases: {error} over {len(mine)} recordings ({what})"))
     return out
 
 
@@ -137,7 +136,7 @@ def front_table(rows: Rows, front: Rows) -> Table:
         table.add_row(f"[bold]{escape(cell_name(about[key]))}[/], {count} on the front")
         for objective, fit, least in fit_and_least(mine):
             numbers = (fit["distance"], fit["spreads"], least["distance"], least["spreads"])
-            table.add_row(f"  {objective}", *(f"{n:.3g}" for n in numbers), fit["unit"])
+            table.add_row(escape(f"  {objective}"), *(f"{n:.3g}" for n in numbers), escape(fit["unit"] or ""))
         table.add_section()
     return table
 

@@ -34,7 +34,7 @@ def lines(results: Results, suite: str) -> list[dict[str, Any]]:
 
 
 def path_table(suite: str, found: Rows) -> Table:
-    table = Table(title=f"{suite}: where the edge lands", title_justify="left", title_style="bold")
+    table = Table(title=f"{escape(suite)}: where the edge lands", title_justify="left", title_style="bold")
     for name in ("fabric", "path", "model"):
         table.add_column(name, overflow="fold")
     for name in ("landing error", "slip", "friction needed"):

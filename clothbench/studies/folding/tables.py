@@ -27,7 +27,7 @@ def show(results: Results) -> list[Any]:
 
 def fold_table(suite: str, rows: Rows, steps: Rows) -> Table:
     """One line per cell: reference with its ±2σ, the estimate of every step, the last one's interval, friction."""
-    table = Table(title=f"{suite}: estimate at every step", title_justify="left", title_style="bold")
+    table = Table(title=f"{escape(suite)}: estimate at every step", title_justify="left", title_style="bold")
     table.add_column("fabric", overflow="fold")
     for name in ("reference", "± 2σ"):
         table.add_column(name, justify="right", no_wrap=True)

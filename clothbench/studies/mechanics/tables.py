@@ -42,7 +42,9 @@ def observed_orders(levels: Rows) -> dict[str, float]:
 
 def validation_table(suite: str, rows: Rows, levels: Rows) -> Table:
     """One line per model and test: value beside reference, error, observed order of convergence over the meshes."""
-    table = Table(title=f"{suite}: models against references, finest mesh", title_justify="left", title_style="bold")
+    table = Table(
+        title=f"{escape(suite)}: models against references, finest mesh", title_justify="left", title_style="bold"
+    )
     for name in ("model", "case"):
         table.add_column(name, overflow="fold")
     for name in ("value", "reference", "unit", "error %", "order"):

@@ -6,7 +6,7 @@ v' = v̄ + γ M⁻¹ f(x̄ + γ v', v'), with γ = dt, x̄ = x, v̄ = v for Eule
 
 from __future__ import annotations
 
-from clothbench.modelling import grip_point, keep_out, kernel
+from clothbench.modelling import OBSTACLE, grip_point, keep_out, kernel
 from clothbench_models.implicit_grid import hold_back
 from clothbench_models.resting_contact import FREE, part_layers, touching
 
@@ -50,7 +50,8 @@ def rest_on(guess, x, x_bar, gamma, dt, obstacles, free, touch, normal, friction
     for e in range(x.shape[1]):
         if free[e] > 0.0 and touch[e] != FREE:  # x̄ lies off the surface by what x did before
             for c in range(3):
-                z[c, e] = guess[c, e] - (x[c, e] + dt * obstacles[on[e], 9 + c] - x_bar[c, e]) / gamma
+                drift = obstacles[on[e], OBSTACLE.velocity + c]
+                z[c, e] = guess[c, e] - (x[c, e] + dt * drift - x_bar[c, e]) / gamma
         else:
             z[0, e] = z[1, e] = z[2, e] = 0.0
     q[:] = z
@@ -68,8 +69,9 @@ def slip(scheme, v, obstacles, on, out):
         for c in range(3):
             out[c, e] = v[c, e]
             if on[e] >= 0:
-                now = obstacles[on[e], 9 + c]
-                out[c, e] -= now + ahead * (now - obstacles[on[e], 16 + c])
+                now = obstacles[on[e], OBSTACLE.velocity + c]
+                before = obstacles[on[e], OBSTACLE.velocity_before + c]
+                out[c, e] -= now + ahead * (now - before)
 
 
 @kernel

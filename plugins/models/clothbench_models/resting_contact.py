@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clothbench.modelling import DISC, SPHERE, inside, keep_apart, kernel
+from clothbench.modelling import DISC, OBSTACLE, SPHERE, inside, keep_apart, kernel, vector_of
 
 FREE, SLIDES, STICKS = 0, 1, 2  # what a node may do where it touches an obstacle; held nodes stick
 LEAVES = 3  # it was let go and lies on the surface still: it is free for one step, in which it leaves or falls back
@@ -32,14 +32,12 @@ def touching(x, dt, obstacles, free, touch, normal, friction, on):
         found = False
         on[i] = -1
         for k in range(obstacles.shape[0]):
-            kind = obstacles[k, 0]
-            ax, ay, az = obstacles[k, 4], obstacles[k, 5], obstacles[k, 6]
-            px, py, pz = (
-                x[0, i] + dt * obstacles[k, 9],
-                x[1, i] + dt * obstacles[k, 10],
-                x[2, i] + dt * obstacles[k, 11],
-            )
-            dx, dy, dz = px - obstacles[k, 1], py - obstacles[k, 2], pz - obstacles[k, 3]
+            kind = obstacles[k, OBSTACLE.kind]
+            ax, ay, az = vector_of(obstacles, k, OBSTACLE.normal)
+            cx, cy, cz = vector_of(obstacles, k, OBSTACLE.centre)
+            vx, vy, vz = vector_of(obstacles, k, OBSTACLE.velocity)
+            px, py, pz = x[0, i] + dt * vx, x[1, i] + dt * vy, x[2, i] + dt * vz
+            dx, dy, dz = px - cx, py - cy, pz - cz
             if kind == SPHERE:
                 away = np.sqrt(dx * dx + dy * dy + dz * dz) + 1e-300
                 sx, sy, sz = dx / away, dy / away, dz / away
@@ -54,7 +52,7 @@ def touching(x, dt, obstacles, free, touch, normal, friction, on):
             if depth > 0.0:
                 found = True
                 normal[0, i], normal[1, i], normal[2, i] = nx, ny, nz
-                friction[i] = obstacles[k, 8]
+                friction[i] = obstacles[k, OBSTACLE.friction]
                 on[i] = k
                 break
         if not found or touch[i] == LEAVES:
