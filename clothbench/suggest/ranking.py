@@ -17,25 +17,14 @@ from clothbench.studies.improve.problem import residuals
 from clothbench.studies.improve.settings import LOOP
 from clothbench.suggest.cameras import Look, Placed, look_of, placed
 from clothbench.suggest.experiments import Experiment
-from clothbench.suggest.information import counted_noise, gain, half_widths, information, pull_of, separation
+from clothbench.suggest.information import counted_noise, gain, half_widths, information, pull_of
 from clothbench.suggest.settings import INFORMATION, TIE, Wanted
 from clothbench.suggest.subject import Known, Subject, Tie
+from clothbench.suggest.ties import Apart, Rival, apart, comparison, refitted
 
 LOOKED_AT = 32  # parameter sets, of which those are drawn that the recordings allow
 NUDGE = 1e-3  # of the scaled range: after so small a change cloth that folds by chance is somewhere else altogether
 ENOUGH = 0.9  # of what the longest duration tells: a shorter one that tells so much is preferred
-
-
-@dataclass(frozen=True, eq=False)
-class Apart:
-    """How far apart two tied models would be. sigma: √Δχ², after the rival has made up for what it can; least: the
-    same, where what the model may be wrong by speaks for the rival; rms: m, over coordinates, before.
-    """
-
-    tie: Tie
-    sigma: float
-    least: float
-    rms: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,11 +121,12 @@ def promised(subject: Subject, experiment: Experiment, sets: np.ndarray, wanted:
         raise Unsimulated(f"could not be simulated with {len(sets) - len(at)} of {len(sets)} parameter sets")
     mesh = mesh_error(subject, experiment, at[0])
     doubt = doubts(subject, trial, at[0], tangents[0], mesh)
-    rivals = [rival_of(subject, experiment, tie) for tie in subject.ties]
     frames = len(experiment.scene.times)
     rows = len(at[0]) // frames
     position = at[0].reshape(frames, -1, 3)
     views: list[Placed | None] = [*placed(subject.like.scene, experiment.scene, position, wanted)] or [None]
+    whole = counted_there(known, doubt, tangents[0], experiment.durations[-1])
+    rivals = [rival_of(subject, experiment, tie, whole) for tie in subject.ties]
     for duration in experiment.durations:
         part = slice(0, rows * int(np.sum(experiment.scene.times <= duration + 1e-9)))
         counted = counted_there(known, doubt[part], tangents[0][part], duration)
@@ -150,10 +140,7 @@ def promised(subject: Subject, experiment: Experiment, sets: np.ndarray, wanted:
             yield Promise(
                 experiment, duration, float(np.mean([gain(known.matrix, one) for one in more])),
                 np.exp(np.log(after).mean(axis=0)), after.min(axis=0), after.max(axis=0),
-                tuple(
-                    apart(tie, away[part], tangent[part], doubt[part], looks[0], noise)
-                    for tie, (away, tangent) in zip(subject.ties, rivals, strict=True)
-                ),
+                tuple(apart(rival, part, doubt, looks[0], noise) for rival in rivals),
                 counted, float(np.sqrt(np.mean(doubt[part] ** 2))), view,
             )  # fmt: skip
 
@@ -173,11 +160,11 @@ def looks_of(
 
 def counted_there(known: Known, doubt: np.ndarray, jacobian: np.ndarray, duration: float) -> float:
     """What a coordinate will count as its noise [m]: as if `doubt` (M,) m were what a fit leaves there; but no less
-    than in the recordings that there are.
+    than in the recordings that there are, nor than by so many times that rms as there.
     """
     groups = np.array_split(np.arange(len(doubt)), max(2, round(duration / BLOCK)))
     own = counted_noise(doubt, jacobian, groups, known.noise)
-    return max(own, known.usual)
+    return max(own, known.usual, known.lasting * float(np.sqrt(np.mean(doubt**2))))
 
 
 def mesh_error(subject: Subject, experiment: Experiment, at: np.ndarray) -> np.ndarray:
@@ -205,23 +192,12 @@ def doubts(subject: Subject, trial: Trial, at: np.ndarray, jacobian: np.ndarray,
     return wrong - jacobian @ np.linalg.solve(known.matrix + told, pull_of(jacobian, wrong, known.usual))
 
 
-def rival_of(subject: Subject, experiment: Experiment, tie: Tie) -> tuple[np.ndarray, np.ndarray]:
-    """The experiment with a tie's rival: how far from the other it is (M,) m, and its tangent (M, P)."""
-    one = subject.trial(experiment.scene, tie.known.fitted.effects)
-    (seen,) = residuals(one, tie.known.fitted.theta[None])
-    trial = subject.trial(experiment.scene, tie.rival.fitted.effects)
-    fitted, difference = tie.rival.fitted, subject.problem.evidence.search.difference
-    (there,), (jacobian,), _ = finite_differences([trial], fitted.space, fitted.theta, difference)
-    if not (np.isfinite(there).all() and np.isfinite(seen).all()):
+def rival_of(subject: Subject, experiment: Experiment, tie: Tie, counted: float) -> Rival:
+    """A tie's rival fitted to an experiment in which a coordinate counts as `counted` m."""
+    rival = refitted(tie, comparison(subject, experiment, tie), counted)
+    if not np.isfinite(rival.away).all():
         raise Unsimulated(f"could not be simulated with {tie.one} and with {tie.other}")
-    return there - seen, jacobian
-
-
-def apart(tie: Tie, away: np.ndarray, jacobian: np.ndarray, doubt: np.ndarray, look: Look, noise: float) -> Apart:
-    """How far apart the two are in rows (M,) m, (M, P) and (M,) m of the experiment, as they are looked at."""
-    rival = tie.rival
-    sigma, least = separation(look(away), look(jacobian), rival.matrix, rival.unit, noise, look(doubt))
-    return Apart(tie, sigma, least, float(np.sqrt(np.mean(away**2))))
+    return rival
 
 
 def ranked(subject: Subject, found: Sequence[Promise], rank: str | None) -> list[Promise]:
