@@ -82,14 +82,19 @@ def made_up(
 
 
 def separation(
-    apart: np.ndarray, jacobian: np.ndarray, known: np.ndarray, unit: np.ndarray, moved: np.ndarray, counted: float,
+    apart: np.ndarray,
+    jacobian: np.ndarray,
+    known: np.ndarray,
+    unit: np.ndarray,
+    moved: np.ndarray,
+    counted: float,
     doubt: np.ndarray,
 ) -> tuple[float, float]:
     """How far apart two models would be [σ] after an experiment: √Δχ², where the one is right; and at least.
 
     The rival makes up for as much as it can, see `made_up` (T-optimality, Atkinson and Fedorov 1975). doubt: (M,), by
     how much both may be wrong; at worst that speaks for the rival.
-    """  # fmt: skip
+    """
     step, square = made_up(apart, jacobian, known, unit, moved, counted)
     against = 2 * abs(float((apart + jacobian @ step) @ doubt)) / counted**2
     return float(np.sqrt(square)), float(np.sqrt(max(square - against, 0.0)))

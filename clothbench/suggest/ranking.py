@@ -16,11 +16,11 @@ from clothbench.studies.improve.fitting import finite_differences
 from clothbench.studies.improve.problem import residuals
 from clothbench.studies.improve.settings import LOOP
 from clothbench.suggest.cameras import Look, Placed, look_of, placed
-from clothbench.suggest.experiments import Experiment
+from clothbench.suggest.experiments import Experiment, Unsimulated
 from clothbench.suggest.information import counted_noise, gain, half_widths, information, pull_of
 from clothbench.suggest.settings import INFORMATION, TIE, Wanted
-from clothbench.suggest.subject import Known, Subject, Tie
-from clothbench.suggest.ties import Apart, Rival, apart, comparison, refitted
+from clothbench.suggest.subject import Known, Subject
+from clothbench.suggest.ties import Apart, apart, comparison, refitted
 
 LOOKED_AT = 32  # parameter sets, of which those are drawn that the recordings allow
 NUDGE = 1e-3  # of the scaled range: after so small a change cloth that folds by chance is somewhere else altogether
@@ -102,10 +102,6 @@ def promises(
     return out, left
 
 
-class Unsimulated(Exception):
-    """Why an experiment cannot be simulated."""
-
-
 def promised(subject: Subject, experiment: Experiment, sets: np.ndarray, wanted: Wanted) -> Iterator[Promise]:
     """What it tells at parameter sets (S, P) in the unit cube, for each of its durations and of the cameras."""
     known, difference = subject.known, subject.problem.evidence.search.difference
@@ -126,7 +122,7 @@ def promised(subject: Subject, experiment: Experiment, sets: np.ndarray, wanted:
     position = at[0].reshape(frames, -1, 3)
     views: list[Placed | None] = [*placed(subject.like.scene, experiment.scene, position, wanted)] or [None]
     whole = counted_there(known, doubt, tangents[0], experiment.durations[-1])
-    rivals = [rival_of(subject, experiment, tie, whole) for tie in subject.ties]
+    rivals = [refitted(tie, comparison(subject, experiment, tie), whole) for tie in subject.ties]
     for duration in experiment.durations:
         part = slice(0, rows * int(np.sum(experiment.scene.times <= duration + 1e-9)))
         counted = counted_there(known, doubt[part], tangents[0][part], duration)
@@ -190,14 +186,6 @@ def doubts(subject: Subject, trial: Trial, at: np.ndarray, jacobian: np.ndarray,
         raise Unsimulated("could not be simulated with half the cells, or after the least change of the parameters")
     told = information(jacobian, known.usual)
     return wrong - jacobian @ np.linalg.solve(known.matrix + told, pull_of(jacobian, wrong, known.usual))
-
-
-def rival_of(subject: Subject, experiment: Experiment, tie: Tie, counted: float) -> Rival:
-    """A tie's rival fitted to an experiment in which a coordinate counts as `counted` m."""
-    rival = refitted(tie, comparison(subject, experiment, tie), counted)
-    if not np.isfinite(rival.away).all():
-        raise Unsimulated(f"could not be simulated with {tie.one} and with {tie.other}")
-    return rival
 
 
 def ranked(subject: Subject, found: Sequence[Promise], rank: str | None) -> list[Promise]:

@@ -12,7 +12,7 @@ import numpy as np
 from clothbench.studies.improve.fitting import finite_differences
 from clothbench.studies.improve.problem import residuals
 from clothbench.suggest.cameras import Look
-from clothbench.suggest.experiments import Experiment
+from clothbench.suggest.experiments import Experiment, Unsimulated
 from clothbench.suggest.information import made_up, separation
 from clothbench.suggest.subject import Subject, Tie
 
@@ -75,6 +75,8 @@ def refitted(tie: Tie, compared: Compared, counted: float) -> Rival:
         return float(away @ away / counted**2 + (unit - fit) @ known @ (unit - fit))
 
     before, tangent = compared(fit)
+    if not np.isfinite(before).all():
+        raise Unsimulated(f"could not be simulated with {tie.one} and with {tie.other}")
     unit, away = fit, before
     for _ in range(REFITS):
         step, _ = made_up(away, tangent, known, unit, unit - fit, counted)
