@@ -64,7 +64,7 @@ class Known:
         errors are independent, more where they last and hang together over the sheet.
         """
         left = np.array([np.sqrt(np.mean(residual**2)) for residual in self.fitted.residual])
-        return float(np.mean(self.counted / left))
+        return float(np.mean(self.counted / np.maximum(left, self.noise)))
 
 
 @dataclass(frozen=True, eq=False)
