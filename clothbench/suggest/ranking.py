@@ -121,22 +121,24 @@ def promised(subject: Subject, experiment: Experiment, sets: np.ndarray, wanted:
     rows = len(at[0]) // frames
     position = at[0].reshape(frames, -1, 3)
     views: list[Placed | None] = [*placed(subject.like.scene, experiment.scene, position, wanted)] or [None]
-    whole = counted_there(known, doubt, tangents[0], experiment.durations[-1])
+    whole = counted_in_ties(known, doubt, counted_there(known, doubt, tangents[0], experiment.durations[-1]))
     rivals = [refitted(tie, comparison(subject, experiment, tie), whole) for tie in subject.ties]
     for duration in experiment.durations:
         part = slice(0, rows * int(np.sum(experiment.scene.times <= duration + 1e-9)))
         counted = counted_there(known, doubt[part], tangents[0][part], duration)
+        in_ties = counted_in_ties(known, doubt[part], counted)
         for view in views:
             looks, noise = looks_of(view, wanted, [one[part] for one in at], counted, known.noise)
-            jacobians = [look(jacobian[part]) for look, jacobian in zip(looks, tangents, strict=True)]
-            wrong = [look(mesh[part]) for look in looks]
+            (look,), noise_in_ties = looks_of(view, wanted, [at[0][part]], in_ties, known.noise)
+            jacobians = [see(jacobian[part]) for see, jacobian in zip(looks, tangents, strict=True)]
+            wrong = [see(mesh[part]) for see in looks]
             more = [information(jacobian, noise) for jacobian in jacobians]
             pulls = [known.pull + pull_of(j, error, noise) for j, error in zip(jacobians, wrong, strict=True)]
             after = np.array([half_widths(known.matrix + one, pull) for one, pull in zip(more, pulls, strict=True)])
             yield Promise(
                 experiment, duration, float(np.mean([gain(known.matrix, one) for one in more])),
                 np.exp(np.log(after).mean(axis=0)), after.min(axis=0), after.max(axis=0),
-                tuple(apart(rival, part, doubt, looks[0], noise) for rival in rivals),
+                tuple(apart(rival, part, doubt, look, noise_in_ties) for rival in rivals),
                 counted, float(np.sqrt(np.mean(doubt[part] ** 2))), view,
             )  # fmt: skip
 
@@ -156,11 +158,18 @@ def looks_of(
 
 def counted_there(known: Known, doubt: np.ndarray, jacobian: np.ndarray, duration: float) -> float:
     """What a coordinate will count as its noise [m]: as if `doubt` (M,) m were what a fit leaves there; but no less
-    than in the recordings that there are, nor than by so many times that rms as there.
+    than in the recordings that there are.
     """
     groups = np.array_split(np.arange(len(doubt)), max(2, round(duration / BLOCK)))
     own = counted_noise(doubt, jacobian, groups, known.noise)
-    return max(own, known.usual, known.lasting * float(np.sqrt(np.mean(doubt**2))))
+    return max(own, known.usual)
+
+
+def counted_in_ties(known: Known, doubt: np.ndarray, counted: float) -> float:
+    """The same [m] where two models are compared: no less than by so many times the rms of `doubt` (M,) m as in the
+    recordings by that of what the fit leaves. What the mesh may be wrong by hangs together less than what a fit leaves.
+    """
+    return max(counted, known.lasting * float(np.sqrt(np.mean(doubt**2))))
 
 
 def mesh_error(subject: Subject, experiment: Experiment, at: np.ndarray) -> np.ndarray:
