@@ -179,6 +179,10 @@ class Experiment:
         )  # fmt: skip
 
 
+class Unsimulated(Exception):
+    """Why an experiment cannot be simulated."""
+
+
 def experiments(
     like: Scene, rate: float, wanted: Wanted, contact: bool, chosen: Sequence[tuple[str, str]] = EXPERIMENTS
 ) -> Iterator[Experiment]:

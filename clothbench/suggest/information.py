@@ -64,20 +64,37 @@ def counted_noise(residual: np.ndarray, jacobian: np.ndarray, groups: Sequence[n
     return float(np.sqrt(max(least, spread / max(told, 1e-12))))
 
 
+def made_up(
+    apart: np.ndarray, jacobian: np.ndarray, known: np.ndarray, unit: np.ndarray, moved: np.ndarray, counted: float
+) -> tuple[np.ndarray, float]:
+    """By which step δ (P,) of its parameters a rival makes up for as much as it can, and Δχ² that is left.
+
+    apart: (M,) rival minus the other, in the experiment; jacobian: (M, P) of the rival there; unit: (P,), its
+    parameters; known: (P, P), what the recordings say of these, and moved: (P,), how far they are from the fit to
+    the recordings. To first order, and inside the range: min_δ ‖apart + J δ‖²/κ² + (moved + δ)ᵀ known (moved + δ).
+    """
+    root = np.linalg.cholesky(known).T
+    rows = np.vstack([jacobian / counted, root])
+    wanted = -np.concatenate([apart / counted, root @ moved])
+    room = 1e-9  # lsq_linear wants a start strictly inside
+    found = lsq_linear(rows, wanted, bounds=(-unit - room, 1 - unit + room))
+    return found.x, 2 * float(found.cost)
+
+
 def separation(
-    apart: np.ndarray, jacobian: np.ndarray, known: np.ndarray, unit: np.ndarray, counted: float, doubt: np.ndarray
+    apart: np.ndarray,
+    jacobian: np.ndarray,
+    known: np.ndarray,
+    unit: np.ndarray,
+    moved: np.ndarray,
+    counted: float,
+    doubt: np.ndarray,
 ) -> tuple[float, float]:
     """How far apart two models would be [σ] after an experiment: √Δχ², where the one is right; and at least.
 
-    apart: (M,) rival minus the other, in the experiment; jacobian: (M, P) of the rival there; known: (P, P), what the
-    recordings say of its parameters, at `unit` (P,). The rival makes up for as much as it can within its bounds and
-    with what it is known from before: min_δ ‖apart + J δ‖²/κ² + δᵀ known δ (T-optimality, Atkinson and Fedorov 1975).
-    doubt: (M,), by how much both may be wrong; at worst that speaks for the rival.
+    The rival makes up for as much as it can, see `made_up` (T-optimality, Atkinson and Fedorov 1975). doubt: (M,), by
+    how much both may be wrong; at worst that speaks for the rival.
     """
-    rows = np.vstack([jacobian / counted, np.linalg.cholesky(known).T])
-    wanted = -np.concatenate([apart / counted, np.zeros(len(known))])
-    room = 1e-9  # lsq_linear wants a start strictly inside
-    found = lsq_linear(rows, wanted, bounds=(-unit - room, 1 - unit + room))
-    left = apart + jacobian @ found.x
-    square, against = 2 * found.cost, 2 * abs(float(left @ doubt)) / counted**2
+    step, square = made_up(apart, jacobian, known, unit, moved, counted)
+    against = 2 * abs(float((apart + jacobian @ step) @ doubt)) / counted**2
     return float(np.sqrt(square)), float(np.sqrt(max(square - against, 0.0)))

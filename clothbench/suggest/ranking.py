@@ -16,26 +16,15 @@ from clothbench.studies.improve.fitting import finite_differences
 from clothbench.studies.improve.problem import residuals
 from clothbench.studies.improve.settings import LOOP
 from clothbench.suggest.cameras import Look, Placed, look_of, placed
-from clothbench.suggest.experiments import Experiment
-from clothbench.suggest.information import counted_noise, gain, half_widths, information, pull_of, separation
+from clothbench.suggest.experiments import Experiment, Unsimulated
+from clothbench.suggest.information import counted_noise, gain, half_widths, information, pull_of
 from clothbench.suggest.settings import INFORMATION, TIE, Wanted
-from clothbench.suggest.subject import Known, Subject, Tie
+from clothbench.suggest.subject import Known, Subject
+from clothbench.suggest.ties import Apart, apart, comparison, refitted
 
 LOOKED_AT = 32  # parameter sets, of which those are drawn that the recordings allow
 NUDGE = 1e-3  # of the scaled range: after so small a change cloth that folds by chance is somewhere else altogether
 ENOUGH = 0.9  # of what the longest duration tells: a shorter one that tells so much is preferred
-
-
-@dataclass(frozen=True, eq=False)
-class Apart:
-    """How far apart two tied models would be. sigma: √Δχ², after the rival has made up for what it can; least: the
-    same, where what the model may be wrong by speaks for the rival; rms: m, over coordinates, before.
-    """
-
-    tie: Tie
-    sigma: float
-    least: float
-    rms: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,10 +102,6 @@ def promises(
     return out, left
 
 
-class Unsimulated(Exception):
-    """Why an experiment cannot be simulated."""
-
-
 def promised(subject: Subject, experiment: Experiment, sets: np.ndarray, wanted: Wanted) -> Iterator[Promise]:
     """What it tells at parameter sets (S, P) in the unit cube, for each of its durations and of the cameras."""
     known, difference = subject.known, subject.problem.evidence.search.difference
@@ -132,28 +117,28 @@ def promised(subject: Subject, experiment: Experiment, sets: np.ndarray, wanted:
         raise Unsimulated(f"could not be simulated with {len(sets) - len(at)} of {len(sets)} parameter sets")
     mesh = mesh_error(subject, experiment, at[0])
     doubt = doubts(subject, trial, at[0], tangents[0], mesh)
-    rivals = [rival_of(subject, experiment, tie) for tie in subject.ties]
     frames = len(experiment.scene.times)
     rows = len(at[0]) // frames
     position = at[0].reshape(frames, -1, 3)
     views: list[Placed | None] = [*placed(subject.like.scene, experiment.scene, position, wanted)] or [None]
+    whole = counted_in_ties(known, doubt, counted_there(known, doubt, tangents[0], experiment.durations[-1]))
+    rivals = [refitted(tie, comparison(subject, experiment, tie), whole) for tie in subject.ties]
     for duration in experiment.durations:
         part = slice(0, rows * int(np.sum(experiment.scene.times <= duration + 1e-9)))
         counted = counted_there(known, doubt[part], tangents[0][part], duration)
+        in_ties = counted_in_ties(known, doubt[part], counted)
         for view in views:
             looks, noise = looks_of(view, wanted, [one[part] for one in at], counted, known.noise)
-            jacobians = [look(jacobian[part]) for look, jacobian in zip(looks, tangents, strict=True)]
-            wrong = [look(mesh[part]) for look in looks]
+            (look,), noise_in_ties = looks_of(view, wanted, [at[0][part]], in_ties, known.noise)
+            jacobians = [see(jacobian[part]) for see, jacobian in zip(looks, tangents, strict=True)]
+            wrong = [see(mesh[part]) for see in looks]
             more = [information(jacobian, noise) for jacobian in jacobians]
             pulls = [known.pull + pull_of(j, error, noise) for j, error in zip(jacobians, wrong, strict=True)]
             after = np.array([half_widths(known.matrix + one, pull) for one, pull in zip(more, pulls, strict=True)])
             yield Promise(
                 experiment, duration, float(np.mean([gain(known.matrix, one) for one in more])),
                 np.exp(np.log(after).mean(axis=0)), after.min(axis=0), after.max(axis=0),
-                tuple(
-                    apart(tie, away[part], tangent[part], doubt[part], looks[0], noise)
-                    for tie, (away, tangent) in zip(subject.ties, rivals, strict=True)
-                ),
+                tuple(apart(rival, part, doubt, look, noise_in_ties) for rival in rivals),
                 counted, float(np.sqrt(np.mean(doubt[part] ** 2))), view,
             )  # fmt: skip
 
@@ -180,6 +165,13 @@ def counted_there(known: Known, doubt: np.ndarray, jacobian: np.ndarray, duratio
     return max(own, known.usual)
 
 
+def counted_in_ties(known: Known, doubt: np.ndarray, counted: float) -> float:
+    """The same [m] where two models are compared: no less than by so many times the rms of `doubt` (M,) m as in the
+    recordings by that of what the fit leaves. What the mesh may be wrong by hangs together less than what a fit leaves.
+    """
+    return max(counted, known.lasting * float(np.sqrt(np.mean(doubt**2))))
+
+
 def mesh_error(subject: Subject, experiment: Experiment, at: np.ndarray) -> np.ndarray:
     """What a finer mesh would change at every coordinate (M,) m of an experiment, which the fit has at (M,) m, carried
     on to the limit from half the cells; 0 where the mesh is the model's own.
@@ -203,25 +195,6 @@ def doubts(subject: Subject, trial: Trial, at: np.ndarray, jacobian: np.ndarray,
         raise Unsimulated("could not be simulated with half the cells, or after the least change of the parameters")
     told = information(jacobian, known.usual)
     return wrong - jacobian @ np.linalg.solve(known.matrix + told, pull_of(jacobian, wrong, known.usual))
-
-
-def rival_of(subject: Subject, experiment: Experiment, tie: Tie) -> tuple[np.ndarray, np.ndarray]:
-    """The experiment with a tie's rival: how far from the other it is (M,) m, and its tangent (M, P)."""
-    one = subject.trial(experiment.scene, tie.known.fitted.effects)
-    (seen,) = residuals(one, tie.known.fitted.theta[None])
-    trial = subject.trial(experiment.scene, tie.rival.fitted.effects)
-    fitted, difference = tie.rival.fitted, subject.problem.evidence.search.difference
-    (there,), (jacobian,), _ = finite_differences([trial], fitted.space, fitted.theta, difference)
-    if not (np.isfinite(there).all() and np.isfinite(seen).all()):
-        raise Unsimulated(f"could not be simulated with {tie.one} and with {tie.other}")
-    return there - seen, jacobian
-
-
-def apart(tie: Tie, away: np.ndarray, jacobian: np.ndarray, doubt: np.ndarray, look: Look, noise: float) -> Apart:
-    """How far apart the two are in rows (M,) m, (M, P) and (M,) m of the experiment, as they are looked at."""
-    rival = tie.rival
-    sigma, least = separation(look(away), look(jacobian), rival.matrix, rival.unit, noise, look(doubt))
-    return Apart(tie, sigma, least, float(np.sqrt(np.mean(away**2))))
 
 
 def ranked(subject: Subject, found: Sequence[Promise], rank: str | None) -> list[Promise]:

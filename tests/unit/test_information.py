@@ -76,16 +76,16 @@ def test_a_rival_makes_up_for_what_it_can():
     free, held = beforehand(1), np.array([[1e8]])
     apart = np.full(400, -0.3)  # a change of 0.3 of its range
     sure = np.zeros(400)
-    assert separation(apart, way, free, np.array([0.5]), 0.1, sure)[0] < 1.5
-    assert separation(apart, way, held, np.array([0.5]), 0.1, sure) == pytest.approx([60, 60], rel=1e-3)
-    near_its_end, _ = separation(apart, way, free, np.array([0.9]), 0.1, sure)  # 0.1 is all that is left
+    assert separation(apart, way, free, np.array([0.5]), np.zeros(1), 0.1, sure)[0] < 1.5
+    assert separation(apart, way, held, np.array([0.5]), np.zeros(1), 0.1, sure) == pytest.approx([60, 60], rel=1e-3)
+    near_its_end, _ = separation(apart, way, free, np.array([0.9]), np.zeros(1), 0.1, sure)  # 0.1 is all that is left
     assert near_its_end == pytest.approx(20 * 0.2 / 0.1, rel=0.01)
 
 
 def test_a_model_that_may_be_wrong_by_as_much_tells_nothing_apart():
     apart, way, held = np.full(400, -0.3), np.ones((400, 1)), np.array([[1e8]])
     for share, left in ((0.25, 0.5), (0.5, 0.0), (1.0, 0.0)):
-        found, least = separation(apart, way, held, np.array([0.5]), 0.1, share * apart)
+        found, least = separation(apart, way, held, np.array([0.5]), np.zeros(1), 0.1, share * apart)
         assert found == pytest.approx(60, rel=1e-3)
         assert least == pytest.approx(60 * np.sqrt(left), rel=1e-3, abs=1.0)
 
