@@ -71,14 +71,15 @@ class DaskWorkers:
     def ended(self, seconds: float) -> Iterable[tuple[int, Answer | Died]]:
         futures = [future for future, _ in self.running.values()]
         if futures:
-            with contextlib.suppress(TimeoutError, distributed.CancelledError):
+            with self._reached(), contextlib.suppress(TimeoutError, distributed.CancelledError):
                 distributed.wait(futures, timeout=seconds, return_when="FIRST_COMPLETED")
         else:
             time.sleep(seconds)
         there = self._there()
         out = []
         for number, (future, place) in list(self.running.items()):
-            answer = _answer(future, place, place in there)
+            with self._reached():
+                answer = _answer(future, place, place in there)
             if answer is not None:
                 del self.running[number]
                 future.cancel(force=True)
