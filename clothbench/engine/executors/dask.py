@@ -35,7 +35,7 @@ class DaskWorkers:
     """
 
     def __init__(self, executor: Mapping[str, Any], jobs: int, works: int):
-        for name in ("distributed", "distributed.client"):  # a worker's death is told in its cell's row
+        for name in ("distributed", "distributed.client", "asyncio"):  # a worker's death is told in its cell's row
             logging.getLogger(name).setLevel(logging.CRITICAL)
         self.running: dict[int, tuple[distributed.Future, str]] = {}
         self.words: collections.deque[tuple[int, int, float]] = collections.deque()
