@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from object_store import s3, s3_server  # noqa: F401
+from object_store import machine, s3, s3_server  # noqa: F401
 
 from clothbench import Recording, write_recording
 

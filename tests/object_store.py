@@ -5,9 +5,12 @@ from __future__ import annotations
 import itertools
 import logging
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
+
+from clothbench.engine.mirror import results_folder
+from clothbench.engine.store import Store
 
 WHY = "moto, flask or s3fs is not installed: there is no object store to test with"
 _numbers = itertools.count(1)
@@ -49,3 +52,16 @@ def s3(s3_server, tmp_path, monkeypatch) -> str:
     name = f"cloth-{next(_numbers)}"
     boto3.client("s3").create_bucket(Bucket=name)
     return f"s3://{name}/runs"
+
+
+@pytest.fixture
+def machine(s3, tmp_path, monkeypatch) -> Callable[[str], Store]:
+    """The store of a bucket as a machine of some name has it, with a cache of its own."""
+
+    def at(name: str) -> Store:
+        monkeypatch.setenv("CLOTHBENCH_CACHE", str(tmp_path / name))
+        store = Store(results_folder(s3))
+        assert store.bucket is not None
+        return store
+
+    return at

@@ -33,16 +33,9 @@ def put(store, key, value=1.0, **changes):
 
 
 @pytest.fixture
-def machines(s3, tmp_path, monkeypatch):
+def machines(machine):
     """Stores of one bucket as two machines have them, each with a cache of its own."""
-
-    def at(name):
-        monkeypatch.setenv("CLOTHBENCH_CACHE", str(tmp_path / name))
-        store = Store(results_folder(s3))
-        assert store.bucket is not None
-        return store
-
-    return at("one"), at("other")
+    return machine("one"), machine("other")
 
 
 def values(store, monkeypatch, refresh=True):

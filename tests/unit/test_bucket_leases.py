@@ -11,24 +11,16 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.engine import bucket_leases, leases
 from clothbench.engine.bucket import Bucket
 from clothbench.engine.leases import Leases, Line
-from clothbench.engine.mirror import results_folder
-from clothbench.engine.store import ROW, Store
+from clothbench.engine.store import ROW
 
 KEYS = [f"{n:016x}" for n in range(8)]
 
 
 @pytest.fixture
-def machines(s3, tmp_path, monkeypatch):
+def machines(machine, monkeypatch):
     """The leases of two machines, each with a mirror of its own."""
-
-    def at(name):
-        monkeypatch.setenv("CLOTHBENCH_CACHE", str(tmp_path / name))
-        store = Store(results_folder(s3))
-        assert store.bucket is not None
-        return Leases(store)
-
     monkeypatch.setattr(bucket_leases, "LIST", -1.0)  # every look is a listing
-    with at("one") as one, at("other") as other:
+    with Leases(machine("one")) as one, Leases(machine("other")) as other:
         yield one, other
 
 

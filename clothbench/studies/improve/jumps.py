@@ -53,41 +53,46 @@ def off_bounds(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
     A hem twice as heavy and half as wide is nearly the same hem: that a search ends at one end of such a valley says
     nothing against the effect. What leaves more with half of the amount is driven to its bound.
     """
-    space, bound = fitted.space, amounts_at_bound(fitted.effects[-1], fitted) if fitted.effects else []
-    halved = [(i, point) for i, point in zip(*jumps(fitted), strict=True) if i in bound] if bound else []
-    if not halved:
+    bound = amounts_at_bound(fitted.effects[-1], fitted) if fitted.effects else []
+    if not bound:
         return fitted, 0
-    start = space.from_unit(np.clip(halved[0][1], 0.0, 1.0))
-    half = {space.names[i]: tuple(sorted((space.parameters[i].null, start[i]))) for i in bound[:1]}
+    space, i = fitted.space, bound[0]
+    hessian, _ = normal_equations(fitted.residual, fitted.jacobian)
+    start = space.from_unit(np.clip(along_valley(fitted, hessian, i, 1 / LOOP.jump_factor), 0.0, 1.0))
+    half = {space.names[i]: tuple(sorted((space.parameters[i].null, start[i])))}
     limit = (1 + LOOP.tie_margin) * fitted.rms**2
     nearer = dataclasses.replace(problem, bounds={**problem.bounds, **half})
     again = fit(nearer, fitted.effects, start, LOOP.refit_rounds, goal=limit)
     if not again.rms**2 <= limit:
         return fitted, again.evaluations
-    difference = problem.evidence.search.difference
-    residual, jacobian, spent = finite_differences(
-        problem.trials(fitted.effects, "fit"), space, again.theta, difference
-    )
+    trials, difference = problem.trials(fitted.effects, "fit"), problem.evidence.search.difference
+    residual, jacobian, spent = finite_differences(trials, space, again.theta, difference)
     low, high = jackknife_interval(space, again.theta, residual, jacobian)
     inside = Fitted(fitted.effects, space, again.theta, residual, jacobian, low, high, fitted.evaluations)
     return inside, again.evaluations + spent
 
 
 def jumps(fitted: Fitted) -> tuple[list[int], list[np.ndarray]]:
-    """Which amounts of the last effect are changed, and all parameters (P,) in the unit cube where they are: the others
+    """Which amounts of the last effect are changed, and all parameters (P,) in the unit cube where they are."""
+    unit = fitted.space.to_unit(fitted.theta)
+    hessian, _ = normal_equations(fitted.residual, fitted.jacobian)
+    which, where = [], []
+    for i in amounts_of(fitted.space, fitted.effects[-1]):
+        for factor in (LOOP.jump_factor, 1 / LOOP.jump_factor):
+            point = along_valley(fitted, hessian, i, factor)
+            if point[i] != unit[i]:
+                which.append(i)
+                where.append(point)
+    return which, where
+
+
+def along_valley(fitted: Fitted, hessian: np.ndarray, i: int, factor: float) -> np.ndarray:
+    """All parameters (P,) in the unit cube where amount i is so many times what it is, within its bounds: the others
     go along as the tangent of the valley has it.
     """
     space, unit = fitted.space, fitted.space.to_unit(fitted.theta)
-    hessian, _ = normal_equations(fitted.residual, fitted.jacobian)
-    which, where = [], []
-    for i in amounts_of(space, fitted.effects[-1]):
-        null = space.parameters[i].null
-        assert null is not None  # it is an amount
-        for factor in (LOOP.jump_factor, 1 / LOOP.jump_factor):
-            there = fitted.theta.copy()
-            there[i] = np.clip(null + factor * (fitted.theta[i] - null), space.low[i], space.high[i])
-            step = space.to_unit(there)[i] - unit[i]
-            if step:
-                which.append(i)
-                where.append(unit + step * conditional_direction(hessian, i))
-    return which, where
+    null, there = space.parameters[i].null, fitted.theta.copy()
+    assert null is not None  # it is an amount
+    there[i] = np.clip(null + factor * (fitted.theta[i] - null), space.low[i], space.high[i])
+    step = space.to_unit(there)[i] - unit[i]
+    return np.asarray(unit + step * conditional_direction(hessian, i))
