@@ -8,7 +8,7 @@ from __future__ import annotations
 import shutil
 import time
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +50,14 @@ class Checkpoint:
         self.folder.mkdir(parents=True, exist_ok=True)
         self._write(f"{self.prefix}{key}", arrays)
         self.whole._write("seconds", {"seconds": np.array(self.seconds)})
+
+    def once(self, key: str, computed: Callable[[], Arrays]) -> Arrays:
+        """What was kept under this key, or what is computed, and kept, now."""
+        known = self.recall(key)
+        if known is None:
+            known = computed()
+            self.keep(key, **known)
+        return known
 
     def _write(self, key: str, arrays: Mapping[str, np.ndarray]) -> None:
         assert self.folder is not None

@@ -55,7 +55,7 @@ def test_the_finding_is_the_same_whoever_did_the_fits(tmp_path, lost):
     workers = Elsewhere(lost)
     assert document(planted(tmp_path, workers)) == document(planted())
     assert workers.done.count("fit") >= 4
-    assert "probe_candidate" in workers.done
+    assert {"probe_candidate", "refit"} <= set(workers.done)
 
 
 def test_what_workers_did_is_not_done_again(tmp_path, monkeypatch):
@@ -72,6 +72,27 @@ def test_what_workers_did_is_not_done_again(tmp_path, monkeypatch):
 
     monkeypatch.setattr("clothbench.studies.improve.fitting.search", search)
     assert [fit(*question).evaluations > 0 for question in questions] == [True] * len(questions)
+
+
+def test_a_stricter_goal_ends_a_search_that_is_known_where_it_would_have_ended_it(tmp_path, monkeypatch):
+    names = ("strain_locking",)
+    start = np.array(planted().space(names).defaults)
+    whole = fit(planted(tmp_path), names, start, 8)
+    goal = whole.rms**2 / 4
+    anew = fit(planted(), names, start, 8, goal=goal)
+    assert anew.evaluations < whole.evaluations
+    monkeypatch.setattr("clothbench.studies.improve.fitting.search", None)
+    known = fit(planted(tmp_path), names, start, 8, goal=goal)
+    assert known.theta.tolist() == anew.theta.tolist()
+    assert known.evaluations == anew.evaluations
+
+
+def test_a_search_that_was_given_up_is_done_again_for_a_weaker_goal(tmp_path):
+    names = ("strain_locking",)
+    start = np.array(planted().space(names).defaults)
+    whole = fit(planted(), names, start, 8)
+    fit(planted(tmp_path), names, start, 8, goal=whole.rms**2 / 4)
+    assert fit(planted(tmp_path), names, start, 8).theta.tolist() == whole.theta.tolist()
 
 
 def test_what_fails_there_fails_here_where_it_is_asked(tmp_path):

@@ -11,6 +11,7 @@ import pytest
 
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.core.protocols import Evaluation
+from clothbench.engine.checkpoint import Checkpoint
 from clothbench.studies.improve import constrained, jumps, profile
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.settings import LOOP, SearchSettings
@@ -27,6 +28,10 @@ class OneParameterBase:
 
     bounds: dict = dataclasses.field(default_factory=dict)
     evidence = SimpleNamespace(search=SearchSettings())
+    checkpoint = Checkpoint()
+
+    def key(self, *more):
+        return ""
 
     def space(self, names):
         return SPACE.parameters[: 1 + 2 * len(names)]
@@ -226,7 +231,7 @@ def test_an_amount_at_its_bound_stays_there_only_if_half_of_it_leaves_more(monke
     def law(theta):
         return np.array([theta[0] - 0.5, 10 * (theta[1] * theta[2] - 0.09), driven * (theta[1] - 1.5), 0.03])
 
-    def differences(trials, space, theta, step):
+    def differences(problem, names, space, theta):
         again = fitted(law, space, theta)
         return again.residual, again.jacobian, 1 + len(space)
 
@@ -236,7 +241,7 @@ def test_an_amount_at_its_bound_stays_there_only_if_half_of_it_leaves_more(monke
         return fitted(law, HEM, np.array([0.5, high, 0.09 / high]))
 
     monkeypatch.setattr(jumps, "fit", fit)
-    monkeypatch.setattr(jumps, "finite_differences", differences)
+    monkeypatch.setattr(jumps, "differences", differences)
     before = fitted(law, HEM, np.array([0.5, 1.0, 0.09]))
     after, count = jumps.off_bounds(OneParameterBase(), before)
     assert after.theta[1] == pytest.approx(end)

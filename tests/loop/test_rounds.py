@@ -13,7 +13,7 @@ from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import multistart
 from clothbench.studies.improve.loop import all_rounds
-from clothbench.studies.improve.refits import polished, refine_finalists, refit, standing
+from clothbench.studies.improve.refits import fit_starts, polished, refine_finalists, standing
 from clothbench.studies.improve.selection import Candidate
 from clothbench.studies.improve.settings import LOOP, SearchSettings
 from clothbench.studies.improve.state import Round
@@ -148,16 +148,7 @@ def test_nobody_is_sought_who_would_have_to_leave_less_than_the_floor(monkeypatc
 
 def test_a_candidate_is_fitted_from_whichever_of_its_probes_leaves_least(monkeypatch):
     """First order may promise most where a wind blows the wrong way."""
-    problem = SimpleNamespace(evidence=SimpleNamespace(search=SearchSettings()))
-    refits, asked, ended = "clothbench.studies.improve.refits", [], with_wind("a", 0, 1e-3)
-
-    def fit(problem, names, starts, *_, **__):
-        asked.extend(starts.tolist())
-        return ended
-
-    monkeypatch.setattr(f"{refits}.first_order_starts", lambda current, probe: np.full((3, 2), float(probe)))
-    monkeypatch.setattr(f"{refits}.fit", fit)
-    monkeypatch.setattr(f"{refits}.jump_along_valley", lambda problem, fit: (fit, 1))
-    found = refit(problem, fitted(9e-3), Candidate("a", 0.5, 0.005), [1, 2], 1e-6, Account(lambda *_: None))
-    assert found.fitted is ended
-    assert asked == [[1.0, 1.0]] * 3 + [[2.0, 2.0]] * 3
+    refits = "clothbench.studies.improve.refits"
+    monkeypatch.setattr(f"{refits}.first_order_starts", lambda current, probe: np.full((3, 2), probe.size))
+    probes = [SimpleNamespace(effect=effect, size=size) for effect, size in (("a", 1.0), ("b", 3.0), ("a", 2.0))]
+    assert fit_starts("a", fitted(9e-3), probes).tolist() == [[1.0, 1.0]] * 3 + [[2.0, 2.0]] * 3

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
@@ -20,7 +21,19 @@ from clothbench.studies.improve.fitted import Fitted, jackknife_interval
 from clothbench.studies.improve.problem import Problem, residuals
 from clothbench.studies.improve.settings import LOOP
 
-Trace = list[tuple[int, float]]  # how many sets had been simulated, and the least mean square among them
+
+@dataclass(frozen=True, eq=False)
+class Trace:
+    """How a search went: after each of its batches (N,) how many sets had been simulated, the least mean square among
+    them, and the set (N, P) that leaves it.
+    """
+
+    count: np.ndarray
+    square: np.ndarray
+    theta: np.ndarray
+
+    def until(self, batches: int) -> Trace:
+        return Trace(self.count[:batches], self.square[:batches], self.theta[:batches])
 
 
 def fit(
@@ -40,36 +53,66 @@ def fit(
     with this search's evaluations if the search comes to nothing better: what is not kept needs no Jacobian; tolerance:
     relative gain below which rounds in a row end the search, if more than what suits the evidence.
     """
-    settings = search_settings(problem, start is None, tolerance)
-    origin = None if start is None else np.asarray(start).tolist()
-    limit = None if unless is None else unless.rms
-    key = problem.key("fitted", names, origin, rounds, goal, settings, limit)
+    trace = searched(problem, names, start, rounds, goal, search_settings(problem, start is None, tolerance), account)
+    theta, count = trace.theta[-1], int(trace.count[-1])
+    if unless is not None and not trace.square[-1] < unless.rms**2:
+        return dataclasses.replace(unless, evaluations=count)
+    space = problem.space(names)
+    residual, jacobian, spent = differences(problem, names, space, theta)
+    low, high = jackknife_interval(space, theta, residual, jacobian)
+    return Fitted(names, space, theta, residual, jacobian, low, high, count + spent)
+
+
+def searched(
+    problem: Problem,
+    names: tuple[str, ...],
+    start: np.ndarray | None,
+    rounds: int,
+    goal: float,
+    settings: dict[str, Any],
+    account: Account | None,
+) -> Trace:
+    """The search of `fit`. It is kept under a key without the goal: one with a stricter goal goes the same way, and
+    ends sooner.
+    """
     trials = problem.trials(names, "fit")
     space = problem.bounded(trials[0].simulation.parameters)
-    known = problem.checkpoint.recall(key)
-    if known is None:
-        begin = space if start is None else with_defaults(space, best_start(trials, space, np.atleast_2d(start)))
-        planned = planned_evaluations(space, rounds)
-        budget = planned * problem.evidence.search.budget_factor
-        optimizer = problem.plugins.make(
-            "optimizers", problem.optimizer, begin, seed=problem.seed, budget=budget, **settings
-        )
-        given_up = partial(cannot_reach, goal, planned_evaluations(space, 1), budget)
-        tell = None if account is None else lambda count: account.stage(account.now, min(count, planned), planned)
-        theta, square, count = search(trials, optimizer, begin, tell, given_up)
-        known = {"theta": theta, "square": np.array(square), "count": np.array(count)}
-        if unless is None or square < unless.rms**2:
-            residual, jacobian, spent = finite_differences(trials, space, theta, problem.evidence.search.difference)
-            known["count"] += spent
-            known |= {f"residual-{k}": r for k, r in enumerate(residual)}
-            known |= {f"jacobian-{k}": j for k, j in enumerate(jacobian)}
-        problem.checkpoint.keep(key, **known)
-    if unless is not None and not known["square"] < unless.rms**2:
-        return dataclasses.replace(unless, evaluations=int(known["count"]))
-    theta = known["theta"]
+    planned = planned_evaluations(space, rounds)
+    budget = planned * problem.evidence.search.budget_factor
+    given_up = partial(cannot_reach, goal, planned_evaluations(space, 1), budget)
+    key = problem.key("searched", names, None if start is None else np.asarray(start).tolist(), rounds, settings)
+    if (known := problem.checkpoint.recall(key)) is not None:
+        trace = Trace(known["count"], known["square"], known["theta"])
+        end = next((n for n in range(1, len(trace.count)) if given_up(trace.until(n))), len(trace.count))
+        if end < len(trace.count) or goal <= known["goal"]:
+            return trace.until(end)
+    begin = space if start is None else with_defaults(space, best_start(trials, space, np.atleast_2d(start)))
+    optimizer = problem.plugins.make(
+        "optimizers", problem.optimizer, begin, seed=problem.seed, budget=budget, **settings
+    )
+    tell = None if account is None else lambda count: account.stage(account.now, min(count, planned), planned)
+    trace = search(trials, optimizer, begin, tell, given_up)
+    problem.checkpoint.keep(key, goal=np.array(goal), **vars(trace))
+    return trace
+
+
+def differences(
+    problem: Problem, names: tuple[str, ...], space: ParameterSpace, theta: np.ndarray
+) -> tuple[list[np.ndarray], list[np.ndarray], int]:
+    """`finite_differences` on the recordings to fit, kept."""
+
+    def computed() -> dict[str, np.ndarray]:
+        residual, jacobian, spent = finite_differences(trials, space, theta, problem.evidence.search.difference)
+        return {
+            "count": np.array(spent),
+            **{f"residual-{k}": r for k, r in enumerate(residual)},
+            **{f"jacobian-{k}": j for k, j in enumerate(jacobian)},
+        }
+
+    trials = problem.trials(names, "fit")
+    known = problem.checkpoint.once(problem.key("differences", names, theta.tolist()), computed)
     residual, jacobian = ([known[f"{what}-{k}"] for k in range(len(trials))] for what in ("residual", "jacobian"))
-    low, high = jackknife_interval(space, theta, residual, jacobian)
-    return Fitted(names, space, theta, residual, jacobian, low, high, int(known["count"]))
+    return residual, jacobian, int(known["count"])
 
 
 def search_settings(problem: Problem, first: bool, tolerance: float = 0.0) -> dict[str, Any]:
@@ -150,12 +193,12 @@ def cannot_reach(goal: float, pace: int, budget: int, trace: Trace) -> bool:
     """Whether a search that goes on falling as in its last rounds (`LOOP.trend_rounds`, of `pace` sets each) ends above
     the goal.
     """
-    count, value = trace[-1]
-    before = [(c, v) for c, v in trace if c <= count - LOOP.trend_rounds * pace]
-    if not before or value <= goal:
+    count, value = trace.count[-1], trace.square[-1]
+    before = np.flatnonzero(trace.count <= count - LOOP.trend_rounds * pace)
+    if not len(before) or value <= goal:
         return False
-    since, higher = before[-1]
-    return value - (higher - value) / (count - since) * (budget - count) > goal
+    since, higher = trace.count[before[-1]], trace.square[before[-1]]
+    return bool(value - (higher - value) / (count - since) * (budget - count) > goal)
 
 
 def search(
@@ -164,25 +207,27 @@ def search(
     space: ParameterSpace,
     tell: Callable[[int], None] | None = None,
     given_up: Callable[[Trace], bool] = lambda trace: False,
-) -> tuple[np.ndarray, float, int]:
-    """The best point that the optimizer comes to (P,), its mean square, and how many points were asked for; `tell`
-    hears that number.
-    """
-    theta, value, count = space.defaults, np.inf, 0
-    trace: Trace = []
+) -> Trace:
+    """All that the optimizer asks for until it ends or is `given_up`; `tell` hears how many points that is so far."""
+    theta, square, count = space.defaults, np.inf, 0
+    counts, squares, points = [], [], []
+    trace = Trace(np.zeros(1, int), np.array([square]), theta[None])
     for asked, evaluation in drive(optimizer, lambda theta: evaluate(trials, theta)[0]):
         count += len(asked)
         best = int(np.argmin(np.where(np.isfinite(evaluation.value), evaluation.value, np.inf)))
         assert evaluation.residual is not None
         cost = float(np.sum(evaluation.residual[best] ** 2)) if np.isfinite(evaluation.value[best]) else np.inf
-        if cost < value:
-            theta, value = asked[best], cost
-        trace.append((count, value))
+        if cost < square:
+            theta, square = asked[best], cost
+        counts.append(count)
+        squares.append(square)
+        points.append(theta)
+        trace = Trace(np.array(counts), np.array(squares), np.array(points))
         if tell is not None:
             tell(count)
         if given_up(trace):
             break
-    return theta, value, count
+    return trace
 
 
 def best_start(trials: list[Trial], space: ParameterSpace, starts: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ import numpy as np
 
 from clothbench.studies.improve.constrained import conditional_direction, constrained_fits
 from clothbench.studies.improve.fitted import Fitted, jackknife_interval, normal_equations
-from clothbench.studies.improve.fitting import better_of, finite_differences, fit
+from clothbench.studies.improve.fitting import better_of, differences, fit
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.selection import amounts_at_bound, amounts_of
 from clothbench.studies.improve.settings import LOOP
@@ -32,13 +32,12 @@ def jump_along_valley(
         which, where = jumps(fitted)
         if not which:
             break
-        trials, space = problem.trials(fitted.effects, "fit"), fitted.space
-        square, found, asked = constrained_fits(trials, fitted, np.array(which), np.array(where), LOOP.jump_steps)
+        square, found, asked = across(problem, fitted, np.array(which), np.array(where))
         evaluations += asked
         before = fitted.rms**2
         for k in np.argsort(square):
             if square[k] <= (1 + margin) * before:
-                start = space.from_unit(found[k])
+                start = fitted.space.from_unit(found[k])
                 fitted, count = better_of(problem, fitted, start, rounds, goal=fitted.rms**2)
                 evaluations += count
         if fitted.rms**2 >= (1 - LOOP.least_gain) * before:
@@ -65,11 +64,25 @@ def off_bounds(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
     again = fit(nearer, fitted.effects, start, LOOP.refit_rounds, goal=limit)
     if not again.rms**2 <= limit:
         return fitted, again.evaluations
-    trials, difference = problem.trials(fitted.effects, "fit"), problem.evidence.search.difference
-    residual, jacobian, spent = finite_differences(trials, space, again.theta, difference)
+    residual, jacobian, spent = differences(problem, fitted.effects, space, again.theta)
     low, high = jackknife_interval(space, again.theta, residual, jacobian)
     inside = Fitted(fitted.effects, space, again.theta, residual, jacobian, low, high, fitted.evaluations)
     return inside, again.evaluations + spent
+
+
+def across(
+    problem: Problem, fitted: Fitted, which: np.ndarray, where: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, int]:
+    """`constrained_fits` from where an amount was changed at once, kept."""
+
+    def computed() -> dict[str, np.ndarray]:
+        trials = problem.trials(fitted.effects, "fit")
+        square, found, asked = constrained_fits(trials, fitted, which, where, LOOP.jump_steps)
+        return {"square": square, "found": found, "asked": np.array(asked)}
+
+    key = problem.key("across", fitted.effects, fitted.theta.tolist(), which.tolist(), where.tolist())
+    known = problem.checkpoint.once(key, computed)
+    return known["square"], known["found"], int(known["asked"])
 
 
 def jumps(fitted: Fitted) -> tuple[list[int], list[np.ndarray]]:

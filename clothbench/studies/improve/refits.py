@@ -19,27 +19,21 @@ from clothbench.studies.improve.selection import Candidate, allowance, faulty
 from clothbench.studies.improve.settings import LOOP
 
 
-def refit(
-    problem: Problem,
-    current: Fitted,
-    candidate: Candidate,
-    probes: Sequence[Probe],
-    goal: float,
-    account: Account,
-) -> Candidate:
-    """Everything fitted again with the candidate, from the first-order amount of that of its probes where this leaves
-    least, and beyond the ripple that it may end in; given up where it will not come below the goal, above which it can
-    be neither named nor tied.
+def refit(problem: Problem, names: tuple[str, ...], start: np.ndarray, goal: float) -> tuple[Fitted, int]:
+    """Everything fitted again with the last of these effects, from the best of `start` (S, P), and beyond the ripple
+    that it may end in; given up where it will not come below the goal, above which it can be neither named nor tied;
+    and how many parameter sets that took.
     """
-    names = (*current.effects, candidate.name)
-    starts = np.vstack([first_order_starts(current, probe) for probe in probes])
     tolerance = problem.evidence.search.contest_tolerance
-    fitted = fit(problem, names, starts, LOOP.refit_rounds, goal=goal, tolerance=tolerance)
-    account.count(fitted.evaluations)
+    fitted = fit(problem, names, start, LOOP.refit_rounds, goal=goal, tolerance=tolerance)
     # However far it is from the goal: out of a wrong valley a jump may lead all the way (wind that blew the other way).
-    fitted, count = jump_along_valley(problem, fitted)
-    account.count(count)
-    return dataclasses.replace(candidate, fitted=fitted)
+    better, count = jump_along_valley(problem, fitted)
+    return better, fitted.evaluations + count
+
+
+def fit_starts(effect: str, current: Fitted, probes: Sequence[Probe]) -> np.ndarray:
+    """Starts (S, P) of a fit with the effect: what first order makes of each of its probes."""
+    return np.vstack([first_order_starts(current, probe) for probe in probes if probe.effect == effect])
 
 
 def first_order_starts(current: Fitted, probe: Probe) -> np.ndarray:

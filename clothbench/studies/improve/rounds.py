@@ -12,7 +12,7 @@ from clothbench.studies.improve.attribution import Probe, explained_share, probe
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.permutation import PermutationTest, permutation_test
 from clothbench.studies.improve.problem import Problem
-from clothbench.studies.improve.refits import refine_finalists, refit, refit_null
+from clothbench.studies.improve.refits import fit_starts, refine_finalists, refit, refit_null
 from clothbench.studies.improve.selection import Candidate, assess, choose
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round
@@ -53,12 +53,16 @@ def one_round(
     screened = screen(candidates, found, test, refused)
     tried: list[Candidate] = []
     promising = most_promising(screened, anew, promise)
-    for k, candidate in enumerate(promising):
-        account.stage(f"round {turn + 1}: refits", k, len(promising))
-        rivals = [problem.evidence.search.contention * c.fitted.rms**2 for c in tried if c.fitted]
-        goal = min([current.rms**2 - fall / 2, *rivals])
-        probes = [probe for probe in found if probe.effect == candidate.name]
-        tried.append(refit(problem, current, candidate, probes, goal, account))
+    stage, goal = f"round {turn + 1}: refits", current.rms**2 - fall / 2
+    asked = [((*current.effects, c.name), fit_starts(c.name, current, found)) for c in promising]
+    # Workers wait for no rival; here what the best one leaves ends the others sooner.
+    ahead(refit, [(problem, *one, goal) for one in asked], lambda done: account.stage(stage, done, len(asked)))
+    for k, (candidate, one) in enumerate(zip(promising, asked, strict=True)):
+        account.stage(stage, k, len(asked))
+        fitted, count = refit(problem, *one, goal)
+        account.count(count)
+        tried.append(dataclasses.replace(candidate, fitted=fitted))
+        goal = min(goal, problem.evidence.search.contention * fitted.rms**2)
     tried = refine_finalists(problem, current, floor, fall, tried, account, turn)
     assessed = assess(current, fall, tried, problem.evidence)
     if named := choose(current, assessed):
