@@ -20,6 +20,28 @@ def test_each_effect_comes_twice():
     assert sorted(names) == sorted(2 * [effect.__name__ for effect in blind_test.EFFECTS])
 
 
+@pytest.mark.parametrize(
+    ("planted", "verdict", "named", "mesh", "worth"),
+    [
+        ({}, "complete", [], 0.5, "ok"),
+        ({}, "unexplained", [], 2.0, "open"),
+        ({}, "unexplained", [], 0.5, "missed"),
+        ({}, "attributed", ["frame_scale"], 0.5, "FALSE"),
+        ({"frame_scale": {"ratio": 1.02}}, "unexplained", [], 2.0, "missed"),
+        ({"frame_scale": {"ratio": 1.02}}, "attributed", ["frame_scale"], 0.5, "ok"),
+        ({"stiff_seam": {}}, "unexplained", [], 2.0, "ok"),
+    ],
+)
+def test_what_a_verdict_is_worth(planted, verdict, named, mesh, worth):
+    effects = [{"name": n, "tied_with": [], "parameters": {}, "p_value": 0.005} for n in named]
+    error = {"noise": 1.0, "mesh": mesh, "noise_floor": 1.0, "fit": {"before": 3.0, "after": 2.0}}
+    error["held_out"] = {"before": 3.0, "after": None}
+    row = blind_test.judged(planted, {"verdict": verdict, "effects": effects, "error_mm": error, "wall_s": 1.0})
+    assert blind_test.mark(row) == worth
+    (cells,) = (line.split("|")[1:-1] for line in blind_test.by_kind([row])[2:])
+    assert [cell.strip() for cell in cells][5:] == ["3.00 mm", "– mm", "1 s"]
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["clock_offset", "nothing"])
 def test_verdict_on_a_small_case(name, tmp_path):
