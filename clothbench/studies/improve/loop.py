@@ -24,6 +24,7 @@ from clothbench.studies.improve.jumps import jump_along_valley, off_bounds
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.profile import profile_intervals
 from clothbench.studies.improve.refinement import corrected
+from clothbench.studies.improve.refits import beside_tied
 from clothbench.studies.improve.rounds import one_round, withdrawn
 from clothbench.studies.improve.selection import faulty, least_fall
 from clothbench.studies.improve.settings import LOOP
@@ -123,11 +124,13 @@ def with_round(state: State, found: Round) -> State:
 
 
 def confirmed(state: State, found: Round, account: Account) -> tuple[State, bool]:
-    """The state after a round that named an effect: with it, if it stands once it is fitted to the end and the errors
-    of mesh and model are allowed for; without, and with the reason, if not.
+    """The state after a round that named an effect: with it, if it stands beside whatever an earlier one is tied with,
+    once it is fitted to the end and the errors of mesh and model are allowed for; without, and with the reason, if not.
     """
     assert found.after is not None
     name, current, noise = found.named[0], state.final, state.noise
+    if why := beside_tied(state.problem, state, found, account):
+        return with_round(state, withdrawn(found, state.floor, why)), False
     fitted = continued(state.problem, found.after, account)
     problem, after, mesh = corrected(state.problem, fitted, noise, account)
     # The fits are near each other: how far a finer mesh changes them is known no better than the two agree.

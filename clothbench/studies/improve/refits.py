@@ -15,8 +15,9 @@ from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import better_of, fit, multistart, polish
 from clothbench.studies.improve.jumps import jump_along_valley, off_bounds
 from clothbench.studies.improve.problem import Problem
-from clothbench.studies.improve.selection import Candidate, allowance, faulty
+from clothbench.studies.improve.selection import Candidate, allowance, faulty, least_fall
 from clothbench.studies.improve.settings import LOOP
+from clothbench.studies.improve.state import Round, State
 
 
 def refit(problem: Problem, names: tuple[str, ...], start: np.ndarray, goal: float) -> tuple[Fitted, int]:
@@ -148,3 +149,40 @@ def refit_null(problem: Problem, current: Fitted, better: Fitted | None, fall: f
     fitted, count = better_of(problem, current, start, LOOP.refit_rounds, goal=better.rms**2 + fall)
     account.count(count)
     return fitted
+
+
+def beside_tied(problem: Problem, state: State, found: Round, account: Account) -> str:
+    """Why what this round named is not to be named beside an effect that an earlier name is tied with, or "": what the
+    wrong one of two leaves may look like a third.
+    """
+    current, new = state.final, found.after
+    assert new is not None
+    for number, earlier in enumerate(r for r in state.rounds if r.named and not r.own):
+        for rival in earlier.named[1:]:
+            effects = (*current.effects[:number], rival, *current.effects[number + 1 :])
+            known = next(c.fitted for c in earlier.candidates if c.name == rival)
+            assert known is not None
+            without = fit(problem, effects, starts_as(problem, effects, known, current), LOOP.refit_rounds)
+            account.count(without.evaluations)
+            if without.rms**2 > allowance(0, alike=True) * current.rms**2:
+                continue  # it has fallen behind
+            fall = least_fall(without, state.floor, state.noise)
+            start = starts_as(problem, (*effects, new.effects[-1]), without, new)
+            fitted = fit(problem, (*effects, new.effects[-1]), start, LOOP.refit_rounds, goal=without.rms**2 - fall)
+            account.count(fitted.evaluations)
+            if (gain := without.rms**2 - fitted.rms**2) < fall:
+                return (
+                    f"explains only {max(gain, 0) / fall:.0%} of what a name has to beside {rival}, which "
+                    f"{earlier.named[0]} is tied with"
+                )
+    return ""
+
+
+def starts_as(problem: Problem, effects: tuple[str, ...], *fits: Fitted) -> np.ndarray:
+    """Starts (S, P) of a fit with these effects: each parameter as in the first of the fits that have it, and as in the
+    last.
+    """
+    space = problem.space(effects)
+    known = [dict(zip(f.space.names, f.theta, strict=True)) for f in fits]
+    orders = (known, known[::-1])
+    return np.array([[next(k[name] for k in order if name in k) for name in space.names] for order in orders])

@@ -56,7 +56,8 @@ def assess(
 ) -> list[Candidate]:
     """What speaks against each of them, if anything; and in how many leave-one-out rounds it is the best and explains
     enough. What is left out there is a recording's say: nothing is fitted again. What contradicts the recordings is no
-    rival of the others.
+    rival of the others; what corrects the same as another is compared with it on all recordings at once: which of the
+    two is ahead on some of them is a matter of ripples, and no reason to name one without the other.
     """
     count = len(current.mean_squares)
     square = np.array([c.fitted.mean_squares for c in tried if c.fitted is not None]).reshape(-1, count)
@@ -65,15 +66,15 @@ def assess(
         evidence.objection(current.residual, c.fitted.residual) if evidence and c.fitted else "" for c in tried
     ]
     rivals = [k for k, why in enumerate(objections) if not why]
-    allowed = allowances(current, tried)
+    allowed, same = allowances(current, tried), alike(current, tried)
     out = []
     for k, candidate in enumerate(tried):
         candidate = dataclasses.replace(candidate, gain=float((current.mean_squares - square[k]).mean()))
         wins = 0
         for left_out in range(count):
             rest = [r for r in range(count) if r != left_out] or [0]
-            others = square[np.ix_(rivals, rest)].mean(axis=1)
-            best = (square[k, rest].mean() <= allowed[rivals, k] * others).all()
+            shown = {j: list(range(count)) if same[j, k] else rest for j in rivals}
+            best = all(square[k, on].mean() <= allowed[j, k] * square[j, on].mean() for j, on in shown.items())
             wins += bool(best and (current.mean_squares - square[k])[rest].mean() >= gain)
         helped = int((square[k] < current.mean_squares).sum())
         why = ""
@@ -163,10 +164,19 @@ def allowances(current: Fitted, tried: Sequence[Candidate]) -> np.ndarray:
     Within the tie margin two cannot be told apart, within twice that if what they correct is alike; beyond that every
     further parameter has to pay for itself.
     """
+    return allowance(more_parameters(tried), alike(current, tried))
+
+
+def more_parameters(tried: Sequence[Candidate]) -> np.ndarray:
+    """(K, K): how many parameters the fit of the first has more than that of the second."""
     size = np.array([0 if c.fitted is None else len(c.fitted.theta) for c in tried])
-    more = size[:, None] - size[None, :]
-    alike = (correction_correlation(current, tried) >= LOOP.alike_correlation) & (np.abs(more) <= 1)
-    return allowance(more, alike)
+    return np.asarray(size[:, None] - size[None, :])
+
+
+def alike(current: Fitted, tried: Sequence[Candidate]) -> np.ndarray:
+    """(K, K): which correct the same of the residual, with as many parameters but for one."""
+    correlated = correction_correlation(current, tried) >= LOOP.alike_correlation
+    return np.asarray(correlated & (np.abs(more_parameters(tried)) <= 1))
 
 
 def allowance(more: Any, alike: Any) -> Any:
@@ -195,10 +205,10 @@ def choose(current: Fitted, judged: Sequence[Candidate]) -> tuple[str, ...]:
     square = np.array([c.fitted.rms**2 for c in standing if c.fitted is not None])
     size = np.array([len(c.fitted.theta) for c in standing if c.fitted is not None])
     shapes = [sum(p.null is None for p in c.fitted.space) for c in standing if c.fitted is not None]
-    allowed, alike = allowances(current, standing), correction_correlation(current, standing) >= LOOP.alike_correlation
+    allowed, same = allowances(current, standing), alike(current, standing)
     close = [k for k in range(len(standing)) if (square[k] <= allowed[:, k] * square).all()]
     first = min(close, key=lambda k: (size[k], shapes[k], square[k]))
     others = [
-        k for k in close if k != first and (size[k] == size[first] or (alike[k, first] and size[k] == size[first] + 1))
+        k for k in close if k != first and (size[k] == size[first] or (same[k, first] and size[k] == size[first] + 1))
     ]
     return tuple(standing[k].name for k in [first, *sorted(others, key=lambda k: square[k])][: LOOP.tied])

@@ -39,7 +39,7 @@ class LoopSettings:
     richardson: float = 4 / 3  # times the change by halved cells: the whole error, where it is of second order
     refinement_offset: float = 0.05  # how far from a fit the mesh's error is looked at, of the scaled range
 
-    stages: int = 6  # version of what the stages do and write: a cell of another one is asked anew
+    stages: int = 7  # version of what the stages do and write: a cell of another one is asked anew
 
     # Attribution.
     shape_settings: int = 4  # settings of an effect's shape parameter that are looked at; twice as many of several
@@ -68,7 +68,8 @@ class LoopSettings:
     least_explained: float = 0.25  # share of the mean square above the floor that an effect has to explain
     least_explained_at_floor: float = 0.45  # the same above the noise, where the mesh alone may stand for the residual
     tie_margin: float = 0.1  # share of what two candidates leave (mean square) by which they cannot be told apart
-    alike_correlation: float = 0.9  # of what two candidates correct, from which on they may be one and the same
+    alike_correlation: float = 0.8  # of what two candidates correct, from which on they may be one and the same: ripples
+    # that neither accounts for part two of them by a tenth
     parameter_penalty: float = 0.05  # share of the mean square that every further parameter has to pay
     away_from_null: float = 1e-3  # of its range: an amount this near to its null value is none
     tied: int = 3  # effects that are named together at most, where they cannot be told apart
