@@ -13,10 +13,10 @@ from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import multistart
 from clothbench.studies.improve.loop import all_rounds
-from clothbench.studies.improve.refits import fit_starts, polished, refine_finalists, standing
-from clothbench.studies.improve.selection import Candidate
+from clothbench.studies.improve.refits import beside_tied, fit_starts, polished, refine_finalists, standing
+from clothbench.studies.improve.selection import Candidate, assess, choose
 from clothbench.studies.improve.settings import LOOP, SearchSettings
-from clothbench.studies.improve.state import Round
+from clothbench.studies.improve.state import Round, State
 
 SPACE = ParameterSpace((Parameter("k", "k", "N/m", (1.0, 9.0), "linear", 2.0, "a stiffness", "a test"),))
 
@@ -152,3 +152,68 @@ def test_a_candidate_is_fitted_from_whichever_of_its_probes_leaves_least(monkeyp
     monkeypatch.setattr(f"{refits}.first_order_starts", lambda current, probe: np.full((3, 2), probe.size))
     probes = [SimpleNamespace(effect=effect, size=size) for effect, size in (("a", 1.0), ("b", 3.0), ("a", 2.0))]
     assert fit_starts("a", fitted(9e-3), probes).tolist() == [[1.0, 1.0]] * 3 + [[2.0, 2.0]] * 3
+
+
+@pytest.mark.parametrize(("same", "named"), [(True, ("a", "b")), (False, ("a",))])
+def test_ripples_on_some_recordings_do_not_part_two_effects_that_correct_the_same(same, named):
+    """On two of four recordings b leaves a third less than a, on the others more; over all of them 8 % more."""
+    random, sides = np.random.default_rng(4), np.repeat([True, False], 200)
+    signal = [random.choice([-4e-3, 4e-3], 400) for _ in range(4)]
+
+    def after(effect, squares, takes):
+        """What is left where all of the signal that it `takes` is gone, scaled to these mean squares."""
+        left = [np.where(takes, 0.05 * s, s) for s in signal]
+        left = [r * np.sqrt(q / np.mean(r**2)) for r, q in zip(left, squares, strict=True)]
+        found = with_wind(effect, 0, 1.0)
+        return Candidate(effect, 0.5, 0.005, fitted=dataclasses.replace(found, residual=left, jacobian=[]))
+
+    current = dataclasses.replace(fitted(1.0), residual=signal)
+    everything = np.ones(400, bool)
+    tried = [
+        after("a", 1e-6 * np.array([5.2, 3.5, 4.5, 4.0]), everything if same else sides),
+        after("b", 1e-6 * np.array([3.7, 3.3, 6.9, 4.7]), everything if same else ~sides),
+    ]
+    assessed = assess(current, 2e-6, tried)
+    assert choose(current, assessed) == named
+    assert {c.name: bool(c.why_not) for c in assessed} == {"a": False, "b": not same}
+
+
+@pytest.mark.parametrize(
+    ("rival", "gains", "holds"),
+    [(2.1e-3, 0.5e-6, False), (2.1e-3, 2e-6, True), (3e-3, 0.0, True)],
+    ids=["explains little beside it", "explains enough", "the rival has fallen behind"],
+)
+def test_a_further_name_has_to_hold_beside_what_an_earlier_one_is_tied_with(monkeypatch, rival, gains, holds):
+    first, second, third = (
+        with_wind(name, 0, rms) for name, rms in (("first", 2e-3), ("second", 2.1e-3), ("third", 1.5e-3))
+    )
+    after = dataclasses.replace(
+        third, effects=("first", "third"), space=ParameterSpace((*first.space, *third.space.parameters[1:])),
+        theta=np.array([2.5, 0.4, 0.7]),
+    )  # fmt: skip
+    spaces = {
+        ("second",): second.space,
+        ("second", "third"): ParameterSpace((*second.space, *third.space.parameters[1:])),
+    }
+    asked = []
+
+    def fit(problem, names, start, rounds, goal=np.inf):
+        asked.append((names, start.tolist()))
+        square = rival**2 - (gains if "third" in names else 0)
+        return dataclasses.replace(
+            second, effects=names, space=spaces[names], theta=start[0], residual=[np.full(9, square**0.5)]
+        )
+
+    monkeypatch.setattr("clothbench.studies.improve.refits.fit", fit)
+    tie = (Candidate("first", 0.5, 0.005, fitted=first), Candidate("second", 0.5, 0.005, fitted=second))
+    named = Round(fitted(9e-3), 1e-3, tie, (), ("first", "second"), first)
+    state = State(SimpleNamespace(), fitted(9e-3), first, 0.5e-3, 0.9e-3, (named,))
+    found = Round(first, 1e-3, (), (), ("third",), after)
+    problem = SimpleNamespace(space=lambda names: spaces[names])
+    account = Account(lambda *_: None)
+    account.stage("contest", 0, 1)
+    why = beside_tied(problem, state, found, account)
+    assert (why == "") == holds
+    assert holds or "beside second, which first is tied with" in why
+    assert asked[0] == (("second",), [[2.0, 0.5], [2.0, 0.5]])
+    assert asked[1:] == ([] if rival == 3e-3 else [(("second", "third"), [[2.0, 0.5, 0.7], [2.5, 0.5, 0.7]])])
