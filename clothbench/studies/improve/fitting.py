@@ -57,10 +57,7 @@ def fit(
     theta, count = trace.theta[-1], int(trace.count[-1])
     if unless is not None and not trace.square[-1] < unless.rms**2:
         return dataclasses.replace(unless, evaluations=count)
-    space = problem.space(names)
-    residual, jacobian, spent = differences(problem, names, space, theta)
-    low, high = jackknife_interval(space, theta, residual, jacobian)
-    return Fitted(names, space, theta, residual, jacobian, low, high, count + spent)
+    return fitted_at(problem, names, problem.space(names), theta, count)
 
 
 def searched(
@@ -96,10 +93,8 @@ def searched(
     return trace
 
 
-def differences(
-    problem: Problem, names: tuple[str, ...], space: ParameterSpace, theta: np.ndarray
-) -> tuple[list[np.ndarray], list[np.ndarray], int]:
-    """`finite_differences` on the recordings to fit, kept."""
+def fitted_at(problem: Problem, names: tuple[str, ...], space: ParameterSpace, theta: np.ndarray, count: int) -> Fitted:
+    """The fit that ended at theta (P,) after so many sets: residual, Jacobian and intervals there, which are kept."""
 
     def computed() -> dict[str, np.ndarray]:
         residual, jacobian, spent = finite_differences(trials, space, theta, problem.evidence.search.difference)
@@ -110,9 +105,10 @@ def differences(
         }
 
     trials = problem.trials(names, "fit")
-    known = problem.checkpoint.once(problem.key("differences", names, theta.tolist()), computed)
+    known = problem.checkpoint.once(problem.key("fitted", names, theta.tolist()), computed)
     residual, jacobian = ([known[f"{what}-{k}"] for k in range(len(trials))] for what in ("residual", "jacobian"))
-    return residual, jacobian, int(known["count"])
+    low, high = jackknife_interval(space, theta, residual, jacobian)
+    return Fitted(names, space, theta, residual, jacobian, low, high, count + int(known["count"]))
 
 
 def search_settings(problem: Problem, first: bool, tolerance: float = 0.0) -> dict[str, Any]:

@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 
 from clothbench.studies.improve.constrained import conditional_direction, constrained_fits
-from clothbench.studies.improve.fitted import Fitted, jackknife_interval, normal_equations
-from clothbench.studies.improve.fitting import better_of, differences, fit
+from clothbench.studies.improve.fitted import Fitted, normal_equations
+from clothbench.studies.improve.fitting import better_of, fit, fitted_at
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.selection import amounts_at_bound, amounts_of
 from clothbench.studies.improve.settings import LOOP
@@ -64,10 +64,8 @@ def off_bounds(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
     again = fit(nearer, fitted.effects, start, LOOP.refit_rounds, goal=limit)
     if not again.rms**2 <= limit:
         return fitted, again.evaluations
-    residual, jacobian, spent = differences(problem, fitted.effects, space, again.theta)
-    low, high = jackknife_interval(space, again.theta, residual, jacobian)
-    inside = Fitted(fitted.effects, space, again.theta, residual, jacobian, low, high, fitted.evaluations)
-    return inside, again.evaluations + spent
+    inside = fitted_at(problem, fitted.effects, space, again.theta, again.evaluations)
+    return inside, inside.evaluations
 
 
 def across(
