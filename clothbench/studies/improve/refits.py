@@ -157,8 +157,8 @@ def beside_tied(problem: Problem, state: State, found: Round, account: Account) 
     """
     current, new = state.final, found.after
     assert new is not None
-    for number, earlier in enumerate(r for r in state.rounds if r.named and not r.own):
-        for rival in earlier.named[1:]:
+    for number, earlier in enumerate(r for r in state.rounds if r.named):
+        for rival in () if earlier.own else earlier.named[1:]:
             effects = (*current.effects[:number], rival, *current.effects[number + 1 :])
             known = next(c.fitted for c in earlier.candidates if c.name == rival)
             assert known is not None
