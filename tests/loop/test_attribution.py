@@ -12,7 +12,7 @@ from clothbench.plugins.discovery import catalogue
 from clothbench.studies.improve import attribution
 from clothbench.studies.improve.attribution import best_settings, exchange, explained_share, shape_settings, shifted
 from clothbench.studies.improve.fitted import Fitted, with_discrepancy
-from clothbench.studies.improve.selection import Candidate, allowances, choose
+from clothbench.studies.improve.selection import Candidate, allowances, choose, least_fall
 
 BASE = ParameterSpace(
     tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.5, "of the base", "a test") for n in ("a", "b"))
@@ -157,3 +157,18 @@ def test_two_as_good_as_each_other_are_tied(before):
 
 def test_two_that_correct_the_same_are_tied_though_one_is_less_simple(before):
     assert choose(before, [candidate("simple", 5, 0.30), candidate("other", 6, 0.28)]) == ("simple", "other")
+
+
+def test_a_simpler_one_that_corrects_something_else_does_not_take_the_place_of_the_best(before):
+    """Both may be missing: the best is named, the other is for the next round."""
+    best, simpler = candidate("best", 6, 0.60, 1), candidate("simpler", 5, 0.64, 2)
+    assert choose(before, [simpler, best]) == ("best",)
+    assert choose(before, [simpler, candidate("best", 6, 0.632, 1)]) == ("simpler",)  # not better by what it costs
+
+
+@pytest.mark.parametrize(
+    ("rms", "noise", "fall"), [(2.0, 0.5, 0.25 * (4 - 1)), (1.2, 0.9, 0.25 * (1.44 - 1)), (1.2, 0.1, 0.45 * (1 - 0.01))]
+)
+def test_a_name_has_to_explain_more_than_a_coarse_mesh_may_stand_for(rms, noise, fall):
+    """Noise and mesh together are 1."""
+    assert least_fall(fitted_to(np.full(ROWS, rms)), 1.0, noise) == pytest.approx(fall)

@@ -180,12 +180,12 @@ def test_ripples_on_some_recordings_do_not_part_two_effects_that_correct_the_sam
 
 @pytest.mark.parametrize(
     ("rival", "gains", "holds"),
-    [(2.1e-3, 0.5e-6, False), (2.1e-3, 2e-6, True), (3e-3, 0.0, True)],
+    [(2.1e-3, 0.5e-6, False), (2.1e-3, 2e-6, True), (2.3e-3, 0.0, True)],
     ids=["explains little beside it", "explains enough", "the rival has fallen behind"],
 )
 def test_a_further_name_has_to_hold_beside_what_an_earlier_one_is_tied_with(monkeypatch, rival, gains, holds):
     first, second, third = (
-        with_wind(name, 0, rms) for name, rms in (("first", 2e-3), ("second", 2.1e-3), ("third", 1.5e-3))
+        with_wind(name, 0, rms) for name, rms in (("first", 2e-3), ("second", 2.1e-3), ("third", 1.8e-3))
     )
     after = dataclasses.replace(
         third, effects=("first", "third"), space=ParameterSpace((*first.space, *third.space.parameters[1:])),
@@ -209,11 +209,12 @@ def test_a_further_name_has_to_hold_beside_what_an_earlier_one_is_tied_with(monk
     named = Round(fitted(9e-3), 1e-3, tie, (), ("first", "second"), first)
     state = State(SimpleNamespace(), fitted(9e-3), first, 0.5e-3, 0.9e-3, (named,))
     found = Round(first, 1e-3, (), (), ("third",), after)
-    problem = SimpleNamespace(space=lambda names: spaces[names])
+    evidence = SimpleNamespace(search=SearchSettings())
+    problem = SimpleNamespace(space=lambda names: spaces[names], evidence=evidence)
     account = Account(lambda *_: None)
     account.stage("contest", 0, 1)
     why = beside_tied(problem, state, found, account)
     assert (why == "") == holds
     assert holds or "beside second, which first is tied with" in why
     assert asked[0] == (("second",), [[2.0, 0.5], [2.0, 0.5]])
-    assert asked[1:] == ([] if rival == 3e-3 else [(("second", "third"), [[2.0, 0.5, 0.7], [2.5, 0.5, 0.7]])])
+    assert asked[1:] == ([] if rival == 2.3e-3 else [(("second", "third"), [[2.0, 0.5, 0.7], [2.5, 0.5, 0.7]])])

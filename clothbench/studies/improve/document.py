@@ -201,4 +201,4 @@ def why_not(candidate: Candidate, of: Round) -> str:
         return candidate.why_not
     if candidate.fitted is None:
         return f"promises too little to first order, or is not among the {LOOP.refitted} that promise most"
-    return "another explains as much or more, with as few parameters"
+    return "another explains more, or as much with as few parameters"

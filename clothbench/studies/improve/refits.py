@@ -164,7 +164,8 @@ def beside_tied(problem: Problem, state: State, found: Round, account: Account) 
             assert known is not None
             without = fit(problem, effects, starts_as(problem, effects, known, current), LOOP.refit_rounds)
             account.count(without.evaluations)
-            if without.rms**2 > allowance(0, alike=True) * current.rms**2:
+            contention = problem.evidence.search.contention
+            if without.rms**2 > min(allowance(0, alike=True) * current.rms**2, contention * new.rms**2):
                 continue  # it has fallen behind
             fall = least_fall(without, state.floor, state.noise)
             start = starts_as(problem, (*effects, new.effects[-1]), without, new)

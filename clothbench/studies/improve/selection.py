@@ -42,12 +42,14 @@ class Candidate:
 def least_fall(current: Fitted, floor: float, noise: float) -> float:
     """How far the mean square has to fall for a name (base unit squared).
 
-    A share of what stands above the floor. Where nothing does, a coarse mesh may stand for all that is left; then only
-    an effect that explains much of it, noise apart, is no doing of the mesh.
+    A share of what stands above the floor, and more than a coarse mesh may well stand for. Where nothing is above the
+    floor, the mesh may stand for all that is left; then only an effect that explains much of it, noise apart, is no
+    doing of the mesh.
     """
     mean_square = current.rms**2
     if current.rms > LOOP.floor_factor * floor:
-        return LOOP.least_explained * (mean_square - floor**2)
+        mesh = LOOP.least_explained_at_floor * (floor**2 - noise**2)
+        return max(LOOP.least_explained * (mean_square - floor**2), mesh)
     return LOOP.least_explained_at_floor * max(mean_square - noise**2, 1e-12)
 
 
@@ -195,9 +197,10 @@ def correction_correlation(current: Fitted, tried: Sequence[Candidate]) -> np.nd
 
 
 def choose(current: Fitted, judged: Sequence[Candidate]) -> tuple[str, ...]:
-    """The one that stands; of several as good as each other the one with the fewest parameters, and of these the fewest
-    that only give it its shape; or several as tied: equally simple ones, or such as correct the same and are hardly
-    less simple.
+    """The one that stands; of several as good as each other that correct the same as the best the one with the fewest
+    parameters, and of these the fewest that only give it its shape; or several as tied: equally simple ones, or such as
+    correct the same and are hardly less simple. What corrects something else may be missing as well as the best: being
+    simpler it does not take its place.
     """
     standing = [c for c in judged if not c.why_not and c.fitted is not None]
     if not standing:
@@ -207,7 +210,9 @@ def choose(current: Fitted, judged: Sequence[Candidate]) -> tuple[str, ...]:
     shapes = [sum(p.null is None for p in c.fitted.space) for c in standing if c.fitted is not None]
     allowed, same = allowances(current, standing), alike(current, standing)
     close = [k for k in range(len(standing)) if (square[k] <= allowed[:, k] * square).all()]
-    first = min(close, key=lambda k: (size[k], shapes[k], square[k]))
+    best = min(close, key=lambda k: (1 + LOOP.parameter_penalty * (size[k] - size.min())) * square[k])
+    instead = correction_correlation(current, standing)[best] >= LOOP.alike_correlation
+    first = min((k for k in close if instead[k]), key=lambda k: (size[k], shapes[k], square[k]))
     others = [
         k for k in close if k != first and (size[k] == size[first] or (same[k, first] and size[k] == size[first] + 1))
     ]
