@@ -481,9 +481,11 @@ def by_kind(rows: Sequence[dict]) -> list[str]:
         mine = [row for row in rows if name in (row["planted"] or ["nothing"])]
         groups = [group for row in mine for group in row["named"] if name in group]
         before, after = np.median([[e or np.nan for e in row["held_out_mm"]] for row in mine], axis=0)
+        still_open = sum(mark(row) == "open" for row in mine)
+        right = str(sum(row["right"] for row in mine)) + (f", {still_open} open" if still_open else "")
         named = [str(len(groups)), str(sum(len(g) > 1 for g in groups))] if mine[0]["of"] else ["", ""]
         cells = [
-            name, str(len(mine)), *named, str(sum(row["right"] for row in mine)), f"{mm(before)} mm", f"{mm(after)} mm",
+            name, str(len(mine)), *named, right, f"{mm(before)} mm", f"{mm(after)} mm",
             f"{np.median([row['wall_s'] for row in mine]):.0f} s",
         ]  # fmt: skip
         lines.append(f"| {' | '.join(cells)} |")
