@@ -496,7 +496,7 @@ def keep(rows: Sequence[dict]) -> None:
     """The rows for programs, and a table for people beside them."""
     table = {"summary": summary(rows), "stages": LOOP.stages, "cases": rows}
     RESULTS.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n")
-    lines: list[str] = [
+    lines = [
         f"`python tools/blind_test.py --out FOLDER --keep`, {len(rows)} of {OTHER_MODELS[-1] + 1} cases, stages of "
         f"version {LOOP.stages}, judged with springs where nothing else is said: {summary(rows)}.\n",
         *by_kind(rows),

@@ -231,8 +231,8 @@ def test_an_amount_at_its_bound_stays_there_only_if_half_of_it_leaves_more(monke
     def law(theta):
         return np.array([theta[0] - 0.5, 10 * (theta[1] * theta[2] - 0.09), driven * (theta[1] - 1.5), 0.03])
 
-    def fitted_at(problem, names, space, theta, count):
-        return dataclasses.replace(fitted(law, space, theta), evaluations=count + 1 + len(space))
+    def fitted_at(problem, names, theta, count):
+        return dataclasses.replace(fitted(law, HEM, theta), evaluations=count + 1 + len(HEM))
 
     def fit(problem, effects, theta, rounds, goal):
         (low, high), asked = problem.bounds["hem.a"], theta[1]

@@ -13,7 +13,7 @@ from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import multistart
 from clothbench.studies.improve.loop import all_rounds
-from clothbench.studies.improve.refits import beside_tied, fit_starts, polished, refine_finalists, standing
+from clothbench.studies.improve.refits import beside_tied, fit_starts, polished, refine_finalists, refit, standing
 from clothbench.studies.improve.selection import Candidate, assess, choose
 from clothbench.studies.improve.settings import LOOP, SearchSettings
 from clothbench.studies.improve.state import Round, State
@@ -148,10 +148,21 @@ def test_nobody_is_sought_who_would_have_to_leave_less_than_the_floor(monkeypatc
 
 def test_a_candidate_is_fitted_from_whichever_of_its_probes_leaves_least(monkeypatch):
     """First order may promise most where a wind blows the wrong way."""
-    refits = "clothbench.studies.improve.refits"
+    problem = SimpleNamespace(evidence=SimpleNamespace(search=SearchSettings()))
+    refits, asked, ended = "clothbench.studies.improve.refits", [], with_wind("a", 0, 1e-3)
+
+    def fit(problem, names, starts, *_, **__):
+        asked.extend(starts.tolist())
+        return ended
+
     monkeypatch.setattr(f"{refits}.first_order_starts", lambda current, probe: np.full((3, 2), probe.size))
+    monkeypatch.setattr(f"{refits}.fit", fit)
+    monkeypatch.setattr(f"{refits}.jump_along_valley", lambda problem, fit: (fit, 1))
     probes = [SimpleNamespace(effect=effect, size=size) for effect, size in (("a", 1.0), ("b", 3.0), ("a", 2.0))]
-    assert fit_starts("a", fitted(9e-3), probes).tolist() == [[1.0, 1.0]] * 3 + [[2.0, 2.0]] * 3
+    found, count = refit(problem, ("a",), fit_starts("a", fitted(9e-3), probes), 1e-6)
+    assert found is ended
+    assert count == ended.evaluations + 1
+    assert asked == [[1.0, 1.0]] * 3 + [[2.0, 2.0]] * 3
 
 
 @pytest.mark.parametrize(("same", "named"), [(True, ("a", "b")), (False, ("a",))])
@@ -207,13 +218,13 @@ def test_a_further_name_has_to_hold_beside_what_an_earlier_one_is_tied_with(monk
     monkeypatch.setattr("clothbench.studies.improve.refits.fit", fit)
     tie = (Candidate("first", 0.5, 0.005, fitted=first), Candidate("second", 0.5, 0.005, fitted=second))
     named = Round(fitted(9e-3), 1e-3, tie, (), ("first", "second"), first)
-    state = State(SimpleNamespace(), fitted(9e-3), first, 0.5e-3, 0.9e-3, (named,))
-    found = Round(first, 1e-3, (), (), ("third",), after)
     evidence = SimpleNamespace(search=SearchSettings())
     problem = SimpleNamespace(space=lambda names: spaces[names], evidence=evidence)
+    state = State(problem, fitted(9e-3), first, 0.5e-3, 0.9e-3, (named,))
+    found = Round(first, 1e-3, (), (), ("third",), after)
     account = Account(lambda *_: None)
     account.stage("contest", 0, 1)
-    why = beside_tied(problem, state, found, account)
+    why = beside_tied(state, found, account)
     assert (why == "") == holds
     assert holds or "beside second, which first is tied with" in why
     assert asked[0] == (("second",), [[2.0, 0.5], [2.0, 0.5]])

@@ -57,7 +57,7 @@ def fit(
     theta, count = trace.theta[-1], int(trace.count[-1])
     if unless is not None and not trace.square[-1] < unless.rms**2:
         return dataclasses.replace(unless, evaluations=count)
-    return fitted_at(problem, names, problem.space(names), theta, count)
+    return fitted_at(problem, names, theta, count)
 
 
 def searched(
@@ -93,7 +93,7 @@ def searched(
     return trace
 
 
-def fitted_at(problem: Problem, names: tuple[str, ...], space: ParameterSpace, theta: np.ndarray, count: int) -> Fitted:
+def fitted_at(problem: Problem, names: tuple[str, ...], theta: np.ndarray, count: int) -> Fitted:
     """The fit that ended at theta (P,) after so many sets: residual, Jacobian and intervals there, which are kept."""
 
     def computed() -> dict[str, np.ndarray]:
@@ -105,6 +105,7 @@ def fitted_at(problem: Problem, names: tuple[str, ...], space: ParameterSpace, t
         }
 
     trials = problem.trials(names, "fit")
+    space = problem.bounded(trials[0].simulation.parameters)
     known = problem.checkpoint.once(problem.key("fitted", names, theta.tolist()), computed)
     residual, jacobian = ([known[f"{what}-{k}"] for k in range(len(trials))] for what in ("residual", "jacobian"))
     low, high = jackknife_interval(space, theta, residual, jacobian)

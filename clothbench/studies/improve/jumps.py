@@ -64,7 +64,7 @@ def off_bounds(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
     again = fit(nearer, fitted.effects, start, LOOP.refit_rounds, goal=limit)
     if not again.rms**2 <= limit:
         return fitted, again.evaluations
-    inside = fitted_at(problem, fitted.effects, space, again.theta, again.evaluations)
+    inside = fitted_at(problem, fitted.effects, again.theta, again.evaluations)
     return inside, inside.evaluations
 
 

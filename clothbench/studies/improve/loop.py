@@ -129,7 +129,7 @@ def confirmed(state: State, found: Round, account: Account) -> tuple[State, bool
     """
     assert found.after is not None
     name, current, noise = found.named[0], state.final, state.noise
-    if why := beside_tied(state.problem, state, found, account):
+    if why := beside_tied(state, found, account):
         return with_round(state, withdrawn(found, state.floor, why)), False
     fitted = continued(state.problem, found.after, account)
     problem, after, mesh = corrected(state.problem, fitted, noise, account)

@@ -151,11 +151,11 @@ def refit_null(problem: Problem, current: Fitted, better: Fitted | None, fall: f
     return fitted
 
 
-def beside_tied(problem: Problem, state: State, found: Round, account: Account) -> str:
+def beside_tied(state: State, found: Round, account: Account) -> str:
     """Why what this round named is not to be named beside an effect that an earlier name is tied with, or "": what the
     wrong one of two leaves may look like a third.
     """
-    current, new = state.final, found.after
+    problem, current, new = state.problem, state.final, found.after
     assert new is not None
     for number, earlier in enumerate(r for r in state.rounds if r.named):
         for rival in () if earlier.own else earlier.named[1:]:
