@@ -95,7 +95,7 @@ class BaraffWitkin:
     """
 
     name = "baraff_witkin"
-    version = 3
+    version = 4
     kind = "implicit"
     parameters = PARAMETERS
     textiles = TEXTILES

@@ -78,6 +78,10 @@ MEMBRANE = bundle_type(Membrane, *[types.float64[:, ::1]] * 4)
 PLATE = bundle_type(Plate, types.int64[::1], types.float64[:, ::1], types.float64, types.float64, types.float64[::1])
 SETTLE_ROUNDS = 2000
 ROUGH = 1e-2  # what settling leaves of a step's residual: the next step mends it, so that finer solves only cost time
+FINE = 1e-3  # what it leaves near the end: a rough solve does not see that all of a stiff sheet still has to move
+NEARLY = 2e-6  # m that a node still moves in a rough step, from which on they are fine
+NEAR = 1e-3  # of the sheet's size, that a node still moves in a full step, from which on the valley is certain
+STRAIGHT = 0.9  # cosine between two steps, above which the next may be longer
 AT_REST = 2e-8  # m that a node still moves in a settling step as long as a second
 
 
@@ -156,6 +160,18 @@ def largest(delta):
     return np.sqrt(top)
 
 
+@kernel
+def direction(a, b):
+    """The cosine between two steps of all nodes, a and b (3, n); 1 where either is none."""
+    onwards, one, other = 0.0, 0.0, 0.0
+    for c in range(3):
+        for e in range(a.shape[1]):
+            onwards += a[c, e] * b[c, e]
+            one += a[c, e] ** 2
+            other += b[c, e] ** 2
+    return onwards / np.sqrt(one * other) if one > 0.0 and other > 0.0 else 1.0
+
+
 def _march_implicit(
     scheme, shear_rows, begins, nu, sheet, membrane, plate, air,
     effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7,
@@ -185,7 +201,7 @@ def _march_implicit(
         touch[pins[g]] = STICKS
         free[pins[g]] = 0.0
     settling, count, done, segment = pins.shape[0] > 0 and begins.settles == SETTLES, 0, 0, 0
-    rounds, h, t, relax, moved_before = 0, 0.01, start, 1.0, np.inf
+    rounds, h, t, relax, moved_before, fine = 0, 0.01, start, 1.0, np.inf, False
     if not settling:
         if begins.settles == RESTS:
             x_old[:] = x
@@ -226,7 +242,7 @@ def _march_implicit(
         )  # fmt: skip
         rounds += solve(
             delta, r, nu, matrix, plate.offsets, plate.values, bend_scale, touch, normal,
-            max(tolerance, ROUGH) if settling else tolerance, 2000, inverse, z, p, q,
+            (FINE if fine else ROUGH) if settling else tolerance, 2000, inverse, z, p, q,
         )  # fmt: skip
         if solid:
             p[:, margin : margin + n] = delta
@@ -240,10 +256,18 @@ def _march_implicit(
             judge(z, q, free, touch, normal, friction, rub)
         if settling:
             moved = gamma * largest(delta)
+            rests, fine = fine and h >= 1.0 and moved < AT_REST, fine or (h >= 1.0 and moved < NEARLY)
             shrink = min(1.0, 0.1 * size / max(moved, 1e-300))
-            # Where the matrix leaves out what compression softens, full steps may go to and fro for ever.
-            relax = max(0.1, 0.7 * relax) if moved > 0.8 * moved_before else min(1.0, 1.2 * relax)
+            # Where the matrix leaves out what compression softens, full steps may go to and fro for ever, or leap into
+            # another valley of wrinkles. So steps stay short until it is clear in which one the sheet ends; there they
+            # grow as long as the way is straight.
+            if moved > NEAR * size:
+                shorten = moved > 0.8 * moved_before
+            else:
+                shorten = direction(delta, v_old) < STRAIGHT
+            relax = max(0.1, 0.7 * relax) if shorten else min(1.0, 1.2 * relax)
             moved_before = moved
+            v_old[:] = delta
             for c in range(3):
                 for e in range(n):
                     x[c, e] = x_bar[c, e] + gamma * (guess[c, e] + relax * shrink * delta[c, e])
@@ -257,7 +281,7 @@ def _march_implicit(
             if is_lost(x, 0, 1, limit):
                 result[0], result[1], result[2] = DIVERGED, count, rounds
                 return
-            if (h >= 1.0 and moved < AT_REST) or count == SETTLE_ROUNDS:
+            if rests or count == SETTLE_ROUNDS:
                 settling, count = False, 0
                 x_old[:] = x
                 v_old[:] = 0.0

@@ -64,7 +64,7 @@ class Inextensible:
     """
 
     name = "inextensible"
-    version = 4
+    version = 5
     kind = "implicit"
     parameters = PARAMETERS
     capabilities = frozenset(
