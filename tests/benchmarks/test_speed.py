@@ -164,6 +164,33 @@ def test_an_implicit_step_costs_far_less_than_the_square_of_the_nodes(name):
     assert exponent(lambda side: implicit_cost(name, side)) <= 1.7
 
 
+# --- what it costs to come to rest --------------------------------------------------------------------------
+
+
+@pytest.mark.bench
+def test_a_slack_sheet_comes_to_rest_for_what_a_few_seconds_of_motion_cost():
+    """Its corners a tenth nearer to each other than they could be, as cloth is mostly held."""
+    swaying = timing.hanging_sheet(9, 2.5)
+    slack = dataclasses.replace(swaying, grip_position=swaying.grip_position * np.array([0.9, 1.0, 1.0]))
+    simulation = catalogue().make("models", "baraff_witkin").prepare(slack)
+    theta = np.tile(simulation.parameters.defaults, (8, 1))
+    theta[:, 0] *= np.geomspace(0.3, 10.0, 8)  # of bending rigidity
+    assert simulation.hanging is not None
+    with timing.on_threads(1):
+        rest, whole = (shortest(lambda run=run: run(theta)) for run in (simulation.hanging.run, simulation.run))
+    assert rest <= 1.3 * (whole - rest)  # 0.8 is usual
+
+
+def shortest(call) -> float:
+    """Seconds of a core that a call takes, the least of three after one to warm up."""
+    seconds = []
+    for _ in range(4):
+        began = time.process_time()
+        call()
+        seconds.append(time.process_time() - began)
+    return min(seconds[1:])
+
+
 # --- what an effect costs: the same sheet, the same steps ---------------------------------------------------
 
 

@@ -261,10 +261,8 @@ def _march_implicit(
             # Where the matrix leaves out what compression softens, full steps may go to and fro for ever, or leap into
             # another valley of wrinkles. So steps stay short until it is clear in which one the sheet ends; there they
             # grow as long as the way is straight.
-            if moved > NEAR * size:
-                shorten = moved > 0.8 * moved_before
-            else:
-                shorten = direction(delta, v_old) < STRAIGHT
+            far = moved > NEAR * size
+            shorten = moved > 0.8 * moved_before if far else direction(delta, v_old) < STRAIGHT
             relax = max(0.1, 0.7 * relax) if shorten else min(1.0, 1.2 * relax)
             moved_before = moved
             v_old[:] = delta
