@@ -167,7 +167,6 @@ def test_an_implicit_step_costs_far_less_than_the_square_of_the_nodes(name):
 # --- what it costs to come to rest --------------------------------------------------------------------------
 
 
-@pytest.mark.bench
 def test_a_slack_sheet_comes_to_rest_for_what_a_few_seconds_of_motion_cost():
     """Its corners a tenth nearer to each other than they could be, as cloth is mostly held."""
     swaying = timing.hanging_sheet(9, 2.5)
