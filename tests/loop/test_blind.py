@@ -25,7 +25,7 @@ def test_each_effect_comes_twice():
     [
         ({}, "complete", [], 0.5, "ok"),
         ({}, "unexplained", [], 2.0, "open"),
-        ({}, "unexplained", [], 0.5, "missed"),
+        ({}, "unexplained", [], 0.5, "alarm"),
         ({}, "attributed", ["frame_scale"], 0.5, "FALSE"),
         ({"frame_scale": {"ratio": 1.02}}, "unexplained", [], 2.0, "missed"),
         ({"frame_scale": {"ratio": 1.02}}, "attributed", ["frame_scale"], 0.5, "ok"),
