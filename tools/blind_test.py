@@ -505,8 +505,8 @@ def keep(rows: Sequence[dict]) -> None:
         f"version {LOOP.stages}, judged with springs where nothing else is said: {summary(rows)}.\n",
         *by_kind(rows),
         "",
-        "Each case; nothing is missing in those marked *open* and *false alarm*; where it is open, the loop says that the "
-        "mesh may be wrong by more than the noise.\n",
+        "Each case. Nothing is missing in those marked *open* and *false alarm*; where it is open, the loop says that "
+        "the mesh may be wrong by more than the noise.\n",
         "| case | planted | verdict | named | held out: before | after | noise | mesh | p | amounts inside | time |",
         "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
