@@ -94,7 +94,7 @@ def test_the_table_and_a_parameter_that_is_asked_for(told, place, capsys):
 
 def test_one_camera_sees_it(told, place, capsys):
     """The best of the placements for each experiment, in the table, in the document and as a file that import reads."""
-    out, by_markers = told[0], {one["name"]: one["information_nats"] for one in told[1]["experiments"]}
+    out, by_markers = place / "seen", {one["name"]: one["information_nats"] for one in told[1]["experiments"]}
     asked = ["cameras=side,front,three-quarter", "camera.kind=depth", "camera.noise=0.4", "max_speed=0.3"]
     assert main(["suggest", str(place / "rec"), *QUICK, f"out={out}", *asked]) == 0
     said = capsys.readouterr().out
