@@ -130,13 +130,19 @@ def test_threads_do_what_separate_processes_do(name):
 
 def explicit_cost(side: int) -> float:
     """Seconds of a core for a step of `mass_spring`."""
-    run, seconds, steps = kernel_run(side, 1, "double"), [], 1.0
+    seconds, rollout = shortest(kernel_run(side, 1, "double"), 6)
+    return seconds / float(rollout.steps[0])
+
+
+def shortest(run, calls: int):
+    """Seconds of a core that a run takes, the least of so many calls but the first, which warms up; and its rollout."""
+    seconds, rollout = [], None
     with timing.on_threads(1):
-        for _ in range(6):
+        for _ in range(calls):
             began = time.process_time()
-            steps = float(run().steps[0])
+            rollout = run()
             seconds.append(time.process_time() - began)
-    return min(seconds[1:]) / steps
+    return min(seconds[1:]), rollout
 
 
 def implicit_cost(name: str, side: int) -> float:
@@ -175,19 +181,8 @@ def test_a_slack_sheet_comes_to_rest_for_what_a_few_seconds_of_motion_cost():
     theta = np.tile(simulation.parameters.defaults, (8, 1))
     theta[:, 0] *= np.geomspace(0.3, 10.0, 8)  # of bending rigidity
     assert simulation.hanging is not None
-    with timing.on_threads(1):
-        rest, whole = (shortest(lambda run=run: run(theta)) for run in (simulation.hanging.run, simulation.run))
+    (rest, _), (whole, _) = (shortest(lambda s=s: s.run(theta), 4) for s in (simulation.hanging, simulation))
     assert rest <= 1.3 * (whole - rest)  # 0.8 is usual
-
-
-def shortest(call) -> float:
-    """Seconds of a core that a call takes, the least of three after one to warm up."""
-    seconds = []
-    for _ in range(4):
-        began = time.process_time()
-        call()
-        seconds.append(time.process_time() - began)
-    return min(seconds[1:])
 
 
 # --- what an effect costs: the same sheet, the same steps ---------------------------------------------------
@@ -209,13 +204,8 @@ def step_of(*effects: str) -> float:
     amounts = [effect.parameters.from_unit(np.full(len(effect.parameters), 0.1)) for effect in made]
     bare = len(simulation.parameters) - sum(len(each) for each in amounts)
     theta = np.concatenate([simulation.parameters.defaults[:bare], *amounts])[None]
-    seconds, steps = [], 1.0
-    with timing.on_threads(1):
-        for _ in range(5):
-            began = time.process_time()
-            steps = float(simulation.run(theta).steps[0])
-            seconds.append(time.process_time() - began)
-    return min(seconds[1:]) / steps
+    seconds, rollout = shortest(lambda: simulation.run(theta), 5)
+    return seconds / float(rollout.steps[0])
 
 
 # --- the first run of a new installation --------------------------------------------------------------------

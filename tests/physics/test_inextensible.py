@@ -48,7 +48,9 @@ def test_lengths_and_angles_stay_within_the_tolerance_while_a_sheet_swings(integ
     mean_u, mean_v = (along_u[:, 1:] + along_u[:, :-1]) / 2, (along_v[:, :, 1:] + along_v[:, :, :-1]) / 2
     strain_u, strain_v = (np.linalg.norm(d, axis=-1) / h - 1 for d, h in ((along_u, wide), (along_v, high)))
     weight = 1.2 * scene.areal_density * G * scene.height / TAUT
-    # What is held is C − cλ; across, and in shear, λ is what earlier steps left, cλ up to 0.3 of the tolerance.
+    # What is held is C − cλ; across, and in shear, λ is what earlier steps left: cλ was up to 0.34 of the tolerance in
+    # a step that left C − cλ at 0.89. Few frames show it.
+    assert np.quantile(np.abs(strain_u).max(axis=(1, 2)), 0.99) < 1.1 * tolerance
     assert np.abs(strain_u).max() < 1.5 * tolerance
     assert -1.1 * tolerance < strain_v.min() < strain_v.max() < weight + 1.1 * tolerance
     assert np.abs((mean_u * mean_v).sum(axis=-1)).max() / (wide * high) < 1.5 * tolerance

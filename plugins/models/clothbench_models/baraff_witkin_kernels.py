@@ -265,7 +265,7 @@ def _march_implicit(
             shorten = moved > 0.8 * moved_before if far else direction(delta, v_old) < STRAIGHT
             relax = max(0.1, 0.7 * relax) if shorten else min(1.0, 1.2 * relax)
             moved_before = moved
-            v_old[:] = delta
+            v_old[:] = delta  # nothing moves yet: there is room for the step before
             for c in range(3):
                 for e in range(n):
                     x[c, e] = x_bar[c, e] + gamma * (guess[c, e] + relax * shrink * delta[c, e])
