@@ -4,7 +4,8 @@ In every case the reference simulation (finite elements on another mesh than any
 piece of cloth in a poor experiment: it hangs still, or swings a little. The model is fitted to that, the best
 experiment that is suggested is made with the same cloth, and the model is fitted to both. Cases with even numbers ask
 about the parameters; those with odd ones tie `quadratic_drag`, which is in the cloth, with `linear_drag`. With cameras
-the experiment is seen by one alone, first from the best place, then from the worst that sees half of the points.
+the experiment is seen by one alone, first from the best place, then from the worst that sees half of the points; with
+pictures the poor experiment was seen by one camera alone, too.
 """
 
 from __future__ import annotations
@@ -27,7 +28,7 @@ from clothbench.recordings.nodes import Recording, write_recording
 from clothbench.reference.mesh import Mesh, build, tracking_weights
 from clothbench.reference.simulation import Fabric, State, bowed, discretise, settle, simulate, stable_step
 from clothbench.studies.improve.problem import Problem
-from clothbench.suggest.cameras import seen_from
+from clothbench.suggest.cameras import placed, seen_from
 from clothbench.suggest.document import name_of
 from clothbench.suggest.experiments import experiments
 from clothbench.suggest.ranking import Promise, promises, ranked
@@ -135,13 +136,21 @@ class Kept:
 
 
 def kept(
-    cloth: Cloth, problem_of, wanted: Wanted, chosen: Sequence[tuple[str, str]], poor: Sequence[Scene], tied: bool
-) -> list[Kept]:
+    cloth: Cloth, problem_of, wanted: Wanted, chosen: Sequence[tuple[str, str]], poor: Sequence[Scene], tied: bool,
+    pictures: bool = False,
+) -> list[Kept]:  # fmt: skip
     """Fit, suggest, do what is suggested, fit again; where cameras are asked for, with the best of them and the worst.
-    problem_of: recordings → their problem.
+    problem_of: recordings → their problem; pictures: whether the poor experiments, too, were seen by one camera alone.
     """
     random = np.random.default_rng(7)
-    recordings = [cloth.recorded(scene, f"poor-{k}", random) for k, scene in enumerate(poor)]
+    recordings = [
+        cloth.recorded(scene, f"poor-{k}", random, 0.0 if pictures else NOISE) for k, scene in enumerate(poor)
+    ]
+    if pictures:
+        aside = dataclasses.replace(wanted, cameras=("three-quarter",))
+        for k, scene in enumerate(poor):
+            (view,) = placed(scene, scene, recordings[k].position, aside)
+            recordings[k] = pictured(recordings[k], scene, view.camera, wanted.camera, random)
     names = TIED[:1] if tied else ()
     subject = subject_of(problem_of(recordings), names, [TIED] if tied else [])
     found, _ = promises(subject, list(experiments(subject.like.scene, RATE, wanted, False, chosen)), wanted)
@@ -208,14 +217,16 @@ def problem_in(folder: Path, resolution: int):
     return problem_of
 
 
-def case_of(number: int, folder: Path, resolution: int = 9, cameras: tuple[str, ...] | None = None) -> list[Kept]:
+def case_of(
+    number: int, folder: Path, resolution: int = 9, cameras: tuple[str, ...] | None = None, pictures: bool = False
+) -> list[Kept]:
     cloth, tied = Cloth.drawn(number), bool(number % 2)
     problem_of = problem_in(folder, resolution)
     base = "" if tied else "linear_drag"
     swings = [cloth.poor(0.02, 1.0), cloth.poor(0.015, 1.0, 1.0)]
     poor = swings if number % 4 else [cloth.poor(0.0, 1.0)] * 2
     wanted = Wanted(durations=(2.0,), draws=2, cameras=cameras)
-    return kept(cloth, lambda r: problem_of(r, base), wanted, CHOSEN, poor, tied)
+    return kept(cloth, lambda r: problem_of(r, base), wanted, CHOSEN, poor, tied, pictures)
 
 
 def main() -> None:
@@ -224,12 +235,16 @@ def main() -> None:
     arguments.add_argument(
         "--cameras", action="store_true", help="seen by one camera, from the best place and the worst"
     )
+    arguments.add_argument(
+        "--pictures", action="store_true", help="the same, and the poor experiment seen by one camera, too"
+    )
     given = arguments.parse_args()
+    cameras = tuple(PLACEMENTS) if given.cameras or given.pictures else None
     ends = [part.split("-") for part in given.cases.split(",")]
     set_thread_count(0)
     for number in [n for first, *last in ends for n in range(int(first), int((last or [first])[-1]) + 1)]:
         with tempfile.TemporaryDirectory() as folder:
-            rows = case_of(number, Path(folder), cameras=tuple(PLACEMENTS) if given.cameras else None)
+            rows = case_of(number, Path(folder), cameras=cameras, pictures=given.pictures)
         for row in rows:
             say(number, row)
         print(f"     {time.process_time():.0f} s of CPU so far", flush=True)

@@ -21,7 +21,7 @@ from clothbench.studies.improve.problem import Problem
 from clothbench.suggest.document import CAMERA, DOCUMENT, MOTION, json_text, suggestion, write_all
 from clothbench.suggest.experiments import experiments
 from clothbench.suggest.ranking import promises, rank_of, ranked
-from clothbench.suggest.settings import DEPTH, TIE, WORDS, wanted_of
+from clothbench.suggest.settings import DEPTH, TIE, WORDS, as_recorded, wanted_of
 from clothbench.suggest.source import problem_of_cell, problem_of_settings, require_same, verdict_in
 from clothbench.suggest.subject import Subject, subject_of
 
@@ -41,6 +41,8 @@ def command(name: str, words: Sequence[str], runs: Path, as_json: bool = False) 
     with StageBar() as bar:
         bar.stage("fit", 0, 1)
         subject = asked(name, given, runs, out, plugins)
+        if subject.sensor is not None:
+            wanted = as_recorded(wanted, given, subject.sensor)
         rank_of(subject, wanted.rank)  # a wrong word comes to light before anything is simulated
         model = plugins.load("models", subject.problem.model)
         chosen = list(experiments(subject.like.scene, subject.rate, wanted, "contact" in model.capabilities))
@@ -161,7 +163,7 @@ def say(found: Mapping[str, Any], out: Path) -> None:
         depth = f" and {1e3 * camera['depth_noise']:g} mm at 1 m" if camera["kind"] == DEPTH else ""
         show.print(
             f"seen by one {camera['kind']} camera: {' x '.join(map(str, camera['size']))} px, "
-            f"{camera['field_of_view']:g}° across, noise {camera['noise']:g} px{depth}",
+            f"{camera['field_of_view']:.3g}° across, noise {camera['noise']:.2g} px{depth}",
             soft_wrap=True,
         )
     show.print(table(found))

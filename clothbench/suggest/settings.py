@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 from clothbench.core.camera import MOST_PIXELS
 from clothbench.core.errors import ClothbenchError
@@ -12,7 +12,7 @@ from clothbench.vision.depth_camera import DepthSensor
 
 INFORMATION, TIE = "information", "tie"
 COLOUR, DEPTH = "colour", "depth"
-ALL = "all"
+ALL, NONE = "all", "none"
 WIDEST = 170.0  # degrees, of a field of view: a pinhole's picture has no room for more
 
 # Where a camera may be put: its direction from the middle of the motion, across, out and up of the sheet, and what is
@@ -48,8 +48,8 @@ class Wanted:
     effects would be), or a parameter's name; None: by the tie where there is one; draws: parameter sets, drawn as the
     recordings leave them open, at which each experiment is looked at beside the fit; best: so many experiments are
     shown and written; grips: names of those that the robot has; None: all; cameras: names of the places where the one
-    camera may stand that is to see the experiment; None: every point is measured in space, as markers are; camera: what
-    it is.
+    camera may stand that is to see the experiment; None: every point is measured in space, as markers are (see
+    `as_recorded` for recordings in a picture); camera: what it is.
     """
 
     max_speed: float = 0.5
@@ -87,22 +87,36 @@ def wanted_of(words: Mapping[str, str]) -> Wanted:
         read["rank"] = words["rank"]
     if "cameras" in words:
         read["cameras"] = placements(read["cameras"])  # type: ignore[arg-type]
-    of_camera = {key: text for key, text in words.items() if key.partition(".")[0] == "camera"}
+    of_camera = camera_words(words)
     if of_camera and "cameras" not in words:
         raise ClothbenchError(f"found {next(iter(of_camera))}= and no cameras=; say where it may stand, as cameras=all")
-    return Wanted(**read, camera=sensor_of(of_camera))  # type: ignore[arg-type]
+    return Wanted(**read, camera=sensor_told(of_camera, Sensor()))  # type: ignore[arg-type]
 
 
-def placements(names: tuple[str, ...]) -> tuple[str, ...]:
-    """The names, or all there are."""
+def as_recorded(wanted: Wanted, words: Mapping[str, str], sensor: Sensor) -> Wanted:
+    """For recordings in one camera's picture: seen by one like it, wherever it may stand, unless words say else."""
+    cameras = wanted.cameras if "cameras" in words else tuple(PLACEMENTS)
+    return replace(wanted, cameras=cameras, camera=sensor_told(camera_words(words), sensor))
+
+
+def camera_words(words: Mapping[str, str]) -> dict[str, str]:
+    return {key: text for key, text in words.items() if key.partition(".")[0] == "camera"}
+
+
+def placements(names: tuple[str, ...]) -> tuple[str, ...] | None:
+    """The names, or all there are; None where no camera is wanted."""
+    if names == (NONE,):
+        return None
     for name in names:
         if name not in (*PLACEMENTS, ALL):
-            raise ClothbenchError(f"setting 'cameras' names {name!r}, expected some of {', '.join(PLACEMENTS)}, or all")
+            raise ClothbenchError(
+                f"setting 'cameras' names {name!r}, expected some of {', '.join(PLACEMENTS)}; all or none"
+            )
     return tuple(PLACEMENTS) if ALL in names else tuple(dict.fromkeys(names))
 
 
-def sensor_of(words: Mapping[str, str]) -> Sensor:
-    """From words camera.NAME."""
+def sensor_told(words: Mapping[str, str], known: Sensor) -> Sensor:
+    """From words camera.NAME; what they leave unsaid is as it is known."""
     read: dict[str, object] = {}
     for key, text in words.items():
         name = key.removeprefix("camera.")
@@ -117,10 +131,10 @@ def sensor_of(words: Mapping[str, str]) -> Sensor:
         else:
             known = ", ".join(f"camera.{field.name}=" for field in fields(Sensor))
             raise ClothbenchError(f"found {key}=, expected {known}; where it may stand is said with cameras=")
-    sensor = Sensor(**read)  # type: ignore[arg-type]
+    sensor = replace(known, **read)  # type: ignore[arg-type]
     if sensor.field_of_view >= WIDEST:
         raise ClothbenchError(
-            f"setting 'camera.field_of_view' is {words['camera.field_of_view']!r}, expected degrees below {WIDEST:g}"
+            f"setting 'camera.field_of_view' is '{sensor.field_of_view:g}', expected degrees below {WIDEST:g}"
         )
     return sensor
 

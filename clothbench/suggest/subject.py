@@ -22,6 +22,7 @@ from clothbench.studies.improve.refinement import refinements
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.sheets import SheetCase, SheetEvidence, noise_of
 from clothbench.suggest.information import beforehand, counted_noise, half_widths, information, pull_of
+from clothbench.suggest.settings import Sensor
 from clothbench.suggest.weighted import patient, weighted
 
 REWEIGHTED = 1  # times that recordings are weighed anew by what the fit before left of each
@@ -95,6 +96,11 @@ class Subject:
         return first_case(self.problem)
 
     @property
+    def sensor(self) -> Sensor | None:
+        """The camera in whose picture the recording is, or None."""
+        return None if self.like.observation.sight is None else recorded_by(self.like.observation)
+
+    @property
     def rate(self) -> float:
         """Frames a second."""
         return float(1 / np.median(np.diff(self.like.observation.time)))
@@ -121,6 +127,14 @@ class Subject:
         return self.problem.restricted(dataclasses.replace(self.like, split="fit", observation=seen, scene=scene))
 
 
+def recorded_by(observation: Observation) -> Sensor:
+    """What saw points in its picture, its noise the one that they have."""
+    camera, pixel = observation.sight, observation.pixel_size()[observation.visible]
+    assert camera is not None
+    across = 2 * np.degrees(np.arctan(camera.size[0] / 2 / camera.matrix[0, 0]))
+    return Sensor(noise=noise_of(observation) / float(pixel.mean()), field_of_view=float(across), size=camera.size)
+
+
 def first_case(problem: Problem) -> SheetCase:
     return problem.of_split("fit")[0]  # type: ignore[return-value]
 
@@ -135,11 +149,6 @@ def require_sheets(problem: Problem) -> None:
     where = case.recording.path or case.name
     if not len(case.scene.grip_material):
         raise ClothbenchError(f"{where}: found no grips, expected a sheet that something holds and can move")
-    if problem.evidence.in_pictures:
-        raise ClothbenchError(
-            f"{where}: found points in one camera's picture, expected places in space (a sheet in another place may be "
-            "out of that picture)"
-        )
 
 
 def known_of(problem: Problem, fitted: Fitted) -> Known:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import dataclasses
 import json
 import re
 from pathlib import Path
@@ -11,11 +12,12 @@ import numpy as np
 import pytest
 from conftest import swinging_recording
 
-from clothbench import write_recording
+from clothbench import Camera, write_recording
 from clothbench.cli.commands import main
 from clothbench.core.files import read_json
 from clothbench.datasets.depth_folder import camera_of
 from clothbench.recordings.nodes import read_recording
+from clothbench.suggest.settings import PLACEMENTS
 
 QUICK = ("model=mass_spring", "resolution=5", "durations=0.4", "draws=0", "best=2", "grips=as recorded,level side")
 
@@ -123,6 +125,36 @@ def test_one_camera_sees_it(told, place, capsys):
     pixel, _ = camera.project(read_recording(out / "experiments" / "1" / "expected.nc").position)
     assert (pixel > 0).all()
     assert (pixel < [1280, 720]).all()
+
+
+@pytest.fixture(scope="module")
+def picture(tmp_path_factory) -> tuple[Path, Camera]:
+    """A folder with a swinging sheet in the picture of one camera, and that camera."""
+    folder, moving = tmp_path_factory.mktemp("picture"), swinging_recording("sway-1")
+    camera = Camera.looking_at((0.4, -1.2, 0.9), (0.0, 0.0, 0.8), (640, 480), 1.2)
+    write_recording(dataclasses.replace(moving, sight=camera), folder / "rec" / "sway-1.nc")
+    return folder, camera
+
+
+def test_recordings_in_one_camera_s_picture_are_followed_by_one_like_it(picture, capsys):
+    folder, camera = picture
+    asked = ("suggest", str(folder / "rec"), *QUICK, f"out={folder / 'found'}")
+    assert main([*asked]) == 0
+    across = np.degrees(2 * np.arctan(320 / camera.matrix[0, 0]))
+    assert f"seen by one colour camera: 640 x 480 px, {across:.3g}° across, noise " in capsys.readouterr().out
+    found = json.loads((folder / "found" / "suggest.json").read_text())
+    assert found["settings"]["cameras"] == list(PLACEMENTS)
+    seen = read_recording(folder / "rec" / "sway-1.nc")
+    pixels = seen.noise_sigma * camera.matrix[0, 0] / camera.in_view(seen.position)[..., 2].mean()
+    assert found["settings"]["camera"]["noise"] == pytest.approx(pixels, rel=0.02)
+
+    assert main([*asked, "cameras=front", "camera.noise=2"]) == 0
+    told = json.loads((folder / "found" / "suggest.json").read_text())["settings"]
+    assert (told["cameras"], told["camera"]["noise"], told["camera"]["size"]) == (["front"], 2.0, [640, 480])
+    assert main([*asked, "cameras=none"]) == 0
+    told = json.loads((folder / "found" / "suggest.json").read_text())
+    assert told["settings"]["cameras"] is None
+    assert told["experiments"][0]["camera"] is None
 
 
 @pytest.mark.parametrize(
