@@ -115,8 +115,8 @@ def placements(names: tuple[str, ...]) -> tuple[str, ...] | None:
     return tuple(PLACEMENTS) if ALL in names else tuple(dict.fromkeys(names))
 
 
-def sensor_told(words: Mapping[str, str], known: Sensor) -> Sensor:
-    """From words camera.NAME; what they leave unsaid is as it is known."""
+def sensor_told(words: Mapping[str, str], recorded: Sensor) -> Sensor:
+    """From words camera.NAME; what they leave unsaid is as recorded."""
     read: dict[str, object] = {}
     for key, text in words.items():
         name = key.removeprefix("camera.")
@@ -131,7 +131,7 @@ def sensor_told(words: Mapping[str, str], known: Sensor) -> Sensor:
         else:
             known = ", ".join(f"camera.{field.name}=" for field in fields(Sensor))
             raise ClothbenchError(f"found {key}=, expected {known}; where it may stand is said with cameras=")
-    sensor = replace(known, **read)  # type: ignore[arg-type]
+    sensor = replace(recorded, **read)  # type: ignore[arg-type]
     if sensor.field_of_view >= WIDEST:
         raise ClothbenchError(
             f"setting 'camera.field_of_view' is '{sensor.field_of_view:g}', expected degrees below {WIDEST:g}"
