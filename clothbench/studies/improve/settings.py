@@ -39,7 +39,7 @@ class LoopSettings:
     richardson: float = 4 / 3  # times the change by halved cells: the whole error, where it is of second order
     refinement_offset: float = 0.05  # how far from a fit the mesh's error is looked at, of the scaled range
 
-    stages: int = 7  # version of what the stages do and write: a cell of another one is asked anew
+    stages: int = 8  # version of what the stages do and write: a cell of another one is asked anew
 
     # Attribution.
     shape_settings: int = 4  # settings of an effect's shape parameter that are looked at; twice as many of several
@@ -90,6 +90,11 @@ class LoopSettings:
     jump_rounds: int = 1  # rounds of the search after a jump, where only a comparison of candidates is at stake
     final_jumps: int = 1  # jumps of the fit with a named effect, each followed by whole searches
     final_jump_margin: float = 0.5  # share of the mean square by which such a jump may at first be worse
+
+    # Another valley, before it is said that something is missing.
+    valley_moves: tuple[float, ...] = (-0.4, -0.2, 0.2, 0.4)  # of the scaled range, of each parameter of the model
+    worth_asking_again: float = 0.05  # share of the mean square that a better valley has to take off
+    valley_turns: int = 3  # from where it is looked for so, at most
 
     # Repeated motions.
     repeat_distance: float = 0.05  # of a grip's own motion, within which another repeats it
