@@ -47,26 +47,8 @@ def improve(
 def all_rounds(
     problem: Problem, candidates: Sequence[str], account: Account, timeout: float | None = None
 ) -> tuple[State, bool]:
-    """Stages 1 to 5: where the loop stands at the end, and whether it ran out of time.
-
-    Where nothing is named and something is left, the model is calibrated in another valley, if there is a better one,
-    and all is asked again.
-    """
-    base = calibrated(problem, account)
-    state, timed_out = rounds_from(initial_state(problem, base, account), candidates, account, timeout)
-    if timed_out or state.final.effects or state.final.rms <= LOOP.floor_factor * state.floor:
-        return state, timed_out
-    account.stage("another valley", 0, 1)
-    better, count = in_another_valley(problem, base)
-    account.count(count)
-    if better.rms**2 >= (1 - LOOP.worth_asking_again) * base.rms**2:
-        return state, False
-    return rounds_from(initial_state(problem, better, account), candidates, account, timeout)
-
-
-def rounds_from(state: State, candidates: Sequence[str], account: Account, timeout: float | None) -> tuple[State, bool]:
-    """Stages 3 to 5 of a model that is calibrated."""
-    problem = state.problem
+    """Stages 1 to 5: where the loop stands at the end, and whether it ran out of time."""
+    state = initial_state(problem, account)
     for turn in range(problem.evidence.search.rounds):
         if state.final.rms <= LOOP.floor_factor * (state.floor if turn else state.noise):
             break
@@ -78,8 +60,9 @@ def rounds_from(state: State, candidates: Sequence[str], account: Account, timeo
     return state, False
 
 
-def initial_state(problem: Problem, base: Fitted, account: Account) -> State:
+def initial_state(problem: Problem, account: Account) -> State:
     """The base calibrated, on all recordings and on each alone; what noise and mesh leave open."""
+    base = calibrated(problem, account)
     noise = max(problem.evidence.noise(), problem.evidence.repeat_spread(base.residual))
     if not np.isfinite(base.rms):
         raise ClothbenchError(
@@ -100,7 +83,12 @@ def calibrated(problem: Problem, account: Account) -> Fitted:
     account.stage("calibrate", 0, planned_evaluations(problem.space(()), LOOP.calibration_rounds))
     base = fit(problem, (), None, LOOP.calibration_rounds, account=account)
     account.count(base.evaluations)
-    return base
+    if not np.isfinite(base.rms):
+        return base
+    account.stage("another valley", 0, 1)
+    better, count = in_another_valley(problem, base)
+    account.count(count)
+    return better if better.rms**2 < (1 - LOOP.least_valley) * base.rms**2 else base
 
 
 def each_alone(problem: Problem, base: Fitted, account: Account) -> dict[str, Fitted]:

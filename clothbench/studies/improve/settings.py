@@ -91,9 +91,9 @@ class LoopSettings:
     final_jumps: int = 1  # jumps of the fit with a named effect, each followed by whole searches
     final_jump_margin: float = 0.5  # share of the mean square by which such a jump may at first be worse
 
-    # Another valley, before it is said that something is missing.
+    # Another valley than the one that a calibration went down.
     valley_moves: tuple[float, ...] = (-0.4, -0.2, 0.2, 0.4)  # of the scaled range, of each parameter of the model
-    worth_asking_again: float = 0.05  # share of the mean square that a better valley has to take off
+    least_valley: float = 0.05  # share of the mean square that a better valley takes off
     valley_turns: int = 3  # from where it is looked for so, at most
 
     # Repeated motions.
