@@ -224,6 +224,25 @@ def test_a_longer_search_may_set_out_from_a_jump_that_landed_in_a_ripple(monkeyp
     assert after.theta[1] == pytest.approx(end)
 
 
+@pytest.mark.parametrize(("start", "end"), [(0.85, 0.25), (0.25, 0.25)])
+def test_a_calibration_leaves_a_valley_for_a_better_one(monkeypatch, start, end):
+    """Made-up law: in its first parameter a valley at 0.25, and a worse one at 0.85; searches end in the nearer."""
+
+    def law(theta):
+        return np.array([4 * (theta[0] - 0.25) * (theta[0] - 0.85), 0.2 * (theta[0] - 0.25), theta[1] - 0.1, 0.03])
+
+    def fit(problem, effects, theta, rounds, goal, unless, tolerance):
+        return fitted(law, HEM, np.array([0.25 if theta[0] < 0.55 else 0.85, 0.1, 0.9]))
+
+    monkeypatch.setattr(constrained, "evaluate", simulated_by(law))
+    monkeypatch.setattr("clothbench.studies.improve.fitting.fit", fit)
+    after, count = jumps.in_another_valley(OneParameterBase(), fitted(law, HEM, np.array([start, 0.1, 0.9])))
+    assert after.theta[0] == pytest.approx(end)
+    assert count <= LOOP.valley_turns * 2 * (
+        len(HEM) * len(LOOP.valley_moves) * (LOOP.jump_steps + 1) + LOOP.valley_fits
+    )
+
+
 @pytest.mark.parametrize(("driven", "end"), [(0.0, 0.5), (1.0, 1.0)])
 def test_an_amount_at_its_bound_stays_there_only_if_half_of_it_leaves_more(monkeypatch, driven, end):
     """The same hem with half of the weight on twice the width; or one whose weight alone is wanted beyond the bound."""

@@ -60,9 +60,13 @@ def in_another_valley(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
             which, where = moved(fitted, along)
             square, found, asked = across(problem, fitted, which, where)
             evaluations += asked
-            if np.isfinite(best := square.min()):
-                start = fitted.space.from_unit(found[np.argmin(square)])
-                goal = fitted.rms**2 if best > fitted.rms**2 else np.inf
+            best: dict[int, int] = {}  # of each parameter's moves
+            for k in np.argsort(square):
+                if np.isfinite(square[k]):
+                    best.setdefault(int(which[k]), int(k))
+            for k in list(best.values())[: LOOP.valley_fits]:
+                goal = np.inf if square[k] < fitted.rms**2 else fitted.rms**2
+                start = fitted.space.from_unit(found[k])
                 fitted, count = better_of(problem, fitted, start, LOOP.refit_rounds, goal=goal)
                 evaluations += count
         if fitted.rms**2 >= (1 - LOOP.least_gain) * before:
