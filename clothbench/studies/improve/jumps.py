@@ -62,14 +62,14 @@ def in_another_valley(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
             evaluations += asked
             best: dict[int, int] = {}  # of each parameter's moves
             for k in np.argsort(square):
-                if np.isfinite(square[k]):
+                if square[k] <= (1 + LOOP.valley_margin) * before:
                     best.setdefault(int(which[k]), int(k))
             for k in list(best.values())[: LOOP.valley_fits]:
                 goal = np.inf if square[k] < fitted.rms**2 else fitted.rms**2
                 start = fitted.space.from_unit(found[k])
                 fitted, count = better_of(problem, fitted, start, LOOP.refit_rounds, goal=goal)
                 evaluations += count
-        if fitted.rms**2 >= (1 - LOOP.least_gain) * before:
+        if fitted.rms**2 > (1 - LOOP.least_valley) * before:
             break
     return fitted, evaluations
 

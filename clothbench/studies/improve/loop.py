@@ -74,6 +74,8 @@ def initial_state(problem: Problem, account: Account) -> State:
             "noise_sigma: found NaN in recordings too short to show their noise, expected "
             f"{problem.evidence.unit.base}; state it in the recordings"
         )
+    if base.rms > LOOP.floor_factor * noise:
+        base = in_best_valley(problem, base, account)
     problem, base, mesh = corrected(problem, base, noise, account)
     return State(problem, base, base, noise, mesh, alone=each_alone(problem, base, account))
 
@@ -83,12 +85,15 @@ def calibrated(problem: Problem, account: Account) -> Fitted:
     account.stage("calibrate", 0, planned_evaluations(problem.space(()), LOOP.calibration_rounds))
     base = fit(problem, (), None, LOOP.calibration_rounds, account=account)
     account.count(base.evaluations)
-    if not np.isfinite(base.rms):
-        return base
+    return base
+
+
+def in_best_valley(problem: Problem, base: Fitted, account: Account) -> Fitted:
+    """The calibration, or one that leaves so much less that it lies in another valley of the error."""
     account.stage("another valley", 0, 1)
     better, count = in_another_valley(problem, base)
     account.count(count)
-    return better if better.rms**2 < (1 - LOOP.least_valley) * base.rms**2 else base
+    return better if better.rms**2 <= (1 - LOOP.least_valley) * base.rms**2 else base
 
 
 def each_alone(problem: Problem, base: Fitted, account: Account) -> dict[str, Fitted]:

@@ -94,6 +94,7 @@ class LoopSettings:
     # Another valley than the one that a calibration went down.
     valley_moves: tuple[float, ...] = (-0.4, -0.2, 0.2, 0.4)  # of the scaled range, of each parameter of the model
     least_valley: float = 0.05  # share of the mean square that a better valley takes off
+    valley_margin: float = 1.0  # share of the mean square by which such a move may at first be worse
     valley_fits: int = 4  # parameters from whose best move a search goes on
     valley_turns: int = 3  # from where it is looked for so, at most
 
