@@ -229,7 +229,7 @@ def test_a_calibration_leaves_a_valley_for_a_better_one(monkeypatch, start, end)
     """Made-up law: in its first parameter a valley at 0.25, and a worse one at 0.85; searches end in the nearer."""
 
     def law(theta):
-        return np.array([4 * (theta[0] - 0.25) * (theta[0] - 0.85), 0.2 * (theta[0] - 0.25), theta[1] - 0.1, 0.03])
+        return np.array([(theta[0] - 0.25) * (theta[0] - 0.85), 0.2 * (theta[0] - 0.25), theta[1] - 0.1, 0.03])
 
     def fit(problem, effects, theta, rounds, goal, unless, tolerance):
         return fitted(law, HEM, np.array([0.25 if theta[0] < 0.55 else 0.85, 0.1, 0.9]))
