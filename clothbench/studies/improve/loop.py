@@ -138,10 +138,21 @@ def confirmed(state: State, found: Round, account: Account) -> tuple[State, bool
     once it is fitted to the end and the errors of mesh and model are allowed for; without, and with the reason, if not.
     """
     assert found.after is not None
-    name, current, noise = found.named[0], state.final, state.noise
     if why := beside_tied(state, found, account):
         return with_round(state, withdrawn(found, state.floor, why)), False
     fitted = continued(state.problem, found.after, account)
+    end, stands = with_errors_allowed_for(state, found, fitted, account)
+    if not stands and (better := in_best_valley(state.problem, fitted, account)) is not fitted:
+        end, stands = with_errors_allowed_for(state, dataclasses.replace(found, after=better), better, account)
+    return end, stands
+
+
+def with_errors_allowed_for(state: State, found: Round, fitted: Fitted, account: Account) -> tuple[State, bool]:
+    """The state with the effect that a round named, as fitted to the end, if it stands beside the errors of mesh and
+    model; without, and with the reason, if not.
+    """
+    assert found.after is not None
+    name, current, noise = found.named[0], state.final, state.noise
     problem, after, mesh = corrected(state.problem, fitted, noise, account)
     # The fits are near each other: how far a finer mesh changes them is known no better than the two agree.
     doubtful = dataclasses.replace(state, mesh=max(state.mesh, mesh))
