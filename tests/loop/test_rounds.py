@@ -12,10 +12,11 @@ from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import multistart
-from clothbench.studies.improve.loop import all_rounds
+from clothbench.studies.improve.loop import all_rounds, confirmed
 from clothbench.studies.improve.refits import beside_tied, fit_starts, polished, refine_finalists, refit, standing
 from clothbench.studies.improve.selection import Candidate, assess, choose
 from clothbench.studies.improve.settings import LOOP, SearchSettings
+from clothbench.studies.improve.sheets import SheetEvidence
 from clothbench.studies.improve.state import Round, State
 
 SPACE = ParameterSpace((Parameter("k", "k", "N/m", (1.0, 9.0), "linear", 2.0, "a stiffness", "a test"),))
@@ -32,13 +33,39 @@ def test_a_better_fit_of_the_base_is_kept_whether_anything_is_named_or_not(monke
     problem = SimpleNamespace(evidence=evidence)
     for name, value in {
         "calibrated": base, "corrected": (problem, base, 1e-3), "each_alone": {},
-        "one_round": Round(better, 1e-3, (), (), ()),
+        "one_round": Round(better, 1e-3, (), (), ()), "in_another_valley": (base, 0),
     }.items():  # fmt: skip
         monkeypatch.setattr(f"clothbench.studies.improve.loop.{name}", lambda *_, value=value: value)
     found, timed_out = all_rounds(problem, ["quadratic_drag"], Account(lambda *_: None))
     assert not timed_out
     assert found.base is better
     assert found.final is better
+
+
+@pytest.mark.parametrize(("elsewhere", "stands"), [(1e-3, True), (1.99e-3, False)])
+def test_a_name_in_doubt_is_fitted_in_another_valley_before_it_is_withdrawn(monkeypatch, elsewhere, stands):
+    """Made-up: the name leaves 2 mm, with an amount that cannot be told from nothing; in another valley 1 mm, where it
+    can; or hardly less.
+    """
+    hem = Candidate("heavy_hem", 0.8, 0.005, fitted=fitted(2e-3))
+    named = dataclasses.replace(fitted(2e-3), effects=("heavy_hem",))
+    better = dataclasses.replace(fitted(elsewhere), effects=("heavy_hem",))
+    evidence = SimpleNamespace(unit=SheetEvidence.unit)
+    problem = SimpleNamespace(evidence=evidence)
+    for name, value in {
+        "beside_tied": lambda *_: "", "continued": lambda *_: named, "in_another_valley": lambda *_: (better, 5),
+        "corrected": lambda problem, fit, noise, account: (problem, fit, 1e-4),
+        "profile_intervals": lambda problem, fit: (fit, fit, 3),
+        "faulty": lambda name, before, fit, evidence: "" if fit.rms < 1.5e-3 else "in doubt",
+    }.items():  # fmt: skip
+        monkeypatch.setattr(f"clothbench.studies.improve.loop.{name}", value)
+    before, account = fitted(6e-3), Account(lambda *_: None)
+    account.stage("round 1", 0, 1)
+    found = Round(before, 1e-3, (hem,), (), ("heavy_hem",), named)
+    state, goes_on = confirmed(State(problem, before, before, 1e-3, 1e-4), found, account)
+    assert goes_on == stands
+    assert state.final is (better if stands else before)
+    assert state.rounds[-1].named == (("heavy_hem",) if stands else ())
 
 
 @pytest.mark.parametrize(
