@@ -74,9 +74,12 @@ def initial_state(problem: Problem, account: Account) -> State:
             "noise_sigma: found NaN in recordings too short to show their noise, expected "
             f"{problem.evidence.unit.base}; state it in the recordings"
         )
-    if base.rms > LOOP.floor_factor * noise:
-        base = in_best_valley(problem, base, account)
-    problem, base, mesh = corrected(problem, base, noise, account)
+    start = corrected(problem, base, noise, account)
+    # Where the mesh may be wrong by more than the noise, valleys are no better known than its ripples are.
+    if start[2] <= noise and base.rms > LOOP.floor_factor * float(np.hypot(noise, start[2])):
+        if (better := in_best_valley(problem, base, account)) is not base:
+            start = corrected(problem, better, noise, account)
+    problem, base, mesh = start
     return State(problem, base, base, noise, mesh, alone=each_alone(problem, base, account))
 
 
@@ -88,12 +91,12 @@ def calibrated(problem: Problem, account: Account) -> Fitted:
     return base
 
 
-def in_best_valley(problem: Problem, base: Fitted, account: Account) -> Fitted:
-    """The calibration, or one that leaves so much less that it lies in another valley of the error."""
+def in_best_valley(problem: Problem, fitted: Fitted, account: Account) -> Fitted:
+    """The fit, or one that leaves so much less that it lies in another valley of the error."""
     account.stage("another valley", 0, 1)
-    better, count = in_another_valley(problem, base)
+    better, count = in_another_valley(problem, fitted)
     account.count(count)
-    return better if better.rms**2 <= (1 - LOOP.least_valley) * base.rms**2 else base
+    return better if better.rms**2 <= (1 - LOOP.least_valley) * fitted.rms**2 else fitted
 
 
 def each_alone(problem: Problem, base: Fitted, account: Account) -> dict[str, Fitted]:
