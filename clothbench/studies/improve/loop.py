@@ -74,12 +74,7 @@ def initial_state(problem: Problem, account: Account) -> State:
             "noise_sigma: found NaN in recordings too short to show their noise, expected "
             f"{problem.evidence.unit.base}; state it in the recordings"
         )
-    start = corrected(problem, base, noise, account)
-    # Where the mesh may be wrong by more than the noise, valleys are no better known than its ripples are.
-    if start[2] <= noise and base.rms > LOOP.floor_factor * float(np.hypot(noise, start[2])):
-        if (better := in_best_valley(problem, base, account)) is not base:
-            start = corrected(problem, better, noise, account)
-    problem, base, mesh = start
+    problem, base, mesh = corrected_in_best_valley(problem, base, noise, account)
     return State(problem, base, base, noise, mesh, alone=each_alone(problem, base, account))
 
 
@@ -89,6 +84,20 @@ def calibrated(problem: Problem, account: Account) -> Fitted:
     base = fit(problem, (), None, LOOP.calibration_rounds, account=account)
     account.count(base.evaluations)
     return base
+
+
+def corrected_in_best_valley(
+    problem: Problem, base: Fitted, noise: float, account: Account
+) -> tuple[Problem, Fitted, float]:
+    """`corrected`, from another valley of the calibration if there is a better one. None is looked for where the mesh
+    may be wrong by more than the noise: valleys are no better known then than its ripples are.
+    """
+    found = corrected(problem, base, noise, account)
+    mesh = found[2]
+    if mesh > noise or base.rms <= LOOP.floor_factor * float(np.hypot(noise, mesh)):
+        return found
+    better = in_best_valley(problem, base, account)
+    return found if better is base else corrected(problem, better, noise, account)
 
 
 def in_best_valley(problem: Problem, fitted: Fitted, account: Account) -> Fitted:
