@@ -131,6 +131,5 @@ def normal_equations(residual: Parts, jacobian: Parts) -> tuple[np.ndarray, np.n
 
 def solve_damped(hessian: np.ndarray, gradient: np.ndarray) -> np.ndarray:
     """Solution (P,) of normal equations, the diagonal raised by next to nothing so that there is one."""
-    return np.linalg.lstsq(
-        hessian + 1e-10 * np.trace(hessian) / len(hessian) * np.eye(len(hessian)), gradient, rcond=None
-    )[0]
+    raised = 1e-10 * np.trace(hessian) / max(len(hessian), 1)  # of no parameters at all there is none
+    return np.linalg.lstsq(hessian + raised * np.eye(len(hessian)), gradient, rcond=None)[0]
