@@ -88,7 +88,7 @@ def wanted_of(words: Mapping[str, str]) -> Wanted:
     if "cameras" in words:
         read["cameras"] = placements(read["cameras"])  # type: ignore[arg-type]
     of_camera = camera_words(words)
-    if of_camera and "cameras" not in words:
+    if of_camera and read.get("cameras") is None:
         raise ClothbenchError(f"found {next(iter(of_camera))}= and no cameras=; say where it may stand, as cameras=all")
     return Wanted(**read, camera=sensor_told(of_camera, Sensor()))  # type: ignore[arg-type]
 

@@ -202,6 +202,7 @@ def test_obstacles_hide_too():
         ({"cameras": "front,sideways"}, "setting 'cameras' names 'sideways', expected some of front, three-quarter, "),
         ({"cameras": ""}, "setting 'cameras' names '', expected some of front"),
         ({"camera.noise": "1"}, "found camera.noise= and no cameras=; say where it may stand, as cameras=all"),
+        ({"cameras": "none", "camera.noise": "1"}, "found camera.noise= and no cameras=; say where it may stand"),
         ({"cameras": "all", "camera": "front"}, "found camera=, expected camera.kind=, camera.noise=, "),
         ({"cameras": "all", "camera.zoom": "2"}, "found camera.zoom=, expected camera.kind=, "),
         ({"cameras": "all", "camera.kind": "stereo"}, "setting 'camera.kind' is 'stereo', expected colour or depth"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 
 import numpy as np
 
@@ -45,18 +46,21 @@ def jump_along_valley(
     return fitted, evaluations
 
 
-def in_another_valley(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
-    """A calibration, or a better one in another valley of the error than its search went down; and how many parameter
-    sets that took.
+def in_another_valley(
+    problem: Problem, fitted: Fitted, tell: Callable[[int, int], None] = lambda done, of: None
+) -> tuple[Fitted, int]:
+    """The fit, or a better one in another valley of the error than its search went down; and how many parameter sets
+    that took. tell: how many looks of how many at most are done.
 
     A stiff sheet whose bending is damped much may sway nearly like a soft one, and no search leaves such a valley by
     itself. So each parameter is moved by parts of its range with the others fitted again, once by itself and once along
     the valley that it is in; a search goes on from the best of each; and so forth while it pays.
     """
     evaluations = 0
-    for _ in range(LOOP.valley_turns):
+    for turn in range(LOOP.valley_turns):
         before = fitted.rms**2
         for along in (False, True):
+            tell(2 * turn + along, 2 * LOOP.valley_turns)
             which, where = moved(fitted, along)
             square, found, asked = across(problem, fitted, which, where)
             evaluations += asked
@@ -116,7 +120,7 @@ def off_bounds(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
 def across(
     problem: Problem, fitted: Fitted, which: np.ndarray, where: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, int]:
-    """`constrained_fits` from where an amount was changed at once, kept."""
+    """`constrained_fits` from where a parameter was moved at once, kept."""
 
     def computed() -> dict[str, np.ndarray]:
         trials = problem.trials(fitted.effects, "fit")

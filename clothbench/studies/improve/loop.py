@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from functools import partial
 
 import numpy as np
 
@@ -102,8 +103,7 @@ def corrected_in_best_valley(
 
 def in_best_valley(problem: Problem, fitted: Fitted, account: Account) -> Fitted:
     """The fit, or one that leaves so much less that it lies in another valley of the error."""
-    account.stage("another valley", 0, 1)
-    better, count = in_another_valley(problem, fitted)
+    better, count = in_another_valley(problem, fitted, partial(account.stage, "another valley"))
     account.count(count)
     return better if better.rms**2 <= (1 - LOOP.least_valley) * fitted.rms**2 else fitted
 
