@@ -128,32 +128,24 @@ def test_one_camera_sees_it(told, place, capsys):
     assert (pixel < [1280, 720]).all()
 
 
-@pytest.fixture(scope="module")
-def picture(tmp_path_factory) -> tuple[Path, Camera]:
-    """A folder with a swinging sheet in the picture of one camera, and that camera."""
-    folder, moving = tmp_path_factory.mktemp("picture"), swinging_recording("sway-1")
+def test_recordings_in_one_camera_s_picture_are_followed_by_one_like_it(tmp_path, capsys):
     camera = Camera.looking_at((0.4, -1.2, 0.9), (0.0, 0.0, 0.8), (640, 480), 1.2)
-    write_recording(dataclasses.replace(moving, sight=camera), folder / "rec" / "sway-1.nc")
-    return folder, camera
-
-
-def test_recordings_in_one_camera_s_picture_are_followed_by_one_like_it(picture, capsys):
-    folder, camera = picture
-    asked = ("suggest", str(folder / "rec"), *QUICK, f"out={folder / 'found'}")
-    assert main([*asked]) == 0
+    write_recording(dataclasses.replace(swinging_recording("sway-1"), sight=camera), tmp_path / "rec" / "sway-1.nc")
+    asked = ["suggest", str(tmp_path / "rec"), *QUICK, f"out={tmp_path / 'found'}"]
+    assert main(asked) == 0
     across = np.degrees(2 * np.arctan(320 / camera.matrix[0, 0]))
     assert f"seen by one colour camera: 640 x 480 px, {across:.3g}° across, noise " in capsys.readouterr().out
-    found = json.loads((folder / "found" / "suggest.json").read_text())
+    found = json.loads((tmp_path / "found" / "suggest.json").read_text())
     assert found["settings"]["cameras"] == list(PLACEMENTS)
-    seen = read_recording(folder / "rec" / "sway-1.nc")
+    seen = read_recording(tmp_path / "rec" / "sway-1.nc")
     pixels = seen.noise_sigma * camera.matrix[0, 0] / camera.in_view(seen.position)[..., 2].mean()
     assert found["settings"]["camera"]["noise"] == pytest.approx(pixels, rel=0.02)
 
     assert main([*asked, "cameras=front", "camera.noise=2"]) == 0
-    told = json.loads((folder / "found" / "suggest.json").read_text())["settings"]
+    told = json.loads((tmp_path / "found" / "suggest.json").read_text())["settings"]
     assert (told["cameras"], told["camera"]["noise"], told["camera"]["size"]) == (["front"], 2.0, [640, 480])
     assert main([*asked, "cameras=none"]) == 0
-    told = json.loads((folder / "found" / "suggest.json").read_text())
+    told = json.loads((tmp_path / "found" / "suggest.json").read_text())
     assert told["settings"]["cameras"] is None
     assert told["experiments"][0]["camera"] is None
 

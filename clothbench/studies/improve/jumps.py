@@ -69,9 +69,8 @@ def in_another_valley(
                 if square[k] <= (1 + LOOP.valley_margin) * before:
                     best.setdefault(int(which[k]), int(k))
             for k in list(best.values())[: LOOP.valley_fits]:
-                goal = np.inf if square[k] < fitted.rms**2 else fitted.rms**2
                 start = fitted.space.from_unit(found[k])
-                fitted, count = better_of(problem, fitted, start, LOOP.refit_rounds, goal=goal)
+                fitted, count = better_of(problem, fitted, start, LOOP.refit_rounds, goal=fitted.rms**2)
                 evaluations += count
         if fitted.rms**2 > (1 - LOOP.least_valley) * before:
             break

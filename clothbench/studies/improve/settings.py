@@ -96,7 +96,7 @@ class LoopSettings:
     least_valley: float = 0.05  # share of the mean square that a better valley takes off
     valley_margin: float = 1.0  # share of the mean square by which such a move may at first be worse
     valley_fits: int = 4  # parameters from whose best move a search goes on
-    valley_turns: int = 3  # from where it is looked for so, at most
+    valley_turns: int = 3  # times that one is looked for so, at most, each from the best so far
 
     # Repeated motions.
     repeat_distance: float = 0.05  # of a grip's own motion, within which another repeats it
