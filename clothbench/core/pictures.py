@@ -12,6 +12,8 @@ from pathlib import Path
 
 import numpy as np
 
+PNG = b"\x89PNG\r\n\x1a\n"
+
 
 @contextmanager
 def silenced() -> Iterator[None]:
@@ -40,10 +42,21 @@ def picture_of(content: bytes | np.ndarray | Path, flags: int) -> np.ndarray | N
     if isinstance(content, Path):
         content = content.read_bytes()
     stream = np.frombuffer(content, np.uint8)
-    if not stream.size:
+    if not stream.size or _claims_more(stream.tobytes()):
         return None
     try:
         with silenced():
             return cv2.imdecode(stream, flags)
     except cv2.error:  # a claim of more pixels than OpenCV takes
         return None
+
+
+def _claims_more(content: bytes) -> bool:
+    """Whether a chunk of a PNG states more bytes than the whole file has: OpenCV makes room for what is stated."""
+    place = len(PNG)
+    while content.startswith(PNG) and place + 8 <= len(content):
+        length = int.from_bytes(content[place : place + 4], "big")
+        if length > len(content):
+            return True
+        place += 12 + length  # length, kind, content, check sum
+    return False

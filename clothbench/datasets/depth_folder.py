@@ -14,6 +14,7 @@ there too; what else there is becomes a note.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
@@ -194,7 +195,7 @@ def _stamps(about: Mapping[str, Any], count: int, where: Path) -> np.ndarray:
         return time
     _needed(about, "rate", where)
     rate = _number(about, "rate", where)
-    if not rate > 0:
+    if not (rate > 0 and math.isfinite(count / rate)):
         raise ClothbenchError(f"{where}: 'rate': found {about['rate']!r}, expected frames per second, above 0")
     return np.arange(count) / rate
 

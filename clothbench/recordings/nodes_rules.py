@@ -8,6 +8,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.layout import Arrays, Layout
 
 SIZES = {"uv": 2, "space": 3}
+FARTHEST = 1e6  # m from the origin that cloth and grips may be; sums and squares of what is farther may overflow
 
 
 def check_shapes(arrays: Arrays, layout: Layout, where: str, may_be_empty: str = "") -> None:
@@ -57,16 +58,31 @@ def check_values(arrays: Arrays, where: str) -> None:
             "expected metres or NaN (not seen)"
         )
     for name in ("grip_position", "material", "grip_material"):
-        bad = np.argwhere(~np.isfinite(arrays[name]))
-        if bad.size:
-            at = tuple(int(i) for i in bad[0])
-            raise ClothbenchError(
-                f"{where}: variable '{name}': found a value that is not finite at {at}, expected metres"
-            )
+        check_finite(arrays[name], name, where)
+    for name in ("grip_position", "position"):
+        check_near(arrays[name], name, where)
     if not np.isfinite(position).any():
         raise ClothbenchError(f"{where}: variable 'position': found only NaN, expected at least one node seen")
     if not np.isfinite(position).all(axis=-1).any():
         raise ClothbenchError(f"{where}: variable 'position': found no node with all of x, y and z")
+
+
+def check_finite(values: np.ndarray, name: str, where: str) -> None:
+    """Every value is a number."""
+    bad = np.argwhere(~np.isfinite(values))
+    if bad.size:
+        at = tuple(map(int, bad[0]))
+        raise ClothbenchError(f"{where}: variable '{name}': found a value that is not finite at {at}, expected metres")
+
+
+def check_near(places: np.ndarray, name: str, where: str) -> None:
+    """No place, of those that are known, is farther away than anything that is measured."""
+    far = np.argwhere(np.abs(places) > FARTHEST)
+    if far.size:
+        at = tuple(map(int, far[0]))
+        raise ClothbenchError(
+            f"{where}: variable '{name}': found {places[at]:g} m at {at}, expected metres within {FARTHEST:g} of 0"
+        )
 
 
 def check_points(points: np.ndarray, name: str, size: np.ndarray, where: str) -> None:

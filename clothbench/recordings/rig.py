@@ -15,7 +15,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import GripPath
 from clothbench.recordings.codec import freeze, hash_of
 from clothbench.recordings.layout import SPLITS, Arrays, Layout, Part, Stated, Variable
-from clothbench.recordings.nodes_rules import check_clock, check_overlap, check_points
+from clothbench.recordings.nodes_rules import check_clock, check_finite, check_near, check_overlap, check_points
 from clothbench.recordings.video import lens_of, numbers_of, text_of
 
 TEXTS = ("name", "fabric", "sensor", "source", "licence", "declared_effects", "motion", "split")
@@ -137,8 +137,9 @@ def check_grips(r: RawRecording, where: str) -> None:
     expected: Any = (len(grips.time), len(grips.material), 3)
     if grips.position.shape != expected or grips.material.shape[1:] != (2,):
         raise ClothbenchError(f"{where}: variable 'grip_position': found {grips.position.shape}, expected {expected}")
-    if not (np.isfinite(grips.position).all() and np.isfinite(grips.material).all()):
-        raise ClothbenchError(f"{where}: variable 'grip_position': found a value that is not finite, expected metres")
+    check_finite(grips.position, "grip_position", where)
+    check_finite(grips.material, "grip_material", where)
+    check_near(grips.position, "grip_position", where)
     check_points(grips.material, "grip_material", np.array([r.cloth_width, r.cloth_height]), where)
     check_overlap(r.time, grips.time, where)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import zipfile
 
+import cv2
 import h5py
 import numpy as np
 import pyarrow as pa
@@ -17,10 +18,13 @@ from clothbench.cli import main
 from clothbench.cli.own_suites import each_choice, require_plain
 from clothbench.core.errors import one_line
 from clothbench.core.files import read_arrays, read_json
+from clothbench.core.pictures import picture_of
+from clothbench.datasets.depth_folder import read_folder
 from clothbench.display.film import read_film
 from clothbench.engine.settings import KNOWN
 from clothbench.engine.store import ROW, Store, load_rows
-from clothbench.engine.tables import read_table
+from clothbench.engine.tables import read_table, write_table
+from clothbench.studies.calibration.cell import asked_and_fitted
 
 # --- recordings -----------------------------------------------------------------------------------------------------
 
@@ -61,7 +65,8 @@ HARM = {
     "an array for a text": (lambda f: f.attrs.__setitem__("format", np.arange(3.0)), "'format': found '[0. 1. 2.]'"),
     "two marks for nothing": (lambda f: f["time"].attrs.__setitem__("_FillValue", [0.0, 1.0]), "'_FillValue'"),
     "coordinates of none": (lambda f: f["time"].attrs.__setitem__("coordinates", h5py.Empty("f")), None),
-    "infinite numbers": (lambda f: f["position"].write_direct(np.full(f["position"].shape, 1e308)), None),
+    "places beyond": (lambda f: f["position"].write_direct(np.full(f["position"].shape, 1e308)), "found 1e+308 m at"),
+    "grips beyond": (lambda f: f["grip_position"].__setitem__((1, 0, 2), -1e307), "found -1e+307 m at (1, 0, 2)"),
 }  # fmt: skip
 
 
@@ -216,6 +221,42 @@ def test_a_marker_file_of_no_possible_rate_is_refused(tmp_path, rate):
     (tmp_path / "in.csv").write_text(f"# unit: mm\n# rate: {rate}\nframe,time,a_x,a_y,a_z\n{rows}")
     with pytest.raises(ClothbenchError, match=r"in\.csv: (rate|time): found"):
         Markers(material={"a": (0, 0)}).track(tmp_path / "in.csv")
+
+
+@pytest.mark.parametrize("rate", ["1e-320", "0", "-1", "[]", '"fast"'])
+def test_frames_of_no_possible_rate_are_refused(tmp_path, rate):
+    (tmp_path / "depth").mkdir()
+    (tmp_path / "depth" / "0.png").write_bytes(picture())
+    camera = '{"size": [8, 8], "fx": 20, "fy": 20, "cx": 3.5, "cy": 3.5}'
+    text = f'{{"name": "c", "cloth_width": 0.2, "cloth_height": 0.2, "rate": {rate}, "camera": {camera}}}'
+    (tmp_path / "recording.json").write_text(text)
+    with pytest.raises(ClothbenchError, match=r"recording\.json: 'rate': found"):
+        read_folder(tmp_path)
+
+
+def test_a_picture_that_claims_more_bytes_than_it_has_is_none(monkeypatch):
+    whole = picture()
+    place = whole.index(b"IDAT") - 4
+    claiming = whole[:place] + (2**31 + 38).to_bytes(4, "big") + whole[place + 4 :]
+    assert picture_of(whole, cv2.IMREAD_UNCHANGED).shape == (8, 8)
+    monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("OpenCV was asked for room for 2 GB"))
+    assert picture_of(claiming, cv2.IMREAD_UNCHANGED) is None
+
+
+def picture() -> bytes:
+    """A PNG of 8 × 8 px of 16 bit."""
+    return cv2.imencode(".png", np.full((8, 8), 500, np.uint16))[1].tobytes()
+
+
+@pytest.mark.parametrize("missing", ["name", "value"])
+def test_a_fit_without_values_is_refused(tmp_path, missing):
+    cell = tmp_path / "cells" / "e6427d47f5f2b72c"
+    cell.mkdir(parents=True)
+    there = {"name": "k1", "value": 1.0, "key": cell.name}
+    write_table(cell / "parameters.parquet", [{name: value for name, value in there.items() if name != missing}])
+    write_table(cell / "question.parquet", [{"question": "{}", "key": cell.name}])
+    with pytest.raises(ClothbenchError, match="found a parameter without name or value"):
+        asked_and_fitted(Store(tmp_path), cell.name)
 
 
 # --- suites ---------------------------------------------------------------------------------------------------------

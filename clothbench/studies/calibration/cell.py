@@ -173,6 +173,8 @@ def asked_and_fitted(store: Store, key: str) -> tuple[CalibrationCell, list[dict
     if not questions or not fitted:
         why = next((row["reason"] for row in store.rows([key]) if row["reason"]), "it is of another kind, or older")
         raise ClothbenchError(f"cell {key}: found no fit ({why}); {AGAIN}")
+    if any(row["name"] is None or row["value"] is None for row in fitted):
+        raise ClothbenchError(f"cell {key}: found a parameter without name or value, expected both; {AGAIN}")
     return asked_again(questions[0]["question"]), fitted
 
 
