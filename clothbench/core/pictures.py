@@ -13,6 +13,10 @@ from pathlib import Path
 import numpy as np
 
 PNG = b"\x89PNG\r\n\x1a\n"
+MOST_PIXELS = 2**27  # of one picture: more than any camera's, and what a file of a megabyte may claim
+
+# OpenCV asks once, when it is loaded, and makes room for eight times as many if nobody says so.
+os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
 
 
 @contextmanager

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 import zipfile
+import zlib
 
 import cv2
 import h5py
@@ -18,7 +21,7 @@ from clothbench.cli import main
 from clothbench.cli.own_suites import each_choice, require_plain
 from clothbench.core.errors import one_line
 from clothbench.core.files import read_arrays, read_json
-from clothbench.core.pictures import picture_of
+from clothbench.core.pictures import PNG, picture_of
 from clothbench.datasets.depth_folder import read_folder
 from clothbench.display.film import read_film
 from clothbench.engine.settings import KNOWN
@@ -241,6 +244,20 @@ def test_a_picture_that_claims_more_bytes_than_it_has_is_none(monkeypatch):
     assert picture_of(whole, cv2.IMREAD_UNCHANGED).shape == (8, 8)
     monkeypatch.setattr(cv2, "imdecode", lambda *_: pytest.fail("OpenCV was asked for room for 2 GB"))
     assert picture_of(claiming, cv2.IMREAD_UNCHANGED) is None
+
+
+def test_a_picture_of_more_pixels_than_any_camera_has_is_none(tmp_path):
+    side = 12_000  # 144 MB of black in a file of 140 kB
+    header = side.to_bytes(4, "big") * 2 + bytes([8, 0, 0, 0, 0])
+    black = zlib.compress(bytes(side * (side + 1)), 1)
+    chunks = [
+        len(of).to_bytes(4, "big") + kind + of + zlib.crc32(kind + of).to_bytes(4, "big")
+        for kind, of in ((b"IHDR", header), (b"IDAT", black), (b"IEND", b""))
+    ]
+    (tmp_path / "black.png").write_bytes(PNG + b"".join(chunks))
+    code = "import sys; from clothbench.core.pictures import *; print(picture_of(Path(sys.argv[1]), -1) is None)"
+    command = [sys.executable, "-c", code, str(tmp_path / "black.png")]  # OpenCV asks when it is loaded
+    assert subprocess.run(command, capture_output=True, text=True, check=True, timeout=120).stdout == "True\n"
 
 
 def picture() -> bytes:
