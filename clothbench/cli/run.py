@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import re
 import shutil
 import sys
 import tempfile
@@ -45,6 +46,9 @@ JOBS = "CLOTHBENCH_RUN_JOBS"  # how many jobs a sweep has, for the jobs to say
 NOTES = "CLOTHBENCH_RUN_NOTES"  # folder in which the jobs of one command leave word for it, whatever launched them
 MAIN_SUITE = "static_dynamic"  # what a sweep is over if it names no recordings
 RECORDINGS = ("suite=", "recording=", "recordings=")  # how a command line names some
+# A setting below one that holds any number of them. Hydra would take it only with a sign that says whether the suite
+# has it; what is not known is refused once all is put together.
+OPEN = re.compile(r"(options|bounds|finer|scene|analysis|suite|limits)\.[^=]*=")
 
 
 class PluginSearchPath(SearchPathPlugin):
@@ -74,6 +78,7 @@ def run(arguments: Sequence[str]) -> int:
     os.environ.setdefault("CLOTHBENCH_SWEEP_DIR", str(notes / "sweep"))
     os.environ[JOBS] = str(jobs_of(arguments) if sweep else 0)
     sweep_so_far.cache_clear()
+    arguments = either_way(arguments)
     sys.argv = ["clothbench run", *arguments]
     try:
         require_harmless(arguments)
@@ -94,6 +99,12 @@ def _of_a_job(fault: Exception) -> bool:
     for a place in a list that is no number.
     """
     return any(frame.f_code is job.__code__ for frame, _ in traceback.walk_tb(fault.__traceback__))
+
+
+def either_way(words: Sequence[str]) -> list[str]:
+    """Hydra's words: those of `OPEN` set whether a suite has them or not, and a suite chosen with a sign or without."""
+    signs = ("++" if OPEN.match(word) else "+" if word.startswith("suite=") else "" for word in words)
+    return [sign + word for sign, word in zip(signs, words, strict=True)]
 
 
 def jobs_of(words: Sequence[str]) -> int:
@@ -128,7 +139,7 @@ def composed(words: Sequence[str]) -> dict[str, Any]:
     Plugins.instance().register(PluginSearchPath)
     try:
         with initialize_config_module("clothbench.conf", version_base="1.3"):
-            config = compose("run", overrides=list(words))
+            config = compose("run", overrides=either_way(words))
         settings = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     except (HydraException, OmegaConfBaseException) as fault:
         raise ClothbenchError(_one_line(fault)) from fault
@@ -205,5 +216,7 @@ def _say_where(store: Store, keys: Sequence[str]) -> None:
 def _one_line(fault: Exception) -> str:
     """Hydra's message without its line breaks; what the choices are, where it lists them."""
     text = str(fault).split("Config search path")[0]
+    if unknown := re.match(r"Could not override '(.*)'\.\s+To append to your config", text):
+        return f"setting {unknown[1]!r} is not known; `clothbench run --cfg job` shows all that are"
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     return " ".join(lines[:12]) or type(fault).__name__

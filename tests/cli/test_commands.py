@@ -9,6 +9,7 @@ import pytest
 from conftest import swinging_recording
 
 from clothbench import write_recording
+from clothbench.cli.run import composed
 
 CELL = ("model=mass_spring", "optimizer=ga", "metric=node_error", "+options.mass_spring.resolution=5", "budget=25")
 
@@ -152,10 +153,20 @@ def test_the_launcher_can_be_exchanged(clothbench, recordings_folder):
     assert len({r["key"] for r in json.loads(clothbench("leaderboard", "--json").stdout)}) == 2
 
 
+def test_a_setting_is_set_with_a_sign_or_without():
+    """Hydra asks for + where the suite has none of it, and refuses it where it has."""
+    signed = ["+suite=static_dynamic", "+options.ga.generations=3", "+bounds.bend=[1e-6,1e-5]", "++scene.spacing=0.02"]
+    assert composed([word.lstrip("+") for word in signed]) == composed(signed)
+
+
 @pytest.mark.parametrize(
     ("setting", "found"),
     [
         ("+options.ga.nonsense=1", "nonsense"),
+        ("bugdet=3", "setting 'bugdet' is not known; `clothbench run --cfg job` shows all"),
+        ("model.dt=0.1", "setting 'model.dt' is not known"),
+        ("options.ga.nonsense=1", "nonsense"),
+        ("scene.size=1", "setting of 'scene' 'size' is not known"),
         ("+options.gaa.population=5", "plugin in 'options' 'gaa' is not known"),
         ("+options.ga.population=1", "population is 1, expected a whole number, at least 3"),
         ("+options.mass_spring.dt=abc", "dt is 'abc'"),
