@@ -15,7 +15,7 @@ from clothbench.engine.suite import plan
 from clothbench.estimation.calibrate import Fit
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration.cell import asked, asked_again, set_up
-from clothbench.studies.calibration.stages import shared_out, stages_of, with_mesh
+from clothbench.studies.calibration.stages import searched, shared_out, stages_of, with_mesh
 
 BASE = {
     "study": "calibration", "model": "mass_spring", "optimizer": "annealing", "metric": "node_error", "effects": [],
@@ -127,3 +127,25 @@ def test_a_run_leaves_both_histories_and_temperatures(clothbench, recordings_fol
     parameters = pd.read_parquet(folder / "parameters.parquet")
     assert (parameters.low <= parameters.value).all()
     assert (parameters.value <= parameters.high).all()
+
+
+def test_what_the_clock_stops_on_the_coarse_mesh_is_the_cells_own_result(clothbench, recordings_folder):
+    words = ("scene.spacing=0.1", "finer.spacing=0.05", "model=mass_spring", "optimizer=annealing", "metric=node_error",
+             "budget=24", "rerun=false", "timeout=1e-6")  # fmt: skip
+    done = clothbench("run", f"recordings={recordings_folder}", *words)
+    assert "timeout" in done.stdout
+    (folder,) = (recordings_folder.parent / "runs" / "cells").iterdir()
+    for table in folder.glob("*.parquet"):
+        assert {*pd.read_parquet(table).get("key", [])} <= {folder.name}, table.name
+    assert clothbench("store", "check", "runs").returncode == 0
+
+
+def test_another_search_of_the_cell_has_time_of_its_own(recordings_folder):
+    cell = cell_of(recordings_folder, optimizer="nelder_mead", finer={}, timeout=50.0)
+    bench, late = set_up(cell, catalogue()), Checkpoint()
+    late.before = 100.0
+    found = {
+        since: searched([bench], catalogue(), late, bench.space, 12, 0, bounded=False, since=since)[0].status
+        for since in (0.0, late.seconds)
+    }
+    assert list(found.values()) == ["timeout", "ok"]

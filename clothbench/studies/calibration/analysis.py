@@ -77,7 +77,8 @@ def _repeats(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, check
     budget = max(1, cell.budget - fit.looked)  # as long a walk as the fit's own, which looked around first
 
     def search(space: ParameterSpace, seed: int) -> Fit:
-        return searched(stages, plugins, checkpoint, space, budget, seed, begin=True, bounded=False)[-1]
+        since = checkpoint.seconds  # as long a search as the fit's own, also where that was stopped by the clock
+        return searched(stages, plugins, checkpoint, space, budget, seed, begin=True, bounded=False, since=since)[-1]
 
     seed = cell.stream("repeats") % 2**32
     return {"repeats": repeats(bench.of_split("fit"), bench.space, fit, options["count"], seed, search, checkpoint)}

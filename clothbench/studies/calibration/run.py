@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -40,7 +41,9 @@ def run(cell: CalibrationCell, context: Context) -> Result:
         stages, context.plugins, context.checkpoint, bench.space, cell.budget, cell.stream("optimizer"),
         progress=context.progress,
     )  # fmt: skip
-    bench, fit, spent = stages[len(fits) - 1], fits[-1], sum(fit.evaluations for fit in fits)
+    # A search that was stopped on the coarse mesh is judged there; it is this cell's result all the same.
+    bench = dataclasses.replace(stages[len(fits) - 1], cell=cell)
+    fit, spent = fits[-1], sum(fit.evaluations for fit in fits)
     if fit.status == "diverged":
         return failure(cell, "diverged", _why_lost(bench), evaluations=spent, wall_s=fit.wall_s)
     if len(fits) > 1:

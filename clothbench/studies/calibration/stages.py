@@ -39,10 +39,12 @@ def searched(
     begin: bool = False,
     progress: Progress | None = None,
     bounded: bool = True,
+    since: float = 0.0,
 ) -> list[Fit]:
     """The fit of each stage that was begun; the next begins where the one before it ended, if that one came to an end.
 
-    begin: at the space's defaults, without a look around first. Only the last has intervals, if `bounded`.
+    begin: at the space's defaults, without a look around first. Only the last has intervals, if `bounded`. since: s on
+    the checkpoint's clock from which the cell's timeout counts: other searches of the cell have had time of their own.
     """
     fits: list[Fit] = []
     for bench, evaluations in zip(stages, shared_out(budget, stages[-1].cell), strict=True):
@@ -50,8 +52,9 @@ def searched(
         told = cell.option(cell.optimizer) | ({"start": "defaults"} if begin or fits else {})
         optimizer = plugins.make("optimizers", cell.optimizer, space, seed=seed, budget=evaluations, **told)
         before = sum(fit.evaluations for fit in fits)
+        timeout = None if cell.timeout is None else since + cell.timeout
         fits.append(calibrate(
-            bench.of_split("fit"), optimizer, space, timeout=cell.timeout, progress=_after(before, progress),
+            bench.of_split("fit"), optimizer, space, timeout=timeout, progress=_after(before, progress),
             checkpoint=checkpoint if last else checkpoint.part("coarse"), choice=cell.choice,
             bounded=bounded and last,
         ))  # fmt: skip
