@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import numpy as np
 import pandas as pd
@@ -9,12 +10,15 @@ import pytest
 from conftest import swinging_recording
 
 from clothbench import ClothbenchError, Parameter, ParameterSpace, write_recording
+from clothbench.core.protocols import Score
 from clothbench.engine.checkpoint import Checkpoint
 from clothbench.engine.settings import checked, last_word, named_budget
+from clothbench.engine.store import FINISHED
 from clothbench.engine.suite import plan
 from clothbench.estimation.calibrate import Fit
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration.cell import asked, asked_again, set_up
+from clothbench.studies.calibration.run import _status
 from clothbench.studies.calibration.stages import searched, shared_out, stages_of, with_mesh
 
 BASE = {
@@ -149,3 +153,11 @@ def test_another_search_of_the_cell_has_time_of_its_own(recordings_folder):
         for since in (0.0, late.seconds)
     }
     assert list(found.values()) == ["timeout", "ok"]
+
+
+@pytest.mark.parametrize(("searched_by", "status"), [(True, "error"), (False, "skipped")])
+def test_a_further_metric_without_a_number_leaves_the_cell_finished(searched_by, status):
+    whole, nothing = SimpleNamespace(status=("ok",), reasons=()), Score(np.array([np.nan]), "m")
+    found, reason = _status(SimpleNamespace(status="ok", stopped=""), nothing, whole, searched_by)
+    assert (found, found in FINISHED) == (status, not searched_by)
+    assert "could not be computed" in reason

@@ -130,7 +130,7 @@ def _rows_of(
     rows = []
     for source, trial, score, rollout in zip(cell.recordings, bench.trials, scores, rollouts, strict=True):
         low, high = _interval(metric, score, trial.observation, rollout, cell.stream(source.hash))
-        status, reason = _status(fit, score, rollout)
+        status, reason = _status(fit, score, rollout, metric is bench.trials[0].metric)
         rows.append(
             {
                 **about,
@@ -158,11 +158,14 @@ def _interval(metric: Metric, score: Score, seen: Observation, rollout: Rollout,
     return error_interval(score, seen, seed)
 
 
-def _status(fit: Fit, score: Score, rollout: Rollout) -> tuple[str, str]:
+def _status(fit: Fit, score: Score, rollout: Rollout, searched: bool) -> tuple[str, str]:
+    """What came of one recording, and why. searched: by this metric; another that has nothing to say of a recording,
+    as fold lines of cloth that no camera saw, is no fault for which the cell would have to be run again.
+    """
     if rollout.status[0] != "ok":
         return rollout.status[0], rollout.reasons[0] if rollout.reasons else ""
     if not np.isfinite(score.value[0]):
-        return "error", "the metric could not be computed on this recording"
+        return "error" if searched else "skipped", "the metric could not be computed on this recording"
     return fit.status, fit.stopped if fit.status != "ok" else ""
 
 
