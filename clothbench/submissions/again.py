@@ -17,10 +17,12 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import file_name
-from clothbench.estimation.calibrate import best_rollout, calibrate
+from clothbench.engine.checkpoint import Checkpoint
+from clothbench.estimation.calibrate import best_rollout
 from clothbench.plugins.discovery import catalogue, one_line
 from clothbench.recordings.nodes import Recording, grips_at, read_recording, write_recording
 from clothbench.studies.calibration.cell import asked_again, set_up
+from clothbench.studies.calibration.stages import searched, stages_of
 from clothbench.submissions.packing import simulation_of
 
 
@@ -39,11 +41,10 @@ def again(job: Path, out: Path) -> None:
     plugins, cell = catalogue(), asked_again(asked["question"])
     fitted = tuple(source for source in cell.recordings if source.split == "fit")
     bench = set_up(dataclasses.replace(cell, recordings=fitted, rivals=(), report=(), analysis={}), plugins)
-    optimizer = plugins.make(  # seeded by all recordings of the cell, those that are not shown here included
-        "optimizers", cell.optimizer, bench.space, seed=cell.stream("optimizer"), budget=cell.budget,
-        **cell.option(cell.optimizer),
-    )  # fmt: skip
-    fit = calibrate(bench.trials, optimizer, bench.space, timeout=cell.timeout, bounded=False, choice=cell.choice)
+    stages = stages_of(bench, plugins)
+    # Seeded by all recordings of the cell, those that are not shown here included.
+    fits = searched(stages, plugins, Checkpoint(), bench.space, cell.budget, cell.stream("optimizer"), bounded=False)
+    bench, fit = stages[len(fits) - 1], fits[-1]
     if fit.status == "diverged":
         raise ClothbenchError("no parameter set that was tried could be simulated")
     for path in asked["simulate"]:

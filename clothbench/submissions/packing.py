@@ -44,6 +44,7 @@ def pack_results(
     for key in keys:
         cell, fitted = asked_and_fitted(results, key)
         require_checkable(cell, key)
+        require_ended(results, key)
         require_installed(cell, key, plugins)
         values = {row["name"]: row["value"] for row in fitted}
         entries += _simulated(folder, cell, key, values, by_hash, plugins)
@@ -66,6 +67,15 @@ def require_checkable(cell: CalibrationCell, key: str) -> None:
         raise ClothbenchError(
             f"cell {key}: begins as was measured, which whoever checks it does not tell the plugin; run it with "
             "scene.start=rest"
+        )
+
+
+def require_ended(results: Store, key: str) -> None:
+    """Refuse a fit that the clock stopped: how far it came is a matter of the machine."""
+    if any(row["status"] == "timeout" for row in results.table("rows", [key])):
+        raise ClothbenchError(
+            f"cell {key}: was stopped by the clock, which no other machine does at the same place; run it with "
+            "timeout=null and a budget that it can use up"
         )
 
 

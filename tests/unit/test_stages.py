@@ -9,17 +9,19 @@ import pandas as pd
 import pytest
 from conftest import swinging_recording
 
-from clothbench import ClothbenchError, Parameter, ParameterSpace, write_recording
+from clothbench import ClothbenchError, Parameter, ParameterSpace, read_recording, write_recording
 from clothbench.core.protocols import Score
 from clothbench.engine.checkpoint import Checkpoint
 from clothbench.engine.settings import checked, last_word, named_budget
-from clothbench.engine.store import FINISHED
+from clothbench.engine.store import FINISHED, Store
 from clothbench.engine.suite import plan
 from clothbench.estimation.calibrate import Fit
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.calibration.cell import asked, asked_again, set_up
+from clothbench.studies.calibration.cell import asked, asked_again, asked_and_fitted, set_up
 from clothbench.studies.calibration.run import _status
 from clothbench.studies.calibration.stages import searched, shared_out, stages_of, with_mesh
+from clothbench.submissions.again import again
+from clothbench.submissions.packing import require_ended
 
 BASE = {
     "study": "calibration", "model": "mass_spring", "optimizer": "annealing", "metric": "node_error", "effects": [],
@@ -114,7 +116,7 @@ def test_trials_that_are_fitted_together(tmp_path):
         plan({**BASE, "recordings": str(tmp_path), "suite": {**suite, "each": ["*"]}}, catalogue())
 
 
-def test_a_run_leaves_both_histories_and_temperatures(clothbench, recordings_folder):
+def test_a_run_leaves_both_histories_and_temperatures_and_can_be_done_again(clothbench, recordings_folder, tmp_path):
     words = ("scene.spacing=0.1", "+finer.spacing=0.05", "model=mass_spring", "optimizer=annealing",
              "metric=node_error", "budget=24", "rerun=false", "+options.annealing.share=0.2")  # fmt: skip
     done = clothbench("run", f"recordings={recordings_folder}", *words)
@@ -131,6 +133,14 @@ def test_a_run_leaves_both_histories_and_temperatures(clothbench, recordings_fol
     parameters = pd.read_parquet(folder / "parameters.parquet")
     assert (parameters.low <= parameters.value).all()
     assert (parameters.value <= parameters.high).all()
+    # Whoever checks a submission of it comes to the same parameters, and so to the same motion.
+    cell, found = asked_and_fitted(Store(recordings_folder.parent / "runs"), folder.name)
+    path = cell.recordings[0].file
+    (tmp_path / "job.json").write_text(json.dumps({"question": asked(cell), "simulate": [str(path)]}))
+    again(tmp_path / "job.json", tmp_path / "out")
+    (moved,) = (read_recording(file).position for file in (tmp_path / "out").iterdir())
+    theta = np.array([[row["value"] for row in found]])
+    np.testing.assert_allclose(moved, set_up(cell, catalogue()).trials[0].simulation.run(theta).position[0], atol=1e-12)
 
 
 def test_what_the_clock_stops_on_the_coarse_mesh_is_the_cells_own_result(clothbench, recordings_folder):
@@ -142,6 +152,8 @@ def test_what_the_clock_stops_on_the_coarse_mesh_is_the_cells_own_result(clothbe
     for table in folder.glob("*.parquet"):
         assert {*pd.read_parquet(table).get("key", [])} <= {folder.name}, table.name
     assert clothbench("store", "check", "runs").returncode == 0
+    with pytest.raises(ClothbenchError, match="was stopped by the clock, which no other machine does"):
+        require_ended(Store(recordings_folder.parent / "runs"), folder.name)
 
 
 def test_another_search_of_the_cell_has_time_of_its_own(recordings_folder):
