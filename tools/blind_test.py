@@ -501,6 +501,7 @@ def keep(rows: Sequence[dict]) -> None:
     table = {"summary": summary(rows), "stages": LOOP.stages, "cases": rows}
     RESULTS.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n")
     lines = [
+        "# The blind test of `improve`\n",
         f"`python tools/blind_test.py --out FOLDER --keep`, {len(rows)} of {OTHER_MODELS[-1] + 1} cases, stages of "
         f"version {LOOP.stages}, judged with springs where nothing else is said: {summary(rows)}.\n",
         *by_kind(rows),

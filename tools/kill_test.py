@@ -49,6 +49,11 @@ IMPORTED = (
 OPTIMIZERS = ("ga", "annealing", "nelder_mead", "cma_es")
 MODELS = ("mass_spring", "mass_spring_verlet")
 METRICS = ("node_error", "relative_error")
+HEAD = (
+    "# Kills, full disks and jumping clocks", "",
+    "A sweep of 16 short cells under `python tools/kill_test.py`: what was finished before each mishap, and what the "
+    "sweep came to in the end beside one that nothing happened to.", "",
+)  # fmt: skip
 JUMPY = """
 import random, sys, time
 real, chance = time.time, random.Random(sys.argv[1])
@@ -409,7 +414,7 @@ def main() -> int:
         table, good = lines(Path(made), given)
     print("\n".join(table))
     if given.out:
-        given.out.write_text("\n".join(table) + "\n", encoding="utf-8")
+        given.out.write_text("\n".join([*HEAD, *table]) + "\n", encoding="utf-8")
     return 0 if good else 1
 
 

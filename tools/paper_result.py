@@ -168,6 +168,7 @@ def document(fits: Fits) -> str:
          lambda: generalised(fits)),
     ]  # fmt: skip
     text = (
+        "# `static_dynamic` with the budget of the paper\n\n"
         "`python tools/paper_result.py`: the suite `static_dynamic` with `budget=paper` beside the tables of Bhat et "
         f"al. 2003. Truths of bending and stretch inside their intervals: {hit} of {of}. *Open*: the interval is the "
         "whole range. ✗: an interval that leaves the truth out.\n"

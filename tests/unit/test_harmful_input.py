@@ -140,7 +140,7 @@ ABOUT = {"study": "calibration", "split": "held_out", "seed": 1, "evaluations": 
 @pytest.mark.parametrize("name", [n for n in ROW if n not in ("key", "suite", "case", "model", "effects", "status")])
 def test_rows_in_which_something_is_missing_are_shown_all_the_same(tmp_path, capsys, name):
     rows = [row(recording="r", objective="m", metric="m", optimizer="o", unit="m") | ABOUT for _ in range(2)]
-    Store(tmp_path).put("ab", {"rows": [rows[0], rows[1] | {name: None}]})
+    Store(tmp_path).put("ab", {"rows": [rows[0] | {name: None}, rows[1]]})
     assert main(["leaderboard", "--out", str(tmp_path)]) == 0
     assert main(["report", f"out={tmp_path}"]) == 0
 

@@ -93,7 +93,7 @@ def _dots(rows: Rows, look: dict[str, str], split: str, y: list[float]) -> dict[
     low, high = (np.array([r["value"] if r[n] is None else r[n] for r in rows], dtype=float) for n in ("low", "high"))
     names = [escape(r["recording"]) for r in rows]
     line = {"width": 2, "color": look["colour"]}
-    hover = "%{customdata[2]}<br>%{x} " + rows[0]["unit"] + " (%{customdata[0]:.3g} … %{customdata[1]:.3g})"
+    hover = "%{customdata[2]}<br>%{x} " + (rows[0]["unit"] or "") + " (%{customdata[0]:.3g} … %{customdata[1]:.3g})"
     return {
         "type": "scatter", "mode": "markers", "x": rounded(value), "y": y, "meta": look["meta"],
         "marker": {"color": look["colour"], "symbol": symbol, "size": 9, "line": line},

@@ -114,7 +114,7 @@ def parameter_table(rows: Rows, parameters: Rows) -> Table:
             mark = " at its bound" if p["at_bound"] else ""
             known = (f"{p['truth']:.3g}" if p.get("truth") is not None else "",) if stated else ()
             texts = (f"  {p['name']} ({p['symbol']})", value, _interval(p["low"], p["high"], ".3g"), *known,
-                     p["unit"] + mark)  # fmt: skip
+                     (p["unit"] or "") + mark)  # fmt: skip
             table.add_row(*(escape(t) for t in texts))
         table.add_section()
     if len(cells) > MOST:
