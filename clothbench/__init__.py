@@ -103,6 +103,7 @@ _HOME = {
     "drape_points": "core.drape",
     "outlines_of_points": "core.drape",
     "centroid": "vision.drape",
+    "darkness": "vision.drape",
     "drape_quantities": "vision.drape",
     "folds_of": "vision.drape",
     "outline_in": "vision.drape",
