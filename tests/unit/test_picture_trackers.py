@@ -165,6 +165,8 @@ def test_what_needs_depth_refuses_a_picture():
         ("sift_graph", {"window": 0.5}, "window is 0.5"),
         ("sift_graph", {"grips": "hands"}, "expected corners, marks, or module:function"),
         ("optical_flow", {"back": -1}, "back is -1"),
+        ("optical_flow", {"mesh": 20}, "mesh is 20, expected two whole numbers"),
+        ("sift_graph", {"sigma": "small"}, "sigma is 'small', expected metres above 0"),
     ],
 )
 def test_wrong_options_are_one_line(name, options, found):

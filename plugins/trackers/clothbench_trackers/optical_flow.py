@@ -11,6 +11,7 @@ import numpy as np
 
 from clothbench import ClothbenchError, ColourVideo, Observation
 from clothbench_trackers import picture_graph as graphs
+from clothbench_trackers.options import check_mesh, check_metres
 
 
 class OpticalFlow:
@@ -29,7 +30,8 @@ class OpticalFlow:
         for word, value, low, high in (("window", window, 0.2, 4.0), ("back", back, 0.05, 20.0)):
             if not isinstance(value, int | float) or not low <= value <= high:
                 raise ClothbenchError(f"optical_flow: {word} is {value!r}, expected {low:g} to {high:g}")
-        self.mesh, self.grips = graphs.check_mesh(self.name, mesh), graphs.check_grips(self.name, grips)
+        check_metres(self.name, "sigma", sigma)
+        self.mesh, self.grips = check_mesh(self.name, mesh, 2), graphs.check_grips(self.name, grips)
         self.window, self.back, self.sigma = float(window), float(back), sigma
 
     def track(self, source: ColourVideo | Path) -> Observation:
