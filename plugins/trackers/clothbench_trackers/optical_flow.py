@@ -20,7 +20,7 @@ class OpticalFlow:
     """
 
     name = "optical_flow"
-    version = 1
+    version = 2
     kinds = frozenset({"video"})
 
     def __init__(
@@ -50,8 +50,7 @@ class OpticalFlow:
             pixel.append(nodes.pixel)
             seen.append(there)
             if marks is not None:
-                marks.step(frame)
-                followed.append(marks.pixel)
+                followed.append(marks.found_in(frame))
         where, visible = np.array(pixel, dtype=float), np.array(seen)
         path = np.array(followed, dtype=float) if marks is not None else None
         held = graphs.held_path(video, graph, self.grips, where, visible, path)

@@ -254,6 +254,13 @@ class Follower:
         self.pixel, self.last = self.pixel + move, grey
         return found
 
+    def found_in(self, frame: np.ndarray) -> np.ndarray:
+        """Where the points are in the next frame (N, 2) px, NaN for one that was not found: where it would be by those
+        around it serves to look for it again, and is no measurement.
+        """
+        found = self.step(frame)
+        return np.where(found[:, None], self.pixel, np.nan)
+
 
 def _grey(frame: np.ndarray) -> np.ndarray:
     import cv2

@@ -35,7 +35,7 @@ class SiftGraph:
     """
 
     name = "sift_graph"
-    version = 1
+    version = 2
     kinds = frozenset({"video"})
 
     def __init__(
@@ -66,9 +66,8 @@ class SiftGraph:
             seen.append(there)
             confidence.append(sure)
             if marks is not None:
-                marks.step(frame)
-                followed.append(marks.pixel.astype(float))
-        path = np.array(followed) if followed else None
+                followed.append(marks.found_in(frame))
+        path = np.array(followed, dtype=float) if followed else None
         where, there = np.array(pixel), np.array(seen)
         held = graphs.held_path(video, graph, self.grips, where, there, path)
         return graphs.observed(video, graph, where, there, np.array(confidence), held, self.sigma)
