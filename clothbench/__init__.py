@@ -98,6 +98,7 @@ _HOME = {
     "striped": "vision.render",
     "angle_map": "vision.orientation",
     "fold_mask": "vision.orientation",
+    "turned": "vision.orientation",
     "Outlines": "core.drape",
     "QUANTITIES": "core.drape",
     "drape_points": "core.drape",

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
@@ -162,6 +163,22 @@ def error_interval(score: Score, observation: Observation, seed: int, draws: int
     means = trace[frames].mean(axis=1)
     below, above = np.quantile(means, [0.025, 0.975]) - means.mean()
     return float(max(score.value[0] + min(below, 0.0), 0.0)), float(score.value[0] + max(above, 0.0))
+
+
+def mean_of_split(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
+    """value, floor, low and high of the mean over the rows of one split, each of which has these and a value.
+
+    None for the floor or the interval where a row has none; one recording is its own mean, with its own interval. What
+    is handed in and what is run are averaged here both, so that their scores can be compared.
+    """
+    values, floors = [row["value"] for row in rows], [row["floor"] for row in rows]
+    low = high = None
+    if len(rows) == 1:
+        low, high = rows[0]["low"], rows[0]["high"]
+    elif all(row["low"] is not None for row in rows):
+        low, high = mean_interval(values, [(row["high"] - row["low"]) / 2 for row in rows])
+    floor = None if None in floors else float(np.mean(floors))
+    return {"value": float(np.mean(values)), "floor": floor, "low": low, "high": high}
 
 
 def mean_interval(values: Sequence[float], halves: Sequence[float]) -> tuple[float, float]:

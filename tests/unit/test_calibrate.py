@@ -5,7 +5,7 @@ import pytest
 
 from clothbench import Observation, Outlines, Parameter, ParameterSpace, Rollout, Score
 from clothbench.estimation.calibrate import calibrate
-from clothbench.estimation.intervals import clusters, error_interval, intervals, mean_interval
+from clothbench.estimation.intervals import clusters, error_interval, intervals, mean_interval, mean_of_split
 from clothbench.estimation.trials import Trial, evaluate
 from clothbench.plugins.discovery import catalogue
 
@@ -178,3 +178,13 @@ def test_an_error_s_interval_holds_the_error_and_is_seeded():
     assert (low, high) == error_interval(score, t.observation, seed=5)
     assert mean_interval([1.0, 2.0, 3.0], [0.1, 0.1, 0.1]) == pytest.approx((0.0, 4.484), abs=1e-3)
     assert mean_interval([1.0, 3.0], [0.3, 0.4]) == pytest.approx((1.75, 2.25))
+
+
+def test_the_mean_of_a_split_has_an_interval_and_a_floor_where_all_have():
+    rows = [{"value": v, "low": v - 0.3, "high": v + 0.3, "floor": 0.1 * v} for v in (1.0, 3.0)]
+    mean = mean_of_split(rows)
+    assert (mean["value"], mean["floor"]) == pytest.approx((2.0, 0.2))
+    assert (mean["low"], mean["high"]) == mean_interval([1.0, 3.0], [0.3, 0.3])
+    assert mean_of_split(rows[:1]) == rows[0]
+    unknown = {**rows[1], "low": None, "high": None, "floor": None}
+    assert mean_of_split([rows[0], unknown]) == {"value": 2.0, "low": None, "high": None, "floor": None}
