@@ -198,6 +198,12 @@ def initial_velocity(scene: Scene, uv: np.ndarray) -> np.ndarray:
     return terms(uv) @ weight
 
 
+def minimum_jerk(s: np.ndarray) -> np.ndarray:
+    """From 0 to 1 while s does, with no jerk at either end: 10 s³ − 15 s⁴ + 6 s⁵ (Flash and Hogan 1985)."""
+    s = np.clip(s, 0.0, 1.0)
+    return s**3 * (10 - 15 * s + 6 * s**2)
+
+
 def arc(along: np.ndarray, length: float, chord: float) -> tuple[np.ndarray, np.ndarray]:
     """Places (n,) m along a strip of that length, when it is bent so that its ends are `chord` apart: how far they lie
     along the chord from its middle, and across it, (n,) m each. Beyond its ends the circle goes on.

@@ -99,7 +99,7 @@ def calibrate(
     `progress(evaluations, best value)` is called after every batch. A member that diverges is told to the optimizer
     as NaN and spoils no other. choice: which of the front is best, where the metric has several objectives. What
     `checkpoint` holds of a run that was stopped is not simulated again. Without `bounded` the parameters get no
-    intervals, which cost 2 P + 1 evaluations.
+    intervals, which cost 2 P + 1 evaluations, and one more of drapes.
     """
     checkpoint = checkpoint or Checkpoint()
     thetas: list[np.ndarray] = []

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import dataclasses
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from scipy.stats import t as student
@@ -10,6 +12,7 @@ from scipy.stats import t as student
 from clothbench.core.observation import Observation
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Score
+from clothbench.core.rollout import Rollout
 from clothbench.estimation.trials import Trial, evaluate
 
 BLOCK = 1.0  # s; a swing's errors hang together over about a period, so blocks this long count as one piece of evidence
@@ -23,8 +26,9 @@ def intervals(trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray) 
 
     How far the parameters would move, to first order, if one second of one recording were left out (the jackknife over
     clusters, which is the sandwich covariance CR3 of Bell and McCaffrey 2002): neighbouring frames err alike, and a
-    model's error is no noise, so the textbook's σ²(JᵀJ)⁻¹ would be far too sure. NaN where the metric has no residuals;
-    the parameter's bounds where the data do not determine it.
+    model's error is no noise, so the textbook's σ²(JᵀJ)⁻¹ would be far too sure. Drapes have no seconds: see
+    `jackknife_of_drapes`. NaN where the metric has no residuals, or where there is nothing to leave out; the
+    parameter's bounds where the data do not determine it.
     """
     nowhere = np.full(len(space), np.nan)
     unit = space.to_unit(best)
@@ -37,7 +41,10 @@ def intervals(trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray) 
     jacobian = ((residual[1 : count + 1] - residual[count + 1 :]) / (up - down)[:, None]).T
     hessian = jacobian.T @ jacobian
     condition = float(np.linalg.cond(hessian)) if np.isfinite(hessian).all() else float("inf")
-    half = jackknife(jacobian, residual[0], clusters(trials, scores))
+    if any(trial.observation.outlines is not None for trial in trials):
+        half = jackknife_of_drapes(trials, jacobian, best)
+    else:
+        half = jackknife(jacobian, residual[0], clusters(trials, scores))
     return space.from_unit(unit - half), space.from_unit(unit + half), condition**0.5
 
 
@@ -51,10 +58,71 @@ def jackknife(jacobian: np.ndarray, residual: np.ndarray, groups: Sequence[np.nd
     for rows in groups:
         rest = hessian - jacobian[rows].T @ jacobian[rows]
         moved.append(np.linalg.lstsq(rest, jacobian[rows].T @ residual[rows], rcond=1 / SINGULAR)[0])
-    count = len(moved)
-    half = student.ppf(0.975, count - 1) * np.sqrt((count - 1) / count * np.square(moved).sum(axis=0))
+    half = _half_width(np.array(moved))
     half[undetermined(hessian)] = np.inf
     return half
+
+
+def jackknife_of_drapes(trials: Sequence[Trial], jacobian: np.ndarray, best: np.ndarray) -> np.ndarray:
+    """Half-width (P,) of the 95 % interval from leaving out each specimen, and each first shape, in turn.
+
+    Each row of a drape's residual is one quantity, of all captures and all simulated drapes at once, so rows are no
+    pieces of evidence as seconds of a film are. Captures of one specimen are alike, hence the specimen is one; the
+    other chance is which drape the simulation falls into from each of its first shapes. Both are independent, so
+    their half-widths are added as squares. How far the parameters would move is −(JᵀJ)⁻¹Jᵀ times what the residual
+    changes by. NaN where a recording has a single specimen or its simulation a single first shape, since then nobody
+    knows what another would have been like.
+    """
+    hessian, square, start = jacobian.T @ jacobian, np.zeros(len(best)), 0
+    for trial in trials:
+        rollout = trial.simulation.run(best[None])
+        whole = _residual(trial, trial.observation, rollout)
+        rows = jacobian[start : start + len(whole)] / np.sqrt(len(whole) * len(trials))  # weighed as `evaluate` does
+        start += len(whole)
+        fewer_specimens = [_residual(trial, seen, rollout) for seen in _without_each_specimen(trial.observation)]
+        fewer_shapes = [_residual(trial, trial.observation, fewer) for fewer in _without_each_frame(rollout)]
+        for others in (fewer_specimens, fewer_shapes):
+            if len(others) < 2:
+                return np.full(len(best), np.nan)
+            changed = np.array(others) - whole
+            square += _half_width(np.linalg.lstsq(hessian, rows.T @ changed.T, rcond=1 / SINGULAR)[0].T) ** 2
+    half = np.sqrt(square)
+    half[undetermined(hessian)] = np.inf
+    return half
+
+
+def _half_width(moved: np.ndarray) -> np.ndarray:
+    """Half-width (P,) of the 95 % interval, of how far the parameters moved without each of several groups (G, P)."""
+    count = len(moved)
+    return student.ppf(0.975, count - 1) * np.sqrt((count - 1) / count * np.square(moved).sum(axis=0))
+
+
+def _residual(trial: Trial, seen: Observation, rollout: Rollout) -> np.ndarray:
+    """The residual (R,) of a rollout's first member beside what was seen."""
+    residual = trial.metric(seen, rollout).residual
+    assert residual is not None  # the same metric gave one for all of it
+    return residual[0]
+
+
+def _without_each_specimen(seen: Observation) -> Iterator[Observation]:
+    outlines = seen.outlines
+    assert outlines is not None
+    samples = np.unique(outlines.sample)
+    for sample in samples if len(samples) > 1 else ():
+        rest = outlines.sample != sample
+        yield dataclasses.replace(
+            seen, time=seen.time[rest], position=seen.position[rest], visible=seen.visible[rest],
+            confidence=None if seen.confidence is None else seen.confidence[rest],
+            outlines=dataclasses.replace(outlines, radius=outlines.radius[rest], sample=outlines.sample[rest]),
+        )  # fmt: skip
+
+
+def _without_each_frame(rollout: Rollout) -> Iterator[Rollout]:
+    """Frames of a simulated drape are where it came to rest from each of its first shapes."""
+    count = rollout.position.shape[1]
+    for frame in range(count) if count > 1 else ():
+        rest = np.arange(count) != frame
+        yield dataclasses.replace(rollout, time=rollout.time[rest], position=rollout.position[:, rest])
 
 
 def undetermined(hessian: np.ndarray) -> np.ndarray:
@@ -67,13 +135,13 @@ def undetermined(hessian: np.ndarray) -> np.ndarray:
 
 
 def clusters(trials: Sequence[Trial], scores: Sequence[Score]) -> list[np.ndarray]:
-    """Row numbers of the joined residual, in blocks of about `BLOCK` seconds of one recording."""
+    """Row numbers of the joined residual, in blocks of about `BLOCK` seconds of one recording, none of them empty."""
     out, start = [], 0
     for trial, score in zip(trials, scores, strict=True):
         assert score.residual is not None  # evaluate() joined them
         duration = trial.observation.time[-1] - trial.observation.time[0]
         rows = np.arange(start, start + score.residual.shape[1])
-        out += np.array_split(rows, max(2, round(duration / BLOCK)))
+        out += [block for block in np.array_split(rows, max(2, round(duration / BLOCK))) if len(block)]
         start += score.residual.shape[1]
     return out
 
@@ -95,6 +163,22 @@ def error_interval(score: Score, observation: Observation, seed: int, draws: int
     means = trace[frames].mean(axis=1)
     below, above = np.quantile(means, [0.025, 0.975]) - means.mean()
     return float(max(score.value[0] + min(below, 0.0), 0.0)), float(score.value[0] + max(above, 0.0))
+
+
+def mean_of_split(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
+    """value, floor, low and high of the mean over the rows of one split, each of which has these and a value.
+
+    None for the floor or the interval where a row has none; one recording is its own mean, with its own interval. What
+    is handed in and what is run are averaged here both, so that their scores can be compared.
+    """
+    values, floors = [row["value"] for row in rows], [row["floor"] for row in rows]
+    low = high = None
+    if len(rows) == 1:
+        low, high = rows[0]["low"], rows[0]["high"]
+    elif all(row["low"] is not None for row in rows):
+        low, high = mean_interval(values, [(row["high"] - row["low"]) / 2 for row in rows])
+    floor = None if None in floors else float(np.mean(floors))
+    return {"value": float(np.mean(values)), "floor": floor, "low": low, "high": high}
 
 
 def mean_interval(values: Sequence[float], halves: Sequence[float]) -> tuple[float, float]:

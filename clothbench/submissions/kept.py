@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from typing import Any
-
-import numpy as np
 
 from clothbench.core.files import remove_folder
 from clothbench.engine.cells import digest, listed, plugin_versions
 from clothbench.engine.store import Store, finite, now, system_info
-from clothbench.estimation.intervals import mean_interval
+from clothbench.estimation.intervals import mean_of_split
 from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.calibration.cell import asked_again
 from clothbench.submissions.submission import Compared, Submission
@@ -91,7 +89,7 @@ def rows_of(compared: Sequence[Compared]) -> list[dict[str, Any]]:
             mine = [one for one in compared if one.measured.split == split and metric in one.scores]
             about = {"metric": metric, "objective": metric, "split": split, "unit": mine[0].units[metric]}
             single = [{**about, "recording": one.measured.name, **_one(one, metric)} for one in mine]
-            out += [{**about, "recording": None, **_mean(single)}, *single]
+            out += [{**about, "recording": None, **mean_of_split(single)}, *single]
     return out
 
 
@@ -102,15 +100,3 @@ def _one(one: Compared, metric: str) -> dict[str, Any]:
         "value": value, "floor": finite(one.floors[metric]),
         "low": value - half if known else None, "high": value + half if known else None,
     }  # fmt: skip
-
-
-def _mean(rows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """Of the rows of one split; one recording is its own mean, with its own interval."""
-    values, floors = [row["value"] for row in rows], [row["floor"] for row in rows]
-    low = high = None
-    if len(rows) == 1:
-        low, high = rows[0]["low"], rows[0]["high"]
-    elif all(row["low"] is not None for row in rows):
-        low, high = mean_interval(values, [(row["high"] - row["low"]) / 2 for row in rows])
-    floor = None if None in floors else float(np.mean(floors))
-    return {"value": float(np.mean(values)), "floor": floor, "low": low, "high": high}

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.scene import Obstacle, Scene
+from clothbench.core.scene import Obstacle, Scene, minimum_jerk
 from clothbench.suggest.settings import Wanted
 
 RATE = 100.0  # Hz, of the grips' path
@@ -85,12 +85,6 @@ AS_RECORDED = "as recorded"
 Motion = Callable[[np.ndarray, np.ndarray, float], np.ndarray]
 
 
-def smooth(s: np.ndarray) -> np.ndarray:
-    """From 0 to 1 with no jerk at either end: 10 s³ − 15 s⁴ + 6 s⁵ (Flash and Hogan 1985)."""
-    s = np.clip(s, 0.0, 1.0)
-    return s**3 * (10 - 15 * s + 6 * s**2)
-
-
 def together(way: np.ndarray, direction: Sequence[float], grips: np.ndarray) -> np.ndarray:
     """All grips the same way (K,) m into one direction."""
     return way[:, None, None] * np.ones((1, len(grips), 1)) * np.array(direction)
@@ -100,7 +94,7 @@ def swing(direction: Sequence[float], rate: float, stop: float = np.inf) -> Moti
     """To and fro at `rate` Hz; from `stop` s on it dies away, and the cloth swings by itself."""
 
     def path(time: np.ndarray, grips: np.ndarray, height: float) -> np.ndarray:
-        size = smooth(time / RISE) * (1 - smooth((time - stop) / RISE))
+        size = minimum_jerk(time / RISE) * (1 - minimum_jerk((time - stop) / RISE))
         return together(size * np.sin(2 * np.pi * rate * time), direction, grips)
 
     return path
@@ -113,18 +107,18 @@ def hold(time: np.ndarray, grips: np.ndarray, height: float) -> np.ndarray:
 def lift_and_drop(time: np.ndarray, grips: np.ndarray, height: float) -> np.ndarray:
     """Up within half a second, down within a quarter, and once more every second."""
     phase = time % 1.0
-    return together(smooth(phase / 0.5) - smooth((phase - 0.5) / 0.25), (0.0, 0.0, 1.0), grips)
+    return together(minimum_jerk(phase / 0.5) - minimum_jerk((phase - 0.5) / 0.25), (0.0, 0.0, 1.0), grips)
 
 
 def lower(time: np.ndarray, grips: np.ndarray, height: float) -> np.ndarray:
     """Down within a second, and there to stay."""
-    return together(-smooth(time / 1.0), (0.0, 0.0, 1.0), grips)
+    return together(-minimum_jerk(time / 1.0), (0.0, 0.0, 1.0), grips)
 
 
 def pull(time: np.ndarray, grips: np.ndarray, height: float) -> np.ndarray:
     """The lower grips down by `PULLED` of the height within half a second."""
     low = grips[:, 2] < grips[:, 2].max() - height / 2
-    return smooth(time / 0.5)[:, None, None] * np.where(low[:, None], [0.0, 0.0, -PULLED * height], 0.0)
+    return minimum_jerk(time / 0.5)[:, None, None] * np.where(low[:, None], [0.0, 0.0, -PULLED * height], 0.0)
 
 
 OUT, ACROSS, UP = (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
@@ -239,7 +233,7 @@ def experiment(like: Scene, rate: float, wanted: Wanted, grips: str, motion: str
 
 def ended(path: np.ndarray, clock: np.ndarray, duration: float) -> np.ndarray:
     """A path (K, G, 3) m that from `duration` s on goes back to where it began."""
-    return (1 - smooth((clock - duration) / RISE))[:, None, None] * path
+    return (1 - minimum_jerk((clock - duration) / RISE))[:, None, None] * path
 
 
 def triple(vector: np.ndarray) -> tuple[float, float, float]:

@@ -22,7 +22,8 @@ from clothbench.suggest.settings import INFORMATION, TIE, Wanted
 from clothbench.suggest.subject import Known, Subject
 from clothbench.suggest.ties import Apart, apart, comparison, refitted
 
-LOOKED_AT = 32  # parameter sets, of which those are drawn that the recordings allow
+LOOKED_AT = 32  # parameter sets at least, of which those are drawn that the recordings allow; so many in one batch
+FOR_EACH = 8  # as many are looked at for each that is drawn: of fewer, the recordings could not choose
 NUDGE = 1e-3  # of the scaled range: after so small a change cloth that folds by chance is somewhere else altogether
 ENOUGH = 0.9  # of what the longest duration tells: a shorter one that tells so much is preferred
 
@@ -71,15 +72,18 @@ def draws(subject: Subject, count: int) -> np.ndarray:
         return known.unit[None]
     random = np.random.default_rng([subject.problem.seed, len(space)])
     root = np.linalg.cholesky(np.linalg.inv(known.matrix))
-    drawn = known.unit + random.standard_normal((100 * LOOKED_AT, len(space))) @ root.T
-    inside = drawn[((drawn >= 0) & (drawn <= 1)).all(axis=1)][:LOOKED_AT]
+    looked = max(LOOKED_AT, FOR_EACH * count)
+    drawn = known.unit + random.standard_normal((100 * looked, len(space))) @ root.T
+    inside = drawn[((drawn >= 0) & (drawn <= 1)).all(axis=1)][:looked]
     if not len(inside):  # the fit lies in a corner
-        inside = np.clip(drawn[:LOOKED_AT], 0.0, 1.0)
+        inside = np.clip(drawn[:looked], 0.0, 1.0)
     fitted, excess = known.fitted, np.zeros(len(inside))
     for k, trial in enumerate(subject.problem.trials(fitted.effects, "fit")):
-        found, here = residuals(trial, space.from_unit(inside)), fitted.residual[k]
-        first_order = here + (inside - known.unit) @ fitted.jacobian[k].T
-        excess += ((found**2).sum(axis=1) - (first_order**2).sum(axis=1)) / known.counted[k] ** 2
+        for begin in range(0, len(inside), LOOKED_AT):
+            some = slice(begin, begin + LOOKED_AT)
+            found, here = residuals(trial, space.from_unit(inside[some])), fitted.residual[k]
+            first_order = here + (inside[some] - known.unit) @ fitted.jacobian[k].T
+            excess[some] += ((found**2).sum(axis=1) - (first_order**2).sum(axis=1)) / known.counted[k] ** 2
     weight = np.nan_to_num(-0.5 * excess, nan=-np.inf)
     if not np.isfinite(weight).any():
         return known.unit[None]

@@ -12,7 +12,7 @@ import numpy as np
 
 from clothbench.core.camera import Camera
 from clothbench.core.outline import disc_outline
-from clothbench.core.scene import Obstacle, Scene
+from clothbench.core.scene import Obstacle, Scene, minimum_jerk
 
 WIDTH, HEIGHT, AREAL_DENSITY = 0.30, 0.25, 0.12  # m, m, kg/m²
 RESOLUTION = (7, 6)
@@ -30,7 +30,7 @@ def swinging() -> Scene:
     """Two points off every regular mesh, moved 8 cm across the sheet and 2 cm along it; uneven stamps."""
     held = np.array([[0.067, 0.011], [0.241, 0.011]])
     stamps = 0.4 * np.linspace(0.0, 1.0, 25) ** 1.2
-    moved = _smooth(stamps / 0.3)[:, None, None] * np.array([0.02, 0.08, 0.01])
+    moved = minimum_jerk(stamps / 0.3)[:, None, None] * np.array([0.02, 0.08, 0.01])
     times = np.array([0.0, 0.03, 0.05, 0.11, 0.12, 0.19, 0.26, 0.29, 0.37, 0.43])
     return _held(held, _flat(held) * [0.95, 1.0, 1.0] + moved, times, depth=0.01, stamps=stamps)
 
@@ -40,7 +40,7 @@ def stretched() -> Scene:
     held = np.array([[0.0, 0.0], [WIDTH, 0.0], [0.0, HEIGHT], [WIDTH, HEIGHT]])
     stamps = np.linspace(0.0, 0.3, 16)
     pull = np.where(held[:, 1:] > 0, [[0.04 * WIDTH, 0.0, -0.03 * HEIGHT]], 0.0)
-    position = _flat(held) + _smooth(stamps / 0.2)[:, None, None] * pull
+    position = _flat(held) + minimum_jerk(stamps / 0.2)[:, None, None] * pull
     return _held(held, position, np.linspace(0.0, 0.3, 7), depth=0.004, stamps=stamps)
 
 
@@ -93,7 +93,7 @@ def carried() -> Scene:
     stamps = np.linspace(0.0, 0.2, 21)
     points = np.vstack([_looked_at(), [[0.0, 0.0]]])
     flat = np.column_stack([points, np.zeros(len(points))])
-    path = flat[-1] + _smooth(stamps / 0.2)[:, None, None] * np.array([0.03, 0.0, 0.02])
+    path = flat[-1] + minimum_jerk(stamps / 0.2)[:, None, None] * np.array([0.03, 0.0, 0.02])
     return Scene(
         width=WIDTH, height=HEIGHT, areal_density=AREAL_DENSITY, grip_time=stamps, grip_material=points[-1:],
         grip_position=path, times=np.linspace(0.0, 0.25, 6), points=points, resolution=RESOLUTION, start=flat,
@@ -168,9 +168,3 @@ def _looked_at() -> np.ndarray:
 def _flat(uv: np.ndarray) -> np.ndarray:
     """Upright sheet (n, 3) m in the x–z plane, the middle of its upper edge 1 m above the origin."""
     return np.stack([uv[:, 0] - WIDTH / 2, np.zeros(len(uv)), 1.0 - uv[:, 1]], axis=1)
-
-
-def _smooth(s: np.ndarray) -> np.ndarray:
-    """From 0 to 1 with no jerk at either end: 10 s³ − 15 s⁴ + 6 s⁵ (Flash and Hogan 1985)."""
-    s = np.clip(s, 0.0, 1.0)
-    return s**3 * (10 - 15 * s + 6 * s**2)

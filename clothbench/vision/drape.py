@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from clothbench.core.drape import ANGLES, QUANTITIES, Outlines, drape_coefficient
+from clothbench.core.drape import ANGLES, QUANTITIES, drape_coefficient
 
 LEAST_FOLD = 2e-3  # m, prominence of what counts as a fold: a hand's tremble in the cloth, not the camera's pixels
 SMOOTH = 1.5  # degrees, of the Gaussian that takes pixels out of an outline before its folds are looked for
 STEP = 0.25  # px along a ray
-DRAWS = 64  # of what an outline could have been as well
-CENTRE_SIGMA = 0.5  # px, of the plates' middle
-THRESHOLD_SIGMA = 0.25  # relative, of what should count as a fold
 
 
 def outline_in(image: np.ndarray, pixel: float, centre: tuple[float, float] | None = None) -> np.ndarray:
@@ -23,7 +20,7 @@ def outline_in(image: np.ndarray, pixel: float, centre: tuple[float, float] | No
     """
     import cv2
 
-    dark = 255.0 - image.astype(np.float32)
+    dark = darkness(image)
     x, y = centre or centroid(dark)
     reach = int(np.hypot(*image.shape) / STEP)
     along = STEP * np.arange(reach, dtype=np.float32)
@@ -38,6 +35,16 @@ def outline_in(image: np.ndarray, pixel: float, centre: tuple[float, float] | No
     inner, outer = grey[rows, last], grey[rows, np.minimum(last + 1, reach - 1)]
     share = np.divide(inner - level, inner - outer, out=np.zeros_like(inner), where=inner > outer)
     return np.where(inner >= level, (last + share) * STEP, 0.0) * pixel
+
+
+def darkness(image: np.ndarray) -> np.ndarray:
+    """How much darker than its ground a picture (H, W) uint8 is: (H, W) float32, 0 or above.
+
+    The ground is the median along the border: were it taken for white where it is not, all of it would count as part of
+    the shape and draw the centroid to the picture's middle.
+    """
+    border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
+    return np.maximum(np.float32(np.median(border)) - image.astype(np.float32), np.float32(0.0))
 
 
 def centroid(dark: np.ndarray) -> tuple[float, float]:
@@ -91,20 +98,3 @@ def _folds(radius: np.ndarray, least: float) -> tuple[float, float, float]:
     troughs = [around[a : a + gap].min() for a, gap in zip(peaks, apart, strict=True)]
     depth = radius[peaks] - (np.array(troughs) + np.roll(troughs, 1)) / 2
     return float(len(peaks)), float(depth.mean()), float(apart.std() / apart.mean())
-
-
-def quantity_sigma(seen: Outlines, least: float = LEAST_FOLD, seed: int = 0) -> np.ndarray:
-    """How sure each quantity of each capture is, (T, 4): its standard deviation over outlines that could as well have
-    been, for another middle (half a pixel), other edges (`seen.sigma`, alike within a pixel) and another idea of what
-    counts as a fold (a quarter).
-    """
-    rng = np.random.default_rng(seed)
-    turn = 2 * np.pi * np.arange(seen.radius.shape[1]) / seen.radius.shape[1]
-    drawn = []
-    for _ in range(DRAWS):
-        x, y = CENTRE_SIGMA * seen.pixel * rng.standard_normal(2)
-        noise = seen.sigma * rng.standard_normal(seen.radius.shape)
-        other = seen.radius + noise + x * np.cos(turn) + y * np.sin(turn)
-        threshold = least * np.exp(THRESHOLD_SIGMA * rng.standard_normal())
-        drawn.append(drape_quantities(other, seen.plate_radius, seen.disc_radius, threshold))
-    return np.asarray(np.std(drawn, axis=0))

@@ -1,4 +1,4 @@
-"""What a camera sees of a sheet: depth, silhouette, texture, and stripes that a projector throws on it.
+"""What a camera sees of a sheet: depth, silhouette, and stripes that a projector throws on it.
 
 Compiled, since it stands inside a metric; frames come one after the other, and who has cores to fill gives each some of
 them. Every visible point is lit: shadows that the sheet throws on itself are left out, and so is what its surface
@@ -80,19 +80,6 @@ def silhouettes(camera: Camera, surface: Surface, position: np.ndarray) -> np.nd
     return np.isfinite(depth_images(camera, surface, position))
 
 
-def textured(camera: Camera, surface: Surface, position: np.ndarray, texture: np.ndarray) -> np.ndarray:
-    """Grey images (T, H, W) from 0 to 1 of a sheet printed with `texture` (h, w), which covers it from hem to hem."""
-    import cv2
-
-    low, size = surface.material.min(axis=0), np.ptp(surface.material, axis=0)
-    place = (surface.material - low) / size * (np.array(texture.shape[::-1]) - 1)
-    depth, at = _drawn(camera, surface, position, lambda _: place)
-    printed = np.asarray(texture, dtype=np.float32)
-    u, v = (np.ascontiguousarray(at[..., i], dtype=np.float32) for i in (0, 1))
-    looked_up = [cv2.remap(printed, *pair, cv2.INTER_LINEAR) for pair in zip(u, v, strict=True)]
-    return np.where(np.isfinite(depth), np.stack(looked_up), DARK)
-
-
 def striped(
     camera: Camera, projector: Projector, surface: Surface, position: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -118,13 +105,6 @@ def expose(image: np.ndarray, random: np.random.Generator, noise: float = 2.0) -
         raise ClothbenchError(f"render: noise is {noise}, expected grey levels, 0 or above")
     levels = 255.0 * image + random.normal(0.0, noise, image.shape)
     return np.clip(np.round(levels), 0, 255).astype(np.uint8)
-
-
-def measured_depth(depth: np.ndarray, random: np.random.Generator, noise: float = 1e-3) -> np.ndarray:
-    """Depth images [m] as a depth camera gives them: Gaussian noise of `noise` m, not a number where nothing is."""
-    if noise < 0:
-        raise ClothbenchError(f"render: noise is {noise}, expected metres, 0 or above")
-    return np.where(np.isfinite(depth), depth, np.nan) + random.normal(0.0, noise, depth.shape)
 
 
 def _drawn(

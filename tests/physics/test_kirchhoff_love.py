@@ -223,7 +223,6 @@ def test_a_lifted_strip_is_the_heavy_elastica(eta, height):
     assert state.at(u) == pytest.approx(reference.line(u), abs=2e-5)
     assert state.press == pytest.approx(reference.press, rel=1e-3)
     assert abs(state.pull) < 1e-6
-    assert abs(strip_trials.lifted_length(state) - reference.off) < 0.05
 
 
 def test_a_strip_held_beside_its_path_pulls_as_the_heavy_elastica_does():

@@ -5,7 +5,7 @@ import itertools
 import numpy as np
 import pytest
 
-from clothbench import ClothbenchError, Parameter, ParameterSpace
+from clothbench import ClothbenchError, Evaluation, Parameter, ParameterSpace
 from clothbench.plugins.discovery import catalogue
 from clothbench.testing.toys import bowl, cornered, valley
 
@@ -151,11 +151,29 @@ def test_an_abandoned_search_leaves_no_thread():
         ("nelder_mead", {"starts": 0}, "starts is 0"),
         ("cma_es", {"population": 2}, "population is 2"),
         ("ga", {"decoding": "gray"}, "expected one of own, linear"),
+        ("ga", {"crossover": "often"}, "ga: crossover is 'often', expected a number from 0 to 1"),
+        ("ga", {"generations": True}, "ga: generations is True, expected a whole number, at least 1"),
+        ("least_squares", {"starts": -1}, "least_squares: starts is -1, expected a whole number, at least 0"),
+        ("least_squares", {"walks": 0}, "least_squares: walks is 0, expected a whole number, at least 1"),
+        ("least_squares", {"patience": 1.5}, "least_squares: patience is 1.5, expected a whole number"),
+        ("least_squares", {"difference": 0}, "least_squares: difference is 0, expected a number above 0 and below 0.5"),
+        ("least_squares", {"tolerance": "fine"}, "least_squares: tolerance is 'fine', expected a number"),
+        ("iterative_least_squares", {"scan": 0}, "iterative_least_squares: scan is 0, expected a whole number"),
+        ("iterative_least_squares", {"difference": 0}, "iterative_least_squares: difference is 0, expected a number"),
+        ("iterative_least_squares", {"tolerance": -1}, "iterative_least_squares: tolerance is -1, expected a number"),
     ],
 )
 def test_wrong_options_are_one_line(name, options, found):
     with pytest.raises(ClothbenchError, match=found):
         search(name, bowl(3), 20, **options)
+
+
+@pytest.mark.parametrize("name", ["least_squares", "iterative_least_squares"])
+def test_a_metric_without_residuals_is_refused_in_the_optimizers_own_name(name):
+    optimizer = catalogue().make("optimizers", name, bowl(3).space, seed=0, budget=200)
+    theta = optimizer.ask()
+    with pytest.raises(ClothbenchError, match=f"^{name}: this metric has no residuals"):
+        optimizer.tell(theta, Evaluation(np.ones(len(theta))))
 
 
 def test_bits_may_count_from_bound_to_bound():

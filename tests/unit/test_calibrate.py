@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from clothbench import Observation, Parameter, ParameterSpace, Rollout
+from clothbench import Observation, Outlines, Parameter, ParameterSpace, Rollout, Score
 from clothbench.estimation.calibrate import calibrate
-from clothbench.estimation.intervals import error_interval, intervals, mean_interval
+from clothbench.estimation.intervals import clusters, error_interval, intervals, mean_interval, mean_of_split
 from clothbench.estimation.trials import Trial, evaluate
 from clothbench.plugins.discovery import catalogue
 
@@ -96,6 +96,65 @@ def test_what_the_data_do_not_determine_gets_its_bounds():
     assert condition > 1e4
 
 
+WIDTH = ParameterSpace((Parameter("width", "w", "m", (0.05, 0.15), "linear", 0.1, "radius of a drape", "toy"),))
+
+
+class Rings:
+    """Drapes that are rings of radius w, each off by what chance made of its first shape, beside captured rings."""
+
+    parameters = WIDTH
+    name, version, unit = "rings", 1, "sd"
+
+    def __init__(self, chance):
+        self.chance = np.asarray(chance)
+
+    def run(self, theta):
+        position = np.zeros((len(theta), len(self.chance), 1, 3))
+        position[..., 0, 0] = theta[:, :1] + self.chance
+        return Rollout(np.arange(1.0 * len(self.chance)), position, ("ok",) * len(theta), np.ones(len(theta), int), 1)
+
+    def __call__(self, observation, rollout):
+        away = rollout.position[..., 0, 0].mean(axis=1) - observation.outlines.radius.mean()
+        return Score(np.abs(away) / 0.01, "sd", residual=np.stack([away, away], axis=1) / 0.01 / np.sqrt(2))
+
+
+def rings(captured, sample, chance) -> Trial:
+    """Captured rings (T,) m of the specimens (T,), and those simulated from as many first shapes as `chance` has."""
+    radius = np.repeat(np.asarray(captured)[:, None], 8, axis=1)
+    count = len(radius)
+    observation = Observation(
+        np.arange(1.0 * count), np.full((count, 1, 3), np.nan), np.zeros((count, 1), bool), np.nan, np.zeros((1, 2)),
+        outlines=Outlines(radius, 0.05, 0.15, np.asarray(sample), 1e-4, 1e-3),
+    )  # fmt: skip
+    return Trial("rings", observation, Rings(chance), Rings(chance))
+
+
+def test_intervals_of_drapes_hold_the_truth_about_as_often_as_they_say():
+    """Specimens and first shapes are what chance chose; captures of one specimen, alike, are no further evidence."""
+    inside = []
+    for seed in range(300):
+        random = np.random.default_rng(seed)
+        captured = np.repeat(0.1 + 0.004 * random.standard_normal(8), 4)
+        chance = 0.003 * random.standard_normal(6)
+        best = np.array([captured.mean() - chance.mean()])
+        low, high, _ = intervals([rings(captured, np.arange(32) // 4, chance)], WIDTH, best)
+        inside.append(low[0] < 0.1 < high[0])
+    assert 0.92 < np.mean(inside) < 0.99
+
+
+def test_of_one_specimen_or_one_first_shape_there_is_no_interval():
+    for sample, chance in (([0, 0, 0], [0.0, 0.001]), ([0, 1, 2], [0.0])):
+        low, high, _ = intervals([rings([0.1, 0.11, 0.12], sample, chance)], WIDTH, np.array([0.11]))
+        assert np.isnan([low, high]).all()
+
+
+def test_no_piece_of_evidence_is_empty():
+    t = trial(np.random.default_rng(0))  # twelve seconds
+    groups = clusters([t], [Score(np.zeros(1), "m", residual=np.zeros((1, 4)))])
+    assert sorted(np.concatenate(groups)) == [0, 1, 2, 3]
+    assert all(len(group) for group in groups)
+
+
 def test_if_nothing_can_be_simulated_there_is_no_best():
     lost = SPACE.bounded({"gain": (9.0, 10.0)})
     optimizer = catalogue().make("optimizers", "ga", lost, seed=0, budget=40)
@@ -119,3 +178,13 @@ def test_an_error_s_interval_holds_the_error_and_is_seeded():
     assert (low, high) == error_interval(score, t.observation, seed=5)
     assert mean_interval([1.0, 2.0, 3.0], [0.1, 0.1, 0.1]) == pytest.approx((0.0, 4.484), abs=1e-3)
     assert mean_interval([1.0, 3.0], [0.3, 0.4]) == pytest.approx((1.75, 2.25))
+
+
+def test_the_mean_of_a_split_has_an_interval_and_a_floor_where_all_have():
+    rows = [{"value": v, "low": v - 0.3, "high": v + 0.3, "floor": 0.1 * v} for v in (1.0, 3.0)]
+    mean = mean_of_split(rows)
+    assert (mean["value"], mean["floor"]) == pytest.approx((2.0, 0.2))
+    assert (mean["low"], mean["high"]) == mean_interval([1.0, 3.0], [0.3, 0.3])
+    assert mean_of_split(rows[:1]) == rows[0]
+    unknown = {**rows[1], "low": None, "high": None, "floor": None}
+    assert mean_of_split([rows[0], unknown]) == {"value": 2.0, "low": None, "high": None, "floor": None}

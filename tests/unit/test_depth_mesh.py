@@ -132,6 +132,11 @@ def test_uneven_stamps_become_even_ones():
     ("options", "found"),
     [
         ({"mesh": [9]}, "mesh is [9], expected two whole numbers"),
+        ({"mesh": 9}, "mesh is 9, expected two whole numbers"),
+        ({"near": "close"}, "near is 'close', expected metres above 0, or null"),
+        ({"far": -1.0}, "far is -1.0, expected metres above 0, or null"),
+        ({"near": 2.0, "far": 1.0}, "near is 2.0 and far is 1.0, expected near below far"),
+        ({"sigma": 0}, "sigma is 0, expected metres above 0, or null"),
         ({"jump": 0}, "jump is 0, expected a number above 0"),
         ({"method": "conformal"}, "expected one of isometric, harmonic"),
         ({"support": 9}, "expected 0 to 8 neighbours"),

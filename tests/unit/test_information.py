@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
-from clothbench import ClothbenchError, Scene
+from clothbench import ClothbenchError, Parameter, ParameterSpace, Scene
+from clothbench.suggest import ranking
 from clothbench.suggest.experiments import (
     AS_RECORDED,
     EXPERIMENTS,
@@ -147,6 +149,19 @@ def test_what_cannot_be_done_is_not_offered():
 def test_settings_that_make_no_sense(word, said):
     with pytest.raises(ClothbenchError, match=said):
         wanted_of(word)
+
+
+@pytest.mark.parametrize("count", [4, 40])
+def test_as_many_parameter_sets_are_drawn_as_are_asked_for(count, monkeypatch):
+    """The recordings fit well on one side of the fit only, which first-order tells nobody: there the sets lie."""
+    space = ParameterSpace((Parameter("a", "a", "1", (0.0, 1.0), "linear", 0.5, "a number", "a test"),))
+    fitted = SimpleNamespace(space=space, effects=(), residual=[np.zeros(1)], jacobian=[np.zeros((1, 1))])
+    known = SimpleNamespace(fitted=fitted, unit=np.array([0.5]), matrix=np.array([[100.0]]), counted=np.ones(1))
+    problem = SimpleNamespace(seed=0, trials=lambda effects, split: [None])
+    monkeypatch.setattr(ranking, "residuals", lambda trial, theta: 30.0 * (theta < 0.5))
+    sets = ranking.draws(SimpleNamespace(known=known, problem=problem), count)
+    assert len(np.unique(sets)) == 1 + count
+    assert (sets[1:] > 0.5).all()
 
 
 def test_settings_as_they_are_given():

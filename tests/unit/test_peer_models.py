@@ -15,7 +15,7 @@ from conftest import swinging_recording
 from clothbench import ClothbenchError, Obstacle, write_recording
 from clothbench.cli.listings import plugin_rows, print_plugins
 from clothbench.core.protocols import Material
-from clothbench.core.scene import Scene
+from clothbench.core.scene import Scene, minimum_jerk
 from clothbench.engine.cells import Source, plugin_versions
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store
@@ -49,7 +49,7 @@ def hanging_strip(span: float) -> Scene:
     """A sheet held along its upper edge, which is pulled 5 mm aside within 0.3 s and then left."""
     held = np.stack([np.linspace(0, 0.1, 4), np.zeros(4)], axis=1)
     stamps = np.linspace(0.0, 0.3, 31)
-    aside = 0.005 * scenes._smooth(stamps / 0.3)[:, None, None] * [0.0, 1.0, 0.0]
+    aside = 0.005 * minimum_jerk(stamps / 0.3)[:, None, None] * [0.0, 1.0, 0.0]
     return Scene(
         width=0.1, height=LENGTH, areal_density=DENSITY, resolution=(4, 13), grip_time=stamps, grip_material=held,
         grip_position=np.stack([held[:, 0], 0 * held[:, 0], 0 * held[:, 0]], axis=1) + aside,

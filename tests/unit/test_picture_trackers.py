@@ -5,6 +5,7 @@ from __future__ import annotations
 import flat_video as flat
 import numpy as np
 import pytest
+from clothbench_trackers.picture_graph import Follower
 
 from clothbench import ClothbenchError, GripPath, Observation, Rollout, scene_of
 from clothbench.plugins.discovery import catalogue
@@ -72,6 +73,31 @@ def test_grips_are_found_in_the_picture(how):
     assert np.array_equal(seen.grips.material, corners)
     assert np.linalg.norm(seen.grips.position - truth(corners), axis=-1).max() < 2e-3
     assert np.abs(seen.grips.position[..., 1]).max() < 1e-3  # on the plane of the first frame
+
+
+@pytest.mark.parametrize("name", ["sift_graph", "optical_flow"])
+@pytest.mark.parametrize(("lost", "refused"), [({3}, False), (set(range(6)), True)])
+def test_a_mark_that_is_lost_is_no_measurement(name, lost, refused, monkeypatch):
+    """The right mark is lost in some frames, and then taken to be 40 px off: that must count for nothing."""
+    corners = np.array([[0.0, 0.0], [flat.SIZE[0], 0.0]])
+    true = list(enumerate(flat.CAMERA.project(truth(corners))[0]))[0 if name == "sift_graph" else 1 :]
+    step = Follower.step
+
+    def losing(self, picture):
+        if len(self.pixel) > 2:  # the nodes
+            return step(self, picture)
+        frame, pixel = true.pop(0)
+        self.pixel = pixel + np.array([[0, 0], [40, 0]]) * (frame in lost)
+        return np.array([True, frame not in lost])
+
+    monkeypatch.setattr(Follower, "step", losing)
+    video = flat.video()
+    if refused:
+        with pytest.raises(ClothbenchError, match=r"held at u = 0.4 m, v = 0 m in [01] frames; mark it in the first"):
+            tracker(name, grips="marks").track(video)
+    else:
+        seen = tracker(name, grips="marks").track(video)
+        assert np.linalg.norm(seen.grips.position - truth(corners), axis=-1).max() < 2e-3
 
 
 def test_a_detector_of_hands_is_asked(tmp_path, monkeypatch):
@@ -165,6 +191,8 @@ def test_what_needs_depth_refuses_a_picture():
         ("sift_graph", {"window": 0.5}, "window is 0.5"),
         ("sift_graph", {"grips": "hands"}, "expected corners, marks, or module:function"),
         ("optical_flow", {"back": -1}, "back is -1"),
+        ("optical_flow", {"mesh": 20}, "mesh is 20, expected two whole numbers"),
+        ("sift_graph", {"sigma": "small"}, "sigma is 'small', expected metres above 0"),
     ],
 )
 def test_wrong_options_are_one_line(name, options, found):

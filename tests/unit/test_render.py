@@ -7,14 +7,11 @@ import pytest
 from clothbench import Camera, ClothbenchError, Projector
 from clothbench.vision.render import (
     AMBIENT,
-    DARK,
     LIT,
     depth_images,
     expose,
-    measured_depth,
     silhouettes,
     striped,
-    textured,
 )
 from clothbench.vision.surface import cubic_weights, surface_of
 
@@ -66,16 +63,20 @@ def test_depth_of_a_plane_is_that_of_its_rays():
     np.testing.assert_allclose(depth[both], away[both], rtol=1e-9)
 
 
-def test_the_nearer_layer_hides_the_other():
+@pytest.mark.parametrize("behind", [-1, 1])
+def test_the_nearer_layer_hides_the_other(behind):
+    """A sheet folded along its middle, one half 0.1 m behind the other: what shows is the near half."""
     uv = lattice(5)
-    surface = surface_of(uv)
-    front, back = hung(uv), hung(uv) + np.array([0, 0.1, 0])
-    lap = np.where((uv[:, 0] < 0.14)[:, None], front, back)
-    depth = depth_images(CAMERA, surface, lap)[0]
-    near = depth_images(CAMERA, surface, front)[0]
-    half = np.isfinite(near) & (depth == near)
-    assert 0.2 < half.sum() / np.isfinite(near).sum() < 0.8
-    assert (depth[np.isfinite(depth)] >= near[np.isfinite(depth)] - 1e-9).all() or np.isinf(near).any()
+    flat = hung(uv)
+    side = np.sign(np.round(flat[0, :, 0], 9))
+    folded = np.stack([-np.abs(flat[..., 0]), 0.1 * (side == behind)[None], flat[..., 2]], axis=-1)
+    near, far = (
+        depth_images(CAMERA, surface_of(uv[half]), folded[:, half])[0] for half in (side != behind, side == behind)
+    )
+    shown = np.isfinite(near)
+    assert (shown & np.isfinite(far)).sum() > 0.3 * shown.sum()  # or nothing would be hidden
+    depth = depth_images(CAMERA, surface_of(uv), folded)[0]
+    np.testing.assert_allclose(depth[shown], near[shown], rtol=1e-9)
 
 
 def test_stripes_have_the_projector_s_period_and_lie_level_on_a_plane():
@@ -102,16 +103,6 @@ def test_a_projector_above_the_camera_shows_depth_as_a_shift_of_stripes(nearer):
     focal = 4000 * np.sqrt(5) / 0.5
     row = 1999.5 + focal * (down @ ray) / (forward @ ray)
     assert image[0, 100, 100] == pytest.approx(AMBIENT + LIT * (0.5 + 0.5 * np.cos(2 * np.pi * row / 100.0)), abs=1e-5)
-
-
-def test_texture_is_printed_where_its_material_lies():
-    texture = np.zeros((30, 30))
-    texture[:15] = 1.0  # the upper half is white
-    image = textured(CAMERA, surface_of(lattice(), 2), hung(lattice()), texture)[0]
-    for v, grey in ((0.05, 1.0), (0.25, 0.0)):
-        x, y = CAMERA.project(np.array([0.0, 0.0, 1.0 - v]))[0].round().astype(int)
-        assert image[y, x] == pytest.approx(grey, abs=1e-6)
-    assert image[0, 0] == pytest.approx(DARK)
 
 
 def test_a_surface_does_not_care_for_the_order_of_its_nodes():
@@ -148,10 +139,6 @@ def test_the_sensor_adds_its_noise():
     assert grey.mean() == pytest.approx(127.5, abs=0.1)
     assert grey.std() == pytest.approx(np.hypot(3.0, 1 / np.sqrt(12)), rel=0.02)
     assert (expose(np.full((1, 4, 4), 0.5), np.random.default_rng(3), 0.0) == 128).all()
-    depth = measured_depth(np.where(np.eye(60, dtype=bool), np.inf, 1.2), np.random.default_rng(4), 2e-3)
-    assert (np.isnan(depth) == np.eye(60, dtype=bool)).all()
-    assert np.nanstd(depth) == pytest.approx(2e-3, rel=0.05)
-    assert np.nanmean(depth) == pytest.approx(1.2, abs=2e-4)
     with pytest.raises(ClothbenchError, match="noise is -1"):
         expose(np.zeros((1, 2, 2)), np.random.default_rng(0), -1)
 

@@ -17,7 +17,7 @@ from clothbench.engine.rows import about_cell, failure, no_value
 from clothbench.engine.store import finite
 from clothbench.engine.study import Context, Result
 from clothbench.estimation.calibrate import Fit, best_rollout
-from clothbench.estimation.intervals import error_interval, mean_interval
+from clothbench.estimation.intervals import error_interval, mean_of_split
 from clothbench.estimation.trials import score_of
 from clothbench.recordings.colour_video import ColourVideo
 from clothbench.recordings.kinds import read_sheet
@@ -170,29 +170,12 @@ def _status(fit: Fit, score: Score, rollout: Rollout, searched: bool) -> tuple[s
 
 
 def _total(about: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:
-    """The mean over the recordings of one split; without a number if one of them has none. One recording is its own
-    mean, with its own interval.
-    """
+    """The mean over the recordings of one split; without a number if one of them has none."""
     total = {**about, "recording": None, "split": rows[0]["split"]}
     bad = [r for r in rows if r["value"] is None]
     if bad:
         return {**total, "status": bad[0]["status"], "reason": f"{bad[0]['recording']}: {bad[0]['reason']}"}
-    values = [r["value"] for r in rows]
-    known = all(r["low"] is not None for r in rows)
-    low, high = mean_interval(values, [(r["high"] - r["low"]) / 2 for r in rows]) if known else (None, None)
-    if len(rows) == 1:
-        low, high = rows[0]["low"], rows[0]["high"]
-    floors = [r["floor"] for r in rows]
-    floor = float(np.mean(floors)) if all(f is not None for f in floors) else None
-    return {
-        **total,
-        "value": float(np.mean(values)),
-        "low": low,
-        "high": high,
-        "floor": floor,
-        "status": rows[0]["status"],
-        "reason": rows[0]["reason"],
-    }
+    return {**total, **mean_of_split(rows), "status": rows[0]["status"], "reason": rows[0]["reason"]}
 
 
 def _trace_of(bench: Bench, metric: Metric, scores: Sequence[Score]) -> list[dict[str, Any]]:

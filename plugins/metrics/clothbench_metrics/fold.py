@@ -6,9 +6,10 @@ import math
 
 import numpy as np
 
-from clothbench import ClothbenchError, Observation, Rollout, Score
+from clothbench import ClothbenchError, Observation, Rollout, Score, turned
 from clothbench.modelling import kernel
-from clothbench_metrics.sight import Sights, check_shape, compared, require_number
+from clothbench_metrics.node_error import check_shape
+from clothbench_metrics.sight import Sights, compared, require_number
 
 BLOCK = 8  # px; residuals are pooled over squares of this side, or they would be a million
 
@@ -65,11 +66,6 @@ class Fold:
     def floor(self, observation: Observation) -> float:
         """Not known: what the camera's noise does to an angle depends on the stripes' contrast at every pixel."""
         return math.nan
-
-
-def turned(angle: np.ndarray) -> np.ndarray:
-    """Differences of orientations [rad], which are the same modulo π, as −π/2 … π/2."""
-    return angle - np.pi * np.round(angle / np.pi)
 
 
 @kernel

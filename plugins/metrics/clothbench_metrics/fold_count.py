@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from clothbench import ClothbenchError, Observation, Rollout, Score, fold_mask
-from clothbench_metrics.fold import turned
-from clothbench_metrics.sight import Sights, check_shape, compared
+from clothbench import ClothbenchError, Observation, Rollout, Score, fold_mask, turned
+from clothbench_metrics.node_error import check_shape
+from clothbench_metrics.sight import Sights, compared
 
 
 class FoldCount:

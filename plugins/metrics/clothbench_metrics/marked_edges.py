@@ -7,7 +7,8 @@ import math
 import numpy as np
 
 from clothbench import Observation, Rollout, Score
-from clothbench_metrics.sight import Sight, Sights, apart, check_shape, compared
+from clothbench_metrics.node_error import check_shape
+from clothbench_metrics.sight import Sight, Sights, apart, compared
 
 
 class MarkedEdges:

@@ -62,12 +62,17 @@ def differences(observation: Observation, rollout: Rollout) -> tuple[np.ndarray,
     """Simulated minus seen (B, T, N, C) m in the C coordinates that were measured, and where that can be said (T, N);
     not a number where a rollout stopped.
     """
+    check_shape(observation, rollout)
+    return observation.differences(rollout.position), observation.visible
+
+
+def check_shape(observation: Observation, rollout: Rollout) -> None:
+    """Refuse a rollout of other frames or points than were observed."""
     if rollout.position.shape[1:] != observation.position.shape:
         raise ClothbenchError(
             f"metric: found a rollout of {rollout.position.shape[1:]}, "
             f"expected {observation.position.shape} as observed"
         )
-    return observation.differences(rollout.position), observation.visible
 
 
 def mean_over(values: np.ndarray, seen: np.ndarray, axis: int) -> np.ndarray:

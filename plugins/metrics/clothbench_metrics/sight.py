@@ -159,11 +159,3 @@ def apart(one: np.ndarray, other: np.ndarray) -> float:
         for here, there in ((one, other), (other, one))
     ]
     return float(np.mean(way))
-
-
-def check_shape(observation: Observation, rollout: Rollout) -> None:
-    if rollout.position.shape[1:] != observation.position.shape:
-        raise ClothbenchError(
-            f"metric: found a rollout of {rollout.position.shape[1:]}, "
-            f"expected {observation.position.shape} as observed"
-        )

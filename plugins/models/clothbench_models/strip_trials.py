@@ -59,13 +59,6 @@ def lift(strip: Strip, eta_b: float, height: float, start: State | None = None) 
     return strip.equilibrium(eta_b, Ends(z1=height), start)
 
 
-def lifted_length(state: State) -> float:
-    """How much of a strip is off the desk [m], from the last material point that lies on it."""
-    u = np.linspace(0.0, state.spline.breaks[-1], 4001)
-    off = state.at(u)[:, 1] > 1e-6 * u[-1]
-    return float(u[-1] - u[max(int(np.argmax(off)) - 1, 0)])
-
-
 def _drawn(length: float, slope: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Material points (M,) m of a line with a slope angle along it, and where they lie (M, 2) m."""
     u = np.linspace(0.0, length, 4001)

@@ -8,12 +8,13 @@ from collections.abc import Generator
 import numpy as np
 from scipy.stats import qmc
 
-from clothbench import ClothbenchError, Evaluation, ParameterSpace
+from clothbench import Evaluation, ParameterSpace
 from clothbench_optimizers.search import (
     GeneratorSearch,
     Steps,
     check_between,
     check_start,
+    check_whole,
     simplex_about,
     worst_last,
 )  # fmt: skip
@@ -47,8 +48,8 @@ class Annealing(GeneratorSearch):
     ):  # fmt: skip
         check_start(self.name, start)
         for name, value, least in (("levels", levels, 2), ("gridded", gridded, 1)):
-            if value is not None and (not isinstance(value, int) or isinstance(value, bool) or value < least):
-                raise ClothbenchError(f"annealing: {name} is {value!r}, expected a whole number, at least {least}")
+            if value is not None:
+                check_whole(self.name, name, value, least)
         for name, number, low, high in (
             ("share", share, 0.0, 1.0), ("temperature", temperature, 0.0, 100.0), ("final", final, 0.0, 1.0),
             ("size", size, 0.0, 1.0),

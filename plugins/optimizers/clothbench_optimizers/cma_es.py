@@ -4,8 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from clothbench import ClothbenchError, ParameterSpace
-from clothbench_optimizers.search import GeneratorSearch, Steps, check_between, check_start, spread, worst_last
+from clothbench import ParameterSpace
+from clothbench_optimizers.search import (
+    GeneratorSearch,
+    Steps,
+    check_between,
+    check_start,
+    check_whole,
+    spread,
+    worst_last,
+)  # fmt: skip
 
 
 class CmaEs(GeneratorSearch):
@@ -26,8 +34,8 @@ class CmaEs(GeneratorSearch):
     ):  # fmt: skip
         check_start(self.name, start)
         check_between(self.name, "sigma", sigma, 0.0, 2.0)
-        if population is not None and (not isinstance(population, int) or population < 4):
-            raise ClothbenchError(f"cma_es: population is {population!r}, expected a whole number, at least 4")
+        if population is not None:
+            check_whole(self.name, "population", population, 4)
         self.begin, self.sigma = start, sigma
         self.population = population or 4 + int(3 * np.log(len(space)))
         super().__init__(space, seed=seed, budget=budget)

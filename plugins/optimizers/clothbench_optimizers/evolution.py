@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from clothbench import ClothbenchError, Evaluation, ParameterSpace, on_front
-from clothbench_optimizers.search import GeneratorSearch, Steps, check_between, spread
+from clothbench import Evaluation, ParameterSpace, on_front
+from clothbench_optimizers.search import GeneratorSearch, Steps, check_between, check_whole, spread
 
 WORST = 1e6  # what a lost run has in every objective: worse than any that is not
 NEIGHBOURS = 3.0  # times the parameters + 1, evaluated points that a local model is fitted to
@@ -30,8 +30,7 @@ class SimpleEa(GeneratorSearch):
     needs_residual = False
 
     def __init__(self, space: ParameterSpace, *, seed: int, budget: int, population: int = 20):
-        if not isinstance(population, int) or isinstance(population, bool) or population < 4:
-            raise ClothbenchError(f"{self.name}: population is {population!r}, expected a whole number, at least 4")
+        check_whole(self.name, "population", population, 4)
         self.population = population
         self.lost = 0
         super().__init__(space, seed=seed, budget=budget)
@@ -101,8 +100,7 @@ class HybridEa(SimpleEa):
         self, space: ParameterSpace, *, seed: int, budget: int, population: int = 20, local: int = 6,
         radius: float = 0.2,
     ):  # fmt: skip
-        if not isinstance(local, int) or isinstance(local, bool) or local < 1:
-            raise ClothbenchError(f"hybrid_ea: local is {local!r}, expected a whole number, at least 1")
+        check_whole(self.name, "local", local, 1)
         check_between(self.name, "radius", radius, 0.0, 1.0)
         self.local, self.radius = local, radius
         super().__init__(space, seed=seed, budget=budget, population=population)

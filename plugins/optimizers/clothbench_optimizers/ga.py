@@ -7,7 +7,7 @@ from __future__ import annotations
 import numpy as np
 
 from clothbench import ClothbenchError, ParameterSpace
-from clothbench_optimizers.search import GeneratorSearch, Steps, worst_last
+from clothbench_optimizers.search import GeneratorSearch, Steps, check_whole, worst_last
 
 BITS = 16  # per parameter, as in the paper
 DECODINGS = ("own", "linear")
@@ -39,8 +39,9 @@ class GeneticAlgorithm(GeneratorSearch):
             ("generations", generations, 1),
             ("tournament", tournament, 1),
         ):
-            if not isinstance(value, int) or value < least:
-                raise ClothbenchError(f"ga: {name} is {value!r}, expected a whole number, at least {least}")
+            check_whole(self.name, name, value, least)
+        if not isinstance(crossover, int | float) or isinstance(crossover, bool) or not 0 <= crossover <= 1:
+            raise ClothbenchError(f"ga: crossover is {crossover!r}, expected a number from 0 to 1")
         if decoding not in DECODINGS:
             raise ClothbenchError(f"ga: decoding is {decoding!r}, expected one of {', '.join(DECODINGS)}")
         self.decoding = decoding

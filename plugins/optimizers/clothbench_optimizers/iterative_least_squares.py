@@ -10,8 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from clothbench import Evaluation, ParameterSpace
-from clothbench_optimizers.least_squares import proposals, sums_of_squares
-from clothbench_optimizers.search import GeneratorSearch, Steps, worst_last
+from clothbench_optimizers.least_squares import LONGEST, proposals, sums_of_squares
+from clothbench_optimizers.search import GeneratorSearch, Steps, check_between, check_whole, worst_last
 
 
 class IterativeLeastSquares(GeneratorSearch):
@@ -31,6 +31,9 @@ class IterativeLeastSquares(GeneratorSearch):
         self, space: ParameterSpace, *, seed: int, budget: int,
         scan: int = 13, difference: float = 1e-3, tolerance: float = 1e-4,
     ):  # fmt: skip
+        check_whole(self.name, "scan", scan, 1)
+        check_between(self.name, "difference", difference, 0.0, LONGEST)
+        check_between(self.name, "tolerance", tolerance, 0.0, 1.0)
         self.scan, self.difference, self.tolerance = scan, difference, tolerance
         self.here = space.to_unit(space.defaults)
         super().__init__(space, seed=seed, budget=budget)
@@ -54,7 +57,7 @@ class IterativeLeastSquares(GeneratorSearch):
     def _descend(self, starts: np.ndarray) -> Steps:
         """Damped Gauss–Newton steps from the best of some points."""
         evaluation: Evaluation = yield starts
-        cost = sums_of_squares(evaluation)
+        cost = sums_of_squares(self.name, evaluation)
         first = int(np.argmin(worst_last(cost)))
         if not np.isfinite(cost[first]):
             return "no start could be simulated"
@@ -66,7 +69,7 @@ class IterativeLeastSquares(GeneratorSearch):
             jacobian = np.nan_to_num((shifted.residual - residual) / away[:, None]).T
             trials, used = proposals(self.here, jacobian, residual, damping)
             evaluation = yield trials
-            cost = sums_of_squares(evaluation)
+            cost = sums_of_squares(self.name, evaluation)
             best = int(np.argmin(cost))
             gain = (least - cost[best]) / max(least, np.finfo(float).tiny)
             if gain > 0:

@@ -8,9 +8,10 @@ import numpy as np
 from scipy.stats import qmc
 
 from clothbench import ClothbenchError, Evaluation, ParameterSpace
-from clothbench_optimizers.search import GeneratorSearch, Steps
+from clothbench_optimizers.search import GeneratorSearch, Steps, check_between, check_whole
 
 Walk = Generator[np.ndarray, Evaluation, None]
+LONGEST = 0.5  # of the scaled range that a difference may reach, since there is room for it to one side or the other
 DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])  # tried at once, in units of the current damping
 
 
@@ -32,6 +33,10 @@ class LeastSquares(GeneratorSearch):
         self, space: ParameterSpace, *, seed: int, budget: int,
         starts: int = 31, walks: int = 2, difference: float = 0.03, tolerance: float = 1e-3, patience: int = 2,
     ):  # fmt: skip
+        for name, value, least in (("starts", starts, 0), ("walks", walks, 1), ("patience", patience, 1)):
+            check_whole(self.name, name, value, least)
+        check_between(self.name, "difference", difference, 0.0, LONGEST)
+        check_between(self.name, "tolerance", tolerance, 0.0, 1.0)
         self.starts, self.walks, self.difference = starts, walks, difference
         self.tolerance, self.patience = tolerance, patience
         super().__init__(space, seed=seed, budget=budget)
@@ -42,7 +47,7 @@ class LeastSquares(GeneratorSearch):
         sobol = qmc.Sobol(len(self.space), rng=self.random).random(2 ** int(np.ceil(np.log2(starts + 1))))
         points = np.vstack([self.space.to_unit(self.space.defaults)[None], sobol[:starts]])
         evaluation = yield points
-        cost = sums_of_squares(evaluation)
+        cost = sums_of_squares(self.name, evaluation)
         if not np.isfinite(cost).any():
             return "no start could be simulated"
         self.start = self.space.from_unit(points[int(np.argmin(cost))])
@@ -61,7 +66,7 @@ class LeastSquares(GeneratorSearch):
                 jacobian = np.nan_to_num((shifted.residual - residual) / away[:, None]).T
             trials, used = proposals(here, jacobian, residual, damping)
             evaluation = yield trials
-            cost = sums_of_squares(evaluation)
+            cost = sums_of_squares(self.name, evaluation)
             best = int(np.argmin(cost))
             gain = (cost_here - cost[best]) / max(cost_here, np.finfo(float).tiny)
             if gain > 0:
@@ -72,10 +77,10 @@ class LeastSquares(GeneratorSearch):
             idle = idle + 1 if gain < self.tolerance else 0
 
 
-def sums_of_squares(evaluation: Evaluation) -> np.ndarray:
-    """Σ r² (B,) of each member, infinite where it could not be computed."""
+def sums_of_squares(name: str, evaluation: Evaluation) -> np.ndarray:
+    """Σ r² (B,) of each member, infinite where it could not be computed; name: the optimizer's that needs them."""
     if evaluation.residual is None:
-        raise ClothbenchError("least_squares: this metric has no residuals; choose another metric or optimizer")
+        raise ClothbenchError(f"{name}: this metric has no residuals; choose another metric or optimizer")
     with np.errstate(over="ignore"):
         cost = np.einsum("br,br->b", evaluation.residual, evaluation.residual)
     return np.where(np.isfinite(cost), cost, np.inf)

@@ -9,12 +9,13 @@ from typing import Any
 
 import numpy as np
 
-from clothbench import ClothbenchError, Evaluation, ParameterSpace
+from clothbench import Evaluation, ParameterSpace
 from clothbench_optimizers.search import (
     GeneratorSearch,
     Steps,
     check_between,
     check_start,
+    check_whole,
     simplex_about,
     spread,
     worst_last,
@@ -44,8 +45,7 @@ class NelderMead(GeneratorSearch):
         check_start(self.name, start)
         check_between(self.name, "size", size, 0.0, 1.0)
         check_between(self.name, "tolerance", tolerance, 0.0, 1.0)
-        if not isinstance(starts, int) or starts < 1:
-            raise ClothbenchError(f"nelder_mead: starts is {starts!r}, expected a whole number, at least 1")
+        check_whole(self.name, "starts", starts, 1)
         self.begin, self.starts, self.size, self.tolerance = start, starts, size, tolerance
         super().__init__(space, seed=seed, budget=budget)
 

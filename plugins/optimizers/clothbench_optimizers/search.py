@@ -63,6 +63,12 @@ def check_start(name: str, start: str) -> None:
         raise ClothbenchError(f"{name}: start is {start!r}, expected one of {', '.join(STARTS)}")
 
 
+def check_whole(name: str, what: str, value: int, least: int) -> None:
+    """Refuse an option that is no whole number, `least` or more."""
+    if not isinstance(value, int) or isinstance(value, bool) or value < least:
+        raise ClothbenchError(f"{name}: {what} is {value!r}, expected a whole number, at least {least}")
+
+
 def check_between(name: str, what: str, value: float, low: float, high: float) -> None:
     """Refuse an option that is no number above `low` and below `high`."""
     if not isinstance(value, int | float) or isinstance(value, bool) or not low < value < high:

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from clothbench import ClothbenchError, ParameterSpace
-from clothbench_optimizers.search import GeneratorSearch, Steps, spread
+from clothbench import ParameterSpace
+from clothbench_optimizers.search import GeneratorSearch, Steps, check_whole, spread
 
 
 class Tpe(GeneratorSearch):
@@ -23,8 +23,7 @@ class Tpe(GeneratorSearch):
     built_on = ("optuna",)
 
     def __init__(self, space: ParameterSpace, *, seed: int, budget: int, batch: int = 8):
-        if not isinstance(batch, int) or isinstance(batch, bool) or batch < 1:
-            raise ClothbenchError(f"tpe: batch is {batch!r}, expected a whole number, at least 1")
+        check_whole(self.name, "batch", batch, 1)
         self.batch = batch
         super().__init__(space, seed=seed, budget=budget)
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from clothbench import ClothbenchError, DepthImages, Observation
 from clothbench_trackers.depth_mesh import BEYOND, DepthMesh, held_at, images_of, lattice, observation
+from clothbench_trackers.options import check_metres
 
 DATA, BEND, GRIP = 0.1, 0.05, 20.0  # weights per node, a length's being 1
 SPLIT = 4  # places on each side of a template's cell that a point of the cloud may pull at
@@ -82,6 +83,7 @@ class CloudTemplate:
                 raise ClothbenchError(f"cloud_template: {word} is {value!r}, expected a whole number ≥ 1")
         if not isinstance(reach, int | float) or not reach > 0:
             raise ClothbenchError(f"cloud_template: reach is {reach!r}, expected metres above 0")
+        check_metres(self.name, "sigma", sigma)
         self.cleaner = DepthMesh(mesh=mesh, **cleaning)
         self.mesh, self.refine, self.rounds, self.reach = self.cleaner.mesh, refine, rounds, reach
         self.even, self.sigma = even, sigma

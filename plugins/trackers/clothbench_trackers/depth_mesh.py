@@ -18,6 +18,7 @@ from clothbench import ClothbenchError, DepthImages, Observation, for_each, read
 from clothbench_trackers import depth_patch as patches
 from clothbench_trackers import flattening as flats
 from clothbench_trackers.depth_pictures import of_steps
+from clothbench_trackers.options import check_mesh, check_metres
 
 METHODS = ("isometric", "harmonic")
 STRIDE_FOR = 3500  # vertices that a frame's patch has at most
@@ -56,8 +57,11 @@ class DepthMesh:
         support: int = 5, colour: Any = None, hue: float = HUES, smooth: float = 3.0, method: str = "isometric",
         even: bool = True, sigma: float | None = None,
     ):  # fmt: skip
-        if len(tuple(mesh)) != 2 or not all(isinstance(n, int) and n >= 3 for n in mesh):
-            raise ClothbenchError(f"depth_mesh: mesh is {mesh!r}, expected two whole numbers ≥ 3")
+        self.mesh = check_mesh(self.name, mesh, 3)
+        for word, metres in (("near", near), ("far", far), ("sigma", sigma)):
+            check_metres(self.name, word, metres)
+        if near is not None and far is not None and near >= far:
+            raise ClothbenchError(f"depth_mesh: near is {near!r} and far is {far!r}, expected near below far")
         for word, value, least in (("jump", jump, 0.0), ("hue", hue, 0.0), ("smooth", smooth, -1.0)):
             if not isinstance(value, int | float) or not value > least:
                 raise ClothbenchError(f"depth_mesh: {word} is {value!r}, expected a number above {max(least, 0):g}")
@@ -67,7 +71,7 @@ class DepthMesh:
             raise ClothbenchError(f"depth_mesh: support is {support!r}, expected 0 to 8 neighbours")
         if colour not in (None, False) and (len(tuple(colour)) != 3):
             raise ClothbenchError(f"depth_mesh: colour is {colour!r}, expected [red, green, blue], null or false")
-        self.mesh, self.near, self.far, self.jump = (int(mesh[0]), int(mesh[1])), near, far, jump
+        self.near, self.far, self.jump = near, far, jump
         self.support, self.colour, self.hue, self.smooth = support, colour, hue, smooth
         self.method, self.even, self.sigma = method, even, sigma
         self.options = {"near": near, "far": far, "jump": jump, "support": support, "colour": colour, "hue": hue,

@@ -10,6 +10,7 @@ from clothbench import (
     Outlines,
     Silhouettes,
     centroid,
+    darkness,
     drape_points,
     drape_quantities,
     folds_of,
@@ -27,7 +28,7 @@ class Drape:
     """
 
     name = "drape"
-    version = 1
+    version = 2
     kinds = frozenset({"silhouette"})
 
     def __init__(self, centre: tuple[float, float] | None = None):
@@ -57,8 +58,7 @@ class Drape:
         scale = max(1, 640 // source.image.shape[2])
         shadow = cv2.resize(source.image[frame], None, fx=scale, fy=scale, interpolation=cv2.INTER_NEAREST)
         shadow = cv2.cvtColor(shadow, cv2.COLOR_GRAY2RGB)
-        dark = 255.0 - source.image[frame].astype(np.float32)
-        middle = np.array(self.centre or centroid(dark))
+        middle = np.array(self.centre or centroid(darkness(source.image[frame])))
         radius = seen.outlines.radius[frame]
         turn = 2 * np.pi * np.arange(len(radius)) / len(radius)
         ray = np.stack([np.cos(turn), -np.sin(turn)], axis=1)

@@ -11,6 +11,7 @@ import numpy as np
 
 from clothbench import ClothbenchError, ColourVideo, Observation
 from clothbench_trackers import picture_graph as graphs
+from clothbench_trackers.options import check_mesh, check_metres
 
 
 class OpticalFlow:
@@ -19,7 +20,7 @@ class OpticalFlow:
     """
 
     name = "optical_flow"
-    version = 1
+    version = 2
     kinds = frozenset({"video"})
 
     def __init__(
@@ -29,7 +30,8 @@ class OpticalFlow:
         for word, value, low, high in (("window", window, 0.2, 4.0), ("back", back, 0.05, 20.0)):
             if not isinstance(value, int | float) or not low <= value <= high:
                 raise ClothbenchError(f"optical_flow: {word} is {value!r}, expected {low:g} to {high:g}")
-        self.mesh, self.grips = graphs.check_mesh(self.name, mesh), graphs.check_grips(self.name, grips)
+        check_metres(self.name, "sigma", sigma)
+        self.mesh, self.grips = check_mesh(self.name, mesh, 2), graphs.check_grips(self.name, grips)
         self.window, self.back, self.sigma = float(window), float(back), sigma
 
     def track(self, source: ColourVideo | Path) -> Observation:
@@ -48,8 +50,7 @@ class OpticalFlow:
             pixel.append(nodes.pixel)
             seen.append(there)
             if marks is not None:
-                marks.step(frame)
-                followed.append(marks.pixel)
+                followed.append(marks.found_in(frame))
         where, visible = np.array(pixel, dtype=float), np.array(seen)
         path = np.array(followed, dtype=float) if marks is not None else None
         held = graphs.held_path(video, graph, self.grips, where, visible, path)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import dataclasses
 import importlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -73,12 +73,6 @@ class Graph:
         """Of the nodes in the first frame, px."""
         sides = np.linalg.norm(self.slopes * self.cell, axis=1)
         return float(sides.mean())
-
-
-def check_mesh(who: str, mesh: Sequence[int]) -> tuple[int, int]:
-    if len(tuple(mesh)) != 2 or not all(isinstance(n, int) and n >= 2 for n in mesh):
-        raise ClothbenchError(f"{who}: mesh is {mesh!r}, expected two whole numbers ≥ 2")
-    return int(mesh[0]), int(mesh[1])
 
 
 def check_grips(who: str, grips: str) -> str:
@@ -259,6 +253,13 @@ class Follower:
             move[:] = 0
         self.pixel, self.last = self.pixel + move, grey
         return found
+
+    def found_in(self, frame: np.ndarray) -> np.ndarray:
+        """Where the points are in the next frame (N, 2) px, NaN for one that was not found: where it would be by those
+        around it serves to look for it again, and is no measurement.
+        """
+        found = self.step(frame)
+        return np.where(found[:, None], self.pixel, np.nan)
 
 
 def _grey(frame: np.ndarray) -> np.ndarray:

@@ -16,6 +16,7 @@ import numpy as np
 
 from clothbench import ClothbenchError, ColourVideo, Keypoints, Observation, apart, for_each
 from clothbench_trackers import picture_graph as graphs
+from clothbench_trackers.options import check_mesh, check_metres
 
 PLACES = ("offset", "literal")
 AT_ONCE = 4  # frames whose keypoints are looked for side by side
@@ -34,7 +35,7 @@ class SiftGraph:
     """
 
     name = "sift_graph"
-    version = 1
+    version = 2
     kinds = frozenset({"video"})
 
     def __init__(
@@ -46,7 +47,8 @@ class SiftGraph:
         for word, value, low, high in (("window", window, 1.0, 4.0), ("ratio", ratio, 0.1, 1.0)):
             if not isinstance(value, int | float) or not low <= value <= high:
                 raise ClothbenchError(f"sift_graph: {word} is {value!r}, expected {low:g} to {high:g}")
-        self.mesh, self.grips = graphs.check_mesh(self.name, mesh), graphs.check_grips(self.name, grips)
+        check_metres(self.name, "sigma", sigma)
+        self.mesh, self.grips = check_mesh(self.name, mesh, 2), graphs.check_grips(self.name, grips)
         self.window, self.place, self.ratio, self.sigma = float(window), place, float(ratio), sigma
 
     def track(self, source: ColourVideo | Path) -> Observation:
@@ -64,9 +66,8 @@ class SiftGraph:
             seen.append(there)
             confidence.append(sure)
             if marks is not None:
-                marks.step(frame)
-                followed.append(marks.pixel.astype(float))
-        path = np.array(followed) if followed else None
+                followed.append(marks.found_in(frame))
+        path = np.array(followed, dtype=float) if followed else None
         where, there = np.array(pixel), np.array(seen)
         held = graphs.held_path(video, graph, self.grips, where, there, path)
         return graphs.observed(video, graph, where, there, np.array(confidence), held, self.sigma)
