@@ -118,8 +118,12 @@ class Results:
     tables: Mapping[str, Columns] = field(default_factory=dict)
 
     def table(self, name: str) -> Rows:
-        """A table by its name, over all cells that have it."""
-        return self.store.table(name, self.keys, self.tables.get(name))
+        """A table by its name, over all cells that have it; what is said of no cell of these rows is left out, which
+        only a damaged table says (`clothbench store check` names it).
+        """
+        of = {row["key"] for row in self.rows}
+        found = self.store.table(name, self.keys, self.tables.get(name))
+        return [row for row in found if "key" not in row or row["key"] in of]
 
 
 class Study(Protocol):

@@ -145,6 +145,16 @@ def test_rows_in_which_something_is_missing_are_shown_all_the_same(tmp_path, cap
     assert main(["report", f"out={tmp_path}"]) == 0
 
 
+def test_a_table_that_says_nothing_of_its_cell_is_left_out(tmp_path, capsys):
+    rows = [row(recording="r", objective="m", metric="m", optimizer="o", unit="m") | ABOUT]
+    bars = [{"key": None, "name": "k1", "percent": 1.0}]
+    Store(tmp_path).put(
+        "ab", {"rows": rows, "variability": bars, "sensitivity": [{"key": "cd", "method": "sobol", "main": 1.0}]}
+    )
+    assert main(["leaderboard", "--out", str(tmp_path)]) == 0
+    assert main(["report", f"out={tmp_path}"]) == 0
+
+
 def test_texts_of_a_table_are_no_markup_of_the_terminal(tmp_path, capsys):
     names = {n: f"[/]{n}" for n in ("suite", "model", "optimizer", "metric", "unit", "recording")}
     rows = [row(**names, **ABOUT, objective=names["metric"], case=f"[/]{n}") for n in range(2)]

@@ -129,8 +129,11 @@ def test_other_recordings_and_a_choice_of_them_are_refused(folder):
     ("changes", "found"),
     [
         ({"position": copied(MEASURED[0])}, "expected simulated positions, not measured ones"),
-        ({"position": with_a_gap(MEASURED[0])}, r"not a number below 1e\+09 m at frame 3, node 7"),
-        ({"position": with_a_gap(MEASURED[0], 1e300)}, r"not a number below 1e\+09 m at frame 3, node 7"),
+        ({"position": with_a_gap(MEASURED[0])}, "position is no number at frame 3, node 7"),
+        (
+            {"position": with_a_gap(MEASURED[0], 1e300)},
+            r"found 1e\+300 m at \(3, 7, 0\), expected metres within 1e\+06",
+        ),
         ({"position": simulated(MEASURED[0]).position + 0.01}, r"node \d is held, and lies 17.3 mm from its grip"),
         ({"time": MEASURED[0].time * 1.001}, "found time that differs from what was measured by 0.0005"),
         ({"name": "sway-3"}, "found name 'sway-3', expected that of a measured recording"),
