@@ -47,9 +47,9 @@ def copied(recording):
     return position
 
 
-def with_a_gap(recording, value=np.nan):
+def with_a_gap(recording):
     position = simulated(recording).position.copy()
-    position[3, 7] = value
+    position[3, 7] = np.nan
     return position
 
 
@@ -131,7 +131,6 @@ def test_other_recordings_and_a_choice_of_them_are_refused(folder):
         ({"position": copied(MEASURED[0])}, "expected simulated positions, not measured ones"),
         ({"position": with_a_gap(MEASURED[0])}, "position is no number at frame 3, node 7"),
         (
-            {"position": with_a_gap(MEASURED[0], 1e300)},
             r"found 1e\+300 m at \(3, 7, 0\), expected metres within 1e\+06",
         ),
         ({"position": simulated(MEASURED[0]).position + 0.01}, r"node \d is held, and lies 17.3 mm from its grip"),
