@@ -87,6 +87,14 @@ def test_a_distance_from_a_reference_counts_and_not_the_value():
 
 
 def timed(seconds, cells=3, **about):
+def test_a_series_keeps_to_the_cell_that_most_entries_have():
+    """Others about the same, with another budget, do not take its place in entries that have both."""
+    once, short, long = total(9.0, key="b"), total(10.0, key="a"), total(5.0, key="b")
+    (series,) = all_series([entry(0, once, short), entry(1, short, long), entry(2, short), entry(3, short)])
+    assert [point.value for point in series.points] == [10.0] * 4
+    assert series.changes == ()
+
+
     """Cells of one model, each of which takes its own time for ten evaluations."""
     return [
         total(5.0, case=f"c{k}", key=f"k{k}", **about) | {"evaluations": 10, "wall_s": seconds * (k + 1)}
