@@ -10,7 +10,8 @@ from test_gate import row
 
 from clothbench import ClothbenchError
 from clothbench.engine.store import ROW, SYSTEM, Store
-from clothbench.history.commits import Commit
+from clothbench.history import speed
+from clothbench.history.commits import Commit, commit_at, commits_of
 from clothbench.history.entries import Entry, add, entries_in, entries_of_git
 from clothbench.history.page import write_page
 from clothbench.history.series import all_series
@@ -205,6 +206,18 @@ def test_git_itself_is_a_history(repository, clothbench, tmp_path):
         (("--git", "nowhere/board.json"), "found no folder nowhere"),
         (("--git", "board.json"), "git log said:"),
         (("folder", "--add", "nothing"), "found no results (no folder 'cells')"),
+@pytest.mark.parametrize("subject", ["ma\u00dfe".encode("latin-1"), "one\u2028two".encode(), b"one\x0ctwo\rthree"])
+def test_a_subject_of_any_bytes_is_one_commit(repository, subject):
+    def git(*words, text=b""):
+        return subprocess.run(["git", "-C", repository.parent, *words], input=text, check=True, capture_output=True)
+
+    # `git commit` would make UTF-8 of it; other programs that write commits do not.
+    text = git("cat-file", "commit", "HEAD").stdout.replace(b"change\t3", subject)
+    git("update-ref", "HEAD", git("hash-object", "-w", "-t", "commit", "--stdin", text=text).stdout.decode().strip())
+    assert commit_at("HEAD", repository.parent).subject == subject.decode("utf-8", errors="replace")
+    assert len(commits_of(repository)) == 4
+
+
     ],
 )
 def test_wrong_use_is_one_line(words, found, clothbench):
