@@ -116,6 +116,13 @@ def test_speeds_of_other_cells_are_compared_over_those_they_share():
     assert speed_series(*slow_cell_came_late)[0].changes == ()
 
 
+def test_entries_that_share_cells_are_looked_for_once(monkeypatch):
+    asked = []
+    monkeypatch.setattr(speed, "_connected", lambda places: asked.append(len(places)) or {0, 1})
+    speed_series(entry(0, *timed(1.0)), entry(1, *timed(1.0)))
+    assert asked == [6]
+
+
 def test_speeds_are_compared_within_one_machine_and_from_six_entries_on():
     by_turns = [entry(k, *timed(1.0 + 2 * (k % 2)), machine=f"cpu {k % 2}") for k in range(12)]
     assert [(len(one.points), one.changes) for one in speed_series(*by_turns)] == [(6, ()), (6, ())]
