@@ -231,7 +231,7 @@ def _history(sub: argparse.ArgumentParser) -> None:
         "folder", nargs="?", type=Path, metavar="FOLDER", help="of entries, one for each commit and machine"
     )
     sub.add_argument("--add", metavar="RUNS", help="a results folder, which becomes an entry of FOLDER first")
-    sub.add_argument("--commit", default="HEAD", help="that RUNS are of, in the repository here (default: HEAD)")
+    sub.add_argument("--commit", help="with --add: that RUNS are of, in the repository here (default: HEAD)")
     sub.add_argument(
         "--git", type=Path, metavar="FILE",
         help="instead of FOLDER: a leaderboard .json that is committed, at every commit that changed it",

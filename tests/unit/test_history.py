@@ -87,7 +87,6 @@ def test_a_distance_from_a_reference_counts_and_not_the_value():
     assert changes(series) == [(2, "worse")]
 
 
-def timed(seconds, cells=3, **about):
 def test_a_series_keeps_to_the_cell_that_most_entries_have():
     """Others about the same, with another budget, do not take its place in entries that have both."""
     once, short, long = total(9.0, key="b"), total(10.0, key="a"), total(5.0, key="b")
@@ -96,6 +95,7 @@ def test_a_series_keeps_to_the_cell_that_most_entries_have():
     assert series.changes == ()
 
 
+def timed(seconds, cells=3, **about):
     """Cells of one model, each of which takes its own time for ten evaluations."""
     return [
         total(5.0, case=f"c{k}", key=f"k{k}", **about) | {"evaluations": 10, "wall_s": seconds * (k + 1)}
@@ -206,13 +206,6 @@ def test_git_itself_is_a_history(repository, clothbench, tmp_path):
     assert clothbench("history", "--git", repository).stdout.splitlines()[-1].startswith("3 commits, 1 series of err")
 
 
-@pytest.mark.parametrize(
-    ("words", "found"),
-    [
-        ((), "expected either a FOLDER of entries, or --git FILE"),
-        (("--git", "nowhere/board.json"), "found no folder nowhere"),
-        (("--git", "board.json"), "git log said:"),
-        (("folder", "--add", "nothing"), "found no results (no folder 'cells')"),
 @pytest.mark.parametrize("subject", ["ma\u00dfe".encode("latin-1"), "one\u2028two".encode(), b"one\x0ctwo\rthree"])
 def test_a_subject_of_any_bytes_is_one_commit(repository, subject):
     def git(*words, text=b""):
@@ -225,6 +218,15 @@ def test_a_subject_of_any_bytes_is_one_commit(repository, subject):
     assert len(commits_of(repository)) == 4
 
 
+@pytest.mark.parametrize(
+    ("words", "found"),
+    [
+        ((), "expected either a FOLDER of entries, or --git FILE"),
+        (("folder", "--machine", "m"), "--machine is for --git"),
+        (("folder", "--commit", "main"), "--commit says what the RUNS of --add are of"),
+        (("--git", "nowhere/board.json"), "found no folder nowhere"),
+        (("--git", "board.json"), "git log said:"),
+        (("folder", "--add", "nothing"), "found no results (no folder 'cells')"),
     ],
 )
 def test_wrong_use_is_one_line(words, found, clothbench):
