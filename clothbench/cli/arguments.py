@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import require_folder
 
 DEFAULT_OUT = "runs"
@@ -92,13 +94,24 @@ def _merge(sub: argparse.ArgumentParser) -> None:
 def _prune(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--dry-run", action="store_true", help="say what would be removed, and remove nothing")
     sub.add_argument(
-        "--older", type=float, default=1.0, metavar="DAYS",
+        "--older", type=_days, default=1.0, metavar="DAYS",
         help="age from which on what stopped runs left is removed (default: 1)",
     )  # fmt: skip
     sub.add_argument(
         "--other-versions", action="store_true", help="cells of plugins in another version than the installed one, too"
     )
     sub.add_argument("--cell", action="append", default=[], metavar="KEY", help="this cell, too, finished or not")
+
+
+def _days(text: str) -> float:
+    """An age. A negative one would take away what runs under way are at."""
+    try:
+        days = float(text)
+    except ValueError:
+        days = math.nan
+    if not (math.isfinite(days) and days >= 0):
+        raise ClothbenchError(f"store prune: --older is {text!r}, expected days, a number, at least 0")
+    return days
 
 
 def _json(sub: argparse.ArgumentParser) -> None:
