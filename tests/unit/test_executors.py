@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib
 import os
 import pickle
+import queue as queues
 import signal
 import socket
 import subprocess
 import sys
 import time
+import types
+from concurrent.futures import Future
 from pathlib import Path
 
 import psutil
@@ -25,7 +29,9 @@ from clothbench.engine.executors.drive import InOrder, answers, elsewhere
 from clothbench.engine.executors.settings import executor_settings
 from clothbench.engine.executors.work import Answer, Died, Owner, attended, seldom
 from clothbench.engine.limits import Limits, Watch
-from clothbench.engine.run import run_cell
+from clothbench.engine.pool import _first, _run_alone, _told, _told_file
+from clothbench.engine.rows import failure
+from clothbench.engine.run import keep, run_cell
 from clothbench.engine.store import Store, outcome
 from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import catalogue
@@ -322,3 +328,28 @@ def test_a_cell_that_took_two_workers_with_it_is_a_row(recordings_folder, tmp_pa
     assert store.rows()[0]["reason"] == "the process that ran this cell died twice (worker tcp://there:1)"
     with pytest.raises(ClothbenchError, match="disk full"):
         concluded(store, cell, Answer(fault="disk full"))
+
+
+def test_a_cell_that_was_stored_before_its_worker_died_is_told_as_it_was_stored(recordings_folder, tmp_path):
+    cell, store = cell_of(recordings_folder), Store(tmp_path)
+    keep(store, cell, failure(cell, "diverged", "the step is too long"))
+    assert concluded(store, cell, Died("worker tcp://there:1")) == "diverged"
+    assert _run_alone(cell, tmp_path, False, tmp_path / "told", {}, Watch(Limits(), 1)) == "diverged"
+
+
+def test_cells_at_work_are_looked_at_however_often_others_end(recordings_folder):
+    """A cell beyond its limit must not go on for as long as short ones end beside it."""
+    cell = cell_of(recordings_folder)
+    short, long = dataclasses.replace(cell, seed=1), dataclasses.replace(cell, seed=2)
+    file, numbers, ended, at_work = _told_file(2), {short.key: 0, long.key: 1}, Future(), Future()
+    ended.set_result("ok")
+    _told(file, 1)[:] = 3, 0.5, 4321
+    looked, heard = [], []
+    watch = types.SimpleNamespace(look=looked.append)
+
+    def tell(cell, steps, value):
+        heard.append((cell.key, steps, value))
+
+    assert _first({ended: short, at_work: long}, file, numbers, tell, watch) == {ended}
+    assert looked == [{long.key: 4321}]
+    assert heard == [(long.key, 3, 0.5)]

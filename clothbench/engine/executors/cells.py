@@ -143,8 +143,9 @@ def concluded(store: Store, cell: Cell, answer: Answer | Died) -> str:
             with writing(store, cell):
                 store.take(cell.key, answer.value.files)
         return answer.value.status
-    if up_to_date(store).has(cell.key):  # its worker had stored it, and died before it could say so
-        return "ok"
+    # Its worker may have stored it, and died before it could say so.
+    if (status := up_to_date(store).status(cell.key)) is not None:
+        return status
     result = failed_with(cell, f"the process that ran this cell died twice ({answer.reason})")
     keep(store, cell, result)
     return result.status
