@@ -69,6 +69,36 @@ def test_what_is_wrong_in_an_executor_is_one_line(monkeypatch, given, says):
     assert "\n" not in str(fault.value)
 
 
+@pytest.fixture
+def ray(monkeypatch):
+    """The executor's module, with as much of Ray in place of it as a test needs; restored afterwards."""
+    name = "clothbench.engine.executors.ray"
+    queue = types.SimpleNamespace(Empty=queues.Empty, Full=queues.Full, Queue=lambda **_: None)
+    made = types.SimpleNamespace(nodes=lambda: [], remote=lambda **_: lambda function: function, shutdown=lambda: None)
+    for module, stub in (("ray", made), ("ray.util", None), ("ray.util.queue", queue)):
+        monkeypatch.setitem(sys.modules, module, stub)
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    yield importlib.import_module(name)
+    sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize(
+    ("address", "says"),
+    [
+        (None, "executor ray: found that Ray cannot be started on this machine (RuntimeError: no room), expected"),
+        ("head:1", "setting 'executor.address' is 'head:1': found no Ray cluster there (RuntimeError: no room), exp"),
+    ],
+)
+def test_a_ray_cluster_that_cannot_be_had_is_one_line(ray, address, says):
+    def init(**_):
+        raise RuntimeError("no room")
+
+    ray.ray.init = init
+    with pytest.raises(ClothbenchError) as fault:
+        ray.RayWorkers({"address": address, "cores": 1, "wait": 1.0}, 0, 3)
+    assert str(fault.value).startswith(says)
+
+
 @pytest.mark.parametrize("name", ["dask", "ray", "slurm"])
 def test_an_engine_that_is_not_installed_is_named_with_the_command_that_does(monkeypatch, name):
     monkeypatch.setattr(settings.importlib.util, "find_spec", lambda name: None)

@@ -70,6 +70,11 @@ def _begin(executor: Mapping[str, Any], workers: int) -> None:
     try:
         ray.init(**where, log_to_driver=False, logging_level=logging.CRITICAL)
     except (ConnectionError, OSError, ValueError, RuntimeError) as fault:
+        if not executor["address"]:
+            raise ClothbenchError(
+                f"executor ray: found that Ray cannot be started on this machine ({one_line(fault)}), expected a local "
+                "cluster; give executor.address=HOST:PORT of a head, or leave the executor out"
+            ) from fault
         raise ClothbenchError(
             f"setting 'executor.address' is {executor['address']!r}: found no Ray cluster there ({one_line(fault)}), "
             "expected HOST:PORT of a head, or auto"
