@@ -28,6 +28,7 @@ from clothbench.engine.executors.child import Ended, _kept, in_child
 from clothbench.engine.executors.drive import InOrder, answers, elsewhere
 from clothbench.engine.executors.settings import executor_settings
 from clothbench.engine.executors.work import Answer, Died, Owner, attended, seldom
+from clothbench.engine.leases import KEPT
 from clothbench.engine.limits import Limits, Watch
 from clothbench.engine.pool import _first, _run_alone, _told, _told_file
 from clothbench.engine.rows import failure
@@ -97,6 +98,18 @@ def test_a_ray_cluster_that_cannot_be_had_is_one_line(ray, address, says):
     with pytest.raises(ClothbenchError) as fault:
         ray.RayWorkers({"address": address, "cores": 1, "wait": 1.0}, 0, 3)
     assert str(fault.value).startswith(says)
+
+
+@pytest.mark.parametrize(("jobs", "room"), [(0, 10), (3, 3)])
+def test_ray_is_given_little_more_than_its_nodes_have_cores_for(ray, jobs, room):
+    """All that it is given is leased, and other commands in the folder are to have their share."""
+    nodes = [(True, {"CPU": 8.0}), (True, {"CPU": 3.0}), (True, {}), (False, {"CPU": 64.0})]
+    ray.ray.init = lambda **_: None
+    ray.ray.nodes = lambda: [{"Alive": alive, "Resources": resources} for alive, resources in nodes]
+    workers = ray.RayWorkers({"address": "head:1", "cores": 2, "wait": 1.0}, jobs, 1000)
+    assert workers.room() == room
+    workers.running = dict.fromkeys("ab", 0)
+    assert workers.room() == room - 2
 
 
 @pytest.mark.parametrize("name", ["dask", "ray", "slurm"])
@@ -358,6 +371,14 @@ def test_a_cell_that_took_two_workers_with_it_is_a_row(recordings_folder, tmp_pa
     assert store.rows()[0]["reason"] == "the process that ran this cell died twice (worker tcp://there:1)"
     with pytest.raises(ClothbenchError, match="disk full"):
         concluded(store, cell, Answer(fault="disk full"))
+
+
+def test_a_worker_keeps_what_another_command_finished_while_the_cell_was_in_a_queue(recordings_folder, tmp_path):
+    cell, store = cell_of(recordings_folder), Store(tmp_path)
+    work = CellWork(cell, places(cell, shared=True), tmp_path, False)
+    keep(store, cell, failure(cell, "diverged", "the step is too long"))
+    assert work(print, 1).status == KEPT
+    assert [row["status"] for row in store.rows()] == ["diverged"]
 
 
 def test_a_cell_that_was_stored_before_its_worker_died_is_told_as_it_was_stored(recordings_folder, tmp_path):

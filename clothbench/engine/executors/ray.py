@@ -37,7 +37,11 @@ class RayWorkers:
         self.running: dict[Any, int] = {}
 
     def room(self) -> int:
-        return self.jobs - len(self.running)
+        """What the nodes have cores for, and as many again, which wait with Ray: so a cluster that grows by itself sees
+        that there is work, and no more cells than that are kept from other commands in the same folder.
+        """
+        there = sum(int(node["Resources"].get("CPU", 0) // self.cores) for node in ray.nodes() if node["Alive"])
+        return min(self.jobs, 2 * there) - len(self.running)
 
     def begin(self, works: Mapping[int, Work]) -> None:
         for number, work in works.items():
