@@ -11,9 +11,12 @@ from conftest import swinging_recording
 
 from clothbench import ClothbenchError, read_recording, write_recording
 from clothbench.cli.submissions import suite_of
+from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store
+from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import catalogue
 from clothbench.submissions.kept import keep
+from clothbench.submissions.packing import pack_results
 from clothbench.submissions.reading import read_submission
 from clothbench.submissions.submission import FILE, pack
 from clothbench.submissions.verification import verify
@@ -141,6 +144,24 @@ def test_what_no_simulation_of_the_recording_can_be_is_refused(folder, changes, 
     with pytest.raises(ClothbenchError, match=found):
         packed(folder)
     assert not (folder / FILE).exists()
+
+
+def test_effects_that_move_what_is_held_are_named_and_nothing_is_packed(recordings_folder, tmp_path):
+    """Such a fit is honest, but whoever checks it cannot tell it from a cloth that was driven otherwise."""
+    settings = {
+        "study": "calibration", "recordings": str(recordings_folder), "model": "mass_spring", "optimizer": "ga",
+        "metric": "node_error", "report": [], "tracker": "markers", "scene": {}, "bounds": {}, "budget": 12, "seed": 0,
+        "options": {"mass_spring": {"resolution": 5}}, "jobs": 1, "timeout": None, "out": "runs", "rerun": False,
+    }  # fmt: skip
+    shifted = {"effects": ["frame_translation"], "bounds": {"frame_translation.dy": [0.01, 0.02]}}
+    for more in ({"effects": []}, shifted):
+        (cell,) = plan({**settings, **more}, catalogue())
+        assert run_cell(cell, tmp_path / "runs") == "ok"
+    known = [read_recording(path) for path in sorted(recordings_folder.glob("*.nc"))]
+    said = rf"^cell {cell.key}: sway-1: node \d+ is held, .* mm at most: run it without frame_translation, which moves"
+    with pytest.raises(ClothbenchError, match=said):
+        pack_results(tmp_path / "mine", Store(tmp_path / "runs"), [], known, catalogue(), **ABOUT)
+    assert list((tmp_path / "mine").iterdir()) == []  # what was packed of the first is taken out again
 
 
 @pytest.mark.parametrize(
