@@ -141,7 +141,9 @@ def _submit(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--by", default="", help="who hands it in")
     sub.add_argument("--about", default="", help="one line about the model")
     sub.add_argument("--suite", help="what its rows are grouped by (default: what --recordings are called)")
-    sub.add_argument("--metric", nargs="+", help="that scores it (default: node_error; of --runs: those of the fits)")
+    sub.add_argument(
+        "--metric", nargs="+", help="that scores it (default: node_error); not with --runs, whose fits have theirs"
+    )
     sub.add_argument("--runs", metavar="RUNS", help="pack the calibrations of a results folder into FOLDER")
     sub.add_argument(
         "--wheel", nargs="+", type=Path, metavar="FILE", help="with --runs: the distribution that the plugins come from"

@@ -211,6 +211,22 @@ def test_a_suite_is_called_as_its_recordings_are(tmp_path):
 
 
 @pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--wheel", "plate.whl"], "--wheel is for the fits of --runs"),
+        (["--runs", "runs", "--metric", "node_error"], "--metric is for simulated files"),
+        (["--runs", "runs"], "--runs needs --wheel FILE"),
+    ],
+)
+def test_options_that_do_not_apply_are_refused(folder, tmp_path, clothbench, words, said):
+    (tmp_path / "runs" / "cells").mkdir(parents=True)
+    done = clothbench("submit", folder, "--name", "my-simulator", *words)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr.startswith(f"clothbench: submit: {said}")
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
     "words",
     [
         ["verify", "mine", "--out", "s3://b/board"],
