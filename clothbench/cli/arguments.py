@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import argparse
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import require_folder
 
 DEFAULT_OUT = "runs"
@@ -92,13 +94,24 @@ def _merge(sub: argparse.ArgumentParser) -> None:
 def _prune(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--dry-run", action="store_true", help="say what would be removed, and remove nothing")
     sub.add_argument(
-        "--older", type=float, default=1.0, metavar="DAYS",
+        "--older", type=_days, default=1.0, metavar="DAYS",
         help="age from which on what stopped runs left is removed (default: 1)",
     )  # fmt: skip
     sub.add_argument(
         "--other-versions", action="store_true", help="cells of plugins in another version than the installed one, too"
     )
     sub.add_argument("--cell", action="append", default=[], metavar="KEY", help="this cell, too, finished or not")
+
+
+def _days(text: str) -> float:
+    """An age. A negative one would take away what runs under way are at."""
+    try:
+        days = float(text)
+    except ValueError:
+        days = math.nan
+    if not (math.isfinite(days) and days >= 0):
+        raise ClothbenchError(f"store prune: --older is {text!r}, expected days, a number, at least 0")
+    return days
 
 
 def _json(sub: argparse.ArgumentParser) -> None:
@@ -128,7 +141,9 @@ def _submit(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--by", default="", help="who hands it in")
     sub.add_argument("--about", default="", help="one line about the model")
     sub.add_argument("--suite", help="what its rows are grouped by (default: what --recordings are called)")
-    sub.add_argument("--metric", nargs="+", help="that scores it (default: node_error; of --runs: those of the fits)")
+    sub.add_argument(
+        "--metric", nargs="+", help="that scores it (default: node_error); not with --runs, whose fits have theirs"
+    )
     sub.add_argument("--runs", metavar="RUNS", help="pack the calibrations of a results folder into FOLDER")
     sub.add_argument(
         "--wheel", nargs="+", type=Path, metavar="FILE", help="with --runs: the distribution that the plugins come from"
@@ -231,7 +246,7 @@ def _history(sub: argparse.ArgumentParser) -> None:
         "folder", nargs="?", type=Path, metavar="FOLDER", help="of entries, one for each commit and machine"
     )
     sub.add_argument("--add", metavar="RUNS", help="a results folder, which becomes an entry of FOLDER first")
-    sub.add_argument("--commit", default="HEAD", help="that RUNS are of, in the repository here (default: HEAD)")
+    sub.add_argument("--commit", help="with --add: that RUNS are of, in the repository here (default: HEAD)")
     sub.add_argument(
         "--git", type=Path, metavar="FILE",
         help="instead of FOLDER: a leaderboard .json that is committed, at every commit that changed it",

@@ -19,10 +19,14 @@ def history(options: argparse.Namespace, results: Store | None) -> Any:
     """Do what was asked, and say it; the document for `--json`, None without. results: to be added."""
     if (options.folder is None) == (options.git is None):
         raise ClothbenchError("history: expected either a FOLDER of entries, or --git FILE")
+    if options.machine is not None and options.git is None:
+        raise ClothbenchError("history: --machine is for --git; entries of a FOLDER say their machine, leave it out")
+    if options.commit is not None and results is None:
+        raise ClothbenchError("history: --commit says what the RUNS of --add are of; add some, or leave it out")
     if results is not None:
         if options.folder is None:
             raise ClothbenchError("history: --add needs the FOLDER of entries that it is to add to, not --git")
-        for path in add(options.folder, results, commit_at(options.commit, Path())):
+        for path in add(options.folder, results, commit_at(options.commit or "HEAD", Path())):
             if not options.json:
                 print(f"{path}: added")
     entries = entries_in(options.folder) if options.folder else entries_of_git(options.git, options.machine)

@@ -45,6 +45,10 @@ def measured(paths: Sequence[str], option: str = "--recordings") -> list[Recordi
 
 def submit(options: argparse.Namespace, results: Store | None) -> int:
     """Score what was simulated and write what is handed in. results: that it is made from; None: from the folder."""
+    if results is None and options.wheel:
+        raise ClothbenchError("submit: --wheel is for the fits of --runs; give --runs RUNS, or leave it out")
+    if results is not None and options.metric:
+        raise ClothbenchError("submit: --metric is for simulated files; the fits of --runs have theirs, leave it out")
     folder, known, plugins = options.folder, measured(options.recordings), catalogue()
     about = {name: seen(getattr(options, name)) for name in ("name", "by", "about")}
     about["suite"] = seen(options.suite or suite_of(options.recordings))

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from typing import Any, TypeVar
 
 Row = Mapping[str, Any]
+AnyRow = TypeVar("AnyRow", bound=Row)
 # What a row is about, whenever and wherever it was computed.
 IDENTITY = ("suite", "case", "recording", "split", "model", "effects", "optimizer", "metric", "seed")
 # Share of a value that is never a change: another processor or library rounds otherwise, folding cloth amplifies that,
@@ -17,6 +19,18 @@ SMALL = 1e-3  # share of a reference below which a distance from it does not cou
 
 def identity(row: Row, *more: str) -> tuple[Any, ...]:
     return tuple(row.get(name) or None for name in (*IDENTITY, *more))
+
+
+def named(rows: Sequence[AnyRow], elsewhere: Counter[tuple[Any, ...]]) -> dict[tuple[Any, ...], AnyRow]:
+    """Rows by what they are about. Of several (cells with other budgets or options) the one counts whose identity and
+    cell key are found `elsewhere` most often, so that results are compared with those of the same cell.
+    """
+    out: dict[tuple[Any, ...], AnyRow] = {}
+    for row in rows:
+        kept = out.get(identity(row))
+        if kept is None or elsewhere[identity(row, "key")] >= elsewhere[identity(kept, "key")]:
+            out[identity(row)] = row
+    return out
 
 
 def judge(base: Row, new: Row) -> str | None:

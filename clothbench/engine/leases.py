@@ -5,8 +5,9 @@ RUNS/leases/KEY    host and process of the command that is at a cell; gone when 
 In the mirror of a bucket they tell commands of this machine from each other; those of others by leases in the bucket
 (`clothbench.engine.bucket_leases`).
 
-A cell that is leased elsewhere is put to the end. Whoever has nothing else left waits for it a little, then computes
-it, too; what is published first stays, as ever.
+A cell that is leased elsewhere is put to the end. Whoever has nothing else left waits for as long as others finish
+theirs. A lease only says that a command lives, not that it gets on; so where nothing is finished for a while, one of
+their cells is computed here, too, and after as long again the next. What is published first stays, as ever.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ LEASES = "leases"
 KEPT = "kept"  # what is said of a cell that was finished by an earlier run, or is by another command
 RENEW = 15.0  # s between two signs of life of a command
 STALE = 60.0  # s without one, after which it counts as gone
-PATIENCE = 60.0  # s that a command with nothing else left waits for the cells of others
+PATIENCE = 60.0  # s in which others finish no cell, after which a command with nothing else left begins one of theirs
 LOOK = 0.5  # s between two looks at what others are at
 
 # What reading a lease may raise that is just being written, or is none.
@@ -150,7 +151,11 @@ class Line(Generic[T]):
         self.waiting.appendleft(cell)
 
     def _left(self) -> T | None:
-        """One of those that others are at, if they have given it back, or do not come to an end with it."""
+        """One of those that others are at, if they have given it back, or do not come to an end with any of them.
+
+        Of the latter it is one at a time, and the last: an engine with a queue holds leases of cells that it has yet to
+        begin, and goes through them in order.
+        """
         now = time.monotonic()
         if now - self._looked < LOOK:
             return None
@@ -158,13 +163,16 @@ class Line(Generic[T]):
         for _ in range(len(self.elsewhere)):
             cell = self.elsewhere.popleft()
             if self._finished(cell):
-                continue
-            if self.leases.take(self.key(cell)) or now - self._idle > PATIENCE:
+                self._idle = now
+            elif self.leases.take(self.key(cell)):
                 if not self._finished(cell):  # it was, between the two
                     self._looked = -math.inf
                     return cell
             else:
                 self.elsewhere.append(cell)
+        if self.elsewhere and now - self._idle > PATIENCE:
+            self._idle = now
+            return self.elsewhere.pop()
         return None
 
     def _finished(self, cell: T) -> bool:

@@ -137,14 +137,16 @@ def _run_in_processes(
 def _first(
     running: Mapping[Future, Cell], told: Path, numbers: Mapping[str, int], progress: CellProgress | None, watch: Watch
 ) -> Iterable[Future]:
-    """Those that have ended, as soon as one has; or none after a while, when `progress` has heard how far they are, and
-    `watch` seen to it that they keep to their limits.
+    """Those that have ended, as soon as one has; or none after a while. However often that is, `progress` hears how far
+    the others are, and `watch` sees to it that they keep to their limits.
     """
     if not running:  # others are at all that is left
         time.sleep(WATCH)
     ended = wait(list(running), timeout=WATCH, return_when=FIRST_COMPLETED).done
     pids = {}
-    for cell in running.values() if not ended else ():
+    for future, cell in running.items():
+        if future in ended:
+            continue
         steps, value, pid = _told(told, numbers[cell.key], "r")
         if steps > 0 and progress is not None:
             progress(cell, int(steps), float(value))
@@ -184,8 +186,8 @@ def _told_file(cells: int) -> Path:
 def _run_alone(cell: Cell, out: Path, rerun: bool, told: Path, numbers: Mapping[str, int], watch: Watch) -> str:
     from loky.process_executor import BrokenProcessPool
 
-    if Store(out).has(cell.key):  # it had finished just before its neighbour died
-        return "ok"
+    if (status := Store(out).status(cell.key)) is not None:  # it had finished just before its neighbour died
+        return status
     try:
         future = _pool(1).submit(_run_and_tell, cell, out, rerun, told, numbers[cell.key])
         while not _first({future: cell}, told, numbers, None, watch):

@@ -8,6 +8,7 @@ from __future__ import annotations
 import copy
 import math
 import os
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -143,10 +144,11 @@ def whole(name: str, value: Any, least: int) -> int:
     return value
 
 
-def number(name: str, value: Any, above: float = -math.inf) -> float:
-    good = isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
-    if not good or not value > above:
-        limit = "" if above == -math.inf else f" above {above:g}"
+def number(name: str, value: Any, above: float = -math.inf, least: float = -math.inf) -> float:
+    """A finite number; a whole one may have more digits than any float, and is none then."""
+    good = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+    if not good or not value > above or not value >= least:
+        limit = f", at least {least:g}" if least > -math.inf else f" above {above:g}" if above > -math.inf else ""
         raise ClothbenchError(f"setting '{name}' is {value!r}, expected a number{limit}")
     return float(value)
 
@@ -221,7 +223,7 @@ def scene_settings(scene: dict[str, Any]) -> dict[str, Any]:
             raise ClothbenchError(f"setting 'scene.resolution' is {resolution!r}, expected [nodes along u, along v]")
         out["resolution"] = tuple(whole("scene.resolution", n, 3) for n in resolution)
     if scene.get("thickness") is not None:
-        out["thickness"] = number("scene.thickness", scene["thickness"], above=-1e-12)
+        out["thickness"] = number("scene.thickness", scene["thickness"], least=0.0)
     if scene.get("starts") is not None:
         out["starts"] = whole("scene.starts", scene["starts"], 1)
     if scene.get("outline") is not None:

@@ -151,6 +151,11 @@ class Store:
         """Whether a cell is finished; one that ended in an error is not."""
         return finished(self.table("rows", [key]))
 
+    def status(self, key: str) -> str | None:
+        """Of a finished cell that of its first row that is not "ok", if there is one; None if it is not finished."""
+        rows = self.table("rows", [key])
+        return next((row["status"] for row in rows if row["status"] != "ok"), "ok") if finished(rows) else None
+
     def finished(self, keys: Iterable[str]) -> set[str]:
         """Those of these cells that are finished."""
         by_key: dict[str, list[dict[str, Any]]] = {}

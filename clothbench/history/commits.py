@@ -45,15 +45,21 @@ def _folder(path: Path) -> Path:
 
 
 def _git(folder: Path, *words: str) -> str:
+    """What git prints. Its bytes may be of any encoding: what is no UTF-8 is replaced, and no line end is changed."""
     try:
-        done = subprocess.run(["git", "-C", folder, *words], capture_output=True, text=True, check=False)
+        done = subprocess.run(["git", "-C", folder, *words], capture_output=True, check=False)
     except FileNotFoundError:
         raise ClothbenchError("found no git on this machine; install it") from None
     if done.returncode:
-        said = (done.stderr.strip() or "no reason given").splitlines()[0]
+        said = (_text(done.stderr).strip() or "no reason given").splitlines()[0]
         raise ClothbenchError(f"{folder}: git {words[0]} said: {said}; expected a git repository with that commit")
-    return done.stdout
+    return _text(done.stdout)
+
+
+def _text(output: bytes) -> str:
+    return output.decode("utf-8", errors="replace")
 
 
 def _commits(log: str) -> list[Commit]:
-    return [Commit(*line.split("\t", 2)) for line in log.splitlines()]
+    """Commits of a log. A subject may hold whatever else Python takes for the end of a line."""
+    return [Commit(*line.split("\t", 2)) for line in log.split("\n") if line]

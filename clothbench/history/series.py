@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
-from clothbench.engine.judgement import IDENTITY, SLACK, error, half, has_number, identity, slack_at
+from clothbench.engine.judgement import IDENTITY, SLACK, error, half, has_number, identity, named, slack_at
 from clothbench.history.entries import Entry
 from clothbench.history.speed import speeds
 from clothbench.history.steps import FEWEST, noise_of, steps_of
@@ -75,8 +76,10 @@ def _errors(entries: Sequence[Entry]) -> list[Series]:
     """Of every question the mean over its recordings; single recordings where there is no mean."""
     points: dict[tuple[Any, ...], list[Point]] = {}
     last: dict[tuple[Any, ...], Mapping[str, Any]] = {}
+    # A series keeps to the cell that most entries have, if some have others about the same beside it.
+    cells = Counter(cell for entry in entries for cell in {identity(row, "key") for row in entry.rows})
     for number, entry in enumerate(entries):
-        rows = {identity(row): row for row in entry.rows}
+        rows = named(entry.rows, cells)
         means = {_of_all(key) for key, row in rows.items() if not row.get("recording")}
         for key, row in rows.items():
             if row.get("recording") and _of_all(key) in means:

@@ -56,7 +56,8 @@ def _speed(row: Mapping[str, Any]) -> float | None:
 
 def _fitted(cells: Mapping[tuple[int, tuple[Any, ...]], Sequence[float]]) -> list[Speed]:
     """The commits' numbers of the additive model, of those that share cells with the newest, directly or by others."""
-    places = [place for place in cells if place[0] in _connected(list(cells))]
+    connected = _connected(list(cells))
+    places = [place for place in cells if place[0] in connected]
     numbers = sorted({entry for entry, _ in places})
     names = list(dict.fromkeys(cell for _, cell in places))
     y = np.array([np.mean(cells[place]) for place in places])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -9,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from clothbench.display.terminal import console
-from clothbench.engine.judgement import IDENTITY, identity, judge
+from clothbench.engine.judgement import IDENTITY, identity, judge, named
 from clothbench.engine.store import finite
 
 Rows = Sequence[dict[str, Any]]
@@ -23,9 +24,10 @@ def compare_rows(base: Rows, new: Rows) -> dict[str, Any]:
     is from that; there a thousandth of the reference (of 1 in the row's unit, where it is 0) does not count. A row of
     BASE that NEW lacks is missing, and fails the gate as well: leaving out a test is no way to pass it.
     """
-    theirs = named(new, {identity(r, "key") for r in base})
+    # Of several cells about the same (other budgets or options) the one that the other side has, too, counts.
+    theirs = named(new, Counter({identity(r, "key") for r in base}))
     verdict: dict[str, Any] = {"compared": 0, "worse": [], "better": [], "missing": []}
-    for row in named(base, {identity(r, "key") for r in new}).values():
+    for row in named(base, Counter({identity(r, "key") for r in new})).values():
         other = theirs.pop(identity(row), None)
         if other is None:
             verdict["missing"].append(_change(row, None))
@@ -36,14 +38,6 @@ def compare_rows(base: Rows, new: Rows) -> dict[str, Any]:
     verdict["added"] = len(theirs)
     verdict["passed"] = not verdict["worse"] and not verdict["missing"] and verdict["compared"] > 0
     return verdict
-
-
-def named(rows: Rows, preferred: set[tuple[Any, ...]]) -> dict[tuple[Any, ...], dict[str, Any]]:
-    """Rows by what they are about. Of several (other budgets or options) the one with BASE's own cell key counts."""
-    out: dict[tuple[Any, ...], dict[str, Any]] = {}
-    for row in sorted(rows, key=lambda r: identity(r, "key") in preferred):
-        out[identity(row)] = row
-    return out
 
 
 def _change(base: dict[str, Any], new: dict[str, Any] | None) -> dict[str, Any]:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +19,19 @@ from clothbench.engine.store import Store
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording, read_recording, write_recording
 from clothbench.studies.calibration.cell import CalibrationCell, asked, asked_and_fitted, set_up, uses
-from clothbench.submissions.submission import Asked, Entry, Submission, Wheel, compared, require_all, written
+from clothbench.submissions.submission import (
+    Asked,
+    Entry,
+    Submission,
+    Wheel,
+    compared,
+    require_all,
+    require_held,
+    written,
+)
 
 TRACKER = "markers"  # the one that scores are computed with
+ROLLOUTS, WHEELS = "rollouts", "wheels"  # what is packed beside `submission.json`
 
 
 def pack_results(
@@ -41,19 +52,31 @@ def pack_results(
         raise ClothbenchError(f"{results.folder}: found no calibrations, expected some of `clothbench run`")
     by_hash = {recording.hash: recording for recording in measured}
     cells, entries = [], []
-    for key in keys:
-        cell, fitted = asked_and_fitted(results, key)
-        require_checkable(cell, key)
-        require_ended(results, key)
-        require_installed(cell, key, plugins)
-        values = {row["name"]: row["value"] for row in fitted}
-        entries += _simulated(folder, cell, key, values, by_hash, plugins)
-        cells.append(Asked(key, asked(without_paths(cell))))
-    require_all(folder, [entry.recording for entry in entries], measured)
-    packed = tuple(_packed(folder, wheel) for wheel in wheels)
-    return written(folder, Submission(
-        clothbench=clothbench.__version__, entries=tuple(entries), cells=tuple(cells), wheels=packed, **about
-    ))  # fmt: skip
+    with _whole(folder):
+        for key in keys:
+            cell, fitted = asked_and_fitted(results, key)
+            require_checkable(cell, key)
+            require_ended(results, key)
+            require_installed(cell, key, plugins)
+            values = {row["name"]: row["value"] for row in fitted}
+            entries += _simulated(folder, cell, key, values, by_hash, plugins)
+            cells.append(Asked(key, asked(without_paths(cell))))
+        require_all(folder, [entry.recording for entry in entries], measured)
+        packed = tuple(_packed(folder, wheel) for wheel in wheels)
+        return written(folder, Submission(
+            clothbench=clothbench.__version__, entries=tuple(entries), cells=tuple(cells), wheels=packed, **about
+        ))  # fmt: skip
+
+
+@contextmanager
+def _whole(folder: Path) -> Iterator[None]:
+    """Takes out again what was packed if not all of it can be: the same command expects the folder to be empty."""
+    try:
+        yield
+    except BaseException:
+        for part in (ROLLOUTS, WHEELS):
+            shutil.rmtree(folder / part, ignore_errors=True)
+        raise
 
 
 def require_checkable(cell: CalibrationCell, key: str) -> None:
@@ -109,14 +132,19 @@ def _simulated(
     """What the parameters that were found make of every recording of a cell, in FOLDER/rollouts/KEY."""
     bench = set_up(cell, plugins)
     best = np.array([[values[name] for name in bench.space.names]])
+    moving = [name for name in cell.effects if plugins.load("effects", name).place in ("boundary", "sensor")]
     entries = []
     for source, trial in zip(cell.recordings, bench.trials, strict=True):
         if source.hash not in measured:
             raise ClothbenchError(f"cell {key}: recording {source.name!r} is not among those of --recordings; name it")
         of = read_recording(source.path)
-        path = folder / "rollouts" / key / f"{file_name(source.name)}.nc"
+        path = folder / ROLLOUTS / key / f"{file_name(source.name)}.nc"
         position = trial.simulation.run(best).position[0][:, : len(of.material)]
-        write_recording(simulation_of(of, position, cell.model), path)
+        simulated = simulation_of(of, position, cell.model)
+        if moving:
+            remedy = f"run it without {', '.join(moving)}, which moves grips, or how they are seen"
+            require_held(f"cell {key}: {source.name}", simulated, of, remedy)
+        write_recording(simulated, path)
         found = compared(path, read_recording(path), of, metrics_of(cell), plugins, key)
         place = path.relative_to(folder).as_posix()
         entries.append(Entry(source.name, source.hash, place, sha256(path), found.scores, key))
@@ -135,7 +163,7 @@ def simulation_of(recording: Recording, position: np.ndarray, model: str) -> Rec
 def _packed(folder: Path, wheel: Path) -> Wheel:
     if wheel.suffix != ".whl" or not wheel.is_file():
         raise ClothbenchError(f"{wheel}: found no wheel, expected a .whl file; make one with `python -m build --wheel`")
-    place = folder / "wheels" / wheel.name
+    place = folder / WHEELS / wheel.name
     place.parent.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(wheel, place)
     return Wheel(place.relative_to(folder).as_posix(), sha256(place))

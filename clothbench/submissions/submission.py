@@ -179,16 +179,22 @@ def require_of(path: Path, simulated: Recording, measured: Recording) -> None:
     if lost.any():
         frame, node = np.argwhere(lost)[0]
         raise ClothbenchError(f"{path}: position is no number at frame {frame}, node {node}; expected all of them")
+    require_held(path, simulated, measured, "drive the cloth with the recorded grips")
+
+
+def require_held(where: object, simulated: Recording, measured: Recording, remedy: str) -> None:
+    """Refuse held points that do not lie in the recorded grips. where, remedy: what a fault is about, what to do."""
     held, grip = held_points(measured)
-    if len(held):
-        where = grips_at(measured, measured.time)[:, grip]
-        away = np.linalg.norm(simulated.position[:, held] - where, axis=2)
-        if away.max() > HELD:
-            frame, k = np.unravel_index(int(away.argmax()), away.shape)
-            raise ClothbenchError(
-                f"{path}: node {held[k]} is held, and lies {1e3 * away.max():.3g} mm from its grip at frame {frame}; "
-                f"expected {1e3 * HELD:g} mm at most: drive the cloth with the recorded grips"
-            )
+    if not len(held):
+        return
+    grips = grips_at(measured, measured.time)[:, grip]
+    away = np.linalg.norm(simulated.position[:, held] - grips, axis=2)
+    if away.max() > HELD:
+        frame, k = np.unravel_index(int(away.argmax()), away.shape)
+        raise ClothbenchError(
+            f"{where}: node {held[k]} is held, and lies {1e3 * away.max():.3g} mm from its grip at frame {frame}; "
+            f"expected {1e3 * HELD:g} mm at most: {remedy}"
+        )
 
 
 def held_points(recording: Recording) -> tuple[np.ndarray, np.ndarray]:

@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import importlib
 import os
 import pickle
+import queue as queues
 import signal
 import socket
 import subprocess
 import sys
 import time
+import types
+from concurrent.futures import Future
 from pathlib import Path
 
 import psutil
@@ -24,8 +28,11 @@ from clothbench.engine.executors.child import Ended, _kept, in_child
 from clothbench.engine.executors.drive import InOrder, answers, elsewhere
 from clothbench.engine.executors.settings import executor_settings
 from clothbench.engine.executors.work import Answer, Died, Owner, attended, seldom
+from clothbench.engine.leases import KEPT
 from clothbench.engine.limits import Limits, Watch
-from clothbench.engine.run import run_cell
+from clothbench.engine.pool import _first, _run_alone, _told, _told_file
+from clothbench.engine.rows import failure
+from clothbench.engine.run import keep, run_cell
 from clothbench.engine.store import Store, outcome
 from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import catalogue
@@ -61,6 +68,48 @@ def test_what_is_wrong_in_an_executor_is_one_line(monkeypatch, given, says):
         executor_settings(given)
     assert says in str(fault.value)
     assert "\n" not in str(fault.value)
+
+
+@pytest.fixture
+def ray(monkeypatch):
+    """The executor's module, with as much of Ray in place of it as a test needs; restored afterwards."""
+    name = "clothbench.engine.executors.ray"
+    queue = types.SimpleNamespace(Empty=queues.Empty, Full=queues.Full, Queue=lambda **_: None)
+    made = types.SimpleNamespace(nodes=lambda: [], remote=lambda **_: lambda function: function, shutdown=lambda: None)
+    for module, stub in (("ray", made), ("ray.util", None), ("ray.util.queue", queue)):
+        monkeypatch.setitem(sys.modules, module, stub)
+    monkeypatch.delitem(sys.modules, name, raising=False)
+    yield importlib.import_module(name)
+    sys.modules.pop(name, None)
+
+
+@pytest.mark.parametrize(
+    ("address", "says"),
+    [
+        (None, "executor ray: found that Ray cannot be started on this machine (RuntimeError: no room), expected"),
+        ("head:1", "setting 'executor.address' is 'head:1': found no Ray cluster there (RuntimeError: no room), exp"),
+    ],
+)
+def test_a_ray_cluster_that_cannot_be_had_is_one_line(ray, address, says):
+    def init(**_):
+        raise RuntimeError("no room")
+
+    ray.ray.init = init
+    with pytest.raises(ClothbenchError) as fault:
+        ray.RayWorkers({"address": address, "cores": 1, "wait": 1.0}, 0, 3)
+    assert str(fault.value).startswith(says)
+
+
+@pytest.mark.parametrize(("jobs", "room"), [(0, 10), (3, 3)])
+def test_ray_is_given_little_more_than_its_nodes_have_cores_for(ray, jobs, room):
+    """All that it is given is leased, and other commands in the folder are to have their share."""
+    nodes = [(True, {"CPU": 8.0}), (True, {"CPU": 3.0}), (True, {}), (False, {"CPU": 64.0})]
+    ray.ray.init = lambda **_: None
+    ray.ray.nodes = lambda: [{"Alive": alive, "Resources": resources} for alive, resources in nodes]
+    workers = ray.RayWorkers({"address": "head:1", "cores": 2, "wait": 1.0}, jobs, 1000)
+    assert workers.room() == room
+    workers.running = dict.fromkeys("ab", 0)
+    assert workers.room() == room - 2
 
 
 @pytest.mark.parametrize("name", ["dask", "ray", "slurm"])
@@ -322,3 +371,36 @@ def test_a_cell_that_took_two_workers_with_it_is_a_row(recordings_folder, tmp_pa
     assert store.rows()[0]["reason"] == "the process that ran this cell died twice (worker tcp://there:1)"
     with pytest.raises(ClothbenchError, match="disk full"):
         concluded(store, cell, Answer(fault="disk full"))
+
+
+def test_a_worker_keeps_what_another_command_finished_while_the_cell_was_in_a_queue(recordings_folder, tmp_path):
+    cell, store = cell_of(recordings_folder), Store(tmp_path)
+    work = CellWork(cell, places(cell, shared=True), tmp_path, False)
+    keep(store, cell, failure(cell, "diverged", "the step is too long"))
+    assert work(print, 1).status == KEPT
+    assert [row["status"] for row in store.rows()] == ["diverged"]
+
+
+def test_a_cell_that_was_stored_before_its_worker_died_is_told_as_it_was_stored(recordings_folder, tmp_path):
+    cell, store = cell_of(recordings_folder), Store(tmp_path)
+    keep(store, cell, failure(cell, "diverged", "the step is too long"))
+    assert concluded(store, cell, Died("worker tcp://there:1")) == "diverged"
+    assert _run_alone(cell, tmp_path, False, tmp_path / "told", {}, Watch(Limits(), 1)) == "diverged"
+
+
+def test_cells_at_work_are_looked_at_however_often_others_end(recordings_folder):
+    """A cell beyond its limit must not go on for as long as short ones end beside it."""
+    cell = cell_of(recordings_folder)
+    short, long = dataclasses.replace(cell, seed=1), dataclasses.replace(cell, seed=2)
+    file, numbers, ended, at_work = _told_file(2), {short.key: 0, long.key: 1}, Future(), Future()
+    ended.set_result("ok")
+    _told(file, 1)[:] = 3, 0.5, 4321
+    looked, heard = [], []
+    watch = types.SimpleNamespace(look=looked.append)
+
+    def tell(cell, steps, value):
+        heard.append((cell.key, steps, value))
+
+    assert _first({ended: short, at_work: long}, file, numbers, tell, watch) == {ended}
+    assert looked == [{long.key: 4321}]
+    assert heard == [(long.key, 3, 0.5)]

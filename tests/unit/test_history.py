@@ -10,7 +10,8 @@ from test_gate import row
 
 from clothbench import ClothbenchError
 from clothbench.engine.store import ROW, SYSTEM, Store
-from clothbench.history.commits import Commit
+from clothbench.history import speed
+from clothbench.history.commits import Commit, commit_at, commits_of
 from clothbench.history.entries import Entry, add, entries_in, entries_of_git
 from clothbench.history.page import write_page
 from clothbench.history.series import all_series
@@ -86,6 +87,14 @@ def test_a_distance_from_a_reference_counts_and_not_the_value():
     assert changes(series) == [(2, "worse")]
 
 
+def test_a_series_keeps_to_the_cell_that_most_entries_have():
+    """Others about the same, with another budget, do not take its place in entries that have both."""
+    once, short, long = total(9.0, key="b"), total(10.0, key="a"), total(5.0, key="b")
+    (series,) = all_series([entry(0, once, short), entry(1, short, long), entry(2, short), entry(3, short)])
+    assert [point.value for point in series.points] == [10.0] * 4
+    assert series.changes == ()
+
+
 def timed(seconds, cells=3, **about):
     """Cells of one model, each of which takes its own time for ten evaluations."""
     return [
@@ -105,6 +114,13 @@ def test_speeds_of_other_cells_are_compared_over_those_they_share():
     assert series.changes[0].after / series.changes[0].before == pytest.approx(0.5, rel=0.03)
     slow_cell_came_late = [entry(k, *timed(1.0, cells=1 + (k > 3))) for k in range(8)]
     assert speed_series(*slow_cell_came_late)[0].changes == ()
+
+
+def test_entries_that_share_cells_are_looked_for_once(monkeypatch):
+    asked = []
+    monkeypatch.setattr(speed, "_connected", lambda places: asked.append(len(places)) or {0, 1})
+    speed_series(entry(0, *timed(1.0)), entry(1, *timed(1.0)))
+    assert asked == [6]
 
 
 def test_speeds_are_compared_within_one_machine_and_from_six_entries_on():
@@ -190,10 +206,24 @@ def test_git_itself_is_a_history(repository, clothbench, tmp_path):
     assert clothbench("history", "--git", repository).stdout.splitlines()[-1].startswith("3 commits, 1 series of err")
 
 
+@pytest.mark.parametrize("subject", ["ma\u00dfe".encode("latin-1"), "one\u2028two".encode(), b"one\x0ctwo\rthree"])
+def test_a_subject_of_any_bytes_is_one_commit(repository, subject):
+    def git(*words, text=b""):
+        return subprocess.run(["git", "-C", repository.parent, *words], input=text, check=True, capture_output=True)
+
+    # `git commit` would make UTF-8 of it; other programs that write commits do not.
+    text = git("cat-file", "commit", "HEAD").stdout.replace(b"change\t3", subject)
+    git("update-ref", "HEAD", git("hash-object", "-w", "-t", "commit", "--stdin", text=text).stdout.decode().strip())
+    assert commit_at("HEAD", repository.parent).subject == subject.decode("utf-8", errors="replace")
+    assert len(commits_of(repository)) == 4
+
+
 @pytest.mark.parametrize(
     ("words", "found"),
     [
         ((), "expected either a FOLDER of entries, or --git FILE"),
+        (("folder", "--machine", "m"), "--machine is for --git"),
+        (("folder", "--commit", "main"), "--commit says what the RUNS of --add are of"),
         (("--git", "nowhere/board.json"), "found no folder nowhere"),
         (("--git", "board.json"), "git log said:"),
         (("folder", "--add", "nothing"), "found no results (no folder 'cells')"),

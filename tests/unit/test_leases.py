@@ -118,6 +118,25 @@ def test_whoever_has_nothing_else_left_computes_it_anyway(tmp_path, mine, monkey
     assert not line
 
 
+def test_cells_of_others_are_begun_one_at_a_time_and_only_while_none_is_finished(tmp_path, mine):
+    """Another command may hold more than it is at, as one with a queue does: they are not all done twice."""
+    taken, late = [], 2 * leases.PATIENCE
+    for key in ("aa", "bb", "cc", "dd"):
+        lease_of(tmp_path, key)
+    line = Line(["aa", "bb", "cc", "dd"], mine, str, taken.append)
+
+    def begin(after):
+        line._looked = 0.0
+        line._idle -= after
+        return line.begin()
+
+    assert [begin(0.0), begin(late), begin(0.0), begin(late)] == [None, "dd", None, "cc"]
+    Store(tmp_path).put("aa", {"rows": [row("aa")]})
+    assert [begin(late), begin(0.0), begin(late)] == [None, None, "bb"]
+    assert taken == ["aa"]
+    assert not line
+
+
 def test_they_cost_little(tmp_path, mine):
     line = Line([f"{number:x}" for number in range(1000)], mine, str, list)
     began = time.perf_counter()

@@ -243,7 +243,7 @@ def test_settings_of_the_other_kind_are_refused():
         ({"obstacles": [{"radius": 1}]}, "states no shape"),
         ({"obstacles": [{"shape": "cone"}]}, "shape is 'cone'"),
         ({"obstacles": [{"shape": "plane", "height": 1}]}, "'height' is not known"),
-        ({"thickness": -1}, "scene.thickness"),
+        ({"thickness": -1}, "setting 'scene.thickness' is -1, expected a number, at least 0$"),
         ({"starts": 0}, "scene.starts"),
     ],
 )

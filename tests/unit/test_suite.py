@@ -69,6 +69,7 @@ def test_cases_and_selection(tmp_path):
         ({"model": "mass_sping"}, "did you mean 'mass_spring'"),
         ({"model": []}, "setting 'model' is empty"),
         ({"budget": 0}, "expected a whole number, at least 1"),
+        ({"timeout": 10**400}, "setting 'timeout' is 1000+, expected a number above 0"),
         ({"recordings": "nowhere"}, "no such file or folder"),
         ({"recordings": None}, "no recordings named"),
     ],

@@ -200,6 +200,8 @@ def test_prune_knows_cells_of_other_versions(filled, capsys):
         (["check", "runs"], "found no results"), (["merge", "nothing", "b"], "found no results"),
         (["merge", "a", "a"], "the folder to merge from"), (["prune", "a", "--cell", "0f"], "no such cell"),
         (["prune", "a", "--cell", ".."], "no such cell"),
+        *((["prune", "a", "--older", days], f"--older is {days!r}, expected days, a number, at least 0")
+          for days in ("-1", "nan", "inf", "old")),
     ],
 )  # fmt: skip
 def test_bad_words_are_one_line(filled, monkeypatch, capsys, words, told):

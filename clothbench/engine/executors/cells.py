@@ -53,6 +53,8 @@ class CellWork:
         store = Store(self._folder())
         if reason := other_versions(self.cell.versions):
             return self.failed(reason)
+        if self.out and store.status(self.cell.key) is not None:  # by another command, while this one was in a queue
+            return Finished(KEPT)
         return self._finished(store, self._run(store, tell, threads))
 
     def failed(self, reason: str) -> Finished:
@@ -143,8 +145,9 @@ def concluded(store: Store, cell: Cell, answer: Answer | Died) -> str:
             with writing(store, cell):
                 store.take(cell.key, answer.value.files)
         return answer.value.status
-    if up_to_date(store).has(cell.key):  # its worker had stored it, and died before it could say so
-        return "ok"
+    # Its worker may have stored it, and died before it could say so.
+    if (status := up_to_date(store).status(cell.key)) is not None:
+        return status
     result = failed_with(cell, f"the process that ran this cell died twice ({answer.reason})")
     keep(store, cell, result)
     return result.status

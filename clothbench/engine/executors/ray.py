@@ -37,7 +37,11 @@ class RayWorkers:
         self.running: dict[Any, int] = {}
 
     def room(self) -> int:
-        return self.jobs - len(self.running)
+        """What the nodes have cores for, and as many again, which wait with Ray: so a cluster that grows by itself sees
+        that there is work, and no more cells than that are kept from other commands in the same folder.
+        """
+        there = sum(int(node["Resources"].get("CPU", 0) // self.cores) for node in ray.nodes() if node["Alive"])
+        return min(self.jobs, 2 * there) - len(self.running)
 
     def begin(self, works: Mapping[int, Work]) -> None:
         for number, work in works.items():
@@ -70,6 +74,11 @@ def _begin(executor: Mapping[str, Any], workers: int) -> None:
     try:
         ray.init(**where, log_to_driver=False, logging_level=logging.CRITICAL)
     except (ConnectionError, OSError, ValueError, RuntimeError) as fault:
+        if not executor["address"]:
+            raise ClothbenchError(
+                f"executor ray: found that Ray cannot be started on this machine ({one_line(fault)}), expected a local "
+                "cluster; give executor.address=HOST:PORT of a head, or leave the executor out"
+            ) from fault
         raise ClothbenchError(
             f"setting 'executor.address' is {executor['address']!r}: found no Ray cluster there ({one_line(fault)}), "
             "expected HOST:PORT of a head, or auto"
