@@ -94,7 +94,7 @@ def _merge(sub: argparse.ArgumentParser) -> None:
 def _prune(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--dry-run", action="store_true", help="say what would be removed, and remove nothing")
     sub.add_argument(
-        "--older", type=_days, default=1.0, metavar="DAYS",
+        "--older", type=_span("store prune: --older", "days"), default=1.0, metavar="DAYS",
         help="age from which on what stopped runs left is removed (default: 1)",
     )  # fmt: skip
     sub.add_argument(
@@ -103,15 +103,19 @@ def _prune(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--cell", action="append", default=[], metavar="KEY", help="this cell, too, finished or not")
 
 
-def _days(text: str) -> float:
-    """An age. A negative one would take away what runs under way are at."""
-    try:
-        days = float(text)
-    except ValueError:
-        days = math.nan
-    if not (math.isfinite(days) and days >= 0):
-        raise ClothbenchError(f"store prune: --older is {text!r}, expected days, a number, at least 0")
-    return days
+def _span(word: str, unit: str) -> Callable[[str], float]:
+    """Reads a time. A negative age would take away what runs under way are at; what is no number would end nothing."""
+
+    def read(text: str) -> float:
+        try:
+            span = float(text)
+        except ValueError:
+            span = math.nan
+        if not (math.isfinite(span) and span >= 0):
+            raise ClothbenchError(f"{word} is {text!r}, expected {unit}, a number, at least 0")
+        return span
+
+    return read
 
 
 def _json(sub: argparse.ArgumentParser) -> None:
@@ -165,7 +169,11 @@ def _verify(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--cells", type=_count, default=2, metavar="N", help="cells to run again (default: 2)")
     sub.add_argument("--seed", type=int, metavar="N", help="of their choice (default: drawn now, and told)")
     sub.add_argument(
-        "--time-limit", type=float, default=3600.0, metavar="S", help="s that one fit may take (default: 3600)"
+        "--time-limit",
+        type=_span("verify: --time-limit", "seconds"),
+        default=3600.0,
+        metavar="S",
+        help="s that one fit may take (default: 3600)",
     )
     sub.add_argument(
         "--verdicts", type=_local, metavar="FOLDER", help="keep what was found here, for `clothbench site`"

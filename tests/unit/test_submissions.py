@@ -10,6 +10,7 @@ import pytest
 from conftest import swinging_recording
 
 from clothbench import ClothbenchError, read_recording, write_recording
+from clothbench.cli import main
 from clothbench.cli.submissions import suite_of
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store
@@ -223,6 +224,12 @@ def test_options_that_do_not_apply_are_refused(folder, tmp_path, clothbench, wor
     assert (done.returncode, done.stdout) == (2, "")
     assert done.stderr.startswith(f"clothbench: submit: {said}")
     assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize("limit", ["-1", "nan", "soon"])
+def test_a_time_limit_that_ends_nothing_is_refused(limit, capsys):
+    assert main(["verify", "mine", "--recordings", "known", "--time-limit", limit]) == 2
+    assert f"--time-limit is '{limit}', expected seconds, a number, at least 0" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
