@@ -69,6 +69,7 @@ SYSTEM = {
     "cpu": _text, "cores": _whole, "threads": _whole, "finished": _text,
 }  # fmt: skip
 ROWS = {**ROW, **SYSTEM}
+NEEDED = ("suite", "case", "model", "status", "key")  # what no row is without
 FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
 
 KEY = re.compile(r"[0-9a-f]+")  # of a cell, and the name of its folder
@@ -259,7 +260,7 @@ class Store:
         """
         files = {key: f"{self.folder}/cells/{key}/{name}.parquet" for key in (self._keys() if keys is None else keys)}
         declared = ROWS if name == "rows" else columns
-        needed = ("status",) if name == "rows" else ()
+        needed = NEEDED if name == "rows" else ("key",) if "key" in (columns or {}) else ()
         return indexed(self.folder / INDEX / name, files, lambda path: read_if_there(path, declared, needed))
 
     def _keys(self) -> list[str]:

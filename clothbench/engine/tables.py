@@ -81,9 +81,7 @@ def as_declared(table: pa.Table, columns: Columns, needed: Collection[str], wher
     for name, of in columns.items():
         if name not in there:
             if name in needed:
-                raise ClothbenchError(
-                    f"{where}: found no column {name!r}, expected the columns of a leaderboard; {AGAIN}"
-                )
+                raise ClothbenchError(f"{where}: found no column {name!r}, expected one of {of}; {AGAIN}")
             table = table.append_column(name, pa.nulls(table.num_rows, of))
             continue
         column = table.column(there[name])

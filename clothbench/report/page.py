@@ -61,7 +61,7 @@ def heading(found: Sequence[tuple[Study, Results]]) -> str:
         return top
     finished = [r["finished"] for r in rows]
     where = sorted({f"{r['cpu']}, {r['cores']} cores" for r in rows})
-    versions = ", ".join(sorted({f"clothbench {r['clothbench']}" for r in rows}))
+    versions = text(", ".join(sorted({f"clothbench {r['clothbench']}" for r in rows})))
     on = where[0] if len(where) == 1 else f"{len(where)} machines"
     when = f"finished {span(min(finished), max(finished))} UTC"
     return f"{top}<p class='soft'>{versions} · {when} · {text(on)}</p>"

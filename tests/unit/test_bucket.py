@@ -103,7 +103,7 @@ from clothbench.engine.store import ROW, Store
 store = Store(results_folder(sys.argv[1]))
 for k in range(20):
     status = "error" if k < 10 else "ok"
-    row = {**dict.fromkeys(ROW), "status": status, "value": float(k), "key": f"{k % 10:04x}"}
+    row = {**dict.fromkeys(ROW), "suite": "s", "case": "c", "model": "m", "status": status, "value": float(k), "key": f"{k % 10:04x}"}
     store.put(row["key"], {"rows": [row]})
 """
 
@@ -136,7 +136,7 @@ def dies(self, name, content):
 
 store = Store(results_folder(sys.argv[1]))
 Bucket.create = dies
-store.put("0a", {"rows": [{**dict.fromkeys(ROW), "status": "ok", "value": 1.0, "key": "0a"}]})
+store.put("0a", {"rows": [{**dict.fromkeys(ROW), "suite": "s", "case": "c", "model": "m", "status": "ok", "value": 1.0, "key": "0a"}]})
 """
 
 

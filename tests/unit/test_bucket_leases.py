@@ -26,7 +26,20 @@ def machines(machine, monkeypatch):
 
 def put(store, key):
     store.put(
-        key, {"rows": [{**dict.fromkeys(ROW), "suite": "s", "case": "c", "status": "ok", "value": 1.0, "key": key}]}
+        key,
+        {
+            "rows": [
+                {
+                    **dict.fromkeys(ROW),
+                    "suite": "s",
+                    "case": "c",
+                    "model": "m",
+                    "status": "ok",
+                    "value": 1.0,
+                    "key": key,
+                }
+            ]
+        },
     )
 
 

@@ -145,14 +145,39 @@ def test_rows_in_which_something_is_missing_are_shown_all_the_same(tmp_path, cap
     assert main(["report", f"out={tmp_path}"]) == 0
 
 
-def test_a_table_that_says_nothing_of_its_cell_is_left_out(tmp_path, capsys):
-    rows = [row(recording="r", objective="m", metric="m", optimizer="o", unit="m") | ABOUT]
-    bars = [{"key": None, "name": "k1", "percent": 1.0}]
-    Store(tmp_path).put(
-        "ab", {"rows": rows, "variability": bars, "sensitivity": [{"key": "cd", "method": "sobol", "main": 1.0}]}
+def test_a_table_that_says_nothing_of_its_cell_is_refused_and_of_another_left_out(tmp_path, capsys):
+    rows, bars = (
+        [row(recording="r", objective="m", metric="m", optimizer="o", unit="m") | ABOUT],
+        {"name": "k1", "percent": 1.0},
     )
-    assert main(["leaderboard", "--out", str(tmp_path)]) == 0
+    for key, code in (("cd", 0), (None, 2)):
+        Store(tmp_path / str(key)).put("ab", {"rows": rows, "variability": [{**bars, "key": key}]})
+        assert main(["leaderboard", "--out", str(tmp_path / str(key))]) == code
+        assert main(["report", f"out={tmp_path / str(key)}"]) == code
+    assert "variability.parquet: column 'key': found nothing in a row" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("name", ["suite", "case", "model", "status"])
+def test_rows_of_nothing_are_refused_in_one_line(tmp_path, capsys, name):
+    Store(tmp_path).put("ab", {"rows": [row(**{name: None})]})
+    assert main(["leaderboard", "--out", str(tmp_path)]) == 2
+    assert f"rows.parquet: column '{name}': found nothing in a row" in capsys.readouterr().err
+
+
+def test_a_version_is_no_markup_of_a_page(tmp_path):
+    rows = [
+        row(recording="r", objective="m", metric="m", optimizer="o", unit="m") | ABOUT | {"clothbench": "<img src=x>"}
+    ]
+    Store(tmp_path).put("ab", {"rows": rows})
     assert main(["report", f"out={tmp_path}"]) == 0
+    assert "<img src=x>" not in (tmp_path / "report.html").read_text()
+
+
+def test_an_analysis_without_units_is_shown(tmp_path, capsys):
+    rows = [row(recording="r", objective="m", metric="m", optimizer="o", unit="m") | ABOUT]
+    Store(tmp_path).put("ab", {"rows": rows, "variability": [{"key": "ab", "case": None, "name": "k1", "value": 1.0}]})
+    assert main(["leaderboard", "--out", str(tmp_path)]) == 0
+    assert "k1" in capsys.readouterr().out
 
 
 def test_texts_of_a_table_are_no_markup_of_the_terminal(tmp_path, capsys):

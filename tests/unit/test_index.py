@@ -114,7 +114,7 @@ def test_tables_of_other_columns_and_without_rows(store, monkeypatch):
             2: [{"b": "x", "c": [1.0, 2.0]}, {"b": None, "c": None}],
         }
         columns = {"more": {"a": pa.float64()}} if number % 3 == 1 else None
-        row = {**dict.fromkeys(ROW), "status": "ok", "key": f"{number:04x}"}
+        row = {**dict.fromkeys(ROW), "suite": "s", "case": "c", "model": "m", "status": "ok", "key": f"{number:04x}"}
         store.put(f"{number:04x}", {"rows": [row], "more": content[number % 3]}, columns=columns)
     expected = plain(store, monkeypatch, "more")
     assert len(expected) == 16

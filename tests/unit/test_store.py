@@ -53,7 +53,9 @@ from clothbench.engine.store import ROW, Store
 store = Store(sys.argv[1])
 for k in range(60):
     status = "error" if k < 30 else "ok"
-    store.put(f"{k % 30:04x}", {"rows": [{**dict.fromkeys(ROW), "status": status, "value": float(k)}]})
+    key = f"{k % 30:04x}"
+    about = {**dict.fromkeys(ROW), "suite": "s", "case": "c", "model": "m", "key": key}
+    store.put(key, {"rows": [{**about, "status": status, "value": float(k)}]})
 """
 
 

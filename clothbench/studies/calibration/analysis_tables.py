@@ -6,7 +6,7 @@ import math
 from collections.abc import Sequence
 from typing import Any
 
-from rich.markup import escape
+from rich.markup import escape as escaped
 from rich.table import Table
 
 from clothbench.display.names import cell_name
@@ -14,6 +14,11 @@ from clothbench.studies.calibration.transfer import Confusion, Transfer, confusi
 
 Rows = Sequence[dict[str, Any]]
 MUCH = 100.0  # %: beyond it a parameter is not determined, and the number says no more
+
+
+def escape(said: str | None) -> str:
+    """A text of a table as it is, and no markup; what an older version did not say is left open."""
+    return escaped(said or "")
 
 
 def analyses(rows: Rows, tables: dict[str, Rows]) -> list[Any]:
@@ -166,7 +171,7 @@ def _table(title: str, first: str) -> Table:
 
 
 def _by_key(rows: Rows) -> list[tuple[str, list[dict[str, Any]]]]:
-    keys = dict.fromkeys(r["key"] for r in sorted(rows, key=lambda r: r["case"]))
+    keys = dict.fromkeys(r["key"] for r in sorted(rows, key=lambda r: r["case"] or ""))
     return [(key, [r for r in rows if r["key"] == key]) for key in keys]
 
 
