@@ -103,7 +103,8 @@ from clothbench.engine.store import ROW, Store
 store = Store(results_folder(sys.argv[1]))
 for k in range(20):
     status = "error" if k < 10 else "ok"
-    row = {**dict.fromkeys(ROW), "suite": "s", "case": "c", "model": "m", "status": status, "value": float(k), "key": f"{k % 10:04x}"}
+    about = {**dict.fromkeys(ROW), "suite": "s", "case": "c", "model": "m"}
+    row = {**about, "status": status, "value": float(k), "key": f"{k % 10:04x}"}
     store.put(row["key"], {"rows": [row]})
 """
 
@@ -136,7 +137,8 @@ def dies(self, name, content):
 
 store = Store(results_folder(sys.argv[1]))
 Bucket.create = dies
-store.put("0a", {"rows": [{**dict.fromkeys(ROW), "suite": "s", "case": "c", "model": "m", "status": "ok", "value": 1.0, "key": "0a"}]})
+about = {**dict.fromkeys(ROW), "suite": "s", "case": "c", "model": "m"}
+store.put("0a", {"rows": [{**about, "status": "ok", "value": 1.0, "key": "0a"}]})
 """
 
 
