@@ -28,6 +28,7 @@ from clothbench.engine.settings import KNOWN
 from clothbench.engine.store import ROW, Store, load_rows
 from clothbench.engine.tables import read_table, write_table
 from clothbench.studies.calibration.cell import asked_and_fitted
+from clothbench.studies.calibration.matrix import one_way
 
 # --- recordings -----------------------------------------------------------------------------------------------------
 
@@ -171,6 +172,19 @@ def test_a_version_is_no_markup_of_a_page(tmp_path):
     Store(tmp_path).put("ab", {"rows": rows})
     assert main(["report", f"out={tmp_path}"]) == 0
     assert "<img src=x>" not in (tmp_path / "report.html").read_text()
+
+
+def test_rows_of_a_page_are_not_compared_each_with_each():
+    """Of twenty thousand that would take minutes."""
+
+    class Alone(dict):
+        __hash__ = None
+
+        def __eq__(self, other):
+            pytest.fail("rows are compared")
+
+    rows = [Alone(row(recording=f"r{n}", metric="m", unit="m", split="fit")) for n in range(3)]
+    assert len(one_way("s", "m", rows, lambda suite, case: "").lines) == 1
 
 
 def test_an_analysis_without_units_is_shown(tmp_path, capsys):

@@ -105,7 +105,9 @@ def _square(one: Standing | None, line: Mapping[str, Standing], best: Sequence[s
 
 def one_way(suite: str, metric: str, rows: Rows, links: Links) -> Matrix:
     """A column for each kind of recording, the fitted one framed; where there are too many, "fitted" and "held out"."""
-    mine = [r for r in rows if r["metric"] == metric and r["recording"]]
+    lines_of = group(rows, lambda r: r["case"])
+    shown = {case: [r for r in some if r["metric"] == metric and r["recording"]] for case, some in lines_of.items()}
+    mine = [r for some in shown.values() for r in some]
     names = sorted({tail(r) for r in mine})
     few = len(names) <= TRIALS
     name = tail if few else lambda r: "fitted" if r["split"] == "fit" else "held out"
@@ -113,9 +115,9 @@ def one_way(suite: str, metric: str, rows: Rows, links: Links) -> Matrix:
     known = [r["value"] for r in mine if r["value"]]
     ends = (min(known), max(known)) if known else (1.0, 1.0)
     lines = []
-    for case, some in sorted(group(rows, lambda r: r["case"]).items()):
+    for case, some in sorted(lines_of.items()):
         bad = next((r for r in some if r["status"] != "ok"), None)
-        by_head = group([r for r in some if r in mine], name)
+        by_head = group(shown[case], name)
         to = links(suite, case)
         squares = tuple(_judged(by_head.get(head, []), bad, ends, to, framed=few) for head in heads or [""])
         lines.append((case, to, squares))
