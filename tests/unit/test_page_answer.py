@@ -106,6 +106,8 @@ def test_a_parameter_is_determined_if_its_interval_leaves_most_of_the_range_out(
     (half,) = estimates([parameter(low=1e-7, high=3e-4)])
     assert "covers 70% of the range" in half.why_not
     assert "bound" in estimates([parameter(at_bound=True)])[0].why_not
+    (damaged,) = estimates([parameter(upper=-np.inf)])
+    assert damaged.upper == damaged.high  # a range that is none counts for nothing
     assert estimates([parameter(low=None, high=None)])[0].why_not == "no interval"
     assert estimates([parameter(truth=1.0)])[0].found is False
 

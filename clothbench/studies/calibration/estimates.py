@@ -83,13 +83,19 @@ def estimates(parameters: Rows) -> list[Estimate]:
 
 
 def _estimate(p: dict[str, Any], widest: tuple[float | None, float | None]) -> Estimate:
-    lower, upper = (p["lower"], p["upper"]) if p.get("lower") is not None else widest
-    log = p["scale"] == "log" if p.get("scale") else bool(lower and upper and lower > 0 and upper > FAR * lower)
+    searched = p.get("lower"), p.get("upper")
+    lower, upper = next((ends for ends in (searched, widest) if _is_range(*ends)), (None, None))
+    far = lower is not None and upper is not None and 0 < lower < upper / FAR
+    log = lower is not None and lower > 0 and (p["scale"] == "log" if p.get("scale") else far)
     low, high = contained(p["value"], p["low"], p["high"])
     return Estimate(
         p["key"], p["name"], p["symbol"], p["unit"], p["meaning"], p["value"], low, high, lower, upper, log,
         bool(p["at_bound"]), p.get("truth"),
     )  # fmt: skip
+
+
+def _is_range(lower: float | None, upper: float | None) -> bool:
+    return lower is not None and upper is not None and -math.inf < lower < upper < math.inf
 
 
 def _widest(some: Rows) -> tuple[float | None, float | None]:
