@@ -69,6 +69,8 @@ SYSTEM = {
     "cpu": _text, "cores": _whole, "threads": _whole, "finished": _text,
 }  # fmt: skip
 ROWS = {**ROW, **SYSTEM}
+NUMBERS = tuple(name for name, of in ROW.items() if of is _number)
+BEYOND = 1e100  # in any unit; sums of squares of less are numbers still
 NEEDED = ("suite", "case", "model", "status", "key")  # what no row is without
 FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
 
@@ -244,8 +246,12 @@ class Store:
             self._compare(key, where, _rows_in(part), rows)
 
     def rows(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
-        """Rows of all cells, or of some, sorted by what they are about."""
+        """Rows of all cells, or of some, sorted by what they are about. A number that no error can be is none."""
         rows = [{"study": None, **row} for row in self.table("rows", keys)]
+        for row in rows:
+            for name in NUMBERS:
+                if row[name] is not None and not abs(row[name]) < BEYOND:
+                    row[name] = None
         return sorted(rows, key=row_order)
 
     def tables_of(self, key: str) -> frozenset[str]:

@@ -187,6 +187,15 @@ def test_rows_of_a_page_are_not_compared_each_with_each():
     assert len(one_way("s", "m", rows, lambda suite, case: "").lines) == 1
 
 
+@pytest.mark.parametrize("value", [-1.0, -1e300, np.inf, -np.inf])
+def test_errors_that_none_can_be_are_shown_all_the_same(tmp_path, capsys, value):
+    about = row(objective="m", metric="m", optimizer="o", unit="m") | ABOUT
+    rows = [about | {"recording": name, "value": found} for name, found in (("a", value), ("b", 1.0), ("c", -value))]
+    Store(tmp_path).put("ab", {"rows": rows})
+    assert main(["leaderboard", "--out", str(tmp_path)]) == 0
+    assert main(["report", f"out={tmp_path}"]) == 0
+
+
 def test_an_analysis_without_units_is_shown(tmp_path, capsys):
     rows = [row(recording="r", objective="m", metric="m", optimizer="o", unit="m") | ABOUT]
     Store(tmp_path).put("ab", {"rows": rows, "variability": [{"key": "ab", "case": None, "name": "k1", "value": 1.0}]})

@@ -57,7 +57,7 @@ def error_figure(rows: Rows, styles: dict[str, dict[str, str]]) -> dict[str, Any
     single = sorted(rows, key=lambda r: (r["split"], r["recording"]))
     names = list(dict.fromkeys(r["recording"] for r in single))[::-1]
     values = [r["value"] for r in single if r["value"]]
-    log = bool(values) and max(values) > 30 * min(values)
+    log = bool(values) and max(values) > 30 * min(values) > 0
     data = _floors(single, names)
     for number, (key, look) in enumerate(styles.items()):
         up = (0.5 - (number + 0.5) / len(styles)) * 0.7

@@ -112,7 +112,7 @@ def one_way(suite: str, metric: str, rows: Rows, links: Links) -> Matrix:
     few = len(names) <= TRIALS
     name = tail if few else lambda r: "fitted" if r["split"] == "fit" else "held out"
     heads = names if few else [h for h in ("fitted", "held out") if any(name(r) == h for r in mine)]
-    known = [r["value"] for r in mine if r["value"]]
+    known = [r["value"] for r in mine if r["value"] and r["value"] > 0]
     ends = (min(known), max(known)) if known else (1.0, 1.0)
     lines = []
     for case, some in sorted(lines_of.items()):
