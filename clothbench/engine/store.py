@@ -69,9 +69,9 @@ SYSTEM = {
     "cpu": _text, "cores": _whole, "threads": _whole, "finished": _text,
 }  # fmt: skip
 ROWS = {**ROW, **SYSTEM}
+ABOUT = ("suite", "case", "model")
 NUMBERS = tuple(name for name, of in ROW.items() if of is _number)
 BEYOND = 1e100  # in any unit; sums of squares of less are numbers still
-NEEDED = ("suite", "case", "model", "status", "key")  # what no row is without
 FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
 
 KEY = re.compile(r"[0-9a-f]+")  # of a cell, and the name of its folder
@@ -246,11 +246,16 @@ class Store:
             self._compare(key, where, _rows_in(part), rows)
 
     def rows(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
-        """Rows of all cells, or of some, sorted by what they are about. A number that no error can be is none."""
+        """Rows of all cells, or of some, sorted by what they are about, which a text says of each, if an empty one. A
+        number that no error can be is none.
+        """
         rows = [{"study": None, **row} for row in self.table("rows", keys)]
         for row in rows:
+            for name in ABOUT:
+                if row[name] is None:
+                    row[name] = ""
             for name in NUMBERS:
-                if row[name] is not None and not abs(row[name]) < BEYOND:
+                if (value := row[name]) is not None and not abs(value) < BEYOND:
                     row[name] = None
         return sorted(rows, key=row_order)
 
@@ -266,7 +271,7 @@ class Store:
         """
         files = {key: f"{self.folder}/cells/{key}/{name}.parquet" for key in (self._keys() if keys is None else keys)}
         declared = ROWS if name == "rows" else columns
-        needed = NEEDED if name == "rows" else ("key",) if "key" in (columns or {}) else ()
+        needed = ("status",) if name == "rows" else ("key",) if "key" in (columns or {}) else ()
         return indexed(self.folder / INDEX / name, files, lambda path: read_if_there(path, declared, needed))
 
     def _keys(self) -> list[str]:
