@@ -169,12 +169,9 @@ def _verify(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--cells", type=_count, default=2, metavar="N", help="cells to run again (default: 2)")
     sub.add_argument("--seed", type=int, metavar="N", help="of their choice (default: drawn now, and told)")
     sub.add_argument(
-        "--time-limit",
-        type=_span("verify: --time-limit", "seconds"),
-        default=3600.0,
-        metavar="S",
+        "--time-limit", type=_span("verify: --time-limit", "seconds"), default=3600.0, metavar="S",
         help="s that one fit may take (default: 3600)",
-    )
+    )  # fmt: skip
     sub.add_argument(
         "--verdicts", type=_local, metavar="FOLDER", help="keep what was found here, for `clothbench site`"
     )

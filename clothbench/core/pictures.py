@@ -46,7 +46,7 @@ def picture_of(content: bytes | np.ndarray | Path, flags: int) -> np.ndarray | N
     if isinstance(content, Path):
         content = content.read_bytes()
     stream = np.frombuffer(content, np.uint8)
-    if not stream.size or _claims_more(stream.tobytes()):
+    if not stream.size or _claims_more(stream):
         return None
     try:
         with silenced():
@@ -55,12 +55,14 @@ def picture_of(content: bytes | np.ndarray | Path, flags: int) -> np.ndarray | N
         return None
 
 
-def _claims_more(content: bytes) -> bool:
+def _claims_more(stream: np.ndarray) -> bool:
     """Whether a chunk of a PNG states more bytes than the whole file has: OpenCV makes room for what is stated."""
+    if stream[: len(PNG)].tobytes() != PNG:
+        return False
     place = len(PNG)
-    while content.startswith(PNG) and place + 8 <= len(content):
-        length = int.from_bytes(content[place : place + 4], "big")
-        if length > len(content):
+    while place + 8 <= len(stream):
+        length = int.from_bytes(stream[place : place + 4].tobytes(), "big")
+        if length > len(stream):
             return True
         place += 12 + length  # length, kind, content, check sum
     return False

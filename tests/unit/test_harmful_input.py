@@ -138,19 +138,21 @@ ABOUT = {"study": "calibration", "split": "held_out", "seed": 1, "evaluations": 
          "finished": "2026-01-01T00:00:00", "clothbench": "0"}  # fmt: skip
 
 
+def whole_row(**changes):
+    """A row that says all that the terminal's tables and the page show."""
+    return {**row(recording="r", objective="m", metric="m", optimizer="o", unit="m"), **ABOUT, **changes}
+
+
 @pytest.mark.parametrize("name", [n for n in ROW if n not in ("key", "effects", "status")])
 def test_rows_in_which_something_is_missing_are_shown_all_the_same(tmp_path, capsys, name):
-    rows = [row(recording="r", objective="m", metric="m", optimizer="o", unit="m") | ABOUT for _ in range(2)]
+    rows = [whole_row() for _ in range(2)]
     Store(tmp_path).put("ab", {"rows": [rows[0] | {name: None}, rows[1]]})
     assert main(["leaderboard", "--out", str(tmp_path)]) == 0
     assert main(["report", f"out={tmp_path}"]) == 0
 
 
 def test_a_table_that_says_nothing_of_its_cell_is_refused_and_of_another_left_out(tmp_path, capsys):
-    rows, bars = (
-        [row(recording="r", objective="m", metric="m", optimizer="o", unit="m") | ABOUT],
-        {"name": "k1", "percent": 1.0},
-    )
+    rows, bars = [whole_row()], {"name": "k1", "percent": 1.0}
     for key, code in (("cd", 0), (None, 2)):
         Store(tmp_path / str(key)).put("ab", {"rows": rows, "variability": [{**bars, "key": key}]})
         assert main(["leaderboard", "--out", str(tmp_path / str(key))]) == code
@@ -159,9 +161,7 @@ def test_a_table_that_says_nothing_of_its_cell_is_refused_and_of_another_left_ou
 
 
 def test_a_version_is_no_markup_of_a_page(tmp_path):
-    rows = [
-        row(recording="r", objective="m", metric="m", optimizer="o", unit="m") | ABOUT | {"clothbench": "<img src=x>"}
-    ]
+    rows = [whole_row(clothbench="<img src=x>")]
     Store(tmp_path).put("ab", {"rows": rows})
     assert main(["report", f"out={tmp_path}"]) == 0
     assert "<img src=x>" not in (tmp_path / "report.html").read_text()
@@ -182,15 +182,14 @@ def test_rows_of_a_page_are_not_compared_each_with_each():
 
 @pytest.mark.parametrize("value", [-1.0, -1e300, np.inf, -np.inf])
 def test_errors_that_none_can_be_are_shown_all_the_same(tmp_path, capsys, value):
-    about = row(objective="m", metric="m", optimizer="o", unit="m") | ABOUT
-    rows = [about | {"recording": name, "value": found} for name, found in (("a", value), ("b", 1.0), ("c", -value))]
+    rows = [whole_row(recording=name, value=found) for name, found in (("a", value), ("b", 1.0), ("c", -value))]
     Store(tmp_path).put("ab", {"rows": rows})
     assert main(["leaderboard", "--out", str(tmp_path)]) == 0
     assert main(["report", f"out={tmp_path}"]) == 0
 
 
 def test_an_analysis_without_units_is_shown(tmp_path, capsys):
-    rows = [row(recording="r", objective="m", metric="m", optimizer="o", unit="m") | ABOUT]
+    rows = [whole_row()]
     Store(tmp_path).put("ab", {"rows": rows, "variability": [{"key": "ab", "case": None, "name": "k1", "value": 1.0}]})
     assert main(["leaderboard", "--out", str(tmp_path)]) == 0
     assert "k1" in capsys.readouterr().out

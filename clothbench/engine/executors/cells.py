@@ -53,7 +53,7 @@ class CellWork:
         store = Store(self._folder())
         if reason := other_versions(self.cell.versions):
             return self.failed(reason)
-        if self.out and store.status(self.cell.key) is not None:  # by another command, while this one was in a queue
+        if self.out and store.has(self.cell.key):  # by another command, while this one was in a queue
             return Finished(KEPT)
         return self._finished(store, self._run(store, tell, threads))
 
