@@ -25,8 +25,8 @@ import fold_heights as folds
 import matplotlib
 import numpy as np
 import robot_swings as swings
-from scipy.stats import t as student
 
+from clothbench.core.statistics import t_interval
 from clothbench.datasets.convert import converted
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.curve import Curve, read_curve
@@ -100,18 +100,12 @@ def knit(folder: Path) -> Knit:
     return Knit(folder.name.removeprefix("acrylic-"), curves, documents, laws, evidence.cases)
 
 
-def interval(values: np.ndarray) -> tuple[float, float]:
-    """95 % interval of a mean over runs (Student's t)."""
-    half = student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
-    return float(values.mean() - half), float(values.mean() + half)
-
-
 def print_knits(found: Sequence[Knit]) -> None:
     print("| swatch | k [N] | stretch to | held-out error: linear | with the effect | fall (95 %) | floor | named |")
     print("|---|---|---|---|---|---|---|---|")
     for one in found:
         before, after = one.errors("before"), one.errors("after")
-        low, high = interval(before - after)
+        low, high = t_interval(before - after)
         words = Counter(d["verdict"] for d in one.documents)
         named = ", ".join(f"`{name}` {count}/5" for name, count in one.named.most_common())
         top = common_steps(one.curves)[-1]

@@ -27,9 +27,8 @@ import warnings
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 import pyarrow as pa
 
 from clothbench.core.create_only import require_create_only
@@ -48,6 +47,9 @@ from clothbench.engine.bucket import (
 from clothbench.engine.cells import digest
 from clothbench.engine.index import INDEX, indexed
 from clothbench.engine.tables import Columns, as_declared, read_if_there, read_table, write_table
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 _text, _number, _whole = pa.string(), pa.float64(), pa.int64()
 

@@ -9,13 +9,15 @@ import os
 import re
 from collections.abc import Collection, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
 from clothbench.core.errors import ClothbenchError, seen
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 SCHEMA_VERSION = 1
 Columns = Mapping[str, pa.DataType]
@@ -27,10 +29,10 @@ AGAIN = "delete its folder and run again"
 
 def write_table(path: Path, content: list[dict[str, Any]] | pd.DataFrame, columns: Columns | None = None) -> None:
     """One Parquet file; rows become a table of exactly these columns."""
-    if isinstance(content, pd.DataFrame):
-        table = pa.Table.from_pandas(content, preserve_index=False)
-    else:
+    if isinstance(content, list):
         table = pa.Table.from_pylist(content, schema=pa.schema(list((columns or {}).items())) if columns else None)
+    else:
+        table = pa.Table.from_pandas(content, preserve_index=False)
     stamped = table.replace_schema_metadata({"clothbench_schema": str(SCHEMA_VERSION)})
     pq.write_table(stamped, path, write_page_checksum=True)  # a flipped bit is a fault then, and not another number
 

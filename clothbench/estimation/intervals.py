@@ -7,12 +7,12 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
 from clothbench.core.observation import Observation
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Score
 from clothbench.core.rollout import Rollout
+from clothbench.core.statistics import jackknife_half_width, student
 from clothbench.estimation.trials import Trial, evaluate
 
 BLOCK = 1.0  # s; a swing's errors hang together over about a period, so blocks this long count as one piece of evidence
@@ -58,7 +58,7 @@ def jackknife(jacobian: np.ndarray, residual: np.ndarray, groups: Sequence[np.nd
     for rows in groups:
         rest = hessian - jacobian[rows].T @ jacobian[rows]
         moved.append(np.linalg.lstsq(rest, jacobian[rows].T @ residual[rows], rcond=1 / SINGULAR)[0])
-    half = _half_width(np.array(moved))
+    half = jackknife_half_width(np.array(moved))
     half[undetermined(hessian)] = np.inf
     return half
 
@@ -85,16 +85,10 @@ def jackknife_of_drapes(trials: Sequence[Trial], jacobian: np.ndarray, best: np.
             if len(others) < 2:
                 return np.full(len(best), np.nan)
             changed = np.array(others) - whole
-            square += _half_width(np.linalg.lstsq(hessian, rows.T @ changed.T, rcond=1 / SINGULAR)[0].T) ** 2
+            square += jackknife_half_width(np.linalg.lstsq(hessian, rows.T @ changed.T, rcond=1 / SINGULAR)[0].T) ** 2
     half = np.sqrt(square)
     half[undetermined(hessian)] = np.inf
     return half
-
-
-def _half_width(moved: np.ndarray) -> np.ndarray:
-    """Half-width (P,) of the 95 % interval, of how far the parameters moved without each of several groups (G, P)."""
-    count = len(moved)
-    return student.ppf(0.975, count - 1) * np.sqrt((count - 1) / count * np.square(moved).sum(axis=0))
 
 
 def _residual(trial: Trial, seen: Observation, rollout: Rollout) -> np.ndarray:
@@ -191,5 +185,5 @@ def mean_interval(values: Sequence[float], halves: Sequence[float]) -> tuple[flo
     if len(sample) < 3:
         half = float(np.sqrt(np.sum(np.square(halves)))) / len(sample)
     else:
-        half = student.ppf(0.975, len(sample) - 1) * sample.std(ddof=1) / np.sqrt(len(sample))
+        half = student(len(sample) - 1) * sample.std(ddof=1) / np.sqrt(len(sample))
     return float(max(sample.mean() - half, 0.0)), float(sample.mean() + half)

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.core.statistics import student
 from clothbench.history.entries import Entry
 
 CELL = ("case", "optimizer", "seed")  # what tells the cells of a suite and a model apart, beside their metrics
@@ -77,9 +78,7 @@ def _fitted(cells: Mapping[tuple[int, tuple[Any, ...]], Sequence[float]]) -> lis
 
 
 def _half(spread: float, count: int, free: int) -> float:
-    from scipy.stats import t as student
-
-    return float(student.ppf(0.975, free)) * spread / math.sqrt(count) if free > 0 else math.nan
+    return student(free) * spread / math.sqrt(count) if free > 0 else math.nan
 
 
 def _connected(places: Sequence[tuple[int, tuple[Any, ...]]]) -> set[int]:

@@ -12,10 +12,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import lsq_linear
-from scipy.stats import norm
+from scipy.special import ndtri
 
-TWO_SIDED = float(norm.ppf(0.975))
+TWO_SIDED = float(ndtri(0.975))
 BEFOREHAND = 0.5  # half of the scaled range: the 95 % interval of a parameter of which nothing was measured
 
 
@@ -73,6 +72,8 @@ def made_up(
     parameters; known: (P, P), what the recordings say of these, and moved: (P,), how far they are from the fit to
     the recordings. To first order, and inside the range: min_δ ‖apart + J δ‖²/κ² + (moved + δ)ᵀ known (moved + δ).
     """
+    from scipy.optimize import lsq_linear
+
     root = np.linalg.cholesky(known).T
     rows = np.vstack([jacobian / counted, root])
     wanted = -np.concatenate([apart / counted, root @ moved])

@@ -155,6 +155,20 @@ def test_importing_the_package_loads_nothing_heavy():
     assert out.stdout.strip() == "[]"
 
 
+def test_no_command_waits_for_what_few_cells_need():
+    """Each takes a quarter of a second to import and more, before any word is said and in each process of a run."""
+    heavy = ("scipy.stats", "scipy.integrate", "scipy.interpolate", "pandas", "rerun", "plotly", "cv2", "matplotlib")
+    code = (
+        "import sys, clothbench.cli.improve, clothbench.cli.run, clothbench.cli.suggest, clothbench.cli.results\n"
+        "from clothbench.plugins.discovery import catalogue\n"
+        "plugins = catalogue()\n"
+        "studies = [plugins.load('studies', name) for name in plugins.names('studies')]\n"
+        f"print(len(studies) > 3, [m for m in {heavy} if m in sys.modules])"
+    )
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert out.stdout.strip() == "True []"
+
+
 def test_nothing_read_from_disk_can_run_code():
     for path in [*FRAME.rglob("*.py"), *PLUGINS.rglob("*.py")]:
         used = imports_of(path) & {"pickle", "cloudpickle", "dill", "shelve", "marshal"}

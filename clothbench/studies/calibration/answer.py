@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.core.statistics import t_interval
 from clothbench.display.answer import Card, answer
 from clothbench.display.html import group
 from clothbench.display.section import Section
@@ -15,7 +16,7 @@ from clothbench.display.templates import rendered
 from clothbench.engine.study import Results
 from clothbench.studies.calibration.budget import Histories, settled
 from clothbench.studies.calibration.estimates import Estimate, estimates
-from clothbench.studies.calibration.ranking import Overall, Standing, best_cell, overall, standings, t_interval, way_of
+from clothbench.studies.calibration.ranking import Overall, Standing, best_cell, overall, standings, way_of
 from clothbench.studies.calibration.transfer import confusions
 from clothbench.studies.calibration.words import headed, listed, size, times
 

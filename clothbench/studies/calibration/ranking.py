@@ -11,8 +11,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
+from clothbench.core.statistics import student, t_interval
 from clothbench.display.html import group
 from clothbench.display.names import model_name
 
@@ -157,13 +157,7 @@ def unpaired_includes_zero(a: np.ndarray, b: np.ndarray) -> bool:
     if va + vb == 0:
         return bool(a.mean() == b.mean())
     freedom = (va + vb) ** 2 / (va**2 / (len(a) - 1) + vb**2 / (len(b) - 1))
-    return bool(abs(a.mean() - b.mean()) <= student.ppf(0.975, freedom) * math.sqrt(va + vb))
-
-
-def t_interval(values: np.ndarray) -> tuple[float, float]:
-    """95 % interval of the mean of at least two values (n,)."""
-    half = student.ppf(0.975, len(values) - 1) * values.std(ddof=1) / math.sqrt(len(values))
-    return float(values.mean() - half), float(values.mean() + half)
+    return bool(abs(a.mean() - b.mean()) <= student(freedom) * math.sqrt(va + vb))
 
 
 @dataclass(frozen=True)

@@ -13,9 +13,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from clothbench.core.parameters import ParameterSpace
+from clothbench.core.statistics import sobol
 from clothbench.estimation.trials import Trial, over
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.problem import Problem, array_digest, residuals
@@ -64,7 +64,7 @@ def shape_settings(space: ParameterSpace, seed: int, duration: float = np.inf) -
             space.to_unit(np.minimum(space.high, duration))[i] if space.parameters[i].unit == "s" else 1.0
             for i in shapes
         ]
-        for point in qmc.Sobol(len(shapes), rng=np.random.default_rng(seed)).random(many):
+        for point in sobol(len(shapes), np.random.default_rng(seed), many):
             unit = space.to_unit(null)
             unit[shapes] = point * last
             phi = space.from_unit(unit)

@@ -13,10 +13,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from clothbench.core.optional import varying_of
 from clothbench.core.parameters import ParameterSpace
+from clothbench.core.statistics import sobol
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.ahead import ahead
 from clothbench.studies.improve.attribution import null_point, shapes_looked_at, tangents
@@ -271,7 +271,7 @@ def moments_within(space: ParameterSpace, name: str, duration: float) -> dict[st
 
 def places(space: ParameterSpace, seed: int) -> np.ndarray:
     """Where the search for what is a recording's own sets out, (S, P): nothing of it, the defaults, and a spread."""
-    spread = qmc.Sobol(len(space), rng=np.random.default_rng(seed)).random(LOOP.multistart_points)
+    spread = sobol(len(space), np.random.default_rng(seed), LOOP.multistart_points)
     return np.vstack([null_point(space), space.defaults, space.from_unit(spread)])
 
 

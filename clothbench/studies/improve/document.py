@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import read_json
+from clothbench.core.statistics import t_interval
 from clothbench.engine.store import finite
 from clothbench.studies.improve.evidence import of_split
 from clothbench.studies.improve.finding import Finding
@@ -121,8 +121,7 @@ def paired_interval(before: Sequence[float], after: Sequence[float]) -> list[flo
     fall = np.subtract(before, after)
     if len(fall) < 2:
         return [None, None]
-    half = student.ppf(0.975, len(fall) - 1) * fall.std(ddof=1) / np.sqrt(len(fall))
-    return [finite(fall.mean() - half), finite(fall.mean() + half)]
+    return [finite(end) for end in t_interval(fall)]
 
 
 def nulls(value: Any) -> Any:

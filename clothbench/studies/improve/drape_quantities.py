@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
 from clothbench.core.drape import Outlines, Quantity, drape_coefficient
+from clothbench.core.statistics import student_above, student_quantile
 from clothbench.recordings.silhouette import SIDES
 
 QUANTITIES = (
@@ -142,12 +142,12 @@ class ContrastMeans:
 
     def half_width(self, level: float) -> np.ndarray:
         """Half of the interval (C,) outside of which chance leads with a probability of `level`."""
-        return np.asarray(student.isf(level / 2, self._freedom) * self.error)
+        return -student_quantile(level / 2, self._freedom) * self.error
 
     @property
     def p_value(self) -> np.ndarray:
         """(C,), of Student's t against 0."""
-        return np.asarray(2 * student.sf(np.abs(self.mean) / self.error, self._freedom))
+        return 2 * student_above(np.abs(self.mean) / self.error, self._freedom)
 
     @property
     def _freedom(self) -> np.ndarray:

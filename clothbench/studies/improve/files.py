@@ -19,7 +19,6 @@ from clothbench.studies.improve.document import VERDICT, json_text, verdict_docu
 from clothbench.studies.improve.evidence import Comparison, Rows
 from clothbench.studies.improve.finding import Finding
 from clothbench.studies.improve.page import common_html, page_html
-from clothbench.studies.improve.rerun_file import write_recording_file
 from clothbench.studies.improve.schema import IMPROVE_TABLES
 
 OLD = ("tables/*.parquet", "rerun/*.rrd")  # of an earlier run, with other recordings perhaps
@@ -32,6 +31,8 @@ def write_files(folder: Path, finding: Finding, tables: Mapping[str, Rows], reru
     (folder / "index.html").write_text(page_html(document, tables), encoding="utf-8")
     if not (rerun and finding.evidence.has_rerun):
         return
+    from clothbench.studies.improve.rerun_file import write_recording_file
+
     (folder / "rerun").mkdir()
     for name, one in zip(file_names(finding.comparisons), finding.comparisons, strict=True):
         path = folder / "rerun" / f"{name}.rrd"

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import t as student
 
 from clothbench.core.parameters import ParameterSpace
+from clothbench.core.statistics import jackknife_half_width
 from clothbench.studies.improve.settings import LOOP
 
 Parts = Sequence[np.ndarray]  # one array for each recording
@@ -77,14 +77,11 @@ def jackknife_interval(
     space: ParameterSpace, theta: np.ndarray, residual: Parts, jacobian: Parts
 ) -> tuple[np.ndarray, np.ndarray]:
     """95 % intervals (P,), (P,): how far the fit moves, to first order, when one recording is left out."""
-    count = len(residual)
     unit = space.to_unit(theta)
-    if count < LOOP.least_recordings:
+    if len(residual) < LOOP.least_recordings:
         return np.full(len(space), np.nan), np.full(len(space), np.nan)
     moved = jackknife_moves(residual, jacobian)
-    half = student.ppf(0.975, count - 1) * np.sqrt(
-        (count - 1) / count * ((moved - moved.mean(axis=0)) ** 2).sum(axis=0)
-    )
+    half = jackknife_half_width(moved - moved.mean(axis=0))
     return space.from_unit(unit - half), space.from_unit(unit + half)
 
 

@@ -9,11 +9,11 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.stats import qmc
 
 from clothbench.core.optional import options_of
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Optimizer
+from clothbench.core.statistics import sobol
 from clothbench.estimation.search import drive
 from clothbench.estimation.trials import Trial, evaluate, over
 from clothbench.studies.improve.account import Account
@@ -175,7 +175,7 @@ def multistart(problem: Problem, base: Fitted, fitted: Fitted, rounds: int, goal
     effect, count = problem.space_of(fitted.effects[-1]), LOOP.multistart_points
     if sum(p.null is None for p in effect) < LOOP.multistart_shapes:
         return fitted, 0
-    points = qmc.Sobol(len(effect), rng=np.random.default_rng(problem.seed)).random(count)
+    points = sobol(len(effect), np.random.default_rng(problem.seed), count)
     starts = np.hstack([np.tile(base.theta, (count, 1)), effect.from_unit(points)])
     value = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value
     for k in np.argsort(value)[: LOOP.multistart_fits]:  # what could not be simulated comes last

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
 
+from clothbench.core.statistics import jackknife_half_width
 from clothbench.studies.improve.balance import Term, terms
 from clothbench.studies.improve.motion import Motion
 from clothbench.studies.improve.settings import LOOP
@@ -197,7 +197,5 @@ def moved_round(values: np.ndarray, random: np.random.Generator) -> np.ndarray:
 
 def jackknife(series: Series, chosen: Sequence[int]) -> np.ndarray:
     """(1 + C,) half widths of 95 % intervals: how far the amounts move when one recording is left out."""
-    count = len(series.missing)
-    moved = np.array([series.amounts(chosen, without=r) for r in range(count)])
-    spread = np.sqrt((count - 1) / count * np.square(moved - moved.mean(axis=0)).sum(axis=0))
-    return student.ppf(0.975, count - 1) * spread
+    moved = np.array([series.amounts(chosen, without=r) for r in range(len(series.missing))])
+    return jackknife_half_width(moved - moved.mean(axis=0))

@@ -11,10 +11,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import sparse
-from scipy.interpolate import BSpline
-from scipy.sparse.linalg import splu
-from scipy.spatial import Delaunay
 
 from clothbench.core.observation import Observation
 from clothbench.core.scene import Scene
@@ -107,6 +103,8 @@ def motion_of(observation: Observation, scene: Scene, noise: float) -> Motion | 
     it would say nothing: grips on no line, too few frames, nodes in a picture or on too little of the sheet, other
     contacts. noise: m, σ of a coordinate.
     """
+    from scipy.spatial import Delaunay
+
     time = observation.time
     if observation.sight is not None or scene.obstacles or len(time) < LEAST_FRAMES or scene.outline is not None:
         return None
@@ -142,13 +140,17 @@ def smoothed(time: np.ndarray, seen: np.ndarray, at: np.ndarray, fastest: float)
     """Positions (T, N, C) m with NaN where a node was not seen → position, velocity and acceleration at `at` (S,) s,
     each (S, N, C); motion of more than `fastest` Hz is smoothed away.
     """
+    from scipy.interpolate import BSpline
+    from scipy.sparse import csr_matrix
+    from scipy.sparse.linalg import splu
+
     spacing = 1 / KNOTS / fastest
     cells = max(DEGREE + 1, int(np.ceil((time[-1] - time[0]) / spacing)))
     inner, width = np.linspace(time[0], time[-1], cells + 1, retstep=True)
     outer = width * np.arange(1, DEGREE + 1)
     knots = np.concatenate([time[0] - outer[::-1], inner, time[-1] + outer])
     basis = BSpline.design_matrix(time, knots, DEGREE)
-    third = sparse.csr_matrix(np.diff(np.eye(basis.shape[1]), n=3, axis=0)) / width**2.5
+    third = csr_matrix(np.diff(np.eye(basis.shape[1]), n=3, axis=0)) / width**2.5
     penalty = third.T @ third / (2 * np.pi * fastest) ** 6
     step = float(np.median(np.diff(time)))
     known = np.isfinite(seen).all(axis=2)

@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from itertools import combinations
 
 import numpy as np
-from scipy.interpolate import interp1d
 
 from clothbench.core.observation import Observation
 from clothbench.recordings.nodes import Recording
@@ -40,6 +39,8 @@ def spread_of_repeats(swings: Sequence[Swing]) -> float:
 
 def delay_of_repeat(a: Recording, b: Recording, seen_a: Observation, seen_b: Observation) -> float | None:
     """By how much [s] the motion comes later in recording b of the same sheet; None if it is another one."""
+    from scipy.interpolate import interp1d
+
     held_alike = len(a.grip_material) and np.array_equal(a.grip_material, b.grip_material)
     if not (held_alike and np.array_equal(seen_a.material, seen_b.material)):
         return None  # nor can a sheet that nobody holds be said to be moved alike

@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.stats import f as fisher
-from scipy.stats import t as student
 
 from clothbench.core.parameters import ParameterSpace
+from clothbench.core.statistics import fisher_quantile, student
 from clothbench.studies.improve.evidence import Evidence
 from clothbench.studies.improve.fitted import Fitted, jackknife_moves
 from clothbench.studies.improve.settings import LOOP
@@ -140,13 +139,13 @@ def told_from_nothing(fitted: Fitted, amounts: Sequence[int], null: np.ndarray) 
     moved = jackknife_moves(fitted.residual, fitted.jacobian)[:, list(amounts)]
     covariance = (count - 1) ** 2 / count * np.atleast_2d(np.cov(moved, rowvar=False))
     unit, low, high = (fitted.space.to_unit(end)[list(amounts)] for end in (fitted.theta, fitted.low, fitted.high))
-    half = np.maximum(high - unit, unit - low) / student.ppf(0.975, count - 1)
+    half = np.maximum(high - unit, unit - low) / student(count - 1)
     wider = np.maximum(half / np.sqrt(np.maximum(np.diag(covariance), 1e-300)), 1.0)
     whole = fitted.theta.copy()
     whole[list(amounts)] = null
     away = (unit - fitted.space.to_unit(whole)[list(amounts)]) / wider
     square = float(away @ np.linalg.pinv(covariance, hermitian=True) @ away)
-    return square * (count - size) / (size * (count - 1)) > fisher.ppf(1 - LOOP.significance, size, count - size)
+    return square * (count - size) / (size * (count - 1)) > fisher_quantile(1 - LOOP.significance, size, count - size)
 
 
 def amounts_of(space: ParameterSpace, effect: str) -> list[int]:

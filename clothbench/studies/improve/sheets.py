@@ -8,7 +8,6 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from scipy.ndimage import uniform_filter1d
 
 from clothbench.core.observation import Observation
 from clothbench.core.protocols import Effect, Model, Score
@@ -126,6 +125,8 @@ class SheetCase:
 
     def peak(self, residual: np.ndarray) -> str:
         """The second in which most of it is."""
+        from scipy.ndimage import uniform_filter1d
+
         time, field = self.observation.time, self.field(residual)
         second = max(1, round((len(time) - 1) / float(time[-1] - time[0])))
         return f"{time[int(np.argmax(uniform_filter1d((field**2).sum(axis=(1, 2)), second, mode='constant')))]:.1f} s"

@@ -12,8 +12,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import t as student
 
+from clothbench.core.statistics import jackknife_half_width
 from clothbench.studies.improve.law import Law, law_of
 from clothbench.studies.improve.motion import Motion
 from clothbench.studies.improve.settings import LOOP
@@ -152,6 +152,5 @@ def kernel_of(
     for r in range(count):
         others = [k for k in range(count) if k != r]
         moved.append(np.append(solution([design[k] for k in others], [missing[k] for k in others], stiff)[-lags:], 0.0))
-    spread = np.sqrt((count - 1) / count * np.square(np.array(moved) - np.mean(moved, axis=0)).sum(axis=0))
-    half = student.ppf(0.975, count - 1) * spread
+    half = jackknife_half_width(np.array(moved) - np.mean(moved, axis=0))
     return tuple(map(float, value)), tuple(map(float, value - half)), tuple(map(float, value + half))

@@ -12,10 +12,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import t as student
 
 from clothbench.core.observation import Observation
 from clothbench.core.scene import Scene
+from clothbench.core.statistics import student_above
 from clothbench.studies.improve.law import moved_round
 from clothbench.studies.improve.settings import LOOP
 
@@ -65,7 +65,7 @@ def above_zero(values: np.ndarray) -> float:
     """p: how often a mean as high comes of values about zero (Student's t, one side)."""
     if len(values) < 2 or values.std() == 0:
         return 1.0
-    return float(student.sf(values.mean() / values.std(ddof=1) * np.sqrt(len(values)), len(values) - 1))
+    return float(student_above(values.mean() / values.std(ddof=1) * np.sqrt(len(values)), len(values) - 1))
 
 
 def when(seen: Sequence[tuple[Observation, Scene, np.ndarray]], scale: float, unit: str, seed: int) -> Rows:

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.integrate import trapezoid
 
 from clothbench import ClothbenchError, Scene
 from clothbench.reference.mechanics import G, swing_period
@@ -64,14 +63,14 @@ def period(scene: Scene, x: np.ndarray) -> float:
     The share is the projection on J₀(z₁ √ξ), to which the sheet's other modes are orthogonal.
     """
     aside = _mean_across(scene, x[1:, :, 1] - x[1:, :1, 1])
-    return 2 * math.pi / _frequency(scene.times[1:], trapezoid(aside * first_mode(aside.shape[1]), axis=1))
+    return 2 * math.pi / _frequency(scene.times[1:], np.trapezoid(aside * first_mode(aside.shape[1]), axis=1))
 
 
 def _mean_across(scene: Scene, values: np.ndarray) -> np.ndarray:
     """Means (T, along) over the width of a hanging sheet of values (T, N) at its nodes, from the top down."""
     assert scene.resolution is not None  # the scenes here all state one
     rows = values.reshape(len(values), -1, scene.resolution[0])
-    return trapezoid(rows, axis=2) / (rows.shape[2] - 1)
+    return np.trapezoid(rows, axis=2) / (rows.shape[2] - 1)
 
 
 def _frequency(time: np.ndarray, signal: np.ndarray) -> float:
@@ -108,7 +107,7 @@ def energy_drift(scene: Scene, x: np.ndarray) -> float:
     time, path = scene.times[1:], x[1:]
     speed = (path[2:] - path[:-2]) / (time[2:] - time[:-2])[:, None, None]
     everywhere = (speed**2).sum(axis=-1) / 2 + G * (path[1:-1, :, 2] - x[0, :, 2])
-    energy = trapezoid(_mean_across(scene, everywhere), axis=1)
+    energy = np.trapezoid(_mean_across(scene, everywhere), axis=1)
     window = 2 * swing_period(LENGTH)
     early = energy[time[1:-1] < time[0] + window].mean()
     late = energy[time[1:-1] > time[-1] - window].mean()

@@ -11,7 +11,6 @@ from functools import cached_property
 
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, vstack
-from scipy.sparse.linalg import eigsh
 
 from clothbench.modelling import Cover, spaces, tributary
 
@@ -88,6 +87,8 @@ class SpringGrid:
         """The largest eigenvalue [1/kg] of M⁻¹K of the flat sheet, for each stiffness being 1 N/m alone: a fifth to a
         quarter below Gershgorin's circles. To a thousandth, rounded up, so that no last bit of a sum shows in a step.
         """
+        from scipy.sparse.linalg import eigsh
+
         start = np.cos(np.arange(len(self.mass) * 2.0) ** 2)  # any vector will do, but always the same
         exact = (
             eigsh(self._stiffness_matrix(which), k=1, tol=1e-4, v0=start, return_eigenvectors=False)[0]

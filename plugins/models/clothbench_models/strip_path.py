@@ -21,7 +21,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.optimize import brentq
 
 from clothbench import ClothbenchError
 from clothbench_models import strip_trials
@@ -193,6 +192,8 @@ def followed(
 
 def slipped(strip: Strip, eta_b: float, state: State, friction: float) -> State:
     """Where a strip comes to rest that is pulled at by more than `friction` times what presses it to the desk."""
+    from scipy.optimize import brentq
+
     way, near = math.copysign(1.0, state.pull), state
 
     def excess(x0: float) -> float:

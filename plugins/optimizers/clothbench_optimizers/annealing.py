@@ -6,7 +6,6 @@ import itertools
 from collections.abc import Generator
 
 import numpy as np
-from scipy.stats import qmc
 
 from clothbench import Evaluation, ParameterSpace
 from clothbench_optimizers.search import (
@@ -16,6 +15,7 @@ from clothbench_optimizers.search import (
     check_start,
     check_whole,
     simplex_about,
+    sobol,
     worst_last,
 )  # fmt: skip
 
@@ -81,8 +81,7 @@ class Annealing(GeneratorSearch):
         if self.levels**count <= most:
             cells = np.array(list(itertools.product(line, repeat=count)))
         else:
-            sobol = qmc.Sobol(count, rng=self.random).random(2 ** int(np.ceil(np.log2(most))))[:most]
-            cells = np.unique(line[(sobol * self.levels).astype(int)], axis=0)
+            cells = np.unique(line[(sobol(count, self.random, most) * self.levels).astype(int)], axis=0)
         guess = self.random.random(len(self.space) - count)
         return np.hstack([cells, np.broadcast_to(guess, (len(cells), len(guess)))])
 

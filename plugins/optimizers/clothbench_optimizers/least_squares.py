@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Generator
 
 import numpy as np
-from scipy.stats import qmc
 
 from clothbench import ClothbenchError, Evaluation, ParameterSpace
-from clothbench_optimizers.search import GeneratorSearch, Steps, check_between, check_whole
+from clothbench_optimizers.search import GeneratorSearch, Steps, check_between, check_whole, spread
 
 Walk = Generator[np.ndarray, Evaluation, None]
 LONGEST = 0.5  # of the scaled range that a difference may reach, since there is room for it to one side or the other
@@ -44,8 +43,7 @@ class LeastSquares(GeneratorSearch):
     def steps(self) -> Steps:
         # No more than a third of the budget goes into looking around.
         starts = min(self.starts, max(1, self.budget // 3 - 1))
-        sobol = qmc.Sobol(len(self.space), rng=self.random).random(2 ** int(np.ceil(np.log2(starts + 1))))
-        points = np.vstack([self.space.to_unit(self.space.defaults)[None], sobol[:starts]])
+        points = spread(self, starts)
         evaluation = yield points
         cost = sums_of_squares(self.name, evaluation)
         if not np.isfinite(cost).any():

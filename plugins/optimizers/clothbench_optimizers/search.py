@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Generator
 
 import numpy as np
-from scipy.stats import qmc
 
 from clothbench import ClothbenchError, Evaluation, ParameterSpace
 
@@ -77,8 +76,15 @@ def check_between(name: str, what: str, value: float, low: float, high: float) -
 
 def spread(search: GeneratorSearch, count: int) -> np.ndarray:
     """The defaults, then points of a scrambled Sobol sequence: (count + 1, P) of the unit cube."""
-    sobol = qmc.Sobol(len(search.space), rng=search.random).random(2 ** int(np.ceil(np.log2(max(count, 1)))))
-    return np.vstack([search.space.to_unit(search.space.defaults)[None], sobol[:count]])
+    points = sobol(len(search.space), search.random, count)
+    return np.vstack([search.space.to_unit(search.space.defaults)[None], points])
+
+
+def sobol(dimensions: int, random: np.random.Generator, count: int) -> np.ndarray:
+    """The first points (count, D) of a scrambled Sobol sequence in the unit cube."""
+    from scipy.stats import qmc  # half a second, which a mere listing of the plugins does not need
+
+    return qmc.Sobol(dimensions, rng=random).random(2 ** int(np.ceil(np.log2(max(count, 1)))))[:count]
 
 
 def simplex_about(here: np.ndarray, size: float) -> np.ndarray:

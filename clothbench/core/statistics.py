@@ -1,0 +1,52 @@
+"""Student's t, as intervals and tests of several rooms want it, and points that fill a cube evenly.
+
+The quantiles are those of scipy.stats to the last bit, from scipy.special: scipy.stats takes half a second to import,
+which every command and every process of a run would wait for.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import fdtri, stdtr, stdtrit
+
+
+def student(freedom: float) -> float:
+    """Half-width of a two-sided 95 % interval in standard errors; NaN without a degree of freedom."""
+    return float(stdtrit(freedom, 0.975))
+
+
+def student_quantile(level: float, freedom: np.ndarray) -> np.ndarray:
+    """Where Student's t lies below with the probability `level`, for degrees of freedom (N,)."""
+    return np.asarray(stdtrit(freedom, level))
+
+
+def student_above(value: np.ndarray | float, freedom: np.ndarray | float) -> np.ndarray:
+    """How often Student's t is above a value, (N,) or one (the survival function)."""
+    return np.asarray(stdtr(freedom, -np.asarray(value)))
+
+
+def fisher_quantile(level: float, numerator: float, denominator: float) -> float:
+    """Where Fisher's F lies below with the probability `level`."""
+    return float(fdtri(numerator, denominator, level))
+
+
+def t_interval(values: np.ndarray) -> tuple[float, float]:
+    """95 % interval of the mean of at least two values (N,), Student's t."""
+    half = student(len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+    return float(values.mean() - half), float(values.mean() + half)
+
+
+def jackknife_half_width(moved: np.ndarray) -> np.ndarray:
+    """Half-width (P,) of a 95 % interval from how far P estimates move without each of G groups (G, P).
+
+    The moves are taken from where they should lie about: from the whole, or from their mean.
+    """
+    count = len(moved)
+    return student(count - 1) * np.sqrt((count - 1) / count * np.square(moved).sum(axis=0))
+
+
+def sobol(dimensions: int, random: np.random.Generator, count: int) -> np.ndarray:
+    """The first points (count, D) of a scrambled Sobol sequence in the unit cube."""
+    from scipy.stats import qmc
+
+    return qmc.Sobol(dimensions, rng=random).random(2 ** int(np.ceil(np.log2(max(count, 1)))))[:count]
