@@ -205,3 +205,27 @@ def test_amounts_that_do_not_hold_on_what_was_held_out_are_asked_by_recording(mo
         assert [bool(c.why_not) for c in refuted.candidates] == [True, False]
         assert not refuted.named
         assert refuted.after is None
+
+
+def test_of_a_drape_there_are_fewer_quantities_than_parts():
+    space = ParameterSpace((DELAY,))
+    fit = Fitted(("late",), space, np.zeros(1), [np.ones(4)], [np.ones((4, 1))], *2 * [np.zeros(1)], 1)
+    assert np.isfinite(by_recording.interval_over_time(fit)).all()
+
+
+def test_an_effect_that_nothing_can_be_simulated_with_is_passed_over(monkeypatch):
+    random = np.random.default_rng(1)
+    current = fitted_to([random.normal(size=FRAMES) for _ in range(4)], random)
+    problem = SimpleNamespace(
+        seed=0, of_split=lambda split: [SimpleNamespace(surrogates=shifted) for _ in current.residual],
+        make=lambda kind, name: SimpleNamespace(by_recording=("delay",)),
+    )  # fmt: skip
+    monkeypatch.setattr(by_recording, "settings_of", lambda problem, current, name: [[] for _ in current.residual])
+    assert by_recording.screen(problem, current, ["late"]) == []
+
+
+def test_a_shared_amount_at_its_bound_is_no_finding():
+    space = ParameterSpace((STIFFNESS, dataclasses.replace(DELAY, name="wind.normal")))
+    fit = Fitted(("wind",), space, np.array([1.0, 0.5]), [np.ones(4)] * 3, [np.ones((4, 2))] * 3, *2 * [np.ones(2)], 1)
+    assert by_recording.at_bound("wind", fit) == "its wind.normal runs to the bound 0.5"
+    assert by_recording.at_bound("wind", dataclasses.replace(fit, theta=np.array([1.0, 0.2]))) == ""

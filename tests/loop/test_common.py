@@ -67,3 +67,18 @@ def test_the_page_shows_every_model_and_where_its_own_page_is():
     for words in ("each of <b>springs, triangles</b> lacks <b>drag</b>", 'href="cells/springs/index.html"',
                   "drag, bending (bending: a fault of its own)", "5.00 → 1.00 mm"):  # fmt: skip
         assert words in page
+
+
+def test_models_that_tie_nothing_the_same_have_nothing_in_common():
+    """Each of two shares a name with the third, and no name is of all three."""
+    best = verdict("a", after=0.5, word="tied")
+    best["effects"] = verdict("", "drag")["effects"]
+    best["effects"][0]["tied_with"] = ["memory", "lag"]
+    assert said(best, verdict("b", "memory"), verdict("c", "lag"))[:2] == ("unexplained", [])
+
+
+def test_the_page_says_that_each_lacks_something_else():
+    found = common_document([verdict("springs", "bending"), verdict("triangles", "drag")])
+    assert found["verdict"] == "unexplained"
+    assert "lacks is nothing that they have in common" in common_html(found)
+    assert "no candidate explains" not in common_html(found)

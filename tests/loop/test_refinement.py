@@ -11,7 +11,7 @@ import pytest
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.studies.improve import refinement
 from clothbench.studies.improve.account import Account
-from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.fitted import Fitted, jackknife_interval
 from clothbench.studies.improve.refinement import corrected, discretisation_error, refinements
 
 SPACE = ParameterSpace((Parameter("stiffness", "k", "N/m", (0.0, 1.0), "linear", 0.5, "of the model", "made up"),))
@@ -91,3 +91,34 @@ def test_a_model_that_does_not_converge_is_not_corrected(judged):
     assert not problem.corrections
     np.testing.assert_allclose(after.residual, 0.1 + PATTERN)
     assert doubt > np.sqrt(np.mean(PATTERN**2)) / 3
+
+
+def test_what_a_finer_mesh_cannot_simulate_may_all_be_the_mesh(judged, monkeypatch):
+    """A second recording that diverges on finer cells: no correction of it, and all that is left of it in doubt."""
+    coarse = Meshed._trial
+
+    def trial(problem, name, row):
+        return coarse(problem, name, row if problem.cell == 1.0 or name == "first" else np.full(3, np.nan))
+
+    monkeypatch.setattr(Meshed, "_trial", trial)
+    _, after, doubt = judged(Meshed(0.1), 0.01)
+    np.testing.assert_allclose(after.residual[0], 0.1, atol=1e-12)
+    np.testing.assert_allclose(after.residual[1], 0.1 + PATTERN[1])
+    assert doubt >= np.sqrt(np.mean((0.1 + PATTERN[1]) ** 2) / 2)
+    assert np.isfinite(after.low).all()
+
+
+def test_a_parameter_that_changes_nothing_may_be_anything():
+    """Nor may two that change the same."""
+    names = ("a", "b", "nothing")
+    space = ParameterSpace(tuple(Parameter(n, n, "1", (0.0, 2.0), "linear", 1.0, n, "made up") for n in names))
+    random = np.random.default_rng(0)
+    columns = [random.normal(size=(20, 1)) for _ in range(4)]
+    residual = [0.01 * random.normal(size=20) for _ in columns]
+    middle = np.array([1.2, 1.2, 1.2])
+    low, high = jackknife_interval(space, middle, residual, [np.hstack([c, c, 0 * c]) for c in columns])
+    assert (low.tolist(), high.tolist()) == ([0.0] * 3, [2.0] * 3)
+    others = [np.hstack([c, random.normal(size=c.shape), 0 * c]) for c in columns]
+    low, high = jackknife_interval(space, middle, residual, others)
+    assert (high - low)[:2].max() < 0.1
+    assert (low[2], high[2]) == (0.0, 2.0)

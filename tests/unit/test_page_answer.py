@@ -52,6 +52,11 @@ def test_models_that_take_turns_are_tied():
     assert overall(found)[1].tied
 
 
+def test_of_one_recording_without_an_interval_nothing_is_known():
+    found = standings(rows_of({"a": [1.0], "b": [1.001]}), "fold")
+    assert best_of(found["linen"]) == ["a", "b"]
+
+
 def test_of_two_recordings_their_own_intervals_decide():
     near = [row("a", "linen", "x", 1.0, low=0.5, high=1.5), row("b", "linen", "x", 1.4, low=0.9, high=1.9)]
     far = [near[0], row("b", "linen", "x", 3.0, low=2.5, high=3.5)]

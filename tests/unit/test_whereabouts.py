@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -63,3 +65,9 @@ def test_every_frame_is_in_one_phase_of_the_grips():
     assert (np.sum(list(phases.values()), axis=0) == 1).all()
     assert phases["before the grips move"][:25].all()
     assert phases["after the grips stopped"][-25:].all()
+
+
+def test_of_grips_that_never_move_there_are_no_phases():
+    seen, scene, _ = recordings(3)[0]
+    still = dataclasses.replace(scene, grip_position=np.tile(scene.grip_position[:1], (len(scene.grip_time), 1, 1)))
+    assert grip_phases(seen.time, still) == {}

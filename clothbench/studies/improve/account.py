@@ -28,7 +28,7 @@ class Account:
         self.since = now
 
     def count(self, evaluations: int) -> None:
-        """So many parameter sets were simulated in the stage that runs, on all fit recordings each."""
+        """So many parameter sets were searched in the stage that runs, on all fit recordings each."""
         self._entry()[1] += evaluations
 
     def _entry(self) -> list:

@@ -24,7 +24,8 @@ from clothbench.studies.improve.fitted import Fitted, jackknife_interval
 from clothbench.studies.improve.fitting import fit
 from clothbench.studies.improve.permutation import span_of
 from clothbench.studies.improve.problem import Problem
-from clothbench.studies.improve.selection import Candidate, allowances, least_fall
+from clothbench.studies.improve.refinement import discretisation_error, with_errors_of_mesh_and_model
+from clothbench.studies.improve.selection import Candidate, allowances, at_bound, least_fall
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round, State
 
@@ -61,7 +62,12 @@ def with_own_amounts(state: State, found: Round, candidates: Sequence[str], acco
         account.count(count)
         own[candidate.name] = amounts
         gain = current.rms**2 - fitted.rms**2
-        why = beyond_bounds(amounts) or too_little(found, fitted, gain, size_of(amounts), fall)
+        why = (
+            beyond_bounds(amounts)
+            or at_bound(candidate.name, fitted)
+            or problem.evidence.objection(current.residual, fitted.residual)
+            or too_little(found, fitted, gain, size_of(amounts), fall)
+        )
         tried.append(dataclasses.replace(candidate, gain=gain, fitted=fitted, why_not=why))
     named = chosen(current, tried, [size_of(own[c.name]) for c in tried])
     if not named:
@@ -72,6 +78,7 @@ def with_own_amounts(state: State, found: Round, candidates: Sequence[str], acco
     of_each = {name: own[name] for name in named}
     last = Round(current, state.floor, (*tried, *others), found.probes, named, after, own=of_each)
     mine = with_own(problem, own[named[0]])
+    after = with_errors_of_mesh_and_model(mine, after, state.noise)
     return dataclasses.replace(state, problem=mine, final=after, rounds=(*state.rounds, last))
 
 
@@ -156,6 +163,8 @@ def screen(problem: Problem, current: Fitted, names: Sequence[str]) -> list[Cand
                 continue
             settings = settings_of(problem, current, name)
         except Exception:  # a stranger's effect may do anything; the rounds before have said what is wrong with it
+            continue
+        if not settings[0]:  # nor has one anything to explain that cannot be simulated
             continue
         spans[name] = [[at_right_angles(base, c) for c in some] for base, some in zip(bases, settings, strict=True)]
     if not spans:
@@ -279,7 +288,7 @@ def interval_over_time(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
     """95 % intervals (P,), (P,) of what one recording alone says: how far the fit moves when a part of its time is left
     out. Frames near each other hang together; parts as long as these hardly do.
     """
-    parts = LOOP.parts_of_recording
+    parts = min(LOOP.parts_of_recording, len(fitted.residual[0]))  # a drape's residual is a few quantities
     residual, jacobian = (np.array_split(of[0], parts) for of in (fitted.residual, fitted.jacobian))
     return jackknife_interval(fitted.space, fitted.theta, residual, jacobian)
 
@@ -295,10 +304,15 @@ def with_own(problem: Problem, own: Own) -> Problem:
 
 def on_held_out(problem: Problem, fitted: Fitted, name: str) -> tuple[Problem, dict[str, Fitted]]:
     """The problem with what is each held-out recording's own of an effect fitted to it, and that; what is shared stays
-    as the fit recordings have it.
+    as the fit recordings have it. Where the mesh's error is taken away from these, it is from those held out as well.
     """
-    shared = dict(zip(fitted.space.names, fitted.theta, strict=True))
-    own = own_amounts(problem, fitted.effects, name, shared, problem.of_split("held_out"))
+    shared, cases = dict(zip(fitted.space.names, fitted.theta, strict=True)), problem.of_split("held_out")
+    own = own_amounts(problem, fitted.effects, name, shared, cases)
+    if cases and problem.corrections:
+        changes = discretisation_error(with_own(problem.uncorrected(), own), fitted, "held_out")
+        unseen = {case.name: change for case, change in zip(cases, changes, strict=True)}
+        problem = dataclasses.replace(problem, corrections={**problem.corrections, **unseen})
+        own = own_amounts(problem, fitted.effects, name, shared, cases, own)
     return with_own(problem, own), own
 
 

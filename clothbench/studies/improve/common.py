@@ -66,6 +66,8 @@ def shared_effects(documents: Sequence[Document], best: Document) -> list[dict[s
         if any(one is None for one in matches):
             continue
         names = set.intersection(names_of(entry), *(names_of(one) for one in matches if one is not None))
+        if not names:  # each shares one with the best model, and no two others the same
+            continue
         named = next((e for e in (entry, *matches) if e is not None and e["name"] in names), entry)
         out.append(named | {"tied_with": sorted(names - {named["name"]})})
     return out

@@ -22,9 +22,12 @@ from clothbench.studies.improve.verdict import pooled
 def description_of(
     problem: Problem, law: Law, base: Fitted, before: Sequence[float], account: Account
 ) -> Description | None:
-    """The law of what the calibrated model leaves, if the model does better with it on recordings held out (on those
-    fitted, where there are none). before: errors of the base there.
+    """The law of what the calibrated model leaves, if the model does better with it on recordings held out; None where
+    there are none, since more parameters always leave less of what they are fitted to. before: errors of the base on
+    those held out.
     """
+    if not before:
+        return None
     account.stage("missing force described", 0, 1)
     effect = Described(law)
     problem = dataclasses.replace(problem, made={NAME: effect})
@@ -32,8 +35,6 @@ def description_of(
     fitted = fit(problem, (NAME,), start, LOOP.refit_rounds)
     account.count(fitted.evaluations)
     was, now = pooled(before), pooled(held_out_errors(problem, fitted))
-    if not before:
-        was, now = base.rms, fitted.rms
     if was is None or now is None or now >= was:
         return None
     return Description(law, was, now)

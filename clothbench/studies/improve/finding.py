@@ -68,7 +68,7 @@ class Finding:
     held_out: (recording, error before, error after) of every held-out recording;
     placebo: one more effect, or None where there was nothing to hold against it;
     comparisons: every recording beside both fits, those that were fitted first;
-    evaluations: parameter sets that were simulated, on all fit recordings each;
+    evaluations: parameter sets that the searches took, on all fit recordings each;
     wall_s: s, those of stopped runs included;
     stages: (stage, s, evaluations), where both went;
     balance: what the recordings say without any model, None where they say nothing so;

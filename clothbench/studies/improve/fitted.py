@@ -11,6 +11,7 @@ import numpy as np
 
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.statistics import jackknife_half_width
+from clothbench.estimation.intervals import undetermined
 from clothbench.studies.improve.settings import LOOP
 
 Parts = Sequence[np.ndarray]  # one array for each recording
@@ -76,13 +77,17 @@ class Fitted:
 def jackknife_interval(
     space: ParameterSpace, theta: np.ndarray, residual: Parts, jacobian: Parts
 ) -> tuple[np.ndarray, np.ndarray]:
-    """95 % intervals (P,), (P,): how far the fit moves, to first order, when one recording is left out."""
+    """95 % intervals (P,), (P,): how far the fit moves, to first order, when one recording is left out; the whole range
+    of a parameter that the recordings do not determine.
+    """
     unit = space.to_unit(theta)
     if len(residual) < LOOP.least_recordings:
         return np.full(len(space), np.nan), np.full(len(space), np.nan)
     moved = jackknife_moves(residual, jacobian)
     half = jackknife_half_width(moved - moved.mean(axis=0))
-    return space.from_unit(unit - half), space.from_unit(unit + half)
+    open_ = undetermined(normal_equations(residual, jacobian)[0])
+    low, high = np.where(open_, 0.0, unit - half), np.where(open_, 1.0, unit + half)
+    return space.from_unit(low), space.from_unit(high)
 
 
 def jackknife_moves(residual: Parts, jacobian: Parts) -> np.ndarray:

@@ -24,7 +24,7 @@ from clothbench.studies.improve.held_out import comparisons_of, held_out_errors,
 from clothbench.studies.improve.jumps import in_another_valley, jump_along_valley, off_bounds
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.profile import profile_intervals
-from clothbench.studies.improve.refinement import corrected
+from clothbench.studies.improve.refinement import corrected, with_errors_of_mesh_and_model
 from clothbench.studies.improve.refits import beside_tied
 from clothbench.studies.improve.rounds import one_round, withdrawn
 from clothbench.studies.improve.selection import faulty, least_fall
@@ -129,8 +129,9 @@ def next_round(state: State, candidates: Sequence[str], account: Account) -> tup
     fall = least_fall(current, state.floor, state.noise)
     found = one_round(problem, current, state.floor, fall, rest, earlier, account)
     if found.before is not current:  # the refit without the effect came to a better fit of what there was
-        base = state.base if state.rounds else found.before
-        state = dataclasses.replace(state, base=base, final=found.before)
+        before = with_errors_of_mesh_and_model(problem, found.before, state.noise)
+        found = dataclasses.replace(found, before=before)
+        state = dataclasses.replace(state, base=state.base if state.rounds else before, final=before)
     if found.after is None or (not state.rounds and found.after.rms > LOOP.floor_factor * state.floor):
         # What differs from recording to recording may pass, in part, for something that they share.
         own = with_own_amounts(state, found, rest, account)

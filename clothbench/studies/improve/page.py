@@ -172,6 +172,9 @@ def error_section(found: Mapping[str, Any], errors: Rows, blocks: list[dict[str,
         low, high = (size(v, error["unit"]) for v in fall)
         caption += f" The error of a held-out recording falls by {low} … {high} {error['unit']} in the mean (95 %, "
         caption += "paired over recordings)."
+    if any(effect.get("by_recording") for effect in found["effects"]):
+        caption += " Amounts of each recording's own were fitted to those held out, too: what is judged there is what "
+        caption += "all share."
     if said := sham(error):
         caption += f" Cross: {said}"
     views = {"": [draw.error_figure(errors, error, limits(error), bool(found["effects"]))]}

@@ -46,7 +46,14 @@ def corrected(problem: Problem, fitted: Fitted, noise: float, account: Account) 
     problem = dataclasses.replace(plain, corrections=dict(zip(names, changes, strict=True)))
     again = fit(problem, fitted.effects, fitted.theta, LOOP.refit_rounds)
     account.count(again.evaluations)
-    return problem, with_discrepancy(again, [c / 3 for c in changes], noise), mesh
+    return problem, with_errors_of_mesh_and_model(problem, again, noise), mesh
+
+
+def with_errors_of_mesh_and_model(problem: Problem, fitted: Fitted, noise: float) -> Fitted:
+    """The fit with intervals that hold a third of what the mesh is corrected by, and what the model may be wrong by."""
+    cases = zip(problem.of_split("fit"), fitted.residual, strict=True)
+    doubt = [problem.corrections.get(case.name, np.zeros_like(residual)) / 3 for case, residual in cases]
+    return with_discrepancy(fitted, doubt, noise)
 
 
 def discretisation_error(problem: Problem, fitted: Fitted, split: str) -> list[np.ndarray]:
@@ -62,7 +69,8 @@ def refinements(
     extrapolation), and how much of it the last halving is, (M,) per recording; none where nothing is discretised.
 
     Added to the coarse model's residual the first takes the error of the mesh away where the model converges as the
-    square of the cell's size; a third of the second is what may be left (`numerical_doubt`).
+    square of the cell's size; a third of the second is what may be left (`numerical_doubt`). A recording that cannot be
+    simulated on the finer mesh is not corrected by it, and what the halving changes of it is not finite.
     """
     known = over(problem.trials(fitted.effects, split), lambda trial: residuals(trial, fitted.theta[None])[0])
     so_far = [0 * r for r in known]
@@ -71,10 +79,15 @@ def refinements(
             return
         problem = finer
         found = over(problem.trials(fitted.effects, split), lambda trial: residuals(trial, fitted.theta[None])[0])
-        steps = [b - a if np.isfinite(b - a).all() else np.zeros_like(b) for a, b in zip(known, found, strict=True)]
+        steps = [b - a for a, b in zip(known, found, strict=True)]
         last = [LOOP.richardson * step for step in steps]
-        yield [a + b for a, b in zip(so_far, last, strict=True)], last
-        so_far, known = [a + b for a, b in zip(so_far, steps, strict=True)], found
+        yield [a + where_known(b) for a, b in zip(so_far, last, strict=True)], last
+        so_far, known = [a + where_known(b) for a, b in zip(so_far, steps, strict=True)], found
+
+
+def where_known(step: np.ndarray) -> np.ndarray:
+    """What a halving changes of a recording (M,); nothing where that could not be simulated."""
+    return step if np.isfinite(step).all() else np.zeros_like(step)
 
 
 def beside_fit(problem: Problem, fitted: Fitted) -> Fitted:
@@ -90,9 +103,12 @@ def beside_fit(problem: Problem, fitted: Fitted) -> Fitted:
 
 
 def numerical_doubt(fitted: Fitted, step: Sequence[np.ndarray]) -> float:
-    """What the mesh may still be wrong by (rms): a third of its last step, less what a refit takes up."""
-    rest = projected_out(fitted.weighted_jacobian, (np.concatenate(step) * fitted.weights)[:, None])
-    return float(np.sqrt(np.square(rest).sum() / len(step))) / 3
+    """What the mesh may still be wrong by (rms): a third of its last step, less what a refit takes up; of a recording
+    that cannot be simulated on the finer mesh all that the fit leaves, since nothing then says that it is not the mesh.
+    """
+    third = [s / 3 if np.isfinite(s).all() else r for s, r in zip(step, fitted.residual, strict=True)]
+    rest = projected_out(fitted.weighted_jacobian, (np.concatenate(third) * fitted.weights)[:, None])
+    return float(np.sqrt(np.square(rest).sum() / len(step)))
 
 
 def unexplained_with(fitted: Fitted, changes: Sequence[np.ndarray]) -> float:

@@ -104,8 +104,8 @@ def unphysical(name: str, fitted: Fitted, together: bool = False) -> str:
     null = np.array([space.parameters[i].null for i in amounts])
     if np.isnan(fitted.low[amounts]).all():
         return f"fewer than {LOOP.least_recordings} recordings to fit give its amount no interval"
-    if at_bound := amounts_at_bound(name, fitted):
-        return f"its {space.names[at_bound[0]]} runs to the bound {fitted.theta[at_bound[0]]:.3g}"
+    if why := at_bound(name, fitted):
+        return why
     far = away_from_null(fitted, amounts, null)
     if not far.any():
         return "its amount is fitted to nothing"
@@ -146,6 +146,13 @@ def told_from_nothing(fitted: Fitted, amounts: Sequence[int], null: np.ndarray) 
     away = (unit - fitted.space.to_unit(whole)[list(amounts)]) / wider
     square = float(away @ np.linalg.pinv(covariance, hermitian=True) @ away)
     return square * (count - size) / (size * (count - 1)) > fisher_quantile(1 - LOOP.significance, size, count - size)
+
+
+def at_bound(name: str, fitted: Fitted) -> str:
+    """Which amount of an effect runs to its bound, or ""."""
+    for i in amounts_at_bound(name, fitted)[:1]:
+        return f"its {fitted.space.names[i]} runs to the bound {fitted.theta[i]:.3g}"
+    return ""
 
 
 def amounts_of(space: ParameterSpace, effect: str) -> list[int]:

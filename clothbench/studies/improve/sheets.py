@@ -195,7 +195,9 @@ class SheetEvidence:
             for k, rows in enumerate(squares.values()):
                 rows.append(field[:, third == k][seen[:, third == k]].ravel() ** 2)
         scale, unit = self.unit.scale, self.unit.reported
-        sizes = {n: scale * float(np.sqrt(np.concatenate(rows).mean())) for n, rows in squares.items() if len(rows[0])}
+        sizes = {
+            n: scale * float(np.sqrt(np.concatenate(rows).mean())) for n, rows in squares.items() if any(map(len, rows))
+        }
         most = max(sizes, key=lambda name: sizes[name])
         worst = int(np.argmax([float(np.mean(one**2)) for one in residual]))
         rest = ", ".join(f"{name} {size:.1f} {unit}" for name, size in sizes.items())

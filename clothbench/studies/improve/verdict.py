@@ -52,7 +52,7 @@ def concluded(
     worse = fails_to_hold(held_out, held_out_after)
     word = "unexplained" if worse else word_of(state, law)
     fit = state.final if word in ("attributed", "tied") else state.base
-    remark, rms, unseen = hint(state, word, fit), fit.rms, pooled(held_out) or 0.0
+    remark, rms, unseen = hint(state, word, fit, worse), fit.rms, pooled(held_out) or 0.0
     names = [case.name for case in state.problem.of_split("held_out")]
     stopped = [name for name, error in zip(names, held_out, strict=True) if np.isnan(error)]
     if word == "complete" and stopped:
@@ -148,8 +148,10 @@ def what_is_left(state: State) -> str:
     return f"{share_left(state):.0%} of what noise and mesh do not account for is left"
 
 
-def hint(state: State, word: str, fit: Fitted) -> str:
-    """What the reader may want to know or do next, in one or two sentences. fit: what the verdict stands by."""
+def hint(state: State, word: str, fit: Fitted, worse: bool = False) -> str:
+    """What the reader may want to know or do next, in one or two sentences. fit: what the verdict stands by; worse:
+    whether what was named does not hold on the recordings held out.
+    """
     if word == "complete":
         return "nothing is left above the noise and the mesh"
     if word in ("attributed", "tied"):
@@ -167,7 +169,8 @@ def hint(state: State, word: str, fit: Fitted) -> str:
         return below_mesh(state)
     if dropped:
         fall = 1 - state.final.rms / state.base.rms
-        said.append(f"{' and '.join(dropped)} would lower the error of the fit by {fall:.0%}, too little for a name")
+        why = "but not that on the recordings held out" if worse else "too little for a name"
+        said.append(f"{' and '.join(dropped)} would lower the error of the fit by {fall:.0%}, {why}")
     last = state.rounds[-1] if state.rounds else None
     near = {c: explained(c, last) for c in last.candidates if c.name not in dropped} if last else {}
     if near:

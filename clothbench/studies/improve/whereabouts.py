@@ -117,7 +117,11 @@ def phases_of(observation: Observation, scene: Scene) -> Mapping[str, np.ndarray
 
 
 def grip_phases(time: np.ndarray, scene: Scene) -> dict[str, np.ndarray]:
-    """Of the grips: before they move, while they speed up, slow down or turn, and after they stopped."""
+    """Of the grips: before they move, while they speed up, slow down or turn, and after they stopped; none of a sheet
+    that nobody holds, and where they never move.
+    """
+    if not len(scene.grip_material) or not np.ptp(scene.grip_position, axis=0).any():
+        return {}
     middle = scene.grip_position.mean(axis=1)
 
     def at(when: np.ndarray) -> np.ndarray:
@@ -128,7 +132,9 @@ def grip_phases(time: np.ndarray, scene: Scene) -> dict[str, np.ndarray]:
 
     now, rising = speed(time), speed(time + SPEED_OVER / 2) > speed(time - SPEED_OVER / 2)
     moving = now > MOVES * max(now.max(), 1e-9)
-    first, last = (int(np.argmax(moving)), len(time) - 1 - int(np.argmax(moving[::-1]))) if moving.any() else (0, -1)
+    if not moving.any():  # of grips that moved before the first frame or after the last only
+        return {}
+    first, last = int(np.argmax(moving)), len(time) - 1 - int(np.argmax(moving[::-1]))
     frame = np.arange(len(time))
     return {
         "before the grips move": frame < first, "the grips speed up": moving & rising,

@@ -100,6 +100,8 @@ def sentence(found: Mapping[str, Any]) -> str:
         return f"{model} lacks nothing above the noise: {before} {unit} on the {where} recordings; {floor}."
     if not found["effects"]:
         rest = f"{before} {unit} on the {where} recordings; {floor}."
+        if several and any(one["own"] for one in several):
+            return f"What {model} lacks is nothing that they have in common: {rest}"
         if not error["unexplained"] and error.get("mesh"):
             return f"What {model} leaves is less than its mesh can tell, so that nothing is named: {rest}"
         return f"{model} leaves {beyond(error)} that no candidate explains: {rest}"
