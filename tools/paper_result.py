@@ -1,7 +1,7 @@
 """`python tools/paper_result.py [--out FOLDER]` computes the suite `static_dynamic` with `budget=paper` and writes the
 tables of Bhat et al. 2003 with ours beside them, and their figures.
 
-An hour on two cores; a stopped run goes on where it stood. Written are results/static_dynamic_paper.json (all rows, as
+Three quarters of an hour on one core; a stopped run goes on where it stood. Written are results/static_dynamic_paper.json (all rows, as
 `clothbench compare` takes them), results/static_dynamic_paper.md (the tables) and docs/images/paper-*. The stand-ins
 were made with the paper's parameters, so those are the truth that a fit should find; errors are in px of other cameras,
 so that only their ratios can be held against the paper's.
