@@ -1,10 +1,10 @@
 """`python tools/paper_result.py [--out FOLDER]` computes the suite `static_dynamic` with `budget=paper` and writes the
 tables of Bhat et al. 2003 with ours beside them, and their figures.
 
-Three quarters of an hour on one core; a stopped run goes on where it stood. Written are results/static_dynamic_paper.json (all rows, as
-`clothbench compare` takes them), results/static_dynamic_paper.md (the tables) and docs/images/paper-*. The stand-ins
-were made with the paper's parameters, so those are the truth that a fit should find; errors are in px of other cameras,
-so that only their ratios can be held against the paper's.
+Three quarters of an hour on one core; a stopped run goes on where it stood. Written are
+results/static_dynamic_paper.json (all rows, as `clothbench compare` takes them), results/static_dynamic_paper.md (the
+tables) and docs/images/paper-*. The stand-ins were made with the paper's parameters, so those are the truth that a fit
+should find; errors are in px of other cameras, so that only their ratios can be held against the paper's.
 """
 
 from __future__ import annotations

@@ -27,8 +27,11 @@ class Quantity:
     meaning: str
 
 
+DRAPE_COEFFICIENT = Quantity(
+    "drape_coefficient", "DC", "%", 100.0, "share of the ring beyond the plate that lies in the shadow"
+)
 QUANTITIES = (
-    Quantity("drape_coefficient", "DC", "%", 100.0, "share of the ring beyond the plate that lies in the shadow"),
+    DRAPE_COEFFICIENT,
     Quantity("folds", "n", "1", 1.0, "number of folds around the rim"),
     Quantity("depth", "d", "mm", 1e3, "mean height of the folds in the outline over the troughs beside them"),
     Quantity("unevenness", "c_v", "%", 100.0, "spread of the angles from fold to fold, over their mean"),

@@ -23,6 +23,7 @@ from clothbench.modelling.curves import CurveRollout, curve_of
 from clothbench.recordings.curve import Curve
 from clothbench.studies.improve.curve_steps import CurveObservation, common_steps, floor_of, observed
 from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit
+from clothbench.studies.improve.law import moved_round
 from clothbench.studies.improve.settings import SearchSettings
 
 LEAST_STEPS = 3  # with samples, that a recording needs
@@ -83,13 +84,7 @@ class CurveCase:
 
     def surrogates(self, residual: np.ndarray) -> Surrogate:
         """Moved round a circle of the curve and its reverse, and turned over or not."""
-        count = len(residual)
-
-        def draw(random: np.random.Generator) -> np.ndarray:
-            at = (np.arange(count) + random.integers(2 * count)) % (2 * count)
-            return residual[np.minimum(at, 2 * count - 1 - at)] * random.choice([-1.0, 1.0])
-
-        return draw
+        return lambda random: moved_round(residual, random) * random.choice([-1.0, 1.0])
 
     def peak(self, residual: np.ndarray) -> str:
         """The stretch at which it is largest."""

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.core.drape import Outlines, Quantity, drape_coefficient
+from clothbench.core.drape import DRAPE_COEFFICIENT, Outlines, Quantity, drape_coefficient
 from clothbench.core.statistics import student_above, student_quantile
 from clothbench.recordings.silhouette import SIDES
 
 QUANTITIES = (
-    Quantity("drape_coefficient", "DC", "%", 100.0, "share of the ring beyond the plate that lies in the shadow"),
+    DRAPE_COEFFICIENT,
     Quantity("elongation", "a₂", "mm", 1e3, "second harmonic of the outline, along a line of the picture"),
 )
 CONTRASTS = (  # (in words, number of the quantity)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from clothbench.core.statistics import jackknife_half_width
-from clothbench.studies.improve.law import Law, law_of
+from clothbench.studies.improve.law import Law, law_of, solved
 from clothbench.studies.improve.motion import Motion
 from clothbench.studies.improve.settings import LOOP
 
@@ -126,8 +126,7 @@ def solution(design: Sequence[np.ndarray], missing: Sequence[np.ndarray], stiff:
     """(K,) coefficients of least squares in which each recording has the same say."""
     hessian = np.sum([d.T @ d / len(d) for d in design], axis=0) + len(design) * np.asarray(stiff)
     gradient = np.sum([d.T @ q / len(q) for d, q in zip(design, missing, strict=True)], axis=0)
-    scale = np.sqrt(np.maximum(np.diag(hessian), 1e-300))
-    return np.linalg.lstsq(hessian / np.outer(scale, scale), gradient / scale, rcond=1e-8)[0] / scale
+    return solved(hessian, gradient)
 
 
 def left_out(
