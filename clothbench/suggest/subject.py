@@ -172,11 +172,12 @@ def known_of(problem: Problem, fitted: Fitted) -> Known:
 
 def mesh_errors(problem: Problem, fitted: Fitted) -> tuple[np.ndarray, ...]:
     """What a finer mesh would change in each recording, (M,) m each, carried on to the limit from one halving of cells
-    and step; 0 where the mesh is the model's own.
+    and step; 0 where the mesh is the model's own, and all that is left of a recording that cannot be simulated then.
     """
     stated = all(case.scene.resolution is not None for case in problem.of_split("fit"))  # type: ignore[attr-defined]
-    for error, _ in refinements(problem, fitted, "fit", 1) if stated else ():
-        return tuple(error)
+    for error, last in refinements(problem, fitted, "fit", 1) if stated else ():
+        known = [np.isfinite(one).all() for one in last]
+        return tuple(e if there else -r for e, there, r in zip(error, known, fitted.residual, strict=True))
     return tuple(np.zeros_like(residual) for residual in fitted.residual)
 
 
