@@ -266,6 +266,10 @@ def test_a_fault_of_the_model_is_one_line_and_exit_1(place, tmp_path):
         (("recordings=rec", *SMALL, "candidates=clock_ofset"), "did you mean 'clock_offset'"),
         (("recordings=rec", *SMALL, "seed=x"), "'seed' is 'x', expected a whole number, at least 0"),
         (("recordings=rec", *SMALL, "resolution=2"), "'resolution' is 2, expected a whole number, at least 5"),
+        (("recordings=rec", *SMALL, "scene.thickness=0.01"), "setting 'scene.thickness': of the scene the loop takes"),
+        (("recordings=rec", *SMALL, "scene.obstacles=[{shape:plane}]"), "setting 'scene.obstacles': of the scene the"),
+        (("recordings=rec", *SMALL, "choice=knee"), "setting 'choice': the loop compares residuals"),
+        (("recordings=rec", *SMALL[:2], "damping=typo"), "no effect named 'typo'; there are: "),
         (("recordings=rec", *SMALL, "out=file"), "setting 'out': file cannot be written to"),
         (("recordings=rec", *SMALL, "candidates="), "candidates is '', expected names of effects"),
         (
