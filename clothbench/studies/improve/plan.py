@@ -242,9 +242,12 @@ def base_of(settings: Mapping[str, Any], problem: Problem) -> tuple[str, ...]:
 
 
 def rehearse(cell: ImproveCell, plugins: Catalogue, kept: Path | None = None) -> None:
-    """Make everything once without simulating: what is wrong in options and bounds comes to light before a run."""
+    """Make everything once without simulating: what is wrong in options and bounds, or with a recording that is held
+    out, comes to light before a run.
+    """
     problem = prepare(cell, plugins, kept=kept)
     space = problem.space(())
+    problem.trials((), "held_out")
     problem.plugins.make("optimizers", cell.optimizer, space, seed=0, budget=1, **search_settings(problem, first=True))
     own = {name: problem.make("effects", name).parameters.prefixed(name) for name in cell.candidates}
     known = sorted([*space.names, *(p.name for one in own.values() for p in one)])
