@@ -248,7 +248,9 @@ def rehearse(cell: ImproveCell, plugins: Catalogue, kept: Path | None = None) ->
     problem = prepare(cell, plugins, kept=kept)
     space = problem.space(())
     problem.trials((), "held_out")
-    problem.plugins.make("optimizers", cell.optimizer, space, seed=0, budget=1, **search_settings(problem, first=True))
+    for first in (True, False):
+        settings = search_settings(problem, first)
+        problem.plugins.make("optimizers", cell.optimizer, space, seed=0, budget=1, **settings)
     own = {name: problem.make("effects", name).parameters.prefixed(name) for name in cell.candidates}
     known = sorted([*space.names, *(p.name for one in own.values() for p in one)])
     if strays := [name for name in cell.bounds if name not in known]:
