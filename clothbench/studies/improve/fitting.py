@@ -125,7 +125,7 @@ def search_settings(problem: Problem, first: bool, tolerance: float = 0.0) -> di
     at_start = {"start": "defaults"}
     own = dict(problem.options.get(problem.optimizer, {}))
     known = options_of(problem.plugins.load("optimizers", problem.optimizer))
-    settings = {
+    settings: dict[str, Any] = {
         "difference": suited.difference, "tolerance": max(suited.tolerance, tolerance), "patience": suited.patience,
     }  # fmt: skip
     settings |= begin if first else at_start if known & set(at_start) else again
@@ -215,7 +215,8 @@ def search(
     known: the space's defaults are a known point, which is simulated too where the optimizer does not begin there.
     """
     theta, square, count = space.defaults, np.inf, 0
-    counts, squares, points = [], [], []
+    counts: list[int] = []
+    squares, points = [], []
     trace = Trace(np.zeros(1, int), np.array([square]), theta[None])
     for asked, evaluation in drive(optimizer, lambda theta: evaluate(trials, theta)[0]):
         count += len(asked)
