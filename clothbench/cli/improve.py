@@ -18,6 +18,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from clothbench.cli.run import composed
 from clothbench.core.create_only import require_create_only
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import json_text
 from clothbench.engine.bucket import is_address
 from clothbench.engine.executors.drive import elsewhere, opened
 from clothbench.engine.executors.settings import LOCAL, executor_settings
@@ -31,7 +32,7 @@ from clothbench.plugins.discovery import Catalogue, catalogue
 from clothbench.studies.improve.candidates import unusable
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.common import common_document
-from clothbench.studies.improve.document import document_in, json_text
+from clothbench.studies.improve.document import document_in
 from clothbench.studies.improve.files import publish
 from clothbench.studies.improve.plan import NOT_ASKED
 from clothbench.studies.improve.settings import LOOP

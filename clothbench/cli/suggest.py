@@ -12,13 +12,14 @@ from clothbench.cli.improve import WORDS as RECORDING_WORDS
 from clothbench.cli.improve import StageBar, settings_of
 from clothbench.cli.view import find_cell
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import json_text
 from clothbench.core.parallel import set_thread_count
 from clothbench.display.terminal import console
 from clothbench.plugins.discovery import Catalogue, catalogue
 from clothbench.studies.improve.document import VERDICT
 from clothbench.studies.improve.plan import NOT_ASKED as REFUSED
 from clothbench.studies.improve.problem import Problem
-from clothbench.suggest.document import CAMERA, DOCUMENT, MOTION, json_text, suggestion, write_all
+from clothbench.suggest.document import CAMERA, DOCUMENT, MOTION, suggestion, write_all
 from clothbench.suggest.experiments import experiments
 from clothbench.suggest.ranking import promises, rank_of, ranked
 from clothbench.suggest.settings import DEPTH, TIE, WORDS, as_recorded, wanted_of

@@ -71,6 +71,11 @@ def parsed_json(text: str, where: object, expected: str) -> Any:
     return found
 
 
+def json_text(document: Any) -> str:
+    """A document as people and programs read it; NaN and infinity, which are no JSON, are a ValueError."""
+    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
+
+
 def _no_json(where: object, fault: Exception, expected: str) -> ClothbenchError:
     said = getattr(fault, "strerror", None) or (str(fault).splitlines() or [type(fault).__name__])[0]
     return ClothbenchError(f"{where}: found no JSON that can be read ({said}), expected {expected}")

@@ -5,7 +5,6 @@ is to stand (if one is to see it), and a recording of what the fitted model expe
 from __future__ import annotations
 
 import csv
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -15,7 +14,7 @@ import numpy as np
 
 from clothbench.core.camera import LENSES
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import file_name, whole_files
+from clothbench.core.files import file_name, json_text, whole_files
 from clothbench.engine.store import finite
 from clothbench.recordings.nodes import Recording, write_recording
 from clothbench.suggest.cameras import Placed
@@ -130,10 +129,6 @@ def camera_text(view: Placed, sensor: Sensor) -> str:
 def name_of(promise: Promise) -> str:
     experiment = promise.experiment
     return f"{experiment.grips}: {experiment.motion}, {promise.duration:g} s"
-
-
-def json_text(document: Mapping[str, Any]) -> str:
-    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
 
 
 def write_all(

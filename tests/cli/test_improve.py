@@ -16,7 +16,7 @@ import pytest
 from conftest import swinging_recording
 from test_commands import only_line
 
-from clothbench import Recording, write_recording
+from clothbench import ClothbenchError, Recording, write_recording
 from clothbench.cli.improve import settings_of
 from clothbench.engine.store import read_table
 from clothbench.engine.suite import plan
@@ -201,6 +201,20 @@ def test_what_the_recordings_do_not_say_belongs_to_the_question(tmp_path):
     assert [case.scene.resolution for case in light.refined().evidence.cases] == [(17, 17), (17, 9)]
 
 
+def test_a_recording_that_the_model_cannot_simulate_is_refused_before_a_fit(tmp_path):
+    """Held out as well as to fit: the model must not simulate the whole rectangle instead."""
+    pytest.importorskip("mujoco")
+    for number, split in ((0, "fit"), (3, "held_out")):
+        write_recording(planted(number, split), tmp_path / f"{number}.nc")
+    settings = settings_of([f"recordings={tmp_path}", "model=mujoco", "base=", "resolution=5"])
+    assert plan(settings, catalogue())
+    for number, split in ((3, "held_out"), (0, "fit")):
+        triangle = dataclasses.replace(planted(number, split), outline=np.array([[0.0, 0.0], [0.2, 0.0], [0.1, 0.2]]))
+        write_recording(triangle, tmp_path / f"{number}.nc")
+        with pytest.raises(ClothbenchError, match=rf"{number}\.nc: model 'mujoco': the model simulates whole"):
+            plan(settings, catalogue())
+
+
 def test_json_is_the_document_and_nothing_else(place):
     ran = improve(place, "recordings=two", *SMALL, "candidates=gravity_tilt", "--json", "out=plain", "seed=3")
     assert ran.returncode == 0, ran.stderr
@@ -266,6 +280,10 @@ def test_a_fault_of_the_model_is_one_line_and_exit_1(place, tmp_path):
         (("recordings=rec", *SMALL, "candidates=clock_ofset"), "did you mean 'clock_offset'"),
         (("recordings=rec", *SMALL, "seed=x"), "'seed' is 'x', expected a whole number, at least 0"),
         (("recordings=rec", *SMALL, "resolution=2"), "'resolution' is 2, expected a whole number, at least 5"),
+        (("recordings=rec", *SMALL, "scene.thickness=0.01"), "setting 'scene.thickness': of the scene the loop takes"),
+        (("recordings=rec", *SMALL, "scene.obstacles=[{shape:plane}]"), "setting 'scene.obstacles': of the scene the"),
+        (("recordings=rec", *SMALL, "choice=knee"), "setting 'choice': the loop compares residuals"),
+        (("recordings=rec", *SMALL[:2], "damping=typo"), "no effect named 'typo'; there are: "),
         (("recordings=rec", *SMALL, "out=file"), "setting 'out': file cannot be written to"),
         (("recordings=rec", *SMALL, "candidates="), "candidates is '', expected names of effects"),
         (

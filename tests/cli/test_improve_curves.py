@@ -119,6 +119,7 @@ def test_a_verdict_in_a_bucket_is_found_from_another_machine(clothbench, s3, cur
         (("recordings=rib", "model=mass_spring"), "model 'mass_spring' answers no force-extension curves"),
         (("recordings=rib", "model=linear_stretch", "candidates=lift"), "effect 'lift' does not act on"),
         (("recordings=rib", "model=linear_stretch", "resolution=9"), "found resolution=…, which force-extension"),
+        (("recordings=rib", "model=linear_stretch", "scene.start=measured"), "found start=…, which force-extension"),
         (("recordings=sway", "model=linear_stretch"), "model 'linear_stretch': found the capabilities curve"),
         (("recordings=sway", "model=mass_spring", "candidates=load_offset"), "acts on force-extension curves only"),
         (("recordings=mixed", "model=linear_stretch"), "mixed"),

@@ -139,6 +139,33 @@ def test_the_floor_is_the_spread_between_runs_at_equal_stretch():
     assert 0.4 < found["error"]["noise_floor"] < 1.6  # 10 % of 20 N times a strain of 0.35, of four runs
 
 
+def test_the_spread_is_of_force_per_width():
+    """Samples of one cloth, twice as wide: all that differs is the noise of their load cell."""
+    stretch = np.linspace(1.0, 1.4, SAMPLES)
+    random = np.random.default_rng(0)
+
+    def noise(*widths: float) -> float:
+        cut = [
+            Curve(
+                f"run{n}", stretch, 300 * (stretch - 1) * width + random.normal(0, SIGMA, SAMPLES), sample_width=width
+            )
+            for n, width in enumerate(widths)
+        ]
+        return curve_evidence(cut, ["fit"] * len(cut)).noise()
+
+    assert noise(0.05, 0.1, 0.05) < 2 * noise(0.05, 0.05, 0.05) < SIGMA
+
+
+def test_a_step_of_stretch_that_no_run_has_a_sample_in_says_nothing_about_the_spread():
+    """Runs that are logged at equal times, first slowly, then fast."""
+    curves = runs(5, lambda e: 0 * e)
+    uneven = np.r_[0 : SAMPLES // 5, SAMPLES // 5 : SAMPLES : 25]
+    logged = [replace(c, stretch=c.stretch[uneven], force=c.force[uneven]) for c in curves]
+    evidence = curve_evidence(logged, [c.split for c in logged])
+    assert not np.any([case.observation.visible for case in evidence.cases], axis=0).all()
+    assert 0.5 < evidence.noise() / curve_evidence(curves, [c.split for c in curves]).noise() < 2
+
+
 def test_the_loop_looks_at_the_way_up_in_equal_steps_that_all_runs_share():
     there, back = np.linspace(1.0, 1.4, 90), np.linspace(1.4, 1.0, 90)
     curve = Curve("loop", np.concatenate([there, back]), np.concatenate([10 * (there - 1), 4 * (back - 1)]))
@@ -166,6 +193,7 @@ def test_surrogates_keep_what_a_residual_is_made_of():
     ("change", "found"),
     [
         ({"direction": "course"}, "attribute 'direction': found 'course', 'wale' among 6 recordings"),
+        ({"sample_width": 0.05}, "run1: attribute 'sample_width': found none, expected metres"),
         ({"fabric": "rib"}, "attribute 'fabric': found 'knit', 'rib' among 6 recordings"),
         ({"stretch": np.linspace(1.3, 1.5, 50), "force": np.linspace(0, 9, 50)}, "all 4 fit recordings share"),
         ({"stretch": np.linspace(1.3, 1.5, 50), "force": np.linspace(0, 9, 50), "split": "held_out"},

@@ -111,6 +111,27 @@ def test_another_optimizer_is_told_only_what_it_has_a_setting_for():
     assert not set(search_settings(problem, first=True)) & {"difference", "walks"}
 
 
+@pytest.mark.parametrize("name", catalogue().names("optimizers"))
+def test_a_fit_from_a_known_point_is_never_worse_than_that_point(name):
+    """Whatever the optimizer does: the point is nearly the best there is, and the search is short."""
+    problem = problem_of(runs(0, lambda e: 0.05 * np.expm1(9 * e)))
+    best = fit(problem, ("strain_locking",), np.array([20.0, 0.05, 9.0]), 20)
+    problem = dataclasses.replace(
+        problem, optimizer=name, options={name: {"start": "look"}} if name == "cma_es" else {}
+    )
+    again = fit(problem, ("strain_locking",), best.theta, 1)
+    assert again.rms <= best.rms * (1 + 1e-9)
+
+
+def test_a_search_from_a_known_point_begins_there_where_the_optimizer_can():
+    problem = dataclasses.replace(
+        problem_of(runs(3, lambda e: 0 * e)), optimizer="nelder_mead", options={"nelder_mead": {"start": "look"}}
+    )
+    first, again = search_settings(problem, first=True), search_settings(problem, first=False)
+    assert (first["start"], again["start"]) == ("look", "defaults")
+    assert "starts" not in again
+
+
 def test_a_finding_is_all_that_is_needed_to_write(tmp_path, monkeypatch):
     """Nothing can be simulated any more, and no plugin loaded."""
     finding = improve(problem_of(runs(0, lambda e: 0.05 * np.expm1(9 * e))), ["strain_locking", "load_offset"])

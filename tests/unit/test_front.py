@@ -99,6 +99,18 @@ def test_lost_runs_are_counted_and_the_border_is_crossed_less():
     assert np.mean(lost[HybridEa]) <= 1.3 * np.mean(lost[SimpleEa])
 
 
+@pytest.mark.parametrize("factory", [SimpleEa, HybridEa])
+def test_a_lost_run_is_worse_than_any_other_in_whatever_unit(factory):
+    problem, value = partly_lost(), np.empty(0)
+    search = factory(problem.space, seed=0, budget=200)
+    while not search.done:
+        theta = search.ask()
+        found = problem.evaluate(theta)
+        value = 5e6 * (1 + found.value)
+        search.tell(theta, Evaluation(value, found.residual))
+    assert np.isnan(value).mean() < 0.2  # of the last generation
+
+
 @pytest.mark.parametrize(
     ("options", "says"),
     [({"population": 3}, "population is 3"), ({"local": 0}, "local is 0"), ({"radius": 1.0}, "radius is 1.0")],

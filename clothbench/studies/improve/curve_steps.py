@@ -64,8 +64,8 @@ def observed(curve: Curve, edges: np.ndarray, sigma: float) -> CurveObservation:
 
 def floor_of(seen: Sequence[CurveObservation], curves: Sequence[Curve]) -> float:
     """What a perfect model would be off by [N]: the spread between runs, or the noise of the only one."""
-    if len(seen) > 1:
-        return spread(seen)
+    if len(seen) > 1 and math.isfinite(between := spread(seen, [curve.sample_width for curve in curves])):
+        return between
     stated = [curve.noise_sigma for curve in curves if math.isfinite(curve.noise_sigma)]
     if stated:
         return stated[0]
@@ -73,8 +73,18 @@ def floor_of(seen: Sequence[CurveObservation], curves: Sequence[Curve]) -> float
     return float(1.4826 * np.median(np.abs(np.concatenate(jumps))) / math.sqrt(20)) if jumps else math.nan
 
 
-def spread(seen: Sequence[CurveObservation]) -> float:
-    """Standard deviation [N] between runs at equal stretch, root-mean-square over stretch."""
-    centres = np.nanmean([one.stretch for one in seen], axis=0)
-    forces = [np.interp(centres, one.stretch[one.visible], one.force[one.visible]) for one in seen]
-    return float(np.sqrt(np.mean(np.var(forces, axis=0, ddof=1))))
+def spread(seen: Sequence[CurveObservation], widths: Sequence[float]) -> float:
+    """Standard deviation [N] between runs at equal stretch, root-mean-square over the steps that any of them has.
+
+    widths: m, of the samples; NaN = not known, of all of them. Forces are compared per width, and what they differ by
+    is told of a sample of the root-mean-square width.
+    """
+    known = np.any([one.visible for one in seen], axis=0)
+    centres = np.nanmean([one.stretch[known] for one in seen], axis=0)
+    times = np.ones(len(seen)) if np.isnan(widths).any() else np.divide(widths, widths[0])
+    forces = [
+        np.interp(centres, one.stretch[one.visible], one.force[one.visible]) / wider
+        for one, wider in zip(seen, times, strict=True)
+    ]
+    per_width = np.sqrt(np.mean(np.var(forces, axis=0, ddof=1)))
+    return float(per_width * np.sqrt(np.mean(times**2)))

@@ -155,17 +155,20 @@ def curve_evidence(curves: Sequence[Curve], splits: Sequence[str]) -> CurveEvide
     _require_one_of_a_kind(curves)
     fitting = [curve for curve, split in zip(curves, splits, strict=True) if split == "fit"]
     edges = common_steps(fitting or curves)
-    floor = floor_of([observed(curve, edges, math.nan) for curve in fitting], fitting)
-    cases = tuple(
-        CurveCase(c.name, split, c, observed(c, edges, floor)) for c, split in zip(curves, splits, strict=True)
-    )
-    for case in cases:
-        if case.observation.visible.sum() < LEAST_STEPS:
+    seen = [observed(curve, edges, math.nan) for curve in curves]
+    for curve, one in zip(curves, seen, strict=True):
+        if one.visible.sum() < LEAST_STEPS:
             raise ClothbenchError(
-                f"{case.recording.path or case.name}: found next to nothing in the range of stretch "
+                f"{curve.path or curve.name}: found next to nothing in the range of stretch "
                 f"{edges[0]:.3g} to {edges[-1]:.3g} that the fit recordings share; leave this recording out"
             )
-    return CurveEvidence(cases)
+    floor = floor_of([one for one, split in zip(seen, splits, strict=True) if split == "fit"], fitting)
+    return CurveEvidence(
+        tuple(
+            CurveCase(curve.name, split, curve, dataclasses.replace(one, sigma=floor))
+            for curve, split, one in zip(curves, splits, seen, strict=True)
+        )
+    )
 
 
 def _require_one_of_a_kind(curves: Sequence[Curve]) -> None:
@@ -176,3 +179,9 @@ def _require_one_of_a_kind(curves: Sequence[Curve]) -> None:
                 f"{curves[0].path or curves[0].name}: attribute {what!r}: found {', '.join(map(repr, found))} among "
                 f"{len(curves)} recordings, expected one {what} in a folder; put each into a folder of its own"
             )
+    unknown = [curve for curve in curves if math.isnan(curve.sample_width)]
+    if unknown and len(unknown) < len(curves):
+        raise ClothbenchError(
+            f"{unknown[0].path or unknown[0].name}: attribute 'sample_width': found none, expected metres, as "
+            f"others of the {len(curves)} recordings have; state it in all of them or in none"
+        )

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,10 +49,6 @@ def verdict_document(finding: Finding) -> dict[str, Any]:
     return document | {
         "kind": finding.evidence.kind, "error": {"unit": unit.reported, **error}, "unexplained": unexplained,
     }  # fmt: skip
-
-
-def json_text(document: Mapping[str, Any]) -> str:
-    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
 
 
 def document_in(folder: Path) -> dict[str, Any] | None:
@@ -145,8 +140,7 @@ def effect_entries(finding: Finding) -> list[dict[str, Any]]:
     """What was named in each round, with its amounts as the last fit has them."""
     if not finding.final.effects:
         return []
-    latest = {found.named[0]: found for found in finding.rounds if found.named}  # one may be refined by recording
-    return [effect_entry(finding, found) for found in latest.values()]
+    return [effect_entry(finding, found) for found in finding.rounds if found.named]
 
 
 def effect_entry(finding: Finding, found: Round) -> dict[str, Any]:

@@ -36,7 +36,7 @@ from clothbench.studies.improve.drape_quantities import (
     contrast_means,
     elongation,
 )
-from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit, without_switches
+from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit, prepared, without_switches
 from clothbench.studies.improve.settings import LOOP, SearchSettings
 
 FACE_DOWN = 2
@@ -141,7 +141,7 @@ class Drapemeter:
     def _side(self, side: int, model: Model, effects: Sequence[Effect]) -> Simulation:
         """The drapes from all first shapes with one side up; only what is searched for is free."""
         scenes = [turned(scene) if side == FACE_DOWN else scene for scene in self.scenes]
-        drapes = joined([model.prepare(scene, effects) for scene in scenes])
+        drapes = joined([prepared(model, scene, effects, "drapes") for scene in scenes])
         return holding(without_switches(drapes, len(model.parameters)), self.held)
 
 

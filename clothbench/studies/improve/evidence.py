@@ -13,7 +13,10 @@ from typing import Any, Protocol, Self
 
 import numpy as np
 
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.optional import why_skipped
 from clothbench.core.protocols import Effect, Model, Simulation
+from clothbench.core.scene import Scene
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.trials import Trial
 from clothbench.studies.improve.settings import SearchSettings
@@ -173,6 +176,13 @@ class Evidence(Protocol):
 
 def of_split(evidence: Evidence, split: str) -> list[Case]:
     return [case for case in evidence.cases if case.split == split]
+
+
+def prepared(model: Model, scene: Scene, effects: Sequence[Effect], where: str) -> Simulation:
+    """The scene, ready to be simulated; one that the model says it cannot simulate is refused. where: its recording."""
+    if reason := why_skipped(model, scene):
+        raise ClothbenchError(f"{where}: model {model.name!r}: {reason}; leave it out, or take another model")
+    return model.prepare(scene, effects)
 
 
 def without_switches(simulation: Simulation, own: int) -> Simulation:

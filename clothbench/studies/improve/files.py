@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from clothbench.core.files import file_name, whole_files
-from clothbench.studies.improve.document import VERDICT, json_text, verdict_document
+from clothbench.core.files import file_name, json_text, whole_files
+from clothbench.studies.improve.document import VERDICT, verdict_document
 from clothbench.studies.improve.evidence import Comparison, Rows
 from clothbench.studies.improve.finding import Finding
 from clothbench.studies.improve.page import common_html, page_html

@@ -12,7 +12,7 @@ import numpy as np
 
 from clothbench.core.optional import options_of
 from clothbench.core.parameters import ParameterSpace
-from clothbench.core.protocols import Optimizer
+from clothbench.core.protocols import Evaluation, Optimizer
 from clothbench.core.statistics import sobol
 from clothbench.estimation.search import drive
 from clothbench.estimation.trials import Trial, evaluate, over
@@ -20,6 +20,8 @@ from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.fitted import Fitted, jackknife_interval
 from clothbench.studies.improve.problem import Problem, residuals
 from clothbench.studies.improve.settings import LOOP
+
+SAME = 1e-9  # of the scaled range, within which two sets are one: scaling back and forth rounds
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,8 +48,9 @@ def fit(
     unless: Fitted | None = None,
     tolerance: float = 0.0,
 ) -> Fitted:
-    """Least squares from the best of `start` (S, P) or (P,), or from the defaults and a spread of others if None; ended
-    after so many `rounds`, if it does not end before; and once it is plain that its mean square will stay above `goal`.
+    """A search from the best of `start` (S, P) or (P,), which it is never worse than, or from the defaults and a spread
+    of others if None; ended after so many `rounds`, if it does not end before; and once it is plain that its mean
+    square will stay above `goal`.
 
     account: is told how far the search is, as the stage that runs; unless: a fit of the same effects, which is returned
     with this search's evaluations if the search comes to nothing better: what is not kept needs no Jacobian; tolerance:
@@ -88,7 +91,7 @@ def searched(
         "optimizers", problem.optimizer, begin, seed=problem.seed, budget=budget, **settings
     )
     tell = None if account is None else lambda count: account.stage(account.now, min(count, planned), planned)
-    trace = search(trials, optimizer, begin, tell, given_up)
+    trace = search(trials, optimizer, begin, tell, given_up, known=start is not None)
     problem.checkpoint.keep(key, goal=np.array(goal), **vars(trace))
     return trace
 
@@ -114,19 +117,20 @@ def fitted_at(problem: Problem, names: tuple[str, ...], theta: np.ndarray, count
 
 def search_settings(problem: Problem, first: bool, tolerance: float = 0.0) -> dict[str, Any]:
     """What the optimizer is told beside its seed and budget: of what suits the evidence what it has a setting for, then
-    the user's own options; but a search from a known point stays there.
+    the user's own options; but a search from a known point sets out from there, if the optimizer has a setting for it.
     """
     suited = problem.evidence.search
     begin = {"starts": suited.starts, "walks": suited.walks}
     again = {"starts": suited.restart_starts, "walks": suited.restart_walks}
+    at_start = {"start": "defaults"}
     own = dict(problem.options.get(problem.optimizer, {}))
     known = options_of(problem.plugins.load("optimizers", problem.optimizer))
-    settings = {
+    settings: dict[str, Any] = {
         "difference": suited.difference, "tolerance": max(suited.tolerance, tolerance), "patience": suited.patience,
     }  # fmt: skip
-    settings |= begin if first else again
+    settings |= begin if first else at_start if known & set(at_start) else again
     return {name: value for name, value in settings.items() if name in known} | {
-        name: value for name, value in own.items() if first or name not in again
+        name: value for name, value in own.items() if first or name not in {**again, **at_start}
     }
 
 
@@ -204,17 +208,25 @@ def search(
     space: ParameterSpace,
     tell: Callable[[int], None] | None = None,
     given_up: Callable[[Trace], bool] = lambda trace: False,
+    known: bool = False,
 ) -> Trace:
-    """All that the optimizer asks for until it ends or is `given_up`; `tell` hears how many points that is so far."""
+    """All that the optimizer asks for until it ends or is `given_up`; `tell` hears how many points that is so far.
+
+    known: the space's defaults are a known point, which is simulated too where the optimizer does not begin there.
+    """
     theta, square, count = space.defaults, np.inf, 0
-    counts, squares, points = [], [], []
+    counts: list[int] = []
+    squares, points = [], []
     trace = Trace(np.zeros(1, int), np.array([square]), theta[None])
     for asked, evaluation in drive(optimizer, lambda theta: evaluate(trials, theta)[0]):
         count += len(asked)
         best = int(np.argmin(np.where(np.isfinite(evaluation.value), evaluation.value, np.inf)))
-        assert evaluation.residual is not None
-        cost = float(np.sum(evaluation.residual[best] ** 2)) if np.isfinite(evaluation.value[best]) else np.inf
-        if cost < square:
+        if known and not counts:
+            start, at_start, more = at_defaults(trials, space, asked, evaluation)
+            count += more
+            if at_start < square:
+                theta, square = start, at_start
+        if (cost := sum_of_squares(evaluation, best)) < square:
             theta, square = asked[best], cost
         counts.append(count)
         squares.append(square)
@@ -225,6 +237,24 @@ def search(
         if given_up(trace):
             break
     return trace
+
+
+def at_defaults(
+    trials: list[Trial], space: ParameterSpace, asked: np.ndarray, evaluation: Evaluation
+) -> tuple[np.ndarray, float, int]:
+    """The space's defaults (P,), their mean square (infinite: they could not be simulated), and how many sets that
+    takes beside those (B, P) that were asked: none where the defaults are among them.
+    """
+    away = np.abs(space.to_unit(asked) - space.to_unit(space.defaults)).max(axis=1)
+    if away[row := int(np.argmin(away))] < SAME:
+        return asked[row], sum_of_squares(evaluation, row), 0
+    return space.defaults, sum_of_squares(evaluate(trials, space.defaults[None])[0], 0), 1
+
+
+def sum_of_squares(evaluation: Evaluation, row: int) -> float:
+    """Of the residual of one set; infinite where it could not be simulated."""
+    assert evaluation.residual is not None
+    return float(np.sum(evaluation.residual[row] ** 2)) if np.isfinite(evaluation.value[row]) else np.inf
 
 
 def best_start(trials: list[Trial], space: ParameterSpace, starts: np.ndarray) -> np.ndarray:

@@ -13,8 +13,9 @@ from clothbench.core.progress import FileProgress
 from clothbench.core.scene import AIR_DENSITY
 from clothbench.engine.cells import Source, matching, plugin_versions, resplit
 from clothbench.engine.run import TRACKED
-from clothbench.engine.settings import refuse, require_plugins, whole, words
+from clothbench.engine.settings import one_word, refuse, require_plugins, whole, words
 from clothbench.engine.suite import where
+from clothbench.estimation.front import CHOICES
 from clothbench.estimation.prior import prior_of
 from clothbench.modelling.curves import answers_curves
 from clothbench.plugins.discovery import Catalogue
@@ -40,20 +41,14 @@ NEEDED = {  # capabilities, by kind of recording
     "nodes": ("moves", frozenset({"dynamic", "effects"})),
     DRAPES.kind: ("can be cut to a disc", frozenset({"outline", "effects"})),
 }
-NOT_ASKED = ("metric", "report", "analysis")
+NOT_ASKED = ("metric", "report", "analysis", "choice")
+OF_SCENE = ("areal_density", "air_density", "start")  # settings of the scene that the loop follows
 
 
 def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[ImproveCell]:
     """A cell for each model, with each optimizer; and for each fabric, where `suite.case` asks for that."""
     require_plugins(settings, ("model", "optimizer"))
-    own = "the loop compares residuals, and reports on them in its own way"
-    refuse(settings | {"scene": {}}, NOT_ASKED, own, own)
-    for key in ("resolution", "spacing"):
-        if key in settings["scene"]:
-            raise ClothbenchError(
-                f"setting 'scene.{key}': the loop refines its own mesh; give suite.resolution=NODES, along the longer "
-                "side, and leave it out"
-            )
+    refuse_what_is_not_asked(settings)
     paths = where(settings, progress)
     stated = kind_of(paths[0])
     kind = stated if stated in (CURVES.kind, DRAPES.kind) else "nodes"
@@ -64,6 +59,23 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
         for model in dict.fromkeys(settings["model"])
         for optimizer in dict.fromkeys(settings["optimizer"])
     ]
+
+
+def refuse_what_is_not_asked(settings: Mapping[str, Any]) -> None:
+    """Refuse settings that the loop would not follow."""
+    for key in ("resolution", "spacing"):
+        if key in settings["scene"]:
+            raise ClothbenchError(
+                f"setting 'scene.{key}': the loop refines its own mesh; give suite.resolution=NODES, along the longer "
+                "side, and leave it out"
+            )
+    rest = {key: value for key, value in settings["scene"].items() if key not in OF_SCENE}
+    choice = settings["choice"] if settings["choice"] != CHOICES[0] else None  # the usual one is always there
+    refuse(
+        {**settings, "scene": rest, "choice": choice}, NOT_ASKED,
+        "the loop compares residuals, and reports on them in its own way",
+        f"of the scene the loop takes {', '.join(OF_SCENE)} from the settings, and no more",
+    )  # fmt: skip
 
 
 def cases_of(recordings: Sequence[Any], settings: Mapping[str, Any]) -> dict[str, list[Source]]:
@@ -141,9 +153,10 @@ def require_able(kind: str, model: str, options: Mapping[str, Any], plugins: Cat
 
 def refuse_what_needs_a_mesh(settings: Mapping[str, Any]) -> None:
     """Refuse settings that mean nothing without a mesh."""
-    suite = settings["suite"]
-    given = {"resolution": suite.get("resolution"), "base": own_base(settings),
-             "areal_density": settings["scene"].get("areal_density")}  # fmt: skip
+    suite, scene = settings["suite"], dict(settings["scene"])
+    if scene.get("air_density") == AIR_DENSITY:  # the usual one is always there
+        del scene["air_density"]
+    given = {"resolution": suite.get("resolution"), "base": own_base(settings), **{k: scene.get(k) for k in OF_SCENE}}
     for key, value in given.items():
         if value is not None:
             raise ClothbenchError(f"found {key}=…, which force-extension curves have no use for; leave it out")
@@ -220,17 +233,24 @@ def base_of(settings: Mapping[str, Any], problem: Problem) -> tuple[str, ...]:
             problem.plugins.find("effects", name)
         return tuple(base)
     damping = settings["suite"].get("damping")
-    if problem.evidence.kind in (CURVES.kind, DRAPES.kind) or damping not in problem.plugins.names("effects"):
+    if damping:
+        problem.plugins.find("effects", one_word("suite.damping", damping))
+    if problem.evidence.kind in (CURVES.kind, DRAPES.kind) or not damping:
         return ()
     unit = problem.make("effects", damping).parameters.parameters[0].unit
     return () if any(p.unit == unit for p in problem.space(())) else (damping,)
 
 
 def rehearse(cell: ImproveCell, plugins: Catalogue, kept: Path | None = None) -> None:
-    """Make everything once without simulating: what is wrong in options and bounds comes to light before a run."""
+    """Make everything once without simulating: what is wrong in options and bounds, or with a recording that is held
+    out, comes to light before a run.
+    """
     problem = prepare(cell, plugins, kept=kept)
     space = problem.space(())
-    problem.plugins.make("optimizers", cell.optimizer, space, seed=0, budget=1, **search_settings(problem, first=True))
+    problem.trials((), "held_out")
+    for first in (True, False):
+        settings = search_settings(problem, first)
+        problem.plugins.make("optimizers", cell.optimizer, space, seed=0, budget=1, **settings)
     own = {name: problem.make("effects", name).parameters.prefixed(name) for name in cell.candidates}
     known = sorted([*space.names, *(p.name for one in own.values() for p in one)])
     if strays := [name for name in cell.bounds if name not in known]:

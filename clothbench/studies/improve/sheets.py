@@ -16,7 +16,7 @@ from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
 from clothbench.estimation.trials import Trial
 from clothbench.recordings.nodes import Recording
-from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit, without_switches
+from clothbench.studies.improve.evidence import Comparison, Rows, Surrogate, Unit, prepared, without_switches
 from clothbench.studies.improve.law import moved_round
 from clothbench.studies.improve.motion import motion_of
 from clothbench.studies.improve.repeats import spread_of_repeats
@@ -74,7 +74,8 @@ class SheetCase:
 
     def trial(self, model: Model, effects: Sequence[Effect], correction: np.ndarray | None) -> Trial:
         remember_rest(self.scene)  # searches ask for it again and again, with what does not change it
-        simulation = without_switches(model.prepare(self.scene, effects), len(model.parameters))
+        simulation = prepared(model, self.scene, effects, self.recording.path or self.name)
+        simulation = without_switches(simulation, len(model.parameters))
         return Trial(
             self.name, self.observation, simulation, CoordinateError(0.0 if correction is None else correction)
         )

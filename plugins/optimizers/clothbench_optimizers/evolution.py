@@ -13,7 +13,7 @@ import numpy as np
 from clothbench import Evaluation, ParameterSpace, on_front
 from clothbench_optimizers.search import GeneratorSearch, Steps, check_between, check_whole, spread
 
-WORST = 1e6  # what a lost run has in every objective: worse than any that is not
+WORST = 1e150  # what a lost run has in every objective, finite, as its square is; what is no better counts as lost
 NEIGHBOURS = 3.0  # times the parameters + 1, evaluated points that a local model is fitted to
 SHRINK, GROW, SMALLEST = 0.5, 1.5, 0.005  # of the trust radius, in units of the scaled ranges
 
@@ -53,7 +53,7 @@ class SimpleEa(GeneratorSearch):
     def judged(self, evaluation: Evaluation) -> np.ndarray:
         """The objectives (B, M) of an evaluation; its value alone where it has none, and `WORST` of lost runs."""
         rows = evaluation.value[:, None] if evaluation.objectives is None else evaluation.objectives
-        known = np.isfinite(rows).all(axis=1)
+        known = (np.isfinite(rows) & (rows < WORST)).all(axis=1)
         return np.where(known[:, None], rows, WORST)
 
     def _strategy(self, first: np.ndarray, objectives: int) -> Callable[[Any, Any], Any]:
