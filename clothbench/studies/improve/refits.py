@@ -106,8 +106,9 @@ def standing(problem: Problem, current: Fitted, better: Mapping[tuple[str, ...],
     """The mean square that a fit has to come to if it is to be named beside, or instead of, those that are better; any
     where searches cost so little that none is given up.
 
-    One with two or more parameters more than another is named only instead of it: if it leaves so much less that all
-    of them are paid for (`choose`). A fit that cannot stand itself is in nobody's way.
+    One with two or more parameters more than another is named instead of it if it leaves so much less that all of them
+    are paid for (`choose`); no search is spent on what would only be a tie. A fit that cannot stand itself is in
+    nobody's way.
     """
     if not np.isfinite(problem.evidence.search.contention):
         return np.inf

@@ -204,9 +204,10 @@ def correction_correlation(current: Fitted, tried: Sequence[Candidate]) -> np.nd
 
 def choose(current: Fitted, judged: Sequence[Candidate]) -> tuple[str, ...]:
     """The one that stands; of several as good as each other that correct the same as the best the one with the fewest
-    parameters, and of these the fewest that only give it its shape; or several as tied: equally simple ones, or such as
-    correct the same and are hardly less simple. What corrects something else may be missing as well as the best: being
-    simpler it does not take its place.
+    parameters, and of these the fewest that only give it its shape; or several as tied: equally simple ones, and such
+    as correct the same and are hardly less simple, or leave so much less that the two can be told apart, though not so
+    much that all they have more is paid for: then nothing is decided. What corrects something else may be missing as
+    well as the best: being simpler it does not take its place.
     """
     standing = [c for c in judged if not c.why_not and c.fitted is not None]
     if not standing:
@@ -217,9 +218,13 @@ def choose(current: Fitted, judged: Sequence[Candidate]) -> tuple[str, ...]:
     allowed, same = allowances(current, standing), alike(current, standing)
     close = [k for k in range(len(standing)) if (square[k] <= allowed[:, k] * square).all()]
     best = min(close, key=lambda k: (1 + LOOP.parameter_penalty * (size[k] - size.min())) * square[k])
-    instead = correction_correlation(current, standing)[best] >= LOOP.alike_correlation
-    first = min((k for k in close if instead[k]), key=lambda k: (size[k], shapes[k], square[k]))
-    others = [
-        k for k in close if k != first and (size[k] == size[first] or (same[k, first] and size[k] == size[first] + 1))
-    ]
-    return tuple(standing[k].name for k in [first, *sorted(others, key=lambda k: square[k])][: LOOP.tied])
+    correlated = correction_correlation(current, standing) >= LOOP.alike_correlation
+    first = min((k for k in close if correlated[best, k]), key=lambda k: (size[k], shapes[k], square[k]))
+
+    def undecided(k: int) -> bool:
+        if size[k] == size[first] or (same[k, first] and size[k] == size[first] + 1):
+            return True
+        return bool(correlated[k, first] and (1 + LOOP.tie_margin) * square[k] < square[first])
+
+    others = sorted((k for k in close if k != first and undecided(k)), key=lambda k: square[k])
+    return tuple(standing[k].name for k in [first, *others][: LOOP.tied])
