@@ -12,7 +12,7 @@ from clothbench.plugins.discovery import catalogue
 from clothbench.studies.improve import attribution
 from clothbench.studies.improve.attribution import best_settings, exchange, explained_share, shape_settings, shifted
 from clothbench.studies.improve.fitted import Fitted, with_discrepancy
-from clothbench.studies.improve.selection import Candidate, allowances, choose, least_fall
+from clothbench.studies.improve.selection import Candidate, allowances, assess, choose, least_fall
 
 BASE = ParameterSpace(
     tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.5, "of the base", "a test") for n in ("a", "b"))
@@ -157,6 +157,18 @@ def test_two_as_good_as_each_other_are_tied(before):
 
 def test_two_that_correct_the_same_are_tied_though_one_is_less_simple(before):
     assert choose(before, [candidate("simple", 5, 0.30), candidate("other", 6, 0.28)]) == ("simple", "other")
+
+
+def test_the_error_of_the_mesh_does_not_decide_between_two_that_correct_the_same(before):
+    """They differ by 0.06, which an error of 1.7 may well look like: a share of 0.2 of it, twice."""
+    simple, other = candidate("simple", 5, 0.36), candidate("other", 6, 0.30)
+    assert choose(before, [simple, other]) == ("other",)
+    assert choose(before, [simple, other], mesh=1.6) == ("other",)
+    assert choose(before, [simple, other], mesh=1.7) == ("simple", "other")
+    assert [c.selected for c in assess(before, 0.1, [simple, other])] == [RECORDINGS, 0]
+    assert [c.selected for c in assess(before, 0.1, [simple, other], mesh=1.7)] == [RECORDINGS, RECORDINGS]
+    elsewhere = candidate("elsewhere", 5, 0.74, 1), candidate("other", 6, 0.60, 2)
+    assert choose(before, elsewhere, mesh=9.0) == ("other",)
 
 
 def test_what_leaves_clearly_less_without_paying_for_all_its_parameters_decides_nothing(before):

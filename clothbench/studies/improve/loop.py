@@ -127,7 +127,7 @@ def next_round(state: State, candidates: Sequence[str], account: Account) -> tup
     rest = [c for c in candidates if c not in current.effects]
     earlier = state.rounds[-1].probes if state.rounds else ()
     fall = least_fall(current, state.floor, state.noise)
-    found = one_round(problem, current, state.floor, fall, rest, earlier, account)
+    found = one_round(problem, current, state.floor, state.mesh, fall, rest, earlier, account)
     if found.before is not current:  # the refit without the effect came to a better fit of what there was
         before = with_errors_of_mesh_and_model(problem, found.before, state.noise)
         found = dataclasses.replace(found, before=before)

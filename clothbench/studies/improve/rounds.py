@@ -22,6 +22,7 @@ def one_round(
     problem: Problem,
     current: Fitted,
     floor: float,
+    mesh: float,
     fall: float,
     candidates: Sequence[str],
     earlier: Sequence[Probe],
@@ -29,7 +30,8 @@ def one_round(
 ) -> Round:
     """What came of the candidates beside the `current` fit.
 
-    fall: base unit squared, by how much the mean square has to fall for a name; earlier: probes of the round before.
+    floor, mesh: base unit, what noise and mesh account for, and what the mesh alone may be wrong by; fall: base unit
+    squared, by how much the mean square has to fall for a name; earlier: probes of the round before.
     """
     turn = len(current.effects)
     promise = fall / LOOP.first_order_optimism / current.rms**2
@@ -64,11 +66,11 @@ def one_round(
         tried.append(dataclasses.replace(candidate, fitted=fitted))
         goal = min(goal, problem.evidence.search.contention * fitted.rms**2)
     tried = refine_finalists(problem, current, floor, fall, tried, account, turn)
-    assessed = assess(current, fall, tried, problem.evidence)
-    if named := choose(current, assessed):
+    assessed = assess(current, fall, tried, problem.evidence, mesh)
+    if named := choose(current, assessed, mesh):
         current = refit_null(problem, current, next(c.fitted for c in assessed if c.name == named[0]), fall, account)
-        assessed = assess(current, fall, tried, problem.evidence)
-        named = choose(current, assessed)
+        assessed = assess(current, fall, tried, problem.evidence, mesh)
+        named = choose(current, assessed, mesh)
     others = [c for c in screened if c.name not in {t.name for t in assessed}]
     after = next((c.fitted for c in assessed if named and c.name == named[0]), None)
     return Round(current, floor, tuple([*assessed, *others]), tuple(found), named, after)

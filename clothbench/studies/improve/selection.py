@@ -53,12 +53,13 @@ def least_fall(current: Fitted, floor: float, noise: float) -> float:
 
 
 def assess(
-    current: Fitted, gain: float, tried: Sequence[Candidate], evidence: Evidence | None = None
+    current: Fitted, gain: float, tried: Sequence[Candidate], evidence: Evidence | None = None, mesh: float = 0.0
 ) -> list[Candidate]:
     """What speaks against each of them, if anything; and in how many leave-one-out rounds it is the best and explains
     enough. What is left out there is a recording's say: nothing is fitted again. What contradicts the recordings is no
     rival of the others; what corrects the same as another is compared with it on all recordings at once: which of the
-    two is ahead on some of them is a matter of ripples, and no reason to name one without the other.
+    two is ahead on some of them is a matter of ripples, and no reason to name one without the other. mesh: what the
+    model's mesh may be wrong by, base unit.
     """
     count = len(current.mean_squares)
     square = np.array([c.fitted.mean_squares for c in tried if c.fitted is not None]).reshape(-1, count)
@@ -67,7 +68,7 @@ def assess(
         evidence.objection(current.residual, c.fitted.residual) if evidence and c.fitted else "" for c in tried
     ]
     rivals = [k for k, why in enumerate(objections) if not why]
-    allowed, same = allowances(current, tried), alike(current, tried)
+    allowed, same, doubt = allowances(current, tried), alike(current, tried), mesh_decides(current, tried, mesh)
     out = []
     for k, candidate in enumerate(tried):
         candidate = dataclasses.replace(candidate, gain=float((current.mean_squares - square[k]).mean()))
@@ -75,7 +76,10 @@ def assess(
         for left_out in range(count):
             rest = [r for r in range(count) if r != left_out] or [0]
             shown = {j: list(range(count)) if same[j, k] else rest for j in rivals}
-            best = all(square[k, on].mean() <= allowed[j, k] * square[j, on].mean() for j, on in shown.items())
+            best = all(
+                square[k, on].mean() <= max(allowed[j, k] * square[j, on].mean(), square[j, on].mean() + doubt[j, k])
+                for j, on in shown.items()
+            )
             wins += bool(best and (current.mean_squares - square[k])[rest].mean() >= gain)
         helped = int((square[k] < current.mean_squares).sum())
         why = ""
@@ -202,12 +206,26 @@ def correction_correlation(current: Fitted, tried: Sequence[Candidate]) -> np.nd
     return unit @ unit.T
 
 
-def choose(current: Fitted, judged: Sequence[Candidate]) -> tuple[str, ...]:
+def mesh_decides(current: Fitted, tried: Sequence[Candidate], mesh: float) -> np.ndarray:
+    """(K, K): by how much more (mean square) than candidate j candidate k may leave through nothing but the error of
+    the mesh, where both correct the same; else 0.
+
+    An error e of the residual changes the difference of their mean squares by 2 e·d, d being what their residuals
+    differ by; how much of e may look like d is what is allowed for wherever something looks like a parameter.
+    mesh: rms of e, base unit.
+    """
+    left = [None if c.fitted is None else [r / len(r) ** 0.5 for r in c.fitted.residual] for c in tried]
+    rows = [np.concatenate(current.residual) * 0 if one is None else np.concatenate(one) for one in left]
+    apart = [[np.linalg.norm(a - b) / len(current.residual) ** 0.5 for b in rows] for a in rows]
+    return np.where(alike(current, tried), 2 * LOOP.model_discrepancy * mesh * np.array(apart), 0.0)
+
+
+def choose(current: Fitted, judged: Sequence[Candidate], mesh: float = 0.0) -> tuple[str, ...]:
     """The one that stands; of several as good as each other that correct the same as the best the one with the fewest
     parameters, and of these the fewest that only give it its shape; or several as tied: equally simple ones, and such
     as correct the same and are hardly less simple, or leave so much less that the two can be told apart, though not so
     much that all they have more is paid for: then nothing is decided. What corrects something else may be missing as
-    well as the best: being simpler it does not take its place.
+    well as the best: being simpler it does not take its place. mesh: what the model's mesh may be wrong by, base unit.
     """
     standing = [c for c in judged if not c.why_not and c.fitted is not None]
     if not standing:
@@ -216,7 +234,8 @@ def choose(current: Fitted, judged: Sequence[Candidate]) -> tuple[str, ...]:
     size = np.array([len(c.fitted.theta) for c in standing if c.fitted is not None])
     shapes = [sum(p.null is None for p in c.fitted.space) for c in standing if c.fitted is not None]
     allowed, same = allowances(current, standing), alike(current, standing)
-    close = [k for k in range(len(standing)) if (square[k] <= allowed[:, k] * square).all()]
+    most = np.maximum(allowed * square[:, None], square[:, None] + mesh_decides(current, standing, mesh))
+    close = [k for k in range(len(standing)) if (square[k] <= most[:, k]).all()]
     best = min(close, key=lambda k: (1 + LOOP.parameter_penalty * (size[k] - size.min())) * square[k])
     correlated = correction_correlation(current, standing) >= LOOP.alike_correlation
     first = min((k for k in close if correlated[best, k]), key=lambda k: (size[k], shapes[k], square[k]))
