@@ -206,3 +206,7 @@ def test_what_a_tracker_made_of_images_is_a_recording_of_nodes():
     )
     with pytest.raises(ClothbenchError, match="no grips stated, and the upper corners in 0 frames"):
         nodes_of(images(grips=None), lost)
+    position[4:, 2] = np.nan
+    gone = dataclasses.replace(seen, position=position, visible=np.isfinite(position).all(axis=-1))
+    with pytest.raises(ClothbenchError, match=r"upper corner at u = 0.3 m, v = 0 m from frame 0 to 3 of 6, expected"):
+        nodes_of(images(grips=None), gone)
