@@ -18,7 +18,7 @@ import numpy as np
 
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import file_name, read_json
+from clothbench.core.files import file_name, in_order, read_json
 from clothbench.core.pictures import silenced
 from clothbench.core.progress import FileProgress
 from clothbench.datasets.depth_folder import camera_of
@@ -149,7 +149,7 @@ def _grabbed(film: Any) -> bool:
 
 
 def _pictures_in(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.iterdir() if p.suffix.lower() in PICTURES)
+    return in_order(p for p in folder.iterdir() if p.suffix.lower() in PICTURES)
 
 
 def _pictures(
