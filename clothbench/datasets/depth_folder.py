@@ -30,6 +30,8 @@ from clothbench.core.observation import GripPath
 from clothbench.core.pictures import picture_of
 from clothbench.core.progress import FileProgress
 from clothbench.recordings.depth import LAYOUT, Colour, DepthImages, write_depth
+from clothbench.recordings.kinds import read_any
+from clothbench.recordings.rig import RawRecording
 
 LEVEL = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # a camera that looks along +y, z up
 MILLIMETRE = 1e-3
@@ -40,7 +42,23 @@ OWN = {"camera", "time", "rate", "colour_time", "grips", "gravity", "depth_step"
 def depth_recording(folder: Path, out: Path, progress: FileProgress | None = None) -> Path:
     """Read a folder and write `out`/NAME.nc; faults are one line with file, found and expected."""
     images = read_folder(folder, progress)
-    return write_depth(images, out / f"{file_name(images.name)}.nc")
+    path = out / f"{file_name(images.name)}.nc"
+    require_no_other(path, images)
+    return write_depth(images, path)
+
+
+def require_no_other(path: Path, recording: RawRecording) -> None:
+    """Refuse to write over a file that holds anything else."""
+    if not path.exists():
+        return
+    try:
+        same = read_any(path).hash == recording.hash
+    except ClothbenchError:
+        same = False
+    if not same:
+        raise ClothbenchError(
+            f"{path}: found another recording, expected no file of that name; give this one another name, or out=FOLDER"
+        )
 
 
 def read_folder(folder: Path, progress: FileProgress | None = None) -> DepthImages:

@@ -119,6 +119,8 @@ def test_a_folder_of_frames_becomes_a_recording(clothbench, tmp_path):
     assert made.colour.frame[0, 0, 0].tolist() == [30, 10, 200]
     assert (made.split, made.notes) == ("fit", {"weather": "fair"})
     assert clothbench("validate", "made").returncode == 0
+    ran = clothbench("import", "session", "out=made here")
+    assert "next: clothbench validate 'made here/bench_run_1.nc'" in ran.stdout
 
 
 @pytest.mark.parametrize("form", ["npy", "ascii", "binary", "carriage returns"])
@@ -180,6 +182,22 @@ def test_clouds_go_through_the_lens_and_back(tmp_path):
     depth = projected(np.stack([x, y, 1 + 0 * x], axis=-1).reshape(-1, 3), camera, 1e-3, tmp_path)
     back = seen_points(np.where(depth > 0, 1e-3 * depth, np.nan), camera)
     assert np.nanmax(back[..., 0]) == pytest.approx(0.2, abs=6e-3)  # a pixel is 10 mm
+
+
+def test_another_recording_of_that_name_is_not_written_over(tmp_path):
+    from clothbench.datasets.depth_folder import depth_recording
+
+    folder = folder_of(tmp_path)
+    made = depth_recording(folder, tmp_path / "made")
+    assert depth_recording(folder, tmp_path / "made") == made
+    before = made.read_bytes()
+    (folder / "recording.json").write_text(json.dumps({**ABOUT, "rate": 25}))
+    with pytest.raises(ClothbenchError, match=r"bench_run_1.nc: found another recording, expected no file of that"):
+        depth_recording(folder, tmp_path / "made")
+    made.write_text("no recording")
+    with pytest.raises(ClothbenchError, match="found another recording"):
+        depth_recording(folder, tmp_path / "made")
+    assert before.startswith(b"\x89HDF")
 
 
 def test_frames_come_in_the_order_of_their_numbers(tmp_path):
