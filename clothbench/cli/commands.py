@@ -6,6 +6,7 @@ import argparse
 import contextlib
 import json
 import os
+import shlex
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -148,23 +149,25 @@ def datasets(options: argparse.Namespace) -> int:
 def import_data(options: argparse.Namespace) -> int:
     from clothbench.cli.listings import print_import
     from clothbench.datasets.convert import converted
+    from clothbench.datasets.registry import DATASETS
     from clothbench.datasets.video_file import SETTINGS, is_video, video_recording
     from clothbench.engine.progress import counting
 
-    given = Path(options.name)
-    if is_video(given):
+    given, known = Path(options.name), options.name in DATASETS
+    if not known and is_video(given):
         settings = key_values(options.settings, SETTINGS)
         with counting("frames") as told:
             path = video_recording(given, settings, told)
-        print(f"{path}: one recording of kind 'video'; next: clothbench run recording={path} tracker=sift_graph …")
+        named = shlex.quote(str(path))
+        print(f"{path}: one recording of kind 'video'; next: clothbench run recording={named} tracker=sift_graph …")
         return 0
     settings = key_values(options.settings, ("data_dir", "out"))
-    if given.is_dir():
+    if not known and given.is_dir():
         from clothbench.datasets.depth_folder import depth_recording
 
         with counting("frames") as told:
             path = depth_recording(given, Path(settings.get("out", "recordings")), told)
-        print(f"{path}: one recording of kind 'depth'; next: clothbench validate {path}")
+        print(f"{path}: one recording of kind 'depth'; next: clothbench validate {shlex.quote(str(path))}")
         return 0
     with counting("files") as told:
         folder = converted(options.name, **settings, again=True, progress=told)
@@ -324,7 +327,8 @@ def new_plugin(options: argparse.Namespace) -> int:
     from clothbench.plugins.scaffold import create
 
     folder = create(options.kind, options.name, Path(options.into))
-    print(f"{folder}: ready; next: pip install -e '{folder}[test]' && pytest {folder}")
+    install, test = shlex.quote(f"{folder}[test]"), shlex.quote(str(folder))
+    print(f"{folder}: ready; next: pip install -e {install} && pytest {test}")
     return 0
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 from typing import Any
 
@@ -120,5 +121,6 @@ def print_import(folder: Path) -> None:
     console().print(table)
     kept, came = (sum(r[n] for r in recordings) for n in ("frames_kept", "frames_in"))
     made = sum(not r["skipped"] for r in recordings)
-    after = report.get("next", "clothbench run +suite=iri_swing").format(folder=folder / report.get("next_folder", ""))
+    after = report.get("next", "clothbench validate {folder}")
+    after = after.format(folder=shlex.quote(str(folder / report.get("next_folder", ""))))
     print(f"{made} recordings with {kept} of {came} frames in {folder}; next: {after}")

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import re
+import shlex
 import shutil
 import sys
 import tempfile
@@ -49,6 +50,9 @@ RECORDINGS = ("suite=", "recording=", "recordings=")  # how a command line names
 # A setting below one that holds any number of them. Hydra would take it only with a sign that says whether the suite
 # has it; what is not known is refused once all is put together.
 OPEN = re.compile(r"(options|bounds|finer|scene|analysis|suite|limits)\.[^=]*=")
+PATHS = re.compile(r"\+{0,2}(recording|recordings|out|data_dir)=")
+# What Hydra reads by itself: plain words, sweeps, interpolations, what somebody has quoted.
+READ = re.compile(r"[\w/.:*?@%|+~=-]*|.*(['\"\\]|\$\{).*|(choice|range|interval|glob|sort|shuffle|tag)\(.*\)", re.ASCII)
 
 
 class PluginSearchPath(SearchPathPlugin):
@@ -76,9 +80,9 @@ def run(arguments: Sequence[str]) -> int:
     notes = Path(tempfile.mkdtemp(prefix="clothbench-"))
     os.environ.update({NOTES: str(notes), "HYDRA_FULL_ERROR": "1"})
     os.environ.setdefault("CLOTHBENCH_SWEEP_DIR", str(notes / "sweep"))
+    arguments = either_way(arguments)
     os.environ[JOBS] = str(jobs_of(arguments) if sweep else 0)
     sweep_so_far.cache_clear()
-    arguments = either_way(arguments)
     sys.argv = ["clothbench run", *arguments]
     try:
         require_harmless(arguments)
@@ -102,9 +106,21 @@ def _of_a_job(fault: Exception) -> bool:
 
 
 def either_way(words: Sequence[str]) -> list[str]:
-    """Hydra's words: those of `OPEN` set whether a suite has them or not, and a suite chosen with a sign or without."""
+    """Hydra's words: those of `OPEN` set whether a suite has them or not, a suite chosen with a sign or without, and
+    paths quoted that are no words of Hydra's grammar.
+    """
     signs = ("++" if OPEN.match(word) else "+" if word.startswith("suite=") else "" for word in words)
-    return [sign + word for sign, word in zip(signs, words, strict=True)]
+    return [sign + _quoted(word) for sign, word in zip(signs, words, strict=True)]
+
+
+def _quoted(word: str) -> str:
+    """KEY=PATH with every path in quotes that needs them, also in a list or a sweep of several; others as they are."""
+    key, sign, value = word.partition("=")
+    if not PATHS.match(word) or READ.fullmatch(value):
+        return word
+    start, end = ("[", "]") if value.startswith("[") and value.endswith("]") else ("", "")
+    paths = [path.strip() for path in value.removeprefix(start).removesuffix(end).split(",")]
+    return key + sign + start + ",".join(path if READ.fullmatch(path) else f"'{path}'" for path in paths) + end
 
 
 def jobs_of(words: Sequence[str]) -> int:
@@ -201,7 +217,7 @@ def _say_where(store: Store, keys: Sequence[str]) -> None:
     from clothbench.studies.calibration.film_rerun import BEST, write_best
 
     shown = Path(os.path.relpath(store.folder)) if store.folder.is_relative_to(Path.cwd()) else store.folder
-    named = store.address if store.bucket is not None else shown
+    named = shlex.quote(str(store.address if store.bucket is not None else shown))
     write_page(store.folder)
     print(f"page:   {shown / PAGE}")
     print(f"tables: {shown / 'cells'}/KEY/*.parquet   (clothbench leaderboard --out {named})")

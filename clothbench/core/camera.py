@@ -56,7 +56,8 @@ class Camera:
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """World points (..., 3) m → pixels (..., 2) and depth along the optical axis (...) m.
 
-        What lies behind the camera has a depth below 0 and pixels that are not a number.
+        What lies behind the camera has a depth below 0 and pixels that are not a number; so has, with any depth, what
+        lies so far off the axis that the lens' polynomial would fold it back into the picture.
         """
         seen = self.in_view(points)
         depth = seen[..., 2]
@@ -145,11 +146,22 @@ class View:
 
 
 def distorted(flat: np.ndarray, coefficients: np.ndarray) -> np.ndarray:
-    """Ideal image coordinates (..., 2) at unit focal length → where the lens puts them (Brown 1966, as in OpenCV)."""
+    """Ideal image coordinates (..., 2) at unit focal length → where the lens puts them (Brown 1966, as in OpenCV); NaN
+    beyond the first maximum of r (1 + k1 r² + k2 r⁴ + k3 r⁶), from where the polynomial comes back as no lens does.
+    """
     k1, k2, p1, p2, k3 = coefficients
     x, y = flat[..., 0], flat[..., 1]
     square = x * x + y * y
     radial = 1 + square * (k1 + square * (k2 + square * k3))
+    with np.errstate(invalid="ignore"):
+        radial = np.where(square < _fold(k1, k2, k3), radial, np.nan)
     across = x * radial + 2 * p1 * x * y + p2 * (square + 2 * x * x)
     down = y * radial + p1 * (square + 2 * y * y) + 2 * p2 * x * y
     return np.stack([across, down], axis=-1)
+
+
+def _fold(k1: float, k2: float, k3: float) -> float:
+    """r² at the first maximum of r (1 + k1 r² + k2 r⁴ + k3 r⁶); infinite where it has none."""
+    turns = np.roots([7 * k3, 5 * k2, 3 * k1, 1.0])  # of its slope, in r²
+    turns = turns.real[(np.abs(turns.imag) < 1e-9 * np.abs(turns)) & (turns.real > 0)]
+    return float(turns.min()) if turns.size else math.inf

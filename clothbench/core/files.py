@@ -11,7 +11,7 @@ import re
 import shutil
 import tempfile
 import zipfile
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -36,6 +36,15 @@ def require_folder(name: str) -> None:
     """Refuse an address, as of a bucket, where a folder of this machine is needed."""
     if re.match(r"\w{2,}:/", name):
         raise ClothbenchError(f"{name}: found an address, expected a folder; this command takes no bucket")
+
+
+def in_order(paths: Iterable[Path]) -> list[Path]:
+    """Files by their names, numbers in them as numbers: frame 2 before frame 10."""
+
+    def parts(path: Path) -> list[str | int]:
+        return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", path.name))]
+
+    return sorted(sorted(paths), key=parts)
 
 
 def sha256(path: Path) -> str:

@@ -1,7 +1,7 @@
 """A folder of depth frames, or of point clouds, as one recording of kind "depth".
 
 FOLDER/recording.json      what the frames do not say (below)
-FOLDER/depth/*.png         16 bit, in the order of their names; 0: nothing measured
+FOLDER/depth/*.png         16 bit, in the order of their names, numbers in them as numbers; 0: nothing measured
 FOLDER/colour/*.png|jpg    as many, registered to the depth; may be missing
 FOLDER/clouds/*.ply|npy    instead of `depth`: points (n, 3) m in the camera's frame, x right, y down, z forwards
 
@@ -23,13 +23,15 @@ from typing import Any
 
 import numpy as np
 
-from clothbench.core.camera import Camera
+from clothbench.core.camera import Camera, distorted
 from clothbench.core.errors import ClothbenchError, seen
-from clothbench.core.files import file_name, read_arrays, read_json
+from clothbench.core.files import file_name, in_order, read_arrays, read_json
 from clothbench.core.observation import GripPath
 from clothbench.core.pictures import picture_of
 from clothbench.core.progress import FileProgress
 from clothbench.recordings.depth import LAYOUT, Colour, DepthImages, write_depth
+from clothbench.recordings.kinds import read_any
+from clothbench.recordings.rig import RawRecording
 
 LEVEL = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # a camera that looks along +y, z up
 MILLIMETRE = 1e-3
@@ -40,7 +42,23 @@ OWN = {"camera", "time", "rate", "colour_time", "grips", "gravity", "depth_step"
 def depth_recording(folder: Path, out: Path, progress: FileProgress | None = None) -> Path:
     """Read a folder and write `out`/NAME.nc; faults are one line with file, found and expected."""
     images = read_folder(folder, progress)
-    return write_depth(images, out / f"{file_name(images.name)}.nc")
+    path = out / f"{file_name(images.name)}.nc"
+    require_no_other(path, images)
+    return write_depth(images, path)
+
+
+def require_no_other(path: Path, recording: RawRecording) -> None:
+    """Refuse to write over a file that holds anything else."""
+    if not path.exists():
+        return
+    try:
+        same = read_any(path).hash == recording.hash
+    except ClothbenchError:
+        same = False
+    if not same:
+        raise ClothbenchError(
+            f"{path}: found another recording, expected no file of that name; give this one another name, or out=FOLDER"
+        )
 
 
 def read_folder(folder: Path, progress: FileProgress | None = None) -> DepthImages:
@@ -112,8 +130,9 @@ PLY_TYPES = {"char": "i1", "int8": "i1", "uchar": "u1", "uint8": "u1", "short": 
 def _ply(file: Path) -> np.ndarray:
     """x, y, z of the vertices, which have to be the first element."""
     raw = file.read_bytes()
-    head, mark, body = raw.partition(b"end_header\n")
-    lines = head.decode("ascii", "replace").split("\n")
+    end = re.search(rb"end_header\r?\n", raw)
+    head, mark, body = (raw[: end.start()], True, raw[end.end() :]) if end else (raw, False, b"")
+    lines = head.decode("ascii", "replace").splitlines()
     if not mark or lines[0].strip() != "ply":
         raise ClothbenchError(f"{file}: found no PLY header, expected 'ply' … 'end_header'")
     words = [line.split() for line in lines if line.strip()]
@@ -150,7 +169,9 @@ def projected(points: np.ndarray, camera: Camera, step: float, file: Path) -> np
     front = points[points[:, 2] > 0]
     width, height = camera.size
     with np.errstate(over="ignore", invalid="ignore"):  # what is nowhere is not inside
-        place = np.round(front[:, :2] / front[:, 2:] @ camera.matrix[:2, :2].T + camera.matrix[:2, 2])
+        flat = front[:, :2] / front[:, 2:]
+        flat = distorted(flat, camera.distortion) if camera.distortion.any() else flat
+        place = np.round(flat @ camera.matrix[:2, :2].T + camera.matrix[:2, 2])
         inside = ((place >= 0) & (place < [width, height])).all(axis=1) & (front[:, 2] / step <= FARTHEST)
     pixel = np.where(inside[:, None], place, 0).astype(int)
     if not inside.any():
@@ -184,7 +205,7 @@ def _needed(about: Mapping[str, Any], name: str, where: Path) -> Any:
 
 
 def _files(folder: Path, endings: Sequence[str]) -> list[Path]:
-    return sorted(p for p in folder.glob("*") if p.suffix.lower() in endings) if folder.is_dir() else []
+    return in_order(p for p in folder.glob("*") if p.suffix.lower() in endings) if folder.is_dir() else []
 
 
 def _stamps(about: Mapping[str, Any], count: int, where: Path) -> np.ndarray:
@@ -252,7 +273,13 @@ def _colour(folder: Path, about: Mapping[str, Any], time: np.ndarray, camera: Ca
             found = "no picture that can be read" if image is None else f"{image.shape[1]} × {image.shape[0]} px"
             raise ClothbenchError(f"{file}: found {found}, expected camera.size {camera.size}, registered to the depth")
         frames.append(image[..., ::-1])
-    return Colour(_numbers({"colour_time": time, **about}, "colour_time", folder / "recording.json"), np.stack(frames))
+    where = folder / "recording.json"
+    stamps = _numbers({"colour_time": time, **about}, "colour_time", where)
+    if stamps.shape != time.shape:
+        raise ClothbenchError(
+            f"{where}: 'colour_time': found {stamps.size} stamps, expected {len(time)}, one for each picture"
+        )
+    return Colour(stamps, np.stack(frames))
 
 
 def _grips(about: Mapping[str, Any], where: Path) -> GripPath | None:

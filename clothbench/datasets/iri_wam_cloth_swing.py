@@ -29,6 +29,7 @@ from clothbench.recordings.nodes import write_recording
 
 NAME = "iri_wam_cloth_swing"
 REPORT = "import-report.json"
+NEXT = "clothbench run +suite=iri_swing recordings={folder}"
 LAST_FIT_REPEAT = 5  # of the range motions' ten
 NO_TOOL = (
     "tool pose not measured; the commanded path strays up to 25 mm from the measured one where both exist, "
@@ -58,8 +59,8 @@ class _Job:
 
 
 def convert(source: Path, out: Path, progress: FileProgress | None = None) -> list[ImportReport]:
-    """Write one recording per usable mesh file under `source` into `out`, with import-report.json; returns
-    all reports.
+    """Write one recording per usable mesh file under `source` into `out`, with import-report.json, in which outputs are
+    relative to `out`; returns all reports.
 
     `progress(done, planned, name)` is called after every file. A file that cannot be used is reported with
     the reason and does not stop the others; a folder without such files is an error.
@@ -76,7 +77,8 @@ def convert(source: Path, out: Path, progress: FileProgress | None = None) -> li
     reports = sorted(job.reports, key=lambda report: report.source)
     dataset = registry.DATASETS[NAME]
     header = {"dataset": NAME, "source": f"{dataset.repository}@{dataset.commit}", "licence": dataset.licence}
-    write_report(reports, out / REPORT, **header)
+    told = [with_paths(r, r.source, r.output and Path(r.output).relative_to(out).as_posix()) for r in reports]
+    write_report(told, out / REPORT, **header, next=NEXT)
     return reports
 
 

@@ -104,9 +104,12 @@ def local_copy(name: str, data_dir: str | os.PathLike[str] | None = None) -> Pat
 
 
 def verify(name: str, folder: Path) -> Check:
-    """Compare every file of a local copy that belongs to the data set with the registry's SHA-256."""
+    """Compare every file of a local copy that belongs to the data set, by its name or as the registry has it, with the
+    registry's SHA-256.
+    """
     known = dataset(name)
     present = {path.relative_to(folder).as_posix(): path for path in folder.glob(known.pattern) if path.is_file()}
+    present |= {local: folder / local for local in known.files if (folder / local).is_file()}
     wrong = {local for local, path in present.items() if local in known.files and sha256(path) != known.files[local][1]}
     return Check(frozenset(set(present) - set(known.files)), frozenset(wrong))
 

@@ -10,6 +10,7 @@ the upper left and the upper right corner, or of all four corners, clockwise; `n
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -18,21 +19,29 @@ import numpy as np
 
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import file_name, read_json
+from clothbench.core.files import file_name, in_order, read_json
 from clothbench.core.pictures import silenced
 from clothbench.core.progress import FileProgress
-from clothbench.datasets.depth_folder import camera_of
+from clothbench.datasets.depth_folder import camera_of, require_no_other
 from clothbench.recordings.colour_video import ColourVideo, Marks, decoded, write_video
 from clothbench.vision.template import Keypoints, find_template
 
 SETTINGS = ("template", "width", "height", "rate", "camera", "marks", "name", "fabric", "motion", "split",
             "areal_density", "out")  # fmt: skip
 PICTURES = (".png", ".jpg", ".jpeg")
+MARKERS = (".csv", ".trc", ".c3d")
 LEAST_FRAMES = 5
 
 
 def is_video(source: Path) -> bool:
-    """Whether a path is a file, or a folder of pictures that is none of depth frames."""
+    """Whether a path is a file, or a folder of pictures that is none of depth frames; one that is known to be another
+    thing is refused.
+    """
+    if source.is_file() and source.suffix.lower() in (".nc", *MARKERS):
+        found, expected = "a recording", f"a video; see it with clothbench validate {shlex.quote(str(source))}"
+        if source.suffix.lower() != ".nc":
+            found, expected = "motion capture", "a video; use clothbench_trackers.markers.recording_from_markers"
+        raise ClothbenchError(f"{source}: found {found}, expected {expected}")
     return source.is_file() or (
         source.is_dir() and not (source / "recording.json").is_file() and bool(_pictures_in(source))
     )
@@ -41,7 +50,9 @@ def is_video(source: Path) -> bool:
 def video_recording(source: Path, settings: Mapping[str, str], progress: FileProgress | None = None) -> Path:
     """Read a video and write `out`/NAME.nc; faults are one line with file, found and expected."""
     video = read_source(source, settings, progress)
-    return write_video(video, Path(settings.get("out", "recordings")) / f"{file_name(video.name)}.nc")
+    path = Path(settings.get("out", "recordings")) / f"{file_name(video.name)}.nc"
+    require_no_other(path, video)
+    return write_video(video, path)
 
 
 def read_source(source: Path, settings: Mapping[str, str], progress: FileProgress | None = None) -> ColourVideo:
@@ -149,7 +160,7 @@ def _grabbed(film: Any) -> bool:
 
 
 def _pictures_in(folder: Path) -> list[Path]:
-    return sorted(p for p in folder.iterdir() if p.suffix.lower() in PICTURES)
+    return in_order(p for p in folder.iterdir() if p.suffix.lower() in PICTURES)
 
 
 def _pictures(

@@ -7,9 +7,10 @@ from typing import Any
 import numpy as np
 import rerun as rr
 from scipy.sparse import csr_array
-from scipy.spatial import Delaunay, QhullError
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import Observation
+from clothbench.vision.surface import delaunay
 
 SEEN, CLOTH, AWAY, HELD, NOISE = (
     (240, 160, 40),
@@ -19,7 +20,6 @@ SEEN, CLOTH, AWAY, HELD, NOISE = (
     (150, 150, 150),
 )
 Colour = tuple[int, ...] | np.ndarray
-SLIVER = 0.05  # altitude over longest side below which a triangle only joins points along the hem
 
 
 def log_seen(
@@ -100,13 +100,9 @@ def at_times(time: np.ndarray) -> list[Any]:
 def triangulate(material: np.ndarray) -> np.ndarray:
     """Delaunay triangles (F, 3) of material points (N, 2) m without slivers; none if all lie on one line."""
     try:
-        triangles = Delaunay(material).simplices
-    except (QhullError, ValueError):  # fewer than three points, or all on one line
+        return delaunay(material).astype(np.uint32)
+    except ClothbenchError:  # fewer than three points, or all on one line
         return np.zeros((0, 3), dtype=np.uint32)
-    corner = material[triangles]
-    side = np.roll(corner, -1, axis=1) - corner
-    area = np.abs(side[:, 0, 0] * side[:, 1, 1] - side[:, 0, 1] * side[:, 1, 0])
-    return triangles[area > SLIVER * (side**2).sum(axis=-1).max(axis=1)].astype(np.uint32)
 
 
 def typical_distance(material: np.ndarray) -> float:

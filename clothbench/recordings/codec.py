@@ -113,9 +113,12 @@ def check_header(stated: Stated, path: Path, kind: str, needed: Sequence[str]) -
         raise ClothbenchError(f"{path}: attribute 'format': found {stated.get('format')!r}, expected {FORMAT!r}")
     version = stated.get("format_version")
     if version != VERSION:
+        if str(version) == str(VERSION):
+            found, remedy = f"the text {version!r}", "write it as a number"
+        else:
+            found, remedy = str(version), "upgrade clothbench or convert the file"
         raise ClothbenchError(
-            f"{path}: attribute 'format_version': found {version}, expected {VERSION}; "
-            "upgrade clothbench or convert the file"
+            f"{path}: attribute 'format_version': found {found}, expected the number {VERSION}; {remedy}"
         )
     if stated.get("kind") != kind:
         hint = "; curves go to `clothbench improve`, in a folder of their own" if stated.get("kind") == "curve" else ""
@@ -132,6 +135,11 @@ def variable(file: NetCDF, name: str, of: Variable) -> np.ndarray:
         raise ClothbenchError(f"{path}: variable '{name}' is missing, expected {name}({dims}) in {of.unit}")
     found = file.variable(name)
     fits = found.dtype == of.dtype if of.exact else found.dtype.kind in "iuf"
+    if of.exact and found.packed and found.stored == of.dtype:
+        raise ClothbenchError(
+            f"{path}: variable '{name}': found an attribute {found.packed[0]!r}, expected none: its {found.stored} are "
+            "taken as they stand; write them without it"
+        )
     if found.dims != of.dims or not fits:
         what = f"{found.dtype} with dimensions ({', '.join(found.dims)})"
         wanted = np.dtype(of.dtype).name if of.exact else "numbers"

@@ -158,4 +158,9 @@ def _check_colour(r: DepthImages, colour: Colour, where: str) -> None:
             f"{where}: variable 'colour': found shape {colour.frame.shape}, expected {(*r.depth.shape, CHANNELS)}, "
             "registered to the depth"
         )
+    if colour.time.shape != r.time.shape:
+        raise ClothbenchError(
+            f"{where}: variable 'colour_time': found {colour.time.size} stamps, expected {len(r.time)}, one for each "
+            "frame of colour"
+        )
     check_clock(colour.time, "colour_time", where)

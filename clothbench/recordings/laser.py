@@ -96,7 +96,10 @@ def _check(r: LaserImages, where: str) -> None:
         )
     if not np.isfinite(r.time).all() or (np.diff(r.time) <= 0).any():
         raise ClothbenchError(f"{where}: variable 'time': expected strictly increasing seconds")
-    if not np.allclose(r.camera_rotation @ r.camera_rotation.T, np.eye(3), atol=1e-6):
-        raise ClothbenchError(f"{where}: variable 'camera_rotation': found no rotation, expected R Rᵀ = 1")
+    turn = r.camera_rotation
+    if not np.allclose(turn @ turn.T, np.eye(3), atol=1e-6) or np.linalg.det(turn) < 0:
+        raise ClothbenchError(
+            f"{where}: variable 'camera_rotation': found no rotation, expected R Rᵀ = 1 and det R = 1, no mirror"
+        )
     if not np.isclose(np.linalg.norm(r.laser_plane[:3]), 1.0, atol=1e-6):
         raise ClothbenchError(f"{where}: variable 'laser_plane': expected a normal of length 1 before the distance")

@@ -53,15 +53,23 @@ class NetCDF:
 
 
 class Array:
-    """An array of an open file: dims, shape and dtype as they come when it is read, unit None where none is stated."""
+    """An array of an open file: dims, shape and dtype as they come when it is read, stored: its dtype in the file; unit
+    None where none is stated.
+    """
 
     def __init__(self, file: Any, data: Any, name: str, path: Path):
         self._data, self.name, self.path = data, name, path
         self.shape = tuple(data.shape or ())
         self.unit = _plain(data.attrs, "units", path) if "units" in data.attrs else None
+        self.stored = data.dtype
         self._packing = {n: self._number(n) for n in (*MASKS, *SCALES) if n in data.attrs}
         self.dtype = np.dtype(float) if self._packing and data.dtype.kind in "iuf" else data.dtype
         self.dims = _dims(file, data, name)
+
+    @property
+    def packed(self) -> tuple[str, ...]:
+        """The attributes by which its values become others when it is read."""
+        return tuple(self._packing)
 
     def _number(self, name: str) -> float:
         value = _plain(self._data.attrs, name, self.path)

@@ -13,6 +13,7 @@ from clothbench.recordings.rig import HEADER
 from clothbench.recordings.video import text_of
 
 Images = DepthImages | ColourVideo  # what trackers make nodes of
+SPAN = 0.9  # of the frames, from the first in which a corner is seen to the last, as of grips that are stated
 EYE = "camera_place"  # note: where the camera stood, m
 
 
@@ -34,7 +35,7 @@ def nodes_of(images: Images, seen: Observation) -> Recording:
 
 
 def corners_of(images: Images, seen: Observation) -> GripPath:
-    """The two upper corners as grips, on straight lines where they were not seen."""
+    """The two upper corners as grips, on straight lines where they were not seen in between."""
     corners = np.array([[0.0, 0.0], [images.cloth_width, 0.0]])
     which = [int(np.argmin(((seen.material - corner) ** 2).sum(axis=1))) for corner in corners]
     paths = []
@@ -44,6 +45,13 @@ def corners_of(images: Images, seen: Observation) -> GripPath:
             raise ClothbenchError(
                 f"{images.path or images.name}: found no grips stated, and the upper corners in {len(there)} frames, "
                 "expected either; state grip_time, grip_material and grip_position"
+            )
+        if (there[-1] - there[0] + 1) / len(seen.time) < SPAN:
+            u, v = seen.material[n]
+            raise ClothbenchError(
+                f"{images.path or images.name}: found no grips stated, and the upper corner at u = {u:g} m, v = {v:g} "
+                f"m from frame {there[0]} to {there[-1]} of {len(seen.time)}, expected {SPAN:.0%} of them; cut the "
+                "recording there, or state grip_time, grip_material and grip_position"
             )
         path = [np.interp(seen.time, seen.time[there], seen.position[there, n, c]) for c in range(3)]
         paths.append(np.stack(path, axis=-1))

@@ -47,6 +47,7 @@ def _change(base: dict[str, Any], new: dict[str, Any] | None) -> dict[str, Any]:
         "unit": base.get("unit"),
         "base": finite(base["value"]),
         "new": finite(new["value"]) if new else None,
+        "base_status": base["status"],
         "status": new["status"] if new else "missing",
         "reason": (new.get("reason") or "") if new else "no such row in NEW",
     }
@@ -92,7 +93,10 @@ def _changes(verdict: dict[str, Any]) -> list[tuple[str, ...]]:
     for side in ("missing", "worse", "better"):
         for r in verdict[side]:
             label = " · ".join(str(r[n]) for n in IDENTITY if r[n] not in (None, ""))
-            base, new = (f"{r[n]:.4g} {r['unit'] or ''}" if r[n] is not None else r["status"] for n in ("base", "new"))
+            base, new = (
+                f"{r[n]:.4g} {r['unit'] or ''}" if r[n] is not None else r[status]
+                for n, status in (("base", "base_status"), ("new", "status"))
+            )
             out.append((side, label, base, new, r["reason"]))
     return out
 

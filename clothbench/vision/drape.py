@@ -9,6 +9,7 @@ from clothbench.core.drape import ANGLES, QUANTITIES, drape_coefficient
 LEAST_FOLD = 2e-3  # m, prominence of what counts as a fold: a hand's tremble in the cloth, not the camera's pixels
 SMOOTH = 1.5  # degrees, of the Gaussian that takes pixels out of an outline before its folds are looked for
 STEP = 0.25  # px along a ray
+BLOCK = 2**14  # places along a ray that are read at once: OpenCV takes fewer than 2**15
 
 
 def outline_in(image: np.ndarray, pixel: float, centre: tuple[float, float] | None = None) -> np.ndarray:
@@ -23,12 +24,13 @@ def outline_in(image: np.ndarray, pixel: float, centre: tuple[float, float] | No
     dark = darkness(image)
     x, y = centre or centroid(dark)
     reach = int(np.hypot(*image.shape) / STEP)
-    along = STEP * np.arange(reach, dtype=np.float32)
     turn = 2 * np.pi * np.arange(ANGLES, dtype=np.float32)[:, None] / ANGLES
-    grey = cv2.remap(
-        dark, x + along * np.cos(turn), y - along * np.sin(turn), cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT,
-        borderValue=0.0,
-    )  # fmt: skip
+    blocks = []
+    for begin in range(0, reach, BLOCK):
+        along = STEP * np.arange(begin, min(begin + BLOCK, reach), dtype=np.float32)
+        places = x + along * np.cos(turn), y - along * np.sin(turn)
+        blocks.append(cv2.remap(dark, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0))
+    grey = np.concatenate(blocks, axis=1)
     level = 0.5 * float(dark.max())
     last = reach - 1 - (grey[:, ::-1] >= level).argmax(axis=1)
     rows = np.arange(ANGLES)
@@ -38,13 +40,21 @@ def outline_in(image: np.ndarray, pixel: float, centre: tuple[float, float] | No
 
 
 def darkness(image: np.ndarray) -> np.ndarray:
-    """How much darker than its ground a picture (H, W) uint8 is: (H, W) float32, 0 or above.
+    """How much darker than its ground a picture (H, W) uint8 is: (H, W) float32, 0 or above, and 0 where a part that is
+    dark does not hang together with the largest: dust is no cloth.
 
     The ground is the median along the border: were it taken for white where it is not, all of it would count as part of
     the shape and draw the centroid to the picture's middle.
     """
+    import cv2
+
     border = np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])
-    return np.maximum(np.float32(np.median(border)) - image.astype(np.float32), np.float32(0.0))
+    dark = np.maximum(np.float32(np.median(border)) - image.astype(np.float32), np.float32(0.0))
+    if not dark.any():
+        return dark
+    count, part, stated, _ = cv2.connectedComponentsWithStats((dark >= 0.5 * dark.max()).astype(np.uint8))
+    largest = 1 + int(stated[1:, cv2.CC_STAT_AREA].argmax())
+    return dark if count == 2 else np.where((part == 0) | (part == largest), dark, np.float32(0.0))
 
 
 def centroid(dark: np.ndarray) -> tuple[float, float]:

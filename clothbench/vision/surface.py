@@ -36,7 +36,7 @@ def surface_of(material: np.ndarray, refine: int = 1) -> Surface:
     u, v = (np.unique(material[:, i].round(9)) for i in (0, 1))
     order = np.lexsort(material.round(9).T)  # row by row, whatever order the nodes came in
     if len(u) * len(v) != len(material) or min(len(u), len(v)) < 2:
-        return Surface(material, order[_delaunay(material[order])])
+        return Surface(material, order[delaunay(material[order])])
     if refine == 1:
         return Surface(material, order[_cells(len(u), len(v))])
     return _refined(u, v, order, refine)
@@ -76,7 +76,8 @@ def cubic_weights(lines: np.ndarray, at: np.ndarray) -> np.ndarray:
     return out
 
 
-def _delaunay(material: np.ndarray) -> np.ndarray:
+def delaunay(material: np.ndarray) -> np.ndarray:
+    """Delaunay triangles (F, 3) of material points (N, 2) m without slivers; points on one line are refused."""
     from scipy.spatial import Delaunay, QhullError
 
     try:

@@ -47,6 +47,7 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
         (("run", "recording=good.nc", *CELL, "effects=[quadratic_drag,quadratic_drag]"), "given twice"),
         (("import", "unknown_set"), "no data set 'unknown_set'"),
         (("import", "iri_wam_cloth_swing", "data_dir=/nowhere"), "/nowhere is not a folder"),
+        (("import", "good.nc"), "good.nc: found a recording, expected a video; see it with clothbench validate good"),
         (("import", "iri_wam_cloth_swing", "dir=x"), "expected data_dir=VALUE"),
         (("compare", "a.json", "b.json"), "a.json: no such folder or file"),
         (("view", "abc"), "found no cells; make some with"),
@@ -61,6 +62,18 @@ def test_wrong_use_is_one_line_and_exit_2(clothbench, tmp_path, arguments, found
     assert out.returncode == 2, out.stderr
     assert found in only_line(out.stderr)
     assert [p.name for p in tmp_path.iterdir()] == ["good.nc"]
+
+
+def test_a_folder_hides_no_data_set_and_motion_capture_is_no_video(clothbench, tmp_path):
+    (tmp_path / "phi_sft_r1").mkdir()
+    (tmp_path / "m.csv").write_text("frame,time\n")
+    for words, found in (
+        (("phi_sft_r1", "data_dir=/nowhere"), "/nowhere is not a folder"),
+        (("m.csv",), "m.csv: found motion capture, expected a video; use clothbench_trackers.markers.recording_from_"),
+    ):
+        out = clothbench("import", *words)
+        assert out.returncode == 2
+        assert found in only_line(out.stderr)
 
 
 def test_hydra_s_own_questions_are_answered(clothbench, tmp_path):
@@ -157,6 +170,23 @@ def test_a_setting_is_set_with_a_sign_or_without():
     """Hydra asks for + where the suite has none of it, and refuses it where it has."""
     signed = ["+suite=static_dynamic", "+options.ga.generations=3", "+bounds.bend=[1e-6,1e-5]", "++scene.spacing=0.02"]
     assert composed([word.lstrip("+") for word in signed]) == composed(signed)
+
+
+@pytest.mark.parametrize(
+    ("word", "value"),
+    [
+        ("recordings=a b", "a b"),
+        ("recordings=josé/s.nc", "josé/s.nc"),
+        ("out=k(1)", "k(1)"),
+        ("+data_dir=a#b", "a#b"),
+        ("recording='a b'", "a b"),
+        ("recordings=[a b,k(1)]", ["a b", "k(1)"]),
+        ("recordings=builtin:shake/*", "builtin:shake/*"),
+        ("recording=null", None),
+    ],
+)
+def test_paths_are_no_words_of_a_grammar(word, value):
+    assert composed([word])[word.strip("+").partition("=")[0]] == value
 
 
 @pytest.mark.parametrize(

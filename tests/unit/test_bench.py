@@ -296,8 +296,9 @@ def test_speeds_are_kept_and_shown_as_a_study(tmp_path, monkeypatch):
                 "realtime_factor": 9.0, "version": 2}  # fmt: skip
     rows = [measured | {"peer": p, "ratio": r} for p, r in (("one", 2.0), ("other", 4.0))]
     monkeypatch.setattr("clothbench.studies.speed.run.run_bench", lambda sides, chosen: rows)
-    nothing = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis", "prior")
-    settings = {**dict.fromkeys(nothing, ()), "scene": {}, "suite": {"sides": [9]}, "model": ["mass_spring"]}
+    from clothbench.studies.speed.cell import NOT_TIMED
+
+    settings = {**dict.fromkeys(NOT_TIMED, ()), "scene": {}, "suite": {"sides": [9]}, "model": ["mass_spring"]}
     (cell,) = plan(settings, catalogue())
     assert run_cell(cell, tmp_path) == "ok"
     (row,) = print_results(Store(tmp_path))
@@ -305,3 +306,24 @@ def test_speeds_are_kept_and_shown_as_a_study(tmp_path, monkeypatch):
     assert "mass_spring" in write_page(tmp_path).read_text()
     with pytest.raises(ClothbenchError, match="setting 'optimizer': speed is measured"):
         plan({**settings, "optimizer": ["ga"]}, catalogue())
+    with pytest.raises(ClothbenchError, match="setting 'options': speed is measured"):
+        plan({**settings, "options": {"mass_spring": {"precision": "single"}}}, catalogue())
+    with pytest.raises(ClothbenchError, match="setting 'timeout': speed is measured"):
+        plan({**settings, "timeout": 9.0}, catalogue())
+
+
+def test_a_model_with_other_options_is_another_case(tmp_path, monkeypatch):
+    from clothbench.engine.run import run_cell
+    from clothbench.engine.store import Store
+    from clothbench.studies.speed.cell import SpeedCell
+
+    measured = {**dict.fromkeys(bench.KEYS), "model": "baraff_witkin", "nodes": 81, "threads": 1, "batch": 1,
+                "node_steps_per_s": 5e7, "realtime_factor": 9.0, "precision": "double", "note": "own step"}  # fmt: skip
+    rows = [measured, {**measured, "options": "integrator=implicit_euler", "node_steps_per_s": 4e7}]
+    monkeypatch.setattr("clothbench.studies.speed.run.run_bench", lambda sides, chosen: rows)
+    run_cell(SpeedCell("speed", ("baraff_witkin",), (9,)), tmp_path)
+    case = "81 nodes, 1 at once, 1 threads, double"
+    found = {r["case"]: round(r["value"], 3) for r in Store(tmp_path).rows()}
+    assert found == {f"{case}, own step": 0.02, f"{case}, integrator=implicit_euler, own step": 0.025}
+    for shown in speed_tables(rows):
+        assert next(c for c in shown.columns if c.header == "options")._cells == ["", "integrator=implicit_euler"]

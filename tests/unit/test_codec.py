@@ -84,6 +84,29 @@ def test_whole_numbers_are_not_rounded_nor_clipped(tmp_path, value):
         read(path, LAYOUT, Counts)
 
 
+@pytest.mark.parametrize(
+    ("spoil", "found"),
+    [
+        (lambda f: f["count"].attrs.update(_FillValue=np.uint16(0)),
+         "variable 'count': found an attribute '_FillValue', expected none: its uint16 are taken as they stand"),
+        (lambda f: f.attrs.update(format_version="1"),
+         "'format_version': found the text '1', expected the number 1; write it as a number"),
+    ],
+)  # fmt: skip
+def test_what_is_refused_is_what_is_wrong(tmp_path, spoil, found):
+    import h5py
+
+    exact = replace(
+        LAYOUT, variables={**LAYOUT.variables, "count": Variable(("time", "y"), "1", np.uint16, exact=True)}
+    )
+    path = write(counts(), tmp_path / "a.nc", exact)
+    with h5py.File(path, "a") as file:
+        spoil(file)
+    with pytest.raises(ClothbenchError) as caught:
+        read(path, exact, Counts)
+    assert found in str(caught.value)
+
+
 def test_every_kind_in_the_table_has_its_reader(tmp_path):
     for kind in READERS:
         assert callable(reader_of(kind))

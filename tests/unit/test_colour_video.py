@@ -111,6 +111,13 @@ def test_a_video_and_a_folder_of_pictures_become_recordings(files, tmp_path):
     assert len(list(film.frames())) == len(list(pictures.frames())) == 6
 
 
+def test_pictures_come_in_the_order_of_their_numbers(files, tmp_path):
+    for k in range(6):
+        (tmp_path / f"{k + 8}.png").write_bytes((files / "pictures" / f"{k:03d}.png").read_bytes())
+    made = read_video(video_recording(tmp_path, settings(files, rate="25", out=str(tmp_path / "made"))))
+    assert np.array_equal(next(made.frames()), flat.frames(6)[0])
+
+
 @pytest.mark.parametrize(
     ("source", "change", "found"),
     [

@@ -45,7 +45,7 @@ def test_both_kinds_are_told_apart(recording, tmp_path):
     ("change", "found"),
     [
         (lambda f: setattr(f["force"], "units", "kN"), "variable 'force': found units 'kN', expected 'N'"),
-        (lambda f: setattr(f, "format_version", 2), "attribute 'format_version': found 2, expected 1"),
+        (lambda f: setattr(f, "format_version", 2), "attribute 'format_version': found 2, expected the number 1"),
         (lambda f: setattr(f, "direction", "X"), "attribute 'direction': found 'X', expected one of 'warp'"),
         (lambda f: setattr(f, "noise_sigma", -1.0), "attribute 'noise_sigma': found -1.0"),
         (lambda f: setattr(f, "sample_width", 0.0), "attribute 'sample_width': found 0.0, expected metres above 0"),

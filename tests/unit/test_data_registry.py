@@ -67,6 +67,36 @@ def test_changed_bytes_are_refused_and_unknown_files_named(tmp_path, small):
     assert check.wrong == {"Session_A/two_tcp.csv"}
 
 
+def test_files_that_the_pattern_does_not_name_are_checked_too(tmp_path, monkeypatch):
+    content = {"clouds/0.pt": b"cloud", "camera.json": b"camera"}
+    files = {k: (k, hashlib.sha256(v).hexdigest()) for k, v in content.items()}
+    monkeypatch.setattr(
+        registry, "DATASETS", {NAME: replace(registry.DATASETS[NAME], files=files, pattern="clouds/*.pt")}
+    )
+    (tmp_path / "clouds").mkdir()
+    for local, stored in {**content, "camera.json": b"another"}.items():
+        (tmp_path / local).write_bytes(stored)
+    assert registry.verify(NAME, tmp_path) == registry.Check(frozenset(), frozenset({"camera.json"}))
+
+
+def test_recordings_made_of_another_copy_are_refused(tmp_path, small, monkeypatch):
+    from clothbench.datasets import convert
+
+    def importer(source, out, progress):
+        (out / "one.nc").write_bytes(b"recording")
+        (out / convert.REPORT).write_text('{"recordings": []}')
+
+    monkeypatch.setattr(convert, "import_target", lambda target: importer)
+    for copy in ("a", "b"):
+        (tmp_path / copy / "iri-wam-cloth-swing").mkdir(parents=True)
+    made = convert.converted(NAME, data_dir=tmp_path / "a", out=tmp_path / "out")
+    assert convert.converted(NAME, data_dir=tmp_path / "a", out=made) == convert.converted(NAME, out=made) == made
+    with pytest.raises(ClothbenchError, match=r"found recordings made of .*/a/iri-.*, expected of .*/b/iri-"):
+        convert.converted(NAME, data_dir=tmp_path / "b", out=made)
+    with pytest.raises(ClothbenchError, match="data_dir: /nowhere is not a folder"):
+        convert.converted(NAME, data_dir="/nowhere", out=made)
+
+
 def stand_in_for_the_net(monkeypatch, served: dict[str, bytes]) -> list[str]:
     """Let pooch fetch from memory; what was asked for, in order."""
     import pooch.core

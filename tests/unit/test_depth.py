@@ -65,6 +65,7 @@ def frames(**changes):
         ({"cloth_width": -1.0}, "'cloth_width': found -1.0"),
         ({"split": "test"}, "'split': found 'test'"),
         ({"name": ""}, "'name': found nothing"),
+        ({"colour": Colour(TIME[:5], np.zeros((6, 40, 48, 3), np.uint8))}, "'colour_time': found 5 stamps, expected 6"),
         ({"colour": Colour(TIME, np.zeros((6, 20, 24, 3), np.uint8))}, "registered to the depth"),
         ({"grips": GripPath(TIME, np.array([[0.0, 0.0]]), np.full((6, 1, 3), np.nan))}, "not finite"),
         ({"grips": GripPath(TIME, np.array([[0.9, 0.0]]), np.zeros((6, 1, 3)))}, "expected inside the 0.3 m × 0.4 m"),
@@ -118,9 +119,11 @@ def test_a_folder_of_frames_becomes_a_recording(clothbench, tmp_path):
     assert made.colour.frame[0, 0, 0].tolist() == [30, 10, 200]
     assert (made.split, made.notes) == ("fit", {"weather": "fair"})
     assert clothbench("validate", "made").returncode == 0
+    ran = clothbench("import", "session", "out=made here")
+    assert "next: clothbench validate 'made here/bench_run_1.nc'" in ran.stdout
 
 
-@pytest.mark.parametrize("form", ["npy", "ascii", "binary"])
+@pytest.mark.parametrize("form", ["npy", "ascii", "binary", "carriage returns"])
 def test_clouds_become_depth(tmp_path, form):
     from clothbench.datasets.depth_folder import read_folder
 
@@ -133,9 +136,10 @@ def test_clouds_become_depth(tmp_path, form):
         head = "ply\nformat {} 1.0\nelement vertex 3600\n" + 3 * "property float {}\n" + "end_header\n"
         if form == "npy":
             np.save(file, points)
-        elif form == "ascii":
+        elif form in ("ascii", "carriage returns"):
             body = "\n".join(" ".join(f"{v:.6f}" for v in p) for p in points)
-            file.write_text(head.format("ascii", *"xyz") + body + "\n")
+            whole = head.format("ascii", *"xyz") + body + "\n"
+            file.write_text(whole, newline="\r\n" if form == "carriage returns" else "\n")
         else:
             file.write_bytes(head.format("binary_little_endian", *"xyz").encode() + points.astype("<f4").tobytes())
     made = read_folder(folder)
@@ -154,6 +158,7 @@ def test_clouds_become_depth(tmp_path, form):
         ({"rate": None}, "'rate' is missing"),
         ({"rate": 0}, "'rate': found 0, expected frames per second"),
         ({"time": [0.0, 1.0]}, "'time': found 2 stamps, expected 6"),
+        ({"colour_time": [0.0, 0.05]}, "'colour_time': found 2 stamps, expected 6, one for each picture"),
         ({"depth_step": 1.0}, "is depth_step, 1 m, that of the sensor?"),
         ({"grips": {"time": [0, 1]}}, "'grips': found KeyError 'material'"),
     ],
@@ -166,6 +171,43 @@ def test_a_bad_folder_is_refused_in_one_line(clothbench, tmp_path, change, found
     assert found in ran.stderr
     assert len(ran.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "made").exists()
+
+
+def test_clouds_go_through_the_lens_and_back(tmp_path):
+    from clothbench.datasets.depth_folder import projected
+    from clothbench.vision.depth_camera import seen_points
+
+    camera = dataclasses.replace(images().camera, distortion=np.array([-0.4, 0.1, 0.0, 0.0, 0.0]))
+    x, y = np.meshgrid(np.linspace(-0.2, 0.2, 90), np.linspace(-0.15, 0.15, 90))
+    depth = projected(np.stack([x, y, 1 + 0 * x], axis=-1).reshape(-1, 3), camera, 1e-3, tmp_path)
+    back = seen_points(np.where(depth > 0, 1e-3 * depth, np.nan), camera)
+    assert np.nanmax(back[..., 0]) == pytest.approx(0.2, abs=6e-3)  # a pixel is 10 mm
+
+
+def test_another_recording_of_that_name_is_not_written_over(tmp_path):
+    from clothbench.datasets.depth_folder import depth_recording
+
+    folder = folder_of(tmp_path)
+    made = depth_recording(folder, tmp_path / "made")
+    assert depth_recording(folder, tmp_path / "made") == made
+    before = made.read_bytes()
+    (folder / "recording.json").write_text(json.dumps({**ABOUT, "rate": 25}))
+    with pytest.raises(ClothbenchError, match=r"bench_run_1.nc: found another recording, expected no file of that"):
+        depth_recording(folder, tmp_path / "made")
+    made.write_text("no recording")
+    with pytest.raises(ClothbenchError, match="found another recording"):
+        depth_recording(folder, tmp_path / "made")
+    assert before.startswith(b"\x89HDF")
+
+
+def test_frames_come_in_the_order_of_their_numbers(tmp_path):
+    from clothbench.datasets.depth_folder import read_folder
+
+    folder = folder_of(tmp_path)
+    for part in ("depth", "colour"):
+        for k, number in enumerate((8, 9, 10, 11, 100, 101)):
+            (folder / part / f"{k:03d}.png").rename(folder / part / f"f{number}.png")
+    assert np.array_equal(read_folder(folder).depth, images().depth)
 
 
 def test_a_picture_of_depth_is_no_depth(tmp_path):
@@ -206,3 +248,7 @@ def test_what_a_tracker_made_of_images_is_a_recording_of_nodes():
     )
     with pytest.raises(ClothbenchError, match="no grips stated, and the upper corners in 0 frames"):
         nodes_of(images(grips=None), lost)
+    position[4:, 2] = np.nan
+    gone = dataclasses.replace(seen, position=position, visible=np.isfinite(position).all(axis=-1))
+    with pytest.raises(ClothbenchError, match=r"upper corner at u = 0.3 m, v = 0 m from frame 0 to 3 of 6, expected"):
+        nodes_of(images(grips=None), gone)

@@ -128,6 +128,53 @@ def test_uneven_stamps_become_even_ones():
     assert np.array_equal(tracker(far=1.4, even=False).track(images).time, uneven)
 
 
+def test_where_frames_were_dropped_nothing_is_seen():
+    gap = TIME + np.array([0, 0, 0, 0, 6, 6, 6, 6]) / 20.0  # six frames dropped after the fourth
+    images = dataclasses.replace(filmed(), time=gap, grips=None, colour=None)
+    seen = tracker(far=1.4).track(images)
+    between = (seen.time > gap[3] + 1e-9) & (seen.time < gap[4] - 1e-9)
+    assert between.sum() == 4
+    assert not seen.visible[between].any()
+    assert seen.visible[~between].mean() > 0.9
+
+
+def test_grips_along_one_side_say_nothing_of_where_u_points():
+    images = filmed()
+    left = np.array([[0.0, 0.0], [0.0, SIZE[1]]])
+    held = GripPath(TIME, left, np.stack([bent(left, t) for t in TIME]))
+    away, _ = errors(dataclasses.replace(images, grips=held))
+    assert np.isfinite(away).mean() > 0.9
+    assert np.nanmedian(away) < 5e-3
+
+
+@pytest.mark.parametrize(("turned", "grips"), [(1.0, True), (-1.0, True), (1.0, False)])
+def test_of_a_sheet_that_lies_level_v_goes_away_from_the_grips_or_down_in_the_picture(turned, grips):
+    """turned: -1 of a sheet that lies the other way round under the camera."""
+    fine, random = lattice(25, 33), np.random.default_rng(1)
+    place, middle = np.array([0.15, -0.2, 1.0]), np.array([0.15, -0.2, 0.0])
+    above = Camera.looking_at(place, middle, (160, 160), 0.6, up=(0.0, 1.0, 0.0))
+
+    def lying(uv, t):
+        x, y = turned * (uv - SIZE / 2).T
+        return np.stack([x + 0.15, -y - 0.2, 0.01 * np.sin(20 * uv[:, 0] + 8 * t)], axis=1)
+
+    depth = []
+    for t in TIME:
+        nearest, empty = np.empty(above.size[::-1]), np.empty((*above.size[::-1], 0))
+        rasterise(*above.project(lying(fine, t)), surface_of(fine).triangle, np.zeros((len(fine), 0)), nearest, empty)
+        depth.append(sensed(np.where(np.isfinite(nearest), nearest, 2.0), above, NOISY, random))
+    corners = np.array([[0.0, 0.0], [SIZE[0], 0.0]])
+    held = GripPath(TIME, corners, np.stack([lying(corners, t) for t in TIME]))
+    images = DepthImages(
+        name="level", time=TIME, depth=np.stack(depth), depth_step=1e-3, camera=above, cloth_width=SIZE[0],
+        cloth_height=SIZE[1], grips=held if grips else None,
+    )  # fmt: skip
+    seen = tracker(far=1.4).track(images)
+    away = np.linalg.norm(seen.position - np.stack([lying(seen.material, t) for t in seen.time]), axis=-1)
+    assert np.isfinite(away).mean() > 0.9
+    assert np.nanmedian(away, axis=1).max() < 6e-3
+
+
 @pytest.mark.parametrize(
     ("options", "found"),
     [

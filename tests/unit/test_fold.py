@@ -141,6 +141,13 @@ def test_a_fold_ends_near_its_fabric(tmp_path):
     assert [s["value"] for s in other.table("fold")] == [s["value"] for s in steps]
 
 
+def test_after_the_time_limit_no_step_is_begun(tmp_path):
+    assert run_cell(cell(timeout=1e-9), tmp_path) == "timeout"
+    (row,) = [r for r in Store(tmp_path).rows() if r["metric"] == "eta_b"]
+    assert (row["status"], row["reason"]) == ("timeout", "stopped by the time limit after 1 of 3 steps")
+    assert [s["step"] for s in Store(tmp_path).table("fold")] == [1]
+
+
 def test_settings_are_checked():
     assert fold_settings({"steps": 3}).steps == 3
     with pytest.raises(ClothbenchError, match=r"setting of 'suite\.fold' 'hight' is not known"):

@@ -7,7 +7,8 @@ from clothbench import ClothbenchError
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store
 from clothbench.engine.study import Results
-from clothbench.studies.fold_path.cell import FoldPathCell, PathSettings, chosen_ways, path_settings
+from clothbench.plugins.discovery import catalogue
+from clothbench.studies.fold_path.cell import NOT_USED, FoldPathCell, PathSettings, chosen_ways, path_settings, plan
 from clothbench.studies.fold_path.page import sections
 from clothbench.studies.fold_path.sheet import led, material, scene
 from clothbench.studies.fold_path.tables import lines, show
@@ -117,3 +118,5 @@ def test_settings_are_checked(given, told):
         path_settings(given)
     with pytest.raises(ClothbenchError, match="there is no 'straight'"):
         chosen_ways(["straight"])
+    with pytest.raises(ClothbenchError, match="setting 'timeout': nothing is measured or fitted"):
+        plan({**dict.fromkeys(NOT_USED, ()), "timeout": 9.0, "scene": {}}, catalogue())

@@ -61,6 +61,11 @@ def test_markdown_for_a_pull_request_says_the_worst_first_and_holds_no_strangers
     assert markdown(many, most=4).splitlines()[-1] == "and 5 more: `clothbench compare BASE NEW`"
 
 
+def test_a_row_without_a_number_says_its_own_status():
+    lines = markdown(compare_rows([row(None, status="diverged")], [row(5.0)])).splitlines()
+    assert "| `diverged` | `5 mm` |" in lines[4]
+
+
 def test_without_changes_markdown_is_one_line():
     assert markdown(compare_rows([row(1.0)], [row(1.0)])).splitlines() == [
         "**gate passed: 1 rows compared, 0 worse, 0 missing, 0 better, 0 only in NEW**"

@@ -172,6 +172,19 @@ def test_report_file_is_json_without_nan(clean):
     stated = json.loads((root / "out" / "import-report.json").read_text(), parse_constant=pytest.fail)
     assert stated["dataset"] == NAME
     assert len(stated["recordings"]) == len(reports)
+    outputs = [r["output"] for r in stated["recordings"] if r["output"]]
+    assert outputs
+    assert all((root / "out" / output).is_file() and not output.startswith("/") for output in outputs)
+
+
+def test_the_next_command_names_the_folder(clean, tmp_path, capsys):
+    import shutil
+
+    from clothbench.cli.listings import print_import
+
+    print_import(Path(shutil.copytree(clean[2] / "out", tmp_path / "iri out")))
+    told = " ".join(capsys.readouterr().out.split())
+    assert f"next: clothbench run +suite=iri_swing recordings='{tmp_path}/iri out'" in told
 
 
 def test_still_recording_takes_the_clock_of_its_session(clean):

@@ -70,9 +70,10 @@ def test_a_file_gives_what_the_images_gave(images, tmp_path):
         ({"camera_matrix": np.eye(2)}, r"variable 'camera_matrix': found shape \(2, 2\), expected \(3, 3\)"),
         ({"image": np.zeros((1, 8, 900), np.uint8)}, "variable 'image': found shape"),
         ({"camera_rotation": 2 * np.eye(3)}, "variable 'camera_rotation': found no rotation"),
+        ({"camera_rotation": np.diag([1.0, 1.0, -1.0])}, "variable 'camera_rotation': found no rotation"),
         ({"laser_plane": np.array([0.0, 2.0, 0.0, 0.0])}, "variable 'laser_plane'"),
     ],
-    ids=["name", "matrix", "image", "rotation", "plane"],
+    ids=["name", "matrix", "image", "rotation", "mirror", "plane"],
 )
 def test_bad_images_are_refused_in_one_line(images, change, fault):
     with pytest.raises(ClothbenchError, match=fault):

@@ -129,6 +129,8 @@ def test_a_recording_keeps_its_gaps_and_its_sigma(tmp_path):
         assert seen.sigma == 0.002
         assert not seen.visible[3, 1]
     assert Markers(sigma=0.001).track(recording).sigma == 0.001
+    stated = Markers(frame_tolerance=float("0.005"), up="".join(["z"]), rate=None)  # as they are when not stated
+    assert np.array_equal(stated.track(recording).visible, Markers().track(recording).visible)
 
 
 def test_a_recording_is_in_the_world_already():

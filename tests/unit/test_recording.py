@@ -63,7 +63,7 @@ def _with(tmp_path: Path, change) -> Path:
     [
         (lambda f: setattr(f["position"], "units", "mm"), "variable 'position': found units 'mm', expected 'm'"),
         (lambda f: setattr(f, "format", "other"), "attribute 'format': found 'other'"),
-        (lambda f: setattr(f, "format_version", 2), "attribute 'format_version': found 2, expected 1"),
+        (lambda f: setattr(f, "format_version", 2), "attribute 'format_version': found 2, expected the number 1"),
         (lambda f: setattr(f, "kind", "video"), "attribute 'kind': found 'video'"),
         (lambda f: setattr(f, "gravity", "down"), "attribute 'gravity': found 'down'"),
         (lambda f: setattr(f, "cloth_width", "wide"), "attribute 'cloth_width': found 'wide', expected a number"),

@@ -40,6 +40,15 @@ def test_points_land_where_opencv_puts_them():
     assert np.isnan(lens.project(np.array([0.3, -3.0, 0.7]))[0]).all()  # behind it
 
 
+def test_what_a_lens_would_fold_back_is_not_in_the_picture():
+    lens = Camera((640, 480), [[500, 0, 320], [0, 500, 240], [0, 0, 1]], np.eye(3), np.zeros(3), [-0.3, 0, 0, 0, 0])
+    across = np.linspace(0, 3, 61)  # at 1 m; r (1 − 0.3 r²) is largest at 1.054
+    pixel = lens.project(np.stack([across, 0 * across, 1 + 0 * across], axis=-1))[0]
+    assert np.isfinite(pixel[across < 1.05]).all()
+    assert (np.diff(pixel[across < 1.05, 0]) > 0).all()
+    assert np.isnan(pixel[across > 1.06]).all()
+
+
 def test_the_middle_of_the_image_is_what_it_looks_at():
     pixel, depth = CAMERA.project(np.array([0.02, 0.0, 0.85]))
     np.testing.assert_allclose(pixel, [44.5, 54.5])

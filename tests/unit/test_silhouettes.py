@@ -77,6 +77,19 @@ def test_the_ground_need_not_be_white():
     assert np.sqrt(np.mean((outline_in(grey, PIXEL) - radius) ** 2)) < 0.4 * PIXEL
 
 
+def test_dust_beside_the_cloth_is_no_cloth():
+    picture = rendered(np.full(360, 0.09))
+    clean = outline_in(picture, PIXEL)
+    picture[8:11, 8:11] = 0
+    assert np.array_equal(outline_in(picture, PIXEL), clean)
+
+
+def test_pictures_of_a_large_camera_are_read():
+    y, x = np.ogrid[:40, :9000]
+    picture = np.where((x - 4500) ** 2 + (y - 20) ** 2 < 15**2, 0, 255).astype(np.uint8)
+    assert outline_in(picture, 1.0) == pytest.approx(np.full(360, 15.0), abs=1.0)
+
+
 def test_the_drape_coefficient_is_cusicks():
     assert drape_coefficient(np.full(360, PLATE), PLATE, DISC) == pytest.approx(0.0)
     assert drape_coefficient(np.full(360, DISC), PLATE, DISC) == pytest.approx(1.0)

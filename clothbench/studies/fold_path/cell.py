@@ -17,7 +17,8 @@ from clothbench.plugins.discovery import Catalogue
 from clothbench.reference.fabrics import chosen_fabrics, fabric_named
 
 SUITE_WORDS = frozenset({"path", "select"})
-NOT_USED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis", "prior")
+NOT_USED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis", "prior",
+            "timeout")  # fmt: skip
 WAYS = ("computed", "triangular", "circular")
 NUMBERS = ("length", "friction", "width", "seconds", "areal_density")
 

@@ -135,8 +135,10 @@ def _pieces(profile: np.ndarray, seen: Observation, rows: int) -> list[np.ndarra
 
 
 def run(cell: FoldingCell, context: Context) -> Result:
-    """Lift and estimate in turn; the progress counts steps, with the estimate after each."""
-    plugins = context.plugins
+    """Lift and estimate in turn; the progress counts steps, with the estimate after each. After the time limit no step
+    is begun.
+    """
+    plugins, start = context.plugins, time.perf_counter()
     hand = hand_of(cell, plugins)
     sheet = TestStrip.of(cell.fabric, cell.fold.length, cell.stream, cell.fold.friction)
     optimizer, theta, steps = _optimizer(hand, plugins, hand.space), hand.space.defaults, []
@@ -155,6 +157,8 @@ def run(cell: FoldingCell, context: Context) -> Result:
             "sigma": seen.sigma, "evaluations": evaluations, "wall_s": spent,
         })  # fmt: skip
         context.progress(number, float(theta[0]))
+        if cell.timeout is not None and time.perf_counter() - start > cell.timeout:
+            break
         optimizer = _next(hand, plugins, optimizer, theta)
     return _result(hand, sheet, steps)
 
@@ -234,20 +238,22 @@ def _step(cell: FoldingCell, sheet: TestStrip, truth: Lifted, near: FoldState, n
 
 def _result(hand: Hand, sheet: TestStrip, steps: list[dict[str, Any]]) -> Result:
     cell, last = hand.cell, steps[-1]
-    about = {**about_cell(cell), **no_value(), "status": "ok", "reason": ""}
+    late = len(steps) < cell.fold.steps
+    reason = f"stopped by the time limit after {len(steps)} of {cell.fold.steps} steps" if late else ""
+    about = {**about_cell(cell), **no_value(), "status": "timeout" if late else "ok", "reason": reason}
     about |= {"evaluations": sum(s["evaluations"] for s in steps), "wall_s": sum(s["wall_s"] for s in steps)}
     first = hand.space.parameters[0]
     rows = [_row(about, first.name, first.unit, last["estimate"][0], cell.fabric.eta, last["low"][0], last["high"][0])]
     slips = [str(s["step"]) for s in steps if s["slips"]]
     friction = _row(about, "friction", "1", max(s["friction"] for s in steps), cell.fold.friction)
-    rows.append(friction | {"reason": f"slips at step {', '.join(slips)}" if slips else ""})
+    rows.append(friction | {"reason": f"slips at step {', '.join(slips)}" if slips else reason})
     rows.append(_row(about, "slip", "mm", 1e3 * sheet.origin, 0.0))
     rows.append(_row(about, hand.metric.name, hand.metric.unit, last["profile"], None))
     rows.append(_row(about, "tracker_error", "mm", 1e3 * max(s["tracker_error"] for s in steps), None))
     offset = hand.grip_offset(last["estimate"]) - sheet.offset
     rows.append(_row(about, "grip_offset_error", "mm", 1e3 * float(np.hypot(*offset)), 0.0))
     table = [_table(hand, s) for s in steps]
-    return Result("ok", {"rows": rows, "parameters": _parameters(hand, last), "fold": table})
+    return Result(about["status"], {"rows": rows, "parameters": _parameters(hand, last), "fold": table})
 
 
 def _row(about: dict[str, Any], metric: str, unit: str, value: float, reference: float | None, low=None, high=None):

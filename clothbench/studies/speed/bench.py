@@ -8,7 +8,7 @@ step that keeps it close to its own converged motion.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
@@ -40,7 +40,7 @@ from clothbench.studies.speed.timing import (
 
 KEYS = (
     "model", "kind", "nodes", "threads", "batch", "node_steps_per_s", "realtime_factor", "peer", "ratio",
-    "precision", "version", "note", "step_s", "error_m",
+    "precision", "options", "version", "note", "step_s", "error_m",
 )  # fmt: skip
 SIDES = (9, 21, 41, 65)  # nodes along each side of the square sheet
 EQUAL_SIDES = (21, 41)  # at equal error, where a peer's converged simulation of a fine sheet takes many minutes
@@ -145,9 +145,15 @@ class _Variant:
         about = {
             "kind": kind_of_model(model) or None,
             "precision": self.precision_of(model),
+            "options": told_options(self.options, but="precision") or None,
             "version": getattr(model, "version", None),
         }
         return _row(self.name, speed, threads, batch) | about | {"note": note}
+
+
+def told_options(options: Mapping[str, Any], but: str = "") -> str:
+    """ "integrator=implicit_euler", without the one that is said elsewhere"""
+    return ", ".join(f"{name}={value}" for name, value in options.items() if name != but)
 
 
 def _models() -> list[Plugin]:
@@ -208,8 +214,9 @@ def _roofline_rows(variant: _Variant, rows: Sequence[Row], say: Say) -> list[Row
     says what its steps take.
     """
     model = variant.make()
-    stated, own = work_of(model), (variant.name, variant.precision_of(model), 1, None)
-    mine = [r for r in rows if (r["model"], r["precision"], r["threads"], r["error_m"]) == own]
+    options = told_options(variant.options, but="precision") or None
+    stated, own = work_of(model), (variant.name, variant.precision_of(model), options, 1, None)
+    mine = [r for r in rows if (r["model"], r["precision"], r["options"], r["threads"], r["error_m"]) == own]
     if stated is None or not mine:
         return []
     work, precision = Work(**stated), variant.precision_of(model) or "double"
@@ -230,7 +237,7 @@ def _equal_rows(plugin: Plugin, side: int, say: Say) -> list[Row]:
     with on_threads(1):
         truth = swung(catalogue().make("models", plugin.name, step_scale=scale), side)[0]
     for variant in variants:
-        options = ", ".join(f"{k}={v}" for k, v in variant.options.items())
+        options = told_options(variant.options)
         say(f"{plugin.name} {options}: {side} × {side} nodes, at equal error")
         with _or_skipped(f"{plugin.name} {options} at equal error"):
             found = at_equal_error(variant.at_step, side, truth)

@@ -14,7 +14,8 @@ from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.speed.bench import SIDES
 
 SUITE_WORDS = frozenset({"sides"})
-NOT_TIMED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis", "prior")
+NOT_TIMED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis", "prior",
+             "options", "timeout")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -56,7 +57,8 @@ class SpeedCell:
 
 def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[SpeedCell]:
     """One cell, whatever there is to measure."""
-    refuse(settings, NOT_TIMED, "speed is measured on a scene of its own", "speed is measured on a scene of its own")
+    refuse(settings, NOT_TIMED, "speed is measured on a scene of its own, with options of each model's own",
+           "speed is measured on a scene of its own")  # fmt: skip
     given = settings["suite"].get("sides") or SIDES
     sides = tuple(whole("suite.sides", n, 5) for n in (given if isinstance(given, list | tuple) else [given]))
     models = tuple(dict.fromkeys(settings["model"]))

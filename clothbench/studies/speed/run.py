@@ -30,9 +30,10 @@ def _measurement(cell: SpeedCell, row: Row) -> Row:
 
 
 def _case(row: Row) -> str:
-    """ "441 nodes, 64 at once, 2 threads, single" """
+    """ "441 nodes, 64 at once, 2 threads, single, integrator=implicit_euler" """
     words = [f"{row['nodes']} nodes", f"{row['batch']} at once", f"{row['threads']} threads", row["precision"]]
-    return ", ".join([row["model"], *filter(None, [*words, row["note"], "at equal error" if row["error_m"] else ""])])
+    words += [row["options"], row["note"], "at equal error" if row["error_m"] else ""]
+    return ", ".join([row["model"], *filter(None, dict.fromkeys(words))])  # at equal error, the note are the options
 
 
 def _row(about: dict[str, Any], case: str, row: Row | None) -> dict[str, Any]:

@@ -23,19 +23,20 @@ def show(results: Results) -> list[Any]:
 
 def sections(results: Results) -> list[Section]:
     """What `show` prints, as one table of the page."""
-    head = ["model", "kind", "precision", "step", "nodes", "threads", "batch", "million node-steps/s", "× real time",
-            "peer", "× peer, per core", "error [mm]"]  # fmt: skip
+    head = ["model", "kind", "precision", "options", "step", "nodes", "threads", "batch", "million node-steps/s",
+            "× real time", "peer", "× peer, per core", "error [mm]"]  # fmt: skip
     rows = results.table("speeds")
     body = [[text(cell) for cell in _page_line(row)] for row in rows if row["peer"] != ROOFLINE]
     note = '<p class="soft">All in one run, after warm-up. With an error: at the longest step that keeps to it.</p>'
     note += "".join(f"<p>{text(line)}</p>" for line in _rooflines(rows))
-    return [Section(f"{answer_of(rows)}<h2>Speed</h2>{note}" + html_table(head, body, numeric={4, 5, 6, 7, 8, 10, 11}))]
+    return [Section(f"{answer_of(rows)}<h2>Speed</h2>{note}" + html_table(head, body, numeric={5, 6, 7, 8, 9, 11, 12}))]
 
 
 def _page_line(row: Row) -> list[str]:
     error = "" if row["error_m"] is None else f"{1e3 * row['error_m']:.2g}"
     step = row["note"] if row["step_s"] is None else f"{1e3 * row['step_s']:.3g} ms"
-    about = [row["model"], row["kind"], row["precision"], step, row["nodes"], row["threads"], row["batch"]]
+    about = [*(row[k] for k in ("model", "kind", "precision", "options")), step]
+    about += [row[k] for k in ("nodes", "threads", "batch")]
     pace = [f"{row['node_steps_per_s'] / 1e6:.1f}", f"{row['realtime_factor']:.3g}"]
     ratio = "" if row["ratio"] is None else f"{row['ratio']:.2f}"
     return [*(str(a or "") for a in about), *pace, row["peer"] or "", ratio, error]
@@ -51,7 +52,7 @@ def speed_tables(rows: Sequence[Row]) -> list[Any]:
     equal, rows = [r for r in rows if r["error_m"] is not None], [r for r in rows if r["error_m"] is None]
     peers = list(dict.fromkeys(r["peer"] for r in rows if r["peer"] not in NO_PEERS))
     table = Table(title="speed; × a peer: per core", title_justify="left", title_style="bold")
-    for name in ("model", "kind", "precision", "step"):
+    for name in ("model", "kind", "precision", "options", "step"):
         table.add_column(name, no_wrap=True)
     beside = [f"× {p}" for p in peers]
     for name in ("nodes", "threads", "batch", "million node-steps/s", "× real time", *beside):
@@ -86,7 +87,7 @@ def _lines(rows: Sequence[Row], peers: Sequence[str]) -> Iterator[list[str]]:
         together.setdefault(key, {})[row["peer"]] = f"{row['ratio']:.1f}" if row["ratio"] is not None else ""
     for key, row in about.items():
         step = PEER_STEP if row["model"] in peers else row["note"]
-        texts = (row["model"], row["kind"], row["precision"], step)
+        texts = (row["model"], row["kind"], row["precision"], row["options"], step)
         counts = (row["nodes"], row["threads"], row["batch"])
         speed = (f"{row['node_steps_per_s'] / 1e6:.1f}", f"{row['realtime_factor']:.3g}")
         yield [*(str(t or "") for t in (*texts, *counts)), *speed, *(together[key].get(p, "") for p in peers)]

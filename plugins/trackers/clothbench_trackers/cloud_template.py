@@ -71,7 +71,7 @@ class CloudTemplate:
     """
 
     name = "cloud_template"
-    version = 1
+    version = 2
     kinds = frozenset({"depth"})
 
     def __init__(

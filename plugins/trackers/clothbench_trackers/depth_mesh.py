@@ -29,6 +29,8 @@ BEYOND = 2.5  # pixels that a node may lie outside the patch, and a vertex more
 LEAST = 30  # vertices of a patch, below which a frame shows no sheet
 ALIGN_ROUNDS = 3  # of telling what is a hem, and turning the map towards it
 HUES = 12  # of the a and b of Lab, of 255, that a pixel may differ by
+GAP = 1.5  # usual steps between two frames, beyond which frames were dropped and nothing is known in between
+LEVEL = 0.3  # of v along gravity, below which a sheet lies too level for gravity to say which way v goes
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +51,7 @@ class DepthMesh:
     """
 
     name = "depth_mesh"
-    version = 1
+    version = 2
     kinds = frozenset({"depth"})
 
     def __init__(
@@ -209,19 +211,23 @@ def held_at(images: DepthImages, time: np.ndarray) -> np.ndarray:
 def first_guess(
     images: DepthImages, frame: int, point: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """The patch as a plane has it, u along the grips (else to the camera's right), v down: (M, 2) m; and the vertices
-    nearest to the grips with their material points, where there are grips within `reach` m of a vertex.
+    """The patch as a plane has it, u along grips that differ in u (else to the camera's right), v down: (M, 2) m; and
+    the vertices nearest to the grips with their material points, where there are grips within `reach` m of a vertex.
+    Of a sheet that lies level, v goes away from the grips, else down in the picture.
     """
     gravity = np.array(images.gravity)
     down = gravity / max(np.linalg.norm(gravity), 1e-12)
     centre = point.mean(axis=0)
     _, _, axes = np.linalg.svd(point - centre, full_matrices=False)
     normal, held, there = axes[2], None, None
-    right = images.camera.rotation[0]
+    right, aside = images.camera.rotation[:2]
     if images.grips is not None and len(images.grips.material) >= 2:
         at, material = held_at(images, images.time[frame : frame + 1])[0], images.grips.material
         first, last = np.argmin(material[:, 0]), np.argmax(material[:, 0])
-        right = at[last] - at[first]
+        if material[last, 0] > material[first, 0]:
+            right = at[last] - at[first]
+        farther = images.cloth_height / 2 - material[:, 1].mean()
+        aside = np.sign(farther) * (centre - at.mean(axis=0)) if farther else aside
         from scipy.spatial import cKDTree
 
         away, nearest = cKDTree(point).query(at)
@@ -231,6 +237,7 @@ def first_guess(
     right = right - right @ normal * normal
     right /= max(float(np.linalg.norm(right)), 1e-12)
     below = np.cross(normal, right)
+    down = down if abs(below @ down) > LEVEL else aside
     below = below if below @ down > 0 else -below
     return np.stack([(point - centre) @ right, (point - centre) @ below], axis=1), held, there
 
@@ -284,10 +291,14 @@ def observation(
 
 
 def at_times(time: np.ndarray, nodes: np.ndarray, wanted: np.ndarray) -> np.ndarray:
-    """Nodes (T, N, 3) at other times (K,) s, on straight lines between frames; NaN beside a gap."""
+    """Nodes (T, N, 3) at other times (K,) s, on straight lines between frames; NaN where frames were dropped or a
+    node was not seen beside.
+    """
     after = np.clip(np.searchsorted(time, wanted), 1, len(time) - 1)
+    step = np.diff(time)
+    dropped = (step > GAP * np.median(step))[after - 1]
     share = ((wanted - time[after - 1]) / (time[after] - time[after - 1]))[:, None, None]
-    between = (1 - share) * nodes[after - 1] + share * nodes[after]
+    between = np.where(dropped[:, None, None], np.nan, (1 - share) * nodes[after - 1] + share * nodes[after])
     for edge, k in ((0.0, after - 1), (1.0, after)):
         between = np.where(share == edge, nodes[k], between)
     return between

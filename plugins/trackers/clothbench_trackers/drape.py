@@ -28,7 +28,7 @@ class Drape:
     """
 
     name = "drape"
-    version = 2
+    version = 3
     kinds = frozenset({"silhouette"})
 
     def __init__(self, centre: tuple[float, float] | None = None):

@@ -81,7 +81,9 @@ class Markers:
         recording = source if isinstance(source, Recording) else read_recording(source)
         where = recording.path or recording.name
         for one in fields(self):
-            if one.name not in OF_RECORDINGS and getattr(self, one.name) is not one.default:
+            value = getattr(self, one.name)
+            stated = value is not None if one.default is None else value != one.default
+            if one.name not in OF_RECORDINGS and stated:
                 expected = f"some of {', '.join(sorted(OF_RECORDINGS))}, as a recording is in the world already"
                 raise refusal(where, "settings", repr(one.name), expected, "drop it")
         sigma = recording.noise_sigma if self.sigma is None else self.sigma

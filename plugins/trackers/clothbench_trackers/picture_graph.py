@@ -36,6 +36,7 @@ CORNER_CELLS = 6.0  # from a corner to the nodes that say where it is
 LEAST_NODES = 6  # of them, below which a corner is not known in a frame
 SMOOTH = 7  # frames over which a grip's path is smoothed by a parabola: hands do not shake at 10 Hz
 LOOSE = 0.06  # of the width, by which hands in the first frame may be nearer or farther than it
+SPAN = 0.9  # of the frames, from the first in which a grip is seen to the last: beyond, nobody knows where it is
 GRIPS = ("corners", "marks")
 GRAPH = (40, 90, 220)
 TEXTURE = 1e-3  # least eigenvalue of the gradients' matrix, per pixel and (grey/255)²: below it, a patch is plain
@@ -166,6 +167,13 @@ def held_path(
             raise ClothbenchError(
                 f"{video.path or video.name}: found the point held at u = {u:g} m, v = {v:g} m in {there.sum()} "
                 "frames; mark it in the first frame, or state the grips"
+            )
+        first, last = np.flatnonzero(there)[[0, -1]]
+        if (last - first + 1) / len(there) < SPAN:
+            u, v = material[g]
+            raise ClothbenchError(
+                f"{video.path or video.name}: found the point held at u = {u:g} m, v = {v:g} m from frame {first} to "
+                f"{last} of {len(there)}, expected {SPAN:.0%} of them; cut the video there, or state the grips"
             )
         for c in range(2):
             path[:, g, c] = np.interp(video.time, video.time[there], path[there, g, c])
