@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -25,7 +26,8 @@ def case_of(motion: float) -> SheetCase:
     points = np.array([[0.15, 0.1], [0.15, 0.2], [0.15, 0.3]])
     scene = Scene(0.3, 0.3, 0.2, CLOCK, HELD[:, [0, 2]], path, TIME, points, resolution=(5, 5))
     seen = np.zeros((len(TIME), 3, 3))
-    return SheetCase("swung", "fit", None, Observation(TIME, seen, np.ones(seen.shape[:2], bool), 1e-3, points), scene)
+    observation = Observation(TIME, seen, np.ones(seen.shape[:2], bool), 1e-3, points)
+    return SheetCase("swung", "fit", SimpleNamespace(path=""), observation, scene)
 
 
 @pytest.fixture

@@ -208,8 +208,10 @@ def sighted(name, value, position):
 
 def test_a_lens_bends_the_picture_as_opencv_does(cloud):
     bent = Camera(VIEW.size, VIEW.matrix, VIEW.rotation, VIEW.translation, np.array([-0.2, 0, 0, 0, 0]))
-    found = VIEW.project(sighted("lens_distortion", -0.2, cloud))[0]
-    np.testing.assert_allclose(found, bent.project(cloud)[0], atol=1e-9)
+    found, wanted = VIEW.project(sighted("lens_distortion", -0.2, cloud))[0], bent.project(cloud)[0]
+    seen = np.isfinite(wanted)  # no camera sees what its lens would fold back from far off the axis
+    assert seen.mean() > 0.4
+    np.testing.assert_allclose(found[seen], wanted[seen], atol=1e-9)
 
 
 def test_a_slow_video_shows_later_moments():
