@@ -107,7 +107,15 @@ def _free(simulation: Simulation, values: Mapping[str, float]) -> np.ndarray:
 
 
 def _theta(model: Any, values: Mapping[str, float]) -> np.ndarray:
-    return np.array([values.get(p.name, p.default) for p in model.parameters])
+    """The model's parameters (P,); one that only a changed table can have is refused."""
+    theta = np.array([values.get(p.name, p.default) for p in model.parameters])
+    for parameter, value in zip(model.parameters, theta, strict=True):
+        if parameter.scale == "log" and not value > 0:
+            raise ClothbenchError(
+                f"parameter {parameter.name}: found {value:g}, expected more than 0 {parameter.unit}, which no search "
+                "leaves; run the cell again"
+            )
+    return theta
 
 
 def _matters(model: Any, theta: np.ndarray, name: str, scene: Scene) -> bool:

@@ -27,8 +27,10 @@ from clothbench.display.film import read_film
 from clothbench.engine.settings import KNOWN
 from clothbench.engine.store import ROW, Store, load_rows
 from clothbench.engine.tables import read_table, write_table
+from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration.cell import asked_and_fitted
 from clothbench.studies.calibration.matrix import one_way
+from clothbench.twins.of_cell import _theta
 
 # --- recordings -----------------------------------------------------------------------------------------------------
 
@@ -428,3 +430,10 @@ def test_a_short_run_of_the_fuzzer_finds_nothing(tmp_path):
     tallies = fuzz.fuzz(fuzz.kinds_known(), 600, 28, tmp_path, most=5, together=True)
     assert fuzz.finds(tallies) == []
     assert min(tally.done for tally in tallies.values()) == 5
+
+
+def test_a_fit_that_no_search_can_leave_is_not_exported():
+    """Found by the fuzzer: a stiffness of 0 N/m in a cell's table was divided by."""
+    model = catalogue().make("models", "mass_spring")
+    with pytest.raises(ClothbenchError, match=r"parameter k1: found 0, expected more than 0 N/m"):
+        _theta(model, {"k1": 0.0})
