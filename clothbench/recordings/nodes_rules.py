@@ -7,6 +7,7 @@ import numpy as np
 from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.layout import Arrays, Layout
 
+COVERED = 0.9  # of the frames, while which somebody has to know where the grips are
 SIZES = {"uv": 2, "space": 3}
 FARTHEST = 1e6  # m from the origin that cloth and grips may be; sums and squares of what is farther may overflow
 
@@ -107,7 +108,7 @@ def check_points(points: np.ndarray, name: str, size: np.ndarray, where: str) ->
 def check_overlap(time: np.ndarray, grip_time: np.ndarray, where: str) -> None:
     """The grips were tracked while nine tenths of the frames were taken."""
     covered = np.mean((time >= grip_time[0] - 1e-9) & (time <= grip_time[-1] + 1e-9))
-    if covered < 0.9:
+    if covered < COVERED:
         raise ClothbenchError(
             f"{where}: variable 'grip_time': found {grip_time[0]:g}..{grip_time[-1]:g} s, "
             f"which covers {covered:.0%} of the "

@@ -9,11 +9,11 @@ from clothbench.core.observation import GripPath, Observation
 from clothbench.recordings.colour_video import ColourVideo
 from clothbench.recordings.depth import DepthImages
 from clothbench.recordings.nodes import Recording
+from clothbench.recordings.nodes_rules import COVERED
 from clothbench.recordings.rig import HEADER
 from clothbench.recordings.video import text_of
 
 Images = DepthImages | ColourVideo  # what trackers make nodes of
-SPAN = 0.9  # of the frames, from the first in which a corner is seen to the last, as of grips that are stated
 EYE = "camera_place"  # note: where the camera stood, m
 
 
@@ -46,11 +46,11 @@ def corners_of(images: Images, seen: Observation) -> GripPath:
                 f"{images.path or images.name}: found no grips stated, and the upper corners in {len(there)} frames, "
                 "expected either; state grip_time, grip_material and grip_position"
             )
-        if (there[-1] - there[0] + 1) / len(seen.time) < SPAN:
+        if (there[-1] - there[0] + 1) / len(seen.time) < COVERED:
             u, v = seen.material[n]
             raise ClothbenchError(
                 f"{images.path or images.name}: found no grips stated, and the upper corner at u = {u:g} m, v = {v:g} "
-                f"m from frame {there[0]} to {there[-1]} of {len(seen.time)}, expected {SPAN:.0%} of them; cut the "
+                f"m from frame {there[0]} to {there[-1]} of {len(seen.time)}, expected {COVERED:.0%} of them; cut the "
                 "recording there, or state grip_time, grip_material and grip_position"
             )
         path = [np.interp(seen.time, seen.time[there], seen.position[there, n, c]) for c in range(3)]

@@ -77,7 +77,7 @@ def assess(
             rest = [r for r in range(count) if r != left_out] or [0]
             shown = {j: list(range(count)) if same[j, k] else rest for j in rivals}
             best = all(
-                square[k, on].mean() <= max(allowed[j, k] * square[j, on].mean(), square[j, on].mean() + doubt[j, k])
+                square[k, on].mean() <= most_left(square[j, on].mean(), allowed[j, k], doubt[j, k])
                 for j, on in shown.items()
             )
             wins += bool(best and (current.mean_squares - square[k])[rest].mean() >= gain)
@@ -214,10 +214,16 @@ def mesh_decides(current: Fitted, tried: Sequence[Candidate], mesh: float) -> np
     differ by; how much of e may look like d is what is allowed for wherever something looks like a parameter.
     mesh: rms of e, base unit.
     """
-    left = [None if c.fitted is None else [r / len(r) ** 0.5 for r in c.fitted.residual] for c in tried]
-    rows = [np.concatenate(current.residual) * 0 if one is None else np.concatenate(one) for one in left]
-    apart = [[np.linalg.norm(a - b) / len(current.residual) ** 0.5 for b in rows] for a in rows]
+    left = [(c.fitted or current).weighted_residual for c in tried]
+    apart = [[np.linalg.norm(a - b) / len(current.residual) ** 0.5 for b in left] for a in left]
     return np.where(alike(current, tried), 2 * LOOP.model_discrepancy * mesh * np.array(apart), 0.0)
+
+
+def most_left(square: Any, allowed: Any, doubt: Any) -> Any:
+    """What a candidate may leave (mean square) to stand beside another that leaves `square`: so many times that by
+    `allowances`, or so much more by `mesh_decides`; numbers or arrays.
+    """
+    return np.maximum(allowed * square, square + doubt)
 
 
 def choose(current: Fitted, judged: Sequence[Candidate], mesh: float = 0.0) -> tuple[str, ...]:
@@ -234,7 +240,7 @@ def choose(current: Fitted, judged: Sequence[Candidate], mesh: float = 0.0) -> t
     size = np.array([len(c.fitted.theta) for c in standing if c.fitted is not None])
     shapes = [sum(p.null is None for p in c.fitted.space) for c in standing if c.fitted is not None]
     allowed, same = allowances(current, standing), alike(current, standing)
-    most = np.maximum(allowed * square[:, None], square[:, None] + mesh_decides(current, standing, mesh))
+    most = most_left(square[:, None], allowed, mesh_decides(current, standing, mesh))
     close = [k for k in range(len(standing)) if (square[k] <= most[:, k]).all()]
     best = min(close, key=lambda k: (1 + LOOP.parameter_penalty * (size[k] - size.min())) * square[k])
     correlated = correction_correlation(current, standing) >= LOOP.alike_correlation

@@ -120,7 +120,7 @@ def grip_phases(time: np.ndarray, scene: Scene) -> dict[str, np.ndarray]:
     """Of the grips: before they move, while they speed up, slow down or turn, and after they stopped; none of a sheet
     that nobody holds, and where they never move.
     """
-    if not len(scene.grip_material) or not np.ptp(scene.grip_position, axis=0).any():
+    if not len(scene.grip_material):
         return {}
     middle = scene.grip_position.mean(axis=1)
 
@@ -132,7 +132,7 @@ def grip_phases(time: np.ndarray, scene: Scene) -> dict[str, np.ndarray]:
 
     now, rising = speed(time), speed(time + SPEED_OVER / 2) > speed(time - SPEED_OVER / 2)
     moving = now > MOVES * max(now.max(), 1e-9)
-    if not moving.any():  # of grips that moved before the first frame or after the last only
+    if not moving.any():
         return {}
     first, last = int(np.argmax(moving)), len(time) - 1 - int(np.argmax(moving[::-1]))
     frame = np.arange(len(time))
