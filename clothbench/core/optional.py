@@ -343,6 +343,17 @@ class FollowsLaw(Protocol):
 
 
 @runtime_checkable
+class HasLimits(Protocol):
+    """An effect that turns into something that models have of their own where its amounts leave their range: friction
+    of yarns that never slip is stiffness. `improve` does not name it where that does nearly as well. Without it: never.
+    """
+
+    def limits(self, phi: np.ndarray) -> Mapping[str, np.ndarray]:
+        """What it turns into, and its parameters (P,) there, the nearest to phi (P,); they may lie out of bounds."""
+        ...
+
+
+@runtime_checkable
 class ShiftsTimes(Protocol):
     """A sensor effect that shifts when the simulation is looked at. One without it and `positions` does nothing."""
 
@@ -382,6 +393,11 @@ def family_of(effect: Any) -> str:
 def law_of_force(effect: Any) -> str:
     """What an effect's force goes with, one of `FORCE_LAWS`; "" if it does not say."""
     return effect.law if isinstance(effect, FollowsLaw) else ""
+
+
+def limits_of(effect: Any, phi: np.ndarray) -> Mapping[str, np.ndarray]:
+    """What an effect of parameters phi (P,) turns into that models have of their own, with its parameters there."""
+    return effect.limits(phi) if isinstance(effect, HasLimits) else {}
 
 
 def reads_normals(effect: Any) -> bool:

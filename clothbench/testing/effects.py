@@ -17,6 +17,7 @@ from clothbench.core.optional import (
     SaysNormals,
     Stiffens,
     acts_at_rest,
+    limits_of,
     varying_of,
 )
 from clothbench.core.parameters import ParameterSpace
@@ -65,6 +66,10 @@ def keeps_what_it_offers(case: EffectCase) -> None:
         require(effect.family in EFFECT_FAMILIES, f"family {effect.family!r}", f"one of {', '.join(EFFECT_FAMILIES)}")
     if isinstance(effect, FollowsLaw):
         require(effect.law in FORCE_LAWS, f"law {effect.law!r}", f"one of {', '.join(FORCE_LAWS)}")
+    for phi in probe.acting_values(effect):
+        for what, there in limits_of(effect, phi).items():
+            fine = np.shape(there) == np.shape(phi) and bool(np.isfinite(there).all())
+            require(fine, f"limits with {what!r}: {there!r}", "a finite number for each of its parameters")
     unknown = [name for name in varying_of(effect) if name not in effect.parameters.names]
     require(not unknown, f"by_recording with {', '.join(map(repr, unknown))}", "names of its own parameters")
 

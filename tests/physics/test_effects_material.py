@@ -17,6 +17,7 @@ from effect_scenes import (
 from scipy.optimize import curve_fit
 
 from clothbench import Scene
+from clothbench.core.optional import Remembers
 from clothbench.modelling.mesh import grid_triangles
 from clothbench.modelling.sheet import sheet_of
 
@@ -45,7 +46,7 @@ class Press:
 
     def __init__(self, sheet, name, values):
         self.sheet, self.effect, self.values = sheet, effect_named(name), np.array(values, dtype=float)
-        self.state, self.t = np.zeros(self.effect.state_size(sheet)), 0.0
+        self.state, self.t = np.zeros(self.effect.state_size(sheet) if isinstance(self.effect, Remembers) else 0), 0.0
         self.x, self.f, self.work = None, None, 0.0
 
     def to(self, x, dt=1e-3):
@@ -55,6 +56,25 @@ class Press:
             self.work -= 0.5 * ((force + self.f) * (x - self.x)).sum()
         self.x, self.f, self.t = x, force, self.t + dt
         return force
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [("bending_hysteresis", (1e-3, 5.0)), ("crease", (1e-5, 5.0)), ("viscoelasticity", (1e-5, 0.0, 0.1)),
+     ("bending_anisotropy", (2e-5, 0.0))],
+)  # fmt: skip
+def test_at_its_limit_an_effect_is_stiffness_and_no_more(strip, name, values):
+    """Bent to and fro it takes work that comes back; before, unless it has no memory, it does not."""
+    limit = next(iter(effect_named(name).limits(np.array(values)).values()))
+    lost = []
+    for phi in (values, limit):
+        press, most = Press(strip, name, phi), 0.0
+        for kappa in np.concatenate([np.linspace(0, 20, 201), np.linspace(20, 0, 201)[1:]]):
+            press.to(bent(strip, kappa))
+            most = max(most, press.work)
+        lost.append(press.work / most)
+    assert abs(lost[1]) < 1e-3
+    assert name == "bending_anisotropy" or lost[0] > 0.1
 
 
 @pytest.mark.parametrize("direction", ["u", "v"])

@@ -9,13 +9,15 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
+from clothbench.core.optional import limits_of
+from clothbench.estimation.trials import evaluate
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.attribution import Probe, ridge_solution, shifted
-from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.fitted import Fitted, solve_damped
 from clothbench.studies.improve.fitting import better_of, fit, multistart, polish
 from clothbench.studies.improve.jumps import jump_along_valley, off_bounds
 from clothbench.studies.improve.problem import Problem
-from clothbench.studies.improve.selection import Candidate, allowance, faulty, least_fall
+from clothbench.studies.improve.selection import Candidate, allowance, faulty, least_fall, parameters_of
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round, State
 
@@ -106,9 +108,8 @@ def standing(problem: Problem, current: Fitted, better: Mapping[tuple[str, ...],
     """The mean square that a fit has to come to if it is to be named beside, or instead of, those that are better; any
     where searches cost so little that none is given up.
 
-    One with two or more parameters more than another is named instead of it if it leaves so much less that all of them
-    are paid for (`choose`); no search is spent on what would only be a tie. A fit that cannot stand itself is in
-    nobody's way.
+    One with two or more parameters more than another has something to say if it leaves less (`choose`). A fit that
+    cannot stand itself is in nobody's way.
     """
     if not np.isfinite(problem.evidence.search.contention):
         return np.inf
@@ -117,7 +118,7 @@ def standing(problem: Problem, current: Fitted, better: Mapping[tuple[str, ...],
         if effects == fitted.effects or faulty(effects[-1], current, other, problem.evidence):
             continue
         more = len(fitted.theta) - len(other.theta)
-        factor = allowance(-more, alike=True) if more < 2 else 1 / allowance(more, alike=False)
+        factor = allowance(-more, alike=True) if more < 2 else 1.0
         goals.append(float(factor) * other.rms**2)
     return min(goals)
 
@@ -177,6 +178,32 @@ def beside_tied(state: State, found: Round, account: Account) -> str:
                     f"explains only {max(gain, 0) / fall:.0%} of what a name has to beside {rival}, which "
                     f"{earlier.named[0]} is tied with"
                 )
+    return ""
+
+
+def as_a_limit(problem: Problem, fitted: Fitted, account: Account) -> str:
+    """Why the last effect of a fit is not to be named, or "": what it turns into beyond its range, and models have of
+    their own, does nearly as well as it (`HasLimits`), the other parameters following as the Jacobian has them.
+    """
+    name, unit = fitted.effects[-1], fitted.space.to_unit(fitted.theta)
+    own = list(parameters_of(fitted.space, name).values())
+    others = np.setdiff1d(np.arange(len(unit)), own)
+    columns = fitted.weighted_jacobian[:, others] / np.sqrt(len(fitted.residual))
+    trials = problem.trials(fitted.effects, "fit")
+    for what, phi in limits_of(problem.make("effects", name), fitted.theta[own]).items():
+        where, square = unit.copy(), np.inf
+        for _ in range(LOOP.limit_steps + 1):
+            theta = fitted.space.from_unit(where)
+            theta[own] = phi
+            residual = evaluate(trials, theta[None])[0].residual
+            assert residual is not None  # as of every metric of the loop
+            account.count(1)
+            square = min(square, float(residual[0] @ residual[0]))
+            if square <= allowance(0, alike=True) * fitted.rms**2:
+                return f"cannot be told from {what}"
+            if not np.isfinite(residual).all():
+                break
+            where[others] += solve_damped(columns.T @ columns, -columns.T @ residual[0])
     return ""
 
 

@@ -113,9 +113,7 @@ def unphysical(name: str, fitted: Fitted, together: bool = False) -> str:
     far = away_from_null(fitted, amounts, null)
     if not far.any():
         return "its amount is fitted to nothing"
-    low, high = fitted.low[amounts], fitted.high[amounts]
-    alone = (far & ((low > null) | (high < null))).any()
-    if not alone and not (together and told_from_nothing(fitted, amounts, null)):
+    if not amounts_of_note(name, fitted) and not (together and told_from_nothing(fitted, amounts, null)):
         return "its amount cannot be told from nothing"
     return ""
 
@@ -124,6 +122,14 @@ def away_from_null(fitted: Fitted, amounts: Sequence[int], null: np.ndarray) -> 
     """Which amounts (A,), by their numbers in the space, are more than nothing, `null` (A,)."""
     range_ = (fitted.space.high - fitted.space.low)[list(amounts)]
     return np.asarray(np.abs(fitted.theta[list(amounts)] - null) > LOOP.away_from_null * range_)
+
+
+def amounts_of_note(name: str, fitted: Fitted) -> list[int]:
+    """Which amounts of an effect, by their numbers in the space, are each told from nothing by its interval."""
+    amounts = amounts_of(fitted.space, name)
+    null = np.array([fitted.space.parameters[i].null for i in amounts], dtype=float)
+    told = (fitted.low[amounts] > null) | (fitted.high[amounts] < null)
+    return [i for i, found in zip(amounts, told & away_from_null(fitted, amounts, null), strict=True) if found]
 
 
 def amounts_at_bound(name: str, fitted: Fitted) -> list[int]:
@@ -229,9 +235,11 @@ def most_left(square: Any, allowed: Any, doubt: Any) -> Any:
 def choose(current: Fitted, judged: Sequence[Candidate], mesh: float = 0.0) -> tuple[str, ...]:
     """The one that stands; of several as good as each other that correct the same as the best the one with the fewest
     parameters, and of these the fewest that only give it its shape; or several as tied: equally simple ones, and such
-    as correct the same and are hardly less simple, or leave so much less that the two can be told apart, though not so
-    much that all they have more is paid for: then nothing is decided. What corrects something else may be missing as
-    well as the best: being simpler it does not take its place. mesh: what the model's mesh may be wrong by, base unit.
+    as correct the same and are hardly less simple, or leave less, though not so much that all they have more is paid
+    for: then nothing is decided. Leaving less counts if it tells the two apart, or if what they have more is something:
+    every effect leaves less than the one that it becomes when an amount of it vanishes. What corrects something else
+    may be missing as well as the best: being simpler it does not take its place. mesh: what the model's mesh may be
+    wrong by, base unit.
     """
     standing = [c for c in judged if not c.why_not and c.fitted is not None]
     if not standing:
@@ -239,6 +247,7 @@ def choose(current: Fitted, judged: Sequence[Candidate], mesh: float = 0.0) -> t
     square = np.array([c.fitted.rms**2 for c in standing if c.fitted is not None])
     size = np.array([len(c.fitted.theta) for c in standing if c.fitted is not None])
     shapes = [sum(p.null is None for p in c.fitted.space) for c in standing if c.fitted is not None]
+    known = [len(amounts_of_note(c.name, c.fitted)) for c in standing if c.fitted is not None]
     allowed, same = allowances(current, standing), alike(current, standing)
     most = most_left(square[:, None], allowed, mesh_decides(current, standing, mesh))
     close = [k for k in range(len(standing)) if (square[k] <= most[:, k]).all()]
@@ -249,7 +258,8 @@ def choose(current: Fitted, judged: Sequence[Candidate], mesh: float = 0.0) -> t
     def undecided(k: int) -> bool:
         if size[k] == size[first] or (same[k, first] and size[k] == size[first] + 1):
             return True
-        return bool(correlated[k, first] and (1 + LOOP.tie_margin) * square[k] < square[first])
+        apart = (1 + LOOP.tie_margin) * square[k] < square[first]
+        return bool(correlated[k, first] and (apart or (square[k] < square[first] and known[k] > known[first])))
 
     others = sorted((k for k in close if k != first and undecided(k)), key=lambda k: square[k])
     return tuple(standing[k].name for k in [first, *others][: LOOP.tied])

@@ -39,7 +39,7 @@ class LoopSettings:
     richardson: float = 4 / 3  # times the change by halved cells: the whole error, where it is of second order
     refinement_offset: float = 0.05  # how far from a fit the mesh's error is looked at, of the scaled range
 
-    stages: int = 9  # version of what the stages do and write: a cell of another one is asked anew
+    stages: int = 10  # version of what the stages do and write: a cell of another one is asked anew
 
     # Attribution.
     shape_settings: int = 4  # settings of an effect's shape parameter that are looked at; twice as many of several
@@ -72,6 +72,7 @@ class LoopSettings:
     parameter_penalty: float = 0.05  # share of the mean square that every further parameter has to pay
     away_from_null: float = 1e-3  # of its range: an amount this near to its null value is none
     tied: int = 3  # effects that are named together at most, where they cannot be told apart
+    limit_steps: int = 2  # Gauss-Newton steps of the others beside an effect at its limit
     finalists: int = 3  # candidates whose fits are made sure of before they are compared
 
     # Amounts by recording.

@@ -4,6 +4,8 @@ As rigidities in N·m and not as a ratio, because an effect must act on any mode
 it cannot know what rigidity they have: a ratio of an unknown number is none.
 """
 
+import numpy as np
+
 from clothbench import Parameter, ParameterSpace, effect_kernel
 from clothbench_effects.deformation import add_linear_bending
 
@@ -36,6 +38,9 @@ class BendingAnisotropy:
             Parameter("weft", "D_v", "N·m", (0.0, 1e-3), "linear", 0.0, "extra rigidity along v", SOURCE, null=0.0),
         )
     )  # fmt: skip
+
+    def limits(self, phi):
+        return {"bending stiffness, the same in both directions": np.full(2, np.mean(phi))}
 
     def stiffness(self, phi):
         return 0.0, max(phi)

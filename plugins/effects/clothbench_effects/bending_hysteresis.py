@@ -1,9 +1,12 @@
 """`bending_hysteresis`: yarns rub against each other when cloth bends, so it does not bend back quite the same way."""
 
+import numpy as np
+
 from clothbench import Parameter, ParameterSpace, effect_kernel
 from clothbench.modelling import kernel
 from clothbench_effects.deformation import add_couples, bent
 
+FAR = 1e4  # times the curvature at which yarns slip: beyond any that cloth has
 VANISHED = 32.0  # exponent y from which exp(−y), 1e-14, may stand for 0
 
 
@@ -76,6 +79,9 @@ class BendingHysteresis:
             ),
         )
     )  # fmt: skip
+
+    def limits(self, phi):
+        return {"bending stiffness, as of yarns that never slip": np.asarray(phi) * FAR}
 
     def state_size(self, sheet):
         return 1 + 6 * sheet.slots.shape[1]

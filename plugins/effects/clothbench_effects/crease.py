@@ -5,9 +5,13 @@ rigidity and loses nothing; above, its moment stays what it was at yield, and wh
 Left to itself a strip bent to κ_m and let go keeps R (κ_m − κ_y)/(R + D) of it, with D the model's own rigidity.
 """
 
+import numpy as np
+
 from clothbench import Parameter, ParameterSpace, effect_kernel
 from clothbench.modelling import kernel
 from clothbench_effects.deformation import add_couples, bent
+
+FAR = 1e6  # 1/m, a curvature beyond any that cloth has
 
 
 @kernel
@@ -61,6 +65,9 @@ class Crease:
             ),
         )
     )  # fmt: skip
+
+    def limits(self, phi):
+        return {"bending stiffness that never yields": np.array([phi[0], FAR])}
 
     def state_size(self, sheet):
         return 3 * sheet.slots.shape[1]

@@ -48,6 +48,7 @@ def relax(t, dt, x, v, f, sheet, p, state):
         add_tensions(f, sheet, fibre, p[1] * memory[8:])
 
 
+FAR = 1e6  # s, longer than any recording
 SOURCE = "Maxwell 1867; Simo and Hughes 1998, Computational Inelasticity, section 10.3"
 
 
@@ -70,6 +71,16 @@ class Viscoelasticity:
             Parameter("time", "τ", "s", (0.005, 20.0), "log", 0.2, "time in which stress falls to 1/e", SOURCE),
         )
     )  # fmt: skip
+
+    def limits(self, phi):
+        bending, stretch, time = phi
+        space = self.parameters
+        shortest = space["time"].bounds[0]
+        at_once = np.array([bending * time / shortest, stretch * time / shortest, shortest])
+        return {
+            "stiffness that never relaxes": np.array([bending, stretch, FAR]),
+            "damping, as of stress that relaxes at once": np.minimum(at_once, space.high),
+        }
 
     def state_size(self, sheet):
         return 2 + 10 * sheet.slots.shape[1]
