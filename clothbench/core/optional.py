@@ -196,6 +196,15 @@ class Repeatable(Protocol):
 
 
 @runtime_checkable
+class SaysWhatItLacks(Protocol):
+    """lacks: by family of effects, what textbook mechanics has and the model has not, a line that ends a sentence.
+    Where `improve` names an effect of that family, it says so: the model's own fault may look so. Without it: nothing.
+    """
+
+    lacks: Mapping[str, str]
+
+
+@runtime_checkable
 class HasBenchOptions(Protocol):
     """bench_options: sets of options that the speed is measured with. Without it: one set, empty; (): not measured."""
 
@@ -247,6 +256,11 @@ def kind_of_model(model: Any) -> str:
 def repeatability_of(model: Any) -> float:
     """How far rounding and tolerances alone may carry a sheet [m]."""
     return model.repeatability if isinstance(model, Repeatable) else 0.0
+
+
+def lacks_of(model: Any) -> Mapping[str, str]:
+    """What a model is known to lack beside textbook mechanics, by family of effects."""
+    return model.lacks if isinstance(model, SaysWhatItLacks) else {}
 
 
 def bench_options_of(factory: Any) -> list[dict[str, Any]]:

@@ -8,6 +8,7 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.optional import (
+    EFFECT_FAMILIES,
     MODEL_KINDS,
     FoldsStrips,
     KnowsMaterials,
@@ -17,6 +18,7 @@ from clothbench.core.optional import (
     bench_options_of,
     equal_error_options_of,
     kind_of_model,
+    lacks_of,
     libraries,
     repeatability_of,
     runs_in_threads,
@@ -107,6 +109,8 @@ def keeps_what_it_offers(case: ModelCase) -> None:
     require(length, f"repeatability {far!r}", "metres, 0 or above")
     named = all(isinstance(name, str) and name for name in libraries(make))
     require(named and not isinstance(getattr(make, "built_on", ()), str), f"built_on {libraries(make)}", "names")
+    families = [family for family in lacks_of(model) if family not in EFFECT_FAMILIES]
+    require(not families, f"lacks with {', '.join(map(repr, families))}", f"one of {', '.join(EFFECT_FAMILIES)}")
     work = work_of(model)
     stated = work is None or (set(work) == WORK and all(np.isfinite(w) and w >= 0 for w in work.values()))
     require(stated, f"work_per_node_step {work!r}", f"finite numbers of {', '.join(sorted(WORK))}")

@@ -48,6 +48,7 @@ def state():
     problem = SimpleNamespace(
         evidence=SheetEvidence(tuple(cases)),
         make=catalogue().make,
+        model="mass_spring",
         of_split=lambda split: cases if split == "fit" else [],
     )
     base, drag = fitted(residual), fitted(residual, ("quadratic_drag",), [DRAG])
@@ -118,6 +119,17 @@ def test_hint_of_a_tie_says_how_alike_the_two_are_and_where_they_differ(state):
     assert found.word == "tied"
     assert "correlates with 1.00" in found.hint
     assert "differ most in second, by 0.58 mm, around 1.5 s" in found.hint
+
+
+@pytest.mark.parametrize(("model", "said"), [("mass_spring", True), ("baraff_witkin", False)])
+def test_a_name_that_may_be_the_models_own_fault_is_told_so(state, model, said):
+    base = state.base
+    friction = Candidate("bending_hysteresis", 0.9, 0.005, fitted=fitted([0.05 * r for r in base.residual]))
+    rounds = (Round(base, 1e-3, (friction,), (), ("bending_hysteresis",), friction.fitted),)
+    state.problem.model = model
+    found = concluded(replace(state, final=friction.fitted, rounds=rounds), [])
+    assert found.word == "attributed"
+    assert ("may be a fault of mass_spring, not of the cloth" in found.hint) == said
 
 
 @pytest.mark.parametrize(

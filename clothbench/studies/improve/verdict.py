@@ -8,7 +8,7 @@ from itertools import combinations
 
 import numpy as np
 
-from clothbench.core.optional import law_of_force
+from clothbench.core.optional import family_of, lacks_of, law_of_force
 from clothbench.studies.improve.by_recording import with_own
 from clothbench.studies.improve.experiment import parting_experiment
 from clothbench.studies.improve.fitted import Fitted
@@ -163,7 +163,7 @@ def hint(state: State, word: str, fit: Fitted, worse: bool = False) -> str:
                 f"the recordings say the same of {' and '.join(state.final.effects)} without any model; "
                 f"{what_is_left(state)}: something else is missing, too"
             )
-        return "; ".join(pairs)
+        return "; ".join((*pairs, *own_lacks(state)))
     said, dropped = [], state.final.effects
     if at_floor(state) and not state.fine_enough and not dropped:
         return below_mesh(state)
@@ -179,6 +179,19 @@ def hint(state: State, word: str, fit: Fitted, worse: bool = False) -> str:
         return "the residual stands above the noise, and no candidate could be tried"
     where = state.problem.evidence.location(fit.residual)
     return "; ".join(filter(None, (f"a hint, no finding: {'; '.join(said)}", where)))
+
+
+def own_lacks(state: State) -> list[str]:
+    """What was named although the model is known to lack something of its own there."""
+    make = state.problem.make
+    lacks = lacks_of(make("models", state.problem.model))
+    return [
+        f"{name} may be a fault of {state.problem.model}, not of the cloth: {lacks[family]}; a second model would tell "
+        f"(model=[{state.problem.model},…])"
+        for found in state.rounds
+        for name in found.named
+        if (family := family_of(make("effects", name))) in lacks
+    ]
 
 
 def below_mesh(state: State) -> str:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -65,6 +65,7 @@ class Inextensible:
 
     name = "inextensible"
     version = 5
+    lacks: Mapping[str, str] = {"stretch": "its threads do not stretch"}
     kind = "implicit"
     parameters = PARAMETERS
     capabilities = frozenset(

@@ -53,6 +53,7 @@ class MassSpring:
 
     name = "mass_spring"
     version = 4
+    lacks: Mapping[str, str] = {"bending": "springs have no bending stiffness at small curvature"}
     kind = "explicit"
     parameters = PARAMETERS
     textiles = TEXTILES

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -84,6 +84,7 @@ class MassSpringVerlet:
 
     name = "mass_spring_verlet"
     version = 3
+    lacks: Mapping[str, str] = {"bending": "springs have no bending stiffness at small curvature"}
     kind = "explicit"
     parameters = _parameters()
     textiles = TEXTILES
