@@ -336,5 +336,5 @@ def test_flexion_springs_hold_a_strip_together_with_the_others():
     asked = Material(0.0, 90.0, 50.0, stretch_damping=0.02)
     again = model.material_of(model.of_material(asked, scene), scene)
     assert (again.stretch, again.stretch_damping) == (pytest.approx(90.0), pytest.approx(0.02))
-    with pytest.raises(ClothbenchError, match="a stretch of more than 0.04 N/m"):
+    with pytest.raises(ClothbenchError, match="a stretch of more than 0"):
         model.of_material(Material(0.0, 0.03, 0.01), scene)
