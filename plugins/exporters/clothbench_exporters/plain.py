@@ -18,7 +18,7 @@ def skip_reason() -> str | None:
 
 
 def export(twin: Twin) -> Export:
-    """All of the twin but the motion of its grips and its own. A number that is infinite (nothing stretches) is null."""
+    """All of the twin but its motion and that of its grips. A number that is infinite (nothing stretches) is null."""
     scene = twin.scene
     document: dict[str, Any] = {
         "schema": SCHEMA,
