@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
@@ -92,6 +93,14 @@ def test_dampings_are_what_is_asked():
                 assert documented == pytest.approx(2.0, rel=0.1)
 
 
+def test_what_is_documented_as_infinite_is_null_with_a_reason(monkeypatch):
+    one = units._measured(Inextensible(), units.stretch(9, 0.1), 9, 0.1)
+    monkeypatch.setattr("clothbench.cli.units.measured", lambda make: [one])
+    (row,) = unit_rows("inextensible")
+    assert (row["documented"], row["factor"], row["reason"]) == (None, None, "infinite: no ratio")
+    json.dumps(row, allow_nan=False)
+
+
 def test_a_target_that_does_not_run_here_is_shown_as_documented(clothbench):
     rows = unit_rows("ppf")
     assert {row["found"] for row in rows} == {None}
@@ -99,6 +108,8 @@ def test_a_target_that_does_not_run_here_is_shown_as_documented(clothbench):
     shown = clothbench("units", "usd").stdout
     assert "surfaceBendStiffness [N·m]" in shown
     assert "not measured: a schema moves nothing" in shown
+    with pytest.raises(ClothbenchError, match="found 'a=b', and 'ppf' is a target of export without options"):
+        unit_rows("ppf", ["a=b"])
     with pytest.raises(ClothbenchError, match="'json' has no units of its own"):
         unit_rows("json")
 
