@@ -72,7 +72,7 @@ def test_a_fit_in_mujoco_is_off_by_what_the_file_does_not_hold(clothbench, tmp_p
         recording = read_recording(tmp_path / f"fleece-waving-{number}.nc")
         scene = dataclasses.replace(scene_of(recording), resolution=(9, 9))
         whole = np.array([fit.values[p.name] for p in model.parameters])
-        less = model.of_material(twin.isotropic("MuJoCo")[0], scene)
+        less = model.of_material(written.material, scene)
         own, reduced = (model.prepare(scene).run(theta[None]).position[0] for theta in (whole, less))
         moved = in_mujoco(file, scene)
         off_by = {"own": off(own, recording), "less": off(reduced, recording), "mujoco": off(moved, recording)}
