@@ -62,5 +62,5 @@ def altogether(fit: FittedCell, material: Material) -> str:
         "velocity": scene.velocity is not None,
     }  # fmt: skip
     there = [name for name, is_there in around.items() if is_there]
-    kept = f"; {' and '.join(there)} as recorded, whatever the file holds of them" if there else ""
+    kept = f"; {' and '.join(there)} as recorded" if there else ""
     return f"{away} (mean, {fit.bench.recordings[0].name}{kept})"

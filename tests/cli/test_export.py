@@ -113,6 +113,9 @@ def test_what_cannot_be_reckoned_is_said_so_and_nothing_is_written_before_it(fit
         def run(self, theta):
             return dataclasses.replace(trial.simulation.run(theta), status=("diverged",), reasons=("it flew off",))
 
+    assert command.altogether(fit, twin.material).endswith("mm (mean, swing)")
+    around = dataclasses.replace(fit, scene=dataclasses.replace(fit.scene, thickness=1e-3))
+    assert command.altogether(around, twin.material).endswith("mm (mean, swing; thickness as recorded)")
     broken = dataclasses.replace(fit.bench, trials=(dataclasses.replace(trial, simulation=Broken()),))
     line = command.altogether(dataclasses.replace(fit, bench=broken), twin.material)
     assert line.endswith("not reckoned: the fit could not be simulated (it flew off)")
