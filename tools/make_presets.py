@@ -73,6 +73,28 @@ def spread(values: Sequence[float] | np.ndarray, source: str) -> Number:
     return number(float(np.median(known)), float(known.min()), float(known.max()), source)
 
 
+def rigidity(hinge: float) -> float:
+    """Bending rigidity [N·m] of a number of ARCSim's "bending": its hinge of length l between triangles of the area A
+    together has ½ (k/4) (l²/A) θ² (`bending_energy` in its physics.cpp), where that of a plate has D for k/4. Feng et
+    al. 2022 compare it with the heavy elastica in the same way (`bending_validation/Main.m` of ClothDrapeTester).
+    """
+    return hinge / 4
+
+
+def strip(along: float, coupled: float, across: float) -> float:
+    """Tension [N/m] of a strip that is free to narrow over its strain, of ARCSim's c11, c12 and c22. It
+    doubles all four numbers of a file (`evaluate_stretching_sample` in its dde.cpp) and multiplies Green's strain.
+    """
+    return 2 * (along - coupled**2 / across)
+
+
+def shear_modulus(number: float) -> float:
+    """[N/m], of ARCSim's c33: doubled like the others, then halved, for the force is that of an energy k (γ/2)²
+    (`stretching_force` in its physics.cpp; its `stretching_energy`, which moves nothing, has half of that).
+    """
+    return number
+
+
 class Measured:
     """The data sets of bending, stretch and shear in a folder."""
 
@@ -91,18 +113,19 @@ class Measured:
         """
         mine = [self.fabrics[name] for name in names]
         source = f"{WANG}: {', '.join(names) if len(names) < 5 else f'{len(names)} fabrics'}{why}, median and range"
-        sheets = [np.array(fabric["stretching"]) for fabric in mine]
+        warp, weft = ([rigidity(k) for fabric in mine for k in fabric["bending"][row]] for row in (0, 2))
         return {
             "areal_density": spread([fabric["density"] for fabric in mine], source),
-            "bending_warp": spread(np.concatenate([fabric["bending"][0] for fabric in mine]), source),
-            "bending_weft": spread(np.concatenate([fabric["bending"][2] for fabric in mine]), source),
+            "bending_warp": spread(warp, source),
+            "bending_weft": spread(weft, source),
             "stretch": spread(self.pulled(names), source),
-            "shear": spread(np.concatenate([s[:, 3] for s in sheets]), source),
+            "shear": spread([shear_modulus(row[3]) for fabric in mine for row in fabric["stretching"]], source),
         }
 
-    def pulled(self, names: Sequence[str]) -> np.ndarray:
-        """Stretch of these fabrics along both threads, at all their strains [N/m]."""
-        return np.concatenate([np.array(self.fabrics[name]["stretching"])[:, [0, 2]].ravel() for name in names])
+    def pulled(self, names: Sequence[str]) -> list[float]:
+        """Stretch of strips of these fabrics along both threads, at all their strains [N/m]."""
+        rows = [row for name in names for row in self.fabrics[name]["stretching"]]
+        return [strip(*ends) for c11, c12, c22, _ in rows for ends in ((c11, c12, c22), (c22, c12, c11))]
 
     def weighing(self, low: float, high: float) -> dict[str, Number]:
         """Bending of the 618 fabrics that weigh between low and high kg/m²: median, and where 95 % of them lie."""

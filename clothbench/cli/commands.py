@@ -30,7 +30,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             from clothbench.cli.run import run
 
             return run(arguments[1:])
-        options = parser().parse_args(arguments)
+        options = parsed(arguments)
         return COMMANDS[options.command](options)
     except ClothbenchError as fault:
         if debug:
@@ -49,6 +49,19 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("clothbench: stopped; finished cells are kept, run the same command again to go on", file=sys.stderr)
         return 130
+
+
+def parsed(arguments: Sequence[str]) -> argparse.Namespace:
+    """The arguments as their command takes them. argparse takes KEY=VALUE words in one go only: those that come after
+    an option it leaves over.
+    """
+    reader = parser()
+    options, over = reader.parse_known_args(arguments)
+    if over and (not hasattr(options, "settings") or any(word.startswith("-") for word in over)):
+        reader.error(f"unrecognized arguments: {' '.join(over)}")
+    if over:
+        options.settings = [*options.settings, *over]
+    return options
 
 
 def key_values(settings: Sequence[str], allowed: Sequence[str]) -> dict[str, str]:

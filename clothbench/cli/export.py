@@ -8,6 +8,7 @@ from pathlib import Path
 from clothbench.cli.view import find_cell
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import file_name, whole_file
+from clothbench.core.protocols import Material
 from clothbench.plugins.discovery import catalogue
 from clothbench.reference.presets import presets
 from clothbench.twins.of_cell import FittedCell, brought, twin_of_cell
@@ -17,11 +18,12 @@ from clothbench.twins.of_preset import twin_of_preset
 def fitted(name: str, results: Path) -> FittedCell | None:
     """The cell that is meant; None for a preset that no cell, case or recording is called like."""
     try:
-        return FittedCell.of(results, find_cell(results, name).name)
+        key = find_cell(results, name).name
     except ClothbenchError as fault:
         if name.strip().lower() in presets():
             return None
         raise ClothbenchError(f"{fault}; a class of fabrics can be exported, too: {', '.join(presets())}") from None
+    return FittedCell.of(results, key)
 
 
 def export(name: str, target: str, results: Path, out: Path | None) -> int:
@@ -35,15 +37,30 @@ def export(name: str, target: str, results: Path, out: Path | None) -> int:
     fit = fitted(name, results)
     twin = twin_of_preset(name) if fit is None else twin_of_cell(fit)
     written = exporter.export(twin)
+    cannot = list(written.cannot)
+    if cannot and fit is not None:
+        cannot.append(altogether(fit, written.material or twin.isotropic(target)[0]))
     with whole_file(path) as part:
         part.write_text(written.text, encoding="utf-8")
     print(f"{path}: {twin.name}, for {target}")
-    for line in written.cannot:
+    for line in cannot:
         print(f"not held: {line}", file=sys.stderr)
-    if written.cannot and fit is not None:
-        away = 1e3 * brought(fit, written.material or twin.isotropic(target)[0])
-        where = f"mean, {fit.bench.recordings[0].name}"
-        print(
-            f"not held: altogether this moves {fit.cell.model}'s own sheet by {away:.3g} mm ({where})", file=sys.stderr
-        )
     return 0
+
+
+def altogether(fit: FittedCell, material: Material) -> str:
+    """A line on how far the fitted model's own sheet goes astray with no more than the material that a file holds, or
+    why that is not known.
+    """
+    scene, own = fit.scene, f"{fit.cell.model}'s own sheet"
+    try:
+        away = f"altogether this moves {own} by {1e3 * brought(fit, material):.3g} mm"
+    except ClothbenchError as fault:
+        return f"how far all of this moves {own} is not reckoned: {fault}"
+    around = {
+        "obstacles": scene.obstacles, "thickness": scene.thickness, "outline": scene.outline is not None,
+        "velocity": scene.velocity is not None,
+    }  # fmt: skip
+    there = [name for name, is_there in around.items() if is_there]
+    kept = f"; {' and '.join(there)} as recorded" if there else ""
+    return f"{away} (mean, {fit.bench.recordings[0].name}{kept})"

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import json
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -25,6 +26,10 @@ def unit_rows(name: str, settings: Sequence[str] = ()) -> list[dict[str, Any]]:
     """
     plugins = catalogue()
     if name not in plugins.names("models") and name in plugins.names("exporters"):
+        if settings:
+            raise ClothbenchError(
+                f"found {settings[0]!r}, and {name!r} is a target of export without options; leave it out"
+            )
         return stated_rows(name)
     factory = plugins.load("models", name)
     if reason := absent(factory):
@@ -33,7 +38,10 @@ def unit_rows(name: str, settings: Sequence[str] = ()) -> list[dict[str, Any]]:
     rows = []
     for one in measured(lambda: plugins.make("models", name, **options)):
         row = dataclasses.asdict(one)
-        row["factor"] = one.found / one.documented if one.found and one.documented else None
+        if one.documented is not None and not math.isfinite(one.documented):
+            row["documented"] = None
+            row["reason"] = one.reason or ("infinite: no ratio" if math.isinf(one.documented) else "")
+        row["factor"] = one.found / row["documented"] if one.found and row["documented"] else None
         row["translation"] = one.found / one.asked if one.found else None
         rows.append({"model": name, **row})
     return rows
@@ -76,7 +84,8 @@ def print_units(name: str, rows: list[dict[str, Any]]) -> None:
     for (quantity, along), group in itertools.groupby(rows, key=lambda row: (row["quantity"], row["along"])):
         mine = list(group)
         cells = [_number(row[part]) for part in ("factor", "translation") for row in mine]
-        about = mine[0]["formula"] or mine[0]["reason"]
+        told = [mine[0]["formula"], "" if mine[0]["factor"] else mine[0]["reason"]]
+        about = "; ".join(filter(None, told))
         table.add_row(f"{quantity} [{mine[0]['unit']}]".replace("[", "\\["), escape(about), str(along), *cells)
     console().print(table)
     print_sources(rows)

@@ -8,6 +8,7 @@ from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from clothbench.core.errors import one_line
 from clothbench.core.protocols import Material
 from clothbench.core.scene import Scene
 
@@ -27,7 +28,9 @@ class Twin:
     name: one line for people; scene: size, mass, grips and their path, gravity, what is around; material: SI; others:
     what belongs to the fit and is no material, as drag, by "plugin.parameter", with its unit; spread: low and high of
     the quantities of `UNITS` and of the others that have an interval, each in its unit, "what" says of which kind it
-    is; determined: whether the data say what they are, of those of which that is known; provenance: plain data.
+    is; determined: whether the data say what they are, of those of which that is known; provenance: plain data; nulls:
+    of the others, the values at which they do nothing (0 where none is stated); places: of those that belong to an
+    effect, its place ("dynamics", "boundary" or "sensor").
     """
 
     name: str
@@ -38,6 +41,11 @@ class Twin:
     others: Mapping[str, tuple[float, str]] = field(default_factory=dict)
     provenance: Mapping[str, Any] = field(default_factory=dict)
     determined: Mapping[str, bool] = field(default_factory=dict)
+    nulls: Mapping[str, float] = field(default_factory=dict)
+    places: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "name", one_line(self.name))
 
     @property
     def units(self) -> dict[str, str]:
@@ -50,7 +58,7 @@ class Twin:
         return {"areal_density": self.scene.areal_density, **dataclasses.asdict(self.material)}
 
     def about(self) -> list[str]:
-        """Lines for the head of a file: values with intervals, where they come from."""
+        """Lines for the head of a file, none of them broken: values with intervals, where they come from."""
         lines = [f"clothbench export: {self.name}"]
         for name, value in self.values.items():
             interval = f" ({self.interval(name)})"
@@ -58,7 +66,7 @@ class Twin:
                 lines.append(f"{name.replace('_', ' ')}: {value:.4g} {UNITS[name]}{interval if value else ''}")
             elif value != 1.0:
                 lines.append(f"{name.replace('_', ' ')}: {value:.4g}, warp over weft{interval}")
-        return lines + [f"{name}: {value}" for name, value in self.provenance.items()]
+        return [one_line(line) for line in (*lines, *(f"{name}: {value}" for name, value in self.provenance.items()))]
 
     def interval(self, name: str) -> str:
         """Low and high of a quantity and of which kind they are, in words."""
@@ -80,29 +88,31 @@ class Twin:
         if bending > m.bending:
             lines.append(f"bending: {target} holds some: {bending:g} N·m stands for {m.bending:g}")
         shear = m.shear if shears and math.isfinite(m.shear) else stretch / 2
-        if math.isfinite(m.shear) and abs(m.shear / shear - 1) > CLOSE:
+        if math.isfinite(m.shear) and abs(m.shear - shear) > CLOSE * shear:
             lines.append(
-                f"shear: {target} has no parameter of its own for it: {shear:.4g} N/m stands for {m.shear:.4g} "
-                f"(factor {shear / m.shear:.3g})"
+                f"shear: {target} has no parameter of its own for it: {shear:.4g} N/m stands for {m.shear:.4g}"
+                f"{factors(shear, m.shear)}"
             )
         for quantity, mean in (("bending", bending), ("stretch", stretch)):
             warp, weft = m.along(quantity)
             if abs(getattr(m, f"{quantity}_ratio") - 1) > CLOSE:
                 lines.append(
                     f"{quantity}: {target} has one for warp and weft: {mean:.4g} {UNITS[quantity]} stands for "
-                    f"{warp:.4g} along the warp and {weft:.4g} along the weft "
-                    f"(factors {mean / warp:.3g} and {mean / weft:.3g})"
+                    f"{warp:.4g} along the warp and {weft:.4g} along the weft{factors(mean, warp, weft)}"
                 )
         return dataclasses.replace(m.alike, bending=bending, stretch=stretch, shear=shear), lines
 
     def unheld(self, target: str, holds: Collection[str] = ()) -> list[str]:
-        """A line on each part of the fit that is no material, and on each thing of the scene beside the sheet and its
-        grips. holds: those of the scene's that the target has a place for: "obstacles", "thickness", "outline".
+        """A line on each part of the fit that is no material and does something, and on each thing of the scene beside
+        the sheet and its grips. holds: those of the scene's that the target has a place for: "obstacles", "thickness",
+        "outline".
         """
         lines = [
-            f"{name}: {target} has no place for it; {amount(value, unit)} is left out"
+            f"{name}: {amount(value, unit)} belongs to the camera and not to the cloth; it is left out"
+            if self.places.get(name) == "sensor"
+            else f"{name}: {target} has no place for it; {amount(value, unit)} is left out"
             for name, (value, unit) in self.others.items()
-            if value
+            if value != self.nulls.get(name, 0.0)
         ]
         scene = self.scene
         if "obstacles" not in holds:
@@ -122,6 +132,13 @@ class Twin:
 def amount(value: float, unit: str) -> str:
     """A value with its unit, which a number without one has not."""
     return f"{value:.4g}" if unit in ("", "1") else f"{value:.4g} {unit}"
+
+
+def factors(mean: float, *parts: float) -> str:
+    """What stands for each of the parts, over it, in words; nothing where one of them is 0."""
+    if not all(parts):
+        return ""
+    return f" (factor{'s' * (len(parts) > 1)} {' and '.join(f'{mean / part:.3g}' for part in parts)})"
 
 
 @dataclass(frozen=True)

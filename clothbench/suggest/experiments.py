@@ -187,8 +187,19 @@ def experiments(
     known = list(dict.fromkeys(grips for grips, _ in chosen))
     if stray := next((name for name in wanted.grips or () if name not in known), None):
         raise ClothbenchError(f"setting 'grips' names {stray!r}, expected some of {', '.join(known)}")
+    if int(wanted.durations[0] * rate + 1e-6) < 1:
+        raise ClothbenchError(
+            f"setting 'durations' begins with {wanted.durations[0]:g} s, expected two frames at least, at {rate:.3g} "
+            f"frames a second {1 / rate:.3g} s"
+        )
+    if wanted.grips and like.outline is not None and AS_RECORDED not in wanted.grips:
+        raise ClothbenchError(
+            f"setting 'grips' names {', '.join(wanted.grips)}, which a cloth that was cut along an outline may not "
+            f"have; expected {AS_RECORDED!r}"
+        )
+    asked = {AS_RECORDED if name != AS_RECORDED and recorded_in(like, name) else name for name in wanted.grips or known}
     for grips, motion in chosen:
-        if wanted.grips and grips not in wanted.grips:
+        if grips not in asked:
             continue
         if motion == LOWER and not contact:
             continue
@@ -206,9 +217,9 @@ def experiment(like: Scene, rate: float, wanted: Wanted, grips: str, motion: str
     turn = np.stack([across, out, up])  # rows: from a sheet's own directions into the world's
     material, place, start = like.grip_material, (like.grip_position[0] - middle) @ turn.T, like.start
     if grips != AS_RECORDED:
-        held = GRIPS[grips](like.width, like.height)
-        if held.material.shape == material.shape and np.allclose(held.place, place, atol=ALIKE * like.width):
+        if recorded_in(like, grips):
             return None
+        held = GRIPS[grips](like.width, like.height)
         material, place, start = held.material, held.place, middle + held.bend(like.points) @ turn
     durations = wanted.durations if motion != HOLD else wanted.durations[:1]
     clock = np.arange(round((durations[-1] + RISE) * RATE) + 1) / RATE
@@ -229,6 +240,15 @@ def experiment(like: Scene, rate: float, wanted: Wanted, grips: str, motion: str
         times=np.arange(int(durations[-1] * rate + 1e-6) + 1) / rate, start=start, velocity=None, obstacles=obstacles,
     )  # fmt: skip
     return Experiment(grips, motion, scene, durations, float(speed), float(acceleration))
+
+
+def recorded_in(like: Scene, grips: str) -> bool:
+    """Whether the sheet was recorded in these very grips."""
+    across, out, up, middle = directions(like)
+    place = (like.grip_position[0] - middle) @ np.stack([across, out, up]).T
+    held = GRIPS[grips](like.width, like.height)
+    alike = held.material.shape == like.grip_material.shape
+    return alike and bool(np.allclose(held.place, place, atol=ALIKE * like.width))
 
 
 def ended(path: np.ndarray, clock: np.ndarray, duration: float) -> np.ndarray:

@@ -13,6 +13,8 @@ from clothbench.vision.depth_camera import DepthSensor
 INFORMATION, TIE = "information", "tie"
 COLOUR, DEPTH = "colour", "depth"
 ALL, NONE = "all", "none"
+MOST_DRAWS = 1000  # of a hundred times as many normal numbers each
+SHORTEST, LONGEST = 0.02, 600.0  # s, of a motion: two stamps of the grips' path; an hour of it would fill the memory
 WIDEST = 170.0  # degrees, of a field of view: a pinhole's picture has no room for more
 
 # Where a camera may be put: its direction from the middle of the motion, across, out and up of the sheet, and what is
@@ -76,9 +78,16 @@ def wanted_of(words: Mapping[str, str]) -> Wanted:
     for name, least in (("draws", 0), ("best", 1)):
         if name in words:
             read[name] = whole(name, words[name], least)
+    if read.get("draws", 0) > MOST_DRAWS:  # type: ignore[operator]
+        raise ClothbenchError(f"setting 'draws' is {words['draws']!r}, expected {MOST_DRAWS} at most")
     if "durations" in words:
         parts = words["durations"].removeprefix("[").removesuffix("]").split(",")
-        read["durations"] = tuple(sorted({above_zero("durations", part) for part in parts}))
+        durations = tuple(sorted({above_zero("durations", part) for part in parts}))
+        if durations[0] < SHORTEST or durations[-1] > LONGEST:
+            raise ClothbenchError(
+                f"setting 'durations' is {words['durations']!r}, expected seconds from {SHORTEST:g} to {LONGEST:g}"
+            )
+        read["durations"] = durations
     for name in ("grips", "cameras"):
         if name in words:
             parts = words[name].removeprefix("[").removesuffix("]").split(",")

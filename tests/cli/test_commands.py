@@ -9,6 +9,7 @@ import pytest
 from conftest import swinging_recording
 
 from clothbench import write_recording
+from clothbench.cli.commands import parsed
 from clothbench.cli.run import composed
 
 CELL = ("model=mass_spring", "optimizer=ga", "metric=node_error", "+options.mass_spring.resolution=5", "budget=25")
@@ -82,6 +83,16 @@ def test_hydra_s_own_questions_are_answered(clothbench, tmp_path):
     assert "budget: 40" in out.stdout
     assert clothbench("run", "--help").returncode == 0
     assert not list(tmp_path.iterdir())
+
+
+def test_words_may_stand_behind_options():
+    for command in (["suggest", "rec"], ["report"], ["improve", "model=newton"], ["units", "newton"]):
+        option = {"suggest": ["--runs", "there"], "report": ["--watch"]}.get(command[0], ["--json"])
+        options = parsed([*command, "seed=1", *option, "draws=0", "best=1"])
+        assert options.settings[-3:] == ["seed=1", "draws=0", "best=1"]
+    for wrong in (["suggest", "rec", "--run", "there", "--fast"], ["leaderboard", "out=there"]):
+        with pytest.raises(SystemExit):
+            parsed(wrong)
 
 
 def test_an_unknown_command_or_flag_is_exit_2(clothbench):

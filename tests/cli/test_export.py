@@ -9,10 +9,11 @@ import pyarrow.parquet as parquet
 import pytest
 from conftest import swinging_recording
 
-from clothbench import ClothbenchError, write_recording
+from clothbench import ClothbenchError, Material, write_recording
+from clothbench.cli import export as command
 from clothbench.cli.view import find_cell
 from clothbench.engine.store import Store
-from clothbench.twins.of_cell import FittedCell, twin_of_cell
+from clothbench.twins.of_cell import FittedCell, _together, twin_of_cell
 
 CELL = ("model=baraff_witkin", "optimizer=ga", "metric=node_error", "+options.baraff_witkin.resolution=5", "budget=8")
 ORTHOTROPIC = "+options.baraff_witkin.orthotropic=true"
@@ -96,6 +97,53 @@ def test_a_quantity_that_the_recordings_leave_open_is_called_so(fitted, monkeypa
     assert any(line.startswith("bending:") and "not determined" in line for line in twin.about())
     at_bound = [{**r, "at_bound": r["name"] == "stretch"} for r in wide]
     assert not twin_of_cell(dataclasses.replace(fit, fitted=at_bound)).determined["stretch"]
+
+
+def test_what_cannot_be_reckoned_is_said_so_and_nothing_is_written_before_it(fitted, monkeypatch):
+    monkeypatch.chdir(fitted)
+    key = Store(fitted / "runs").rows()[0]["key"]
+    fit = FittedCell.of(fitted / "runs", key)
+    twin = twin_of_cell(fit)
+    assert (twin.nulls["added_mass.areal_density"], twin.places["added_mass.areal_density"]) == (0.0, "dynamics")
+    (trial,) = fit.bench.trials
+
+    class Broken:
+        parameters = trial.simulation.parameters
+
+        def run(self, theta):
+            return dataclasses.replace(trial.simulation.run(theta), status=("diverged",), reasons=("it flew off",))
+
+    assert command.altogether(fit, twin.material).endswith("mm (mean, swing)")
+    around = dataclasses.replace(fit, scene=dataclasses.replace(fit.scene, thickness=1e-3))
+    assert command.altogether(around, twin.material).endswith("mm (mean, swing; thickness as recorded)")
+    broken = dataclasses.replace(fit.bench, trials=(dataclasses.replace(trial, simulation=Broken()),))
+    line = command.altogether(dataclasses.replace(fit, bench=broken), twin.material)
+    assert line.endswith("not reckoned: the fit could not be simulated (it flew off)")
+
+    def refused(material, scene):
+        raise ClothbenchError("no such cloth")
+
+    monkeypatch.setattr(fit.model, "of_material", refused)
+    assert command.altogether(fit, Material(1e-5, 100.0, 20.0)).endswith("not reckoned: no such cloth")
+    monkeypatch.setattr(command, "brought", lambda *_: 1 / 0)
+    with pytest.raises(ZeroDivisionError):
+        command.export(key, "mujoco", fitted / "runs", fitted / "cloth.xml")
+    assert not (fitted / "cloth.xml").exists()
+
+
+def test_a_fit_with_a_fault_is_no_class_of_fabrics(monkeypatch, tmp_path):
+    def gone(out, key):
+        raise ClothbenchError("its recording has gone")
+
+    monkeypatch.setattr(command, "find_cell", lambda results, name: tmp_path)
+    monkeypatch.setattr(command.FittedCell, "of", gone)
+    with pytest.raises(ClothbenchError, match="its recording has gone"):
+        command.fitted("denim", tmp_path)
+
+
+def test_parameters_that_move_one_quantity_are_taken_together():
+    assert _together(8.0, [4.0, 4.0], [16.0, 8.0]) == pytest.approx((8.0 / 2**2**0.5, 16.0))
+    assert _together(0.0, [-3.0, 0.0], [0.0, 4.0]) == pytest.approx((-3.0, 4.0))
 
 
 def test_a_recording_goes_by_its_last_name_where_that_is_enough(fitted, monkeypatch):

@@ -72,7 +72,7 @@ def test_a_fit_in_mujoco_is_off_by_what_the_file_does_not_hold(clothbench, tmp_p
         recording = read_recording(tmp_path / f"fleece-waving-{number}.nc")
         scene = dataclasses.replace(scene_of(recording), resolution=(9, 9))
         whole = np.array([fit.values[p.name] for p in model.parameters])
-        less = model.of_material(twin.isotropic("MuJoCo")[0], scene)
+        less = model.of_material(written.material, scene)
         own, reduced = (model.prepare(scene).run(theta[None]).position[0] for theta in (whole, less))
         moved = in_mujoco(file, scene)
         off_by = {"own": off(own, recording), "less": off(reduced, recording), "mujoco": off(moved, recording)}
@@ -96,6 +96,12 @@ def test_newtons_script_runs_by_itself(held, tmp_path):
     done = subprocess.run([sys.executable, file, "-h"], capture_output=True, text=True, check=True)
     assert "usage: cloth.py [-h] [PATH.npz] [OUT.npz]" in done.stdout
     assert np.isfinite(np.load(tmp_path / "out.npz")["position"]).all()
+    np.savez(tmp_path / "one.npz", time=np.array([0.0]), position=held[0].scene.grip_position[:1])
+    np.savez(tmp_path / "flat.npz", time=np.array([0.0, 1.0]), position=np.zeros((2, 3)))
+    for name, found in (("one.npz", "time is (1,)"), ("flat.npz", "position is (2, 3)"), ("no.npz", "FileNotFound")):
+        done = subprocess.run([sys.executable, file, name], cwd=tmp_path, capture_output=True, text=True)
+        assert (done.returncode, len(done.stderr.strip().splitlines())) == (1, 1), done.stderr
+        assert found in done.stderr
 
 
 def test_the_stage_is_whole_and_in_si(held, tmp_path):
@@ -261,6 +267,9 @@ def test_what_is_around_the_cloth_is_written_or_a_line(held):
     assert "carried sphere" in lines[1]
     assert set(twin.unheld("ppf-contact-solver")) <= set(ppf.export(twin).cannot)
     document = json.loads(plain.export(twin).text)
+    assert document["gravity"] == {"value": list(scene.gravity), "unit": "m/s²"}
+    assert document["air_density"]["value"] == scene.air_density
+    assert document["grips"]["first_position"] == scene.grip_position[0].tolist()
     assert [o["shape"] for o in document["obstacles"]] == ["plane", "sphere"]
     assert document["obstacles"][0]["radius"] is None
     assert document["thickness"] == {"value": 1e-3, "unit": "m"}
@@ -274,6 +283,41 @@ def test_what_a_target_cannot_hold_is_a_line_each(held):
     assert [line.partition(":")[0] for line in lines] == ["stretch", "bending", "shear", "quadratic_drag.normal"]
     assert "factor 125" in lines[2]
     assert plain.export(twin).cannot == ()
+    limp = dataclasses.replace(own, stretch=100.0, shear=0.0, bending_ratio=2.0)  # nothing to stand for, and no factor
+    assert "50 N/m stands for 0" in "\n".join(dataclasses.replace(twin, material=limp).isotropic("a reader")[1])
+
+
+def test_what_does_nothing_is_not_lost_and_a_cameras_share_is_the_cameras(held):
+    others = {"total_mass.ratio": (1.0, "1"), "clock_offset.offset": (0.02, "s")}
+    twin = dataclasses.replace(
+        held[0], others=others, nulls={"total_mass.ratio": 1.0}, places={"clock_offset.offset": "sensor"}
+    )
+    assert twin.unheld("a reader") == [
+        "clock_offset.offset: 0.02 s belongs to the camera and not to the cloth; it is left out"
+    ]
+    none = dataclasses.replace(twin, others={"total_mass.ratio": (0.0, "1")})
+    assert none.unheld("a reader") == ["total_mass.ratio: a reader has no place for it; 0 is left out"]
+
+
+def test_a_file_says_which_damping_it_holds(held):
+    """MuJoCo's one is the smaller, and none where the cloth has none of one kind."""
+    both, one = (
+        mjcf.export(dataclasses.replace(held[0], material=dataclasses.replace(CLOTH, bending_damping=late)))
+        for late in (CLOTH.bending_damping, 0.0)
+    )
+    assert (both.material.bending_damping, both.material.stretch_damping) == pytest.approx((1e-8, 0.02))
+    assert 'damping="0.0"' in one.text
+    assert (one.material.bending_damping, one.material.stretch_damping) == (0.0, 0.0)
+    assert [line.partition(":")[0] for line in one.cannot] == ["stretch damping"]
+
+
+def test_a_name_of_several_lines_breaks_no_file(held):
+    import tomllib
+
+    twin = dataclasses.replace(held[0], name="one\ntwo 𝛂", provenance={"source": "a\nb = 1"})
+    (name,) = tomllib.loads(ppf.export(twin).text)
+    assert name == "one two 𝛂"
+    assert all("\n" not in line for line in twin.about())
 
 
 def test_ppf_has_the_material_as_its_source_makes_it(held):

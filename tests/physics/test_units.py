@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 
 import numpy as np
 import pytest
 from clothbench_models.baraff_witkin import BaraffWitkin
 from clothbench_models.inextensible import Inextensible
 from clothbench_models.kirchhoff_love import KirchhoffLove
+from clothbench_models.mass_spring import MassSpring
 from clothbench_models.peers.mujoco_model import Mujoco
 from clothbench_models.peers.newton_model import Newton
 
@@ -28,6 +30,15 @@ def factors(make, probe, meshes=(9, 17), densities=(0.1, 0.3)) -> list[tuple[flo
 def test_a_sound_model_is_worth_what_it_says(probe):
     brakes = probe.__name__.endswith("damping")  # as do its steps by themselves
     np.testing.assert_allclose(factors(BaraffWitkin, probe, (9,)), 1.0, rtol=0.04 if brakes else 5e-3)
+
+
+def test_flexion_springs_and_their_dashpots_are_counted():
+    """Of stiff ones, two along the border fewer than a whole sheet has, which a finer mesh makes less of."""
+    for probe in (units.stretch, units.stretch_damping):
+        np.testing.assert_allclose(factors(MassSpring, probe, (9,)), 1.0, rtol=0.05)
+    probe, theta = units.stretch(17, 0.1), np.array([65.1, 39.0, 0.05])
+    found = probe.found(MassSpring().prepare(probe.scene).run(theta[None]).position[0])
+    assert found == pytest.approx(MassSpring().material_of(theta, probe.scene).stretch, rel=0.07)
 
 
 def test_a_unit_that_forgets_the_density_shows_as_a_factor_of_it():
@@ -82,6 +93,14 @@ def test_dampings_are_what_is_asked():
                 assert documented == pytest.approx(2.0, rel=0.1)
 
 
+def test_what_is_documented_as_infinite_is_null_with_a_reason(monkeypatch):
+    one = units._measured(Inextensible(), units.stretch(9, 0.1), 9, 0.1)
+    monkeypatch.setattr("clothbench.cli.units.measured", lambda make: [one])
+    (row,) = unit_rows("inextensible")
+    assert (row["documented"], row["factor"], row["reason"]) == (None, None, "infinite: no ratio")
+    json.dumps(row, allow_nan=False)
+
+
 def test_a_target_that_does_not_run_here_is_shown_as_documented(clothbench):
     rows = unit_rows("ppf")
     assert {row["found"] for row in rows} == {None}
@@ -89,6 +108,8 @@ def test_a_target_that_does_not_run_here_is_shown_as_documented(clothbench):
     shown = clothbench("units", "usd").stdout
     assert "surfaceBendStiffness [N·m]" in shown
     assert "not measured: a schema moves nothing" in shown
+    with pytest.raises(ClothbenchError, match="found 'a=b', and 'ppf' is a target of export without options"):
+        unit_rows("ppf", ["a=b"])
     with pytest.raises(ClothbenchError, match="'json' has no units of its own"):
         unit_rows("json")
 

@@ -20,7 +20,7 @@ from clothbench.reference.presets import preset
 from clothbench.studies.improve.prepare import prepare
 from clothbench.studies.mechanics import scenes
 
-PLANTED, DENSITY, LENGTH = 9e-5, 0.35, 0.1  # N·m, kg/m², m
+PLANTED, DENSITY, LENGTH = 2.25e-5, 0.35, 0.063  # N·m, kg/m², m
 
 
 def cantilever() -> Recording:

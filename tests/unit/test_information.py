@@ -135,6 +135,20 @@ def test_what_cannot_be_done_is_not_offered():
     corners = np.array([[0.0, 0.0], [0.3, 0.0], [0.15, 0.4]])
     cut = dataclasses.replace(scene(), outline=corners)
     assert {one.grips for one in experiments(cut, 30.0, Wanted(), contact=True)} == {AS_RECORDED}
+    with pytest.raises(ClothbenchError, match="a cloth that was cut along an outline may not have"):
+        next(experiments(cut, 30.0, Wanted(grips=("two corners",)), contact=True))
+    with pytest.raises(ClothbenchError, match=r"setting 'durations' begins with 0.03 s, expected two frames at least"):
+        next(experiments(scene(), 30.0, Wanted(durations=(0.03,)), contact=True))
+
+
+def test_grips_as_the_sheet_was_recorded_in_are_known_by_their_name():
+    corners = dataclasses.replace(
+        scene(), grip_material=np.array([[0.0, 0.0], [0.3, 0.0]]),
+        grip_position=np.repeat(np.array([[[0.2, -0.15, 1.5], [0.2, 0.15, 1.5]]]), 11, axis=0),
+    )  # fmt: skip
+    wanted = Wanted(grips=("two corners",))
+    assert {one.grips for one in experiments(corners, 30.0, wanted, contact=True)} == {AS_RECORDED}
+    assert {one.grips for one in experiments(scene(), 30.0, wanted, contact=True)} == {"two corners"}
 
 
 @pytest.mark.parametrize(
@@ -143,6 +157,8 @@ def test_what_cannot_be_done_is_not_offered():
         ({"max_speed": "fast"}, "setting 'max_speed' is 'fast', expected a number above 0"),
         ({"reach": "0"}, "setting 'reach' is '0', expected a number above 0"),
         ({"durations": "1,-2"}, "setting 'durations' is '-2', expected a number above 0"),
+        ({"durations": "0.001"}, "setting 'durations' is '0.001', expected seconds from 0.02 to 600"),
+        ({"draws": "99999999999"}, "setting 'draws' is '99999999999', expected 1000 at most"),
         ({"draws": "1.5"}, "setting 'draws' is '1.5', expected a whole number, 0 or above"),
     ],
 )

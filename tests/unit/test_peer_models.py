@@ -137,6 +137,12 @@ def test_a_batch_has_a_member_that_diverges_beside_one_that_does_not(name):
     assert np.isnan(rollout.position[1, -1]).all()
 
 
+def test_a_step_that_is_given_is_scaled_too(name):
+    model = MODELS[name](dt=1e-4, step_scale=0.5, resolution=5)
+    scene = scenes.hanging()
+    assert model.prepare(scene).engine(model.parameters.defaults).dt == 5e-5
+
+
 @pytest.mark.parametrize("option", [{"dt": 0.0}, {"step_scale": 2.0}, {"resolution": 2}], ids=str)
 def test_a_wrong_option_is_refused_in_one_line(option):
     for make in MODELS.values():

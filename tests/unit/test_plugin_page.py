@@ -85,7 +85,7 @@ def test_the_first_exporter_writes_what_the_page_says(module_of):
     edges = corners[triangles[:, 1:]] - corners[triangles[:, :1]]
     area = np.linalg.norm(np.cross(edges[:, 0], edges[:, 1]), axis=1).sum() / 2
     assert area == pytest.approx(twin.scene.width * twin.scene.height)
-    assert "# bending: 8.11e-05 N·m (1.98e-05" in written.text
+    assert "# bending: 2.026e-05 N·m (4.96e-06" in written.text
     assert [line.partition(":")[0] for line in written.cannot] == ["material"]
 
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import math
 
 import make_presets
+import numpy as np
 import pytest
 
 from clothbench import catalogue
@@ -52,6 +54,52 @@ def test_a_preset_leaves_for_a_simulator():
     assert bending["low"] < bending["value"] < bending["high"]
     assert json.loads(text)["interval"] == "range of the class"
     assert "along the warp and" in catalogue().load("exporters", "ppf").export(twin_of_preset("denim")).text
+
+
+def rolled(cells: int, curvature: float) -> tuple[np.ndarray, np.ndarray]:
+    """A square of 1 m rolled about v, (n, 3) m, and its triangles: two to a cell, all cut along the same diagonal."""
+    u, v = np.meshgrid(np.linspace(0, 1, cells + 1), np.linspace(0, 1, cells + 1), indexing="ij")
+    turned = curvature * u.ravel()
+    nodes = np.stack([np.sin(turned) / curvature, v.ravel(), (1 - np.cos(turned)) / curvature], axis=1)
+    number = np.arange((cells + 1) ** 2).reshape(cells + 1, cells + 1)
+    one = np.stack([number[:-1, :-1], number[1:, :-1], number[1:, 1:]], axis=-1).reshape(-1, 3)
+    two = np.stack([number[:-1, :-1], number[1:, 1:], number[:-1, 1:]], axis=-1).reshape(-1, 3)
+    return nodes, np.concatenate([one, two])
+
+
+def test_a_hinge_of_arcsim_resists_as_a_plate_of_a_quarter():
+    """Its energy k l²/2A · θ²/4 of all hinges, beside ½Dκ² of the plate."""
+    curvature, stiffness, hinges = 0.1, 3.0, {}
+    nodes, triangles = rolled(32, curvature)
+    corners = nodes[triangles]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(cross, axis=1)
+    energy = 0.0
+    for f, nodes_of in enumerate(triangles.tolist()):
+        for k in range(3):
+            edge = frozenset((nodes_of[k], nodes_of[k - 1]))
+            if (other := hinges.setdefault(edge, f)) != f:
+                angle = math.asin(np.linalg.norm(np.cross(cross[f], cross[other])) / size[f] / size[other])
+                length = math.dist(*nodes[list(edge)])
+                energy += stiffness * length**2 / (size[f] + size[other]) * angle**2 / 4  # 2A of both
+    assert energy == pytest.approx(make_presets.rigidity(stiffness) * curvature**2 / 2, rel=0.04)
+
+
+def test_a_strip_and_a_sheared_sheet_of_arcsim():
+    """From its energy, c11 to c33 doubled: second derivatives at rest, of a strip with its width free."""
+    c11, c12, c22, c33 = 205.0, 62.0, 1014.0, 53.0
+
+    def energy(f: np.ndarray) -> float:
+        green = (f.T @ f - np.eye(2)) / 2
+        u, v, uv = green[0, 0], green[1, 1], green[0, 1]
+        return 2 * (c11 * u * u / 2 + c22 * v * v / 2 + c12 * u * v + c33 * uv * uv)
+
+    h = 1e-4
+    narrow = np.linspace(-h, h, 20001)
+    least = min(energy(np.diag([1 + h, 1 + n])) for n in narrow)
+    assert 2 * least / h**2 == pytest.approx(make_presets.strip(c11, c12, c22), rel=1e-3)
+    sheared = energy(np.array([[1.0, h], [0.0, 1.0]]))
+    assert 2 * sheared / h**2 == pytest.approx(make_presets.shear_modulus(c33), rel=1e-3)
 
 
 @pytest.mark.data

@@ -234,10 +234,21 @@ def _told(model: Any, probe: Probe) -> np.ndarray:
             raise
         cloth = dataclasses.replace(cloth, bending=0.0, bending_damping=0.0)
         theta = model.of_material(cloth, scene)
-    dry = dataclasses.replace(cloth, bending_damping=0.0, stretch_damping=0.0)
-    if probe.quantity.endswith("_damping") and np.array_equal(theta, model.of_material(dry, scene)):
+    if not probe.quantity.endswith("_damping") or not np.array_equal(
+        theta, model.of_material(_dry(probe, cloth), scene)
+    ):
+        return np.asarray(theta)
+    late = max(cloth.stretch_damping / cloth.stretch, cloth.bending_damping / cloth.bending if cloth.bending else 0.0)
+    cloth = dataclasses.replace(cloth, bending_damping=late * cloth.bending, stretch_damping=late * cloth.stretch)
+    theta = model.of_material(cloth, scene)  # of a model that has one damping for both
+    if np.array_equal(theta, model.of_material(_dry(probe, cloth), scene)):
         raise ClothbenchError("the model has no parameter for it")
     return np.asarray(theta)
+
+
+def _dry(probe: Probe, cloth: Material) -> Material:
+    """The cloth without the viscosity that is looked for."""
+    return dataclasses.replace(cloth, **{probe.quantity: 0.0})
 
 
 def _stated(model: Any, probe: Probe, theta: np.ndarray) -> Stated:

@@ -9,6 +9,8 @@ mocap body "carried"; the sheet touches these and whatever else is added, but no
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from clothbench import Export, Obstacle, Twin, catalogue
@@ -69,7 +71,9 @@ def export(twin: Twin) -> Export:
     material, lines = twin.isotropic("MuJoCo")
     sheet, start = sheet_of_twin(twin)
     theta = catalogue().make("models", "mujoco").of_material(material, twin.scene)
-    lines += _damping(material, float(theta[3])) + twin.unheld("MuJoCo", ("obstacles", "outline")) + margin(twin)
+    dampings = material.bending_damping / material.bending, material.stretch_damping / material.stretch
+    late = min(dampings) and float(theta[3])  # the model's own is never 0
+    lines += _damping(dampings, late) + twin.unheld("MuJoCo", ("obstacles", "outline")) + margin(twin)
     rest = np.hstack([sheet.uv, np.zeros((len(sheet.uv), 1))])
     held = {f"grip_{g}": node for g, node in enumerate(grip_nodes(twin, sheet).tolist())}
     held |= {f"clamp_{k}": node for k, node in enumerate(clamped_nodes(twin, sheet).tolist())}
@@ -88,10 +92,11 @@ def export(twin: Twin) -> Export:
         gravity=_words(np.array(twin.scene.gravity)), bodies="\n".join(bodies), connections="\n".join(ties),
         names=" ".join(f"node_{i}" for i in range(len(rest))),
         triangles=_words(sheet.triangles), young=float(theta[0]), poisson=float(theta[1]), thickness=float(theta[2]),
-        damping=float(theta[3]), qpos=_words(start - rest), mpos=_words(np.array(places)),
+        damping=late, qpos=_words(start - rest), mpos=_words(np.array(places)),
         yields=YIELDS, told=CARRIED_TOLD if carried else "",
     )  # fmt: skip
-    return Export(text, tuple(lines))
+    damped = {"bending_damping": late * material.bending, "stretch_damping": late * material.stretch}
+    return Export(text, tuple(lines), dataclasses.replace(material, **damped))
 
 
 def _geom(obstacle: Obstacle) -> str:
@@ -106,15 +111,11 @@ def _geom(obstacle: Obstacle) -> str:
     return GEOM.format(shape=shape, friction=float(obstacle.friction), yields=YIELDS)
 
 
-def _damping(material, late: float) -> list[str]:
-    """A line on what one damping for all makes of the material's two."""
-    stated = {
-        "bending": material.bending_damping / material.bending,
-        "stretch": material.stretch_damping / material.stretch,
-    }
+def _damping(dampings: tuple[float, float], late: float) -> list[str]:
+    """A line on what one damping [s] for all makes of the material's two."""
     return [
         f"{name} damping: MuJoCo has one β for all: {late:.3g} s stands for {own:.3g} s (factor {late / own:.3g})"
-        for name, own in stated.items()
+        for name, own in zip(("bending", "stretch"), dampings, strict=True)
         if own > 0 and abs(late / own - 1) > 0.02
     ]
 

@@ -95,10 +95,23 @@ def run(time, path, times):
     return np.array(out)
 
 
+def read(file):
+    """The path of the grips in a file: time (K,) s and position (K, G, 3) m; what is none of that ends the script."""
+    try:
+        with np.load(file) as motion:
+            time, path = (np.asarray(motion[name], dtype=float) for name in ("time", "position"))
+    except Exception as fault:  # whatever a file may hold
+        raise SystemExit(f"{file}: {type(fault).__name__}, expected an .npz with time (K,) s and position (K, G, 3) m")
+    if time.ndim != 1 or len(time) < 2 or not (np.isfinite(time).all() and (np.diff(time) > 0).all()):
+        raise SystemExit(f"{file}: time is {time.shape}, expected (K,) s, two stamps at least, each after the last")
+    if path.shape != (len(time), len(GRIPS), 3) or not np.isfinite(path).all():
+        raise SystemExit(f"{file}: position is {path.shape}, expected {(len(time), len(GRIPS), 3)} m, all of it known")
+    return time, path
+
+
 if __name__ == "__main__":
     if asked.path:
-        motion = np.load(asked.path)
-        time, path = motion["time"], motion["position"]
+        time, path = read(asked.path)
     else:
         time, path = np.array([0.0, 1.0]), np.stack([START[GRIPS], START[GRIPS]])
     times = np.arange(time[0], time[-1] + 1e-9, 0.02)
@@ -135,7 +148,7 @@ def export(twin: Twin) -> Export:
         "settle": SETTLE,
     }  # fmt: skip
     head = "\n".join(line.replace("\\", "/").replace('"""', "'''") for line in (*twin.about(), *lines))
-    return Export(TEMPLATE.replace("@HEAD@", head).replace("@DATA@", json.dumps(data)), tuple(lines))
+    return Export(TEMPLATE.replace("@HEAD@", head).replace("@DATA@", json.dumps(data)), tuple(lines), material)
 
 
 def _shape(sheet) -> tuple[int, int]:

@@ -18,7 +18,7 @@ def skip_reason() -> str | None:
 
 
 def export(twin: Twin) -> Export:
-    """All of the twin but its motion and how it begins. A number that is infinite (nothing stretches) is null."""
+    """All of the twin but its motion and that of its grips. A number that is infinite (nothing stretches) is null."""
     scene = twin.scene
     document: dict[str, Any] = {
         "schema": SCHEMA,
@@ -26,7 +26,13 @@ def export(twin: Twin) -> Export:
         "material": {name: _quantity(twin, name, value, twin.units[name]) for name, value in twin.values.items()},
         "interval": twin.what,
         "size": {"width": scene.width, "height": scene.height, "unit": "m"},
-        "grips": {"material": scene.grip_material.tolist(), "unit": "m"},
+        "grips": {
+            "material": scene.grip_material.tolist(),
+            "first_position": scene.grip_position[0].tolist(),
+            "unit": "m",
+        },
+        "gravity": {"value": list(map(float, scene.gravity)), "unit": "m/s²"},
+        "air_density": {"value": scene.air_density, "unit": "kg/m³"},
         "obstacles": [_obstacle(o) for o in scene.obstacles],
         "thickness": {"value": scene.thickness, "unit": "m"},
         "outline": None if scene.outline is None else {"material": scene.outline.tolist(), "unit": "m"},

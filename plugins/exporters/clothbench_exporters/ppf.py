@@ -49,7 +49,9 @@ def export(twin: Twin) -> Export:
     head = [f"# {line}" for line in (*twin.about(), *lines)]
     body = [f"{name} = {value}" for name, value in values.items()]
     held = dataclasses.replace(material, bending_damping=0.0, stretch_damping=0.0)
-    return Export("\n".join([*head, f"[{json.dumps(twin.name)}]", *body]) + "\n", tuple(lines), held)
+    return Export(
+        "\n".join([*head, f"[{json.dumps(twin.name, ensure_ascii=False)}]", *body]) + "\n", tuple(lines), held
+    )
 
 
 def _by_hand(whole: Material, alike: Material, density: float) -> list[str]:

@@ -79,23 +79,39 @@ class MassSpring:
     def of_material(self, material: Material, scene: Scene) -> np.ndarray:
         """Parameters (3,) of a textbook material: the tensile stiffness of a strip that is free to narrow.
 
-        The lattice has C11 = 2 k1, C12 = C66 = k1, so a free strip has C11 − C12²/C11 = 1.5 k1. Shear springs share
-        k1: the shear stiffness comes out as k1, whatever the material's, and there is a cross contraction of 1/2.
+        The lattice has C11 = C22 = C = 2 k1 + 4 k2 (a flexion spring is two cells long) and C12 = C66 = k1, so a free
+        strip has C − k1²/C. k2 is as small as it gets. Shear springs share k1: the shear stiffness comes out as k1,
+        whatever the material's, and there is a cross contraction of 1/2.
         """
         refuse_ratios(self.name, material)
         if material.bending > 0:
             raise ClothbenchError(
                 "mass_spring: has no small-strain bending rigidity; flexion springs resist bending only to fourth order"
             )
-        k1 = material.stretch / 1.5
-        zeta = material.stretch_damping / material.stretch * np.sqrt(k1 / self._node_mass(scene)) / 2
-        return np.array([k1, self.parameters["k2"].bounds[0], zeta])
+        k2 = self.parameters["k2"].bounds[0]
+        stretch, own = material.stretch, 4 * k2
+        if stretch <= own:
+            raise ClothbenchError(
+                f"mass_spring: has a stretch of more than {own:g} N/m, which its flexion springs hold; "
+                f"found {stretch:g} N/m"
+            )
+        half = stretch - 2 * own  # 3 k1² − 2 half k1 = 4 k2 (stretch − 4 k2)
+        k1 = (half + np.sqrt(half**2 + 3 * own * (stretch - own))) / 3
+        return np.array([k1, k2, material.stretch_damping / self._viscosity(k1, k2, scene)])
 
     def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
-        """The inverse: no bending rigidity, and a damping c = 2ζ√(k₁m) that depends on the mesh."""
-        k1, zeta = float(theta[0]), float(theta[2])
-        late = 2 * zeta * float(np.sqrt(self._node_mass(scene) / k1))  # c/k₁ [s]
-        return Material(0.0, 1.5 * k1, k1, 0.0, late * 1.5 * k1)
+        """The inverse: no bending rigidity, and dampings c = 2ζ√(k m) that depend on the mesh."""
+        k1, k2, zeta = (float(value) for value in theta[:3])
+        whole = 2 * k1 + 4 * k2
+        return Material(0.0, whole - k1**2 / whole, k1, 0.0, zeta * self._viscosity(k1, k2, scene))
+
+    def _viscosity(self, k1: float, k2: float, scene: Scene) -> float:
+        """Of a strip [N·s/m] whose springs have ζ = 1: dashpots c1 and c2 lie as the springs do, and while it narrows
+        as these make it, by the share ν, it loses (2 c1 + 4 c2)(1 + ν²) − 2 ν c1.
+        """
+        c1, c2 = (2 * float(np.sqrt(k * self._node_mass(scene))) for k in (k1, k2))
+        narrower = k1 / (2 * k1 + 4 * k2)
+        return (2 * c1 + 4 * c2) * (1 + narrower**2) - 2 * narrower * c1
 
     def _node_mass(self, scene: Scene) -> float:
         """Mass of a node inside the sheet [kg]."""

@@ -119,7 +119,7 @@ class Mujoco:
         """E h and E h³/12 are the material's stretch and bending; ν = 0, with which shear is half the stretch.
 
         One β damps all: the smaller of what the material states for bending and for stretch, so that neither is
-        held back more than it should be.
+        held back more than it should be; where one of them is not held back at all, the least that a search takes.
         """
         refuse_ratios("mujoco", material)
         thickness = math.sqrt(12 * material.bending / material.stretch)
@@ -129,7 +129,7 @@ class Mujoco:
                 f"{material.shear:g} N/m beside {material.stretch:g} N/m"
             )
         lates = [material.bending_damping / material.bending, material.stretch_damping / material.stretch]
-        late = min((value for value in lates if value > 0), default=self.parameters["damping"].bounds[0])
+        late = max(min(lates), self.parameters["damping"].bounds[0])
         return np.array([material.stretch / thickness, 0.0, thickness, late])
 
     def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
@@ -171,7 +171,7 @@ class MujocoSimulation(ExternalSimulation):
     def engine(self, theta: np.ndarray) -> _Flex:
         model = self._compiled(theta)
         if self.dt is not None:
-            dt = self.dt
+            dt = self.dt * self.step_scale
         elif self.integrator == "Euler":
             dt = SAFETY * self.step_scale * self._stable_step(model, theta)
         else:

@@ -188,7 +188,7 @@ class NewtonSimulation(ExternalSimulation):
     def _step(self, cloth: Cloth, theta: np.ndarray) -> float:
         """The time step [s]: symplectic Euler with a lagging damping force must resolve the stiffest mode."""
         if self.dt is not None:
-            return self.dt
+            return self.dt * self.step_scale
         if self.solver == "vbd":
             return IMPLICIT_STEP * self.step_scale
         from clothbench_models.peers.newton_sheet import stiffest
