@@ -132,6 +132,14 @@ def test_fits_with_other_budgets_or_settings_are_never_summed():
     assert sum(t.chosen for t in both) == 4
 
 
+def test_settings_of_a_case_of_its_own_make_no_other_way():
+    rows, starts = table_three()
+    own = [{**r, "settings": r["case"][:5]} for r in rows]
+    assert {t.way for t in transfers(own, starts)} == {"m · o · fold"}
+    other = [{**r, "key": r["key"] + "+", "settings": "other"} for r in rows]
+    assert len({t.way for t in transfers(own + other, starts)}) == 3
+
+
 def test_the_matrix_is_of_chosen_fits_and_finds_the_nearest():
     rows, starts = table_three()
     found = [

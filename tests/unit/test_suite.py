@@ -40,6 +40,15 @@ def test_the_key_depends_on_the_question_and_not_on_where_files_lie(recordings_f
     assert dataclasses.replace(first, versions=newer).key != first.key
 
 
+def test_settings_are_others_where_the_question_is(recordings_folder):
+    first = cells(recordings_folder)[0]
+    changes = [{"fixed": {"zeta": 0.2}}, {"start": {"k1": 2.0}}, {"choice": "knee"}, {"timeout": 5.0},
+               {"finer": {"spacing": 0.01, "share": 0.25}}]  # fmt: skip
+    told = [dataclasses.replace(first, **change).settings for change in changes]
+    assert len({first.settings, *told}) == 6
+    assert dataclasses.replace(first, seed=3).settings == first.settings
+
+
 def test_recordings_without_a_split_are_split_seeded(tmp_path):
     for k in range(6):
         write_recording(swinging_recording(f"r{k}", split=""), tmp_path / f"r{k}.nc")

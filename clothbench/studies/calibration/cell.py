@@ -96,8 +96,11 @@ class CalibrationCell:
         """6 hexadecimal digits of how it is run, whatever it is run on."""
         how = {name: getattr(self, name) for name in ("bounds", "scene", "versions", "budget", "tracker")}
         how["options"] = {k: dict(v) for k, v in self.options.items() if k in self._plugins()}
-        if self.finer:
-            how["finer"] = dict(self.finer)
+        later: dict[str, Any] = {name: dict(getattr(self, name)) for name in ("fixed", "start", "finer")}
+        later["timeout"] = self.timeout
+        how |= {name: value for name, value in later.items() if value}  # digests without them are as they were
+        if self.choice != "nearest":
+            how["choice"] = self.choice
         return digest(how, 6)
 
     @property
