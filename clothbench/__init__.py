@@ -68,6 +68,7 @@ _HOME = {
     "FollowsLaw": "core.optional",
     "KnowsMaterials": "core.optional",
     "KnowsTextiles": "core.optional",
+    "Lightens": "core.optional",
     "MayBeAbsent": "core.optional",
     "ReadsKinds": "core.optional",
     "Refinable": "core.optional",

@@ -300,6 +300,15 @@ class Stiffens(Protocol):
 
 
 @runtime_checkable
+class Lightens(Protocol):
+    """A dynamics effect that may make the cloth lighter: models whose step depends on that then take a shorter one."""
+
+    def lightest(self, phi: np.ndarray) -> float:
+        """Least share of any node's stated mass that it leaves, for its parameters phi (P,); 1 if it takes none."""
+        ...
+
+
+@runtime_checkable
 class SaysNormals(Protocol):
     """normals: whether its kernels read `sheet.normal`, which nobody computes (NaN) if none does. Without it: yes."""
 

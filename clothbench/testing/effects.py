@@ -13,6 +13,7 @@ from clothbench.core.optional import (
     FORCE_LAWS,
     FollowsLaw,
     HasFamily,
+    Lightens,
     Remembers,
     SaysNormals,
     Stiffens,
@@ -59,6 +60,10 @@ def keeps_what_it_offers(case: EffectCase) -> None:
             added = np.asarray(effect.stiffness(phi), dtype=float)
             fine = added.shape == (2,) and bool(np.isfinite(added).all()) and bool((added >= 0).all())
             require(fine, f"a stiffness of {added.tolist()}", "two numbers, N/m and N·m, 0 or above")
+    if isinstance(effect, Lightens):
+        for phi in (probe.null_values(effect), *probe.acting_values(effect)):
+            left = effect.lightest(phi)
+            require(0 < left <= 1, f"lightest that gives {left!r}", "a share above 0, at most 1")
     if isinstance(effect, SaysNormals):
         require(isinstance(effect.normals, bool), f"normals {effect.normals!r}", "True or False")
     if isinstance(effect, HasFamily):

@@ -130,6 +130,11 @@ class Softening(HonestEffect):
         return -1.0, 0.0
 
 
+class Weightless(HonestEffect):
+    def lightest(self, phi):
+        return 0.0
+
+
 class Aslant(HonestEffect):
     normals = "perhaps"
 
@@ -151,6 +156,7 @@ class Spreading(HonestEffect):
 EFFECTS = [
     (Forgetful, "keeps what it offers", "a state_size of 1.5"),
     (Softening, "keeps what it offers", "a stiffness of [-1.0, 0.0]"),
+    (Weightless, "keeps what it offers", "lightest that gives 0.0"),
     (Aslant, "keeps what it offers", "normals 'perhaps'"),
     (Placeless, "has all members", "place 'kitchen'"),
     (Uncompiled, "has all members", "'force' that is not compiled"),

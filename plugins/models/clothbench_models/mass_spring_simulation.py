@@ -97,11 +97,13 @@ class SpringSimulation(GridSimulation, ABC):
         """The largest stable step of each parameter set (B,) s."""
 
     def fastest_square(self, theta: np.ndarray) -> np.ndarray:
-        """A bound on ω² (B,) 1/s²: that of the flat sheet, whose springs all pull in one plane, and of the effects."""
+        """A bound on ω² (B,) 1/s²: that of the flat sheet, whose springs all pull in one plane, and of the effects, for
+        the least mass that these leave.
+        """
         rows = np.zeros((len(theta), 2 * self.nodes))
         for k, row in zip(self.stiffness(theta).T, self.grid.eigenvalue_rows, strict=True):
             rows += k[:, None] * row  # not as a matrix product, whose last bits depend on how many sets there are
-        return rows.max(axis=1) + self.stiffest_effect(theta)
+        return (rows.max(axis=1) + self.stiffest_effect(theta)) / self.effects.lightest(theta)
 
 
 class _Batch(GridBatch):
