@@ -9,6 +9,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "ClothbenchError": "core.errors",
+    "check_choice": "core.errors",
     "Parameter": "core.parameters",
     "ParameterSpace": "core.parameters",
     "Recording": "recordings.nodes",

@@ -325,3 +325,11 @@ def test_a_material_gives_the_parameters_of_a_strip_that_may_narrow():
     assert theta[2] == 0.0
     with pytest.raises(ClothbenchError, match="no small-strain bending"):
         MassSpring().of_material(Material(1e-6, 450.0, 100.0), sheet(0.05, 0.4, np.array([0.0])))
+
+
+def test_step_scale_multiplies_a_stated_step_too():
+    scene = sheet(0.2, 0.2, np.array([0.0, 0.1]), grips=top_edge(0.2, 5), shape=(5, 5))
+    steps = [
+        MassSpring(dt=1e-4, step_scale=scale).prepare(scene).run([[60.0, 1.0, 0.05]]).steps[0] for scale in (1.0, 0.5)
+    ]
+    assert steps[1] == pytest.approx(2 * steps[0], rel=0.05)

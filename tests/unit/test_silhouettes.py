@@ -177,6 +177,8 @@ def test_the_metric_takes_some_quantities_only():
     assert metric(seen, rollout([petals(12)])).objectives.shape == (1, 1)
     with pytest.raises(ClothbenchError, match="quantities is"):
         DrapeMetric(quantities=["colour"])
+    with pytest.raises(ClothbenchError, match="quantities is 5, expected some of"):
+        DrapeMetric(quantities=5)
     with pytest.raises(ClothbenchError, match="shows no drapes"):
         metric(dataclasses.replace(seen, outlines=None), rollout([petals(6)]))
 

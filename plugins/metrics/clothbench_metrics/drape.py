@@ -44,9 +44,10 @@ class Drape:
     scalarisation = "root mean square over the objectives, each in standard deviations between captures"
 
     def __init__(self, quantities: Sequence[str] = NAMES, least_fold: float = 2e-3):
-        if isinstance(quantities, str) or not quantities or not set(quantities) <= set(NAMES):
+        some = isinstance(quantities, Sequence) and not isinstance(quantities, str) and len(quantities) > 0
+        if not some or not all(q in NAMES for q in quantities):
             raise ClothbenchError(f"drape: quantities is {quantities!r}, expected some of {', '.join(NAMES)}")
-        if not isinstance(least_fold, int | float) or not 0 < least_fold < 0.05:
+        if not isinstance(least_fold, int | float) or isinstance(least_fold, bool) or not 0 < least_fold < 0.05:
             raise ClothbenchError(f"drape: least_fold is {least_fold!r}, expected metres above 0 and below 0.05")
         self.which, self.least = [NAMES.index(name) for name in NAMES if name in quantities], float(least_fold)
         self.objectives = tuple(
