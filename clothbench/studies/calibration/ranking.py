@@ -95,7 +95,9 @@ def _standing(way: str, case: str, split: str, metric: str, rows: Rows) -> Stand
 
 
 def _half(row: dict[str, Any]) -> float:
-    return math.nan if row["low"] is None or row["high"] is None else (row["high"] - row["low"]) / 2
+    """Half the width of a row's interval, of the side that does not end at 0; NaN where it has none."""
+    known = row["low"] is not None and row["high"] is not None
+    return max(row["high"] - row["value"], row["value"] - row["low"]) if known else math.nan
 
 
 def best_cell(rows: Rows) -> str:
