@@ -9,6 +9,7 @@ __version__ = "0.1.0"
 
 _HOME = {
     "ClothbenchError": "core.errors",
+    "check_choice": "core.errors",
     "Parameter": "core.parameters",
     "ParameterSpace": "core.parameters",
     "Recording": "recordings.nodes",
@@ -69,6 +70,7 @@ _HOME = {
     "FollowsLaw": "core.optional",
     "KnowsMaterials": "core.optional",
     "KnowsTextiles": "core.optional",
+    "Lightens": "core.optional",
     "MayBeAbsent": "core.optional",
     "ReadsKinds": "core.optional",
     "Refinable": "core.optional",

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterable
 
 # What has no business in a text: it moves a terminal's cursor, turns what follows around, or is half a letter. Line
 # breaks and tabs are not among it.
@@ -26,3 +27,10 @@ def one_line(text: str) -> str:
     """A text that may come from anywhere as one line that a terminal shows as it is."""
     line = seen(re.sub(r"\s*[\n\r\v\f\x1c-\x1e\x85\u2028\u2029]\s*", " ", text).strip())
     return line if len(line) <= BEGINNING + END else f"{line[:BEGINNING]} … {line[-END:]}"
+
+
+def check_choice(plugin: str, option: str, value: object, choices: Iterable[str]) -> None:
+    """Refuse an option of a plugin that is not one of some words, whatever type it has."""
+    known = tuple(choices)
+    if not isinstance(value, str) or value not in known:
+        raise ClothbenchError(f"{plugin}: {option} is {value!r}, expected one of {', '.join(known)}")

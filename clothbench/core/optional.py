@@ -314,6 +314,15 @@ class Stiffens(Protocol):
 
 
 @runtime_checkable
+class Lightens(Protocol):
+    """A dynamics effect that may make the cloth lighter: models whose step depends on that then take a shorter one."""
+
+    def lightest(self, phi: np.ndarray) -> float:
+        """Least share of any node's stated mass that it leaves, for its parameters phi (P,); 1 if it takes none."""
+        ...
+
+
+@runtime_checkable
 class SaysNormals(Protocol):
     """normals: whether its kernels read `sheet.normal`, which nobody computes (NaN) if none does. Without it: yes."""
 
@@ -464,7 +473,7 @@ class HasObjectives(Protocol):
 
 @runtime_checkable
 class HasInterval(Protocol):
-    """A metric that knows how sure its value is. Without it: a bootstrap over the frames, as of a film."""
+    """A metric that knows how sure its value is. Without it: from blocks of the frames, as of a film."""
 
     def interval(self, observation: Observation, rollout: Rollout, seed: int) -> tuple[float, float]:
         """95 % interval of the value of the rollout's first member, in the metric's unit."""

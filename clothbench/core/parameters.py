@@ -138,14 +138,16 @@ class ParameterSpace:
         return ParameterSpace(sum((o.parameters for o in others), self.parameters))
 
     def bounded(self, bounds: Mapping[str, tuple[float, float]]) -> ParameterSpace:
-        """A copy with other bounds for some parameters; defaults move inside them, and where 0 is among the values the
-        scale is linear.
+        """A copy with other bounds for some parameters; defaults move inside them. Bounds below 0 are refused where the
+        scale is logarithmic; from 0 on, which may switch something off, it becomes linear.
         """
         for name in bounds:
             self[name]
         changed = []
         for p in self:
             low, high = (float(b) for b in bounds.get(p.name, p.bounds))
+            if p.scale == "log" and low < 0:
+                raise ClothbenchError(f"bounds of {p.name!r} are [{low:g}, {high:g}] {p.unit}, expected 0 or above")
             default = min(max(p.default, low), high)
             scale = "linear" if low <= 0 else p.scale
             changed.append(dataclasses.replace(p, bounds=(low, high), default=default, scale=scale))

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.optional import runs_in_threads
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Simulation
@@ -44,6 +45,10 @@ def holding(simulation: Simulation, fixed: Mapping[str, float]) -> Simulation:
     """The simulation with what it knows of `fixed` held at those values; itself if that is nothing.
 
     A suite fixes parameters for all the models that it is run with; one that has no such parameter has nothing to fix.
+    Of a parameter that is searched for on a logarithmic scale, what is below 0 is refused; 0 may switch it off.
     """
+    for p in simulation.parameters:
+        if p.scale == "log" and fixed.get(p.name, 0.0) < 0:
+            raise ClothbenchError(f"parameter {p.name!r} is fixed at {fixed[p.name]:g} {p.unit}, expected 0 or above")
     mine = {name: value for name, value in fixed.items() if name in simulation.parameters.names}
     return Fixed(simulation, mine) if mine else simulation  # type: ignore[return-value]

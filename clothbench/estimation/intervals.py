@@ -1,4 +1,4 @@
-"""How sure estimates and errors are: jackknife, bootstrap over frames, Student's t over recordings."""
+"""How sure estimates and errors are: jackknife, Student's t over blocks of frames and over recordings."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from clothbench.core.statistics import jackknife_half_width, student
 from clothbench.estimation.trials import Trial, evaluate
 
 BLOCK = 1.0  # s; a swing's errors hang together over about a period, so blocks this long count as one piece of evidence
+ENOUGH = 1.6  # s of a trace from which on an error's interval is made from three blocks
+MOST = 6  # blocks of a trace that an error's interval is made from: more would be surer of it than its errors allow
 # Step of the differences for the intervals, in units of the scaled range: it looks over ripples as the search does.
 PROBE = 0.03
 SINGULAR = 1e10  # condition number above which the data do not determine a parameter
@@ -140,23 +142,26 @@ def clusters(trials: Sequence[Trial], scores: Sequence[Score]) -> list[np.ndarra
     return out
 
 
-def error_interval(score: Score, observation: Observation, seed: int, draws: int = 1000) -> tuple[float, float]:
-    """95 % interval of one recording's error by a moving-block bootstrap over its frames (Künsch 1989).
+def error_interval(score: Score, observation: Observation) -> tuple[float, float]:
+    """95 % interval of one recording's error: Student's t over the means of blocks of its frames.
 
-    Quantiles are counted from the draws' own mean: blocks reach the first and the last frames less often than the
-    others, and of few frames the mean of all draws is not that of the frames. The interval holds the error.
+    Neighbouring frames err alike, blocks of about `BLOCK` seconds hardly do (batch means, Law and Kelton 2000, section
+    9.5): one a second, at most `MOST`, and three of `ENOUGH` seconds or more; two of a shorter trace, of which little
+    is known. Of traces of 1 to 20 s whose errors hang together over a third of a second, it covers the mean in 90 to
+    94 % of cases. The interval holds the error and does not go below 0; NaN of fewer than two frames, of
+    which nothing is known.
     """
     if score.per_frame is None or not np.isfinite(score.value[0]):
         return float("nan"), float("nan")
-    trace = score.per_frame[0][np.isfinite(score.per_frame[0])]
-    duration = observation.time[-1] - observation.time[0]
-    length = int(np.clip(round(len(trace) * BLOCK / max(duration, BLOCK)), 1, max(1, len(trace) // 2)))
-    random = np.random.default_rng(seed)
-    starts = random.integers(0, len(trace) - length + 1, (draws, -(-len(trace) // length)))
-    frames = (starts[..., None] + np.arange(length)).reshape(draws, -1)[:, : len(trace)]
-    means = trace[frames].mean(axis=1)
-    below, above = np.quantile(means, [0.025, 0.975]) - means.mean()
-    return float(max(score.value[0] + min(below, 0.0), 0.0)), float(score.value[0] + max(above, 0.0))
+    seen = np.isfinite(score.per_frame[0])
+    trace, time = score.per_frame[0][seen], observation.time[seen]
+    if len(trace) < 2:
+        return float("nan"), float("nan")
+    seconds = float(time[-1] - time[0]) * len(trace) / (len(trace) - 1)  # with the last frame's own time
+    count = min(max(round(seconds / BLOCK), 3 if seconds >= ENOUGH else 2), MOST, len(trace))
+    means = np.array([block.mean() for block in np.array_split(trace, count)])
+    half = student(count - 1) * means.std(ddof=1) / np.sqrt(count)
+    return float(max(score.value[0] - half, 0.0)), float(score.value[0] + half)
 
 
 def mean_of_split(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
@@ -170,7 +175,8 @@ def mean_of_split(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
     if len(rows) == 1:
         low, high = rows[0]["low"], rows[0]["high"]
     elif all(row["low"] is not None for row in rows):
-        low, high = mean_interval(values, [(row["high"] - row["low"]) / 2 for row in rows])
+        halves = [max(row["high"] - row["value"], row["value"] - row["low"]) for row in rows]  # one end may be cut at 0
+        low, high = mean_interval(values, halves)
     floor = None if None in floors else float(np.mean(floors))
     return {"value": float(np.mean(values)), "floor": floor, "low": low, "high": high}
 

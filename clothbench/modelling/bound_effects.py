@@ -10,6 +10,7 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.optional import (
+    Lightens,
     Remembers,
     ShiftsPositions,
     ShiftsSight,
@@ -28,6 +29,7 @@ if TYPE_CHECKING:
 
 PLACES = ("dynamics", "boundary", "sensor")
 FORCE, INERTIA = 0, 1
+LEAST_MASS = 1e-3  # share of a node's stated mass, so that a step remains where effects take more than there is
 
 
 @dataclass(frozen=True, eq=False)
@@ -92,6 +94,14 @@ class BoundEffects(JoinedParameters):
             if isinstance(effect, Stiffens):
                 out += [effect.stiffness(phi) for phi in self.of_effect(effect, theta)]
         return out
+
+    def lightest(self, theta: np.ndarray) -> np.ndarray:
+        """Least share of a node's stated mass that all effects together leave, (B,), at most 1."""
+        taken = np.zeros(len(theta))
+        for effect in self.at("dynamics"):
+            if isinstance(effect, Lightens):
+                taken += [max(0.0, 1.0 - effect.lightest(phi)) for phi in self.of_effect(effect, theta)]
+        return np.maximum(1.0 - taken, LEAST_MASS)
 
     @property
     def normals(self) -> bool:

@@ -25,11 +25,13 @@ def check_resolution(model: str, resolution: int | Sequence[int]) -> None:
         raise ClothbenchError(f"{model}: resolution is {resolution!r}, expected one or two whole numbers ≥ 3")
 
 
-def check_number(model: str, name: str, value: float | None, low: float, high: float = math.inf) -> None:
-    """Refuse an option that is neither None nor a number above `low` and at most `high`."""
-    if value is None:
+def check_number(
+    model: str, name: str, value: float | None, low: float, high: float = math.inf, optional: bool = True
+) -> None:
+    """Refuse an option that is no number above `low` and at most `high`; None passes where it is optional."""
+    if value is None and optional:
         return
-    if not isinstance(value, int | float) or not low < value <= high:
+    if not isinstance(value, int | float) or isinstance(value, bool) or not low < value <= high or value == math.inf:
         limit = f"above {low:g}" + ("" if high == math.inf else f" and at most {high:g}")
         raise ClothbenchError(f"{model}: {name} is {value!r}, expected a number {limit}")
 
@@ -39,8 +41,10 @@ def grid_shape(scene: Scene, resolution: int | Sequence[int]) -> tuple[int, int]
     if scene.resolution is not None:
         return scene.resolution
     if not isinstance(resolution, int):
-        nu, nv = resolution
-        return int(nu), int(nv)
+        if len(resolution) == 2:
+            nu, nv = resolution
+            return int(nu), int(nv)
+        resolution = int(resolution[0])
     wide = scene.width >= scene.height
     length, other = (scene.width, scene.height) if wide else (scene.height, scene.width)
     count = even_count(resolution, length, scene.grip_material[:, 0 if wide else 1])

@@ -29,7 +29,6 @@ import clothbench
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import sha256, whole_file
 from clothbench.core.rollout import Rollout
-from clothbench.engine.cells import seed_of
 from clothbench.estimation.intervals import error_interval
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording, find_recordings, grips_at, read_recording
@@ -158,7 +157,7 @@ def compared(
         metric = plugins.make("metrics", name)
         score = metric(seen, rollout)
         scores[name], floors[name], units[name] = float(score.value[0]), float(metric.floor(seen)), score.unit
-        low, high = error_interval(score, seen, seed_of("submission", measured.hash))
+        low, high = error_interval(score, seen)
         halves[name] = (high - low) / 2
         if not np.isfinite(scores[name]):
             raise ClothbenchError(f"{path}: the metric {name!r} gives no number for it; leave that metric out")

@@ -13,6 +13,7 @@ from clothbench.core.optional import (
     FORCE_LAWS,
     FollowsLaw,
     HasFamily,
+    Lightens,
     Remembers,
     SaysNormals,
     Stiffens,
@@ -60,6 +61,10 @@ def keeps_what_it_offers(case: EffectCase) -> None:
             added = np.asarray(effect.stiffness(phi), dtype=float)
             fine = added.shape == (2,) and bool(np.isfinite(added).all()) and bool((added >= 0).all())
             require(fine, f"a stiffness of {added.tolist()}", "two numbers, N/m and N·m, 0 or above")
+    if isinstance(effect, Lightens):
+        for phi in (probe.null_values(effect), *probe.acting_values(effect)):
+            left = effect.lightest(phi)
+            require(0 < left <= 1, f"lightest that gives {left!r}", "a share above 0, at most 1")
     if isinstance(effect, SaysNormals):
         require(isinstance(effect.normals, bool), f"normals {effect.normals!r}", "True or False")
     if isinstance(effect, HasFamily):
@@ -189,7 +194,8 @@ def goes_along_with_another_effect(case: EffectCase) -> str | None:
 def keeps_to_its_own_memory(case: EffectCase) -> str | None:
     """A kernel changes the forces and its declared state, nothing else, and reads only the parameters it has.
 
-    It is run uncompiled, where reaching past the end of an array is an error and not a silent overwrite.
+    It is run uncompiled, where reaching past the end of an array is an error and not a silent overwrite; and once more
+    with a longer state, as it has beside an effect that remembers more.
     """
     if case.effect.place != "dynamics" or not acts_on_sheets(case.effect):
         return "has no kernel"
@@ -200,13 +206,15 @@ def keeps_to_its_own_memory(case: EffectCase) -> str | None:
             continue
         given = [x, v, *(part for part in sheet if isinstance(part, np.ndarray)), effect.parameters.defaults]
         before = [array.copy() for array in given]
-        filled = np.zeros((3 if stage == "force" else 6, x.shape[1]))
-        state = np.zeros(size)
-        for step in range(3):
-            getattr(effect, stage).py_func(1e-3 * step, 1e-3, x, v, filled, sheet, given[-1], state)
+        filled, longer = np.zeros((2, 3 if stage == "force" else 6, x.shape[1]))
+        for added, state in ((filled, np.zeros(size)), (longer, np.zeros(size + 7))):
+            for step in range(3):
+                getattr(effect, stage).py_func(1e-3 * step, 1e-3, x, v, added, sheet, given[-1], state)
         kept = all(np.array_equal(a, b) for a, b in zip(given, before, strict=True))
         require(kept, f"an input of {stage!r} that it has changed", "changes to f and state only")
         require(np.isfinite(filled).all(), f"what {stage!r} adds, which is not finite", "finite numbers")
+        alike = np.array_equal(filled, longer)
+        require(alike, f"{stage!r} that adds something else with a longer state", "the same: others may remember more")
     return None
 
 

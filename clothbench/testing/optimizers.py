@@ -11,7 +11,7 @@ from clothbench.core.optional import HasStart, Renewable, takes_option
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Optimizer
 from clothbench.testing.rules import Outcome, choose, require, require_members, run_rules
-from clothbench.testing.toys import Problem, bowl, cornered, partly_lost, valley, wholly_lost
+from clothbench.testing.toys import Problem, bowl, cornered, partly_lost, plain, valley, wholly_lost
 
 BUDGET = 150
 SEEDS = range(6)
@@ -58,7 +58,7 @@ class OptimizerCase:
 
 
 def check_optimizer(make: Callable[..., Optimizer], *, only: Iterable[str] | None = None) -> tuple[Outcome, ...]:
-    """Check the optimizer that `make(space, seed=…, budget=…)` gives, on toy fits of 3 and 6 parameters."""
+    """Check the optimizer that `make(space, seed=…, budget=…)` gives, on toy fits of 1, 3 and 6 parameters."""
     name = getattr(make, "name", getattr(make, "__name__", make))
     return run_rules(f"optimizer {name!r}", choose(RULES, only), OptimizerCase(make))
 
@@ -115,8 +115,10 @@ def gives_the_same_search_for_the_same_seed(case: OptimizerCase) -> None:
 
 
 def stays_within_bounds_and_budget(case: OptimizerCase) -> None:
-    """The optimum lies in a corner of the box, which tempts a search to step out of it."""
-    for problem in (bowl(), valley(), cornered()):
+    """Also where the optimum lies in a corner of the box, which tempts a search to step out of it, where there is none,
+    and with a single parameter.
+    """
+    for problem in (bowl(), valley(), cornered(), plain(), bowl(1), plain(1)):
         for budget in (BUDGET, 37):
             case.search(problem, budget=budget)
 

@@ -10,6 +10,7 @@ from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.core.protocols import Effect
 from clothbench.modelling.curves import acts_on_sheets
 from clothbench.modelling.kernels import effect_kernel
+from clothbench.modelling.sheet import Sheet
 from clothbench.plugins.discovery import catalogue
 
 
@@ -45,8 +46,8 @@ class SidewaysPush:
         )
     )
 
-    def state_size(self, sheet: object) -> int:
-        return 1
+    def state_size(self, sheet: Sheet) -> int:
+        return 1 + 32 * sheet.slots.shape[1]  # more than others have, whose memory is then longer than they asked for
 
 
 def null_values(effect: Effect) -> np.ndarray:

@@ -38,6 +38,11 @@ def cornered() -> Problem:
     return Problem("a bowl with its bottom in a corner", _space(3), _linear(np.array([1.0, 0.0, 1.0])))
 
 
+def plain(count: int = 3) -> Problem:
+    """The same error everywhere: a search cannot get better, and has to end all the same."""
+    return Problem("a plain", _space(count), lambda unit: np.ones((len(unit), 2)))
+
+
 def valley(count: int = 3) -> Problem:
     """Rosenbrock's curved valley (1960), chained: r = (3 (x_{i+1} − x_i²), 1 − x_i), bottom at x = 1."""
 

@@ -223,6 +223,9 @@ def test_a_member_that_diverges_leaves_the_others_alone():
     ("options", "complaint"),
     [
         ({"integrator": "leapfrog"}, "integrator is 'leapfrog', expected one of implicit_euler, bdf2, rk45"),
+        ({"integrator": ["bdf2"]}, "integrator is ['bdf2'], expected one of implicit_euler, bdf2, rk45"),
+        ({"dt": True}, "dt is True, expected a number above 0"),
+        ({"step_scale": None}, "step_scale is None, expected a number above 0 and at most 100"),
         ({"resolution": 2}, "resolution is 2, expected one or two whole numbers ≥ 3"),
         ({"dt": 0.0}, "dt is 0.0, expected a number above 0"),
         ({"step_scale": -1}, "step_scale is -1, expected a number above 0 and at most 100"),

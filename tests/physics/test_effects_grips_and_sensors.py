@@ -62,6 +62,9 @@ def test_slip_lowers_the_grips_smoothly_from_its_time_on():
     assert (fallen[time <= 0.5] == 0).all()
     np.testing.assert_allclose(fallen[time >= 0.5501], np.broadcast_to([0, 0, -0.01], fallen[time >= 0.5501].shape))
     assert (np.diff(fallen[:, 0, 2]) <= 0).all()
+    late = 128.0 + np.arange(401) / 512  # a clock that began long before; powers of two, which leave no rounding
+    soon = late - 128.0
+    np.testing.assert_array_equal(*(grips("grip_slip", [0.01, 0.5], clock, at) for clock in (late, soon)))
 
 
 @pytest.mark.parametrize("damping", [0.1, 1.0, 1.7])

@@ -9,6 +9,7 @@ from effect_scenes import (
     STRETCH,
     G,
     cloth,
+    effect_named,
     fall,
     hanging,
     on_every_model,
@@ -16,6 +17,8 @@ from effect_scenes import (
     swing_frequency,
     terminal_speed,
 )
+
+from clothbench.plugins.discovery import catalogue
 
 WIDTH, LENGTH = 0.05, 0.4
 
@@ -70,6 +73,24 @@ def test_a_heavier_sheet_falls_faster_through_air(name):
 @on_every_model
 def test_a_heavier_limp_sheet_swings_just_as_fast(name):
     assert swing_frequency(name, ("total_mass", [1.4])) == pytest.approx(swing_frequency(name), rel=0.005)
+
+
+@pytest.mark.parametrize("name", ["mass_spring", "mass_spring_verlet"])
+def test_a_lighter_sheet_is_taken_in_shorter_steps(name):
+    """Stable all over the model's bounds at the least ratio, and as it was from the stated mass on."""
+
+    def pull(t):
+        return np.stack([0 * t, 0.05 * np.sin(6 * t), 0 * t], axis=1)
+
+    model = catalogue().make("models", name)
+    scene = hanging(0.2, 0.3, np.array([0.0, 0.7]), [(0.1, 0.3)], (7, 10), moved=pull)
+    simulation = model.prepare(scene, [effect_named("total_mass")])
+    base = model.parameters.from_unit(np.random.default_rng(0).random((8, len(model.parameters))))
+    steps = {r: simulation.stable_step(np.hstack([base, np.full((8, 1), r)])) for r in (0.7, 1.0, 1.5)}
+    assert set(simulation.run(np.hstack([base, np.full((8, 1), 0.7)])).status) == {"ok"}
+    assert (steps[0.7] < steps[1.0]).all()
+    np.testing.assert_array_equal(steps[1.0], model.prepare(scene).stable_step(base))
+    np.testing.assert_array_equal(steps[1.0], steps[1.5])
 
 
 @on_every_model

@@ -184,6 +184,7 @@ def test_a_member_that_diverges_leaves_the_others_alone():
         ({"resolution": (9, 2)}, "resolution is (9, 2), expected one or two whole numbers ≥ 3"),
         ({"dt": "fast"}, "dt is 'fast', expected a number above 0"),
         ({"step_scale": 0}, "step_scale is 0, expected a number above 0 and at most 100"),
+        ({"tolerance": None}, "tolerance is None, expected a number above 0 and at most 0.1"),
         ({"tolerance": 1.0}, "tolerance is 1.0, expected a number above 0 and at most 0.1"),
         ({"shear": 0.0}, "shear is 0.0, expected a number above 0"),
     ],

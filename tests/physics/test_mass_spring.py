@@ -338,3 +338,11 @@ def test_flexion_springs_hold_a_strip_together_with_the_others():
     assert (again.stretch, again.stretch_damping) == (pytest.approx(90.0), pytest.approx(0.02))
     with pytest.raises(ClothbenchError, match="a stretch of more than 0"):
         model.of_material(Material(0.0, 0.03, 0.01), scene)
+
+
+def test_step_scale_multiplies_a_stated_step_too():
+    scene = sheet(0.2, 0.2, np.array([0.0, 0.1]), grips=top_edge(0.2, 5), shape=(5, 5))
+    steps = [
+        MassSpring(dt=1e-4, step_scale=scale).prepare(scene).run([[60.0, 1.0, 0.05]]).steps[0] for scale in (1.0, 0.5)
+    ]
+    assert steps[1] == pytest.approx(2 * steps[0], rel=0.05)

@@ -130,13 +130,33 @@ class Softening(HonestEffect):
         return -1.0, 0.0
 
 
+class Weightless(HonestEffect):
+    def lightest(self, phi):
+        return 0.0
+
+
 class Aslant(HonestEffect):
     normals = "perhaps"
+
+
+@effect_kernel
+def spreading_force(t, dt, x, v, f, sheet, p, state):
+    state[:] += 1.0
+    f[1] += p[0] * state.sum()
+
+
+class Spreading(HonestEffect):
+    place = "dynamics"
+    force = staticmethod(spreading_force)
+
+    def state_size(self, sheet):
+        return 1
 
 
 EFFECTS = [
     (Forgetful, "keeps what it offers", "a state_size of 1.5"),
     (Softening, "keeps what it offers", "a stiffness of [-1.0, 0.0]"),
+    (Weightless, "keeps what it offers", "lightest that gives 0.0"),
     (Aslant, "keeps what it offers", "normals 'perhaps'"),
     (Placeless, "has all members", "place 'kitchen'"),
     (Uncompiled, "has all members", "'force' that is not compiled"),
@@ -149,6 +169,7 @@ EFFECTS = [
     (Jealous, "goes along with another effect", "at its null values"),
     (Greedy, "keeps to its own memory", "IndexError"),
     (Braking, "keeps to its own memory", "an input of 'force'"),
+    (Spreading, "keeps to its own memory", "with a longer state"),
     (Overwriting, "leaves positions it is given alone", "arrays given to 'times'"),
 ]
 

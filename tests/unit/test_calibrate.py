@@ -170,14 +170,40 @@ def test_every_recording_has_the_same_say():
     assert together.value[0] == pytest.approx(np.mean(alone))
 
 
-def test_an_error_s_interval_holds_the_error_and_is_seeded():
+def test_an_error_s_interval_holds_the_error():
     t = trial(np.random.default_rng(4))
     _, (score,) = evaluate([t], TRUTH[None])
-    low, high = error_interval(score, t.observation, seed=5)
+    low, high = error_interval(score, t.observation)
     assert low < score.value[0] < high
-    assert (low, high) == error_interval(score, t.observation, seed=5)
     assert mean_interval([1.0, 2.0, 3.0], [0.1, 0.1, 0.1]) == pytest.approx((0.0, 4.484), abs=1e-3)
     assert mean_interval([1.0, 3.0], [0.3, 0.4]) == pytest.approx((1.75, 2.25))
+
+
+def traced(errors: np.ndarray, seconds: float) -> tuple[float, float]:
+    """The interval of the mean of a trace (T,) over so many seconds."""
+    count = len(errors)
+    time, flat = np.arange(count) * seconds / count, np.zeros((count, 1, 3))
+    seen = Observation(time, flat, np.ones((count, 1), bool), 1e-3, np.zeros((1, 2)))
+    return error_interval(Score(errors[None].mean(axis=1), "mm", per_frame=errors[None]), seen)
+
+
+@pytest.mark.parametrize("kept", [0.0, np.exp(-0.1)])  # from frame to frame, at 30 Hz: 1/3 s, or nothing
+@pytest.mark.parametrize("seconds", [1, 2, 3, 5, 10])
+def test_an_error_s_interval_covers_what_it_says(kept, seconds):
+    random, count = np.random.default_rng(7), 30 * seconds
+    errors = np.zeros((count, 1000))
+    errors[0] = random.standard_normal(1000)
+    for t in range(1, count):
+        errors[t] = kept * errors[t - 1] + np.sqrt(1 - kept**2) * random.standard_normal(1000)
+    found = np.array([traced(10.0 + one, seconds) for one in errors.T])
+    assert ((found[:, 0] <= 10.0) & (found[:, 1] >= 10.0)).mean() >= 0.9
+    if 2 <= seconds <= 5:
+        assert np.median(found[:, 1] - found[:, 0]) < 3.0
+
+
+def test_of_a_single_frame_no_interval_is_known():
+    assert np.isnan(traced(np.array([1.0]), 0.0)).all()
+    assert np.isnan(traced(np.array([np.nan, np.nan]), 1.0)).all()
 
 
 def test_the_mean_of_a_split_has_an_interval_and_a_floor_where_all_have():
@@ -186,5 +212,7 @@ def test_the_mean_of_a_split_has_an_interval_and_a_floor_where_all_have():
     assert (mean["value"], mean["floor"]) == pytest.approx((2.0, 0.2))
     assert (mean["low"], mean["high"]) == mean_interval([1.0, 3.0], [0.3, 0.3])
     assert mean_of_split(rows[:1]) == rows[0]
+    cut = [{**rows[0], "low": 0.0, "high": 6.0}, rows[1]]  # of 1 ± 5
+    assert mean_of_split(cut)["high"] == mean_interval([1.0, 3.0], [5.0, 0.3])[1]
     unknown = {**rows[1], "low": None, "high": None, "floor": None}
     assert mean_of_split([rows[0], unknown]) == {"value": 2.0, "low": None, "high": None, "floor": None}

@@ -10,6 +10,7 @@ from clothbench import ClothbenchError, Observation, Rollout
 from clothbench.core.folding import circular_path, triangular_path
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store, leaderboard_row
+from clothbench.engine.suite import plan as planned
 from clothbench.plugins.discovery import catalogue
 from clothbench.reference.fabrics import FABRICS, chosen_fabrics
 from clothbench.reference.lifted_strip import lift
@@ -159,6 +160,31 @@ def test_settings_are_checked():
     hand = hand_of(cell(fold=FoldSettings(first=1.0, fit=FIT)), catalogue())
     with pytest.raises(ClothbenchError, match=r"'suite\.fold\.first' is 1, expected 100 to 1e"):
         _ = hand.space
+
+
+@pytest.mark.parametrize(
+    ("changes", "found"),
+    [
+        (
+            {"suite": {"fold": {"fit": ["eta_b", "eta_x"]}}},
+            "'suite.fold.fit': no parameter 'eta_x'; there",
+        ),
+        (
+            {"suite": {"fold": {"fit": ["grip_offset.dx"]}}, "effects": []},
+            "'suite.fold.fit': no parameter 'grip",
+        ),
+        ({"bounds": {"eta_x": [1.0, 2.0]}}, "'bounds': no parameter 'eta_x'; there are: eta_b"),
+    ],
+)
+def test_parameters_that_no_model_or_effect_has_are_refused(changes, found):
+    base = {
+        "study": "folding", "model": "kirchhoff_love", "effects": ["grip_offset"], "optimizer": "ga",
+        "metric": "profile", "tracker": "laser_profile", "budget": 10, "seed": 0, "jobs": 1, "out": "runs",
+        "rerun": False, "bounds": {"grip_offset.dx": [-0.005, 0.005]},
+    }  # fmt: skip
+    assert planned(base, catalogue())
+    with pytest.raises(ClothbenchError, match=found):
+        planned({**base, **changes}, catalogue())
 
 
 def test_a_cell_is_keyed_by_what_it_depends_on():

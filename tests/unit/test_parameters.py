@@ -41,6 +41,12 @@ def test_bounded_moves_the_default_inside():
     assert space["r"] is not None
 
 
+def test_bounds_of_a_log_scale_may_begin_at_0_not_below():
+    assert SPACE.bounded({"k": (0.0, 50.0)})["k"].scale == "linear"
+    with pytest.raises(ClothbenchError, match=r"bounds of 'k' are \[-1, 50\] N/m, expected 0 or above"):
+        SPACE.bounded({"k": (-1.0, 50.0)})
+
+
 @pytest.mark.parametrize(
     ("change", "found"),
     [

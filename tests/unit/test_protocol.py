@@ -57,6 +57,33 @@ def test_fixed_parameters_and_effects_follow_case_and_model(tmp_path):
     assert cells[0].effects == ("added_mass",)
 
 
+@pytest.mark.parametrize(
+    ("suite", "found"),
+    [
+        (
+            {"fixed": {"silkk/*": {"zeta": 0.2}}},
+            r"'suite.fixed': 'silkk/\*' matches none of the cases silk/sway-1, .*~suite",
+        ),
+        ({"textile": {"sikl/sway-1": "soft", "wool/*": "stiff"}}, "'suite.textile': 'sikl/sway-1' matches none"),
+        ({"fixed": {"*": {"zta": 0.2}}}, "'suite.fixed': no parameter 'zta'; there are: k1, k2, zeta"),
+        ({"fixed": {"*": {"zeta": -0.2}}}, "'zeta' is fixed at -0.2 1, expected 0 or above"),
+        ({"effects": {"mass_sprng": ["added_mass"]}}, "'suite.effects': no model named .* did you mean 'mass_spring'"),
+        ({"published": {"node_eror": {"paper": 1.0}}}, "'suite.published': no metric named .* 'node_error'"),
+    ],
+)
+def test_what_a_suite_says_of_nothing_is_refused(tmp_path, suite, found):
+    with pytest.raises(ClothbenchError, match=found):
+        plan(config(stand_ins(tmp_path), suite=suite), catalogue())
+
+
+def test_a_suite_may_speak_of_other_models_and_recordings(tmp_path):
+    fixed = {"*": {"theta": 0.0, "quadratic_drag.normal": 1.0, "bend_ratio": 1.0}}
+    textile = {"silk/*": "soft", "wool/*": "stiff", "cotton_white": "medium"}
+    assert plan(config(stand_ins(tmp_path), suite={"fixed": fixed, "textile": textile}), catalogue())
+    alone = {"select": ["wool/*"], "fixed": {"silk/*": {"zeta": 0.2}}}
+    assert plan(config(tmp_path, suite=alone), catalogue())
+
+
 def test_bounds_may_be_of_parameters_that_only_some_cells_search(tmp_path):
     suite = {"fixed": {"silk/*": {"zeta": 0.2}}}
     found = plan(config(stand_ins(tmp_path), suite=suite, bounds={"zeta": [0.1, 0.5]}), catalogue())
@@ -130,6 +157,14 @@ def test_fits_with_other_budgets_or_settings_are_never_summed():
     short = {t.case: t.total for t in both if "40" in t.way}
     assert short == pytest.approx({t.case: t.total for t in transfers(rows, starts)})
     assert sum(t.chosen for t in both) == 4
+
+
+def test_settings_of_a_case_of_its_own_make_no_other_way():
+    rows, starts = table_three()
+    own = [{**r, "settings": r["case"][:5]} for r in rows]
+    assert {t.way for t in transfers(own, starts)} == {"m · o · fold"}
+    other = [{**r, "key": r["key"] + "+", "settings": "other"} for r in rows]
+    assert len({t.way for t in transfers(own + other, starts)}) == 3
 
 
 def test_the_matrix_is_of_chosen_fits_and_finds_the_nearest():

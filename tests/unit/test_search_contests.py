@@ -20,18 +20,18 @@ def test_hypervolume_of_known_fronts():
     assert hypervolume(np.array([[2 * WORST, 0.0], [np.nan, np.nan]])) == 0.0
 
 
-def results_of(tmp_path, histories):
-    """A store's results: histories[optimizer][seed] is the error of each evaluation."""
+def results_of(tmp_path, histories, **more):
+    """A store's results: histories[optimizer][seed] is the error of each evaluation; more: columns of every row."""
     rows = []
     for optimizer, runs in histories.items():
         for seed, values in enumerate(runs):
-            key = f"{optimizer}-{seed}"
+            key = "-".join(map(str, (optimizer, seed, *more.values())))
             (tmp_path / key).mkdir()
             table = pd.DataFrame({"value": values, "objective:a": values, "objective:b": values})
             write_table(tmp_path / key / "history.parquet", table)
             rows.append(
                 {"suite": "s", "case": "c", "model": "m", "effects": "", "metric": "d", "objective": "d", "unit": "sd",
-                 "split": "fit", "recording": None, "optimizer": optimizer, "key": key}
+                 "split": "fit", "recording": None, "optimizer": optimizer, "key": key, **more}
             )  # fmt: skip
     return Results(SimpleNamespace(cell=lambda key: tmp_path / key), rows)
 
@@ -57,6 +57,18 @@ def test_searches_are_told_apart_by_what_they_reach_and_how_soon(tmp_path):
     section = searches_section(results)
     assert "1.38 sd" in section.html
     assert len(section.data["contests"][0]["data"]) == 6  # a line and a band for each
+
+
+def test_searches_of_other_budgets_or_settings_are_not_averaged(tmp_path):
+    rows, runs = [], {"quick": [[1.0]] * 3, "slow": [[2.0]] * 3}
+    for budget, settings in ((10, "a"), (20, "a"), (20, "b")):
+        found = results_of(tmp_path, runs, budget=budget, settings=settings)
+        rows += found.rows
+    both = contests(Results(found.store, rows))
+    assert [(c.budget, len(c.searches)) for c in both] == [("10", 2), ("20", 4)]
+    assert {s.optimizer for s in both[0].searches} == {"quick", "slow"}
+    assert {s.optimizer for s in both[1].searches} == {f"{o} · settings {s}" for o in runs for s in "ab"}
+    assert all(s.seeds == 3 for c in both for s in c.searches)
 
 
 def test_one_search_is_no_contest(tmp_path):

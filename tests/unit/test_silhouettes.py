@@ -168,6 +168,9 @@ def test_the_metric_compares_distributions_not_single_drapes():
     assert score.value == pytest.approx(np.sqrt(np.mean((score.objectives / score.spread) ** 2, axis=1)))
     low, high = metric.interval(seen, rollout(five), 1)
     assert low < score.value[1] < high
+    alike = rollout(captured)  # chance puts nearly every draw above it
+    low, high = metric.interval(seen, alike, 1)
+    assert 0.0 <= low < 0.8 * metric(seen, alike).value[0] < high
     assert 0 < metric.floor(seen) < 2
 
 
@@ -177,6 +180,8 @@ def test_the_metric_takes_some_quantities_only():
     assert metric(seen, rollout([petals(12)])).objectives.shape == (1, 1)
     with pytest.raises(ClothbenchError, match="quantities is"):
         DrapeMetric(quantities=["colour"])
+    with pytest.raises(ClothbenchError, match="quantities is 5, expected some of"):
+        DrapeMetric(quantities=5)
     with pytest.raises(ClothbenchError, match="shows no drapes"):
         metric(dataclasses.replace(seen, outlines=None), rollout([petals(6)]))
 

@@ -213,7 +213,10 @@ def test_folds_are_counted_wherever_they_are():
     aside[..., 1] *= -1  # hills where there were valleys
     observed = dataclasses.replace(catalogue().make("trackers", "markers").track(recording()), position=deep)
     metrics = (catalogue().make("metrics", name) for name in ("fold_count", "fold"))
-    count, fold = (metric(observed, rollout(deep, aside, fewer)).value for metric in metrics)
+    scores = [metric(observed, rollout(deep, aside, fewer)) for metric in metrics]
+    count, fold = (score.value for score in scores)
+    np.testing.assert_allclose(np.abs(scores[0].per_frame.mean(axis=1)), count)
+    assert scores[0].per_frame[2].mean() < 0
     assert count[0] == 0.0
     assert count[1] < 1.0 < count[2]
     assert fold[1] > 0.2 * fold[2]  # which `fold` takes for another sheet

@@ -40,6 +40,15 @@ def test_the_key_depends_on_the_question_and_not_on_where_files_lie(recordings_f
     assert dataclasses.replace(first, versions=newer).key != first.key
 
 
+def test_settings_are_others_where_the_question_is(recordings_folder):
+    first = cells(recordings_folder)[0]
+    changes = [{"fixed": {"zeta": 0.2}}, {"start": {"k1": 2.0}}, {"choice": "knee"}, {"timeout": 5.0},
+               {"finer": {"spacing": 0.01, "share": 0.25}}]  # fmt: skip
+    told = [dataclasses.replace(first, **change).settings for change in changes]
+    assert len({first.settings, *told}) == 6
+    assert dataclasses.replace(first, seed=3).settings == first.settings
+
+
 def test_recordings_without_a_split_are_split_seeded(tmp_path):
     for k in range(6):
         write_recording(swinging_recording(f"r{k}", split=""), tmp_path / f"r{k}.nc")
@@ -77,6 +86,41 @@ def test_cases_and_selection(tmp_path):
 def test_wrong_settings_are_one_line(recordings_folder, change, found):
     with pytest.raises(ClothbenchError, match=found):
         plan({**BASE, "recordings": str(recordings_folder), **change}, catalogue())
+
+
+@pytest.mark.parametrize(
+    ("plugins", "options", "found"),
+    [
+        (
+            {"metric": "silhouette"},
+            {"quantity": ["mismatch", "iou"]},
+            r"quantity is \['mismatch', 'iou'\], expected one",
+        ),
+        ({"metric": "node_error"}, {"unit": ["cm"]}, r"unit is \['cm'\], expected one of mm, cm, m, px"),
+        ({"metric": "relative_error"}, {"origin": ["a", "b", "c"]}, r"origin is \['a', 'b', 'c'\], expected centre"),
+        ({"metric": "profile"}, {"join": float("inf")}, "join is inf, expected metres"),
+        (
+            {"model": "mass_spring"},
+            {"precision": ["single"]},
+            r"precision is \['single'\], expected one of double, single",
+        ),
+        ({"model": "mass_spring"}, {"strain_limit": True}, "strain_limit is True, expected a number above 0"),
+        ({"model": "mass_spring"}, {"step_scale": None}, "step_scale is None, expected a number above 0"),
+        ({"optimizer": "ga"}, {"decoding": []}, r"decoding is \[\], expected one of"),
+    ],
+)
+def test_an_option_of_the_wrong_type_is_one_line(recordings_folder, plugins, options, found):
+    with pytest.raises(ClothbenchError, match=found):
+        cells(recordings_folder, **plugins, options=dict.fromkeys(plugins.values(), options))
+
+
+def test_a_list_of_one_resolution_is_that_number(recordings_folder):
+    from clothbench.modelling import grid_shape
+    from clothbench.recordings.kinds import read_sheet
+    from clothbench.recordings.scenes import scene_of
+
+    scene = scene_of(read_sheet(next(recordings_folder.glob("*.nc"))))
+    assert grid_shape(scene, [5]) == grid_shape(scene, 5)
 
 
 def test_only_held_out_recordings_cannot_be_fitted(tmp_path):

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.optional import absent, takes_option, why_skipped
@@ -96,8 +96,11 @@ class CalibrationCell:
         """6 hexadecimal digits of how it is run, whatever it is run on."""
         how = {name: getattr(self, name) for name in ("bounds", "scene", "versions", "budget", "tracker")}
         how["options"] = {k: dict(v) for k, v in self.options.items() if k in self._plugins()}
-        if self.finer:
-            how["finer"] = dict(self.finer)
+        later: dict[str, Any] = {name: dict(getattr(self, name)) for name in ("fixed", "start", "finer")}
+        later["timeout"] = self.timeout
+        how |= {name: value for name, value in later.items() if value}  # digests without them are as they were
+        if self.choice != "nearest":
+            how["choice"] = self.choice
         return digest(how, 6)
 
     @property
@@ -207,12 +210,19 @@ class Bench:
         return [t for t, s in zip(self.trials, self.cell.recordings, strict=True) if s.split == split]
 
 
-def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str, Any]) -> set[str] | None:
+class Names(NamedTuple):
+    """Names of a cell's parameters: of those that it searches, and of all."""
+
+    free: set[str]
+    all: set[str]
+
+
+def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str, Any]) -> Names | None:
     """Make everything once without simulating: what the user got wrong in the settings comes to light before a run.
 
     `recordings` by path. A plugin that is broken, or fails in a way that is not the user's, is left to its own cell's
     error row; so is every stranger's plugin, whose code may take this process down with it, and then all other cells.
-    Returns the names of the parameters that the cell searches; None where they are not known.
+    Returns the names of the cell's parameters; None where they are not known.
     """
     try:
         mine = [recordings[s.path] for s in cell.recordings]
@@ -234,13 +244,14 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
         effects = [plugins.make("effects", name) for name in cell.effects]
         model = plugins.make("models", cell.model, **cell.option(cell.model))
         try:
-            space = holding(model.prepare(scenes[0], effects), cell.fixed).parameters
+            simulation = model.prepare(scenes[0], effects)
+            everything = set(simulation.parameters.names)
         except Exception:  # a model may refuse a scene; in a product of several that is its own cell's affair
             return None
-        space = begun(bounded(space, cell.bounds), cell.start)
+        space = begun(bounded(holding(simulation, cell.fixed).parameters, cell.bounds), cell.start)
         plugins.make("optimizers", cell.optimizer, space, seed=0, budget=cell.budget, **cell.option(cell.optimizer))
         refuse_without_start(cell, plugins)
-        return set(space.names)
+        return Names(set(space.names), everything)
     except PluginBroken:
         return None
     except ClothbenchError:

@@ -104,7 +104,7 @@ def _widest(some: Rows) -> tuple[float | None, float | None]:
 
 
 def contained(value: float | None, low: float | None, high: float | None) -> tuple[float | None, float | None]:
-    """An interval widened to hold its value: a bootstrap of few frames may leave it out by a little."""
+    """An interval widened to hold its value: one of an older version may leave it out by a little."""
     if value is None or low is None or high is None:
         return low, high
     return min(low, value), max(high, value)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import difflib
 import fnmatch
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
@@ -23,7 +24,7 @@ from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
 from clothbench.recordings.scenes import scenes_of
 from clothbench.reference.presets import Preset, preset
-from clothbench.studies.calibration.cell import CalibrationCell, rehearse, uses
+from clothbench.studies.calibration.cell import CalibrationCell, Names, rehearse, uses
 from clothbench.studies.calibration.settings import analysis_settings, suite_settings
 
 PRODUCT = ("model", "optimizer", "metric")
@@ -45,7 +46,7 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
         settings = with_prior(settings, prior, plugins)
     by_path = {r.path: r for r in recordings}
     cells: dict[str, CalibrationCell] = {}
-    searched: list[set[str] | None] = []
+    searched: list[Names | None] = []
     for case, sources in cases.items():
         analysis = {n: _told(a) for n, a in analyses.items() if _matches(case, a["cases"])}
         textile = next((t for p, t in suite["textile"].items() if _matches(case, [p])), None)
@@ -79,7 +80,9 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
             cell = dataclasses.replace(cell, versions=plugin_versions(uses(cell), plugins))
             searched.append(rehearse(cell, plugins, by_path))
             cells[cell.key] = cell
-    refuse_strays(settings["bounds"], searched)
+    refuse_strays(settings["bounds"], [None if names is None else names.free for names in searched])
+    refuse_unmatched(suite, cases, {r.name for r in recordings} | {_case_of(r, by) for r in recordings})
+    refuse_unknown(suite, searched, plugins)
     return list(cells.values())
 
 
@@ -137,6 +140,57 @@ def refuse_strays(bounds: Mapping[str, Any], searched: Sequence[set[str] | None]
         raise ClothbenchError(f"setting 'bounds': no parameter {strays[0]!r}; there are: {', '.join(sorted(known))}")
 
 
+def refuse_unmatched(suite: Mapping[str, Any], cases: Iterable[str], others: set[str]) -> None:
+    """Patterns of cases that say nothing of any case, nor of recordings that are left out (`others`: their names).
+
+    A suite may speak of the cases of other recordings beside its own; then a pattern is wrong if it is almost the name
+    of a case of which nothing is said.
+    """
+    for key in ("fixed", "textile"):
+        patterns, there = list(suite[key]), sorted(cases)
+        unmatched = [p for p in patterns if not any(_matches(c, [p]) for c in {*there, *others})]
+        silent = [case for case in there if not _matches(case, patterns)]
+        wrong = [
+            p for p in unmatched if len(unmatched) == len(patterns) or difflib.get_close_matches(p, silent, 1, 0.8)
+        ]
+        if wrong:
+            found = f"setting 'suite.{key}': {wrong[0]!r} matches none of the cases {', '.join(there)}"
+            raise ClothbenchError(f"{found}; name one, or take all out with ~suite.{key}")
+
+
+def refuse_unknown(suite: Mapping[str, Any], searched: Sequence[Names | None], plugins: Catalogue) -> None:
+    """Models, metrics and parameters that a suite speaks of and no plugin has. A suite may speak of models that are not
+    run here, so that their parameters and those of any effect may be fixed as well.
+    """
+    for key, kind in (("effects", "models"), ("published", "metrics")):
+        for name in suite[key]:
+            try:
+                plugins.find(kind, name)
+            except PluginBroken:  # its own cell says so
+                continue
+            except ClothbenchError as fault:
+                raise ClothbenchError(f"setting 'suite.{key}': {fault}") from fault
+    here = {name for names in searched if names is not None for name in names.all}
+    fixed = [name for values in suite["fixed"].values() for name in values]
+    if None in searched or here.issuperset(fixed):
+        return
+    if strays := [name for name in fixed if name not in here | parameters_of_all(plugins)]:
+        raise ClothbenchError(
+            f"setting 'suite.fixed': no parameter {strays[0]!r}; there are: {', '.join(sorted(here))}"
+        )
+
+
+def parameters_of_all(plugins: Catalogue) -> set[str]:
+    """Names of the parameters of every installed model, also of one that tells warp from weft, and of every effect."""
+    made = list(plugins.made("models")[0].values())
+    for name in plugins.names("models"):
+        with contextlib.suppress(ClothbenchError):
+            if takes_option(plugins.load("models", name), "orthotropic"):
+                made.append(plugins.make("models", name, orthotropic=True))
+    names = {n for model in made for n in model.parameters.names}
+    return names | {f"{n}.{p}" for n, effect in plugins.made("effects")[0].items() for p in effect.parameters.names}
+
+
 def _matches(case: str, patterns: Sequence[str]) -> bool:
     return any(fnmatch.fnmatch(case, p) for p in patterns)
 
@@ -185,6 +239,8 @@ def read_all(paths: Iterable[Path]) -> list[Any]:
 
 
 def _case_of(r: Recording, by: str) -> str:
+    if by in ("all", "recording"):
+        return "all" if by == "all" else r.name
     if by == "experiment":  # of one fabric, as the recording's header says
         return "/".join(filter(None, (r.fabric, r.notes.get("experiment", "")))) or r.name
     return getattr(r, by) or r.name
@@ -197,8 +253,7 @@ def group(
     chosen = matching(recordings, patterns)
     cases: dict[str, list[Source]] = {}
     for r in chosen:
-        case = "all" if by == "all" else r.name if by == "recording" else _case_of(r, by)
-        cases.setdefault(case, []).append(Source(r.path, r.name, r.hash, r.split))
+        cases.setdefault(_case_of(r, by), []).append(Source(r.path, r.name, r.hash, r.split))
     out = {case: resplit(sources, seed) for case, sources in sorted(cases.items())}
     for case, sources in out.items():
         if fitted and not any(s.split == "fit" for s in sources):

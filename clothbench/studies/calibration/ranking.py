@@ -95,7 +95,9 @@ def _standing(way: str, case: str, split: str, metric: str, rows: Rows) -> Stand
 
 
 def _half(row: dict[str, Any]) -> float:
-    return math.nan if row["low"] is None or row["high"] is None else (row["high"] - row["low"]) / 2
+    """Half the width of a row's interval, of the side that does not end at 0; NaN where it has none."""
+    known = row["low"] is not None and row["high"] is not None
+    return max(row["high"] - row["value"], row["value"] - row["low"]) if known else math.nan
 
 
 def best_cell(rows: Rows) -> str:
@@ -127,8 +129,8 @@ def tied(a: Standing, b: Standing) -> bool:
     """Whether the 95 % interval of the mean difference, recording by recording, includes 0.
 
     Student's t over recordings, each with the mean of its seeds; over seeds where there are too few recordings; where
-    there are too few of either, the intervals of the single errors together decide, and nothing is told where none is
-    known.
+    there are too few of either, the intervals of the single errors together decide, and nothing is told where one of
+    them is not known.
     """
     shared = sorted(set(a.errors) & set(b.errors))
     if not shared:
@@ -142,9 +144,9 @@ def tied(a: Standing, b: Standing) -> bool:
         means = np.mean(by_seed, axis=1)
         return unpaired_includes_zero(means[:seeds], means[seeds:])
     halves = [x.halves.get(n, math.nan) for x in (a, b) for n in shared]
-    if np.isnan(halves).all():
+    if np.isnan(halves).any():
         return True
-    joint = float(np.sqrt(np.nansum(np.square(halves)))) / len(shared)
+    joint = float(np.sqrt(np.sum(np.square(halves)))) / len(shared)
     return bool(abs(difference.mean()) <= joint)
 
 

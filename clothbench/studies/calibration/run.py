@@ -152,10 +152,10 @@ def _rows_of(
 
 
 def _interval(metric: Metric, score: Score, seen: Observation, rollout: Rollout, seed: int) -> tuple[float, float]:
-    """95 % interval of one recording's error, as the metric knows it, or by a bootstrap over the frames."""
+    """95 % interval of one recording's error, as the metric knows it, or from blocks of its frames."""
     if isinstance(metric, HasInterval):
         return metric.interval(seen, rollout, seed)
-    return error_interval(score, seen, seed)
+    return error_interval(score, seen)
 
 
 def _status(fit: Fit, score: Score, rollout: Rollout, searched: bool) -> tuple[str, str]:

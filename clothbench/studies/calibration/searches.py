@@ -17,6 +17,7 @@ from clothbench.studies.calibration.schema import HISTORY
 LEAST_SEEDS = 3  # of each search, from which on they are compared
 WORST = 3.0  # spreads between recordings of the same cloth: the corner that hypervolumes are counted from
 GOAL = 0.75  # share of all runs that come to the error that searches are timed to
+QUESTION = ("suite", "case", "model", "effects", "metric", "unit", "budget")  # columns of a row
 Interval = tuple[float, float, float]
 
 
@@ -24,10 +25,11 @@ Interval = tuple[float, float, float]
 class Search:
     """What one optimizer came to, over its seeds.
 
-    optimizer, seeds: of R runs; best: (R, E) least error so far after each of E evaluations, NaN where none was known;
-    error: mean of the last, with its 95 % interval (Student's t over seeds); volume: the same of the hypervolume, None
-    for a metric of one objective; reached, evaluations: in how many runs the goal was reached, and the median of how
-    many evaluations that took (infinite where most did not); lost: share of evaluations that could not be simulated.
+    optimizer: with its settings where one was run with several; seeds: of R runs; best: (R, E) least error so far
+    after each of E evaluations, NaN where none was known; error: mean of the last, with its 95 % interval (Student's t
+    over seeds); volume: the same of the hypervolume, None for a metric of one objective; reached, evaluations: in how
+    many runs the goal was reached, and the median of how many evaluations that took (infinite where most did not);
+    lost: share of evaluations that could not be simulated.
     """
 
     optimizer: str
@@ -45,7 +47,10 @@ class Search:
 
 @dataclass(frozen=True)
 class Contest:
-    """Searches that answered one question. goal: the error that three quarters of all their runs came to, in `unit`."""
+    """Searches that answered one question with one budget of evaluations.
+
+    goal: the error that three quarters of all their runs came to, in `unit`; budget: "" where it is not known.
+    """
 
     case: str
     model: str
@@ -53,24 +58,40 @@ class Contest:
     unit: str
     goal: float
     searches: tuple[Search, ...]
+    budget: str = ""
 
 
 def contests(results: Results) -> list[Contest]:
-    """Every question that two optimizers or more were asked with `LEAST_SEEDS` seeds or more, alike in all else."""
-    asked: dict[tuple[str, ...], dict[str, dict[str, dict[str, Any]]]] = {}
+    """Every question that two searches or more were asked with `LEAST_SEEDS` seeds or more, alike in all else: two
+    optimizers, or one that was run with several settings.
+    """
+    questions: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in results.rows:
         if row["split"] == "fit" and row["recording"] is None and row["metric"] == row["objective"]:
-            question = tuple(str(row[name] or "") for name in ("suite", "case", "model", "effects", "metric", "unit"))
-            asked.setdefault(question, {}).setdefault(row["optimizer"], {})[row["key"]] = row
+            questions.setdefault(tuple(str(row.get(name) or "") for name in QUESTION), []).append(row)
     out = []
-    for (_, case, model, effects, metric, unit), by_optimizer in sorted(asked.items()):
+    for (_, case, model, effects, metric, unit, budget), asked in sorted(questions.items()):
+        by_optimizer = _by_search(asked)
         kept = {name: keys for name, keys in by_optimizer.items() if len(keys) >= LEAST_SEEDS}
         if len(kept) < 2:
             continue
-        runs = {name: [_history(results, key) for key in keys] for name, keys in sorted(kept.items())}
+        runs = {name: [_history(results, key) for key in sorted(keys)] for name, keys in sorted(kept.items())}
         goal = float(np.quantile([np.fmin.reduce(v) for some in runs.values() for v, _ in some], GOAL))
         found = tuple(_search(name, some, goal) for name, some in runs.items())
-        out.append(Contest(case, " + ".join(filter(None, (model, effects))), metric, unit, goal, found))
+        out.append(Contest(case, " + ".join(filter(None, (model, effects))), metric, unit, goal, found, budget))
+    return out
+
+
+def _by_search(rows: Sequence[dict[str, Any]]) -> dict[str, set[str]]:
+    """Keys of the cells of each search: an optimizer, with its settings where it has several."""
+    settings: dict[str, set[Any]] = {}
+    for row in rows:
+        settings.setdefault(row["optimizer"], set()).add(row.get("settings"))
+    out: dict[str, set[str]] = {}
+    for row in rows:
+        name = row["optimizer"]
+        told = f"{name} · settings {row.get('settings')}" if len(settings[name]) > 1 else name
+        out.setdefault(told, set()).add(row["key"])
     return out
 
 

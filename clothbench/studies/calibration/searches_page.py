@@ -60,7 +60,8 @@ def searches_section(results: Results) -> Section | None:
 
 
 def title_of(contest: Contest) -> str:
-    return f"{contest.case} · {contest.model} · {contest.metric}"
+    budget = f"{contest.budget} evaluations" if contest.budget else ""
+    return " · ".join(filter(None, (contest.case, contest.model, contest.metric, budget)))
 
 
 def caption(contest: Contest) -> str:

@@ -79,16 +79,19 @@ def group_name(trials: Sequence[str]) -> str:
 
 
 def way_names(about: Mapping[str, dict[str, Any]]) -> dict[str, str]:
-    """How each cell was fitted, by key; with budget or settings where one folder holds several of them."""
+    """How each cell was fitted, by key; with budget or settings where one folder holds several of them: of settings, in
+    one case, since a fabric may have bounds or fixed values of its own.
+    """
     names = {}
     for key, row in about.items():
         seed = f" · seed {row['seed']}" if row["seed"] else ""
         names[key] = f"{model_name(row)} · {row['optimizer']} · {row['objective']}{seed}"
     for mark, word in (("budget", "{} evaluations"), ("settings", "settings {}")):
-        rivals: dict[str, set[Any]] = {}
+        rivals: dict[tuple[str, str], set[Any]] = {}
         for key, row in about.items():
-            rivals.setdefault(names[key], set()).add(row.get(mark))
-        names = {k: f"{n} · {word.format(about[k].get(mark))}" if len(rivals[n]) > 1 else n for k, n in names.items()}
+            rivals.setdefault((names[key], row["case"] if mark == "settings" else ""), set()).add(row.get(mark))
+        several = {name for (name, _), found in rivals.items() if len(found) > 1}
+        names = {k: f"{n} · {word.format(about[k].get(mark))}" if n in several else n for k, n in names.items()}
     return names
 
 

@@ -13,7 +13,8 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import digest, plugin_versions, seed_of
 from clothbench.engine.settings import known_words, mapping, number, refuse, require_plugins, whole, words
-from clothbench.plugins.discovery import Catalogue
+from clothbench.modelling.joined import JoinedParameters
+from clothbench.plugins.discovery import Catalogue, PluginBroken
 from clothbench.reference.fabrics import Fabric, chosen_fabrics, fabric_named
 
 SUITE_WORDS = frozenset({"fold", "select"})
@@ -105,6 +106,7 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     refuse(settings, NOT_RECORDED, made, "this suite has a strip on a desk")
     require_plugins(settings, ("model", "optimizer", "metric"))
     suite, cells = settings["suite"], []
+    spaces: list[tuple[str, ...]] = []
     lifted, fabrics = fold_settings(mapping("suite.fold", suite.get("fold"))), chosen_fabrics(selected(suite))
     product = itertools.product(fabrics, *(settings[key] for key in ("model", "optimizer", "metric")))
     for fabric, model, optimizer, metric in product:
@@ -116,8 +118,31 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
         for kind, name in cell.uses:
             if kind not in ("optimizers", "effects"):
                 plugins.make(kind, name, **cell.option(name))
+        spaces += parameters_of(cell, plugins)
         cells.append(dataclasses.replace(cell, versions=plugin_versions(cell.uses, plugins)))
+    for names in spaces:
+        if strays := [name for name in lifted.fit if name not in names]:
+            raise ClothbenchError(
+                f"setting 'suite.fold.fit': no parameter {strays[0]!r}; there are: {', '.join(names)}"
+            )
+    known = sorted({name for names in spaces for name in names})
+    strays = [name for name in settings["bounds"] if name not in known]
+    if strays and spaces:
+        raise ClothbenchError(f"setting 'bounds': no parameter {strays[0]!r}; there are: {', '.join(known)}")
     return cells
+
+
+def parameters_of(cell: FoldingCell, plugins: Catalogue) -> list[tuple[str, ...]]:
+    """Names of the parameters of a cell's model and effects, as one of a list; none where they are not known, or where
+    the model folds no strips and the cell says so.
+    """
+    try:
+        model = plugins.make("models", cell.model, **cell.option(cell.model))
+        effects = tuple(plugins.make("effects", name) for name in cell.effects)
+    except PluginBroken:
+        return []
+    folds = "fold" in model.capabilities
+    return [JoinedParameters(model.parameters, effects).parameters.names] if folds else []
 
 
 def fold_settings(given: Mapping[str, Any]) -> FoldSettings:

@@ -36,7 +36,7 @@ def keep(t, dt, x, v, f, sheet, p, state):
     if p[0] == 0.0:
         return
     shape, slots = bent(x, sheet), sheet.slots.shape[1]
-    kept = state.reshape((3, slots))
+    kept = state[: 3 * slots].reshape((3, slots))
     couple = kept.copy()
     for c in range(3):
         give_way(couple[c], kept[c], shape.curvature[c], p[0], p[1])

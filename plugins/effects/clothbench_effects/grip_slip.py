@@ -16,7 +16,7 @@ class GripSlip:
     """
 
     name = "grip_slip"
-    version = 1
+    version = 2
     place = "boundary"
     family = "grip"
     summary = "cloth that slips down in its grips, once"
@@ -26,11 +26,13 @@ class GripSlip:
             Parameter(
                 "distance", "d", "m", (0.0, 0.03), "linear", 0.003, "how far it slips", SOURCE, null=0.0,
             ),
-            Parameter("time", "t_s", "s", (0.0, 60.0), "linear", 0.2, "when it begins", SOURCE),
+            Parameter(
+                "time", "t_s", "s", (0.0, 60.0), "linear", 0.2, "when it begins, from the grips' first stamp", SOURCE,
+            ),
         )
     )  # fmt: skip
 
     def grips(self, time: np.ndarray, position: np.ndarray, phi: np.ndarray) -> np.ndarray:
-        s = np.clip((time - phi[1]) / DURATION, 0.0, 1.0)
+        s = np.clip((time - time[0] - phi[1]) / DURATION, 0.0, 1.0)
         step = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
         return position - phi[0] * step[:, None, None] * np.array([0.0, 0.0, 1.0])

@@ -44,9 +44,10 @@ class Drape:
     scalarisation = "root mean square over the objectives, each in standard deviations between captures"
 
     def __init__(self, quantities: Sequence[str] = NAMES, least_fold: float = 2e-3):
-        if isinstance(quantities, str) or not quantities or not set(quantities) <= set(NAMES):
+        some = isinstance(quantities, Sequence) and not isinstance(quantities, str) and len(quantities) > 0
+        if not some or not all(q in NAMES for q in quantities):
             raise ClothbenchError(f"drape: quantities is {quantities!r}, expected some of {', '.join(NAMES)}")
-        if not isinstance(least_fold, int | float) or not 0 < least_fold < 0.05:
+        if not isinstance(least_fold, int | float) or isinstance(least_fold, bool) or not 0 < least_fold < 0.05:
             raise ClothbenchError(f"drape: least_fold is {least_fold!r}, expected metres above 0 and below 0.05")
         self.which, self.least = [NAMES.index(name) for name in NAMES if name in quantities], float(least_fold)
         self.objectives = tuple(
@@ -87,21 +88,30 @@ class Drape:
         return float(np.mean(np.sqrt(np.mean(np.square(one), axis=1))))
 
     def interval(self, observation: Observation, rollout: Rollout, seed: int) -> tuple[float, float]:
-        """95 % interval of the first member's value by a bootstrap over specimens and first shapes."""
+        """95 % interval of the first member's value by a bootstrap over specimens and first shapes.
+
+        Quantiles are counted from the draws' own mean, since a drawn distance is larger than the value by what chance
+        adds to it. The interval holds the value and does not go below 0.
+        """
         seen, captured = self._captured(observation)
         simulated = self.simulated(seen, rollout)[0]
         if not np.isfinite(simulated).all():
             return float("nan"), float("nan")
         random, samples, drawn = np.random.default_rng(seed), np.unique(seen.sample), []
         spread = _spread(captured)
+
+        def value(shapes: np.ndarray, drapes: np.ndarray) -> float:
+            away = _distances(shapes[None], drapes)[0]
+            return float(np.sqrt(np.mean((away / spread)[self.which] ** 2)))
+
         for _ in range(DRAWS):
             chosen = random.choice(samples, len(samples))
             again = np.concatenate([captured[seen.sample == s] for s in chosen])
             shapes = simulated[random.integers(0, len(simulated), len(simulated))]
-            away = _distances(shapes[None], again)[0]
-            drawn.append(np.sqrt(np.mean((away / spread)[self.which] ** 2)))
-        low, high = np.quantile(drawn, [0.025, 0.975])
-        return float(low), float(high)
+            drawn.append(value(shapes, again))
+        here = value(simulated, captured)
+        below, above = np.quantile(drawn, [0.025, 0.975]) - np.mean(drawn)
+        return max(here + min(float(below), 0.0), 0.0), here + max(float(above), 0.0)
 
     def _captured(self, observation: Observation) -> tuple[Outlines, np.ndarray]:
         """The outlines that were seen, and their quantities (T, 4), read once."""

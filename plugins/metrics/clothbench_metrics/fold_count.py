@@ -17,11 +17,12 @@ class FoldCount:
 
     Hills and valleys count alike: each is a connected part of the picture, of at least `least` of the silhouette, in
     which the stripes turn (Bhat et al., eq. 4) one way from left to right. threshold: rad/px, from which on they do, as
-    of the tracker `stripes`; pixels, blur: as of `fold`. Per frame it gives the difference of the two counts.
+    of the tracker `stripes`; pixels, blur: as of `fold`. Per frame it gives by how many folds there
+    are too many (below 0: too few); the value is the size of their mean.
     """
 
     name = "fold_count"
-    version = 1
+    version = 2
     unit = "folds"
 
     def __init__(self, least: float = 0.003, pixels: int = 96, blur: float = 2.0, threshold: float = 0.006):
@@ -49,7 +50,7 @@ class FoldCount:
 
         lost = compared(sight, rollout, compare)
         mean = np.abs(count[:, frames].mean(axis=1) - seen[frames].mean())
-        return Score(np.where(lost, np.nan, mean), self.unit, np.abs(count - seen))
+        return Score(np.where(lost, np.nan, mean), self.unit, count - seen)
 
     def _count(self, angle: np.ndarray, fold: np.ndarray, shape: np.ndarray) -> int:
         """How many folds a picture (H, W) has, from the stripes' orientation and where it changes fast."""

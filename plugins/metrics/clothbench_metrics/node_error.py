@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from clothbench import ClothbenchError, Observation, Rollout, Score
+from clothbench import ClothbenchError, Observation, Rollout, Score, check_choice
 
 UNITS = {"mm": 1e3, "cm": 1e2, "m": 1.0, "px": 1.0}
 
@@ -24,8 +24,7 @@ class NodeError:
     version = 1
 
     def __init__(self, unit: str = "mm"):
-        if unit not in UNITS:
-            raise ClothbenchError(f"node_error: unit is {unit!r}, expected one of {', '.join(UNITS)}")
+        check_choice(self.name, "unit", unit, UNITS)
         self.unit = unit
 
     def __call__(self, observation: Observation, rollout: Rollout) -> Score:

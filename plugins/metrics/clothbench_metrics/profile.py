@@ -24,7 +24,7 @@ class Profile:
     unit = "m^2"
 
     def __init__(self, join: float = 2e-3):
-        if not isinstance(join, int | float) or not join >= 0:
+        if not isinstance(join, int | float) or isinstance(join, bool) or not 0 <= join < math.inf:
             raise ClothbenchError(f"profile: join is {join!r}, expected metres, 0 or above")
         self.join = float(join)
 

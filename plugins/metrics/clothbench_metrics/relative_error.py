@@ -27,7 +27,10 @@ class RelativeError:
     unit = "%"
 
     def __init__(self, origin: str | Sequence[float] = "centre"):
-        self.origin = origin if isinstance(origin, str) else np.asarray(origin, dtype=float)
+        try:
+            self.origin = origin if isinstance(origin, str) else np.asarray(origin, dtype=float)
+        except (TypeError, ValueError):  # of words, or uneven
+            self.origin = ""
         if isinstance(self.origin, str):
             known = self.origin in ORIGINS
         else:

@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from clothbench import ClothbenchError, Observation, Rollout, Score
+from clothbench import Observation, Rollout, Score, check_choice
 from clothbench_metrics.node_error import check_shape
 from clothbench_metrics.sight import Sights, apart, compared
 
@@ -26,8 +26,7 @@ class Silhouette:
     version = 1
 
     def __init__(self, quantity: str = "mismatch", pixels: int = 96):
-        if quantity not in QUANTITIES:
-            raise ClothbenchError(f"silhouette: quantity is {quantity!r}, expected one of {', '.join(QUANTITIES)}")
+        check_choice(self.name, "quantity", quantity, QUANTITIES)
         self.quantity, self.unit = quantity, QUANTITIES[quantity]
         self.sights = Sights(self.name, pixels, blur=2.0, threshold=0.006)
 

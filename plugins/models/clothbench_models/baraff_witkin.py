@@ -17,7 +17,7 @@ from functools import cached_property
 
 import numpy as np
 
-from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Rollout, Scene
+from clothbench import Effect, Material, Parameter, ParameterSpace, Rollout, Scene, check_choice
 from clothbench.modelling import (
     OK,
     RESTS,
@@ -109,11 +109,10 @@ class BaraffWitkin:
         self, resolution: int | Sequence[int] = 13, integrator: str = "bdf2", dt: float | None = None,
         step_scale: float = 1.0, tolerance: float | None = None, orthotropic: bool = False,
     ):  # fmt: skip
-        if integrator not in SCHEMES:
-            raise ClothbenchError(f"baraff_witkin: integrator is {integrator!r}, expected one of {', '.join(SCHEMES)}")
+        check_choice(self.name, "integrator", integrator, SCHEMES)
         check_resolution(self.name, resolution)
         check_number(self.name, "dt", dt, 0.0)
-        check_number(self.name, "step_scale", step_scale, 0.0, 100.0)
+        check_number(self.name, "step_scale", step_scale, 0.0, 100.0, optional=False)
         check_number(self.name, "tolerance", tolerance, 0.0, 0.1)
         self.resolution, self.integrator = resolution, integrator
         self.tolerance = TOLERANCE[integrator] if tolerance is None else tolerance

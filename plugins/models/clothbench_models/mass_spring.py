@@ -142,8 +142,8 @@ class MassSpringSimulation(SpringSimulation):
         """Leapfrog with a lagging damping force; ω² and the damping rate are bounded by the flat sheet's."""
         k1, k2, zeta = theta[:, :3].T
         one, two = self.grid.largest_eigenvalues
-        omega = np.sqrt(k1 * one + k2 * two + self.stiffest_effect(theta))
-        node = self.grid.node_mass
-        rate = 2 * zeta * (np.sqrt(k1 * node) * one + np.sqrt(k2 * node) * two)
+        node, light = self.grid.node_mass, self.effects.lightest(theta)
+        omega = np.sqrt((k1 * one + k2 * two + self.stiffest_effect(theta)) / light)
+        rate = 2 * zeta * (np.sqrt(k1 * node) * one + np.sqrt(k2 * node) * two) / light
         half = rate / (2 * omega)
         return (2 / omega) * (np.sqrt(1 + half**2) - half)

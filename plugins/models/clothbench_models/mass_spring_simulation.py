@@ -10,7 +10,7 @@ from functools import cached_property, lru_cache
 
 import numpy as np
 
-from clothbench import ClothbenchError, Rollout
+from clothbench import Rollout, check_choice
 from clothbench.modelling import (
     RESTS,
     SLOTS,
@@ -46,11 +46,10 @@ class SpringOptions:
     strain_limit: float | None = None
 
     def check(self, model: str) -> None:
-        if self.precision not in REAL:
-            raise ClothbenchError(f"{model}: precision is {self.precision!r}, expected 'double' or 'single'")
+        check_choice(model, "precision", self.precision, REAL)
         check_resolution(model, self.resolution)
         check_number(model, "dt", self.dt, 0.0)
-        check_number(model, "step_scale", self.step_scale, 0.0, 1.2)
+        check_number(model, "step_scale", self.step_scale, 0.0, 1.2, optional=False)
         check_number(model, "strain_limit", self.strain_limit, 0.0)
 
 
@@ -97,11 +96,13 @@ class SpringSimulation(GridSimulation, ABC):
         """The largest stable step of each parameter set (B,) s."""
 
     def fastest_square(self, theta: np.ndarray) -> np.ndarray:
-        """A bound on ω² (B,) 1/s²: that of the flat sheet, whose springs all pull in one plane, and of the effects."""
+        """A bound on ω² (B,) 1/s²: that of the flat sheet, whose springs all pull in one plane, and of the effects, for
+        the least mass that these leave.
+        """
         rows = np.zeros((len(theta), 2 * self.nodes))
         for k, row in zip(self.stiffness(theta).T, self.grid.eigenvalue_rows, strict=True):
             rows += k[:, None] * row  # not as a matrix product, whose last bits depend on how many sets there are
-        return rows.max(axis=1) + self.stiffest_effect(theta)
+        return (rows.max(axis=1) + self.stiffest_effect(theta)) / self.effects.lightest(theta)
 
 
 class _Batch(GridBatch):
@@ -113,7 +114,7 @@ class _Batch(GridBatch):
         options = simulation.options
         self.calmed = simulation.calmed(theta)
         if options.dt is not None:
-            dt = self.settle_dt = np.full(len(theta), options.dt)
+            dt = self.settle_dt = np.full(len(theta), options.dt * options.step_scale)
         else:
             scale = simulation.safety * options.step_scale
             dt, self.settle_dt = (scale * simulation.stable_step(values) for values in (theta, self.calmed))

@@ -63,6 +63,8 @@ class CmaEs(GeneratorSearch):
             "bounds": [[0.0] * count, [1.0] * count], "popsize": self.population, "verbose": -9, "verb_log": 0,
             "randn": self._normal, "seed": np.nan,  # its own generator, not numpy's global one
         }  # fmt: skip
+        if count == 1:  # pycma fails as it limits the only step of a search, which a flat or stepped error lets grow
+            options["maxstd_boundrange"] = np.inf
         return cma.CMAEvolutionStrategy(here, self.sigma, options)
 
     def _normal(self, *shape: int) -> np.ndarray:

@@ -6,7 +6,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clothbench import ClothbenchError, ParameterSpace
+from clothbench import ClothbenchError, ParameterSpace, check_choice
 from clothbench_optimizers.search import GeneratorSearch, Steps, check_whole, worst_last
 
 BITS = 16  # per parameter, as in the paper
@@ -42,8 +42,7 @@ class GeneticAlgorithm(GeneratorSearch):
             check_whole(self.name, name, value, least)
         if not isinstance(crossover, int | float) or isinstance(crossover, bool) or not 0 <= crossover <= 1:
             raise ClothbenchError(f"ga: crossover is {crossover!r}, expected a number from 0 to 1")
-        if decoding not in DECODINGS:
-            raise ClothbenchError(f"ga: decoding is {decoding!r}, expected one of {', '.join(DECODINGS)}")
+        check_choice(self.name, "decoding", decoding, DECODINGS)
         self.decoding = decoding
         self.population, self.generations = population, generations
         self.tournament, self.crossover = tournament, crossover

@@ -6,7 +6,7 @@ from collections.abc import Generator
 
 import numpy as np
 
-from clothbench import ClothbenchError, Evaluation, ParameterSpace
+from clothbench import ClothbenchError, Evaluation, ParameterSpace, check_choice
 
 Steps = Generator[np.ndarray, Evaluation, str]
 
@@ -58,8 +58,7 @@ STARTS = ("look", "defaults")
 
 
 def check_start(name: str, start: str) -> None:
-    if start not in STARTS:
-        raise ClothbenchError(f"{name}: start is {start!r}, expected one of {', '.join(STARTS)}")
+    check_choice(name, "start", start, STARTS)
 
 
 def check_whole(name: str, what: str, value: int, least: int) -> None:

@@ -14,7 +14,16 @@ from typing import Any
 
 import numpy as np
 
-from clothbench import ClothbenchError, DepthImages, Observation, for_each, read_depth, seen_points, to_world
+from clothbench import (
+    ClothbenchError,
+    DepthImages,
+    Observation,
+    check_choice,
+    for_each,
+    read_depth,
+    seen_points,
+    to_world,
+)
 from clothbench_trackers import depth_patch as patches
 from clothbench_trackers import flattening as flats
 from clothbench_trackers.depth_pictures import of_steps
@@ -67,8 +76,7 @@ class DepthMesh:
         for word, value, least in (("jump", jump, 0.0), ("hue", hue, 0.0), ("smooth", smooth, -1.0)):
             if not isinstance(value, int | float) or not value > least:
                 raise ClothbenchError(f"depth_mesh: {word} is {value!r}, expected a number above {max(least, 0):g}")
-        if method not in METHODS:
-            raise ClothbenchError(f"depth_mesh: method is {method!r}, expected one of {', '.join(METHODS)}")
+        check_choice(self.name, "method", method, METHODS)
         if not isinstance(support, int) or not 0 <= support <= 8:
             raise ClothbenchError(f"depth_mesh: support is {support!r}, expected 0 to 8 neighbours")
         if colour not in (None, False) and (len(tuple(colour)) != 3):

@@ -56,9 +56,9 @@ class Markers:
     version: ClassVar[int] = 1
 
     def __post_init__(self) -> None:
-        if self.up not in tuple(UP):
+        if self.up not in list(UP):
             raise refusal(self.name, "setting 'up'", repr(self.up), "x, y or z, the file's axis that points up")
-        if self.unit not in (None, *UNITS):
+        if self.unit not in [None, *UNITS]:
             raise refusal(self.name, "setting 'unit'", repr(self.unit), ", ".join(UNITS))
         for name in ("rate", "frame_tolerance", "fill_gaps_up_to", "sigma"):
             value = getattr(self, name)

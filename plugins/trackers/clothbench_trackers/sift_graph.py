@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from clothbench import ClothbenchError, ColourVideo, Keypoints, Observation, apart, for_each
+from clothbench import ClothbenchError, ColourVideo, Keypoints, Observation, apart, check_choice, for_each
 from clothbench_trackers import picture_graph as graphs
 from clothbench_trackers.options import check_mesh, check_metres
 
@@ -42,8 +42,7 @@ class SiftGraph:
         self, mesh: Sequence[int] = (20, 10), window: float = 2.0, place: str = "offset", ratio: float = 0.8,
         grips: str = "corners", sigma: float | None = None,
     ):  # fmt: skip
-        if place not in PLACES:
-            raise ClothbenchError(f"sift_graph: place is {place!r}, expected one of {', '.join(PLACES)}")
+        check_choice(self.name, "place", place, PLACES)
         for word, value, low, high in (("window", window, 1.0, 4.0), ("ratio", ratio, 0.1, 1.0)):
             if not isinstance(value, int | float) or not low <= value <= high:
                 raise ClothbenchError(f"sift_graph: {word} is {value!r}, expected {low:g} to {high:g}")
