@@ -208,6 +208,8 @@ def tell(folder: Path, found: Verified, of: int, verdict: Verdict) -> None:
         score = _scored(row["metric"], row["value"], row["unit"], row["floor"])
         table.add_row("unpublished, mean", *score, VERIFIED)
     console().print(table)
+    for fitted in dict.fromkeys(one.measured.name for one in found.found if one.against_file):
+        print(f"{fitted}: shown under fit: a fit used it, though its file holds it out")
 
 
 def _scored(metric: str, value: float, unit: str, floor: float | None) -> tuple[str, str, str]:

@@ -147,10 +147,13 @@ def means(standing: Standing) -> list[dict[str, Any]]:
     found, out = standing.found.found, []
     for row in rows_of(found):
         if row["recording"] is None:
-            cells = {one.cell for one in found if one.measured.split == row["split"]}
+            mine = [one for one in found if one.split == row["split"]]
+            cells = {one.cell for one in mine}
             again = sum(standing.grade_of([cell]) == REPRODUCED for cell in cells)
-            said = f"{again} of {len(cells)} fits reproduced" if 0 < again < len(cells) else ""
-            out.append({**row, "grade": standing.grade_of(cells), "said": said})
+            said = [f"{again} of {len(cells)} fits reproduced"] if 0 < again < len(cells) else []
+            if names := {one.measured.name for one in mine if one.against_file}:
+                said.append(f"fitted to {len(names)} that are held out by their files")
+            out.append({**row, "grade": standing.grade_of(cells), "said": "; ".join(said)})
     secret = standing.verdict.unpublished if standing.verdict else ()
     return [*out, *({**row, "split": "unpublished", "grade": VERIFIED, "said": ""} for row in secret)]
 
