@@ -16,7 +16,7 @@ from clothbench.history.entries import Entry, add, entries_in, entries_of_git
 from clothbench.history.page import write_page
 from clothbench.history.series import all_series
 from clothbench.history.show import document, print_history
-from clothbench.history.steps import ALPHA, noise_of, steps_of
+from clothbench.history.steps import ALPHA, freedom_of, noise_of, steps_of
 
 pytest.importorskip("ruptures", reason="ruptures is not installed: pip install 'clothbench[history]'")
 
@@ -46,7 +46,7 @@ def changes(series):
         ((15, 15.2, 10, 10.1, 14.9), 1.0, [(2, "better"), (4, "worse")]),
         ((10, 10, 10.4, 10.4), 0.0, []),  # nothing but rounding, on another machine
         ((10, 10, 11, 11), 0.0, [(2, "worse")]),
-        ((100, 101, 102, 103, 104, 105, 106, 107, 108, 109, 110, 111), 0.0, [(4, "worse")]),  # a slow drift adds up
+        ((100, 101, 102, 103, 104, 105, 106, 107, 108, 109, 110, 111), 0.0, [(6, "worse")]),  # a slow drift adds up
         ((10, None, 10), 1.0, [(1, "worse"), (2, "better")]),
         ((10,), 1.0, []),
     ],
@@ -65,6 +65,20 @@ def test_noise_alone_makes_no_more_steps_than_is_said():
     random = np.random.default_rng(3)
     told = sum(bool(steps_of(random.normal(10, 1, 12), 1.0, 0.0)) for _ in range(1000))
     assert 0 < told <= 1.5 * ALPHA * 1000
+
+
+@pytest.mark.parametrize("count", [6, 10, 20])
+def test_nor_where_the_scatter_of_the_same_values_is_all_that_tells_the_noise(count):
+    random = np.random.default_rng(5)
+
+    def told(values):
+        unknown = [float("nan")] * count
+        return steps_of(values, noise_of(values, unknown), 1e-3, 0.0, freedom_of(values, unknown))
+
+    assert sum(bool(told(random.normal(10, 1, count))) for _ in range(600)) <= 12  # 6 are said; 30 and more once
+    level = 10 + 25.0 * (np.arange(count) >= count // 2)
+    found = [[s.at for s in told(random.normal(level, 1))] for _ in range(50)]
+    assert sum(at == [count // 2] for at in found) >= 45
 
 
 def test_planted_steps_are_found_where_they_are():

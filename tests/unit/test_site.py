@@ -126,7 +126,7 @@ def test_places_go_by_a_metric_that_all_have_whatever_a_submission_states_first(
 
     def places():
         write_site(tmp_path / "all", tmp_path / "site", MEASURED, None, catalogue())
-        board = (tmp_path / "site" / "index.html").read_text().split("<tbody>")[1]
+        board = (tmp_path / "site" / "index.html").read_text().split("<tbody>")[1].split("</tbody>")[0]
         cells = [re.findall(r"<td[^>]*>(.*?)</td>", line) for line in board.split("</tr>")[:-1]]
         return [(cell[0], re.search(r">([^<]*)</a>", cell[1])[1]) for cell in cells]
 
