@@ -5,10 +5,10 @@ detection of changepoints with a linear computational cost), by `ruptures`, cuts
 / σ² + penalty · cuts is the least there is. A cut at a given place lowers the sum by z², z being the difference of both
 means in units of its standard error; noise alone exceeds χ²₁(1 − α / (n − 1)) at one of the n − 1 places in at most α
 of all series, and that is the penalty. Where σ is estimated from the scatter of these very values, the quantile is that
-of F with as many degrees of freedom as the estimate is worth: `FREEDOM` for each difference of neighbours. It was found
-by simulation: of 4,000 to 40,000 series of normal values for each of twelve n from 6 to 60 the 99 % quantile of the
-penalty that leaves no cut is that of F with 0.59 (n = 40) to 0.84 degrees of freedom for each difference, and with more
-at n = 60. Steps that are within the slack of the gate are then taken back, smallest first.
+of F with as many degrees of freedom as the estimate is worth: `FREEDOM` for each value. It was found by simulation: of
+4,000 to 40,000 series of normal values for each of twelve n from 6 to 60 the 99 % quantile of the penalty that leaves
+no cut is that of F with 0.57 (n = 40) to 0.72 degrees of freedom for each value, and with more at n = 60. Steps that
+are within the slack of the gate are then taken back, smallest first.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ ALPHA = 0.01  # share of series without any step in which one is told
 NORMAL = 1.959964  # half-width of a 95 % interval, in σ
 FEWEST = 6  # values from which on their own scatter tells a noise
 SCATTER = 1.4826 / 2**0.5  # σ of normal values over the median |difference| of neighbours
-FREEDOM = 0.6  # degrees of freedom of the scatter for each difference of neighbours, see above
+FREEDOM = 0.58  # degrees of freedom of the scatter for each value, see above
 NOTHING = 1e-12  # share of the largest value that counts as no noise at all
 
 
@@ -76,7 +76,7 @@ def freedom_of(values: Sequence[float], halves: Sequence[float]) -> float:
     stated, scatter = _noises(values, halves)
     if scatter is None or (stated is not None and stated >= scatter):
         return math.inf
-    return FREEDOM * (len(values) - 1)
+    return FREEDOM * len(values)
 
 
 def _noises(values: Sequence[float], halves: Sequence[float]) -> tuple[float | None, float | None]:
