@@ -147,8 +147,8 @@ def entries_of_git(path: Path, machine: str | None) -> list[Entry]:
             found.append(Entry(commit.hash, commit.date, commit.subject, machine, rows))
     if faults and not found:
         raise faults[-1]
-    for fault in faults:
-        print(f"clothbench: {fault}; left out", file=sys.stderr)
+    for said in faults:
+        print(f"clothbench: {said}; left out", file=sys.stderr)
     if not found:
         raise ClothbenchError(f"{path}: found no commit with this file, expected a committed leaderboard .json")
     return found

@@ -85,15 +85,16 @@ def _standing(way: str, case: str, split: str, metric: str, rows: Rows) -> Stand
     mine = [r for r in rows if r["split"] == split and r["metric"] == metric and r["recording"]]
     known = group([r for r in mine if r["value"] is not None], lambda r: r["recording"])
     bad = next((r for r in rows if r["status"] != "ok"), None)
-    some = seeds_told(rows, metric, split)
-    whole = bool(mine) and not some and len(known) == len({r["recording"] for r in mine})
+    status, reason = (str(bad["status"]), str(bad["reason"] or "")) if bad else ("ok", "")
+    told = seeds_told(rows, metric, split)
+    whole = bool(mine) and not told and len(known) == len({r["recording"] for r in mine})
     errors = {n: tuple(r["value"] for r in some) for n, some in known.items()}
     halves = {n: float(np.mean([_half(r) for r in some])) for n, some in known.items()}
     floors = [r["floor"] for r in mine]
     return Standing(
         way, case, best_cell(rows), split, float(np.mean([np.mean(e) for e in errors.values()])) if whole else None,
         errors, halves, float(np.mean(floors)) if floors and None not in floors else None,
-        *((bad["status"], bad["reason"] or "") if bad else ("ok", "")), some,
+        status, reason, told,
     )  # fmt: skip
 
 
