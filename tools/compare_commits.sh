@@ -3,12 +3,18 @@
 #
 #   BASE=main WORDS="+suite=static_dynamic model=mass_spring" tools/compare_commits.sh
 #
-# INSTALL: what pip installs of either commit (default "."); CLOTHBENCH: a checkout of clothbench that is installed
-# first, where the repository is not clothbench itself; BASE: the commit before where it is empty or zeros; RESULTS: folder for environments, results and comment.md;
+# WORDS: what `clothbench run` is told, words apart by blanks or lines; INSTALL: what pip installs of either commit
+# (default "."); CLOTHBENCH: a checkout of clothbench that is installed first, where the repository is not clothbench
+# itself; BASE: the commit before where it is empty or zeros; RESULTS: folder for environments, results and comment.md,
+# of which those of an earlier use are removed;
 # HISTORY: folder of `clothbench history` that gets an entry for the checked-out commit, and a page (index.html).
 # Exits with 0 whatever the comparison says, which stands in comment.md; in a job of GitHub Actions also in the
 # summary and in the output `passed`. Exits with another code if one of the two could not be run.
 set -euo pipefail
+
+results=${RESULTS:-$(mktemp -d)}
+mkdir -p "$results"
+rm -rf "$results"/{base/runs,head/runs,env-base,env-head,comment.md} # of an earlier use of the same folder
 
 base=${BASE:-}
 if [[ $base =~ ^0*$ ]]; then base=HEAD^; fi # a first push of a branch says zeros, a schedule nothing
@@ -16,10 +22,9 @@ if ! git rev-parse --quiet --verify "$base^{commit}" > /dev/null; then
     echo "compare_commits.sh: BASE: found no commit $base in this checkout, expected one; fetch all of them (fetch-depth: 0)" >&2
     exit 2
 fi
-read -r -a words <<< "${WORDS:-+suite=static_dynamic}"
-read -r -a install <<< "${INSTALL:-.}"
-results=${RESULTS:-$(mktemp -d)}
-mkdir -p "$results"
+# Of all lines, not of the first only; there is no end mark, so that read says 1.
+read -r -d '' -a words <<< "${WORDS:-+suite=static_dynamic}" || true
+read -r -d '' -a install <<< "${INSTALL:-.}" || true
 git worktree add --quiet --force --detach "$results/base-tree" "$base"
 trap 'git worktree remove --force "$results/base-tree"' EXIT
 

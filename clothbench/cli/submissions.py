@@ -21,6 +21,7 @@ from clothbench.recordings.nodes import Recording, find_recordings, read_recordi
 from clothbench.submissions.grades import choose, held_out, reproduce, require_new
 from clothbench.submissions.kept import drop, keep, rows_of
 from clothbench.submissions.packing import pack_results
+from clothbench.submissions.reading import require_submission
 from clothbench.submissions.sandbox import require_posix, sandbox
 from clothbench.submissions.site import write_site
 from clothbench.submissions.submission import FILE, Compared, pack
@@ -85,9 +86,13 @@ def suite_of(recordings: Sequence[str]) -> str:
 
 
 def verify_all(options: argparse.Namespace) -> int:
-    """Check submissions one by one; those that stand go into the results `out`. 1 if one does not."""
+    """Check submissions one by one; those that stand go into the results `out`. 1 if one does not. A folder without a
+    submission is refused before anything is looked at.
+    """
     if (options.reproduce or options.held_out) and not options.run_their_code:
         raise ClothbenchError(f"verify: --reproduce and --held-out {WARNING}")
+    for folder in options.folders:
+        require_submission(folder)
     known, plugins, bad = measured(options.recordings), catalogue(), 0
     secret = measured(options.held_out, "--held-out") if options.held_out else []
     require_unpublished(secret, known)
@@ -208,6 +213,8 @@ def tell(folder: Path, found: Verified, of: int, verdict: Verdict) -> None:
         score = _scored(row["metric"], row["value"], row["unit"], row["floor"])
         table.add_row("unpublished, mean", *score, VERIFIED)
     console().print(table)
+    for fitted in dict.fromkeys(one.measured.name for one in found.found if one.against_file):
+        print(f"{fitted}: shown under fit: a fit used it, though its file holds it out")
 
 
 def _scored(metric: str, value: float, unit: str, floor: float | None) -> tuple[str, str, str]:

@@ -145,7 +145,8 @@ def _listed(names: list[str]) -> str:
 
 def best_cell_of(out: Path, name: str) -> str | None:
     """Key of the cell that comes nearest to what it was fitted to, of those whose case or recording is called so; those
-    that were fitted to it come first. Of a recording "CASE/NAME" that is the only one the last part will do, as tables
+    that were fitted to it come first. Only cells that minimised the same metric are compared: the one that most of them
+    have, of several the first by name. Of a recording "CASE/NAME" that is the only one the last part will do, as tables
     call it. Says which it is where there are several.
     """
     from clothbench.engine.store import Store
@@ -156,7 +157,9 @@ def best_cell_of(out: Path, name: str) -> str | None:
         mine = [r for r in rows if (r["recording"] or "").rpartition("/")[2] == name]
         if len({r["recording"] for r in mine}) != 1:
             return None
-    order = sorted(mine, key=lambda r: (r["split"] != "fit", r["value"], r["key"]))
+    cells = {metric: len({r["key"] for r in mine if r["metric"] == metric}) for metric in {r["metric"] for r in mine}}
+    metrics = sorted(cells, key=lambda metric: (-cells[metric], metric))
+    order = sorted(mine, key=lambda r: (metrics.index(r["metric"]), r["split"] != "fit", r["value"], r["key"]))
     keys = list(dict.fromkeys(r["key"] for r in order))
     if len(keys) > 1:
         print(f"view:   cell {keys[0][:8]} ({_about(order[0])}); further: {', '.join(k[:8] for k in keys[1:9])}")

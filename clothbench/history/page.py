@@ -18,9 +18,10 @@ from clothbench.history.series import Series
 from clothbench.history.show import changes_of, conclusion, interval, share, value
 
 METHOD = """<p class="soft">A change is a step of a series' level that noise alone would bring about in one series of a
-hundred (PELT with the χ² quantile for that as its penalty, noise by the intervals of the values or by how they scatter,
-whichever is more) and that is more than 5&nbsp;%; or a number that was lost, or came back. Speeds are compared within
-one machine, from six entries of it on. A line without an interval stands for numbers that have none.</p>"""
+hundred (PELT with a quantile of χ² as its penalty where the intervals of the values say the noise, of F where their
+scatter does, which few values tell badly; whichever noise is more) and that is more than 5&nbsp;%; or a number that was
+lost, or came back. Speeds are compared within one machine, from six entries of it on. A line without an interval stands
+for numbers that have none.</p>"""
 DASHES = ("solid", "dash", "dot", "dashdot")
 
 

@@ -12,7 +12,7 @@ from typing import Any
 from clothbench.engine.judgement import IDENTITY, SLACK, error, half, has_number, identity, named, slack_at
 from clothbench.history.entries import Entry
 from clothbench.history.speed import speeds
-from clothbench.history.steps import FEWEST, noise_of, steps_of
+from clothbench.history.steps import FEWEST, freedom_of, noise_of, steps_of
 
 
 @dataclass(frozen=True)
@@ -105,11 +105,12 @@ def _error_series(key: tuple[Any, ...], row: Mapping[str, Any], points: tuple[Po
     reference = row.get("reference")
     found = [p for p in points if p.value is not None]
     values = [p.value for p in found if p.value is not None]
-    noise = noise_of(values, [math.nan if p.half is None else p.half for p in found])
+    halves = [math.nan if p.half is None else p.half for p in found]
+    noise, freedom = noise_of(values, halves), freedom_of(values, halves)
     # What has no interval is computed, not measured: it is the same each time, but for what the slack allows.
     changes = [
         Change(found[s.at].entry, s.before, s.after, s.half, "worse" if s.after > s.before else "better")
-        for s in steps_of(values, noise or 0.0, SLACK, slack_at(reference))
+        for s in steps_of(values, noise or 0.0, SLACK, slack_at(reference), freedom)
     ]
     about = dict(zip(IDENTITY, key, strict=True))
     shown = tuple(sorted([*changes, *_lost(points)], key=lambda c: c.entry))
@@ -132,9 +133,11 @@ def _speeds(entries: Sequence[Entry]) -> list[Series]:
     for about, found in speeds(entries):
         values = [math.log(one.value) for one in found]
         # All cells of a run are slow together where the machine was busy: only runs tell how runs differ.
-        noise = noise_of(values, [one.half for one in found]) if len(found) >= FEWEST else None
+        halves = [one.half for one in found]
+        noise = noise_of(values, halves) if len(found) >= FEWEST else None
         changes = []
-        for s in steps_of(values, noise, 0.0, math.log1p(SLACK)) if noise is not None else []:
+        freedom = freedom_of(values, halves)
+        for s in steps_of(values, noise, 0.0, math.log1p(SLACK), freedom) if noise is not None else []:
             before, after = math.exp(s.before), math.exp(s.after)
             verdict = "better" if after > before else "worse"
             changes.append(Change(found[s.at].entry, before, after, after * math.expm1(s.half), verdict))

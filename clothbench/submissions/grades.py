@@ -15,8 +15,9 @@ from clothbench.core.files import sha256
 from clothbench.engine.cells import seed_of
 from clothbench.engine.judgement import judge
 from clothbench.plugins.discovery import Catalogue
-from clothbench.studies.calibration.cell import CalibrationCell, asked, asked_again
+from clothbench.studies.calibration.cell import CalibrationCell, asked
 from clothbench.submissions.packing import metrics_of, require_checkable
+from clothbench.submissions.reading import questions_of
 from clothbench.submissions.sandbox import Sandbox
 from clothbench.submissions.submission import FILE, Compared, Submission, compared
 from clothbench.submissions.unpublished import Fabric
@@ -48,16 +49,10 @@ def cells_of(folder: Path, submission: Submission, plugins: Catalogue) -> dict[s
             f"{folder}: holds no fits that could be run again; pack them with `clothbench submit FOLDER --name "
             "NAME --runs RUNS --wheel FILE`"
         )
-    out = {}
-    for told in submission.cells:
-        try:
-            cell = asked_again(told.question)
-        except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as fault:
-            raise ClothbenchError(
-                f"{folder / FILE}: cell {told.key} is no question of a calibration ({fault})"
-            ) from None
-        out[told.key] = cell
-    return out
+    cells, faults = questions_of(folder, submission)
+    if faults:
+        raise ClothbenchError(faults[0])
+    return cells
 
 
 def reproduce(

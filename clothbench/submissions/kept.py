@@ -85,8 +85,8 @@ def rows_of(compared: Sequence[Compared]) -> list[dict[str, Any]]:
     """What differs from row to row: of each recording and metric, and the means of each split."""
     out = []
     for metric in dict.fromkeys(metric for one in compared for metric in one.scores):
-        for split in dict.fromkeys(one.measured.split for one in compared):
-            mine = [one for one in compared if one.measured.split == split and metric in one.scores]
+        for split in dict.fromkeys(one.split for one in compared):
+            mine = [one for one in compared if one.split == split and metric in one.scores]
             about = {"metric": metric, "objective": metric, "split": split, "unit": mine[0].units[metric]}
             single = [{**about, "recording": one.measured.name, **_one(one, metric)} for one in mine]
             out += [{**about, "recording": None, **mean_of_split(single)}, *single]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -9,14 +10,26 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError, seen
 from clothbench.core.files import read_json
+from clothbench.studies.calibration.cell import CalibrationCell, asked_again
 from clothbench.submissions.submission import FILE, SCHEMA, Asked, Entry, Submission, Wheel
+
+TEXTS = ("suite", "case", "model", "optimizer", "metric", "tracker", "choice")  # of a question
+WHOLE = {"seed": 0, "budget": 1}  # numbers of a question, with the least that each may be
+MAPPINGS = ("options", "bounds", "scene", "versions", "fixed", "analysis", "published", "start", "finer")
+LARGEST = 2**63 - 1  # that a row can hold
+
+
+def require_submission(folder: Path) -> Path:
+    """A folder's `submission.json`; refuse a folder that has none."""
+    path = folder / FILE
+    if not path.is_file():
+        raise ClothbenchError(f"{folder}: found no {FILE}; make one with `clothbench submit {folder} --name NAME`")
+    return path
 
 
 def read_submission(folder: Path) -> Submission:
     """What a folder's `submission.json` says; faults are one line."""
-    path = folder / FILE
-    if not path.exists():
-        raise ClothbenchError(f"{folder}: found no {FILE}; make one with `clothbench submit {folder} --name NAME`")
+    path = require_submission(folder)
     stated = read_json(path, f"what `clothbench submit {folder}` writes")
     if not isinstance(stated, dict) or stated.get("schema") != SCHEMA:
         found = stated.get("schema") if isinstance(stated, dict) else type(stated).__name__
@@ -83,3 +96,53 @@ def _entry(path: Path, number: int, stated: Any) -> Entry:
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+
+
+def questions_of(folder: Path, submission: Submission) -> tuple[dict[str, CalibrationCell], list[str]]:
+    """The fits that are handed in, by key, and a fault for each that is no question of a calibration."""
+    found, faults = dict[str, CalibrationCell](), list[str]()
+    for told in submission.cells:
+        where = f"{folder / FILE}: cell {told.key}"
+        if told.key in found:
+            faults.append(f"{where} is there twice, expected every fit once")
+            continue
+        try:
+            found[told.key] = asked_again(told.question)
+            _require_plain(found[told.key])
+        except (ClothbenchError, OverflowError) as fault:
+            faults.append(f"{where}: {fault}")
+    return found, faults
+
+
+def _require_plain(cell: CalibrationCell) -> None:
+    """Refuse what has another type than a calibration's: data classes take whatever they are given."""
+
+    def require(name: str, value: object, kept: bool, expected: str) -> None:
+        if not kept:
+            raise ClothbenchError(f"the question's {name} is {value!r}, expected {expected}")
+
+    for name in TEXTS:
+        require(name, getattr(cell, name), _is_text(getattr(cell, name)), "text")
+    for name in ("effects", "report"):
+        require(name, getattr(cell, name), all(map(_is_text, getattr(cell, name))), "a list of names")
+    for name, least in WHOLE.items():
+        value = getattr(cell, name)
+        require(name, value, type(value) is int and least <= value <= LARGEST, f"a whole number from {least} on")
+    require("timeout", cell.timeout, cell.timeout is None or _is_number(cell.timeout), "seconds or null")
+    for name in MAPPINGS:
+        require(name, getattr(cell, name), isinstance(getattr(cell, name), Mapping), "a mapping")
+    for name in ("fixed", "start", "finer"):
+        require(name, getattr(cell, name), all(map(_is_number, getattr(cell, name).values())), "numbers by name")
+    pairs = [end for pair in cell.bounds.values() for end in pair]
+    require("bounds", cell.bounds, all(map(_is_number, pairs)), "pairs of numbers by name")
+    require("versions", cell.versions, all(map(_is_text, cell.versions.values())), "texts by name")
+    for name in ("options", "analysis", "published"):
+        inner = getattr(cell, name).values()
+        require(name, getattr(cell, name), all(isinstance(one, Mapping) for one in inner), "mappings by name")
+    for source in (*cell.recordings, *cell.rivals):
+        texts = (source.path, source.name, source.hash, source.split)
+        require("recordings", source, all(map(_is_text, texts)), "texts")
+
+
+def _is_text(value: object) -> bool:
+    return isinstance(value, str) and seen(value) == value

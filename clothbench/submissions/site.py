@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -32,6 +33,7 @@ is reproduced if all its fits are.</dd>
 published.</dd></dl>
 <p>Every score has a grade of its own. A submission as a whole is reproduced if fits that were chosen afterwards at
 random are, and verified if it has been scored on unpublished recordings besides.</p>"""
+USUAL = "node_error"  # what places go by where all have it
 PAGES = "submissions"  # folder of the site
 FIRST = {VERIFIED: 0, REPRODUCED: 1, GRADE: 2}
 
@@ -147,10 +149,13 @@ def means(standing: Standing) -> list[dict[str, Any]]:
     found, out = standing.found.found, []
     for row in rows_of(found):
         if row["recording"] is None:
-            cells = {one.cell for one in found if one.measured.split == row["split"]}
+            mine = [one for one in found if one.split == row["split"]]
+            cells = {one.cell for one in mine}
             again = sum(standing.grade_of([cell]) == REPRODUCED for cell in cells)
-            said = f"{again} of {len(cells)} fits reproduced" if 0 < again < len(cells) else ""
-            out.append({**row, "grade": standing.grade_of(cells), "said": said})
+            said = [f"{again} of {len(cells)} fits reproduced"] if 0 < again < len(cells) else []
+            if names := {one.measured.name for one in mine if one.against_file}:
+                said.append(f"fitted to {len(names)} that are held out by their files")
+            out.append({**row, "grade": standing.grade_of(cells), "said": "; ".join(said)})
     secret = standing.verdict.unpublished if standing.verdict else ()
     return [*out, *({**row, "split": "unpublished", "grade": VERIFIED, "said": ""} for row in secret)]
 
@@ -168,12 +173,13 @@ def group_of(
 
 
 def _board(rows: Sequence[tuple[Standing, dict[str, Any]]]) -> str:
-    """One line for each submission, the least first error first; a column for each metric."""
-    metrics = list(dict.fromkeys((row["metric"], row["unit"]) for _, row in rows))
+    """One line for each submission, the least error first; a column for each metric, first the one that ranks."""
     lines: dict[str, tuple[Standing, dict[tuple[str, str], dict[str, Any]]]] = {}
     for standing, row in rows:
         lines.setdefault(standing.page, (standing, {}))[1][row["metric"], row["unit"]] = row
-    ranked = sorted(lines.values(), key=lambda line: line[1].get(metrics[0], {}).get("value", math.inf))
+    first = _ranking_metric([list(values) for _, values in lines.values()])
+    metrics = [first, *sorted({metric for _, values in lines.values() for metric in values} - {first})]
+    ranked = sorted(lines.values(), key=lambda line: line[1][first]["value"] if first in line[1] else math.inf)
     body = []
     for place, (standing, values) in enumerate(ranked, start=1):
         assert standing.found is not None
@@ -182,9 +188,17 @@ def _board(rows: Sequence[tuple[Standing, dict[str, Any]]]) -> str:
         of = next(iter(values.values()))  # one split has one grade
         grade = _pill(of["grade"]) + below(text(of["said"]))
         link = f'<a href="{text(standing.page)}">{text(about.name)}</a>{below(text(about.about))}'
-        body.append([text(place), link, text(about.by), grade, *shown])
+        body.append([text(place if first in values else ""), link, text(about.by), grade, *shown])
     head = ["place", "model", "by", "grade", *(f"{name} [{unit}]" for name, unit in metrics)]
     return table(head, body, numeric={0, *range(4, len(head))})
+
+
+def _ranking_metric(lines: Sequence[Sequence[tuple[str, str]]]) -> tuple[str, str]:
+    """The metric, with its unit, that all lines of a table have, or else most of them: what its places go by, whatever
+    order a submission states its metrics in. Of several `node_error`, or the first by name.
+    """
+    counts = Counter(metric for line in lines for metric in line)
+    return min(counts, key=lambda metric: (-counts[metric], metric[0] != USUAL, metric))
 
 
 def _score(row: dict[str, Any]) -> str:

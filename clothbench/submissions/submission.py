@@ -91,7 +91,8 @@ class Submission:
 @dataclass(frozen=True, eq=False)
 class Compared:
     """One simulated recording beside what was measured. scores, floors and halves, half-widths of their 95 % intervals
-    (NaN where there are none): by metric, in its unit; cell: key of the fit, "" where that is not known.
+    (NaN where there are none): by metric, in its unit; cell: key of the fit, "" where that is not known; fitted:
+    whether the fit used the recording, as its question says, None where that is not known.
     """
 
     measured: Recording
@@ -101,6 +102,19 @@ class Compared:
     floors: Mapping[str, float]
     units: Mapping[str, str]
     cell: str = ""
+    fitted: bool | None = None
+
+    @property
+    def split(self) -> str:
+        """What it is shown under: what its fit made of it, which need not be what the recording's file states."""
+        if self.fitted is None:
+            return self.measured.split
+        return "fit" if self.fitted else "held_out"
+
+    @property
+    def against_file(self) -> bool:
+        """Whether it was fitted, though the recording's file holds it out."""
+        return self.split == "fit" and self.measured.split == "held_out"
 
 
 def pack(

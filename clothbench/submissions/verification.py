@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import shlex
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,8 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import sha256
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording, read_recording
-from clothbench.submissions.reading import read_submission
+from clothbench.studies.calibration.cell import CalibrationCell
+from clothbench.submissions.reading import questions_of, read_submission
 from clothbench.submissions.submission import Compared, Entry, Submission, compared, require_all
 
 GRADE, REPRODUCED, VERIFIED, REFUSED = "recomputed", "reproduced", "verified", "refused"
@@ -41,7 +43,8 @@ def verify(folder: Path, measured: Sequence[Recording], plugins: Catalogue) -> V
             f"score it again with `clothbench submit {folder} --name {shlex.quote(submission.name)}`"
         )
     require_all(folder, [entry.recording for entry in submission.entries], measured)
-    by_hash, found, faults = {recording.hash: recording for recording in measured}, [], []
+    by_hash, found = {recording.hash: recording for recording in measured}, []
+    cells, faults = questions_of(folder, submission)
     for wheel in submission.wheels:
         try:
             require_same_file(folder / wheel.file, wheel.sha256)
@@ -53,10 +56,19 @@ def verify(folder: Path, measured: Sequence[Recording], plugins: Catalogue) -> V
             faults.append(f"{folder / entry.file}: is a second one of {entry.recording!r}, expected one for each fit")
             continue
         try:
-            found.append(_again(folder / entry.file, entry, by_hash, plugins))
+            again = _again(folder / entry.file, entry, by_hash, plugins)
+            found.append(dataclasses.replace(again, fitted=was_fitted(cells.get(entry.cell), entry.recording_hash)))
         except ClothbenchError as fault:
             faults.append(str(fault))
     return Verified(submission, tuple(found), tuple(faults))
+
+
+def was_fitted(cell: CalibrationCell | None, recording: str) -> bool | None:
+    """Whether a fit used a recording, given by its hash: a suite may split otherwise than the files state. None where
+    the fit is not known, or does not say.
+    """
+    splits = [source.split for source in cell.recordings if source.hash == recording] if cell else []
+    return "fit" in splits if splits else None
 
 
 def require_same_file(path: Path, expected: str) -> None:

@@ -188,6 +188,27 @@ def test_a_pull_request_gets_one_comment_and_fails_beyond_the_noise_and_no_token
     assert "gate passed" in again.read("comment")
 
 
+def test_a_second_use_in_one_job_compares_its_own_results(job):
+    """A runner keeps its temporary folder from step to step."""
+    first = job("pull_request", (10.0, 20.0))
+    first.run()
+    kept = (first.place / "temp").rename(first.place / "kept")
+    second = job("pull_request", (10.0, 10.1), run="+suite=other")
+    kept.rename(first.place / "temp")
+    assert second.run(), second.steps
+    lines = second.read("comment").splitlines()
+    assert lines[0] == "<!-- clothbench +suite=other -->"
+    assert "gate passed" in lines[1]
+
+
+def test_every_line_of_what_is_run_and_installed_counts(job):
+    found = job("pull_request", run="+suite=mine\nmodel=one,two\n  budget=5\n", install="numpy\n.\n")
+    assert found.run(), found.steps
+    told = found.read("stranger.log")
+    assert told.count("clothbench run +suite=mine model=one,two budget=5 rerun=false") == 2
+    assert told.count("--disable-pip-version-check numpy .\n") == 2
+
+
 def test_a_fork_has_the_table_in_its_summary_and_no_step_with_a_token(job):
     found = job("pull_request", (10.0, 20.0), of="stranger/plate", history="kept")
     assert not found.run()

@@ -294,6 +294,63 @@ def test_a_damaged_submission_is_one_line(mine, change, found):
         read_submission(mine)
 
 
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"seed": "x"}, "the question's seed is 'x', expected a whole number from 0 on"),
+        ({"seed": 2**70}, "the question's seed is 1180591620717411303424, expected a whole number"),
+        ({"case": 3}, "the question's case is 3, expected text"),
+        ({"effects": [["a"]]}, "the question's effects is (['a'],), expected a list of names"),
+        ({"bounds": {"bulge": "ab"}}, "the question's bounds is {'bulge': ('a', 'b')}, expected pairs of numbers"),
+        (None, "found no question of a calibration (KeyError 'recordings')"),
+    ],
+)
+def test_a_broken_question_is_a_fault_of_that_submission_only(stranger, mine, clothbench, tmp_path, change, said):
+    shutil.copytree(mine, tmp_path / "good")
+
+    def other(stated):
+        question = json.loads(stated["cells"][0]["question"])
+        stated["cells"][0]["question"] = "{}" if change is None else json.dumps(question | change)
+
+    edit(mine, other)
+    assert any(said in fault for fault in verify(mine, known(), catalogue()).faults)
+    if change in ({"seed": "x"}, None):
+        for more in ([], ["--out", "board"]):
+            done = clothbench("verify", mine, "good", "--recordings", str(stranger[0] / "recordings"), *more)
+            assert done.returncode == 1
+            (fault,) = done.stderr.splitlines()
+            assert said in fault
+            assert "plate (good): recomputed" in done.stdout
+
+
+def test_a_recording_that_the_fit_used_is_not_held_out_whatever_its_file_states(stranger, mine, clothbench, tmp_path):
+    """A suite splits as it likes (`each`, `together`): here both were fitted."""
+    shutil.move(mine, tmp_path / "submissions" / "mine")
+
+    def other(stated):
+        question = json.loads(stated["cells"][0]["question"])
+        for source in question["recordings"]:
+            source["split"] = "fit"
+        stated["cells"][0]["question"] = json.dumps(question)
+
+    edit(tmp_path / "submissions" / "mine", other)
+    given = ["--recordings", str(stranger[0] / "recordings")]
+    done = clothbench("verify", "submissions/mine", *given, "--out", "board")
+    assert done.returncode == 0, done.stderr
+    assert "sway-2: shown under fit: a fit used it, though its file holds it out" in done.stdout
+    rows = json.loads(clothbench("leaderboard", "--json", "--out", "board").stdout)
+    assert {row["split"] for row in rows} == {"fit"}
+    assert clothbench("site", "submissions", *given, "--out", "site").returncode == 0
+    text = (tmp_path / "site" / "index.html").read_text()
+    assert "fitted to 1 that are held out by their files" in text
+    assert "held out</h2>" not in text
+
+
+def test_a_fit_that_is_handed_in_twice_is_a_fault(mine):
+    edit(mine, lambda stated: stated["cells"].append(stated["cells"][0]))
+    assert "is there twice, expected every fit once" in verify(mine, known(), catalogue()).faults[0]
+
+
 def test_as_a_verifier_does_it(stranger, mine, clothbench, tmp_path):
     put_aside(tmp_path)
     given = ["--recordings", str(stranger[0] / "recordings")]

@@ -16,7 +16,7 @@ from clothbench.history.entries import Entry, add, entries_in, entries_of_git
 from clothbench.history.page import write_page
 from clothbench.history.series import all_series
 from clothbench.history.show import document, print_history
-from clothbench.history.steps import ALPHA, noise_of, steps_of
+from clothbench.history.steps import ALPHA, freedom_of, noise_of, steps_of
 
 pytest.importorskip("ruptures", reason="ruptures is not installed: pip install 'clothbench[history]'")
 
@@ -46,7 +46,7 @@ def changes(series):
         ((15, 15.2, 10, 10.1, 14.9), 1.0, [(2, "better"), (4, "worse")]),
         ((10, 10, 10.4, 10.4), 0.0, []),  # nothing but rounding, on another machine
         ((10, 10, 11, 11), 0.0, [(2, "worse")]),
-        ((100, 101, 102, 103, 104, 105, 106, 107, 108, 109, 110, 111), 0.0, [(4, "worse")]),  # a slow drift adds up
+        ((100, 101, 102, 103, 104, 105, 106, 107, 108, 109, 110, 111), 0.0, [(6, "worse")]),  # a slow drift adds up
         ((10, None, 10), 1.0, [(1, "worse"), (2, "better")]),
         ((10,), 1.0, []),
     ],
@@ -65,6 +65,20 @@ def test_noise_alone_makes_no_more_steps_than_is_said():
     random = np.random.default_rng(3)
     told = sum(bool(steps_of(random.normal(10, 1, 12), 1.0, 0.0)) for _ in range(1000))
     assert 0 < told <= 1.5 * ALPHA * 1000
+
+
+@pytest.mark.parametrize("count", [6, 10, 20])
+def test_nor_where_the_scatter_of_the_same_values_is_all_that_tells_the_noise(count):
+    random = np.random.default_rng(5)
+
+    def told(values):
+        unknown = [float("nan")] * count
+        return steps_of(values, noise_of(values, unknown), 1e-3, 0.0, freedom_of(values, unknown))
+
+    assert sum(bool(told(random.normal(10, 1, count))) for _ in range(600)) <= 12  # 6 are said; 30 and more once
+    level = 10 + 25.0 * (np.arange(count) >= count // 2)
+    found = [[s.at for s in told(random.normal(level, 1))] for _ in range(50)]
+    assert sum(at == [count // 2] for at in found) >= 45
 
 
 def test_planted_steps_are_found_where_they_are():
@@ -130,8 +144,9 @@ def test_speeds_are_compared_within_one_machine_and_from_six_entries_on():
     assert speed_series(*(entry(k, *timed(1.0 + 2 * (k > 1))) for k in range(4)))[0].changes == ()
 
 
-def stored(folder, value):
+def stored(folder, value, **about):
     kept = {**dict.fromkeys({**ROW, **SYSTEM}), **total(value), "seed": 0, "key": "ab", "cpu": "a cpu", "cores": 2}
+    kept |= about
     Store(folder).put("ab", {"rows": [kept]})
     return Store(folder)
 
@@ -155,6 +170,13 @@ def test_entries_are_added_to_a_folder_and_none_meets_another(tmp_path):
         ({"commit": 3}, "commit is 3, expected text"),
         ({"machine": []}, r"machine is \[\], expected text or null"),
         ({"date": "today"}, "is 'today', expected a date like"),
+        ({"date": "0001-01-01T00:00:00+14:00"}, "is '0001-01-01T00:00:00.14:00', expected a date like"),
+        ({"rows": [total(1.0, suite="")]}, r"json: rows\[0\].suite is '', expected the name of a suite"),
+        ({"rows": [total(1.0, suite=None)]}, r"json: rows\[0\].suite is None, expected the name of a suite"),
+        ({"rows": [total(1.0) | {"evaluations": -5}]}, r"rows\[0\].evaluations is -5, expected 0 at least"),
+        ({"rows": [total(1.0) | {"wall_s": -5.0}]}, r"rows\[0\].wall_s is -5, expected 0, or 1e-09 to"),
+        ({"rows": [total(1.0), total(1.0) | {"wall_s": 1e-320}]}, r"rows\[1\].wall_s is 9.99\S+, expected 0, or"),
+        ({"rows": [total(1e300)]}, r"rows\[0\].value is 1e\+300, expected 1e\+100 at most"),
         ({"rows": {}}, "expected rows as `clothbench leaderboard --json` prints them"),
     ],
 )
@@ -163,6 +185,16 @@ def test_a_damaged_entry_is_one_line(tmp_path, change, found):
     path.write_text(json.dumps(json.loads(path.read_text()) | change))
     with pytest.raises(ClothbenchError, match=found):
         entries_in(tmp_path)
+    before = sorted(tmp_path.glob("*.json"))
+    with pytest.raises(ClothbenchError, match=found):  # nor is one put beside it, of which no page could be made
+        add(tmp_path, stored(tmp_path / "more", 2.0), Commit("b" * 40, "2026-01-02T00:00:00Z", "another"))
+    assert sorted(tmp_path.glob("*.json")) == before
+
+
+def test_results_that_no_series_can_be_made_of_are_not_added(tmp_path):
+    with pytest.raises(ClothbenchError, match=r"runs: rows\[0\].suite is ''"):
+        add(tmp_path / "h", stored(tmp_path / "runs", 1.0, suite=""), Commit("a" * 40, "2026-01-01T00:00:00Z", "one"))
+    assert not list((tmp_path / "h").glob("*"))
 
 
 def test_a_folder_without_entries_says_how_to_get_some(tmp_path):
@@ -204,6 +236,27 @@ def test_git_itself_is_a_history(repository, clothbench, tmp_path):
     assert [c["entry"] for c in told["series"][0]["changes"]] == [2]
     assert (tmp_path / "history.html").is_file()
     assert clothbench("history", "--git", repository).stdout.splitlines()[-1].startswith("3 commits, 1 series of err")
+
+
+def test_a_commit_whose_file_cannot_be_read_is_left_out_and_said(repository, clothbench, capsys):
+    about = ["-c", "user.name=n", "-c", "user.email=n@example.org", "-c", "commit.gpgsign=false"]
+    good = repository.read_text()
+    for text in ("[{", good):
+        repository.write_text(text)
+        words = ["git", "-C", repository.parent, *about, "commit", "--quiet", "--all", "-m", "another"]
+        subprocess.run(words, check=True, capture_output=True)
+    assert [e.rows[0]["value"] for e in entries_of_git(repository, None)] == [10.0, 10.0, 20.0, 20.0]
+    (said,) = capsys.readouterr().err.splitlines()
+    assert said.startswith(f"clothbench: {repository} at ")
+    assert said.endswith("; left out")
+    other = repository.with_name("other.json")
+    other.write_text("[{")
+    subprocess.run(["git", "-C", repository.parent, "add", "."], check=True)
+    words = ["git", "-C", repository.parent, *about, "commit", "--quiet", "-m", "bad"]
+    subprocess.run(words, check=True, capture_output=True)
+    done = clothbench("history", "--git", other)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert len(done.stderr.splitlines()) == 1
 
 
 @pytest.mark.parametrize("subject", ["ma\u00dfe".encode("latin-1"), "one\u2028two".encode(), b"one\x0ctwo\rthree"])

@@ -12,11 +12,14 @@ import pytest
 from clothbench.core.observation import Observation
 from clothbench.core.protocols import Score
 from clothbench.estimation.intervals import error_interval
+from clothbench.studies.calibration.answer import lead
 from clothbench.studies.calibration.budget import late_fall, settled
 from clothbench.studies.calibration.estimates import contained, estimates
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
+from clothbench.studies.calibration.matrix import one_way, several_ways
 from clothbench.studies.calibration.parameters_page import strip_of, truth_said
 from clothbench.studies.calibration.ranking import best_of, overall, standings, way_of
+from clothbench.studies.calibration.tables import overall as told_overall
 from clothbench.studies.calibration.words import listed, size
 from clothbench.studies.folding.answer import answer_of as folded
 from clothbench.studies.mechanics.answer import answer_of as meant
@@ -84,6 +87,42 @@ def test_a_way_without_a_number_is_neither_ranked_nor_tied():
     assert best_of(found["linen"]) == ["a"]
     assert found["linen"]["b"].status == "diverged"
     assert [one.way for one in overall(found)] == ["a"]
+
+
+def test_a_way_whose_seeds_mostly_fail_is_marked_and_not_ranked():
+    """By its one seed alone it would be first."""
+    some = rows_of({"a": [2.0, 3.0, 4.0]})
+    some += [r | {"key": "b-0"} for r in rows_of({"b": [1.0, 1.0, 1.0]})]
+    lost = {"split": None, "status": "diverged", "reason": "fell over"}
+    some += [row("b", "linen", None, None, seed=k, key=f"b-{k}", **lost) for k in (1, 2)]
+    found = standings(some, "fold")
+    assert best_of(found["linen"]) == ["a"]
+    assert [one.way for one in overall(found)] == ["a"]
+    assert (found["linen"]["b"].value, found["linen"]["b"].whole) == (None, "1 of 3 seeds")
+    assert lead(overall(found), found)["left"] == ["b"]
+    (_, _, (_, square)), = several_ways("s", "fold", some, lambda suite, case: "").lines  # fmt: skip
+    assert (square.text, square.below, square.title) == ("diverged", "1 of 3 seeds", "fell over")
+    alone = [r for r in some if r["model"] == "b"]
+    (_, _, squares), = one_way("s", "fold", alone, lambda suite, case: "").lines  # fmt: skip
+    assert {(s.text, s.below) for s in squares} == {("1.00", "1 of 3 seeds")}
+
+
+def test_the_terminal_says_of_how_many_cases_a_mean_is_and_mixes_no_budgets():
+    some = [row("a", case, f"{case}/x", value) for case, value in (("linen", 1.0), ("satin", 3.0))]
+    assert told_overall(some) == ["held out, all 2 cases: 2.00 px over 2 recordings (a · ga · fold, seed 0)"]
+    lost = row("a", "wool", None, None, split=None, key="a-wool", metric="fold")
+    assert told_overall([*some, lost])[0].startswith("held out, 2 of 3 cases: 2.00 px over 2 recordings")
+    more = [row("a", case, f"{case}/x", 9.0, budget=99, key=f"{case}99") for case in ("linen", "satin")]
+    assert told_overall([*some, *more]) == [
+        "held out, all 2 cases: 2.00 px over 2 recordings (a · ga · fold · 9 evaluations, seed 0)",
+        "held out, all 2 cases: 9.00 px over 2 recordings (a · ga · fold · 99 evaluations, seed 0)",
+    ]
+
+
+def test_a_fit_that_was_not_judged_by_a_metric_is_not_one_that_failed():
+    some = [row("a", "linen", "x", 1.0), row("a", "linen", "x", 1.0, metric="fold_count")]
+    some += [row("a", "linen", "x", 1.2, seed=1, key="a-1")]
+    assert standings(some, "fold_count")["linen"]["a"].whole == ""
 
 
 def test_a_way_is_called_by_what_tells_it_apart():

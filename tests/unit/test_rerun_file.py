@@ -20,11 +20,12 @@ from clothbench.core.rollout import Rollout
 from clothbench.display import rerun as rerun_file
 from clothbench.engine.cells import Source
 from clothbench.engine.run import run_cell
-from clothbench.engine.store import Store
+from clothbench.engine.store import ROW, SYSTEM, Store
 from clothbench.estimation.calibrate import best_rollout, calibrate
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.nodes import Recording, grips_at, write_recording
 from clothbench.recordings.scenes import scene_of
+from clothbench.studies.calibration import film_rerun
 from clothbench.studies.calibration import rerun_file as fit_file
 from clothbench.studies.calibration.cell import Bench, CalibrationCell, set_up
 from clothbench.studies.calibration.film_rerun import about, best_rows, write_best
@@ -221,8 +222,35 @@ def test_the_best_is_the_least_error_on_all_that_was_fitted():
         {**row, "key": "a", "value": 2.0}, {**row, "key": "b", "value": 1.0}, {**row, "key": "c", "value": None},
         {**row, "key": "a", "value": 0.1, "recording": "one"}, {**row, "key": "a", "value": 0.2, "split": "held_out"},
         {**row, "key": "a", "value": 0.3, "metric": "another"}, {**row, "key": "d", "value": 0.4},
+        {**row, "key": "e", "value": 0.01, "metric": "of another unit", "objective": "of another unit"},
     ]  # fmt: skip
-    assert {at: r["key"] for at, r in best_rows(rows, ["a", "b", "c"]).items()} == {("s", "c"): "b"}
+    best = {at: r["key"] for at, r in best_rows(rows, ["a", "b", "c", "e"]).items()}
+    assert best == {("s", "c", "m"): "b", ("s", "c", "of another unit"): "e"}
+
+
+def test_errors_of_several_metrics_are_not_compared(tmp_path, monkeypatch, capsys):
+    """Of two cells by millimetres and one by a number without a unit, which is less than either."""
+    errors = (("a" * 16, "node_error", 3.0), ("b" * 16, "node_error", 2.0), ("c" * 16, "relative_error", 0.1))
+
+    def kept(key, metric, value):
+        row = {**dict.fromkeys({**ROW, **SYSTEM}), "study": "calibration", "suite": "s", "case": "c", "seed": 0,
+               "model": "m", "optimizer": "o", "metric": metric, "objective": metric, "split": "fit", "key": key,
+               "value": value, "status": "ok", "effects": ""}  # fmt: skip
+        Store(tmp_path).put(key, {"rows": [row]})
+        films = tmp_path / "cells" / key / "films"
+        films.mkdir(exist_ok=True)
+        (films / "0.npz").touch()
+
+    for one in errors:
+        kept(*one)
+    assert view.best_cell_of(tmp_path, "c") == "b" * 16
+    assert "further: aaaaaaaa, cccccccc" in capsys.readouterr().out
+    monkeypatch.setattr(film_rerun, "write_film_rerun", lambda path, *_: path.touch())
+    names = [path.name[-12:] for path in write_best(Store(tmp_path), [key for key, _, _ in errors])]
+    assert names == ["cccccccc.rrd", "bbbbbbbb.rrd"]
+    kept("d" * 16, "node_error", 1.0)
+    write_best(Store(tmp_path), ["d" * 16])
+    assert sorted(path.name[-12:] for path in (tmp_path / "rerun").iterdir()) == ["cccccccc.rrd", "dddddddd.rrd"]
 
 
 def test_what_a_cell_came_to_stands_beside_it_in_words(run_without_rerun):

@@ -31,7 +31,7 @@ def results_of(tmp_path, histories, **more):
             write_table(tmp_path / key / "history.parquet", table)
             rows.append(
                 {"suite": "s", "case": "c", "model": "m", "effects": "", "metric": "d", "objective": "d", "unit": "sd",
-                 "split": "fit", "recording": None, "optimizer": optimizer, "key": key, **more}
+                 "split": "fit", "recording": None, "optimizer": optimizer, "key": key, "seed": seed, **more}
             )  # fmt: skip
     return Results(SimpleNamespace(cell=lambda key: tmp_path / key), rows)
 
@@ -69,6 +69,16 @@ def test_searches_of_other_budgets_or_settings_are_not_averaged(tmp_path):
     assert {s.optimizer for s in both[0].searches} == {"quick", "slow"}
     assert {s.optimizer for s in both[1].searches} == {f"{o} · settings {s}" for o in runs for s in "ab"}
     assert all(s.seeds == 3 for c in both for s in c.searches)
+
+
+def test_the_same_seed_again_and_other_budgets_are_no_further_seeds(tmp_path):
+    """As of `budget=4,8,12` with one seed, and of one seed on recordings that were made anew."""
+    runs, rows = {"quick": [[1.0]], "slow": [[2.0]]}, []
+    for budget in (4, 8, 12):
+        found = results_of(tmp_path, runs, budget=budget)
+        rows += found.rows
+    assert contests(Results(found.store, rows)) == []
+    assert contests(Results(found.store, [row | {"budget": 12} for row in rows])) == []
 
 
 def test_one_search_is_no_contest(tmp_path):

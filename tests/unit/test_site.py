@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 import shutil
 
 import pytest
@@ -112,6 +113,30 @@ def test_a_mean_is_reproduced_if_all_its_fits_are(place):
     assert {(row["grade"], row["said"]) for row in means(some)} == {("recomputed", "1 of 2 fits reproduced")}
     all_of_them = Standing(mine, found, verdict_on(mine, "first", seed=1, cells=["ab", "cd"]))
     assert {(row["grade"], row["said"]) for row in means(all_of_them)} == {("reproduced", "")}
+
+
+def test_places_go_by_a_metric_that_all_have_whatever_a_submission_states_first(tmp_path):
+    """One lacks what the first by name states first; without a shared one, who lacks it has no place."""
+
+    def handed_in(name, away, metrics):
+        for recording in MEASURED:
+            write_recording(simulated(recording, away), tmp_path / "all" / name / f"{recording.name}.nc")
+        about = {"name": name, "by": "", "about": "", "suite": "sway"}
+        pack(tmp_path / "all" / name, MEASURED, metrics, catalogue(), **about)
+
+    def places():
+        write_site(tmp_path / "all", tmp_path / "site", MEASURED, None, catalogue())
+        board = (tmp_path / "site" / "index.html").read_text().split("<tbody>")[1].split("</tbody>")[0]
+        cells = [re.findall(r"<td[^>]*>(.*?)</td>", line) for line in board.split("</tr>")[:-1]]
+        return [(cell[0], re.search(r">([^<]*)</a>", cell[1])[1]) for cell in cells]
+
+    handed_in("a", 0.009, ["relative_error", "node_error"])
+    handed_in("b", 0.003, ["node_error"])
+    handed_in("c", 0.006, ["relative_error", "node_error"])
+    assert places() == [("1", "b"), ("2", "c"), ("3", "a")]
+    shutil.rmtree(tmp_path / "all" / "c")
+    handed_in("d", 0.006, ["relative_error"])
+    assert places() == [("1", "b"), ("2", "a"), ("", "d")]
 
 
 def test_one_that_failed_later_is_shown_as_refused(site):

@@ -201,6 +201,14 @@ def test_as_a_user_hands_in_and_checks(folder, recordings_folder, clothbench):
     assert done.stdout == f"my-simulator ({folder}): refused, 1 fault\n"
 
 
+def test_a_folder_without_a_submission_is_wrong_use_and_nothing_is_checked(folder, recordings_folder, clothbench):
+    packed(folder, [read_recording(path) for path in sorted(recordings_folder.glob("*.nc"))])
+    done = clothbench("verify", folder, "nowhere", "--recordings", str(recordings_folder), "--out", "runs")
+    assert (done.returncode, done.stdout) == (2, "")
+    said = "nowhere: found no submission.json; make one with `clothbench submit nowhere --name NAME`"
+    assert done.stderr == f"clothbench: {said}\n"
+
+
 def test_a_suite_is_called_as_its_recordings_are(tmp_path):
     assert suite_of(["builtin:static_dynamic"]) == "static_dynamic"
     assert (

@@ -60,6 +60,7 @@ def lead(ranked: Sequence[Overall], found: Mapping[str, Mapping[str, Standing]])
     return {
         "ways": [one.way for one in ranked], "ties": ties, "cases": len(found), "wins": wins,
         "behind": [(one.way, times(one)) for one in ranked[1:] if not one.tied],
+        "left": sorted({way for case in found.values() for way in case} - {one.way for one in ranked}),
         "near": [(one.way, times(one)) for one in ranked[1:] if one.tied],
         "only_fitted": any(s.split == "fit" for case in found.values() for s in case.values()),
     }  # fmt: skip

@@ -52,11 +52,12 @@ def clips_of(results: Results) -> Clips:
 
 
 def in_turn(results: Results) -> Iterator[tuple[Rows, str, Path]]:
-    """(rows of a cell, what tells it from others of its case, its film): all films of the best cell of every case, the
-    first ones before the second ones, then those of the second best.
+    """(rows of a cell, what tells it from others of its case, its film): all films of the best cell of every case and
+    metric that was minimised, the first ones before the second ones, then those of the second best.
     """
     cells = group(results.rows, lambda r: r["key"])
-    rank = {key: n for mine in group(results.rows, lambda r: (r["suite"], r["case"])).values() for n, key in enumerate(
+    cases = group(results.rows, lambda r: (r["suite"], r["case"], r["objective"]))
+    rank = {key: n for mine in cases.values() for n, key in enumerate(
         sorted({r["key"] for r in mine}, key=lambda k: fitted_error(cells[k])))}  # fmt: skip
     files = {key: sorted((results.store.cell(key) / FILMS).glob("*.npz"), key=lambda p: int(p.stem)) for key in cells}
     order = [(n, rank[key], key) for key, mine in files.items() for n in range(len(mine))]

@@ -28,10 +28,12 @@ Rows = Sequence[dict[str, Any]]
 def write_best(store: Store, keys: Sequence[str]) -> list[Path]:
     """Write RUNS/rerun/CASE-KEY.rrd for the best fit of each case of these cells; those it has already are kept.
 
-    Best is the least mean error on what was fitted, by the metric that was minimised. Returns the files.
+    Best is the least mean error on what was fitted, by the metric that was minimised; a case that was fitted by several
+    has a file for each of them. Returns the files.
     """
-    out = []
-    for (suite, case), row in best_rows(store.rows(), keys).items():
+    rows, out = store.rows(), []
+    metrics = {(row["key"][:8], row["objective"]) for row in rows}
+    for (suite, case, metric), row in best_rows(rows, keys).items():
         films = sorted((store.cell(row["key"]) / FILMS).glob("*.npz"))
         if not films:
             continue
@@ -41,18 +43,21 @@ def write_best(store: Store, keys: Sequence[str]) -> list[Path]:
             with whole_file(path) as part:
                 write_film_rerun(part, store, row["key"], films)
             for old in path.parent.glob(f"{name[:-12]}????????.rrd"):  # of another fit, which was the best until now
-                if old != path:
+                by = {objective for key, objective in metrics if key == old.stem[-8:]}
+                if old != path and (not by or metric in by):
                     old.unlink()
         out.append(path)
     return out
 
 
-def best_rows(rows: Rows, keys: Sequence[str]) -> dict[tuple[str, str], dict[str, Any]]:
-    """The best row of each (suite, case) among those of some cells, over all recordings that were fitted together."""
-    out: dict[tuple[str, str], dict[str, Any]] = {}
+def best_rows(rows: Rows, keys: Sequence[str]) -> dict[tuple[str, str, str], dict[str, Any]]:
+    """The best row of each (suite, case, metric that was minimised) among those of some cells, over all recordings that
+    were fitted together: errors by several metrics cannot be compared.
+    """
+    out: dict[tuple[str, str, str], dict[str, Any]] = {}
     known = set(keys)
     for row in fitted_totals([r for r in rows if r["key"] in known]):
-        out.setdefault((row["suite"], row["case"]), row)
+        out.setdefault((row["suite"], row["case"], row["objective"]), row)
     return out
 
 

@@ -16,7 +16,7 @@ from clothbench.display.section import Section
 from clothbench.display.templates import asset_of, rendered
 from clothbench.engine.study import Results
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.calibration.ranking import Standing, best_of, standings
+from clothbench.studies.calibration.ranking import Standing, best_of, seeds_told, standings
 from clothbench.studies.calibration.words import case_name, counted, headed, size
 
 Rows = Sequence[dict[str, Any]]
@@ -94,7 +94,8 @@ def _square(one: Standing | None, line: Mapping[str, Standing], best: Sequence[s
     if one is None:
         return Square("")
     if one.value is None:
-        return Square(one.status if one.status != "ok" else "–", one.reason, title=one.reason, link=to)
+        status = one.status if one.status != "ok" else "–"
+        return Square(status, one.whole or one.reason, title=one.reason, link=to)
     least = line[best[0]].value or 0.0
     ratio = one.value / least if least else 1.0
     said = "" if one.way == best[0] else "≈ tied" if one.way in best else f"× {ratio:.2f}"
@@ -119,7 +120,8 @@ def one_way(suite: str, metric: str, rows: Rows, links: Links) -> Matrix:
         bad = next((r for r in some if r["status"] != "ok"), None)
         by_head = group(shown[case], name)
         to = links(suite, case)
-        squares = tuple(_judged(by_head.get(head, []), bad, ends, to, framed=few) for head in heads or [""])
+        told = seeds_told(some, metric)
+        squares = tuple(_judged(by_head.get(head, []), bad, ends, to, told, framed=few) for head in heads or [""])
         lines.append((case, to, squares))
     return Matrix(metric, unit_of(rows, metric), meaning_of(metric), tuple(heads or [""]), tuple(lines))
 
@@ -130,9 +132,9 @@ def tail(row: dict[str, Any]) -> str:
 
 
 def _judged(
-    rows: Rows, bad: dict[str, Any] | None, ends: tuple[float, float], to: str, framed: bool
+    rows: Rows, bad: dict[str, Any] | None, ends: tuple[float, float], to: str, told: str, framed: bool
 ) -> Square:  # fmt: skip
-    """The mean of some errors, the hotter the larger it is among all of the table."""
+    """The mean of some errors, the hotter the larger it is among all of the table. told: of how many seeds."""
     values = [r["value"] for r in rows if r["value"] is not None]
     if not values or len(values) < len(rows):
         return Square("") if not bad else Square(bad["status"], bad["reason"] or "", link=to)
@@ -142,7 +144,7 @@ def _judged(
     below = f"floor {size(sum(floors) / len(floors))}" if floors and all(floors) else ""
     about = f"mean of {len(values)}, {size(min(values))} … {size(max(values))}" if len(values) > 1 else ""
     about = "; ".join(filter(None, ("fitted" if framed else "", about, below)))
-    return Square(size(mean), "", round(heat, 1), False, to, about, framed)
+    return Square(size(mean), told, round(heat, 1), False, to, about, framed)
 
 
 def unit_of(rows: Rows, metric: str) -> str:

@@ -25,7 +25,8 @@ class Standing:
     """What one way comes to in one case by one metric.
 
     key: of its best cell; value: mean over the recordings of a split, over all seeds; errors: by recording, the values
-    of all seeds, with half the width of their intervals where they are known; floor: of noise alone, or None.
+    of all seeds, with half the width of their intervals where they are known; floor: of noise alone, or None; whole:
+    "1 of 3 seeds" where not all of them came to a number: there is no value then, which the others alone would flatter.
     """
 
     way: str
@@ -38,6 +39,7 @@ class Standing:
     floor: float | None = None
     status: str = "ok"
     reason: str = ""
+    whole: str = ""
 
     @property
     def seeds(self) -> int:
@@ -52,7 +54,7 @@ class Standing:
 def way_of(rows: Rows) -> Callable[[dict[str, Any]], str]:
     """What to call a row's way: its model, with its effects where others are tried too, and whatever else differs."""
     parts = (("optimizer", "{}"), ("objective", "by {}"), ("budget", "{} evaluations"), ("settings", "settings {}"))
-    told = [(name, word) for name, word in parts if _differ(rows, name)]
+    told = [(name, word) for name, word in parts if differ(rows, name)]
     effects = group(rows, lambda r: r["model"])
     plain = {model for model, some in effects.items() if len({r["effects"] or "" for r in some}) == 1}
 
@@ -63,7 +65,7 @@ def way_of(rows: Rows) -> Callable[[dict[str, Any]], str]:
     return name
 
 
-def _differ(rows: Rows, name: str) -> bool:
+def differ(rows: Rows, name: str) -> bool:
     """Whether rows differ in this; of settings, rows of one model in one case: a fabric may have bounds of its own."""
     known = group(rows, lambda r: (model_name(r), r["case"]) if name == "settings" else "all")
     return any(len({r.get(name) for r in some}) > 1 for some in known.values())
@@ -83,15 +85,31 @@ def _standing(way: str, case: str, split: str, metric: str, rows: Rows) -> Stand
     mine = [r for r in rows if r["split"] == split and r["metric"] == metric and r["recording"]]
     known = group([r for r in mine if r["value"] is not None], lambda r: r["recording"])
     bad = next((r for r in rows if r["status"] != "ok"), None)
-    whole = bool(mine) and len(known) == len({r["recording"] for r in mine})
+    status, reason = (str(bad["status"]), str(bad["reason"] or "")) if bad else ("ok", "")
+    told = seeds_told(rows, metric, split)
+    whole = bool(mine) and not told and len(known) == len({r["recording"] for r in mine})
     errors = {n: tuple(r["value"] for r in some) for n, some in known.items()}
     halves = {n: float(np.mean([_half(r) for r in some])) for n, some in known.items()}
     floors = [r["floor"] for r in mine]
     return Standing(
         way, case, best_cell(rows), split, float(np.mean([np.mean(e) for e in errors.values()])) if whole else None,
         errors, halves, float(np.mean(floors)) if floors and None not in floors else None,
-        *((bad["status"], bad["reason"] or "") if bad else ("ok", "")),
+        status, reason, told,
     )  # fmt: skip
+
+
+def seeds_told(rows: Rows, metric: str, split: str | None = None) -> str:
+    """Of how many fits of one way in one case every recording has a number by a metric: "1 of 3 seeds"; nothing where
+    all have, or none. split: of the recordings, None: all of them.
+    """
+    done = asked = 0
+    for fit in group(rows, lambda r: r["key"]).values():
+        judged = [r for r in fit if r["recording"] and split in (None, r["split"])]
+        values = [r["value"] for r in judged if r["metric"] == metric]
+        if values or not judged:  # else it was not judged by this metric
+            asked += 1
+            done += bool(values) and None not in values
+    return f"{done} of {asked} seeds" if 0 < done < asked else ""
 
 
 def _half(row: dict[str, Any]) -> float:

@@ -63,7 +63,7 @@ class Contest:
 
 def contests(results: Results) -> list[Contest]:
     """Every question that two searches or more were asked with `LEAST_SEEDS` seeds or more, alike in all else: two
-    optimizers, or one that was run with several settings.
+    optimizers, or one that was run with several settings. Of one seed one cell counts.
     """
     questions: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in results.rows:
@@ -75,23 +75,23 @@ def contests(results: Results) -> list[Contest]:
         kept = {name: keys for name, keys in by_optimizer.items() if len(keys) >= LEAST_SEEDS}
         if len(kept) < 2:
             continue
-        runs = {name: [_history(results, key) for key in sorted(keys)] for name, keys in sorted(kept.items())}
+        runs = {name: [_history(results, key) for key in sorted(keys.values())] for name, keys in sorted(kept.items())}
         goal = float(np.quantile([np.fmin.reduce(v) for some in runs.values() for v, _ in some], GOAL))
         found = tuple(_search(name, some, goal) for name, some in runs.items())
         out.append(Contest(case, " + ".join(filter(None, (model, effects))), metric, unit, goal, found, budget))
     return out
 
 
-def _by_search(rows: Sequence[dict[str, Any]]) -> dict[str, set[str]]:
-    """Keys of the cells of each search: an optimizer, with its settings where it has several."""
+def _by_search(rows: Sequence[dict[str, Any]]) -> dict[str, dict[Any, str]]:
+    """The cell of each seed of each search: an optimizer, with its settings where it has several."""
     settings: dict[str, set[Any]] = {}
     for row in rows:
         settings.setdefault(row["optimizer"], set()).add(row.get("settings"))
-    out: dict[str, set[str]] = {}
+    out: dict[str, dict[Any, str]] = {}
     for row in rows:
         name = row["optimizer"]
         told = f"{name} · settings {row.get('settings')}" if len(settings[name]) > 1 else name
-        out.setdefault(told, set()).add(row["key"])
+        out.setdefault(told, {})[row["seed"]] = row["key"]
     return out
 
 
