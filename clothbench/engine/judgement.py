@@ -14,6 +14,10 @@ IDENTITY = ("suite", "case", "recording", "split", "model", "effects", "optimize
 # Share of a value that is never a change: another processor or library rounds otherwise, folding cloth amplifies that,
 # and a search then ends a little elsewhere. An interval over frames knows nothing of it.
 SLACK = 0.05
+# Share of their joint interval that two runs of one question may differ by, beyond the slack: an interval says what
+# other frames would say, and the two share theirs, and the seed. Between two machines the 240 errors of the gate differ
+# by 0.36 of it at most, slack included; with another seed, one of ten differs by more than all of it.
+RERUN = 0.2
 SMALL = 1e-3  # share of a reference below which a distance from it does not count
 
 
@@ -39,7 +43,7 @@ def judge(base: Row, new: Row) -> str | None:
     if not (had and has):
         return "worse" if had and not has else "better" if has and not had else None
     before, after = error(base), error(new)
-    allowed = math.hypot(half(base), half(new)) + slack(base)
+    allowed = RERUN * math.hypot(half(base), half(new)) + slack(base)
     change = after - before
     return "worse" if change > allowed else "better" if change < -allowed else None
 

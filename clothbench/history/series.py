@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
-from clothbench.engine.judgement import IDENTITY, SLACK, error, half, has_number, identity, named, slack_at
+from clothbench.engine.judgement import IDENTITY, RERUN, SLACK, error, half, has_number, identity, named, slack_at
 from clothbench.history.entries import Entry
 from clothbench.history.speed import speeds
 from clothbench.history.steps import FEWEST, freedom_of, noise_of, steps_of
@@ -105,7 +105,7 @@ def _error_series(key: tuple[Any, ...], row: Mapping[str, Any], points: tuple[Po
     reference = row.get("reference")
     found = [p for p in points if p.value is not None]
     values = [p.value for p in found if p.value is not None]
-    halves = [math.nan if p.half is None else p.half for p in found]
+    halves = [math.nan if p.half is None else RERUN * p.half for p in found]
     noise, freedom = noise_of(values, halves), freedom_of(values, halves)
     # What has no interval is computed, not measured: it is the same each time, but for what the slack allows.
     changes = [

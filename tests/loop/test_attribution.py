@@ -167,8 +167,26 @@ def test_the_error_of_the_mesh_does_not_decide_between_two_that_correct_the_same
     assert choose(before, [simple, other], mesh=1.7) == ("simple", "other")
     assert [c.selected for c in assess(before, 0.1, [simple, other])] == [RECORDINGS, 0]
     assert [c.selected for c in assess(before, 0.1, [simple, other], mesh=1.7)] == [RECORDINGS, RECORDINGS]
-    elsewhere = candidate("elsewhere", 5, 0.74, 1), candidate("other", 6, 0.60, 2)
-    assert choose(before, elsewhere, mesh=9.0) == ("other",)
+    early = np.arange(ROWS) < 0.45 * ROWS
+    elsewhere = fitted_to(np.where(early, 0.0, BEFORE), 5, "elsewhere"), fitted_to(np.where(early, BEFORE, 0.0), 6)
+    tried = [Candidate(name, 0.5, 0.005, fitted=f) for name, f in zip(("elsewhere", "other"), elsewhere, strict=True)]
+    assert choose(before, tried, mesh=9.0) == ("other",)
+
+
+def test_nor_between_two_that_correct_much_the_same(before):
+    """Their corrections correlate with 0.7, and what they leave differs by 0.51 (seen with frames and grips turned)."""
+    across = np.random.default_rng(1).normal(size=ROWS)
+    across -= (across @ BEFORE) / (BEFORE @ BEFORE) * BEFORE
+    across *= 0.714 * np.linalg.norm(BEFORE) / np.linalg.norm(across)
+    for parameters in ((6, 5), (5, 6)):
+        best, other = (
+            Candidate(name, 0.5, 0.005, fitted=fitted_to(left, size, name))
+            for name, left, size in zip(
+                ("best", "other"), (0.3 * BEFORE, 0.3 * BEFORE - across), parameters, strict=True
+            )
+        )
+        assert choose(before, [best, other], mesh=1.6) == ("best",)
+        assert choose(before, [best, other], mesh=2.0) == ("best", "other")
 
 
 def test_what_leaves_clearly_less_without_paying_for_all_its_parameters_decides_nothing(before):

@@ -15,8 +15,8 @@ def row(value, half=1.0, status="ok", **changes):
     ("base", "new", "side"),
     [
         (row(10.0), row(10.5), None),
-        (row(10.0), row(11.8), None),  # within √2 half-widths and 5 %
-        (row(10.0), row(12.0), "worse"),
+        (row(10.0), row(10.75), None),  # within 5 % and a fifth of √2 half-widths
+        (row(10.0), row(10.8), "worse"),
         (row(10.0), row(8.0), "better"),
         (row(10.0), row(None, status="diverged"), "worse"),
         (row(None, status="error"), row(5.0), "better"),

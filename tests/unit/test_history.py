@@ -58,7 +58,7 @@ def test_steps_are_told_and_noise_is_not(values, half, expected):
 def test_a_step_is_told_with_both_levels_and_their_interval():
     (change,) = errors(10, 10, 14, 14).changes
     assert (change.before, change.after, change.percent) == pytest.approx((10, 14, 40))
-    assert change.half == pytest.approx(1.0)  # two values on each side, each ± 1
+    assert change.half == pytest.approx(0.2)  # two values on each side, each ± 1, a fifth of which runs do not share
 
 
 def test_noise_alone_makes_no_more_steps_than_is_said():

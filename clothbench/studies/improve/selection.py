@@ -214,7 +214,7 @@ def correction_correlation(current: Fitted, tried: Sequence[Candidate]) -> np.nd
 
 def mesh_decides(current: Fitted, tried: Sequence[Candidate], mesh: float) -> np.ndarray:
     """(K, K): by how much more (mean square) than candidate j candidate k may leave through nothing but the error of
-    the mesh, where both correct the same; else 0.
+    the mesh, where the two correct much the same, with as many parameters but for one; else 0.
 
     An error e of the residual changes the difference of their mean squares by 2 e·d, d being what their residuals
     differ by; how much of e may look like d is what is allowed for wherever something looks like a parameter.
@@ -222,7 +222,8 @@ def mesh_decides(current: Fitted, tried: Sequence[Candidate], mesh: float) -> np
     """
     left = [(c.fitted or current).weighted_residual for c in tried]
     apart = [[np.linalg.norm(a - b) / len(current.residual) ** 0.5 for b in left] for a in left]
-    return np.where(alike(current, tried), 2 * LOOP.model_discrepancy * mesh * np.array(apart), 0.0)
+    rivals = (correction_correlation(current, tried) >= LOOP.rival_correlation) & (np.abs(more_parameters(tried)) <= 1)
+    return np.where(rivals, 2 * LOOP.model_discrepancy * mesh * np.array(apart), 0.0)
 
 
 def most_left(square: Any, allowed: Any, doubt: Any) -> Any:
@@ -249,14 +250,15 @@ def choose(current: Fitted, judged: Sequence[Candidate], mesh: float = 0.0) -> t
     shapes = [sum(p.null is None for p in c.fitted.space) for c in standing if c.fitted is not None]
     known = [len(amounts_of_note(c.name, c.fitted)) for c in standing if c.fitted is not None]
     allowed, same = allowances(current, standing), alike(current, standing)
-    most = most_left(square[:, None], allowed, mesh_decides(current, standing, mesh))
+    doubt = mesh_decides(current, standing, mesh)
+    most = most_left(square[:, None], allowed, doubt)
     close = [k for k in range(len(standing)) if (square[k] <= most[:, k]).all()]
     best = min(close, key=lambda k: (1 + LOOP.parameter_penalty * (size[k] - size.min())) * square[k])
     correlated = correction_correlation(current, standing) >= LOOP.alike_correlation
     first = min((k for k in close if correlated[best, k]), key=lambda k: (size[k], shapes[k], square[k]))
 
     def undecided(k: int) -> bool:
-        if size[k] == size[first] or (same[k, first] and size[k] == size[first] + 1):
+        if size[k] == size[first] or (same[k, first] and size[k] == size[first] + 1) or doubt[k, first] > 0:
             return True
         apart = (1 + LOOP.tie_margin) * square[k] < square[first]
         return bool(correlated[k, first] and (apart or (square[k] < square[first] and known[k] > known[first])))

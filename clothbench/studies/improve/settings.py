@@ -69,6 +69,7 @@ class LoopSettings:
     least_explained_at_floor: float = 0.45  # the same above the noise, where the mesh alone may stand for the residual
     tie_margin: float = 0.1  # share of what two candidates leave (mean square) by which they cannot be told apart
     alike_correlation: float = 0.8  # of what two candidates correct, from which on they may be the same
+    rival_correlation: float = 0.5  # of the same, from which on the error of the mesh may decide between them
     parameter_penalty: float = 0.05  # share of the mean square that every further parameter has to pay
     away_from_null: float = 1e-3  # of its range: an amount this near to its null value is none
     tied: int = 3  # effects that are named together at most, where they cannot be told apart
