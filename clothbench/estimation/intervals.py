@@ -175,10 +175,15 @@ def mean_of_split(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
     if len(rows) == 1:
         low, high = rows[0]["low"], rows[0]["high"]
     elif all(row["low"] is not None for row in rows):
-        halves = [max(row["high"] - row["value"], row["value"] - row["low"]) for row in rows]  # one end may be cut at 0
-        low, high = mean_interval(values, halves)
+        low, high = mean_interval(values, [half_width(row) for row in rows])
     floor = None if None in floors else float(np.mean(floors))
     return {"value": float(np.mean(values)), "floor": floor, "low": low, "high": high}
+
+
+def half_width(row: Mapping[str, Any]) -> float:
+    """Half the width of a row's interval, of the side that is not cut at 0; NaN where it has none."""
+    known = row["low"] is not None and row["high"] is not None
+    return max(row["high"] - row["value"], row["value"] - row["low"]) if known else float("nan")
 
 
 def mean_interval(values: Sequence[float], halves: Sequence[float]) -> tuple[float, float]:

@@ -15,6 +15,7 @@ import numpy as np
 from clothbench.core.statistics import student, t_interval
 from clothbench.display.html import group
 from clothbench.display.names import model_name
+from clothbench.estimation.intervals import half_width
 
 Rows = Sequence[dict[str, Any]]
 FEW = 3  # recordings (or seeds) from which on a spread says something
@@ -89,7 +90,7 @@ def _standing(way: str, case: str, split: str, metric: str, rows: Rows) -> Stand
     told = seeds_told(rows, metric, split)
     whole = bool(mine) and not told and len(known) == len({r["recording"] for r in mine})
     errors = {n: tuple(r["value"] for r in some) for n, some in known.items()}
-    halves = {n: float(np.mean([_half(r) for r in some])) for n, some in known.items()}
+    halves = {n: float(np.mean([half_width(r) for r in some])) for n, some in known.items()}
     floors = [r["floor"] for r in mine]
     return Standing(
         way, case, best_cell(rows), split, float(np.mean([np.mean(e) for e in errors.values()])) if whole else None,
@@ -110,12 +111,6 @@ def seeds_told(rows: Rows, metric: str, split: str | None = None) -> str:
             asked += 1
             done += bool(values) and None not in values
     return f"{done} of {asked} seeds" if 0 < done < asked else ""
-
-
-def _half(row: dict[str, Any]) -> float:
-    """Half the width of a row's interval, of the side that does not end at 0; NaN where it has none."""
-    known = row["low"] is not None and row["high"] is not None
-    return max(row["high"] - row["value"], row["value"] - row["low"]) if known else math.nan
 
 
 def best_cell(rows: Rows) -> str:

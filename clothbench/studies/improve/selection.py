@@ -104,22 +104,28 @@ def faulty(name: str, current: Fitted, fitted: Fitted, evidence: Evidence | None
 
 def unphysical(name: str, fitted: Fitted, together: bool = False) -> str:
     """Why the amounts that were fitted to an effect cannot stand, or "". together: see `SearchSettings`."""
-    space, amounts = fitted.space, amounts_of(fitted.space, name)
-    null = np.array([space.parameters[i].null for i in amounts])
+    amounts = amounts_of(fitted.space, name)
     if np.isnan(fitted.low[amounts]).all():
         return f"fewer than {LOOP.least_recordings} recordings to fit give its amount no interval"
     if why := at_bound(name, fitted):
         return why
-    far = away_from_null(fitted, amounts, null)
-    if not far.any():
+    if not away_from_null(fitted, amounts).any():
         return "its amount is fitted to nothing"
-    if not amounts_of_note(name, fitted) and not (together and told_from_nothing(fitted, amounts, null)):
+    if not amounts_of_note(name, fitted) and not (
+        together and told_from_nothing(fitted, amounts, nulls_of(fitted, amounts))
+    ):
         return "its amount cannot be told from nothing"
     return ""
 
 
-def away_from_null(fitted: Fitted, amounts: Sequence[int], null: np.ndarray) -> np.ndarray:
-    """Which amounts (A,), by their numbers in the space, are more than nothing, `null` (A,)."""
+def nulls_of(fitted: Fitted, amounts: Sequence[int]) -> np.ndarray:
+    """The values (A,) at which amounts, by their numbers in the space, are nothing."""
+    return np.array([fitted.space.parameters[i].null for i in amounts], dtype=float)
+
+
+def away_from_null(fitted: Fitted, amounts: Sequence[int]) -> np.ndarray:
+    """Which amounts (A,), by their numbers in the space, are more than nothing."""
+    null = nulls_of(fitted, amounts)
     range_ = (fitted.space.high - fitted.space.low)[list(amounts)]
     return np.asarray(np.abs(fitted.theta[list(amounts)] - null) > LOOP.away_from_null * range_)
 
@@ -127,15 +133,15 @@ def away_from_null(fitted: Fitted, amounts: Sequence[int], null: np.ndarray) -> 
 def amounts_of_note(name: str, fitted: Fitted) -> list[int]:
     """Which amounts of an effect, by their numbers in the space, are each told from nothing by its interval."""
     amounts = amounts_of(fitted.space, name)
-    null = np.array([fitted.space.parameters[i].null for i in amounts], dtype=float)
+    null = nulls_of(fitted, amounts)
     told = (fitted.low[amounts] > null) | (fitted.high[amounts] < null)
-    return [i for i, found in zip(amounts, told & away_from_null(fitted, amounts, null), strict=True) if found]
+    return [i for i, found in zip(amounts, told & away_from_null(fitted, amounts), strict=True) if found]
 
 
 def amounts_at_bound(name: str, fitted: Fitted) -> list[int]:
     """Which amounts of an effect, by their numbers in the space, have run to a bound that is not nothing."""
     amounts = amounts_of(fitted.space, name)
-    far = away_from_null(fitted, amounts, np.array([fitted.space.parameters[i].null for i in amounts]))
+    far = away_from_null(fitted, amounts)
     return [i for i, away in zip(amounts, far, strict=True) if away and fitted.at_bound[i]]
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene
 from clothbench.modelling import BoundEffects, grid_shape
-from clothbench_models.mass_spring_simulation import SpringOptions, SpringSimulation
+from clothbench_models.mass_spring_simulation import LACKS, SpringOptions, SpringSimulation
 from clothbench_models.orthotropy import refuse_ratios
 
 CALM = 0.05  # damping ratio with which a sheet settles: more only asks for shorter steps
@@ -53,7 +53,7 @@ class MassSpring:
 
     name = "mass_spring"
     version = 4
-    lacks: Mapping[str, str] = {"bending": "springs have no bending stiffness at small curvature"}
+    lacks = LACKS
     kind = "explicit"
     parameters = PARAMETERS
     textiles = TEXTILES

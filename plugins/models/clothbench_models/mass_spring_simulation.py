@@ -31,6 +31,7 @@ from clothbench_models.spring_grid import FAMILIES, Families, SpringGrid
 SETTLE = np.array([9.0, 36.0])  # least and most settling time in units of 1/ω₁; soft, nearly buckled modes take longest
 SMALL = 256  # nodes below which several parameter sets are interleaved
 LANES = 8  # doubles in one vector register of AVX-512
+LACKS = {"bending": "springs have no bending stiffness at small curvature"}  # of either model, by family of effects
 REAL = {"double": np.float64, "single": np.float32}
 AT_REST = 1e-6  # m/s at which a settling sheet hangs still: so slow that it does not matter when exactly it stops
 

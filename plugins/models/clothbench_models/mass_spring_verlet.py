@@ -17,14 +17,14 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene
 from clothbench.modelling import BoundEffects, grid_shape
-from clothbench_models.mass_spring_simulation import SpringOptions, SpringSimulation
+from clothbench_models.mass_spring_simulation import LACKS, SpringOptions, SpringSimulation
 from clothbench_models.orthotropy import refuse_ratios
 from clothbench_models.spring_grid import Families
 
@@ -84,7 +84,7 @@ class MassSpringVerlet:
 
     name = "mass_spring_verlet"
     version = 3
-    lacks: Mapping[str, str] = {"bending": "springs have no bending stiffness at small curvature"}
+    lacks = LACKS
     kind = "explicit"
     parameters = _parameters()
     textiles = TEXTILES
