@@ -359,7 +359,8 @@ class HasFamily(Protocol):
 @runtime_checkable
 class FollowsLaw(Protocol):
     """law: one of `FORCE_LAWS`, what the effect's force goes with. Where the torques that recordings leave go with the
-    same, without any model, `improve` keeps the effect's name though much else is missing. Without it: "".
+    same, without any model, `improve` asks no more of the effect than that it pays for its parameters, and keeps its
+    name though much else is missing. Without it: "".
     """
 
     law: str

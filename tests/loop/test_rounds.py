@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from clothbench.core.parameters import Parameter, ParameterSpace
+from clothbench.plugins.discovery import catalogue
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import multistart
@@ -22,6 +23,7 @@ from clothbench.studies.improve.refits import (
     refit,
     standing,
 )
+from clothbench.studies.improve.rounds import witnessed_round
 from clothbench.studies.improve.selection import Candidate, assess, choose
 from clothbench.studies.improve.settings import LOOP, SearchSettings
 from clothbench.studies.improve.sheets import SheetEvidence
@@ -38,8 +40,9 @@ def fitted(rms: float) -> Fitted:
 def test_a_better_fit_of_the_base_is_kept_whether_anything_is_named_or_not(monkeypatch):
     base, better = fitted(4e-3), fitted(2e-3)
     evidence = SimpleNamespace(search=SearchSettings(), noise=lambda: 1e-3, repeat_spread=lambda residual: 0.0)
+    evidence.balance = lambda seed: None
     cases = [SimpleNamespace(name=name) for name in ("first", "second")]
-    problem = SimpleNamespace(evidence=evidence, corrections={}, of_split=lambda split: cases)
+    problem = SimpleNamespace(evidence=evidence, seed=0, corrections={}, of_split=lambda split: cases)
     for name, value in {
         "calibrated": base, "corrected": (problem, base, 1e-3), "each_alone": {},
         "one_round": Round(better, 1e-3, (), (), ()), "in_another_valley": (base, 0),
@@ -77,6 +80,54 @@ def test_a_name_in_doubt_is_fitted_in_another_valley_before_it_is_withdrawn(monk
     assert goes_on == stands
     assert state.final is (better if stands else before)
     assert state.rounds[-1].named == (("heavy_hem",) if stands else ())
+
+
+def told(law: str) -> SimpleNamespace:
+    """A law of the recordings whose first term goes with this."""
+    return SimpleNamespace(amounts=(SimpleNamespace(term=SimpleNamespace(law=law)),))
+
+
+@pytest.mark.parametrize(
+    ("law", "leaves", "named"),
+    [
+        (None, 3.5e-3, ()),
+        (told("mass along the lower edge"), 3.5e-3, ()),
+        (told("normal velocity squared"), 3.5e-3, ("quadratic_drag",)),
+        (told("normal velocity squared"), 3.95e-3, ()),  # two parameters have to take off a tenth of the mean square
+    ],
+)
+def test_what_the_torques_tell_without_a_model_has_to_pay_for_its_parameters_only(monkeypatch, law, leaves, named):
+    """Made-up: nothing explained enough for a name, the drag among them; some other effect corrects something else."""
+    drag = ParameterSpace(
+        (
+            *SPACE,
+            *(
+                Parameter(f"quadratic_drag.{n}", "C", "1", (0.0, 4.0), "linear", 1.0, "drag", "a test", null=0.0)
+                for n in "nt"
+            ),
+        )
+    )
+    theta, low, high = np.array([2.0, 1.0, 0.0]), np.array([1.9, 0.8, 0.0]), np.array([2.1, 1.2, 0.5])
+    residual, other = np.full(9, leaves), np.tile([4e-3, 3e-3, -4e-3], 3)
+    after = Fitted(("quadratic_drag",), drag, theta, [residual] * 3, [np.ones((9, 3))] * 3, low, high, 1)
+    before = dataclasses.replace(fitted(4e-3), residual=[np.full(9, 4e-3)] * 3, jacobian=[np.ones((9, 1))] * 3)
+    mass = dataclasses.replace(after, residual=[other] * 3)
+    tried = (
+        Candidate("point_mass", 0.2, 0.005, 1e-6, fitted=mass, why_not="explains only 40% of what a name has to"),
+        Candidate("quadratic_drag", 0.1, 0.005, 1e-6, fitted=after, why_not="explains only 40% of what a name has to"),
+    )
+    for what, value in {"fit_starts": lambda *_: theta[None], "polished": lambda problem, fit, account: fit}.items():
+        monkeypatch.setattr(f"clothbench.studies.improve.rounds.{what}", value)
+    monkeypatch.setattr("clothbench.studies.improve.rounds.refit_null", lambda problem, current, *_: current)
+    evidence = SimpleNamespace(search=SearchSettings(), objection=lambda before, after: "")
+    problem = SimpleNamespace(make=catalogue().make, evidence=evidence)
+    account = Account(lambda *_: None)
+    account.stage("round 1", 0, 1)
+    found = witnessed_round(problem, law, Round(before, 3e-3, tried, (), ()), 0.0, account)
+    assert found.named == named
+    assert found.witnessed == bool(named)
+    assert found.after is (after if named else None)
+    assert {c.name for c in found.candidates} == {"point_mass", "quadratic_drag"}
 
 
 @pytest.mark.parametrize(

@@ -163,7 +163,8 @@ def test_a_name_stays_though_much_is_left_where_the_torques_say_the_same_without
     found = Candidate("quadratic_drag", 0.5, 0.005, 0.5 * base.rms**2, fitted=final)
     rounds = (Round(base, 1e-3, (found,), (), ("quadratic_drag",), final), Round(final, 1e-3, (), (), ()))
     told = None if law is None else SimpleNamespace(amounts=(SimpleNamespace(term=SimpleNamespace(law=law)),))
-    end = concluded(replace(state, final=final, rounds=rounds), [5e-3], held_out_after=[4e-3], law=told)
+    state = replace(state, final=final, rounds=rounds, balance=SimpleNamespace(law=told))
+    end = concluded(state, [5e-3], held_out_after=[4e-3])
     assert end.word == verdict
     if verdict == "attributed":
         assert end.fit is final
@@ -171,9 +172,7 @@ def test_a_name_stays_though_much_is_left_where_the_torques_say_the_same_without
     else:
         assert "so that something else must be missing" in end.dropped
     # What does not hold on the recordings held out is no name, whoever says so.
-    assert concluded(replace(state, final=final, rounds=rounds), [5e-3], held_out_after=[6e-3], law=told).word == (
-        "unexplained"
-    )
+    assert concluded(state, [5e-3], held_out_after=[6e-3]).word == "unexplained"
 
 
 def test_every_law_that_effects_may_follow_is_one_that_torques_can_show():

@@ -9,7 +9,8 @@ loop (`loop`, `state`) goes through its stages, a file for each, to a frozen `fi
 4. screening: `permutation`, a test with the max-statistic over all candidates;
 5. `rounds`: the best are fitted in earnest (`refits`, with `jumps` along valleys and fits of `constrained` parameters),
    `selection` names one, or several that are tied, `profile` gives their amounts intervals by profile likelihood;
-   `by_recording` tries effects whose amounts differ from recording to recording beside them;
+   `by_recording` tries effects whose amounts differ from recording to recording beside them; what the torques tell
+   without any model (7) has to explain no more than pays for its parameters;
 6. `held_out`: the one look at the recordings held out, and the placebo; `verdict`: a word and a hint, with the
    `experiment` that would part what is tied;
 7. beside it, without any model: the torque about the grips (`motion`, `balance`), what it goes with and how long the

@@ -10,9 +10,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from clothbench.core.optional import law_of_force
 from clothbench.core.statistics import jackknife_half_width
 from clothbench.studies.improve.balance import Term, terms
 from clothbench.studies.improve.motion import Motion
@@ -136,6 +138,11 @@ def law_of(motions: Sequence[Motion], seed: int = 0) -> Law | None:
         Amount(known[k], float(v), float(v - h), float(v + h)) for k, v, h in zip(chosen, values, half, strict=True)
     )
     return Law(amounts, float(damping), p_value, rms(before), rms(after), series.noise)
+
+
+def told_by(law: Law | None, effect: Any) -> bool:
+    """Whether an effect's force goes with what the law's first term goes with, which is the one that beats chance."""
+    return law is not None and bool(said := law.amounts[0].term.law) and law_of_force(effect) == said
 
 
 def rms(squares: np.ndarray) -> float:

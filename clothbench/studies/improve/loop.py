@@ -26,7 +26,7 @@ from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.profile import profile_intervals
 from clothbench.studies.improve.refinement import corrected, with_errors_of_mesh_and_model
 from clothbench.studies.improve.refits import as_a_limit, beside_tied
-from clothbench.studies.improve.rounds import one_round, withdrawn
+from clothbench.studies.improve.rounds import one_round, withdrawn, witnessed_round
 from clothbench.studies.improve.selection import faulty, least_fall
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round, State
@@ -76,7 +76,9 @@ def initial_state(problem: Problem, account: Account) -> State:
             f"{problem.evidence.unit.base}; state it in the recordings"
         )
     problem, base, mesh = corrected_in_best_valley(problem, base, noise, account)
-    return State(problem, base, base, noise, mesh, alone=each_alone(problem, base, account))
+    alone = each_alone(problem, base, account)
+    account.stage("without any model", 0, 1)
+    return State(problem, base, base, noise, mesh, alone=alone, balance=problem.evidence.balance(problem.seed))
 
 
 def calibrated(problem: Problem, account: Account) -> Fitted:
@@ -128,6 +130,8 @@ def next_round(state: State, candidates: Sequence[str], account: Account) -> tup
     earlier = state.rounds[-1].probes if state.rounds else ()
     fall = least_fall(current, state.floor, state.noise)
     found = one_round(problem, current, state.floor, state.mesh, fall, rest, earlier, account)
+    if not found.named:
+        found = witnessed_round(problem, state.law, found, state.mesh, account)
     if found.before is not current:  # the refit without the effect came to a better fit of what there was
         before = with_errors_of_mesh_and_model(problem, found.before, state.noise)
         found = dataclasses.replace(found, before=before)
@@ -171,7 +175,7 @@ def with_errors_allowed_for(state: State, found: Round, fitted: Fitted, account:
     problem, after, mesh = corrected(state.problem, fitted, noise, account)
     # The fits are near each other: how far a finer mesh changes them is known no better than the two agree.
     doubtful = dataclasses.replace(state, mesh=max(state.mesh, mesh))
-    if found.before.rms**2 - found.after.rms**2 < least_fall(current, doubtful.floor, noise):
+    if not found.witnessed and found.before.rms**2 - found.after.rms**2 < least_fall(current, doubtful.floor, noise):
         unit = problem.evidence.unit
         size = f"{unit.scale * mesh:.2g} {unit.reported}"
         why = f"what it explains may be the mesh's doing, which with it may be wrong by {size}"
@@ -208,8 +212,7 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
     all that is told of the run.
     """
     base = state.base
-    account.stage("without any model", 0, 1)
-    balance, description = state.problem.evidence.balance(state.problem.seed), None
+    balance, description = state.balance, None
     account.stage("held-out recordings", 0, 1)
     before = held_out_errors(state.problem, base)
     state = where_amounts_differ(state, before, account) or state
@@ -218,7 +221,7 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
         problem, unseen = on_held_out(problem, state.final, name)
         own[name] = {**amounts, **unseen}
     with_names = held_out_errors(problem, state.final) if state.final.effects else ()
-    end = concluded(state, before, timed_out, with_names, None if balance is None else balance.law)
+    end = concluded(state, before, timed_out, with_names)
     placebo, spent = placebo_of(problem, end.fit, state.rounds)
     account.count(spent)
     after = held_out_errors(problem, end.fit) if end.fit.effects else before

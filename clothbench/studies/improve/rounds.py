@@ -5,15 +5,18 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from clothbench.plugins.discovery import reason_of
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.ahead import ahead
 from clothbench.studies.improve.attribution import Probe, explained_share, probe_candidate
 from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.law import Law, told_by
 from clothbench.studies.improve.permutation import PermutationTest, permutation_test
 from clothbench.studies.improve.problem import Problem
-from clothbench.studies.improve.refits import fit_starts, refine_finalists, refit, refit_null
-from clothbench.studies.improve.selection import Candidate, assess, choose
+from clothbench.studies.improve.refits import fit_starts, polished, refine_finalists, refit, refit_null
+from clothbench.studies.improve.selection import Candidate, assess, choose, correction_correlation, least_fall_beside
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round
 
@@ -74,6 +77,42 @@ def one_round(
     others = [c for c in screened if c.name not in {t.name for t in assessed}]
     after = next((c.fitted for c in assessed if named and c.name == named[0]), None)
     return Round(current, floor, tuple([*assessed, *others]), tuple(found), named, after)
+
+
+def witnessed_round(problem: Problem, law: Law | None, found: Round, mesh: float, account: Account) -> Round:
+    """The round, if nothing was named in it, with an effect whose force goes with what the torques that the recordings
+    leave go with (`law`), and whatever corrects the same; as it is where there is none, or it does not stand.
+
+    A model's damping takes up most of what drag does, so that little is left of it beside what the mesh may be wrong
+    by; but the balance of torques knows neither. Its word for the same force is a second account of it, from other
+    assumptions, and the effect has to pay for no more than its parameters.
+    """
+    if law is None:
+        return found
+    before, effects = found.before, {c.name: c for c in found.candidates}
+    told = [n for n in effects if told_by(law, problem.make("effects", n)) and len(fit_starts(n, before, found.probes))]
+    if not told or any(told_by(law, problem.make("effects", name)) for name in before.effects):
+        return found
+    name, turn = told[0], len(before.effects) + 1
+    account.stage(f"round {turn}: {name}, told without any model", 0, 1)
+    fitted = effects[name].fitted
+    if fitted is None:
+        fitted, count = refit(problem, (*before.effects, name), fit_starts(name, before, found.probes), np.inf)
+        account.count(count)
+    fitted = polished(problem, fitted, account)
+    fall = least_fall_beside(before, len(fitted.theta) - len(before.theta))
+    before = refit_null(problem, before, fitted, fall, account)
+    mine = dataclasses.replace(effects[name], fitted=fitted)
+    rivals = [c for c in found.candidates if c.fitted is not None and c.name != name]
+    same = correction_correlation(before, [mine, *rivals])[0, 1:] >= LOOP.alike_correlation
+    tried = [mine, *(c for c, alike in zip(rivals, same, strict=True) if alike)]
+    assessed = assess(before, fall, tried, problem.evidence, mesh)
+    named = choose(before, assessed, mesh)
+    if name not in named:
+        return found
+    effects |= {c.name: c for c in assessed}
+    after = effects[named[0]].fitted
+    return Round(before, found.floor, tuple(effects.values()), found.probes, named, after, witnessed=True)
 
 
 def withdrawn(found: Round, floor: float, why: str) -> Round:

@@ -52,6 +52,13 @@ def least_fall(current: Fitted, floor: float, noise: float) -> float:
     return LOOP.least_explained_at_floor * max(mean_square - noise**2, 1e-12)
 
 
+def least_fall_beside(current: Fitted, more: int) -> float:
+    """The same for an effect with so many parameters that the recordings tell without any model: neither a mesh nor a
+    model's fault made it up, and it has to pay for its parameters only.
+    """
+    return LOOP.parameter_penalty * more * current.rms**2
+
+
 def assess(
     current: Fitted, gain: float, tried: Sequence[Candidate], evidence: Evidence | None = None, mesh: float = 0.0
 ) -> list[Candidate]:

@@ -9,8 +9,10 @@ import numpy as np
 
 from clothbench.studies.improve.attribution import Probe
 from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.law import Law
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.selection import Candidate
+from clothbench.studies.improve.torque import Balance
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,7 +25,8 @@ class Round:
     probes: of the candidates, for the next round; none in a finding;
     named: the effect that was named, and one that is tied with it, if any;
     after: the fit with the first of them;
-    own: what is each recording's own of those that were named, by effect and recording; empty where amounts are shared.
+    own: what is each recording's own of those that were named, by effect and recording; empty where amounts are shared;
+    witnessed: whether it was named since the recordings say the same without any model.
     """
 
     before: Fitted
@@ -33,6 +36,7 @@ class Round:
     named: tuple[str, ...]
     after: Fitted | None = None
     own: Mapping[str, Mapping[str, Fitted]] = field(default_factory=dict)
+    witnessed: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +51,8 @@ class State:
         decisions are made by;
     rounds: so far;
     alone: the base fitted to each recording by itself, by its name;
-    earlier: where the loop stood before the last effect that was named with amounts for all recordings.
+    earlier: where the loop stood before the last effect that was named with amounts for all recordings;
+    balance: what the recordings say without any model, None where they say nothing so.
     """
 
     problem: Problem
@@ -58,6 +63,12 @@ class State:
     rounds: tuple[Round, ...] = ()
     alone: Mapping[str, Fitted] = field(default_factory=dict)
     earlier: State | None = None
+    balance: Balance | None = None
+
+    @property
+    def law(self) -> Law | None:
+        """Of what acts on the sheet beside damping, told without any model."""
+        return None if self.balance is None else self.balance.law
 
     @property
     def own(self) -> dict[str, Mapping[str, Fitted]]:

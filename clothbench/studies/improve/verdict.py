@@ -8,11 +8,11 @@ from itertools import combinations
 
 import numpy as np
 
-from clothbench.core.optional import family_of, lacks_of, law_of_force
+from clothbench.core.optional import family_of, lacks_of
 from clothbench.studies.improve.by_recording import with_own
 from clothbench.studies.improve.experiment import parting_experiment
 from clothbench.studies.improve.fitted import Fitted
-from clothbench.studies.improve.law import Law
+from clothbench.studies.improve.law import told_by
 from clothbench.studies.improve.selection import Candidate, correction_correlation, parameters_of
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round, State
@@ -43,14 +43,12 @@ def concluded(
     held_out: Sequence[float],
     timed_out: bool = False,
     held_out_after: Sequence[float] = (),
-    law: Law | None = None,
 ) -> Conclusion:
     """held_out: errors of the calibrated model on the recordings held out, base unit, NaN where a run was stopped;
-    held_out_after: the same with all that was named, none if nothing was: names have to hold there; law: of what acts
-    on the sheet beside damping, told by the recordings without any model.
+    held_out_after: the same with all that was named, none if nothing was: names have to hold there.
     """
     worse = fails_to_hold(held_out, held_out_after)
-    word = "unexplained" if worse else word_of(state, law)
+    word = "unexplained" if worse else word_of(state)
     fit = state.final if word in ("attributed", "tied") else state.base
     remark, rms, unseen = hint(state, word, fit, worse), fit.rms, pooled(held_out) or 0.0
     names = [case.name for case in state.problem.of_split("held_out")]
@@ -88,14 +86,14 @@ def pooled(values: Sequence[float]) -> float | None:
     return float(rms) if np.isfinite(rms) else None
 
 
-def word_of(state: State, law: Law | None = None) -> str:
+def word_of(state: State) -> str:
     """The verdict by the fit recordings alone."""
     named = [r for r in state.rounds if r.named]
     if not named:
         return "complete" if at_floor(state) and state.fine_enough else "unexplained"
     if state.problem.evidence.search.steps:
         return "tied" if any(len(r.named) > 1 for r in named) else "attributed"
-    if much_left(state) and not witnessed(state, law):
+    if much_left(state) and not witnessed(state):
         return "unexplained"
     return "tied" if any(len(r.named) > 1 for r in named) else "attributed"
 
@@ -106,17 +104,15 @@ def much_left(state: State) -> bool:
     return share_left(state) > 1 - explained
 
 
-def witnessed(state: State, law: Law | None) -> bool:
+def witnessed(state: State) -> bool:
     """Whether the recordings say without any model what was named with one: each name is, or is tied with, a force that
     goes with what the law's first term goes with, which is the one that beats chance.
 
     Whose cause has no name may pass for its nearest likeness, and then leaves much; two accounts that share no
     simulation do not agree on the likeness.
     """
-    if law is None or not (said := law.amounts[0].term.law):
-        return False
     make = state.problem.make
-    return all(any(law_of_force(make("effects", n)) == said for n in r.named) for r in state.rounds if r.named)
+    return all(any(told_by(state.law, make("effects", n)) for n in r.named) for r in state.rounds if r.named)
 
 
 def at_floor(state: State) -> bool:
@@ -158,11 +154,11 @@ def hint(state: State, word: str, fit: Fitted, worse: bool = False) -> str:
         pairs = [undecided(state, r) for r in state.rounds if len(r.named) > 1]
         if at_floor(state) and not state.fine_enough:
             pairs.append(below_mesh(state))
-        if not state.problem.evidence.search.steps and much_left(state):
-            pairs.append(
-                f"the recordings say the same of {' and '.join(state.final.effects)} without any model; "
-                f"{what_is_left(state)}: something else is missing, too"
-            )
+        told = [r.named[0] for r in state.rounds if r.witnessed]
+        if told or (not state.problem.evidence.search.steps and much_left(state)):
+            same = f"the recordings say the same of {' and '.join(told or state.final.effects)} without any model"
+            more = f"{what_is_left(state)}: something else is missing, too"
+            pairs.append(f"{same}; {more}" if much_left(state) and not at_floor(state) else same)
         return "; ".join((*pairs, *own_lacks(state)))
     said, dropped = [], state.final.effects
     if at_floor(state) and not state.fine_enough and not dropped:
