@@ -123,11 +123,14 @@ def test_what_the_torques_tell_without_a_model_has_to_pay_for_its_parameters_onl
     problem = SimpleNamespace(make=catalogue().make, evidence=evidence)
     account = Account(lambda *_: None)
     account.stage("round 1", 0, 1)
-    found = witnessed_round(problem, law, Round(before, 3e-3, tried, (), ()), 0.0, account)
+    probes = tuple(SimpleNamespace(effect=c.name) for c in tried)
+    found = witnessed_round(problem, law, Round(before, 3e-3, tried, probes, ()), 0.0, account)
     assert found.named == named
     assert found.witnessed == bool(named)
     assert found.after is (after if named else None)
     assert {c.name for c in found.candidates} == {"point_mass", "quadratic_drag"}
+    why = next(c.why_not for c in found.candidates if c.name == "quadratic_drag")
+    assert ("though the recordings say the same without any model" in why) == (leaves > 3.9e-3)
 
 
 @pytest.mark.parametrize(

@@ -81,17 +81,16 @@ def one_round(
 
 def witnessed_round(problem: Problem, law: Law | None, found: Round, mesh: float, account: Account) -> Round:
     """The round, if nothing was named in it, with an effect whose force goes with what the torques that the recordings
-    leave go with (`law`), and whatever corrects the same; as it is where there is none, or it does not stand.
+    leave go with (`law`), and whatever corrects the same; without a name, but with the reason, where it does not stand.
 
     A model's damping takes up most of what drag does, so that little is left of it beside what the mesh may be wrong
     by; but the balance of torques knows neither. Its word for the same force is a second account of it, from other
     assumptions, and the effect has to pay for no more than its parameters.
     """
-    if law is None:
-        return found
     before, effects = found.before, {c.name: c for c in found.candidates}
-    told = [n for n in effects if told_by(law, problem.make("effects", n)) and len(fit_starts(n, before, found.probes))]
-    if not told or any(told_by(law, problem.make("effects", name)) for name in before.effects):
+    probed = [c.name for c in found.candidates if any(p.effect == c.name for p in found.probes)]
+    told = [n for n in (*before.effects, *probed) if law is not None and told_by(law, problem.make("effects", n))]
+    if not told or told[0] in before.effects:
         return found
     name, turn = told[0], len(before.effects) + 1
     account.stage(f"round {turn}: {name}, told without any model", 0, 1)
@@ -109,7 +108,12 @@ def witnessed_round(problem: Problem, law: Law | None, found: Round, mesh: float
     assessed = assess(before, fall, tried, problem.evidence, mesh)
     named = choose(before, assessed, mesh)
     if name not in named:
-        return found
+        mine = next(c for c in assessed if c.name == name)
+        why = mine.why_not or f"what it explains may be {named[0]}"
+        effects[name] = dataclasses.replace(
+            mine, why_not=f"the recordings say the same without any model, but it {why}"
+        )
+        return dataclasses.replace(found, before=before, candidates=tuple(effects.values()))
     effects |= {c.name: c for c in assessed}
     after = effects[named[0]].fitted
     return Round(before, found.floor, tuple(effects.values()), found.probes, named, after, witnessed=True)
