@@ -116,11 +116,11 @@ def test_what_the_torques_tell_without_a_model_has_to_pay_for_its_parameters_onl
         Candidate("point_mass", 0.2, 0.005, 1e-6, fitted=mass, why_not="explains only 40% of what a name has to"),
         Candidate("quadratic_drag", 0.1, 0.005, 1e-6, fitted=after, why_not="explains only 40% of what a name has to"),
     )
-    for what, value in {"fit_starts": lambda *_: theta[None], "polished": lambda problem, fit, account: fit}.items():
+    for what, value in {"fit_starts": lambda *_: theta[None], "polished": lambda problem, fit, *_: fit}.items():
         monkeypatch.setattr(f"clothbench.studies.improve.rounds.{what}", value)
     monkeypatch.setattr("clothbench.studies.improve.rounds.refit_null", lambda problem, current, *_: current)
     evidence = SimpleNamespace(search=SearchSettings(), objection=lambda before, after: "")
-    problem = SimpleNamespace(make=catalogue().make, evidence=evidence)
+    problem = SimpleNamespace(make=catalogue().make, space_of=lambda name: drag.parameters[1:], evidence=evidence)
     account = Account(lambda *_: None)
     account.stage("round 1", 0, 1)
     probes = tuple(SimpleNamespace(effect=c.name) for c in tried)

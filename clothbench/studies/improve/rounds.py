@@ -5,8 +5,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 
-import numpy as np
-
 from clothbench.plugins.discovery import reason_of
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.ahead import ahead
@@ -15,7 +13,7 @@ from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.law import Law, told_by
 from clothbench.studies.improve.permutation import PermutationTest, permutation_test
 from clothbench.studies.improve.problem import Problem
-from clothbench.studies.improve.refits import fit_starts, polished, refine_finalists, refit, refit_null
+from clothbench.studies.improve.refits import fit_starts, near, polished, refine_finalists, refit, refit_null
 from clothbench.studies.improve.selection import Candidate, assess, choose, correction_correlation, least_fall_beside
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round
@@ -94,12 +92,12 @@ def witnessed_round(problem: Problem, law: Law | None, found: Round, mesh: float
         return found
     name, turn = told[0], len(before.effects) + 1
     account.stage(f"round {turn}: {name}, told without any model", 0, 1)
-    fitted = effects[name].fitted
+    fall = least_fall_beside(before, len(problem.space_of(name)))
+    fitted, goal = effects[name].fitted, before.rms**2 - fall / 2
     if fitted is None:
-        fitted, count = refit(problem, (*before.effects, name), fit_starts(name, before, found.probes), np.inf)
+        fitted, count = refit(problem, (*before.effects, name), fit_starts(name, before, found.probes), goal)
         account.count(count)
-    fitted = polished(problem, fitted, account)
-    fall = least_fall_beside(before, len(fitted.theta) - len(before.theta))
+    fitted = polished(problem, fitted, account, goal) if near(fitted, goal) else fitted
     before = refit_null(problem, before, fitted, fall, account)
     mine = dataclasses.replace(effects[name], fitted=fitted)
     rivals = [c for c in found.candidates if c.fitted is not None and c.name != name]
@@ -110,9 +108,8 @@ def witnessed_round(problem: Problem, law: Law | None, found: Round, mesh: float
     if name not in named:
         mine = next(c for c in assessed if c.name == name)
         why = mine.why_not or f"what it explains may be {named[0]}"
-        effects[name] = dataclasses.replace(
-            mine, why_not=f"the recordings say the same without any model, but it {why}"
-        )
+        why = f"{why}, though the recordings say the same without any model"
+        effects[name] = dataclasses.replace(mine, why_not=why)
         return dataclasses.replace(found, before=before, candidates=tuple(effects.values()))
     effects |= {c.name: c for c in assessed}
     after = effects[named[0]].fitted
