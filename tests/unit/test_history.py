@@ -6,7 +6,7 @@ import subprocess
 import numpy as np
 import pytest
 from browser_page import Page, started
-from test_gate import row
+from test_gate import failed_and_well, row
 
 from clothbench import ClothbenchError
 from clothbench.engine.store import ROW, SYSTEM, Store
@@ -107,6 +107,18 @@ def test_a_series_keeps_to_the_cell_that_most_entries_have():
     (series,) = all_series([entry(0, once, short), entry(1, short, long), entry(2, short), entry(3, short)])
     assert [point.value for point in series.points] == [10.0] * 4
     assert series.changes == ()
+
+
+def test_a_cell_that_fails_as_a_whole_has_lost_its_numbers():
+    failed, well = failed_and_well()
+    found = all_series([entry(k, *(well if k != 3 else [failed])) for k in range(5)])
+    assert [one.about["split"] for one in found if one.kind == "error"] == ["fit", "held_out"]
+    for series in found[:2]:
+        assert changes(series) == [(3, "worse"), (4, "better")]
+        assert series.points[3].reason == "error: boom"
+        assert series.unit == "mm"
+    (alone,) = all_series([entry(0, failed)])
+    assert [p.value for p in alone.points] == [None]
 
 
 def timed(seconds, cells=3, **about):
