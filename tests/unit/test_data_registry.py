@@ -79,7 +79,7 @@ def test_files_that_the_pattern_does_not_name_are_checked_too(tmp_path, monkeypa
     assert registry.verify(NAME, tmp_path) == registry.Check(frozenset(), frozenset({"camera.json"}))
 
 
-def test_recordings_made_of_another_copy_are_refused(tmp_path, small, monkeypatch):
+def with_small_importer(monkeypatch):
     from clothbench.datasets import convert
 
     def importer(source, out, progress):
@@ -87,6 +87,32 @@ def test_recordings_made_of_another_copy_are_refused(tmp_path, small, monkeypatc
         (out / convert.REPORT).write_text('{"recordings": []}')
 
     monkeypatch.setattr(convert, "import_target", lambda target: importer)
+    return convert
+
+
+def test_an_import_replaces_its_own_files_only(tmp_path, small, monkeypatch):
+    convert = with_small_importer(monkeypatch)
+    (tmp_path / "iri-wam-cloth-swing").mkdir()
+    about = {"data_dir": tmp_path, "out": tmp_path / "out"}
+    made = convert.converted(NAME, **about)
+    assert convert.converted(NAME, **about, again=True) == made
+    (made / "mine.nc").write_bytes(b"mine")
+    with pytest.raises(ClothbenchError, match=r"out: found mine\.nc, which the last import did not make"):
+        convert.converted(NAME, **about, again=True)
+    assert (made / "mine.nc").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_folder_of_another_data_set_is_refused(tmp_path, monkeypatch, again):
+    convert = with_small_importer(monkeypatch)
+    (tmp_path / "iri-wam-cloth-swing").mkdir()
+    made = convert.converted(NAME, data_dir=tmp_path, out=tmp_path / "out")
+    with pytest.raises(ClothbenchError, match=f"dataset is '{NAME}', expected 'phi_sft_r1'"):
+        convert.converted("phi_sft_r1", data_dir=tmp_path, out=made, again=again)
+
+
+def test_recordings_made_of_another_copy_are_refused(tmp_path, small, monkeypatch):
+    convert = with_small_importer(monkeypatch)
     for copy in ("a", "b"):
         (tmp_path / copy / "iri-wam-cloth-swing").mkdir(parents=True)
     made = convert.converted(NAME, data_dir=tmp_path / "a", out=tmp_path / "out")
