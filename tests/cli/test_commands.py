@@ -225,6 +225,8 @@ def test_paths_are_no_words_of_a_grammar(word, value):
         ("scene.resolution=[2,2]", "setting 'scene.resolution' is 2"),
         ("scene.areal_density=abc", "setting 'scene.areal_density' is 'abc'"),
         ("recording=3", "setting 'recording' is 3"),
+        ("data_dir=3", "setting 'data_dir' is 3, expected a folder"),
+        ("data_dir=[a,b]", "setting 'data_dir' is ['a', 'b'], expected a folder"),
         ("recordings=pkg://nowhere/x", "install the package that has them"),
         ("out=/proc/nothing", "cannot be written to"),
     ],
