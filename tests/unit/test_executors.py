@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import importlib
+import asyncio
 import os
 import pickle
 import queue as queues
@@ -27,7 +28,7 @@ from clothbench.engine.executors.cells import CellWork, concluded, places, sourc
 from clothbench.engine.executors.child import Ended, _kept, in_child
 from clothbench.engine.executors.drive import InOrder, answers, elsewhere
 from clothbench.engine.executors.settings import executor_settings
-from clothbench.engine.executors.work import Answer, Died, Owner, attended, seldom
+from clothbench.engine.executors.work import Answer, Died, Owner, Stopped, attended, seldom
 from clothbench.engine.leases import KEPT
 from clothbench.engine.limits import Limits, Watch
 from clothbench.engine.pool import _first, _run_alone, _told, _told_file
@@ -202,6 +203,9 @@ def test_a_worker_carries_faults_and_exits_back():
     assert bad(ClothbenchError("no room")) == Answer(fault="no room")
     assert bad(SystemExit(3)) == Answer(fault=f"{there}: SystemExit: 3")
     assert bad(ValueError("odd\nand more")) == Answer(fault=f"{there}: ValueError: odd")
+    assert bad(asyncio.CancelledError("now")) == Answer(fault=f"{there}: CancelledError: now")  # which is no Exception
+    with pytest.raises(Stopped):
+        bad(Stopped())
 
 
 def test_words_cross_the_network_seldom():
