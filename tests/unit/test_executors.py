@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import dataclasses
 import importlib
-import asyncio
 import os
 import pickle
 import queue as queues
@@ -31,7 +31,7 @@ from clothbench.engine.executors.settings import executor_settings
 from clothbench.engine.executors.work import Answer, Died, Owner, Stopped, attended, seldom
 from clothbench.engine.leases import KEPT
 from clothbench.engine.limits import Limits, Watch
-from clothbench.engine.pool import _first, _run_alone, _told, _told_file
+from clothbench.engine.pool import _first, _run_alone, _told, _told_file, run_cells
 from clothbench.engine.rows import failure
 from clothbench.engine.run import keep, run_cell
 from clothbench.engine.store import Store, outcome
@@ -310,6 +310,28 @@ def test_a_child_ends_with_a_work_that_nobody_waits_for(child):
 
 def cell_of(recordings_folder):
     return plan({**BASE, "recordings": str(recordings_folder)}, catalogue())[0]
+
+
+def test_no_cell_goes_on_where_a_run_ends_by_a_fault(recordings_folder, tmp_path):
+    endless = {"budget": 10**6, "options": {**BASE["options"], "ga": {"generations": 10**5}}}
+    slow = plan({**BASE, **endless, "recordings": str(recordings_folder)}, catalogue())[0]
+
+    def full(cell, status):
+        raise ClothbenchError("disk full")
+
+    with pytest.raises(ClothbenchError, match="disk full"):
+        run_cells([slow, cell_of(recordings_folder)], tmp_path / "out", jobs=2, done=full)
+    assert not [p for p in psutil.Process().children(True) if "loky.backend.popen_loky_posix" in p.cmdline()]
+
+
+def test_whatever_a_plugin_raises_is_the_row_of_its_cell(recordings_folder, tmp_path, monkeypatch):
+    def run(*_):
+        raise asyncio.CancelledError("now")  # which is no Exception
+
+    cell = cell_of(recordings_folder)
+    monkeypatch.setattr("clothbench.studies.calibration.study.run", run)
+    assert run_cell(cell, tmp_path) == "error"
+    assert Store(tmp_path).rows()[0]["reason"] == "CancelledError: now"
 
 
 def test_recordings_are_found_by_what_is_in_them(tmp_path):

@@ -46,7 +46,8 @@ def test_no_more_at_a_time_than_threads():
 def test_inside_of_itself_it_does_not_wait_for_ever(inner):
     done = []
     works = threading.Thread(
-        target=lambda: for_each(lambda n: inner(lambda _: for_each(done.append, [n, n]), range(3)), range(4)), daemon=True
+        target=lambda: for_each(lambda n: inner(lambda _: for_each(done.append, [n, n]), range(3)), range(4)),
+        daemon=True,
     )
     works.start()
     works.join(20)
