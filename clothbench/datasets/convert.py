@@ -27,10 +27,10 @@ def converted(
 ) -> Path:
     """The folder with the recordings of a data set; by default `recordings/NAME` below the working directory.
 
-    What is there already is used, unless `again`; it is refused where `data_dir` is another copy than it was made of, or where it
-    is of another data set. Files that no import made are never replaced.
-    Originals come from `data_dir`, else from the folder in CLOTHBENCH_DATA, else they are fetched. `progress(done,
-    planned, file)` is called while files are fetched and read.
+    What is there already is used, unless `again`; it is refused where it is of another data set, and where `data_dir`
+    is another copy than it was made of. Files that no import made are never replaced. Originals come from `data_dir`,
+    else from the folder in CLOTHBENCH_DATA, else they are fetched. `progress(done, planned, file)` is called while
+    files are fetched and read.
     """
     known = dataset(name)
     folder = Path(out) if out is not None else Path("recordings") / name
