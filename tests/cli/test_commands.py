@@ -152,6 +152,14 @@ def test_a_sweep_is_a_product_and_prints_one_table(clothbench, recordings_folder
     assert out.stdout.count("error, 95 % interval") == 1
 
 
+def test_a_job_that_is_refused_does_not_hide_the_others_of_its_sweep(clothbench, recordings_folder):
+    out = clothbench("run", "-m", f"recordings={recordings_folder}", *CELL, "seed=1,-1,2", "rerun=false")
+    assert out.returncode == 2
+    assert "setting 'seed' is -1" in out.stderr.splitlines()[-1]
+    assert out.stdout.count("error, 95 % interval") == 1
+    assert {r["seed"] for r in json.loads(clothbench("leaderboard", "--json").stdout)} == {1, 2}
+
+
 @pytest.mark.slow
 def test_a_sweep_without_recordings_is_over_the_main_suite(clothbench):
     out = clothbench(

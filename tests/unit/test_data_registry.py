@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from clothbench.cli.listings import dataset_rows
 from clothbench.core.errors import ClothbenchError
 from clothbench.datasets import registry
 
@@ -142,13 +143,18 @@ def stand_in_for_the_net(monkeypatch, served: dict[str, bytes]) -> list[str]:
 def test_fetch_verifies_and_keeps(tmp_path, small, monkeypatch):
     entry, contents = small
     monkeypatch.setenv("CLOTHBENCH_CACHE", str(tmp_path))
+    monkeypatch.delenv(registry.ENVIRONMENT, raising=False)
     asked = stand_in_for_the_net(monkeypatch, {entry.url(k): v for k, v in contents.items()})
     seen = []
+    assert dataset_rows()[0]["local_copy"] is None
     folder = registry.fetch(NAME, lambda done, planned, local: seen.append((done, planned, local)))
     assert {local: (folder / local).read_bytes() for local in contents} == contents
     assert seen[-1] == (2, 2, "Session_A/two_tcp.csv")
     registry.fetch(NAME)
     assert len(asked) == 2
+    assert dataset_rows()[0]["local_copy"] == str(folder)
+    (folder / "Session_A" / "two_tcp.csv").unlink()
+    assert dataset_rows()[0]["local_copy"] is None
 
 
 @pytest.mark.parametrize(("served", "expected"), [(b"forged", "hash"), (None, "give a local copy with data_dir=")])

@@ -113,6 +113,21 @@ def test_ray_is_given_little_more_than_its_nodes_have_cores_for(ray, jobs, room)
     assert workers.room() == room - 2
 
 
+@pytest.mark.parametrize(("jobs", "room"), [(0, 1000), (3, 3), (5000, 1000)])
+def test_slurm_has_no_more_jobs_than_are_stated(monkeypatch, tmp_path, jobs, room):
+    """Its own bound is of each array of jobs, and there may be several."""
+    pytest.importorskip("submitit")
+    from clothbench.engine.executors import slurm
+
+    begun = types.SimpleNamespace(update_parameters=lambda **_: None, map_array=lambda function, *tasks: tasks[0])
+    monkeypatch.setattr(slurm.submitit, "AutoExecutor", lambda *_, **__: begun)
+    asked = {"cluster": "slurm", "cores": 1, "minutes": 1, "partition": None, "memory": None, "parameters": {}}
+    workers = slurm.SlurmWorkers(asked, jobs, 2000, tmp_path)
+    assert workers.room() == room
+    workers.begin({0: None, 1: None})
+    assert workers.room() == room - 2
+
+
 @pytest.mark.parametrize("name", ["dask", "ray", "slurm"])
 def test_an_engine_that_is_not_installed_is_named_with_the_command_that_does(monkeypatch, name):
     monkeypatch.setattr(settings.importlib.util, "find_spec", lambda name: None)
