@@ -16,8 +16,11 @@ from clothbench import (
     DepthImages,
     GripPath,
     LaserImages,
+    Obstacle,
+    Projector,
     Recording,
     Silhouettes,
+    Video,
     write_curve,
     write_depth,
     write_laser,
@@ -48,6 +51,14 @@ def nodes(name: str = "sway-1", split: str = "fit") -> Recording:
         confidence=np.full((6, 9), 0.9), thickness=1e-3, outline=np.array([[0, 0], [0.2, 0], [0.2, 0.2], [0, 0.2]]),
         sight=CAMERA, **ABOUT,
     )  # fmt: skip
+
+
+def watched_nodes() -> Recording:
+    """With what the other has not: obstacles, and the video of stripes that a projector throws."""
+    obstacles = (Obstacle("disc", (0.1, 0.0, -0.4), radius=0.05, clamps=True), Obstacle("plane", (0.0, 0.0, -1.0)))
+    frame = np.random.default_rng(1).integers(0, 255, (6, 72, 80)).astype(np.uint8)
+    film = Video(frame, CAMERA, Projector(CAMERA, 8.0))
+    return replace(nodes("sway-3"), sight=None, obstacles=obstacles, video=film)
 
 
 def grips() -> GripPath:
@@ -81,6 +92,7 @@ def video(stream: bytes, ends: np.ndarray | None) -> ColourVideo:
 def write_bases(to: Path) -> None:
     """One valid input of each kind, and a results folder and a submission made from them."""
     write_recording(nodes(), to / "nodes.nc")
+    write_recording(watched_nodes(), to / "nodes_watched.nc")
     write_recording(nodes("sway-2", "held_out"), to / "measured" / "sway-2.nc")
     shutil.copy(to / "nodes.nc", to / "measured" / "sway-1.nc")
     stretch = np.linspace(1.0, 1.5, 20)

@@ -332,7 +332,7 @@ def c3d_file() -> bytes:
 
 
 KINDS = {
-    "nodes": recording("nodes"),
+    "nodes": recording("nodes", "nodes_watched"),
     "curve": recording("curve"),
     "laser": recording("laser"),
     "depth": recording("depth"),

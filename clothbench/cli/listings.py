@@ -68,7 +68,7 @@ def print_plugins(rows: list[dict[str, Any]]) -> None:
 
 
 def dataset_rows() -> list[dict[str, Any]]:
-    from clothbench.datasets.registry import DATASETS, local_copy
+    from clothbench.datasets.registry import DATASETS, fetched, local_copy
 
     rows = []
     for name, d in DATASETS.items():
@@ -76,6 +76,7 @@ def dataset_rows() -> list[dict[str, Any]]:
             local = local_copy(name, None)
         except ClothbenchError:  # CLOTHBENCH_DATA names a folder that has others, or nothing
             local = None
+        local = local or fetched(name)
         rows.append(
             {
                 "name": name,

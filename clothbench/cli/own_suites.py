@@ -33,6 +33,9 @@ def require_harmless(arguments: Sequence[str]) -> None:
             f"found {given[0]!r}: a run has its own settings file; put yours into FOLDER/suite and give "
             "--config-dir FOLDER +suite=NAME"
         )
+    for word in arguments:
+        if whole := _cut_short(word.partition("=")[0]):
+            raise ClothbenchError(f"found {word!r}, which would be taken for {whole}; write that flag in full")
     for word in _settings(arguments):
         _values(word)
     for folder in _folders(arguments):
@@ -40,6 +43,13 @@ def require_harmless(arguments: Sequence[str]) -> None:
             require_plain(file)
         for words in each_choice(arguments):
             require_no_hydra(folder, words)
+
+
+def _cut_short(word: str) -> str | None:
+    """A flag that a word is only the beginning of, which Hydra takes for it, too."""
+    flags = [flag for flag in (*FLAGS, *OTHERS) if flag.startswith("--")]
+    cut = len(word) > len("--") and word not in flags
+    return next((flag for flag in flags if cut and flag.startswith(word)), None)
 
 
 def _folders(arguments: Sequence[str]) -> list[Path]:

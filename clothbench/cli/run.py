@@ -198,17 +198,18 @@ def _conclude(notes: Path, sweep: bool) -> int:
     Without a job there is nothing to conclude (`--help`, `--cfg job`), except after a sweep, which always has jobs.
     """
     found = [json.loads(p.read_text()) for p in sorted(notes.glob("*.json"))]
-    if errors := [n["error"] for n in found if "error" in n]:
-        raise ClothbenchError(errors[0] + (f" (and {len(errors) - 1} more jobs)" if len(errors) > 1 else ""))
+    errors, ran = [n["error"] for n in found if "error" in n], [n for n in found if "error" not in n]
     if sweep and not found:
         raise ClothbenchError("no job left word of what it did; give the jobs a folder they share, with TMPDIR")
     code = 0
-    for out in sorted({n["out"] for n in found}):
-        mine = [n for n in found if n["out"] == out]
+    for out in sorted({n["out"] for n in ran}):
+        mine = [n for n in ran if n["out"] == out]
         store, keys = up_to_date(Store(out)), list(dict.fromkeys(k for n in mine for k in n["cells"]))
         rows = print_results(store, keys)
         _say_where(store, keys)
         code = max(code, int(failed(r["status"] for r in rows)))
+    if errors:  # of some of a sweep's jobs; what the others did is told all the same
+        raise ClothbenchError(errors[0] + (f" (and {len(errors) - 1} more jobs)" if len(errors) > 1 else ""))
     return code
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import errno
 import hashlib
 import json
@@ -173,14 +174,17 @@ def _take_place(part: Path, path: Path, stays: Callable[[], bool]) -> None:
         if stays():
             shutil.rmtree(part, ignore_errors=True)
             return
-        remove_folder(path)
+        with contextlib.suppress(FileNotFoundError):  # somebody else has removed it: the place is free
+            remove_folder(path)
 
 
 def remove_folder(path: Path) -> None:
     """Remove a folder: out of sight by one rename, then file by file, so that nobody ever sees half of it."""
     old = Path(tempfile.mkdtemp(dir=path.parent, prefix=".old."))
-    os.replace(path, old / "old")
-    shutil.rmtree(old, ignore_errors=True)
+    try:
+        os.replace(path, old / "old")
+    finally:
+        shutil.rmtree(old, ignore_errors=True)
 
 
 def half_written(folder: Path) -> Iterator[Path]:

@@ -13,7 +13,7 @@ import hashlib
 import importlib.util
 import sys
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -134,8 +134,7 @@ def imported_by(module: str) -> frozenset[str]:
 
 def _mentioned(module: str) -> Iterator[str]:
     package = getattr(sys.modules[module], "__package__", None) or ""
-    # At the top only: what a function imports when it runs is no part of compiled code, and may not be loaded yet.
-    for node in ast.parse(source_of(module) or b"").body:
+    for node in _statements(ast.parse(source_of(module) or b"").body):
         if isinstance(node, ast.Import):
             yield from (alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
@@ -145,3 +144,17 @@ def _mentioned(module: str) -> Iterator[str]:
             for alias in node.names:
                 yield f"{origin}.{alias.name}"
                 yield str(getattr(getattr(sys.modules.get(origin), alias.name, None), "__module__", None))
+
+
+def _statements(nodes: Iterable[ast.AST]) -> Iterator[ast.AST]:
+    """What is run when a module is loaded, also inside `try`, `if` and `with`.
+
+    Nothing of functions: what they import when they run is no part of compiled code, and may not be loaded yet; as is
+    what is there for type checkers only.
+    """
+    for node in nodes:
+        yield node
+        if isinstance(node, ast.If) and ast.unparse(node.test) in ("TYPE_CHECKING", "typing.TYPE_CHECKING"):
+            yield from _statements(node.orelse)
+        elif not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.expr):
+            yield from _statements(ast.iter_child_nodes(node))

@@ -20,6 +20,17 @@ class GripPath:
     position: np.ndarray
 
 
+def confidence_fault(confidence: np.ndarray, visible: np.ndarray) -> str | None:
+    """What is wrong with confidences (T, N) of points of which these were seen; None if nothing is. Of one that was not
+    seen there may be none (NaN).
+    """
+    bad = np.argwhere(~((confidence >= 0) & (confidence <= 1)) & (visible | ~np.isnan(confidence)))
+    if not bad.size:
+        return None
+    t, n = bad[0]
+    return f"found {confidence[t, n]:g} at frame {t}, node {n}, expected 0 to 1 (NaN only where nothing was seen)"
+
+
 @dataclass(frozen=True, eq=False)
 class Observation:
     """Tracked material points. Arrays are read-only.
@@ -68,6 +79,8 @@ class Observation:
             raise ClothbenchError(f"observation: found a view of {len(self.view.silhouette)} frames, expected {frames}")
         if self.confidence is not None and self.confidence.shape != (frames, nodes):
             raise ClothbenchError(f"observation: found confidence {self.confidence.shape}, expected {(frames, nodes)}")
+        if self.confidence is not None and (fault := confidence_fault(self.confidence, self.visible)):
+            raise ClothbenchError(f"observation: confidence: {fault}")
         if not np.isfinite(self.position[self.visible]).all():
             raise ClothbenchError("observation: found a visible node whose position is not finite")
 

@@ -14,6 +14,7 @@ _threads = 0
 _share: Callable[[], int] | None = None
 _places: tuple[int, threading.Semaphore] | None = None
 _lock = threading.Lock()
+_inside = threading.local()  # `place`: whether this thread has one
 
 
 def available_cores() -> int:
@@ -48,17 +49,27 @@ def share_cores(processes: Callable[[], int]) -> None:
 
 
 def for_each(work: Callable[[Any], None], items: Sequence[Any]) -> None:
-    """Call `work(item)` for all items on up to `thread_count()` threads; the first exception is raised here."""
-    if (threads := min(thread_count(), len(items))) <= 1:
+    """Call `work(item)` for all items on up to `thread_count()` threads; the first exception is raised here.
+
+    Inside such a work it calls them in turn: who has a place and waits for others to get one may wait for ever.
+    """
+    if _in_place():
         for item in items:
-            with _slots():
-                work(item)
+            work(item)
         return
 
     def in_turn(item: Any) -> None:
         with _slots():
-            work(item)
+            _inside.place = True
+            try:
+                work(item)
+            finally:
+                _inside.place = False
 
+    if (threads := min(thread_count(), len(items))) <= 1:
+        for item in items:
+            in_turn(item)
+        return
     with ThreadPoolExecutor(threads) as pool:
         for _ in pool.map(in_turn, items):
             pass
@@ -70,10 +81,14 @@ def side_by_side(work: Callable[[Any], Any], items: Sequence[Any]) -> list[Any]:
     The cores stay busy where each item alone has too few members for them; what runs at a time is bounded all the
     same, since calls of `for_each` share `thread_count()` places.
     """
-    if len(items) <= 1 or thread_count() == 1:
+    if len(items) <= 1 or thread_count() == 1 or _in_place():
         return [work(item) for item in items]
     with ThreadPoolExecutor(min(len(items), 4 * thread_count())) as pool:
         return list(pool.map(work, items))
+
+
+def _in_place() -> bool:
+    return getattr(_inside, "place", False)
 
 
 def _slots() -> threading.Semaphore:

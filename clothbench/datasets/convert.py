@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import read_json, whole_file, whole_folder
@@ -25,30 +27,69 @@ def converted(
 ) -> Path:
     """The folder with the recordings of a data set; by default `recordings/NAME` below the working directory.
 
-    What is there already is used, unless `again`; it is refused where `data_dir` is another copy than it was made of.
-    Originals come from `data_dir`, else from the folder in CLOTHBENCH_DATA, else they are fetched. `progress(done,
-    planned, file)` is called while files are fetched and read.
+    What is there already is used, unless `again`; it is refused where it is of another data set, and where `data_dir`
+    is another copy than it was made of. Files that no import made are never replaced. Originals come from `data_dir`,
+    else from the folder in CLOTHBENCH_DATA, else they are fetched. `progress(done, planned, file)` is called while
+    files are fetched and read.
     """
     known = dataset(name)
     folder = Path(out) if out is not None else Path("recordings") / name
-    if not again and (folder / REPORT).is_file() and any(folder.rglob("*.nc")):
-        _require_made_of(name, folder, data_dir)
-        return folder
-    if folder.exists() and any(folder.iterdir()) and not (folder / REPORT).is_file():
+    if (folder / REPORT).is_file():
+        report = _report(folder)
+        _require_of(name, folder, report)
+        if not again and any(folder.rglob("*.nc")):
+            _require_made_of(name, folder, report, data_dir)
+            return folder
+        _require_nothing_else(folder, report)
+    elif folder.exists() and any(folder.iterdir()):
         raise ClothbenchError(f"{folder}: found files that no import made, expected an empty folder; give out=FOLDER")
     source = local_copy(name, data_dir) or fetch(name, progress)
     with whole_folder(folder) as part:
         import_target(known.importer)(source, part, progress)
-        _note_copy(part / REPORT, source)
+        _note(part, name, source)
     return folder
 
 
-def _require_made_of(name: str, folder: Path, data_dir: str | os.PathLike[str] | None) -> None:
+def _report(folder: Path) -> dict[str, Any]:
+    found = read_json(folder / REPORT, "an import's report")
+    if not isinstance(found, dict):
+        raise ClothbenchError(
+            f"{folder / REPORT}: found {type(found).__name__}, expected an import's report; remove it"
+        )
+    return found
+
+
+def _require_of(name: str, folder: Path, report: Mapping[str, Any]) -> None:
+    """Refuse the folder of another data set."""
+    if (of := report.get("dataset", name)) != name:
+        raise ClothbenchError(
+            f"{folder}: {REPORT}: dataset is {of!r}, expected {name!r}; give another folder with out=FOLDER, or remove "
+            "this one"
+        )
+
+
+def _require_nothing_else(folder: Path, report: Mapping[str, Any]) -> None:
+    """Refuse to take the place of files that the last import did not make. An earlier version's report lists none: its
+    imports made recordings only.
+    """
+    listed = report.get("files")
+    for path in sorted(p for p in folder.rglob("*") if not p.is_dir()):
+        name = path.relative_to(folder).as_posix()
+        if name != REPORT and (name not in listed if isinstance(listed, list) else path.suffix != ".nc"):
+            raise ClothbenchError(
+                f"{folder}: found {name}, which the last import did not make, expected only its files; move it "
+                "elsewhere, or give another folder with out=FOLDER"
+            )
+
+
+def _require_made_of(
+    name: str, folder: Path, report: Mapping[str, Any], data_dir: str | os.PathLike[str] | None
+) -> None:
     """Refuse recordings that are known to be made of another copy than the one that is stated."""
     if data_dir is None:
         return
     stated = local_copy(name, data_dir)
-    made_of = read_json(folder / REPORT, "an import's report").get("copy")
+    made_of = report.get("copy")
     if stated is not None and made_of is not None and made_of != str(stated.resolve()):
         raise ClothbenchError(
             f"{folder}: found recordings made of {made_of}, expected of {stated} (data_dir); make them again with "
@@ -56,8 +97,9 @@ def _require_made_of(name: str, folder: Path, data_dir: str | os.PathLike[str] |
         )
 
 
-def _note_copy(report: Path, source: Path) -> None:
-    """State in the report which copy its recordings were made of."""
-    document = read_json(report, "an import's report")
-    with whole_file(report) as part:
-        part.write_text(json.dumps({**document, "copy": str(source.resolve())}, indent=1) + "\n", encoding="utf-8")
+def _note(folder: Path, name: str, source: Path) -> None:
+    """State in the report of which data set and copy its recordings were made, and which files the import wrote."""
+    files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir())
+    document = {**_report(folder), "dataset": name, "copy": str(source.resolve()), "files": files}
+    with whole_file(folder / REPORT) as part:
+        part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

@@ -121,6 +121,17 @@ def cache_folder() -> Path:
     return Path(os.environ.get("CLOTHBENCH_CACHE") or pooch.os_cache("clothbench"))
 
 
+def fetched(name: str) -> Path | None:
+    """The folder with all files of a data set that has been fetched; None if it has not."""
+    known = dataset(name)
+    folder = _cache_of(known)
+    return folder if all((folder / local).is_file() for local in known.files) else None
+
+
+def _cache_of(known: Dataset) -> Path:
+    return cache_folder() / known.name / known.commit[:12]
+
+
 def fetch(name: str, progress: FileProgress | None = None) -> Path:
     """Download what is not in the cache yet, verify every SHA-256, and give the folder in the local layout.
 
@@ -129,7 +140,7 @@ def fetch(name: str, progress: FileProgress | None = None) -> Path:
     import pooch
 
     known = dataset(name)
-    cache = cache_folder() / known.name / known.commit[:12]
+    cache = _cache_of(known)
     keeper = pooch.create(
         path=cache,
         base_url="",

@@ -69,8 +69,9 @@ class Checkpoint:
         return Checkpoint(self.folder, self.whole, f"{self.prefix}{name}-")
 
     def everything(self) -> dict[str, Arrays]:
-        """All that is kept, by key, but for the time that it has taken."""
-        keys = [path.stem for path in sorted(self.folder.glob("*.npz"))] if self.folder else []
+        """All that is kept of this part, by its own key, but for the time that it has taken."""
+        kept = [path.stem for path in sorted(self.folder.glob("*.npz"))] if self.folder else []
+        keys = [stem.removeprefix(self.prefix) for stem in kept if stem.startswith(self.prefix)]
         return {key: found for key in keys if key != "seconds" and (found := self.recall(key)) is not None}
 
     def forget(self) -> None:

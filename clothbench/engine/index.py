@@ -51,6 +51,11 @@ class Segment:
     rows: pa.Table
     path: Path | None = None
 
+    def has(self, columns: Mapping[str, pa.DataType]) -> bool:
+        """Whether these columns are there, in these types."""
+        names = set(self.rows.column_names)
+        return all(name in names and self.rows.schema.field(name).type == of for name, of in columns.items())
+
     def of(self, keys: Iterable[str]) -> dict[str, Rows]:
         """The rows of some of the cells."""
         numbers = {key: n for n, key in enumerate(self.cells)}
@@ -74,16 +79,23 @@ class Segment:
         return Segment({key: mark for key, mark in self.cells.items() if key in wanted}, rows)
 
 
-def indexed(folder: Path, files: Mapping[str, str], read: Callable[[str], pa.Table | None]) -> Rows:
+def indexed(
+    folder: Path,
+    files: Mapping[str, str],
+    read: Callable[[str], pa.Table | None],
+    columns: Mapping[str, pa.DataType] | None = None,
+) -> Rows:
     """The rows of one table, cell by cell in the order of `files`; of many cells, what had to be read is kept.
 
-    folder: of the segments of that table; files: key → path; read: one cell's table, None if it is gone.
+    folder: of the segments of that table; files: key → path; read: one cell's table, None if it is gone; columns: that
+    every such table has.
     """
     if len(files) < FEW:
         return [row for path in files.values() if (table := read(path)) is not None for row in table.to_pylist()]
     now = {key: mark for key, path in files.items() if (mark := stamp(path)) is not None}
     found: dict[str, Rows] = {}
-    segments = segments_in(folder)
+    # Those that were written before a column was declared do not have it: their cells are read once more.
+    segments = [segment for segment in segments_in(folder) if segment.has(columns or {})]
     for segment in segments:
         found.update(segment.of(k for k, mark in segment.cells.items() if k not in found and now.get(k) == mark))
     missing = [key for key in now if key not in found]

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
 Row = Mapping[str, Any]
 AnyRow = TypeVar("AnyRow", bound=Row)
+Key = tuple[Any, ...]
 # What a row is about, whenever and wherever it was computed.
 IDENTITY = ("suite", "case", "recording", "split", "model", "effects", "optimizer", "metric", "seed")
 # Share of a value that is never a change: another processor or library rounds otherwise, folding cloth amplifies that,
@@ -35,6 +36,36 @@ def named(rows: Sequence[AnyRow], elsewhere: Counter[tuple[Any, ...]]) -> dict[t
         if kept is None or elsewhere[identity(row, "key")] >= elsewhere[identity(kept, "key")]:
             out[identity(row)] = row
     return out
+
+
+def spread(rows: Mapping[Key, Row], known: Iterable[tuple[Key, Row]]) -> dict[Key, Row]:
+    """Rows by what they are about, where a cell that failed as a whole has a row at each of the `known` rows of it.
+
+    Such a cell has one row for all, without recording and split: by its identity alone it would be of another question
+    than every number that the cell has elsewhere. Where none is known the one row stays.
+    """
+    of_cell: dict[Key, list[Key]] = {}
+    for key, row in known:
+        if not failed_whole(row):
+            of_cell.setdefault(_cell(key), []).append(key)
+    out: dict[Key, Row] = {}
+    failures = {key: row for key, row in rows.items() if failed_whole(row)}
+    out.update((key, row) for key, row in rows.items() if key not in failures)
+    for key, row in failures.items():
+        for place in of_cell.get(_cell(key), [key]):
+            about = dict(zip(IDENTITY, place, strict=True))
+            out.setdefault(place, {**row, "recording": about["recording"], "split": about["split"]})
+    return out
+
+
+def failed_whole(row: Row) -> bool:
+    """Whether a row stands for all of a cell that has no number."""
+    return not has_number(row) and not row.get("recording") and not row.get("split")
+
+
+def _cell(key: Key) -> Key:
+    """What a cell is about, by the identity of one of its rows."""
+    return tuple(value for name, value in zip(IDENTITY, key, strict=True) if name not in ("recording", "split"))
 
 
 def judge(base: Row, new: Row) -> str | None:

@@ -108,30 +108,36 @@ def _run_in_processes(
     told, numbers = _told_file(len(cells)), {c.key: n for n, c in enumerate(cells)}
     running_now = _counter(_count_file())
     executor, watch = _pool(workers), Watch(limits, workers)
-    while line or running:
-        try:
-            while len(running) < workers and (cell := line.begin()) is not None:
-                try:
-                    running[executor.submit(_run_and_tell, cell, out, rerun, told, numbers[cell.key])] = cell
-                except BrokenProcessPool:
-                    line.again(cell)
-                    raise
-            running_now[0] = len(running)
-            for future in _first(running, told, numbers, progress, watch):
-                status = future.result()
-                done(running.pop(future), status)
-        except BrokenProcessPool:
-            suspects = list(running.values())
-            running.clear()
-            running_now[0] = 1
-            for cell in suspects:
-                if cell.key in watch.ended:
-                    done(cell, _failed(cell, out, watch.ended[cell.key]))
-                elif any(suspect.key in watch.ended for suspect in suspects) and not Store(out).has(cell.key):
-                    line.again(cell)  # its process went down with another's that was ended
-                else:
-                    done(cell, _run_alone(cell, out, rerun, told, numbers, watch))
-            executor = _pool(workers)
+    try:
+        while line or running:
+            try:
+                while len(running) < workers and (cell := line.begin()) is not None:
+                    try:
+                        running[executor.submit(_run_and_tell, cell, out, rerun, told, numbers[cell.key])] = cell
+                    except BrokenProcessPool:
+                        line.again(cell)
+                        raise
+                running_now[0] = len(running)
+                for future in _first(running, told, numbers, progress, watch):
+                    status = future.result()
+                    done(running.pop(future), status)
+            except BrokenProcessPool:
+                suspects = list(running.values())
+                running.clear()
+                running_now[0] = 1
+                for cell in suspects:
+                    if cell.key in watch.ended:
+                        done(cell, _failed(cell, out, watch.ended[cell.key]))
+                    elif any(suspect.key in watch.ended for suspect in suspects) and not Store(out).has(cell.key):
+                        line.again(cell)  # its process went down with another's that was ended
+                    else:
+                        done(cell, _run_alone(cell, out, rerun, told, numbers, watch))
+                executor = _pool(workers)
+    except BaseException:
+        # Whoever stopped this command, or hears of a fault, is not to wait for cells that nobody waits for any more;
+        # their leases are still held here.
+        executor.shutdown(kill_workers=True)
+        raise
 
 
 def _first(
@@ -188,14 +194,18 @@ def _run_alone(cell: Cell, out: Path, rerun: bool, told: Path, numbers: Mapping[
 
     if (status := Store(out).status(cell.key)) is not None:  # it had finished just before its neighbour died
         return status
+    executor = _pool(1)
     try:
-        future = _pool(1).submit(_run_and_tell, cell, out, rerun, told, numbers[cell.key])
+        future = executor.submit(_run_and_tell, cell, out, rerun, told, numbers[cell.key])
         while not _first({future: cell}, told, numbers, None, watch):
             pass
         return future.result()
     except BrokenProcessPool as fault:
         reason = str(fault).strip().splitlines()[0] if str(fault).strip() else "no word from it"
         return _failed(cell, out, watch.ended.get(cell.key, f"the process that ran this cell died ({reason})"))
+    except BaseException:
+        executor.shutdown(kill_workers=True)
+        raise
 
 
 def _failed(cell: Cell, out: Path, reason: str) -> str:

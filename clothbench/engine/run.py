@@ -12,6 +12,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.parallel import set_thread_count
 from clothbench.core.progress import StageProgress
 from clothbench.engine.cells import Skipped
+from clothbench.engine.executors.work import ENDS
 from clothbench.engine.rows import failure
 from clothbench.engine.store import JOURNAL, Store
 from clothbench.engine.study import Cell, Context, Elsewhere, Result, Study
@@ -46,7 +47,9 @@ def run_cell(
     except ClothbenchError as fault:  # says itself what is wrong; where in the program it came up helps nobody
         result = failure(cell, "error", str(fault))
         keep(store, cell, result)
-    except (Exception, SystemExit) as fault:
+    except ENDS:
+        raise
+    except BaseException as fault:
         result = failed_with(cell, one_line(fault), traceback.format_exc())
         keep(store, cell, result)
     return result.status

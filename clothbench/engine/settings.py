@@ -52,6 +52,8 @@ def checked(config: Mapping[str, Any], plugins: Catalogue, suite_words: frozense
     out["bounds"] = {name: pair(f"bounds.{name}", b) for name, b in bounds.items()}
     out["options"] = option_settings(mapping("options", out.get("options")), plugins)
     out["prior"] = None if out.get("prior") is None else one_word("prior", out["prior"])
+    if out["data_dir"] is not None and not (isinstance(out["data_dir"], str) and out["data_dir"]):
+        raise ClothbenchError(f"setting 'data_dir' is {out['data_dir']!r}, expected a folder")
     out["analysis"] = mapping("analysis", out.get("analysis"))
     out["finer"] = finer_settings(mapping("finer", out.get("finer")), out["scene"])
     for key in PLUGINS:

@@ -274,7 +274,7 @@ class Store:
         files = {key: f"{self.folder}/cells/{key}/{name}.parquet" for key in (self._keys() if keys is None else keys)}
         declared = ROWS if name == "rows" else columns
         needed = ("status",) if name == "rows" else ("key",) if "key" in (columns or {}) else ()
-        return indexed(self.folder / INDEX / name, files, lambda path: read_if_there(path, declared, needed))
+        return indexed(self.folder / INDEX / name, files, lambda path: read_if_there(path, declared, needed), declared)
 
     def _keys(self) -> list[str]:
         """Of all cells, in order."""

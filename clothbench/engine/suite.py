@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Mapping
-from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -47,13 +47,25 @@ def resolve(path: str, config: Mapping[str, Any], progress: FileProgress | None 
     if path.startswith("builtin:"):
         return [suites_folder() / "embedded" / path.removeprefix("builtin:")]
     if path.startswith("pkg://"):
-        package, _, folder = path.removeprefix("pkg://").partition("/")
-        try:
-            return [Path(str(files(package).joinpath(folder)))]
-        except (ImportError, ValueError, TypeError) as fault:  # also of what can be no name of a package
-            raise ClothbenchError(f"recordings {path!r}: {fault}; install the package that has them") from fault
+        return [_in_package(path)]
     if path.startswith("dataset:"):
         from clothbench.datasets.convert import converted
 
         return [converted(path.removeprefix("dataset:"), data_dir=config.get("data_dir"), progress=progress)]
     return [Path(path)]
+
+
+def _in_package(path: str) -> Path:
+    """The folder of "pkg://package/folder", found without importing the package: a suite of a stranger's may name any,
+    and a suite runs no code.
+    """
+    package, _, folder = path.removeprefix("pkg://").partition("/")
+    top, *inside = package.split(".")
+    try:
+        spec = find_spec(top)
+    except (ImportError, ValueError) as fault:  # of what can be no name of a package
+        raise ClothbenchError(f"recordings {path!r}: {fault}; install the package that has them") from fault
+    places = [Path(place, *inside) for place in (spec and spec.submodule_search_locations) or ()]
+    if not (there := [place for place in places if place.is_dir()]):
+        raise ClothbenchError(f"recordings {path!r}: found no package {package!r}; install the package that has them")
+    return next((place / folder for place in there if (place / folder).exists()), there[0] / folder)

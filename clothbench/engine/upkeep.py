@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+import math
 import re
 import shutil
 import time
@@ -14,8 +16,9 @@ from clothbench.core.files import remove_folder, whole_file
 from clothbench.core.packed import files_in
 from clothbench.engine.cells import plugin_versions
 from clothbench.engine.check import Finding, check_cell, fault, remains, unreadable
+from clothbench.engine.leases import LEASES, live
 from clothbench.engine.run import TRACKED
-from clothbench.engine.store import KEY, ROWS, SEEDLESS, Store, finished, outcome, recorded
+from clothbench.engine.store import JOURNAL, KEY, ROWS, SEEDLESS, Store, finished, outcome, recorded
 from clothbench.engine.study import studies
 from clothbench.engine.tables import read_table
 from clothbench.plugins.discovery import Catalogue
@@ -106,7 +109,8 @@ def prunable(
     older: s since anything in it was last written; what runs left younger than that stays, since a run may be at it.
     other_versions: cells of plugins, or of a schema, in another version than the one installed; no run asks for them.
     """
-    found = [(path, what) for path, what in remains(store) if time.time() - last_written(path) > older]
+    left = [(path, what) for path, what in remains(store) if not _at_work(store, path)]
+    found = [(path, what) for path, what in left if time.time() - last_written(path) > older]
     for key in keys:
         if not KEY.fullmatch(key) or not store.cell(key).is_dir():
             raise ClothbenchError(f"{store.cell(key)}: no such cell; give the whole key, as the leaderboard shows it")
@@ -115,6 +119,11 @@ def prunable(
         found += _of_other_versions(store, plugins, {path for path, _ in found})
     gone = [path.name for path, _ in found if path == store.cell(path.name)]
     return found + [(path, "a disagreement about a cell that goes") for path in store.disagreements(gone)]
+
+
+def _at_work(store: Store, path: Path) -> bool:
+    """Whether this is the journal of a cell that a live command is at, however long ago it last wrote there."""
+    return path.parent == store.folder / JOURNAL and live(store.folder / LEASES / path.name)
 
 
 def _of_other_versions(store: Store, plugins: Catalogue, named: set[Path]) -> Iterator[tuple[Path, str]]:
@@ -149,8 +158,13 @@ def _installed(kind: str, name: str, plugins: Catalogue) -> str | None:
 
 
 def last_written(path: Path) -> float:
-    """When anything in a file or folder was last written [s of the system's clock]."""
-    times = [path.stat().st_mtime]
+    """When anything in a file or folder was last written [s of the system's clock]; of what has gone meanwhile, which
+    a run is done with, later than anything.
+    """
+    try:
+        times = [path.stat().st_mtime]
+    except FileNotFoundError:
+        return math.inf
     for inside in path.rglob("*") if path.is_dir() else ():
         try:
             times.append(inside.stat().st_mtime)
@@ -162,6 +176,7 @@ def last_written(path: Path) -> float:
 def remove(path: Path) -> None:
     """Remove what was found to be prunable; a cell is gone at once or not at all."""
     if path.is_dir():
-        remove_folder(path)
+        with contextlib.suppress(FileNotFoundError):  # a run was done with it just now
+            remove_folder(path)
     else:
         path.unlink(missing_ok=True)

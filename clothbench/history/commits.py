@@ -47,7 +47,9 @@ def _folder(path: Path) -> Path:
 def _git(folder: Path, *words: str) -> str:
     """What git prints. Its bytes may be of any encoding: what is no UTF-8 is replaced, and no line end is changed."""
     try:
-        done = subprocess.run(["git", "-C", folder, *words], capture_output=True, check=False)
+        done = subprocess.run(
+            ["git", "-c", "log.showSignature=false", "-C", folder, *words], capture_output=True, check=False
+        )
     except FileNotFoundError:
         raise ClothbenchError("found no git on this machine; install it") from None
     if done.returncode:

@@ -56,15 +56,16 @@ def add(folder: Path, results: Store, commit: Commit) -> list[Path]:
     """
     for path in sorted(folder.glob("*.json")):
         _read(path)  # what is there already is to be readable with the new one
-    by_machine: dict[str, list[dict[str, Any]]] = {}
+    by_machine: dict[str | None, list[dict[str, Any]]] = {}
     for row in results.rows():
-        by_machine.setdefault(f"{row['cpu']}, {row['cores']} cores", []).append(leaderboard_row(row))
+        machine = None if row["cpu"] is None else f"{row['cpu']}, {row['cores']} cores"
+        by_machine.setdefault(machine, []).append(leaderboard_row(row))
     if not by_machine:
         raise ClothbenchError(f"{results.folder}: found no results to add; make some with clothbench run … out=FOLDER")
     _instant(commit.date, "the commit's date")
     entries = [
         Entry(commit.hash, commit.date, commit.subject, machine, _followed(rows, results.folder))
-        for machine, rows in sorted(by_machine.items())
+        for machine, rows in sorted(by_machine.items(), key=lambda item: item[0] or "")
     ]
     return [_write(folder, entry) for entry in entries]
 

@@ -9,7 +9,19 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
-from clothbench.engine.judgement import IDENTITY, RERUN, SLACK, error, half, has_number, identity, named, slack_at
+from clothbench.engine.judgement import (
+    IDENTITY,
+    RERUN,
+    SLACK,
+    error,
+    failed_whole,
+    half,
+    has_number,
+    identity,
+    named,
+    slack_at,
+    spread,
+)
 from clothbench.history.entries import Entry
 from clothbench.history.speed import speeds
 from clothbench.history.steps import FEWEST, freedom_of, noise_of, steps_of
@@ -78,14 +90,16 @@ def _errors(entries: Sequence[Entry]) -> list[Series]:
     last: dict[tuple[Any, ...], Mapping[str, Any]] = {}
     # A series keeps to the cell that most entries have, if some have others about the same beside it.
     cells = Counter(cell for entry in entries for cell in {identity(row, "key") for row in entry.rows})
-    for number, entry in enumerate(entries):
-        rows = named(entry.rows, cells)
+    by_entry = [named(entry.rows, cells) for entry in entries]
+    known = {key: row for rows in by_entry for key, row in rows.items() if not failed_whole(row)}
+    for number, given in enumerate(by_entry):
+        rows = spread(given, known.items())
         means = {_of_all(key) for key, row in rows.items() if not row.get("recording")}
         for key, row in rows.items():
             if row.get("recording") and _of_all(key) in means:
                 continue
             points.setdefault(key, []).append(_point(number, row))
-            last[key] = row
+            last[key] = known.get(key, row)  # what failed as a whole tells no unit and no reference
     return [_error_series(key, last[key], tuple(mine)) for key, mine in points.items()]
 
 

@@ -62,8 +62,12 @@ def _pack_colour(colour: Colour) -> tuple[Arrays, Stated]:
 
 
 def _unpack_colour(arrays: Arrays, stated: Stated, path: Path) -> Colour | None:
-    if "colour" not in arrays:
+    if not arrays:
         return None
+    if "colour" not in arrays:
+        raise ClothbenchError(
+            f"{path}: variable 'colour' is missing beside 'colour_time'; add the pictures, or take it out"
+        )
     if "colour_time" not in arrays:
         raise ClothbenchError(f"{path}: variable 'colour_time' is missing, expected the stamps of 'colour' in s")
     return Colour(arrays["colour_time"], arrays["colour"])

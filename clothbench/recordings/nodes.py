@@ -9,7 +9,7 @@
 | `grip_material` | grip, uv | m | material points that are held |
 | `grip_position` | grip_time, grip, space | m | where they were held |
 | `frame` | time, y, x | 1 | optional, uint8: what a calibrated camera saw (`clothbench.recordings.video`) |
-| `confidence` | time, node | 1 | optional: how sure the tracker is, 0 to 1 |
+| `confidence` | time, node | 1 | optional: how sure the tracker is, 0 to 1; may be NaN where a point was not seen |
 
 Attributes: `format`, `format_version`, `kind`, `name`, `fabric`, `cloth_width`, `cloth_height` [m], `areal_density`
 [kg/m²; NaN = not known], `gravity` [m/s², three numbers as text], `noise_sigma` [m per coordinate; NaN = not known],
@@ -31,6 +31,7 @@ import numpy as np
 
 from clothbench.core.camera import Camera, Video
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.observation import confidence_fault
 from clothbench.core.scene import Obstacle
 from clothbench.recordings.codec import freeze, hash_of, read, write
 from clothbench.recordings.layout import SPLITS, Arrays, Layout, Part, Stated, Variable
@@ -194,6 +195,8 @@ def _check(r: Recording, where: str) -> None:
         raise ClothbenchError(
             f"{where}: variable 'confidence': found shape {r.confidence.shape}, expected {r.position.shape[:2]}"
         )
+    if r.confidence is not None and (fault := confidence_fault(r.confidence, r.visible)):
+        raise ClothbenchError(f"{where}: variable 'confidence': {fault}")
     _check_stated(r, where)
     size = np.array([r.cloth_width, r.cloth_height])
     for name in ("material", "grip_material"):

@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.recordings.layout import Arrays, Layout
+from clothbench.recordings.layout import Arrays, Layout, Part
 
 COVERED = 0.9  # of the frames, while which somebody has to know where the grips are
 SIZES = {"uv": 2, "space": 3}
 FARTHEST = 1e6  # m from the origin that cloth and grips may be; sums and squares of what is farther may overflow
 
 
-def check_shapes(arrays: Arrays, layout: Layout, where: str, may_be_empty: str = "") -> None:
+def check_shapes(arrays: Arrays, layout: Layout | Part, where: str, may_be_empty: str = "") -> None:
     """Every array has its dimensions, none empty but one that may be, each as long in one array as in another."""
     sizes: dict[str, tuple[str, int]] = {}
     for name, of in layout.variables.items():

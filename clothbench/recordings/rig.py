@@ -16,7 +16,7 @@ from clothbench.core.observation import GripPath
 from clothbench.recordings.codec import freeze, hash_of
 from clothbench.recordings.layout import SPLITS, Arrays, Layout, Part, Stated, Variable
 from clothbench.recordings.nodes_rules import check_clock, check_finite, check_near, check_overlap, check_points
-from clothbench.recordings.video import lens_of, numbers_of, text_of
+from clothbench.recordings.video import lens_of, size_of, text_of
 
 TEXTS = ("name", "fabric", "sensor", "source", "licence", "declared_effects", "motion", "split")
 HEADER = (*TEXTS, "cloth_width", "cloth_height", "areal_density", "gravity")  # what every raw recording states
@@ -87,8 +87,7 @@ def pack_camera(camera: Camera, prefix: str = "camera") -> tuple[Arrays, Stated]
 
 def unpack_camera(stated: Stated, path: Path, whose: str, prefix: str = "camera") -> Camera:
     """The camera that the attributes PREFIX_… state."""
-    width, height = numbers_of(stated, f"{prefix}_size", (2,), path, whose)
-    return lens_of(stated, prefix, (int(width), int(height)), path, whose)
+    return lens_of(stated, prefix, size_of(stated, f"{prefix}_size", path, whose), path, whose)
 
 
 def camera_attributes(prefix: str = "camera") -> tuple[str, ...]:

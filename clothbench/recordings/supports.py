@@ -22,6 +22,7 @@ from clothbench.core.outline import checked_outline
 from clothbench.core.scene import Obstacle
 from clothbench.recordings.codec import number
 from clothbench.recordings.layout import Arrays, Part, Stated, Variable
+from clothbench.recordings.nodes_rules import check_shapes
 
 NUMBERS = ("obstacle_centre", "obstacle_normal", "obstacle_radius", "obstacle_friction")
 STATED = ("obstacle_shape", "obstacle_clamps")
@@ -37,6 +38,8 @@ def _unpack_outline(arrays: Arrays, stated: Stated, path: Path) -> np.ndarray | 
 
 
 def _pack_obstacles(obstacles: tuple[Obstacle, ...]) -> tuple[Arrays, Stated]:
+    if not obstacles:  # as if nothing were stated of them
+        return {}, {}
     words = {
         "obstacle_shape": " ".join(o.shape for o in obstacles),
         "obstacle_clamps": " ".join(str(int(o.clamps)) for o in obstacles),
@@ -51,6 +54,7 @@ def _unpack_obstacles(arrays: Arrays, stated: Stated, path: Path) -> tuple[Obsta
         return None
     if missing := sorted({*NUMBERS, *STATED} - {*arrays, *stated}):
         raise ClothbenchError(f"{path}: '{missing[0]}' is missing beside what else is stated of obstacles; add it")
+    check_shapes(arrays, SUPPORTS["obstacles"], str(path))
     count = len(arrays["obstacle_centre"])
     words = {name: str(stated[name]).split() for name in (*STATED, CARRIED) if name in stated}
     for name, each in words.items():
@@ -58,11 +62,13 @@ def _unpack_obstacles(arrays: Arrays, stated: Stated, path: Path) -> tuple[Obsta
             raise ClothbenchError(
                 f"{path}: attribute '{name}': found {len(each)} words, expected {count}, one for each obstacle"
             )
+        if name != "obstacle_shape" and (other := [word for word in each if word not in ("0", "1")]):
+            raise ClothbenchError(f"{path}: attribute '{name}': found {other[0]!r}, expected 0 or 1 for each obstacle")
     shapes, clamps = (words[name] for name in STATED)
     rows = zip(shapes, clamps, words.get(CARRIED, ["0"] * count), *(arrays[n].tolist() for n in NUMBERS), strict=True)
     try:
         return tuple(
-            Obstacle(shape, tuple(centre), tuple(normal), radius, friction, clamps=clamp != "0", carried=carry != "0")
+            Obstacle(shape, tuple(centre), tuple(normal), radius, friction, clamps=clamp == "1", carried=carry == "1")
             for shape, clamp, carry, centre, normal, radius, friction in rows
         )
     except ClothbenchError as fault:

@@ -15,6 +15,7 @@ from clothbench.core.camera import LENSES, Camera, Projector, Video
 from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.layout import Arrays, Part, Stated, Variable
 
+WIDEST = 100_000  # px of a picture
 FRAME = Variable(("time", "y", "x"), "1", np.uint8, level=9, exact=True)
 PROJECTOR = ("projector_size", *(f"projector_{n}" for n in LENSES if n != "distortion"), "stripe_period")
 ATTRIBUTES = (*(f"camera_{name}" for name in LENSES), *PROJECTOR)
@@ -33,13 +34,17 @@ def _pack(video: Video) -> tuple[Arrays, Stated]:
 def _unpack(arrays: Arrays, stated: Stated, path: Path) -> Video | None:
     """The video of a file; None where it has none."""
     if "frame" not in arrays:
+        if there := [name for name in ATTRIBUTES if name in stated]:
+            raise ClothbenchError(
+                f"{path}: variable 'frame' is missing beside attribute {there[0]!r}; add what the camera saw, or take "
+                "its calibration out"
+            )
         return None
     frame = arrays["frame"]
     camera = lens_of(stated, "camera", (frame.shape[2], frame.shape[1]), path)
     projector = None
     if any(name in stated for name in PROJECTOR):
-        width, height = numbers_of(stated, "projector_size", (2,), path)
-        lens = lens_of(stated, "projector", (int(width), int(height)), path)
+        lens = lens_of(stated, "projector", size_of(stated, "projector_size", path), path)
         projector = _said(path, lambda: Projector(lens, float(numbers_of(stated, "stripe_period", (), path))))
     return Video(frame, camera, projector)
 
@@ -75,6 +80,17 @@ def numbers_of(
     if len(found) != count or not np.isfinite(found).all():
         raise ClothbenchError(f"{path}: attribute {name!r}: found {stated[name]!r}, expected {count} finite numbers")
     return found.reshape(shape)
+
+
+def size_of(stated: Stated, name: str, path: Path, whose: str = "a recording with 'frame'") -> tuple[int, int]:
+    """An attribute of a width and a height [px]."""
+    found = numbers_of(stated, name, (2,), path, whose)
+    if not ((found == np.round(found)) & (found >= 1) & (found <= WIDEST)).all():
+        raise ClothbenchError(
+            f"{path}: attribute {name!r}: found {stated[name]!r}, expected width and height in whole pixels, "
+            f"1 to {WIDEST}"
+        )
+    return int(found[0]), int(found[1])
 
 
 def text_of(values: Any) -> str:

@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from clothbench.display.terminal import console
-from clothbench.engine.judgement import IDENTITY, identity, judge, named
+from clothbench.engine.judgement import IDENTITY, Row, identity, judge, named, spread
 from clothbench.engine.store import finite
 
 Rows = Sequence[dict[str, Any]]
@@ -19,15 +19,18 @@ Rows = Sequence[dict[str, Any]]
 def compare_rows(base: Rows, new: Rows) -> dict[str, Any]:
     """Verdict over the rows both have: {"passed", "compared", "worse", "better", "missing", "added"}.
 
-    A row is worse if it lost its number, or if its error grew by more than the joint half-width of both 95 %
-    intervals, √(h_base² + h_new²), and 5 % of its value. Where a row has a reference, its error is how far its value
+    A row is worse if it lost its number, or if its error grew by more than 5 % of its value and a fifth of the joint
+    half-width of both 95 % intervals, √(h_base² + h_new²). Where a row has a reference, its error is how far its value
     is from that; there a thousandth of the reference (of 1 in the row's unit, where it is 0) does not count. A row of
-    BASE that NEW lacks is missing, and fails the gate as well: leaving out a test is no way to pass it.
+    BASE that NEW lacks is missing, and fails the gate as well: leaving out a test is no way to pass it. A cell that
+    failed as a whole has lost each row that the other side has of it.
     """
     # Of several cells about the same (other budgets or options) the one that the other side has, too, counts.
-    theirs = named(new, Counter({identity(r, "key") for r in base}))
+    after = named(new, Counter({identity(r, "key") for r in base}))
+    before = named(base, Counter({identity(r, "key") for r in new}))
+    theirs = spread(after, before.items())
     verdict: dict[str, Any] = {"compared": 0, "worse": [], "better": [], "missing": []}
-    for row in named(base, Counter({identity(r, "key") for r in new})).values():
+    for row in spread(before, after.items()).values():
         other = theirs.pop(identity(row), None)
         if other is None:
             verdict["missing"].append(_change(row, None))
@@ -40,11 +43,11 @@ def compare_rows(base: Rows, new: Rows) -> dict[str, Any]:
     return verdict
 
 
-def _change(base: dict[str, Any], new: dict[str, Any] | None) -> dict[str, Any]:
+def _change(base: Row, new: Row | None) -> dict[str, Any]:
     about = {name: base.get(name) for name in IDENTITY}
     return {
         **about,
-        "unit": base.get("unit"),
+        "unit": base.get("unit") or (new or {}).get("unit"),
         "base": finite(base["value"]),
         "new": finite(new["value"]) if new else None,
         "base_status": base["status"],

@@ -152,6 +152,14 @@ def test_a_sweep_is_a_product_and_prints_one_table(clothbench, recordings_folder
     assert out.stdout.count("error, 95 % interval") == 1
 
 
+def test_a_job_that_is_refused_does_not_hide_the_others_of_its_sweep(clothbench, recordings_folder):
+    out = clothbench("run", "-m", f"recordings={recordings_folder}", *CELL, "seed=1,-1,2", "rerun=false")
+    assert out.returncode == 2
+    assert "setting 'seed' is -1" in out.stderr.splitlines()[-1]
+    assert out.stdout.count("error, 95 % interval") == 1
+    assert {r["seed"] for r in json.loads(clothbench("leaderboard", "--json").stdout)} == {1, 2}
+
+
 @pytest.mark.slow
 def test_a_sweep_without_recordings_is_over_the_main_suite(clothbench):
     out = clothbench(
@@ -225,6 +233,8 @@ def test_paths_are_no_words_of_a_grammar(word, value):
         ("scene.resolution=[2,2]", "setting 'scene.resolution' is 2"),
         ("scene.areal_density=abc", "setting 'scene.areal_density' is 'abc'"),
         ("recording=3", "setting 'recording' is 3"),
+        ("data_dir=3", "setting 'data_dir' is 3, expected a folder"),
+        ("data_dir=[a,b]", "setting 'data_dir' is ['a', 'b'], expected a folder"),
         ("recordings=pkg://nowhere/x", "install the package that has them"),
         ("out=/proc/nothing", "cannot be written to"),
     ],

@@ -15,6 +15,14 @@ def test_arrays_come_back_to_the_bit(tmp_path):
     assert int(known["count"]) == 7
 
 
+def test_a_part_has_all_that_is_kept_of_it_by_its_own_keys(tmp_path):
+    whole = Checkpoint(tmp_path)
+    whole.keep("b" * 16, values=np.ones(2))
+    whole.part("x").keep("a" * 16, values=np.zeros(3))
+    assert list(whole.part("x").everything()) == ["a" * 16]
+    assert list(whole.everything()) == ["b" * 16, "x-" + "a" * 16]
+
+
 def test_the_time_of_stopped_runs_counts(tmp_path):
     checkpoint = Checkpoint(tmp_path)
     checkpoint.before = 100.0

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from clothbench.cli.listings import dataset_rows
 from clothbench.core.errors import ClothbenchError
 from clothbench.datasets import registry
 
@@ -79,7 +80,7 @@ def test_files_that_the_pattern_does_not_name_are_checked_too(tmp_path, monkeypa
     assert registry.verify(NAME, tmp_path) == registry.Check(frozenset(), frozenset({"camera.json"}))
 
 
-def test_recordings_made_of_another_copy_are_refused(tmp_path, small, monkeypatch):
+def with_small_importer(monkeypatch):
     from clothbench.datasets import convert
 
     def importer(source, out, progress):
@@ -87,6 +88,32 @@ def test_recordings_made_of_another_copy_are_refused(tmp_path, small, monkeypatc
         (out / convert.REPORT).write_text('{"recordings": []}')
 
     monkeypatch.setattr(convert, "import_target", lambda target: importer)
+    return convert
+
+
+def test_an_import_replaces_its_own_files_only(tmp_path, small, monkeypatch):
+    convert = with_small_importer(monkeypatch)
+    (tmp_path / "iri-wam-cloth-swing").mkdir()
+    about = {"data_dir": tmp_path, "out": tmp_path / "out"}
+    made = convert.converted(NAME, **about)
+    assert convert.converted(NAME, **about, again=True) == made
+    (made / "mine.nc").write_bytes(b"mine")
+    with pytest.raises(ClothbenchError, match=r"out: found mine\.nc, which the last import did not make"):
+        convert.converted(NAME, **about, again=True)
+    assert (made / "mine.nc").read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("again", [False, True])
+def test_a_folder_of_another_data_set_is_refused(tmp_path, monkeypatch, again):
+    convert = with_small_importer(monkeypatch)
+    (tmp_path / "iri-wam-cloth-swing").mkdir()
+    made = convert.converted(NAME, data_dir=tmp_path, out=tmp_path / "out")
+    with pytest.raises(ClothbenchError, match=f"dataset is '{NAME}', expected 'phi_sft_r1'"):
+        convert.converted("phi_sft_r1", data_dir=tmp_path, out=made, again=again)
+
+
+def test_recordings_made_of_another_copy_are_refused(tmp_path, small, monkeypatch):
+    convert = with_small_importer(monkeypatch)
     for copy in ("a", "b"):
         (tmp_path / copy / "iri-wam-cloth-swing").mkdir(parents=True)
     made = convert.converted(NAME, data_dir=tmp_path / "a", out=tmp_path / "out")
@@ -116,13 +143,18 @@ def stand_in_for_the_net(monkeypatch, served: dict[str, bytes]) -> list[str]:
 def test_fetch_verifies_and_keeps(tmp_path, small, monkeypatch):
     entry, contents = small
     monkeypatch.setenv("CLOTHBENCH_CACHE", str(tmp_path))
+    monkeypatch.delenv(registry.ENVIRONMENT, raising=False)
     asked = stand_in_for_the_net(monkeypatch, {entry.url(k): v for k, v in contents.items()})
     seen = []
+    assert dataset_rows()[0]["local_copy"] is None
     folder = registry.fetch(NAME, lambda done, planned, local: seen.append((done, planned, local)))
     assert {local: (folder / local).read_bytes() for local in contents} == contents
     assert seen[-1] == (2, 2, "Session_A/two_tcp.csv")
     registry.fetch(NAME)
     assert len(asked) == 2
+    assert dataset_rows()[0]["local_copy"] == str(folder)
+    (folder / "Session_A" / "two_tcp.csv").unlink()
+    assert dataset_rows()[0]["local_copy"] is None
 
 
 @pytest.mark.parametrize(("served", "expected"), [(b"forged", "hash"), (None, "give a local copy with data_dir=")])

@@ -89,6 +89,16 @@ def test_a_file_without_calibration_is_refused(tmp_path):
         read_depth(path)
 
 
+def test_stamps_of_no_pictures_are_refused(tmp_path):
+    import h5py
+
+    path = write_depth(images(), tmp_path / "run.nc")
+    with h5py.File(path, "a") as stream:
+        del stream["colour"]
+    with pytest.raises(ClothbenchError, match="variable 'colour' is missing beside 'colour_time'"):
+        read_depth(path)
+
+
 ABOUT = {
     "name": "bench/run 1", "cloth_width": 0.3, "cloth_height": 0.4, "rate": 20, "split": "fit", "weather": "fair",
     "camera": {"size": [48, 40], "fx": 100.0, "fy": 100.0, "cx": 23.5, "cy": 19.5},

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import contextlib
 import dataclasses
 import importlib
@@ -27,10 +28,10 @@ from clothbench.engine.executors.cells import CellWork, concluded, places, sourc
 from clothbench.engine.executors.child import Ended, _kept, in_child
 from clothbench.engine.executors.drive import InOrder, answers, elsewhere
 from clothbench.engine.executors.settings import executor_settings
-from clothbench.engine.executors.work import Answer, Died, Owner, attended, seldom
+from clothbench.engine.executors.work import Answer, Died, Owner, Stopped, attended, seldom
 from clothbench.engine.leases import KEPT
 from clothbench.engine.limits import Limits, Watch
-from clothbench.engine.pool import _first, _run_alone, _told, _told_file
+from clothbench.engine.pool import _first, _run_alone, _told, _told_file, run_cells
 from clothbench.engine.rows import failure
 from clothbench.engine.run import keep, run_cell
 from clothbench.engine.store import Store, outcome
@@ -109,6 +110,21 @@ def test_ray_is_given_little_more_than_its_nodes_have_cores_for(ray, jobs, room)
     workers = ray.RayWorkers({"address": "head:1", "cores": 2, "wait": 1.0}, jobs, 1000)
     assert workers.room() == room
     workers.running = dict.fromkeys("ab", 0)
+    assert workers.room() == room - 2
+
+
+@pytest.mark.parametrize(("jobs", "room"), [(0, 1000), (3, 3), (5000, 1000)])
+def test_slurm_has_no_more_jobs_than_are_stated(monkeypatch, tmp_path, jobs, room):
+    """Its own bound is of each array of jobs, and there may be several."""
+    pytest.importorskip("submitit")
+    from clothbench.engine.executors import slurm
+
+    begun = types.SimpleNamespace(update_parameters=lambda **_: None, map_array=lambda function, *tasks: tasks[0])
+    monkeypatch.setattr(slurm.submitit, "AutoExecutor", lambda *_, **__: begun)
+    asked = {"cluster": "slurm", "cores": 1, "minutes": 1, "partition": None, "memory": None, "parameters": {}}
+    workers = slurm.SlurmWorkers(asked, jobs, 2000, tmp_path)
+    assert workers.room() == room
+    workers.begin({0: None, 1: None})
     assert workers.room() == room - 2
 
 
@@ -202,6 +218,9 @@ def test_a_worker_carries_faults_and_exits_back():
     assert bad(ClothbenchError("no room")) == Answer(fault="no room")
     assert bad(SystemExit(3)) == Answer(fault=f"{there}: SystemExit: 3")
     assert bad(ValueError("odd\nand more")) == Answer(fault=f"{there}: ValueError: odd")
+    assert bad(asyncio.CancelledError("now")) == Answer(fault=f"{there}: CancelledError: now")  # which is no Exception
+    with pytest.raises(Stopped):
+        bad(Stopped())
 
 
 def test_words_cross_the_network_seldom():
@@ -306,6 +325,28 @@ def test_a_child_ends_with_a_work_that_nobody_waits_for(child):
 
 def cell_of(recordings_folder):
     return plan({**BASE, "recordings": str(recordings_folder)}, catalogue())[0]
+
+
+def test_no_cell_goes_on_where_a_run_ends_by_a_fault(recordings_folder, tmp_path):
+    endless = {"budget": 10**6, "options": {**BASE["options"], "ga": {"generations": 10**5}}}
+    slow = plan({**BASE, **endless, "recordings": str(recordings_folder)}, catalogue())[0]
+
+    def full(cell, status):
+        raise ClothbenchError("disk full")
+
+    with pytest.raises(ClothbenchError, match="disk full"):
+        run_cells([slow, cell_of(recordings_folder)], tmp_path / "out", jobs=2, done=full)
+    assert not [p for p in psutil.Process().children(True) if "loky.backend.popen_loky_posix" in p.cmdline()]
+
+
+def test_whatever_a_plugin_raises_is_the_row_of_its_cell(recordings_folder, tmp_path, monkeypatch):
+    def run(*_):
+        raise asyncio.CancelledError("now")  # which is no Exception
+
+    cell = cell_of(recordings_folder)
+    monkeypatch.setattr("clothbench.studies.calibration.study.run", run)
+    assert run_cell(cell, tmp_path) == "error"
+    assert Store(tmp_path).rows()[0]["reason"] == "CancelledError: now"
 
 
 def test_recordings_are_found_by_what_is_in_them(tmp_path):

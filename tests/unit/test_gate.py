@@ -2,7 +2,9 @@
 
 import pytest
 
+from clothbench.engine.rows import failure
 from clothbench.report.gate import IDENTITY, compare_rows, markdown
+from clothbench.studies.fold_path.cell import FoldPathCell, PathSettings
 
 
 def row(value, half=1.0, status="ok", **changes):
@@ -36,6 +38,35 @@ def test_a_missing_row_fails_and_a_new_one_does_not():
     verdict = compare_rows([row(1.0)], [row(1.0), row(1.0, case="y")])
     assert verdict["passed"]
     assert verdict["added"] == 1
+
+
+def failed_and_well():
+    """The row of a cell that failed as a whole, as a run writes it, and the rows of one that did well."""
+    cell = FoldPathCell("paths", "chanel", "computed", "kirchhoff_love", PathSettings(), {})
+    (failed,) = failure(cell, "error", "boom").tables["rows"]
+    well = [
+        {**failed, **row(1.0, recording=one, split=split, case=failed["case"]), "suite": "paths"}
+        | {name: failed[name] for name in ("model", "effects", "optimizer", "metric", "seed")}
+        for split in ("fit", "held_out")
+        for one in (None, "r1")
+    ]
+    return failed, well
+
+
+def test_a_cell_that_failed_as_a_whole_lost_each_of_its_rows():
+    failed, well = failed_and_well()
+    verdict = compare_rows(well, [failed])
+    assert [(r["split"], r["recording"], r["status"], r["reason"]) for r in verdict["worse"]] == [
+        (split, one, "error", "boom") for split in ("fit", "held_out") for one in (None, "r1")
+    ]
+    assert verdict["missing"] == []
+    assert verdict["added"] == 0
+    verdict = compare_rows([failed], well)
+    assert verdict["passed"]
+    assert [(r["split"], r["unit"]) for r in verdict["better"]] == [
+        (s, "mm") for s in ("fit", "fit", "held_out", "held_out")
+    ]
+    assert compare_rows([failed], [failed])["passed"]
 
 
 def test_nothing_to_compare_is_no_pass():

@@ -26,6 +26,7 @@ from clothbench.datasets.depth_folder import read_folder
 from clothbench.display.film import read_film
 from clothbench.engine.settings import KNOWN
 from clothbench.engine.store import ROW, Store, load_rows
+from clothbench.engine.suite import resolve
 from clothbench.engine.tables import read_table, write_table
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration.cell import asked_and_fitted
@@ -349,6 +350,13 @@ def test_a_suite_from_a_folder_sets_nothing_of_hydras(clothbench, tmp_path, harm
     assert [path.name for path in tmp_path.iterdir()] == ["conf"]
 
 
+@pytest.mark.parametrize("words", [["--config-di", "conf"], ["--config-di=conf"], ["--config-p", "conf"]])
+def test_a_flag_cut_short_is_refused(capsys, words):
+    assert main(["run", *words, "+suite=mine"]) == 2
+    said = capsys.readouterr().err
+    assert (said.count("\n"), "write that flag in full" in said) == (1, True), said
+
+
 def test_a_place_of_a_list_that_is_no_number_is_refused(capsys):
     assert main(["run", "effects.first=[gravity_tilt]"]) == 2
     assert capsys.readouterr().err == (
@@ -370,6 +378,22 @@ def test_recordings_that_can_be_nowhere_are_refused(capsys, word):
     assert main(["run", "model=mass_spring", "optimizer=ga", "metric=node_error", word]) == 2
     said = capsys.readouterr().err
     assert (said.count("\n"), said[:12]) == (1, "clothbench: "), said
+
+
+def test_recordings_in_a_package_are_found_without_importing_it(tmp_path, monkeypatch, capsys):
+    monkeypatch.syspath_prepend(tmp_path)
+    harmful = f"open({str(tmp_path / 'harm')!r}, 'w')"
+    (tmp_path / "evil_module.py").write_text(harmful)
+    for folder in ("evil_package/data", "evil_package/inner/data"):
+        (tmp_path / folder).mkdir(parents=True)
+    for package in ("evil_package", "evil_package/inner"):
+        (tmp_path / package / "__init__.py").write_text(harmful)
+    assert resolve("pkg://evil_package/data", {}) == [tmp_path / "evil_package" / "data"]
+    assert resolve("pkg://evil_package.inner/data", {}) == [tmp_path / "evil_package" / "inner" / "data"]
+    for word in ("pkg://evil_module/data", "pkg://evil_module.inner/data", "pkg://evil_package.none/data"):
+        with pytest.raises(ClothbenchError, match=r"found no package '.*'; install the package that has them"):
+            resolve(word, {})
+    assert not (tmp_path / "harm").exists()
 
 
 def test_a_place_of_results_whose_name_is_too_long_is_refused(tmp_path, capsys):

@@ -6,7 +6,7 @@ import subprocess
 import numpy as np
 import pytest
 from browser_page import Page, started
-from test_gate import row
+from test_gate import failed_and_well, row
 
 from clothbench import ClothbenchError
 from clothbench.engine.store import ROW, SYSTEM, Store
@@ -109,6 +109,18 @@ def test_a_series_keeps_to_the_cell_that_most_entries_have():
     assert series.changes == ()
 
 
+def test_a_cell_that_fails_as_a_whole_has_lost_its_numbers():
+    failed, well = failed_and_well()
+    found = all_series([entry(k, *(well if k != 3 else [failed])) for k in range(5)])
+    assert [one.about["split"] for one in found if one.kind == "error"] == ["fit", "held_out"]
+    for series in found[:2]:
+        assert changes(series) == [(3, "worse"), (4, "better")]
+        assert series.points[3].reason == "error: boom"
+        assert series.unit == "mm"
+    (alone,) = all_series([entry(0, failed)])
+    assert [p.value for p in alone.points] == [None]
+
+
 def timed(seconds, cells=3, **about):
     """Cells of one model, each of which takes its own time for ten evaluations."""
     return [
@@ -161,6 +173,9 @@ def test_entries_are_added_to_a_folder_and_none_meets_another(tmp_path):
     found = entries_in(history)
     assert [e.rows[0]["value"] for e in found] == [20.0, 10.0]  # by the time of the commit
     assert {e.machine for e in found} == {"a cpu, 2 cores"}
+    unknown = stored(tmp_path / "unknown", 5.0, cpu=None, cores=None)
+    add(history, unknown, Commit("b" * 40, "2026-01-03T10:00:00+01:00", "a change"))
+    assert entries_in(history)[-1].machine is None
 
 
 @pytest.mark.parametrize(
@@ -269,6 +284,24 @@ def test_a_subject_of_any_bytes_is_one_commit(repository, subject):
     git("update-ref", "HEAD", git("hash-object", "-w", "-t", "commit", "--stdin", text=text).stdout.decode().strip())
     assert commit_at("HEAD", repository.parent).subject == subject.decode("utf-8", errors="replace")
     assert len(commits_of(repository)) == 4
+
+
+SIGNER = """#!/bin/sh
+case "$*" in *verify*) echo "[GNUPG:] GOODSIG 0 a"; echo "gpg: Good signature" >&2; exit;; esac
+cat > /dev/null; echo "[GNUPG:] SIG_CREATED x" >&2
+printf -- '-----BEGIN PGP SIGNATURE-----\\nx\\n-----END PGP SIGNATURE-----\\n'
+"""
+
+
+def test_a_signature_that_git_is_told_to_show_is_no_commit(repository, tmp_path):
+    signer = tmp_path / "signer"
+    signer.write_text(SIGNER)
+    signer.chmod(0o755)
+    for name, value in {"gpg.program": str(signer), "log.showSignature": "true"}.items():
+        subprocess.run(["git", "-C", repository.parent, "config", name, value], check=True)
+    signed = ["-c", "user.name=n", "-c", "user.email=n@example.org", "commit", "-qSa", "--allow-empty", "-m", "signed"]
+    subprocess.run(["git", "-C", repository.parent, *signed], check=True)
+    assert commit_at("HEAD", repository.parent).subject == "signed"
 
 
 @pytest.mark.parametrize(

@@ -125,6 +125,18 @@ def test_tables_of_other_columns_and_without_rows(store, monkeypatch):
     assert sum(len(s.cells) for s in segments_in(store.folder / index.INDEX / "more")) == 12
 
 
+def test_a_column_that_is_declared_later_is_in_every_row(store):
+    keys = [f"{number:04x}" for number in range(16)]
+    old = {"key": pa.string(), "a": pa.float64()}
+    for key in keys:
+        store.put(f"f{key}", {"more": [{"key": key, "a": 1.0}]}, columns={"more": old})
+    asked = [f"f{key}" for key in keys]
+    assert store.table("more", asked, old)[0] == {"key": "0000", "a": 1.0}
+    rows = store.table("more", asked, {**old, "b": pa.float64()})
+    assert rows == [{"key": key, "a": 1.0, "b": None} for key in keys]
+    assert store.table("more", asked, old)[3]["a"] == 1.0
+
+
 def test_nothing_is_kept_where_nothing_can_be_written(store, monkeypatch):
     expected = plain(store, monkeypatch)
     (store.folder / index.INDEX).write_text("in the way")

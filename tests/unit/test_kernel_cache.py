@@ -88,6 +88,18 @@ def test_so_is_a_number_that_was_built_in(yarn, old, new, found):
     assert run(yarn.parent, ASK).split()[0] == found
 
 
+@pytest.mark.parametrize(
+    "wrapped", ["try:\n    {}\nexcept ImportError:\n    double = None", "if True:\n  with open(__file__):\n    {}"]
+)
+def test_so_is_a_helper_that_is_imported_below_the_top(yarn, wrapped):
+    line = "from yarn.helper import double"
+    caller = yarn / "caller.py"
+    caller.write_text(caller.read_text().replace(line, wrapped.format(line)))
+    run(yarn.parent, ASK)
+    edited(yarn / "helper.py", "TWO * x", "x + TWO")
+    assert run(yarn.parent, ASK).split() == ["6.0", "50.0", "0", "0"]
+
+
 def test_an_index_of_somebody_else_is_as_good_as_none(yarn):
     run(yarn.parent, ASK)
     for index in (yarn / "__pycache__").glob("*.nbi"):

@@ -42,6 +42,18 @@ def test_no_more_at_a_time_than_threads():
     assert most == 2
 
 
+@pytest.mark.parametrize("inner", [for_each, side_by_side])
+def test_inside_of_itself_it_does_not_wait_for_ever(inner):
+    done = []
+    works = threading.Thread(
+        target=lambda: for_each(lambda n: inner(lambda _: for_each(done.append, [n, n]), range(3)), range(4)),
+        daemon=True,
+    )
+    works.start()
+    works.join(20)
+    assert sorted(done) == sorted(6 * [0, 1, 2, 3])
+
+
 def test_who_is_left_has_all_the_cores(monkeypatch):
     """Several processes share the cores by how many of them are at work at the time."""
     monkeypatch.setattr(parallel, "available_cores", lambda: 6)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from conftest import swinging_recording
 
-from clothbench import ClothbenchError, Obstacle, read_recording, scene_of, write_recording
+from clothbench import Camera, ClothbenchError, Obstacle, read_recording, scene_of, write_recording
 
 
 def test_round_trip_keeps_everything(recording, tmp_path):
@@ -179,6 +179,12 @@ def test_cloth_that_only_an_obstacle_holds_needs_no_grips(tmp_path):
     [
         ({"outline": np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])}, "variable 'outline': .* expected them within"),
         ({"thickness": -1.0}, "attribute 'thickness': found -1.0"),
+        (
+            {"confidence": np.full((11, 25), -3.0)},
+            "variable 'confidence': found -3 at frame 0, node 0, expected 0 to 1",
+        ),
+        ({"confidence": np.full((11, 25), np.inf)}, "variable 'confidence': found inf at frame 0, node 0"),
+        ({"confidence": np.full((11, 25), np.nan)}, "variable 'confidence': found nan at frame 0, node 0"),
     ],
 )
 def test_wrong_supports_are_refused(change, says):
@@ -194,6 +200,8 @@ def test_wrong_supports_are_refused(change, says):
         ({"obstacle_carried": "0 1 1"}, "a disc that clamps the cloth stands still"),
         ({"obstacle_shape": "plane cone disc"}, "shape is 'cone'"),
         ({"obstacle_clamps": None}, "'obstacle_clamps' is missing"),
+        ({"obstacle_clamps": "0 no 0"}, "attribute 'obstacle_clamps': found 'no', expected 0 or 1"),
+        ({"obstacle_carried": "0 0 0.0"}, "attribute 'obstacle_carried': found '0.0', expected 0 or 1"),
     ],
 )
 def test_half_stated_obstacles_are_refused(tmp_path, attributes, says):
@@ -205,4 +213,51 @@ def test_half_stated_obstacles_are_refused(tmp_path, attributes, says):
             if value is not None:
                 file.attrs[name] = value
     with pytest.raises(ClothbenchError, match=says):
+        read_recording(path)
+
+
+@pytest.mark.parametrize(
+    ("name", "shape", "says"),
+    [
+        ("obstacle_radius", (2,), "'obstacle_radius': found 2 along 'obstacle', expected 3 as in"),
+        ("obstacle_normal", (3, 2), "'obstacle_normal': found 2 along 'space', expected 3"),
+    ],
+)
+def test_obstacles_of_unequal_shapes_are_refused(tmp_path, name, shape, says):
+    path = write_recording(dataclasses.replace(swinging_recording(), **SUPPORTS), tmp_path / "r.nc")
+    with h5py.File(path, "a") as file:
+        dims, unit = [file["obstacle"], file["space"]][: len(shape)], file[name].attrs["units"]
+        del file[name]
+        made = file.create_dataset(name, shape, data=np.ones(shape))
+        made.attrs["units"] = unit
+        for k, dim in enumerate(dims):
+            made.dims[k].attach_scale(dim)
+    with pytest.raises(ClothbenchError, match=says):
+        read_recording(path)
+
+
+def test_no_obstacles_are_as_if_nothing_was_stated(tmp_path):
+    none = dataclasses.replace(swinging_recording(), obstacles=())
+    again = read_recording(write_recording(none, tmp_path / "r.nc"))
+    assert again.obstacles is None
+    assert again.hash == none.hash == swinging_recording().hash
+
+
+@pytest.mark.parametrize("size", ["80.7 72", "1e300 72", "0 72"])
+def test_a_size_in_pixels_is_whole(tmp_path, size):
+    camera = Camera.looking_at(np.array([0.1, -1.0, -0.1]), np.array([0.1, 0.0, -0.1]), (80, 72), 0.5)
+    path = write_recording(dataclasses.replace(swinging_recording(), sight=camera), tmp_path / "r.nc")
+    with h5py.File(path, "a") as file:
+        file.attrs["sight_size"] = size
+    with pytest.raises(
+        ClothbenchError, match=f"'sight_size': found '{size}', expected width and height in whole pixels"
+    ):
+        read_recording(path)
+
+
+def test_a_calibration_of_no_video_is_refused(tmp_path):
+    path = write_recording(swinging_recording(), tmp_path / "r.nc")
+    with h5py.File(path, "a") as file:
+        file.attrs["camera_matrix"] = "1 0 0 0 1 0 0 0 1"
+    with pytest.raises(ClothbenchError, match="variable 'frame' is missing beside attribute 'camera_matrix'"):
         read_recording(path)

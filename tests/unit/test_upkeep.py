@@ -11,9 +11,11 @@ import pytest
 
 from clothbench.cli import main
 from clothbench.core.files import half_written
+from clothbench.engine import upkeep
 from clothbench.engine.check import check
+from clothbench.engine.leases import Leases
 from clothbench.engine.store import ROW, SEEDLESS, Store, recorded
-from clothbench.engine.upkeep import merge
+from clothbench.engine.upkeep import merge, prunable
 from clothbench.plugins.discovery import catalogue
 
 KEYS = [f"{n:016x}" for n in range(4)]
@@ -178,6 +180,26 @@ def test_prune_removes_what_is_old_and_no_cell_unasked(filled, capsys):
     assert not journal.exists()
     assert sorted(p.name for p in (filled / "cells").glob("[!.]*")) == [KEYS[0], KEYS[1], KEYS[3]]
     assert list(half_written(filled / "cells")) == [young]
+
+
+def test_prune_leaves_alone_what_a_live_command_is_at(filled):
+    journal = filled / "journal" / "0a"
+    journal.mkdir(parents=True)
+    os.utime(journal, (0, 0))
+    with Leases(Store(filled)) as leases:
+        assert leases.take("0a")
+        assert prunable(Store(filled), catalogue(), older=0) == []
+    assert [path for path, _ in prunable(Store(filled), catalogue())] == [journal]
+
+
+def test_what_goes_while_prune_looks_is_no_fault(filled, monkeypatch):
+    gone = filled / "leases" / "0b"
+    monkeypatch.setattr(upkeep, "remains", lambda store: iter([(gone, "the lease of a command that has gone")]))
+    assert prunable(Store(filled), catalogue(), older=0) == []
+    monkeypatch.setattr("pathlib.Path.is_dir", lambda path: True)
+    upkeep.remove(filled / "gone")
+    monkeypatch.undo()
+    assert not list(filled.glob(".old.*"))
 
 
 def test_prune_knows_cells_of_other_versions(filled, capsys):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import shutil
 
 import pytest
 
@@ -46,3 +47,17 @@ def test_a_full_disk_says_what_could_not_be_written(tmp_path, whole):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert found.value.filename == str(tmp_path / "result")
     assert [p for p in tmp_path.rglob("*") if p.name != "result"] == []
+
+
+def test_a_folder_that_goes_while_it_is_replaced_leaves_its_place_free(tmp_path):
+    (tmp_path / "cell").mkdir()
+    (tmp_path / "cell" / "old").touch()
+
+    def gone():
+        shutil.rmtree(tmp_path / "cell")
+        return False
+
+    with whole_folder(tmp_path / "cell", gone) as part:
+        (part / "new").touch()
+    assert [path.name for path in (tmp_path / "cell").iterdir()] == ["new"]
+    assert [path.name for path in tmp_path.iterdir()] == ["cell"]

@@ -16,17 +16,13 @@ import distributed
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.parallel import available_cores
-from clothbench.engine.executors.work import Answer, Died, Owner, Tell, Work, attended
+from clothbench.engine.executors.work import Answer, Died, Owner, Stopped, Tell, Work, attended
 from clothbench.plugins.discovery import one_line
 
 CONNECT = 15.0  # s until a scheduler that does not answer is given up
 LOOK = 0.1  # s between two looks at whether it is found again
 FETCH = 10.0  # s until an answer that does not come is asked for again
 CLOSE = 10.0  # s for a cluster to close in good order
-
-
-class Stopped(BaseException):
-    """Nobody waits for this work any more; no `except Exception` of a plugin holds it up."""
 
 
 class DaskWorkers:

@@ -31,8 +31,11 @@ class SlurmWorkers:
         logging.getLogger("submitit").setLevel(logging.CRITICAL)
         self.folder, self.cores = folder / FOLDER, executor["cores"]
         self.owner = Owner() if executor["cluster"] == "local" else None
-        # On this machine submitit begins at once whatever it is given; Slurm has a queue, and is told how many may run.
-        self.most = (jobs or max(1, available_cores() // self.cores)) if self.owner else min(works, ARRAY)
+        # On this machine submitit begins at once whatever it is given. Slurm has a queue, and takes all; but no more
+        # than `jobs`, where they are stated: its own bound holds for one array only, and there may be several.
+        self.most = jobs or (max(1, available_cores() // self.cores) if self.owner else ARRAY)
+        if not self.owner:
+            self.most = min(self.most, works, ARRAY)
         self.running: dict[int, submitit.Job] = {}
         self.heard: dict[int, str] = {}
         try:

@@ -23,6 +23,15 @@ Tell = Callable[[int, float], None]  # steps done so far, and the value that the
 _one_at_a_time = threading.Lock()
 
 
+class Stopped(BaseException):
+    """Nobody waits for this work any more; no `except Exception` of a plugin holds it up."""
+
+
+# What ends a work and is no word of it: everything else that a plugin raises is a fault, whatever it is made of (an
+# asyncio.CancelledError and what Rust's libraries raise are no Exceptions).
+ENDS = (KeyboardInterrupt, GeneratorExit, Stopped)
+
+
 class Work(Protocol):
     """Plain data that says what is to be done; called by a worker, with the number of threads that it may use."""
 
@@ -109,7 +118,9 @@ def attended(work: Work, tell: Tell, threads: int, owner: Owner | None) -> Answe
             return Answer(work(seldom(tell), threads))
         except ClothbenchError as fault:
             return Answer(fault=str(fault))
-        except (Exception, SystemExit) as fault:  # a plugin must not end a worker by sys.exit
+        except ENDS:
+            raise
+        except BaseException as fault:  # a plugin must not end a worker, by sys.exit or otherwise
             return Answer(fault=f"worker on {socket.gethostname()}: {one_line(fault)}")
 
 
