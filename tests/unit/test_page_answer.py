@@ -11,8 +11,10 @@ import pytest
 
 from clothbench.core.observation import Observation
 from clothbench.core.protocols import Score
+from clothbench.display.answer import Card
+from clothbench.display.templates import rendered
 from clothbench.estimation.intervals import error_interval
-from clothbench.studies.calibration.answer import lead
+from clothbench.studies.calibration.answer import HERE, lead
 from clothbench.studies.calibration.budget import late_fall, settled
 from clothbench.studies.calibration.estimates import contained, estimates
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
@@ -123,6 +125,46 @@ def test_a_fit_that_was_not_judged_by_a_metric_is_not_one_that_failed():
     some = [row("a", "linen", "x", 1.0), row("a", "linen", "x", 1.0, metric="fold_count")]
     some += [row("a", "linen", "x", 1.2, seed=1, key="a-1")]
     assert standings(some, "fold_count")["linen"]["a"].whole == ""
+
+
+def told(rows: list[dict[str, Any]], metric: str) -> str:
+    """The first sentences of the page's answer."""
+    found = standings(rows, metric)
+    ranked = overall(found)
+    error = {"error": Card("Held-out error", "5 px", "", said="5 px")}
+    html = rendered(HERE, "lead.html", lead=lead(ranked, found, metric), cards=error, failed=not ranked)
+    return " ".join(re.sub(r"<[^>]*>", "", html).split())
+
+
+def test_a_way_that_was_not_judged_by_a_metric_is_not_said_to_have_failed():
+    """As of two metrics that are minimised, without a report of either."""
+    some = rows_of({"a": [1.0, 2.0, 3.0]})
+    some += [r | {"metric": "mm", "objective": "mm", "key": "other"} for r in some]
+    said = told(some, "fold")
+    assert said.startswith("Only a · by fold is ranked. ")
+    assert "not judged by fold in every case: a · by mm. With it in report they would be" in said
+    assert "came to" not in said
+
+
+def test_a_case_with_nothing_held_out_is_named_and_the_others_are_ranked():
+    some = [r for case in ("linen", "satin") for r in rows_of({"a": [1.0, 2.0], "b": [2.0, 4.1]}, case)]
+    some += [row(m, "wool", "wool/0", 1.0, split="fit") for m in ("a", "b")]
+    said = told(some, "fold")
+    assert said.startswith("Take a. b is 2.0")
+    assert "It has the least error in 2 of 2 cases." in said
+    assert "nothing was held out there: wool." in said
+    *_, (case, _, (square, _)) = several_ways("s", "fold", some, lambda *_: "").lines
+    assert case == "wool"
+    assert (square.text, square.below) == ("–", "nothing held out")
+
+
+def test_of_few_recordings_the_answer_tells_ways_apart_where_the_table_does():
+    far = [row("a", "linen", "x", 5.0, low=4.5, high=5.5), row("b", "linen", "x", 500.0, low=450.0, high=550.0)]
+    found = standings(far, "fold")
+    assert best_of(found["linen"]) == ["a"]
+    assert [one.tied for one in overall(found)] == [False, False]
+    near = standings([far[0], far[1] | {"value": 5.1, "low": 4.6, "high": 5.6}], "fold")
+    assert [one.tied for one in overall(near)] == [False, True]
 
 
 def test_a_way_is_called_by_what_tells_it_apart():
