@@ -13,7 +13,9 @@ from clothbench.estimation.calibrate import calibrate, remembered
 from clothbench.estimation.fixed import Fixed, holding
 from clothbench.estimation.trials import Trial
 from clothbench.plugins.discovery import catalogue
+from clothbench.studies.calibration.analysis_page import analysis_section
 from clothbench.studies.calibration.analysis_tables import spread
+from clothbench.studies.calibration.schema import ANALYSIS_TABLES
 from clothbench.studies.calibration.sensitivity import error_map, morris, sobol
 from clothbench.studies.calibration.settings import analysis_settings, suite_settings
 from clothbench.studies.calibration.variability import parabola, perturbed, repeats, variability
@@ -153,6 +155,18 @@ def test_lost_members_take_their_block_along_and_are_counted():
     (first, *_) = sobol([sum_trial(lost=-1.0)], BOX, 16, 3)
     assert first.get("main") is None
     assert "fewer than four blocks" in first["reason"]
+
+
+def test_the_page_says_why_an_analysis_has_no_figure():
+    tables = {name: [] for name in ANALYSIS_TABLES}
+    about = {"suite": "s", "case": "A", "model": "m", "effects": "", "optimizer": "ga", "metric": "d", "objective": "d",
+             "recording": "x", "split": "fit", "value": 1.0, "unit": "mm", "seed": 0, "key": "k"}  # fmt: skip
+    bars = dict.fromkeys(("percent", "main", "total", "name", "method"))
+    tables["variability"] = [{**bars, "key": "k", "reason": "ValueError: boom"}]
+    tables["sensitivity"] = [{**bars, "key": "k", "name": "a", "method": "sobol", "reason": "the error is constant"}]
+    html = analysis_section([about], tables).html
+    assert "no variability: ValueError: boom" in html
+    assert "no sensitivity of a: the error is constant" in html
 
 
 def test_the_map_covers_both_ranges():

@@ -76,7 +76,7 @@ def differ(rows: Rows, name: str) -> bool:
 
 
 def standings(rows: Rows, metric: str) -> dict[str, dict[str, Standing]]:
-    """Case → way → standing by this metric: on held-out recordings, or on fitted ones where no case has any held out."""
+    """Case → way → standing by this metric: on held-out recordings, or on fitted ones where there are none at all."""
     name, out = way_of(rows), {}
     split = "held_out" if any(r["split"] == "held_out" for r in rows) else "fit"
     for case, mine in group(rows, lambda r: r["case"]).items():
