@@ -227,11 +227,15 @@ def test_a_search_that_still_falls_asks_for_more():
     steady, falling = np.array([9.0] + [5.0] * 19), np.linspace(9, 5, 20)
     assert late_fall(steady) == 0
     assert late_fall(falling) > 0.1
-    some = [row("a", "linen", "x", 1.0), row("b", "satin", "x", 1.0)]
+    some = [row("a", "linen", "x", 1.0, evaluations=20), row("b", "satin", "x", 1.0, evaluations=20)]
     value, said = settled(some, way_of(some), {"a-linen": steady, "b-satin": falling})
     assert value == "20 evaluations"
     assert "1 of 2 (satin)" in said
     assert "the order of models was" in said
+    assert "mesh" not in said
+    both = settled([r | {"evaluations": 80} for r in some], way_of(some), {"a-linen": steady, "b-satin": falling})
+    assert both[0] == "80 evaluations"  # 60 of them on a coarser mesh
+    assert "in the last quarter of those on the finer mesh" in both[1]
 
 
 def test_what_is_alike_in_all_lines_is_said_once():
