@@ -18,6 +18,7 @@ from clothbench.studies.calibration.analysis_tables import spread
 from clothbench.studies.calibration.schema import ANALYSIS_TABLES
 from clothbench.studies.calibration.sensitivity import error_map, morris, sobol
 from clothbench.studies.calibration.settings import analysis_settings, suite_settings
+from clothbench.studies.calibration.transfer import confusions
 from clothbench.studies.calibration.variability import parabola, perturbed, repeats, variability
 
 BEST = np.array([1.2, 0.3])
@@ -167,6 +168,26 @@ def test_the_page_says_why_an_analysis_has_no_figure():
     html = analysis_section([about], tables).html
     assert "no variability: ValueError: boom" in html
     assert "no sensitivity of a: the error is constant" in html
+
+
+def test_a_fabric_of_fewer_trials_is_not_the_nearest_for_that():
+    """A and B have three trials, C two; each fits its own best."""
+    fabrics, rows, found = {"A": 3, "B": 3, "C": 2}, [], []
+    about = {"model": "m", "effects": "", "optimizer": "ga", "metric": "d", "objective": "d", "unit": "mm", "seed": 0}
+    for (f, count), fitted in ((x, n) for x in fabrics.items() for n in range(x[1])):
+        for t in range(count):
+            split = "fit" if t == fitted else "held_out"
+            rows.append({**about, "case": f"{f}/{fitted}", "recording": f"{f}/{t}", "split": split,
+                         "value": 10.0 + fitted, "key": f"{f}{fitted}"})  # fmt: skip
+        for other, most in fabrics.items():
+            found += [
+                {"key": f"{f}{fitted}", "fabric": f, "recorded_fabric": other, "trial": str(t),
+                 "value": 10.0 if f == other else 14.0, "unit": "mm", "reason": None}
+                for t in range(min(count, most))
+            ]  # fmt: skip
+    (matrix,) = confusions(found, rows, [])
+    assert matrix.right == 3
+    assert matrix.error["C"] == {"A": 14.0, "B": 14.0, "C": 10.0}
 
 
 def test_the_map_covers_both_ranges():

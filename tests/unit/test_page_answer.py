@@ -19,7 +19,7 @@ from clothbench.studies.calibration.budget import late_fall, settled
 from clothbench.studies.calibration.estimates import contained, estimates
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
 from clothbench.studies.calibration.matrix import one_way, several_ways
-from clothbench.studies.calibration.parameters_page import strip_of, truth_said
+from clothbench.studies.calibration.parameters_page import group_by_key, model_table, strip_of, truth_said
 from clothbench.studies.calibration.ranking import best_of, overall, standings, way_of
 from clothbench.studies.calibration.tables import overall as told_overall
 from clothbench.studies.calibration.words import listed, size
@@ -271,6 +271,16 @@ def test_an_interval_is_drawn_where_it_lies_and_the_truth_beside_it():
     assert grey is not None
     assert (grey.kind, grey.left, grey.width) == ("grey", 0.0, 100.0)
     assert "any value of the range would do" in grey.said
+
+
+def test_fits_that_searched_other_ranges_are_drawn_on_one_axis():
+    ends = {"value": 3.0, "low": 2.9, "high": 3.1, "truth": None}
+    stiff = {"value": 300.0, "low": 290.0, "high": 310.0, "truth": None, "lower": 100.0, "upper": 1000.0}
+    some = [parameter(key="soft", lower=1.0, upper=10.0, **ends), parameter(key="stiff", **stiff)]
+    rows = [row("m", key, None, 1.0, key=key) for key in ("soft", "stiff")]
+    shown = model_table("m", rows, group_by_key(estimates(some)), lambda r: r["case"])
+    assert [(h["lower"], h["upper"]) for h in shown["heads"]] == [("1.00", "1000")]
+    assert [strips[0].dot for _, _, strips in shown["lines"]] == pytest.approx([15.9, 82.6])
 
 
 def test_a_truth_outside_of_its_interval_is_marked_and_counted():

@@ -89,7 +89,9 @@ def confusion_table(c: Confusion) -> Table:
         nearest = c.nearest(recorded)
         cells = [_number(c.error[s].get(recorded)) + (" ◂" if s == nearest else "  ") for s in c.fabrics]
         table.add_row(escape(recorded), *cells)
-    table.caption = f"◂ nearest simulation: its own fabric for {c.right} of {len(c.fabrics)}"
+    table.caption = (
+        f"mean over the trials that all have; ◂ nearest simulation: its own fabric for {c.right} of {len(c.fabrics)}"
+    )
     return table
 
 
