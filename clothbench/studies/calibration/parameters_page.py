@@ -99,7 +99,7 @@ def model_table(model: str, rows: Rows, found: dict[str, list[Estimate]], named:
 
 
 def on_widest(some: Sequence[Estimate]) -> Estimate:
-    """The last of some estimates of a parameter, on an axis over all ranges that were searched: fabrics have their own."""
+    """The last of some estimates of a parameter, on an axis over all ranges that were searched: fabrics differ."""
     ends = [end for e in some for end in (e.lower, e.upper) if end is not None]
     if not ends:
         return some[-1]

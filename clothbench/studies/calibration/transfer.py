@@ -130,7 +130,7 @@ def confusions(found: Rows, rows: Rows, starts: Rows) -> list[Confusion]:
         for recorded in fabrics:
             tried = {f: [r for r in mine if (r["fabric"], r["recorded_fabric"]) == (f, recorded)] for f in fabrics}
             # One fabric may have more trials than another, and sums over more of them would be larger for that alone.
-            common = set.intersection(*({r["trial"] for r in some} for some in tried.values() if some))
+            common = set.intersection(*([{r["trial"] for r in some} for some in tried.values() if some] or [set()]))
             for f, some in tried.items():
                 if values := [r["value"] for r in some if r["trial"] in common]:
                     error[f][recorded] = None if None in values else sum(values) / len(values)
