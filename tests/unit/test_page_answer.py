@@ -23,7 +23,9 @@ from clothbench.studies.calibration.parameters_page import group_by_key, model_t
 from clothbench.studies.calibration.ranking import best_of, overall, standings, way_of
 from clothbench.studies.calibration.tables import overall as told_overall
 from clothbench.studies.calibration.words import listed, size
+from clothbench.studies.fold_path.page import answer_of as led
 from clothbench.studies.folding.answer import answer_of as folded
+from clothbench.studies.folding.page import fold_section, path_figure
 from clothbench.studies.mechanics.answer import answer_of as meant
 from clothbench.studies.speed.answer import answer_of as paced
 
@@ -326,6 +328,55 @@ def test_of_folds_the_answer_counts_fabrics_within_their_range():
     assert "m by o ends within the range of the reference for 1 of 2 fabrics, after 2 steps." in said
     for words in ("outside: twill", "Off the reference 18 %", "at the first 1.5e+02 %", "1 of 2", "no step slips"):
         assert words in said
+
+
+def test_folds_that_fail_or_are_stopped_count_and_are_not_within():
+    def step(key: str, optimizer: str, **more: Any) -> dict[str, Any]:
+        known = {"value": 10.0, "reference": 10.0, "reference_low": 8.0, "reference_high": 12.0, "friction": 0.3,
+                 "low": 9.0, "high": 11.0, "slips": False, "wall_s": 2.0, "step": 1, "model": "m", "length": 1.0,
+                 "sheet": 10.0, "x": 0.9, "z": 0.1}  # fmt: skip
+        return {**known, "key": key, "case": key[1:], "optimizer": optimizer, **more}
+
+    def cell(key: str, optimizer: str, status: str = "ok", objective: str = "profile") -> dict[str, Any]:
+        return row("m", key[1:], None, 1.0, key=key, optimizer=optimizer, status=status, objective=objective)
+
+    steps = [step("adenim", "good"), step("atwill", "good", low=np.nan, high=np.nan), step("bdenim", "bad"),
+             step("btwill", "bad")]  # fmt: skip
+    rows = [cell("adenim", "good"), cell("atwill", "good"), cell("bdenim", "bad"), cell("btwill", "bad", "timeout"),
+            cell("bwool", "bad", "error"), cell("cwool", "none", "skipped")]  # fmt: skip
+    said = shown(folded("folds", steps, rows))
+    assert "m by good ends within the range of the reference for 2 of 2 fabrics, after 1 steps. m by bad" in said
+    assert "for 1 of 3 fabrics, after 1 steps; 2 came to no end." in said
+    assert "Reference in the 95 % interval 1 of 1" in said  # the other has no interval
+    assert "none" not in said
+    table = shown(fold_section(rows, steps).html)
+    assert "no interval" in table
+    two = [cell("adenim", "o"), cell("bdenim", "o", objective="node_error")]
+    assert "m by o on node_error ends" in shown(folded("folds", steps[::2], two))
+    assert "node_error" in fold_section(two, steps[::2]).html
+    drawn = path_figure([step("adenim", "good"), step("atwill", "good", length=0.5, z=0.4)])["data"]
+    assert [one["name"] for one in drawn[:4]] == [
+        f"{n}, {x} m" for x in ("0.5", "1") for n in ("triangular", "circular")
+    ]
+    assert drawn[1]["x"][-1] == 0.25  # at half its length, where the way up ends
+
+
+def test_paths_that_fail_on_some_fabrics_come_behind():
+    def line(fabric: str, model: str, error: float | None) -> dict[str, Any]:
+        status = "diverged" if error is None else "ok"
+        return {"fabric": fabric, "way": "computed", "model": model, "landing_error": error, "status": status}
+
+    found = [
+        line("denim", "bad", 0.1),
+        line("twill", "bad", None),
+        line("denim", "good", 0.2),
+        line("twill", "no", None),
+    ]
+    said = shown(led("paths", [*found, line("twill", "good", 0.2)]))
+    assert (
+        "computed path, good: lands 0.2 mm beside, median of 2 of 2 fabrics. computed path, bad: lands 0.1 mm" in said
+    )
+    assert "beside, median of 1 of 2 fabrics. computed path, no: lands in 0 of 1 fabric." in said
 
 
 def test_of_speed_the_answer_names_the_quickest_and_the_peers():
