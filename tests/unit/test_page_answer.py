@@ -28,6 +28,7 @@ from clothbench.studies.folding.answer import answer_of as folded
 from clothbench.studies.folding.page import fold_section, path_figure
 from clothbench.studies.mechanics.answer import answer_of as meant
 from clothbench.studies.speed.answer import answer_of as paced
+from clothbench.studies.speed.tables import _lines
 
 
 def row(model: str, case: str, recording: str | None, value: float | None, **more: Any) -> dict[str, Any]:
@@ -394,3 +395,31 @@ def test_of_speed_the_answer_names_the_quickest_and_the_peers():
     assert "a is the quickest, 7 times real time" in said
     assert "Beside mujoco 2 × … 4 × per core, over 2 measurements" in said
     assert paced([]) == ""
+
+
+def test_a_model_that_is_called_as_a_peer_is_a_model():
+    """`mujoco` is the name of both."""
+
+    def timed(model: str, pace: float, **more: Any) -> dict[str, Any]:
+        known = dict.fromkeys(("precision", "options", "version", "step_s", "error_m", "peer", "ratio"))
+        known |= {
+            "kind": "explicit",
+            "nodes": 441,
+            "threads": 1,
+            "batch": 64,
+            "realtime_factor": 2.0,
+            "note": "own step",
+        }
+        return {**known, "model": model, "node_steps_per_s": pace, **more}
+
+    peer = timed("mujoco", 1e6, note="MuJoCo's membrane")
+    rows = [
+        peer, timed("a", 3e6, peer="mujoco", ratio=3.0), timed("mujoco", 0.4e6, peer="mujoco", ratio=0.4),
+        timed("a", 3e6, peer="mujoco", ratio=60.0, error_m=1e-3, realtime_factor=50.0),
+    ]  # fmt: skip
+    said = shown(paced(rows))
+    assert "Beside mujoco 0.4 × … 3 × per core, over 2 measurements" in said
+    assert "Beside mujoco, at equal error 60 × per core" in said
+    steps = [[line[0], line[4]] for line in _lines(rows[:3], ["mujoco"])]
+    assert steps == [["mujoco", "step 0.2 ms"], ["a", "own step"], ["mujoco", "own step"]]
+    assert paced([peer]) == ""  # beside it no model was measured
