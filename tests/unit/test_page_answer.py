@@ -27,6 +27,8 @@ from clothbench.studies.fold_path.page import answer_of as led
 from clothbench.studies.folding.answer import answer_of as folded
 from clothbench.studies.folding.page import fold_section, path_figure
 from clothbench.studies.mechanics.answer import answer_of as meant
+from clothbench.studies.mechanics.page import numbers
+from clothbench.studies.mechanics.tables import observed_orders
 from clothbench.studies.speed.answer import answer_of as paced
 from clothbench.studies.speed.tables import _lines
 
@@ -316,6 +318,28 @@ def test_of_models_against_mechanics_the_answer_counts_references_that_are_met()
     assert "b meets the most references: 2 of 2 within 1 %" in said
     assert "b 2 of 2 farthest off: sag, -0.5 %; 1 diverged a 1 of 3 farthest off: sag, +5 %; order 1.70" in said
     assert "no model came to a value" in meant("tests", [rows[5]])
+
+
+def test_only_what_the_finest_mesh_gave_meets_a_reference():
+    def tested(model: str, case: str, value: float, suite: str = "tests", **more: Any) -> dict[str, Any]:
+        return row(model, case, None, value, metric="drop", reference=1.0, suite=suite, **more)
+
+    late = tested("b", "fall", 1.003, status="timeout", reason="stopped by the time limit")
+    rows = [tested("a", "fall", 1.0), late, tested("b", "sag", 1.0), tested("b", "swing", 2.0)]
+    said = shown(meant("tests", rows))
+    assert "a meets the most references: 1 of 1" in said  # b, too, meets one, but of two
+    assert "b 1 of 2" in said
+    assert "1 timeout" in said
+    assert "+0.3 % timeout" in shown(numbers(rows, []))
+    two = shown(numbers([tested("a", "fall", 1.5, "first"), tested("a", "fall", 1.0, "second")], []))
+    assert "fall +50 %" in two
+    assert "fall +0 %" in two
+
+
+def test_an_order_that_is_not_seen_on_the_finest_mesh_is_not_told():
+    level = {"case": "free_fall", "step_scale": 1.0, "load": None}
+    known = [{**level, "key": key, "order": order} for key, order in (("a", 2.0), ("a", None), ("b", None), ("b", 1.9))]
+    assert observed_orders(known) == {"b": 1.9}
 
 
 def test_of_folds_the_answer_counts_fabrics_within_their_range():
