@@ -1,6 +1,7 @@
 """Analyses of a fit on toys whose answer is known, their settings, and searches that go on where they stood."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from clothbench.estimation.calibrate import calibrate, remembered
 from clothbench.estimation.fixed import Fixed, holding
 from clothbench.estimation.trials import Trial
 from clothbench.plugins.discovery import catalogue
+from clothbench.studies.calibration.analysis import truth_of
 from clothbench.studies.calibration.analysis_page import analysis_section
 from clothbench.studies.calibration.analysis_tables import spread
 from clothbench.studies.calibration.schema import ANALYSIS_TABLES
@@ -108,6 +110,24 @@ def test_repeated_fits_begin_within_five_percent_and_find_the_same():
         assert len({r["start"] for r in mine}) == 4
         assert spread([r["value"] for r in mine]) < 6
     assert all(r["error"] <= r["error_start"] + 1e-9 for r in rows)
+
+
+def test_a_start_of_zero_is_moved_by_a_share_of_its_range():
+    at_zero = dataclasses.replace(
+        calibrate([bowl_trial()], catalogue().make("optimizers", "nelder_mead", SPACE, seed=1, budget=9), SPACE),
+        start=np.array([1.0, 0.0]),
+    )
+    rows = repeats([bowl_trial()], SPACE, at_zero, 3, 7, lambda space, seed: at_zero)
+    begun = [r["start"] for r in rows if r["name"] == "slope"]
+    assert len(set(begun)) == 4
+    assert max(map(abs, begun)) <= 0.05 * 2.0  # from -1 to 1
+
+
+@pytest.mark.parametrize(("note", "stated"), [("3.5", 3.5), ("unknown", None), ("", None), ("nan", None)])
+def test_a_truth_that_is_no_number_is_not_stated(note, stated):
+    bench = SimpleNamespace(recordings=[SimpleNamespace(notes={"truth_bend": note})],
+                            cell=SimpleNamespace(recordings=[SimpleNamespace(split="fit")]))  # fmt: skip
+    assert truth_of(bench, "bend") == stated
 
 
 class Sum:
