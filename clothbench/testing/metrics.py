@@ -27,7 +27,8 @@ def check_metric(make: Callable[..., Metric], *, only: Iterable[str] | None = No
     cases = {"drapes": draped} if "silhouette" in kinds else {}
     if kinds != {"silhouette"}:
         cases["a waving sheet"] = waving
-    name, out = f"metric {getattr(metric, 'name', make)!r}", []
+    name = f"metric {getattr(metric, 'name', make)!r}"
+    out: list[Outcome] = []
     for what, case in cases.items():
         out += run_rules(f"{name} on {what}" if len(cases) > 1 else name, rules, case(metric))
     return tuple(out)

@@ -83,8 +83,8 @@ def model_table(model: str, rows: Rows, found: dict[str, list[Estimate]], named:
     """Heads and lines of one model; a fit that lacks a parameter has an empty place below its heading. A column has one
     axis, over the ranges of all its fits.
     """
-    by_name = group([e for r in rows for e in found[r["key"]]], lambda e: e.name)
-    columns = [on_widest(some) for some in by_name.values()]
+    every = [e for r in rows for e in found[r["key"]]]
+    columns = [on_widest([e for e in every if e.name == name]) for name in dict.fromkeys(e.name for e in every)]
     axes = {c.name: c for c in columns}
     sure = {c.name: [e.determined for r in rows for e in found[r["key"]] if e.name == c.name] for c in columns}
     lines = []
