@@ -443,7 +443,7 @@ def test_a_model_that_is_called_as_a_peer_is_a_model():
     ]  # fmt: skip
     said = shown(paced(rows))
     assert "Beside mujoco 0.4 × … 3 × per core, over 2 measurements" in said
-    assert "Beside mujoco, at equal error 60 × per core" in said
+    assert "Beside mujoco, at equal error 60 × per core, over 1 measurement" in said
     steps = [[line[0], line[4]] for line in _lines(rows[:3], ["mujoco"])]
     assert steps == [["mujoco", "step 0.2 ms"], ["a", "own step"], ["mujoco", "own step"]]
     assert paced([peer]) == ""  # beside it no model was measured

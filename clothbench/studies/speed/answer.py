@@ -56,5 +56,9 @@ def peer_cards(rows: Sequence[Row]) -> list[Card]:
     for peer, mine in sorted(told.items()):
         low, high = (end(r["ratio"] for r in mine) for end in (min, max))
         said = f"{low:.2g} × … {high:.2g} ×" if len(mine) > 1 else f"{low:.2g} ×"
-        out.append(Card(f"Beside {peer}", said, f"per core, over {len(mine)} measurements", good=low >= 1))
+        out.append(
+            Card(
+                f"Beside {peer}", said, f"per core, over {len(mine)} measurement{'s' * (len(mine) > 1)}", good=low >= 1
+            )
+        )
     return out
