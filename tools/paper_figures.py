@@ -75,7 +75,7 @@ def draw_curves(store: Store, keys: dict[str, str], rows: Sequence[dict[str, Any
         curve = [told.error[simulated][fabric] for simulated in FABRICS]
         right.plot(FABRICS, curve, "o-", ms=3, lw=1, color=colour, label=f"filmed {fabric}")
         right.plot([told.nearest(fabric)], [min(v for v in curve if v is not None)], "o", ms=8, mfc="none", mec=colour)
-    right.set(xlabel="simulated as", ylabel="error over the trials [px]", yscale="log")
+    right.set(xlabel="simulated as", ylabel="mean error over the trials [px]", yscale="log")
     right.legend(frameon=False, fontsize=7)
     figure.savefig(IMAGES / "paper-curves.svg")
 

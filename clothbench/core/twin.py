@@ -88,7 +88,9 @@ class Twin:
         if bending > m.bending:
             lines.append(f"bending: {target} holds some: {bending:g} N·m stands for {m.bending:g}")
         shear = m.shear if shears and math.isfinite(m.shear) else stretch / 2
-        if math.isfinite(m.shear) and abs(m.shear - shear) > CLOSE * shear:
+        if math.isinf(m.shear):
+            lines.append(f"shear: {target} holds a finite one: {shear:g} N/m stands for {m.shear:g}")
+        elif abs(m.shear - shear) > CLOSE * shear:
             lines.append(
                 f"shear: {target} has no parameter of its own for it: {shear:.4g} N/m stands for {m.shear:.4g}"
                 f"{factors(shear, m.shear)}"

@@ -76,6 +76,16 @@ def require_plugins(config: Mapping[str, Any], keys: Sequence[str]) -> None:
             raise ClothbenchError(f"setting '{key}' is empty; name a plugin (see `clothbench plugins`)")
 
 
+OF_SEARCHES = {"seed": 0, "budget": 400, "tracker": "markers", "choice": "nearest"}  # as in run.yaml
+
+
+def refuse_of_searches(config: Mapping[str, Any], why: str) -> None:
+    """Refuse what steers a search or what is seen, in studies without either, where it is not what it is by default."""
+    for key, usual in OF_SEARCHES.items():
+        if config.get(key, usual) not in (usual, None):
+            raise ClothbenchError(f"setting '{key}': {why}; leave it out")
+
+
 def refuse(config: Mapping[str, Any], keys: Sequence[str], why: str, scene: str) -> None:
     """Refuse settings that a study cannot follow, and any of the scene but the usual density of air; `why` and `scene`
     say so to the user.

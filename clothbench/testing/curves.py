@@ -76,7 +76,7 @@ def leaves_inputs_alone(effect: Any) -> None:
 
 
 def answers(model: Any) -> None:
-    """Finite forces, the same twice and one by one, wrong parameters refused, each parameter and effect counting."""
+    """Finite forces, the same twice and one by one, wrong parameters refused, each parameter counting."""
     units = (0.3, 0.5, 0.7)
     rollout, again = pulled(model, units=units), pulled(model, units=units)
     require(rollout.force.shape == (3, len(STRETCH)), f"forces of shape {rollout.force.shape}", (3, len(STRETCH)))

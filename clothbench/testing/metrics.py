@@ -20,11 +20,18 @@ HONEST = 0.10  # relative, between a floor as stated and as drawn
 
 def check_metric(make: Callable[..., Metric], *, only: Iterable[str] | None = None) -> tuple[Outcome, ...]:
     """Check the metric that `make()` gives, on a waving sheet made by formula of which a part is not seen, or
-    on drapes if those are what it compares.
+    on drapes if those are what it compares; on both, one after the other, if it compares both.
     """
     metric = made(make, "metric")
-    case = draped(metric) if "silhouette" in kinds_read(metric) else waving(metric)
-    return run_rules(f"metric {getattr(metric, 'name', make)!r}", choose(RULES, only), case)
+    kinds, rules = kinds_read(metric), choose(RULES, only)
+    cases = {"drapes": draped} if "silhouette" in kinds else {}
+    if kinds != {"silhouette"}:
+        cases["a waving sheet"] = waving
+    name = f"metric {getattr(metric, 'name', make)!r}"
+    out: list[Outcome] = []
+    for what, case in cases.items():
+        out += run_rules(f"{name} on {what}" if len(cases) > 1 else name, rules, case(metric))
+    return tuple(out)
 
 
 def has_all_members(case: MetricCase) -> None:

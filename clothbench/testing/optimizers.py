@@ -38,23 +38,30 @@ class OptimizerCase:
     make: Callable[..., Optimizer]
 
     def search(self, problem: Problem, seed: int = 0, budget: int = BUDGET) -> Search:
-        """Play the caller's part: ask, evaluate, tell, until it is done; bounds and budget are watched."""
-        optimizer, asked, told = self.make(problem.space, seed=seed, budget=budget), [], []
-        while not optimizer.done:
-            theta = optimizer.ask()
-            require_in_bounds(theta, problem.space)
-            asked.append(np.array(theta))
-            evaluation = problem.evaluate(theta)
-            told.append(evaluation.value)
-            spent = sum(map(len, asked))
-            require(
-                spent <= budget,
-                f"{spent} evaluations asked on {problem.name}",
-                f"at most the budget of {budget}",
-            )
-            optimizer.tell(theta, evaluation)
-        require(len(asked) > 0, "a search that is done before it began", "at least one evaluation")
-        return Search(np.vstack(asked), np.concatenate(told), optimizer.stopped)
+        """A whole search by an optimizer of its own."""
+        return played(self.make(problem.space, seed=seed, budget=budget), problem, budget)
+
+
+def played(optimizer: Optimizer, problem: Problem, budget: int) -> Search:
+    """Play the caller's part: ask, evaluate, tell, until it is done; bounds and budget are watched, so that one that
+    never ends is stopped.
+    """
+    asked, told = [], []
+    while not optimizer.done:
+        theta = optimizer.ask()
+        require_in_bounds(theta, problem.space)
+        asked.append(np.array(theta))
+        evaluation = problem.evaluate(theta)
+        told.append(evaluation.value)
+        spent = sum(map(len, asked))
+        require(
+            spent <= budget,
+            f"{spent} evaluations asked on {problem.name}",
+            f"at most the budget of {budget}",
+        )
+        optimizer.tell(theta, evaluation)
+    require(len(asked) > 0, "a search that is done before it began", "at least one evaluation")
+    return Search(np.vstack(asked), np.concatenate(told), optimizer.stopped)
 
 
 def check_optimizer(make: Callable[..., Optimizer], *, only: Iterable[str] | None = None) -> tuple[Outcome, ...]:
@@ -91,9 +98,7 @@ def keeps_what_it_offers(case: OptimizerCase) -> None:
     problem = bowl()
     space = problem.space
     optimizer = case.make(space, seed=0, budget=BUDGET)
-    while not optimizer.done:
-        theta = optimizer.ask()
-        optimizer.tell(theta, problem.evaluate(theta))
+    played(optimizer, problem, BUDGET)
     if isinstance(optimizer, HasStart) and optimizer.start is not None:
         require_in_bounds(np.atleast_2d(optimizer.start), space)
     if takes_option(case.make, "start"):

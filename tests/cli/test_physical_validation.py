@@ -106,7 +106,7 @@ MODELS = {"strip": "Strip", "faller": "Faller", "crash": "Crash"}
 STAND_FOR = {"added_mass": "added_mass", "drag": "quadratic_drag"}
 SETTINGS = {
     "study": "mechanics",
-    "tracker": "markers", "scene": {"air_density": 1.2}, "options": {}, "bounds": {}, "budget": 10, "seed": 0,
+    "tracker": "markers", "scene": {"air_density": 1.2}, "options": {}, "bounds": {}, "budget": 400, "seed": 0,
     "jobs": 1, "timeout": None, "out": "runs", "rerun": False, "recording": None, "recordings": None,
     "optimizer": None, "metric": None, "effects": [], "report": [], "data_dir": None,
 }  # fmt: skip
@@ -234,6 +234,14 @@ def test_the_gate_judges_the_distance_from_the_reference():
         ({"effects": ["added_mass"]}, "setting 'effects': the tests"),
         ({"scene": {"areal_density": 0.1}}, "setting 'scene.areal_density': the tests"),
         ({"model": ["stripp"]}, "did you mean 'strip'"),
+        (
+            {"suite": {"tests": "terminal_speed", "effects": {"drag": "linear_drag"}}},
+            "effect 'linear_drag' has no parameter 'normal', which the test 'terminal_speed' sets; it has coefficient",
+        ),
+        ({"seed": 7}, "setting 'seed': the tests of this suite are not fitted to anything; leave it out"),
+        ({"budget": 3}, "setting 'budget': the tests"),
+        ({"choice": "knee"}, "setting 'choice': the tests"),
+        ({"tracker": "stripes"}, "setting 'tracker': the tests"),
     ],
 )
 def test_wrong_settings_are_one_line(catalogue, change, found):

@@ -287,6 +287,13 @@ def test_what_a_target_cannot_hold_is_a_line_each(held):
     assert "50 N/m stands for 0" in "\n".join(dataclasses.replace(twin, material=limp).isotropic("a reader")[1])
 
 
+def test_a_shear_stiffness_without_end_is_not_replaced_without_a_line(held):
+    own = Material(1e-5, 100.0, np.inf, 0.0, 0.0)
+    found, lines = dataclasses.replace(held[0], material=own).isotropic("a reader", shears=True)
+    assert found.shear == 50.0
+    assert lines == ["shear: a reader holds a finite one: 50 N/m stands for inf"]
+
+
 def test_what_does_nothing_is_not_lost_and_a_cameras_share_is_the_cameras(held):
     others = {"total_mass.ratio": (1.0, "1"), "clock_offset.offset": (0.02, "s")}
     twin = dataclasses.replace(

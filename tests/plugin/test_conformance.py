@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 import ast
+import dataclasses
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import wrong_models
 import wrong_plugins
+from clothbench_metrics.drape import Drape
 
 import clothbench.testing
 from clothbench import ClothbenchError
@@ -117,6 +120,45 @@ def test_a_model_may_refine_its_steps_by_a_method():
 def test_a_rule_that_does_not_apply_says_why():
     (outcome,) = check_effect(wrong_plugins.HonestEffect, only=["keeps to its own memory"])
     assert outcome.skipped == "has no kernel"
+
+
+def test_an_optimizer_that_never_ends_is_told_and_not_waited_for():
+    class Endless(wrong_plugins.HonestOptimizer):
+        done = property(lambda self: False, lambda self, value: None)
+
+        def ask(self):
+            return self.space.defaults[None]
+
+    assert "at most the budget of 150" in broken(check_optimizer, Endless, "keeps what it offers")
+
+
+def test_a_metric_of_two_kinds_is_checked_on_both():
+    class Both(Drape):
+        kinds = frozenset({"silhouette", "nodes"})
+
+    assert len(check_metric(Drape)) == len(rule_names("metrics"))
+    assert "on a waving sheet" in broken(check_metric, Both, "gives whole scores")
+
+
+def test_what_compared_nothing_is_not_kept():
+    """Points of which none is held, and a model of which no run comes to its end."""
+    hanging = scenes.hanging()
+    free = dataclasses.replace(hanging, points=hanging.points[:5], start=hanging.start[:5])
+    (outcome,) = check_model(wrong_models.Static, scenes={"free": free}, only=["follows the grips"])
+    assert outcome.skipped == "no point that is looked at is held in free"
+
+    class Lost(wrong_models.Static):
+        def prepare(self, scene, effects=()):
+            simulation = super().prepare(scene, effects)
+
+            def run(theta):
+                return dataclasses.replace(simulation.run(theta), status=("diverged",) * len(theta))
+
+            return SimpleNamespace(parameters=simulation.parameters, run=run)
+
+    for rule in ("follows the grips", "rests when held still"):
+        found = broken(lambda make, **more: check_model(make, scenes={"hanging": hanging}, **more), Lost, rule)
+        assert "no run that came to its end in hanging" in found
 
 
 def test_a_plugin_that_cannot_be_made_is_told_in_one_line():

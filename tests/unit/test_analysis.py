@@ -1,6 +1,7 @@
 """Analyses of a fit on toys whose answer is known, their settings, and searches that go on where they stood."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,9 +14,13 @@ from clothbench.estimation.calibrate import calibrate, remembered
 from clothbench.estimation.fixed import Fixed, holding
 from clothbench.estimation.trials import Trial
 from clothbench.plugins.discovery import catalogue
+from clothbench.studies.calibration.analysis import truth_of
+from clothbench.studies.calibration.analysis_page import analysis_section
 from clothbench.studies.calibration.analysis_tables import spread
+from clothbench.studies.calibration.schema import ANALYSIS_TABLES
 from clothbench.studies.calibration.sensitivity import error_map, morris, sobol
 from clothbench.studies.calibration.settings import analysis_settings, suite_settings
+from clothbench.studies.calibration.transfer import confusions
 from clothbench.studies.calibration.variability import parabola, perturbed, repeats, variability
 
 BEST = np.array([1.2, 0.3])
@@ -107,6 +112,24 @@ def test_repeated_fits_begin_within_five_percent_and_find_the_same():
     assert all(r["error"] <= r["error_start"] + 1e-9 for r in rows)
 
 
+def test_a_start_of_zero_is_moved_by_a_share_of_its_range():
+    at_zero = dataclasses.replace(
+        calibrate([bowl_trial()], catalogue().make("optimizers", "nelder_mead", SPACE, seed=1, budget=9), SPACE),
+        start=np.array([1.0, 0.0]),
+    )
+    rows = repeats([bowl_trial()], SPACE, at_zero, 3, 7, lambda space, seed: at_zero)
+    begun = [r["start"] for r in rows if r["name"] == "slope"]
+    assert len(set(begun)) == 4
+    assert max(map(abs, begun)) <= 0.05 * 2.0  # from -1 to 1
+
+
+@pytest.mark.parametrize(("note", "stated"), [("3.5", 3.5), ("unknown", None), ("", None), ("nan", None)])
+def test_a_truth_that_is_no_number_is_not_stated(note, stated):
+    bench = SimpleNamespace(recordings=[SimpleNamespace(notes={"truth_bend": note})],
+                            cell=SimpleNamespace(recordings=[SimpleNamespace(split="fit")]))  # fmt: skip
+    assert truth_of(bench, "bend") == stated
+
+
 class Sum:
     """x = 4 a + 2 b at the one node; the score is x itself; c does nothing. Members with a > 0.99 are lost."""
 
@@ -153,6 +176,38 @@ def test_lost_members_take_their_block_along_and_are_counted():
     (first, *_) = sobol([sum_trial(lost=-1.0)], BOX, 16, 3)
     assert first.get("main") is None
     assert "fewer than four blocks" in first["reason"]
+
+
+def test_the_page_says_why_an_analysis_has_no_figure():
+    tables = {name: [] for name in ANALYSIS_TABLES}
+    about = {"suite": "s", "case": "A", "model": "m", "effects": "", "optimizer": "ga", "metric": "d", "objective": "d",
+             "recording": "x", "split": "fit", "value": 1.0, "unit": "mm", "seed": 0, "key": "k"}  # fmt: skip
+    bars = dict.fromkeys(("percent", "main", "total", "name", "method"))
+    tables["variability"] = [{**bars, "key": "k", "reason": "ValueError: boom"}]
+    tables["sensitivity"] = [{**bars, "key": "k", "name": "a", "method": "sobol", "reason": "the error is constant"}]
+    html = analysis_section([about], tables).html
+    assert "no variability: ValueError: boom" in html
+    assert "no sensitivity of a: the error is constant" in html
+
+
+def test_a_fabric_of_fewer_trials_is_not_the_nearest_for_that():
+    """A and B have three trials, C two; each fits its own best."""
+    fabrics, rows, found = {"A": 3, "B": 3, "C": 2}, [], []
+    about = {"model": "m", "effects": "", "optimizer": "ga", "metric": "d", "objective": "d", "unit": "mm", "seed": 0}
+    for (f, count), fitted in ((x, n) for x in fabrics.items() for n in range(x[1])):
+        for t in range(count):
+            split = "fit" if t == fitted else "held_out"
+            rows.append({**about, "case": f"{f}/{fitted}", "recording": f"{f}/{t}", "split": split,
+                         "value": 10.0 + fitted, "key": f"{f}{fitted}"})  # fmt: skip
+        for other, most in fabrics.items():
+            found += [
+                {"key": f"{f}{fitted}", "fabric": f, "recorded_fabric": other, "trial": str(t),
+                 "value": 10.0 if f == other else 14.0, "unit": "mm", "reason": None}
+                for t in range(min(count, most))
+            ]  # fmt: skip
+    (matrix,) = confusions(found, rows, [])
+    assert matrix.right == 3
+    assert matrix.error["C"] == {"A": 14.0, "B": 14.0, "C": 10.0}
 
 
 def test_the_map_covers_both_ranges():

@@ -310,6 +310,8 @@ def test_speeds_are_kept_and_shown_as_a_study(tmp_path, monkeypatch):
         plan({**settings, "options": {"mass_spring": {"precision": "single"}}}, catalogue())
     with pytest.raises(ClothbenchError, match="setting 'timeout': speed is measured"):
         plan({**settings, "timeout": 9.0}, catalogue())
+    with pytest.raises(ClothbenchError, match="setting 'budget': speed is measured"):
+        plan({**settings, "budget": 3}, catalogue())
 
 
 def test_a_model_with_other_options_is_another_case(tmp_path, monkeypatch):

@@ -22,6 +22,7 @@ from clothbench.display.film import (
     read_film,
     scaled,
     surface_data,
+    take_data,
     write_film,
 )
 from clothbench.engine.run import run_cell
@@ -111,7 +112,7 @@ def test_a_cell_keeps_films_of_what_was_fitted_and_what_was_not(results):
     clips = cloth_page.clips_of(results)
     ((_, recordings),) = clips.cases.items()
     assert {(c["name"], c["split"]) for c in recordings.values()} == {("swing-1", "fit"), ("swing-22", "held_out")}
-    assert [take for take, _ in recordings["swing-1"]["words"]] == ["fitted"]
+    assert [take for take, _ in recordings["swing-1", "node_error"]["words"]] == ["fitted"]
     one = read_film(next((results.store.folder / "cells").glob("*/films/0.npz")))
     assert np.isnan(one.seen[3, 7:9]).all()
     assert np.isfinite(one.takes["fitted"].error).all()
@@ -123,6 +124,20 @@ def test_films_that_find_no_room_are_counted(results, monkeypatch):
     clips = cloth_page.clips_of(results)
     assert clips.left_out == 2
     assert cloth_page.cloth_section(clips, results.rows) is None
+
+
+def test_fits_by_several_metrics_have_clips_with_units_of_their_own():
+    clips, one = cloth_page.Clips(), {"suite": "s", "case": "linen"}
+    for metric, unit in (("node_error", "mm"), ("fold_count", "1"), ("node_error", "mm")):
+        other = film(metric=metric, unit=unit)
+        cloth_page._add(clips, [one], f"by {metric}", other, [take_data(take) for take in other.takes.values()])
+    ((_, found),) = clips.cases.items()
+    assert [(c["metric"], c["unit"], len(c["words"])) for c in found.values()] == [
+        ("node_error", "mm", 2),
+        ("fold_count", "1", 1),
+    ]
+    shown = cloth_page.cloth_section(clips, [one]).data["films"][0]["recordings"]
+    assert [c["name"].partition(" · ")[2] for c in shown] == ["node_error", "fold_count"]
 
 
 def test_takes_are_told_apart_where_several_models_made_them():

@@ -102,6 +102,11 @@ def test_a_model_that_folds_nothing_over_is_left_out(tmp_path):
     assert "contact" in Store(tmp_path).rows()[0]["reason"]
 
 
+def test_a_model_without_such_a_material_is_left_out(tmp_path):
+    assert run_cell(cell("triangular", model="mass_spring"), tmp_path) == "skipped"
+    assert "no small-strain bending rigidity" in Store(tmp_path).rows()[0]["reason"]
+
+
 @pytest.mark.parametrize(
     ("given", "told"),
     [
@@ -120,3 +125,5 @@ def test_settings_are_checked(given, told):
         chosen_ways(["straight"])
     with pytest.raises(ClothbenchError, match="setting 'timeout': nothing is measured or fitted"):
         plan({**dict.fromkeys(NOT_USED, ()), "timeout": 9.0, "scene": {}}, catalogue())
+    with pytest.raises(ClothbenchError, match="setting 'seed': nothing is measured or fitted"):
+        plan({**dict.fromkeys(NOT_USED, ()), "seed": 7, "scene": {}}, catalogue())

@@ -1,11 +1,14 @@
 """Several objectives at once: the front, the choice from it, and how they reach fits and searches."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from clothbench_optimizers.evolution import HybridEa, SimpleEa
 
-from clothbench import ClothbenchError, Evaluation
+from clothbench import ClothbenchError, Evaluation, Score
 from clothbench.estimation.front import chosen, on_front
+from clothbench.studies.calibration import run
 from clothbench.studies.calibration.plan import choice_of
 from clothbench.testing.toys import bowl, partly_lost
 
@@ -53,6 +56,22 @@ def searched(factory, seed, budget=160):
         found.append(goals)
         search.tell(theta, Evaluation(goals.sum(axis=1), residual=goals, objectives=goals))
     return np.concatenate(found)
+
+
+def test_a_front_s_distances_are_the_mean_of_those_of_its_recordings(monkeypatch):
+    """Two recordings, both 1 mm off, whose cloth differs by 10 mm and by 1 mm from itself."""
+    scores = [Score(np.ones(1), "mm", objectives=np.ones((1, 1)), spread=np.array([s])) for s in (10.0, 1.0)]
+    monkeypatch.setattr(run, "evaluate", lambda trials, theta: (None, scores[: len(trials)]))
+    monkeypatch.setattr(run, "objectives_of", lambda metric: [SimpleNamespace(name="d", unit="mm")])
+    for count, spreads in ((2, 0.55), (1, 0.1)):
+        sources = [SimpleNamespace(split="fit")] * count
+        trials = [SimpleNamespace(metric=None)] * count
+        bench = SimpleNamespace(cell=SimpleNamespace(recordings=sources, key="k"), trials=trials,
+                                of_split=lambda split, trials=trials: trials)  # fmt: skip
+        fit = SimpleNamespace(objectives=np.array([[spreads]]), value=np.ones(1), theta=np.zeros((1, 1)),
+                              best=np.zeros(1), front=np.array([0]))  # fmt: skip
+        (found,) = run._front_of(bench, fit, scores[:count])
+        assert (found["distance"], found["spreads"]) == (pytest.approx(1.0), spreads)
 
 
 @pytest.mark.parametrize("factory", [SimpleEa, HybridEa])

@@ -11,19 +11,26 @@ import pytest
 
 from clothbench.core.observation import Observation
 from clothbench.core.protocols import Score
+from clothbench.display.answer import Card
+from clothbench.display.templates import rendered
 from clothbench.estimation.intervals import error_interval
-from clothbench.studies.calibration.answer import lead
+from clothbench.studies.calibration.answer import HERE, lead
 from clothbench.studies.calibration.budget import late_fall, settled
 from clothbench.studies.calibration.estimates import contained, estimates
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
 from clothbench.studies.calibration.matrix import one_way, several_ways
-from clothbench.studies.calibration.parameters_page import strip_of, truth_said
+from clothbench.studies.calibration.parameters_page import group_by_key, model_table, strip_of, truth_said
 from clothbench.studies.calibration.ranking import best_of, overall, standings, way_of
 from clothbench.studies.calibration.tables import overall as told_overall
 from clothbench.studies.calibration.words import listed, size
+from clothbench.studies.fold_path.page import answer_of as led
 from clothbench.studies.folding.answer import answer_of as folded
+from clothbench.studies.folding.page import fold_section, path_figure
 from clothbench.studies.mechanics.answer import answer_of as meant
+from clothbench.studies.mechanics.page import numbers
+from clothbench.studies.mechanics.tables import observed_orders
 from clothbench.studies.speed.answer import answer_of as paced
+from clothbench.studies.speed.tables import _lines
 
 
 def row(model: str, case: str, recording: str | None, value: float | None, **more: Any) -> dict[str, Any]:
@@ -125,6 +132,46 @@ def test_a_fit_that_was_not_judged_by_a_metric_is_not_one_that_failed():
     assert standings(some, "fold_count")["linen"]["a"].whole == ""
 
 
+def told(rows: list[dict[str, Any]], metric: str) -> str:
+    """The first sentences of the page's answer."""
+    found = standings(rows, metric)
+    ranked = overall(found)
+    error = {"error": Card("Held-out error", "5 px", "", said="5 px")}
+    html = rendered(HERE, "lead.html", lead=lead(ranked, found, metric), cards=error, failed=not ranked)
+    return " ".join(re.sub(r"<[^>]*>", "", html).split())
+
+
+def test_a_way_that_was_not_judged_by_a_metric_is_not_said_to_have_failed():
+    """As of two metrics that are minimised, without a report of either."""
+    some = rows_of({"a": [1.0, 2.0, 3.0]})
+    some += [r | {"metric": "mm", "objective": "mm", "key": "other"} for r in some]
+    said = told(some, "fold")
+    assert said.startswith("Only a · by fold is ranked. ")
+    assert "not judged by fold in every case: a · by mm. With it in report they would be" in said
+    assert "came to" not in said
+
+
+def test_a_case_with_nothing_held_out_is_named_and_the_others_are_ranked():
+    some = [r for case in ("linen", "satin") for r in rows_of({"a": [1.0, 2.0], "b": [2.0, 4.1]}, case)]
+    some += [row(m, "wool", "wool/0", 1.0, split="fit") for m in ("a", "b")]
+    said = told(some, "fold")
+    assert said.startswith("Take a. b is 2.0")
+    assert "It has the least error in 2 of 2 cases." in said
+    assert "nothing was held out there: wool." in said
+    *_, (case, _, (square, _)) = several_ways("s", "fold", some, lambda *_: "").lines
+    assert case == "wool"
+    assert (square.text, square.below) == ("–", "nothing held out")
+
+
+def test_of_few_recordings_the_answer_tells_ways_apart_where_the_table_does():
+    far = [row("a", "linen", "x", 5.0, low=4.5, high=5.5), row("b", "linen", "x", 500.0, low=450.0, high=550.0)]
+    found = standings(far, "fold")
+    assert best_of(found["linen"]) == ["a"]
+    assert [one.tied for one in overall(found)] == [False, False]
+    near = standings([far[0], far[1] | {"value": 5.1, "low": 4.6, "high": 5.6}], "fold")
+    assert [one.tied for one in overall(near)] == [False, True]
+
+
 def test_a_way_is_called_by_what_tells_it_apart():
     some = [row("a", "linen", "x", 1.0), row("a", "linen", "x", 1.0, optimizer="cma_es"), row("b", "linen", "x", 1.0)]
     name = way_of(some)
@@ -185,11 +232,15 @@ def test_a_search_that_still_falls_asks_for_more():
     steady, falling = np.array([9.0] + [5.0] * 19), np.linspace(9, 5, 20)
     assert late_fall(steady) == 0
     assert late_fall(falling) > 0.1
-    some = [row("a", "linen", "x", 1.0), row("b", "satin", "x", 1.0)]
+    some = [row("a", "linen", "x", 1.0, evaluations=20), row("b", "satin", "x", 1.0, evaluations=20)]
     value, said = settled(some, way_of(some), {"a-linen": steady, "b-satin": falling})
     assert value == "20 evaluations"
     assert "1 of 2 (satin)" in said
     assert "the order of models was" in said
+    assert "mesh" not in said
+    both = settled([r | {"evaluations": 80} for r in some], way_of(some), {"a-linen": steady, "b-satin": falling})
+    assert both[0] == "80 evaluations"  # 60 of them on a coarser mesh
+    assert "in the last quarter of those on the finer mesh" in both[1]
 
 
 def test_what_is_alike_in_all_lines_is_said_once():
@@ -227,6 +278,16 @@ def test_an_interval_is_drawn_where_it_lies_and_the_truth_beside_it():
     assert "any value of the range would do" in grey.said
 
 
+def test_fits_that_searched_other_ranges_are_drawn_on_one_axis():
+    ends = {"value": 3.0, "low": 2.9, "high": 3.1, "truth": None}
+    stiff = {"value": 300.0, "low": 290.0, "high": 310.0, "truth": None, "lower": 100.0, "upper": 1000.0}
+    some = [parameter(key="soft", lower=1.0, upper=10.0, **ends), parameter(key="stiff", **stiff)]
+    rows = [row("m", key, None, 1.0, key=key) for key in ("soft", "stiff")]
+    shown = model_table("m", rows, group_by_key(estimates(some)), lambda r: r["case"])
+    assert [(h["lower"], h["upper"]) for h in shown["heads"]] == [("1.00", "1000")]
+    assert [strips[0].dot for _, _, strips in shown["lines"]] == pytest.approx([15.9, 82.6])
+
+
 def test_a_truth_outside_of_its_interval_is_marked_and_counted():
     found = estimates([parameter(), parameter(name="stretch", truth=1e-6), parameter(name="shear", truth=None)])
     outside = strip_of(found[1])
@@ -259,6 +320,28 @@ def test_of_models_against_mechanics_the_answer_counts_references_that_are_met()
     assert "no model came to a value" in meant("tests", [rows[5]])
 
 
+def test_only_what_the_finest_mesh_gave_meets_a_reference():
+    def tested(model: str, case: str, value: float, suite: str = "tests", **more: Any) -> dict[str, Any]:
+        return row(model, case, None, value, metric="drop", reference=1.0, suite=suite, **more)
+
+    late = tested("b", "fall", 1.003, status="timeout", reason="stopped by the time limit")
+    rows = [tested("a", "fall", 1.0), late, tested("b", "sag", 1.0), tested("b", "swing", 2.0)]
+    said = shown(meant("tests", rows))
+    assert "a meets the most references: 1 of 1" in said  # b, too, meets one, but of two
+    assert "b 1 of 2" in said
+    assert "1 timeout" in said
+    assert "+0.3 % timeout" in shown(numbers(rows, []))
+    two = shown(numbers([tested("a", "fall", 1.5, "first"), tested("a", "fall", 1.0, "second")], []))
+    assert "fall +50 %" in two
+    assert "fall +0 %" in two
+
+
+def test_an_order_that_is_not_seen_on_the_finest_mesh_is_not_told():
+    level = {"case": "free_fall", "step_scale": 1.0, "load": None}
+    known = [{**level, "key": key, "order": order} for key, order in (("a", 2.0), ("a", None), ("b", None), ("b", 1.9))]
+    assert observed_orders(known) == {"b": 1.9}
+
+
 def test_of_folds_the_answer_counts_fabrics_within_their_range():
     def step(case: str, number: int, value: float) -> dict[str, Any]:
         known = {"reference": 10.0, "reference_low": 8.0, "reference_high": 12.0, "friction": 0.3, "slips": False}
@@ -270,6 +353,55 @@ def test_of_folds_the_answer_counts_fabrics_within_their_range():
     assert "m by o ends within the range of the reference for 1 of 2 fabrics, after 2 steps." in said
     for words in ("outside: twill", "Off the reference 18 %", "at the first 1.5e+02 %", "1 of 2", "no step slips"):
         assert words in said
+
+
+def test_folds_that_fail_or_are_stopped_count_and_are_not_within():
+    def step(key: str, optimizer: str, **more: Any) -> dict[str, Any]:
+        known = {"value": 10.0, "reference": 10.0, "reference_low": 8.0, "reference_high": 12.0, "friction": 0.3,
+                 "low": 9.0, "high": 11.0, "slips": False, "wall_s": 2.0, "step": 1, "model": "m", "length": 1.0,
+                 "sheet": 10.0, "x": 0.9, "z": 0.1}  # fmt: skip
+        return {**known, "key": key, "case": key[1:], "optimizer": optimizer, **more}
+
+    def cell(key: str, optimizer: str, status: str = "ok", objective: str = "profile") -> dict[str, Any]:
+        return row("m", key[1:], None, 1.0, key=key, optimizer=optimizer, status=status, objective=objective)
+
+    steps = [step("adenim", "good"), step("atwill", "good", low=np.nan, high=np.nan), step("bdenim", "bad"),
+             step("btwill", "bad")]  # fmt: skip
+    rows = [cell("adenim", "good"), cell("atwill", "good"), cell("bdenim", "bad"), cell("btwill", "bad", "timeout"),
+            cell("bwool", "bad", "error"), cell("cwool", "none", "skipped")]  # fmt: skip
+    said = shown(folded("folds", steps, rows))
+    assert "m by good ends within the range of the reference for 2 of 2 fabrics, after 1 steps. m by bad" in said
+    assert "for 1 of 3 fabrics, after 1 steps; 2 came to no end." in said
+    assert "Reference in the 95 % interval 1 of 1" in said  # the other has no interval
+    assert "none" not in said
+    table = shown(fold_section(rows, steps).html)
+    assert "no interval" in table
+    two = [cell("adenim", "o"), cell("bdenim", "o", objective="node_error")]
+    assert "m by o on node_error ends" in shown(folded("folds", steps[::2], two))
+    assert "node_error" in fold_section(two, steps[::2]).html
+    drawn = path_figure([step("adenim", "good"), step("atwill", "good", length=0.5, z=0.4)])["data"]
+    assert [one["name"] for one in drawn[:4]] == [
+        f"{n}, {x} m" for x in ("0.5", "1") for n in ("triangular", "circular")
+    ]
+    assert drawn[1]["x"][-1] == 0.25  # at half its length, where the way up ends
+
+
+def test_paths_that_fail_on_some_fabrics_come_behind():
+    def line(fabric: str, model: str, error: float | None) -> dict[str, Any]:
+        status = "diverged" if error is None else "ok"
+        return {"fabric": fabric, "way": "computed", "model": model, "landing_error": error, "status": status}
+
+    found = [
+        line("denim", "bad", 0.1),
+        line("twill", "bad", None),
+        line("denim", "good", 0.2),
+        line("twill", "no", None),
+    ]
+    said = shown(led("paths", [*found, line("twill", "good", 0.2)]))
+    assert (
+        "computed path, good: lands 0.2 mm beside, median of 2 of 2 fabrics. computed path, bad: lands 0.1 mm" in said
+    )
+    assert "beside, median of 1 of 2 fabrics. computed path, no: lands in 0 of 1 fabric." in said
 
 
 def test_of_speed_the_answer_names_the_quickest_and_the_peers():
@@ -287,3 +419,31 @@ def test_of_speed_the_answer_names_the_quickest_and_the_peers():
     assert "a is the quickest, 7 times real time" in said
     assert "Beside mujoco 2 × … 4 × per core, over 2 measurements" in said
     assert paced([]) == ""
+
+
+def test_a_model_that_is_called_as_a_peer_is_a_model():
+    """`mujoco` is the name of both."""
+
+    def timed(model: str, pace: float, **more: Any) -> dict[str, Any]:
+        known = dict.fromkeys(("precision", "options", "version", "step_s", "error_m", "peer", "ratio"))
+        known |= {
+            "kind": "explicit",
+            "nodes": 441,
+            "threads": 1,
+            "batch": 64,
+            "realtime_factor": 2.0,
+            "note": "own step",
+        }
+        return {**known, "model": model, "node_steps_per_s": pace, **more}
+
+    peer = timed("mujoco", 1e6, note="MuJoCo's membrane")
+    rows = [
+        peer, timed("a", 3e6, peer="mujoco", ratio=3.0), timed("mujoco", 0.4e6, peer="mujoco", ratio=0.4),
+        timed("a", 3e6, peer="mujoco", ratio=60.0, error_m=1e-3, realtime_factor=50.0),
+    ]  # fmt: skip
+    said = shown(paced(rows))
+    assert "Beside mujoco 0.4 × … 3 × per core, over 2 measurements" in said
+    assert "Beside mujoco, at equal error 60 × per core, over 1 measurement" in said
+    steps = [[line[0], line[4]] for line in _lines(rows[:3], ["mujoco"])]
+    assert steps == [["mujoco", "step 0.2 ms"], ["a", "own step"], ["mujoco", "own step"]]
+    assert paced([peer]) == ""  # beside it no model was measured

@@ -175,7 +175,7 @@ def test_the_matrix_is_of_chosen_fits_and_finds_the_nearest():
         for key in ("satin1", "satin2", "linen2") for seen in ("satin", "linen") for n in (1, 2)
     ]  # fmt: skip
     (matrix,) = confusions(found, rows, starts)
-    assert matrix.error == {"linen": {"satin": 60.0, "linen": 20.0}, "satin": {"satin": 20.0, "linen": 60.0}}
+    assert matrix.error == {"linen": {"satin": 30.0, "linen": 10.0}, "satin": {"satin": 10.0, "linen": 30.0}}
     assert matrix.right == 2
     lost = [{**r, "value": None} if (r["key"], r["recorded_fabric"]) == ("satin2", "satin") else r for r in found]
     assert confusions(lost, rows, starts)[0].nearest("satin") == "linen"

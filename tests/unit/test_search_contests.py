@@ -45,18 +45,29 @@ def test_searches_are_told_apart_by_what_they_reach_and_how_soon(tmp_path):
     assert set(by_name) == {"quick", "slow"}  # of one seed nothing can be said
     assert by_name["quick"].error[0] == pytest.approx(0.5)
     assert by_name["quick"].error[1] < 0.5 < by_name["quick"].error[2]
-    assert found.goal == pytest.approx(1.375)  # the upper quartile of 0.4, 0.5, 0.6, 1, 1.5, 2
+    assert found.goal == 1.5  # which five of 0.4, 0.5, 0.6, 1, 1.5, 2 came to, and four of a lesser one
     assert (by_name["quick"].reached, by_name["quick"].evaluations) == (3, 1.0)
-    assert by_name["slow"].reached == 1
-    assert by_name["slow"].evaluations == np.inf
+    assert by_name["slow"].reached == 2
+    assert by_name["slow"].evaluations == 4.0
     assert by_name["quick"].lost == pytest.approx(1 / 12)
     assert by_name["quick"].volume[0] > by_name["slow"].volume[0]
     (shown,) = contest_tables(results)
     assert list(shown.columns[0].cells) == ["quick", "slow"]
-    assert "> 4" in list(shown.columns[5].cells)
     section = searches_section(results)
-    assert "1.38 sd" in section.html
+    assert "1.5 sd" in section.html
     assert len(section.data["contests"][0]["data"]) == 6  # a line and a band for each
+
+
+def test_evaluations_on_a_coarser_mesh_count_and_its_errors_do_not(tmp_path):
+    results = results_of(tmp_path, {"quick": [[2.0, 0.5]] * 3, "slow": [[2.0, 2.0]] * 3})
+    for folder in tmp_path.iterdir():
+        write_table(folder / "coarse_history.parquet", pd.DataFrame({"value": [0.1, 0.1, np.nan]}))
+    (found,) = contests(results)
+    quick, slow = found.searches
+    assert (quick.evaluations, slow.evaluations) == (4.0, 4.0)  # the goal is 2, met by the first on the finer mesh
+    assert quick.error[0] == pytest.approx(0.5)
+    assert quick.lost == pytest.approx(1 / 5)
+    assert "on the finer mesh" in searches_section(results).html
 
 
 def test_searches_of_other_budgets_or_settings_are_not_averaged(tmp_path):

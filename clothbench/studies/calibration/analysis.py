@@ -51,10 +51,17 @@ def starts_of(bench: Bench, fit: Fit) -> list[dict[str, Any]]:
 
 
 def truth_of(bench: Bench, name: str) -> float | None:
-    """What the fitted recordings state as `truth_NAME`, where stand-ins do and agree."""
+    """What the fitted recordings state as `truth_NAME`, where stand-ins do and agree; a note that is no number states
+    nothing.
+    """
     fitted = [r for r, s in zip(bench.recordings, bench.cell.recordings, strict=True) if s.split == "fit"]
     stated = {r.notes.get(f"truth_{name}") for r in fitted}
-    return float(stated.pop() or "nan") if len(stated) == 1 and None not in stated else None
+    if len(stated) > 1 or None in stated:
+        return None
+    try:
+        return finite(float(stated.pop() or "nan"))
+    except ValueError:
+        return None
 
 
 def _whole(bench: Bench, row: dict[str, Any]) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from clothbench.display.names import cell_name
 from clothbench.display.plotly import COLOURS
 from clothbench.display.section import Section, later
 from clothbench.display.templates import rendered
-from clothbench.studies.calibration.analysis_tables import MUCH, missing, percent, spread, unit_of
+from clothbench.studies.calibration.analysis_tables import MISSING, MUCH, NO_BARS, missing, percent, spread, unit_of
 from clothbench.studies.calibration.matrix import HOTTEST
 from clothbench.studies.calibration.transfer import Confusion, Transfer, confusions, transfers
 
@@ -46,7 +46,7 @@ def analysis_section(rows: Rows, tables: dict[str, Rows]) -> Section | None:
     parts += [repeats(tables["repeats"], about)] if tables["repeats"] else []
     shown = variability_figures(tables["variability"], about)
     shown += sensitivity_figures(tables["sensitivity"], about) + map_figures(tables["map"], about)
-    parts += [f'<p class="soft">{text(reason)}</p>' for reason in missing(tables, about)]
+    parts += [f'<p class="soft">{text(reason)}</p>' for reason in missing(tables, about, MISSING | NO_BARS)]
     if not parts and not shown:
         return None
     numbered = [{**one, "number": n} for n, one in enumerate(shown)]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.markup import escape as escaped
@@ -37,11 +37,19 @@ def analyses(rows: Rows, tables: dict[str, Rows]) -> list[Any]:
     return shown + [escape(reason) for reason in missing(tables, about)]
 
 
-def missing(tables: dict[str, Rows], about: dict[str, str]) -> list[str]:
-    """Why some cells have no map of the error, or were not held against other fabrics, one line each."""
-    words = {"map": "no map of the error", "confusion": "not held against other fabrics"}
+MISSING = {"map": "no map of the error", "confusion": "not held against other fabrics"}
+NO_BARS = {"variability": "no variability", "sensitivity": "no sensitivity"}
+
+
+def missing(tables: dict[str, Rows], about: dict[str, str], words: Mapping[str, str] = MISSING) -> list[str]:
+    """Why some cells have no map of the error, or were not held against other fabrics, one line each. words: table →
+    what its rows with a reason lack, and of which parameter where they speak of one.
+    """
     failed = [(said, r) for name, said in words.items() for r in tables[name] if r.get("reason")]
-    return [f"{about[r['key']]}: {said}: {r['reason']}" for said, r in failed]
+    return [
+        f"{about[r['key']]}: {said}{f' of {name}' if (name := r.get('name')) else ''}: {r['reason']}"
+        for said, r in failed
+    ]
 
 
 def transfer_table(moved: Sequence[Transfer]) -> Table:
@@ -81,7 +89,9 @@ def confusion_table(c: Confusion) -> Table:
         nearest = c.nearest(recorded)
         cells = [_number(c.error[s].get(recorded)) + (" ◂" if s == nearest else "  ") for s in c.fabrics]
         table.add_row(escape(recorded), *cells)
-    table.caption = f"◂ nearest simulation: its own fabric for {c.right} of {len(c.fabrics)}"
+    table.caption = (
+        f"mean over the trials that all have; ◂ nearest simulation: its own fabric for {c.right} of {len(c.fabrics)}"
+    )
     return table
 
 

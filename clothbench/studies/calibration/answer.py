@@ -16,7 +16,15 @@ from clothbench.display.templates import rendered
 from clothbench.engine.study import Results
 from clothbench.studies.calibration.budget import Histories, settled
 from clothbench.studies.calibration.estimates import Estimate, estimates
-from clothbench.studies.calibration.ranking import Overall, Standing, best_cell, overall, standings, way_of
+from clothbench.studies.calibration.ranking import (
+    Overall,
+    Standing,
+    best_cell,
+    overall,
+    ranked_cases,
+    standings,
+    way_of,
+)
 from clothbench.studies.calibration.transfer import confusions
 from clothbench.studies.calibration.words import headed, listed, size, times
 
@@ -34,7 +42,7 @@ def answer_section(results: Results, histories: Histories) -> Section:
         ranked = overall(found)
         told = cards(rows, results, metric, ranked, histories)
         by_title = {card.title: card for card in told}
-        said = rendered(HERE, "lead.html", lead=lead(ranked, found), cards=by_title, failed=not ranked)
+        said = rendered(HERE, "lead.html", lead=lead(ranked, found, metric), cards=by_title, failed=not ranked)
         parts.append(answer(headed(results.rows)(suite, "the answer"), said, told))
     return Section("".join(parts))
 
@@ -53,14 +61,20 @@ def metric_with_floor(rows: Rows) -> str | None:
     return next((m for m, some in judged.items() if all(r["floor"] for r in some)), None)
 
 
-def lead(ranked: Sequence[Overall], found: Mapping[str, Mapping[str, Standing]]) -> dict[str, Any]:
-    """What the first sentence is made of."""
-    ties = [one.way for one in ranked[1:] if one.tied]
-    wins = {w: sum(case_best(case) == w for case in found.values()) for w in (o.way for o in ranked)}
+def lead(
+    ranked: Sequence[Overall], found: Mapping[str, Mapping[str, Standing]], metric: str = ""
+) -> dict[str, Any]:  # fmt: skip
+    """What the first sentence is made of. metric: what ways are ranked by."""
+    ties, cases = [one.way for one in ranked[1:] if one.tied], ranked_cases(found)
+    wins = {w: sum(case_best(case) == w for case in cases.values()) for w in (o.way for o in ranked)}
+    out = {way for case in cases.values() for way in case} - {one.way for one in ranked}
+    lacks = {way: [case[way] for case in cases.values() if way in case and case[way].value is None] for way in out}
+    unjudged = {way for way, some in lacks.items() if some and all(s.unjudged for s in some)}
     return {
-        "ways": [one.way for one in ranked], "ties": ties, "cases": len(found), "wins": wins,
+        "ways": [one.way for one in ranked], "ties": ties, "cases": len(cases), "wins": wins, "metric": metric,
         "behind": [(one.way, times(one)) for one in ranked[1:] if not one.tied],
-        "left": sorted({way for case in found.values() for way in case} - {one.way for one in ranked}),
+        "left": sorted(out - unjudged), "unjudged": sorted(unjudged), "unheld": sorted(found.keys() - cases.keys()),
+        "reasons": any(s.status != "ok" for case in found.values() for s in case.values()),
         "near": [(one.way, times(one)) for one in ranked[1:] if one.tied],
         "only_fitted": any(s.split == "fit" for case in found.values() for s in case.values()),
     }  # fmt: skip

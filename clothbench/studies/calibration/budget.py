@@ -14,7 +14,7 @@ from clothbench.studies.calibration.schema import HISTORY
 from clothbench.studies.calibration.words import counted, listed
 
 Rows = Sequence[dict[str, Any]]
-Histories = Mapping[str, np.ndarray]  # value (E,) of every evaluation of a cell, by its key
+Histories = Mapping[str, np.ndarray]  # value (E,) of every evaluation of a cell on its last mesh, by its key
 FEW = 3  # cases that are named one by one
 LATE, MUCH = 0.75, 0.02  # of a search, behind which a fall of the error by this share says that it was not done
 
@@ -46,11 +46,12 @@ def settled(rows: Rows, way: Callable[[dict[str, Any]], str], histories: Histori
     about = {r["key"]: r for r in rows if r["key"] in histories}
     if not about:
         return "not known", "no search was kept"
-    counts = sorted({len(histories[k]) for k in about})
+    counts = sorted({about[k]["evaluations"] or len(histories[k]) for k in about})  # those on coarser meshes, too
     value = counted(counts[-1], "evaluation") if len(counts) == 1 else f"{counts[0]} … {counts[-1]} evaluations"
     falling = sorted({about[k]["case"] for k in about if late_fall(histories[k]) > MUCH})
     fits = sum(late_fall(histories[k]) > MUCH for k in about)
-    late = "a fit; in the last quarter"
+    finer = any((about[k]["evaluations"] or 0) > len(histories[k]) for k in about)
+    late = f"a fit; in the last quarter{' of those on the finer mesh' if finer else ''}"
     if not fits:
         said = f"{late} no error fell by more than 2\u00a0%: more would change little"
     else:

@@ -23,11 +23,13 @@ FULL = 0.95  # of it
 
 @dataclass
 class Clips:
-    """What the page holds: data by the id of their element, and who shows what by (suite, case) and recording."""
+    """What the page holds: data by the id of their element, and who shows what by (suite, case), then by recording and
+    metric: takes of fits by another metric have errors in its unit.
+    """
 
     data: dict[str, Any] = field(default_factory=dict)
     known: dict[str, str] = field(default_factory=dict)
-    cases: dict[tuple[str, str], dict[str, dict[str, Any]]] = field(default_factory=dict)
+    cases: dict[tuple[str, str], dict[tuple[str, str], dict[str, Any]]] = field(default_factory=dict)
     size: int = 0
     left_out: int = 0
 
@@ -75,19 +77,19 @@ def fitted_error(rows: Rows) -> float:
 
 
 def _add(clips: Clips, rows: Rows, word: str, film: Film, takes: list[dict[str, Any]]) -> None:
-    """One cell's takes of one recording, beside those of other cells of its case."""
+    """One cell's takes of one recording, beside those of other cells of its case by the same metric."""
     if film.identity not in clips.known:
         clips.known[film.identity] = f"film-{len(clips.known)}"
         clips.data[clips.known[film.identity]] = recording_data(film)
     case = clips.cases.setdefault((rows[0]["suite"], rows[0]["case"]), {})
-    if film.name not in case:
+    if (film.name, film.metric) not in case:
         name = f"takes-{sum(map(len, clips.cases.values()))}"
-        case[film.name] = {
+        case[film.name, film.metric] = {
             "name": film.name, "split": film.split, "recording": clips.known[film.identity], "takes": name,
             "metric": film.metric, "unit": film.unit, "floor": film.floor, "frames": len(film.time), "words": [],
         }  # fmt: skip
         clips.data[name] = []
-    clip = case[film.name]
+    clip = case[film.name, film.metric]
     clip["words"] += [(take, word) for take in film.takes]
     clips.data[clip["takes"]] += takes
 
@@ -98,13 +100,22 @@ def told(words: Sequence[tuple[str, str]]) -> list[str]:
     return [f"{take}, {way}" if several else take for take, way in words]
 
 
+def _clips_told(some: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Clips of one case as the player has them: named with their metric where a recording has those of several."""
+    names = [clip["name"] for clip in some]
+    return [
+        {**clip, "name": f"{n} · {clip['metric']}" if names.count(n) > 1 else n, "words": told(clip["words"])}
+        for clip, n in zip(some, names, strict=True)
+    ]
+
+
 def cloth_section(clips: Clips, rows: Rows) -> Section | None:
     """The player; None where nothing was filmed."""
     called = case_name(rows)
     if not clips.cases:
         return None
     index = [
-        {"case": called(suite, case), "recordings": [{**clip, "words": told(clip["words"])} for clip in some.values()]}
+        {"case": called(suite, case), "recordings": _clips_told(list(some.values()))}
         for (suite, case), some in sorted(clips.cases.items())
     ]
     html = rendered(Path(__file__).parent, "cloth.html", left_out=clips.left_out)

@@ -95,7 +95,7 @@ def _square(one: Standing | None, line: Mapping[str, Standing], best: Sequence[s
         return Square("")
     if one.value is None:
         status = one.status if one.status != "ok" else "–"
-        return Square(status, one.whole or one.reason, title=one.reason, link=to)
+        return Square(status, one.whole or one.reason or one.unjudged, title=one.reason, link=to)
     least = line[best[0]].value or 0.0
     ratio = one.value / least if least else 1.0
     said = "" if one.way == best[0] else "≈ tied" if one.way in best else f"× {ratio:.2f}"

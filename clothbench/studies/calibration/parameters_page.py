@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -79,12 +80,16 @@ def called(rows: Rows) -> Called:
 
 
 def model_table(model: str, rows: Rows, found: dict[str, list[Estimate]], named: Called) -> dict[str, Any]:
-    """Heads and lines of one model; a fit that lacks a parameter has an empty place below its heading."""
-    columns = list({e.name: e for r in rows for e in found[r["key"]]}.values())
+    """Heads and lines of one model; a fit that lacks a parameter has an empty place below its heading. A column has one
+    axis, over the ranges of all its fits.
+    """
+    every = [e for r in rows for e in found[r["key"]]]
+    columns = [on_widest([e for e in every if e.name == name]) for name in dict.fromkeys(e.name for e in every)]
+    axes = {c.name: c for c in columns}
     sure = {c.name: [e.determined for r in rows for e in found[r["key"]] if e.name == c.name] for c in columns}
     lines = []
     for row in sorted(rows, key=named):
-        mine = {e.name: strip_of(e) for e in found[row["key"]]}
+        mine = {e.name: strip_of(e, axes[e.name]) for e in found[row["key"]]}
         lines.append((named(row), row["key"][:8], [mine.get(c.name) for c in columns]))
     heads = [
         {"one": c, "unit": "" if c.unit == "1" else c.unit, "lower": size(c.lower), "upper": size(c.upper),
@@ -93,11 +98,21 @@ def model_table(model: str, rows: Rows, found: dict[str, list[Estimate]], named:
     return {"model": model, "heads": heads, "lines": lines}
 
 
-def strip_of(e: Estimate) -> Strip | None:
-    """An estimate as it is drawn; None where it has no value or no axis."""
-    if e.value is None or e.lower is None or e.upper is None:
+def on_widest(some: Sequence[Estimate]) -> Estimate:
+    """The last of some estimates of a parameter, on an axis over all ranges that were searched: fabrics differ."""
+    ends = [end for e in some for end in (e.lower, e.upper) if end is not None]
+    if not ends:
+        return some[-1]
+    log = min(ends) > 0 and any(e.log for e in some)
+    return dataclasses.replace(some[-1], lower=min(ends), upper=max(ends), log=log)
+
+
+def strip_of(e: Estimate, axis: Estimate | None = None) -> Strip | None:
+    """An estimate as it is drawn, on its own axis or another's; None where it has no value or no axis."""
+    axis = axis or e
+    if e.value is None or axis.lower is None or axis.upper is None:
         return None
-    low, high = (100 * e.place(e.value if end is None else end) for end in (e.low, e.high))
+    low, high = (100 * axis.place(e.value if end is None else end) for end in (e.low, e.high))
     widened = max(NARROW - (high - low), 0.0) / 2
     kind = "grey" if not e.determined else "outside" if e.found is False else "sure"
     interval = "" if e.low is None or e.high is None else f"{size(e.low)} … {size(e.high)}"
@@ -107,7 +122,7 @@ def strip_of(e: Estimate) -> Strip | None:
     said += f"; not determined: {e.why_not}" if e.why_not else ""
     return Strip(
         kind, round(max(low - widened, 0.0), 1), round(min(high - low + 2 * widened, 100.0), 1),
-        round(100 * e.place(e.value), 1), None if e.truth is None else round(100 * e.place(e.truth), 1),
+        round(100 * axis.place(e.value), 1), None if e.truth is None else round(100 * axis.place(e.truth), 1),
         size(e.value), interval, truth, e.value, said,
     )  # fmt: skip
 

@@ -18,6 +18,7 @@ from clothbench.display.names import model_name
 from clothbench.estimation.intervals import half_width
 
 Rows = Sequence[dict[str, Any]]
+NOTHING_HELD_OUT = "nothing held out"
 FEW = 3  # recordings (or seeds) from which on a spread says something
 
 
@@ -27,7 +28,8 @@ class Standing:
 
     key: of its best cell; value: mean over the recordings of a split, over all seeds; errors: by recording, the values
     of all seeds, with half the width of their intervals where they are known; floor: of noise alone, or None; whole:
-    "1 of 3 seeds" where not all of them came to a number: there is no value then, which the others alone would flatter.
+    "1 of 3 seeds" where not all of them came to a number: there is no value then, which the others alone would flatter;
+    unjudged: why nothing failed where there is no number: "nothing held out", or "not judged by fold".
     """
 
     way: str
@@ -41,6 +43,7 @@ class Standing:
     status: str = "ok"
     reason: str = ""
     whole: str = ""
+    unjudged: str = ""
 
     @property
     def seeds(self) -> int:
@@ -73,7 +76,7 @@ def differ(rows: Rows, name: str) -> bool:
 
 
 def standings(rows: Rows, metric: str) -> dict[str, dict[str, Standing]]:
-    """Case → way → standing by this metric: on held-out recordings, or on fitted ones where nothing is held out."""
+    """Case → way → standing by this metric: on held-out recordings, or on fitted ones where there are none at all."""
     name, out = way_of(rows), {}
     split = "held_out" if any(r["split"] == "held_out" for r in rows) else "fit"
     for case, mine in group(rows, lambda r: r["case"]).items():
@@ -95,8 +98,21 @@ def _standing(way: str, case: str, split: str, metric: str, rows: Rows) -> Stand
     return Standing(
         way, case, best_cell(rows), split, float(np.mean([np.mean(e) for e in errors.values()])) if whole else None,
         errors, halves, float(np.mean(floors)) if floors and None not in floors else None,
-        status, reason, told,
+        status, reason, told, "" if mine else _unjudged(split, metric, rows),
     )  # fmt: skip
+
+
+def _unjudged(split: str, metric: str, rows: Rows) -> str:
+    """Why a way has no row of a split by a metric although it was fitted; nothing where it was not."""
+    fitted = [r for r in rows if r["recording"]]
+    if not fitted:
+        return ""
+    return f"not judged by {metric}" if any(r["split"] == split for r in fitted) else NOTHING_HELD_OUT
+
+
+def ranked_cases(found: Mapping[str, Mapping[str, Standing]]) -> dict[str, Mapping[str, Standing]]:
+    """The cases that ways are ranked over: those without a recording of the split that counts are left out."""
+    return {n: case for n, case in found.items() if all(s.unjudged != NOTHING_HELD_OUT for s in case.values())}
 
 
 def seeds_told(rows: Rows, metric: str, split: str | None = None) -> str:
@@ -181,7 +197,8 @@ def unpaired_includes_zero(a: np.ndarray, b: np.ndarray) -> bool:
 @dataclass(frozen=True)
 class Overall:
     """One way over all cases: ratio: geometric mean of its errors over the best way's, recording by recording, with its
-    95 % interval (None for the best itself, or of fewer than three recordings); tied: whether that includes 1.
+    95 % interval (None for the best itself, or of fewer than three recordings); tied: whether that includes 1, and of
+    fewer recordings whether it is tied with the best way in any case.
     """
 
     way: str
@@ -193,22 +210,31 @@ class Overall:
 
 
 def overall(found: Mapping[str, Mapping[str, Standing]]) -> list[Overall]:
-    """All ways that have a number everywhere, the best first: cases differ in size, so ratios are compared."""
-    ways = {way for case in found.values() for way in case}
-    whole = [w for w in sorted(ways) if all(w in case and case[w].value is not None for case in found.values())]
-    logs = {way: log_errors(case[way] for case in found.values()) for way in whole}
+    """All ways that have a number in every case that has the split, the best first: cases differ in size, so ratios are
+    compared.
+    """
+    cases = list(ranked_cases(found).values())
+    ways = {way for case in cases for way in case}
+    whole = [w for w in sorted(ways) if all(w in case and case[w].value is not None for case in cases)]
+    logs = {way: log_errors(case[way] for case in cases) for way in whole}
     if not logs or not all(logs.values()):
         return []
     mean = {way: float(np.mean(list(values.values()))) for way, values in logs.items()}
     order = sorted(whole, key=lambda w: mean[w])
-    return [_overall(way, logs[way], logs[order[0]], way == order[0]) for way in order]
+    pairs = {way: [(case[order[0]], case[way]) for case in cases] for way in order}
+    return [_overall(way, logs[way], logs[order[0]], pairs[way]) for way in order]
 
 
-def _overall(way: str, mine: dict[str, float], best: dict[str, float], first: bool) -> Overall:
+def _overall(
+    way: str, mine: dict[str, float], best: dict[str, float], cases: Sequence[tuple[Standing, Standing]]
+) -> Overall:  # fmt: skip
+    """cases: the best way's standing and its own, case by case."""
+    first = all(a is b for a, b in cases)
     difference = np.array([mine[n] - best[n] for n in mine if n in best])
     ratio = float(np.exp(difference.mean())) if len(difference) else math.nan
     if first or len(difference) < FEW:
-        return Overall(way, ratio, None, None, not first, len(difference))
+        apart = first or all((a.value or 0.0) < (b.value or 0.0) and not tied(a, b) for a, b in cases)
+        return Overall(way, ratio, None, None, not apart, len(difference))
     low, high = t_interval(difference)
     return Overall(way, ratio, math.exp(low), math.exp(high), low <= 0 <= high, len(difference))
 

@@ -18,7 +18,7 @@ from clothbench.engine.store import finite
 from clothbench.engine.study import Context, Result
 from clothbench.estimation.calibrate import Fit, best_rollout
 from clothbench.estimation.intervals import error_interval, mean_of_split
-from clothbench.estimation.trials import score_of
+from clothbench.estimation.trials import evaluate, score_of
 from clothbench.recordings.colour_video import ColourVideo
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
@@ -250,8 +250,7 @@ def _front_of(bench: Bench, fit: Fit, scores: Sequence[Score]) -> list[dict[str,
     scores: of the metric that was fitted, one for each recording.
     """
     assert fit.objectives is not None
-    pairs = zip(bench.cell.recordings, scores, strict=True)
-    spread = np.mean([s.spread for source, s in pairs if source.split == "fit" and s.spread is not None], axis=0)
+    distance = _distances(bench, fit, scores)
     return [
         {
             "evaluation": int(k) + 1,
@@ -259,10 +258,23 @@ def _front_of(bench: Bench, fit: Fit, scores: Sequence[Score]) -> list[dict[str,
             "chosen": bool((fit.theta[k] == fit.best).all()),
             "objective": objective.name,
             "unit": objective.unit,
-            "distance": finite(fit.objectives[k, m] * spread[m]),
+            "distance": finite(distance[n, m]),
             "spreads": finite(fit.objectives[k, m]),
             "key": bench.cell.key,
         }
-        for k in fit.front
+        for n, k in enumerate(fit.front)
         for m, objective in enumerate(objectives_of(bench.trials[0].metric))
     ]
+
+
+def _distances(bench: Bench, fit: Fit, scores: Sequence[Score]) -> np.ndarray:
+    """Every objective (K, M) on the front in its own unit: the mean of the recordings' own distances. An objective of
+    several recordings is the mean over them in units of each one's spread, of which no spread makes that again.
+    """
+    assert fit.objectives is not None
+    if len(trials := bench.of_split("fit")) > 1:
+        own = [s.objectives for s in evaluate(trials, fit.theta[fit.front])[1] if s.objectives is not None]
+        return np.mean(own, axis=0)
+    spread = next(s.spread for source, s in zip(bench.cell.recordings, scores, strict=True) if source.split == "fit")
+    assert spread is not None
+    return fit.objectives[fit.front] * spread

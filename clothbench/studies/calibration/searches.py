@@ -26,7 +26,8 @@ class Search:
     """What one optimizer came to, over its seeds.
 
     optimizer: with its settings where one was run with several; seeds: of R runs; best: (R, E) least error so far
-    after each of E evaluations, NaN where none was known; error: mean of the last, with its 95 % interval (Student's t
+    after each of E evaluations, NaN where none was known, as on a coarser mesh that the search
+    began on; error: mean of the last, with its 95 % interval (Student's t
     over seeds); volume: the same of the hypervolume, None for a metric of one objective; reached, evaluations: in how
     many runs the goal was reached, and the median of how many evaluations that took (infinite where most did not);
     lost: share of evaluations that could not be simulated.
@@ -49,7 +50,8 @@ class Search:
 class Contest:
     """Searches that answered one question with one budget of evaluations.
 
-    goal: the error that three quarters of all their runs came to, in `unit`; budget: "" where it is not known.
+    goal: the error that three quarters of all their runs came to, in `unit`; budget: "" where it is not known; finer:
+    whether searches began on a coarser mesh, whose errors are not compared and whose evaluations count.
     """
 
     case: str
@@ -59,6 +61,7 @@ class Contest:
     goal: float
     searches: tuple[Search, ...]
     budget: str = ""
+    finer: bool = False
 
 
 def contests(results: Results) -> list[Contest]:
@@ -76,9 +79,11 @@ def contests(results: Results) -> list[Contest]:
         if len(kept) < 2:
             continue
         runs = {name: [_history(results, key) for key in sorted(keys.values())] for name, keys in sorted(kept.items())}
-        goal = float(np.quantile([np.fmin.reduce(v) for some in runs.values() for v, _ in some], GOAL))
+        least = [np.fmin.reduce(r.value) for some in runs.values() for r in some]
+        goal = float(np.quantile(least, GOAL, method="inverted_cdf"))  # one that a run did come to, none in between
         found = tuple(_search(name, some, goal) for name, some in runs.items())
-        out.append(Contest(case, " + ".join(filter(None, (model, effects))), metric, unit, goal, found, budget))
+        out.append(Contest(case, " + ".join(filter(None, (model, effects))), metric, unit, goal, found, budget,
+                           any(r.coarse for some in runs.values() for r in some)))  # fmt: skip
     return out
 
 
@@ -108,22 +113,39 @@ def hypervolume(objectives: np.ndarray) -> float:
     return float(HV(ref_point=np.full(count, WORST))(inside[on_front(inside)])) / WORST**count
 
 
-def _history(results: Results, key: str) -> tuple[np.ndarray, np.ndarray | None]:
-    """The error of every evaluation of a cell (E,), NaN where it was lost, and its objectives (E, M) if it has some."""
-    table = read_table(results.store.cell(key) / "history.parquet", HISTORY)
+@dataclass(frozen=True, eq=False)
+class Run:
+    """One cell's search: the error of every evaluation (E,), NaN where it was lost or on a coarser mesh; objectives
+    (E, M) on the last mesh, if it has some; coarse: how many evaluations were on the coarser one; lost: their share.
+    """
+
+    value: np.ndarray
+    objectives: np.ndarray | None
+    coarse: int
+    lost: float
+
+
+def _history(results: Results, key: str) -> Run:
+    folder = results.store.cell(key)
+    table = read_table(folder / "history.parquet", HISTORY)
     names = [name for name in table.column_names if name.startswith("objective:")]
-    columns = [table[name].to_numpy().astype(float) for name in ["value", *names]]
-    return np.where(np.isfinite(columns[0]), columns[0], np.nan), np.stack(columns[1:], axis=1) if names else None
+    value, *columns = (table[name].to_numpy().astype(float) for name in ["value", *names])
+    before = np.empty(0)
+    if (path := folder / "coarse_history.parquet").is_file():
+        before = read_table(path, HISTORY)["value"].to_numpy().astype(float)
+    lost = float((~np.isfinite(np.concatenate([before, value]))).mean())
+    whole = np.concatenate([np.full(len(before), np.nan), np.where(np.isfinite(value), value, np.nan)])
+    return Run(whole, np.stack(columns, axis=1) if names else None, len(before), lost)
 
 
-def _search(name: str, runs: Sequence[tuple[np.ndarray, np.ndarray | None]], goal: float) -> Search:
-    length = max(len(values) for values, _ in runs)
-    best = np.stack([np.pad(np.fmin.accumulate(v), (0, length - len(v)), mode="edge") for v, _ in runs])
+def _search(name: str, runs: Sequence[Run], goal: float) -> Search:
+    length = max(len(r.value) for r in runs)
+    best = np.stack([np.pad(np.fmin.accumulate(r.value), (0, length - len(r.value)), mode="edge") for r in runs])
     until = [float(1 + np.argmax(row <= goal)) if (row <= goal).any() else np.inf for row in best]
-    volumes = [hypervolume(objectives) for _, objectives in runs if objectives is not None]
+    volumes = [hypervolume(objectives) for r in runs if (objectives := r.objectives) is not None]
     return Search(
         name, best, _mean(best[:, -1]), _mean(np.array(volumes)) if len(volumes) == len(runs) else None,
-        int(np.isfinite(until).sum()), float(np.median(until)), float(np.mean([np.isnan(v).mean() for v, _ in runs])),
+        int(np.isfinite(until).sum()), float(np.median(until)), float(np.mean([r.lost for r in runs])),
     )  # fmt: skip
 
 

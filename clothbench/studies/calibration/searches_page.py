@@ -66,7 +66,8 @@ def title_of(contest: Contest) -> str:
 
 def caption(contest: Contest) -> str:
     goal = f"{contest.goal:.3g} {contest.unit}"
-    return f"least error in {contest.unit}; reached: {goal}, which three quarters of all runs came to"
+    mesh = ", on the finer mesh, with evaluations on both" if contest.finer else ""
+    return f"least error in {contest.unit}{mesh}; reached: {goal}, which three quarters of all runs came to"
 
 
 def cells(search: Search) -> Sequence[str]:

@@ -97,7 +97,9 @@ def way_names(about: Mapping[str, dict[str, Any]]) -> dict[str, str]:
 
 @dataclass(frozen=True)
 class Confusion:
-    """error[simulated][recorded]: fabric by fabric, over the trials of both; which simulation is nearest to each."""
+    """error[simulated][recorded]: fabric by fabric, mean over the trials of the recorded one that all simulated ones
+    were held against; which simulation is nearest to each.
+    """
 
     way: str
     unit: str
@@ -116,7 +118,7 @@ class Confusion:
 
 
 def confusions(found: Rows, rows: Rows, starts: Rows) -> list[Confusion]:
-    """Per way to fit: the chosen parameters of each fabric on every fabric's trials, errors summed over the trials."""
+    """Per way to fit: the chosen parameters of each fabric on every fabric's trials, mean over those that all have."""
     chosen = {t.key: t for t in transfers(rows, starts) if t.chosen}
     out = []
     for way in sorted({t.way for t in chosen.values()}):
@@ -125,9 +127,12 @@ def confusions(found: Rows, rows: Rows, starts: Rows) -> list[Confusion]:
         if len(fabrics) < 2:
             continue
         error: dict[str, dict[str, float | None]] = {f: {} for f in fabrics}
-        for r in mine:
-            so_far = error[r["fabric"]].get(r["recorded_fabric"], 0.0)
-            both = so_far is not None and r["value"] is not None
-            error[r["fabric"]][r["recorded_fabric"]] = so_far + r["value"] if both else None
+        for recorded in fabrics:
+            tried = {f: [r for r in mine if (r["fabric"], r["recorded_fabric"]) == (f, recorded)] for f in fabrics}
+            # One fabric may have more trials than another, and sums over more of them would be larger for that alone.
+            common = set.intersection(*([{r["trial"] for r in some} for some in tried.values() if some] or [set()]))
+            for f, some in tried.items():
+                if values := [r["value"] for r in some if r["trial"] in common]:
+                    error[f][recorded] = None if None in values else sum(values) / len(values)
         out.append(Confusion(way, mine[0]["unit"], fabrics, error))
     return out

@@ -19,7 +19,7 @@ from clothbench.estimation.trials import Trial
 
 REACH = 0.20  # perturbations go up to ± this share of a parameter's value
 ONE_PERCENT = 0.01
-AROUND = 0.05  # starts of repeated fits lie within ± this share of the first one's
+AROUND = 0.05  # starts of repeated fits lie within ± this share of the first one's; of the scaled range from 0
 
 
 def perturbed(space: ParameterSpace, best: np.ndarray, points: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -84,12 +84,15 @@ def repeats(
 ) -> list[dict[str, Any]]:  # fmt: skip
     """The fit and `count` more from starts within ±5 % of its own (table 2); search(space, seed) finds each.
 
-    The start is handed over as the space's defaults.
+    The start is handed over as the space's defaults. One of 0, of which there is no share, is moved by as much of its
+    scaled range.
     """
     begin = space.defaults if fit.start is None else fit.start
     random, rows = np.random.default_rng(seed), []
     for n in range(count + 1):
-        near = begin * random.uniform(1 - AROUND, 1 + AROUND, len(begin))
+        share = random.uniform(1 - AROUND, 1 + AROUND, len(begin))
+        aside = space.from_unit(1 - np.abs(1 - np.abs(space.to_unit(begin) + share - 1)))  # turned back at a bound
+        near = np.where(begin == 0, aside, begin * share)
         start = begin if n == 0 else np.clip(near, space.low, space.high)
         found = search(moved(space, start), seed + n) if n else fit
         first = float(remembered(trials, start[None], checkpoint).value[0])

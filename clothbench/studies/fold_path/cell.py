@@ -12,7 +12,17 @@ from typing import Any, ClassVar
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import digest, plugin_versions
-from clothbench.engine.settings import known_words, mapping, number, one_word, refuse, require_plugins, whole, words
+from clothbench.engine.settings import (
+    known_words,
+    mapping,
+    number,
+    one_word,
+    refuse,
+    refuse_of_searches,
+    require_plugins,
+    whole,
+    words,
+)
 from clothbench.plugins.discovery import Catalogue
 from clothbench.reference.fabrics import chosen_fabrics, fabric_named
 
@@ -100,7 +110,9 @@ class FoldPathCell:
 
 def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | None = None) -> list[FoldPathCell]:
     """Every cell of checked settings."""
-    refuse(settings, NOT_USED, "nothing is measured or fitted in this suite", "this suite has a desk of its own")
+    nothing = "nothing is measured or fitted in this suite"
+    refuse(settings, NOT_USED, nothing, "this suite has a desk of its own")
+    refuse_of_searches(settings, nothing)
     require_plugins(settings, ("model",))
     suite, cells = settings["suite"], []
     given = mapping("suite.path", suite.get("path"))

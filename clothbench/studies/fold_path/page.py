@@ -26,7 +26,7 @@ def sections(results: Results) -> list[Section]:
     suites = sorted({r["suite"] for r in results.rows})
     told = {suite: lines(results, suite) for suite in suites}
     body = "".join(
-        answer_of(suite, [x for x in found if x["status"] == "ok"])
+        answer_of(suite, [x for x in found if x["status"] != "skipped"])
         + f"<h2>{text(suite)}: paths</h2>{INTRO}{listed(found)}"
         for suite, found in told.items()
     )
@@ -38,16 +38,21 @@ def sections(results: Results) -> list[Section]:
     return [Section(body + drawn, {"fold-paths": [f for f, _ in shown]}, drawing("fold-paths", "fold-path-"))]
 
 
-def answer_of(suite: str, done: Rows) -> str:
-    """Which path lands best in the middle of all fabrics, and what it takes."""
+def answer_of(suite: str, asked: Rows) -> str:
+    """Which path lands best in the middle of all fabrics, and what it takes; asked: one record for each cell, those
+    that failed among them. What failed somewhere comes behind what did not.
+    """
+    done = [x for x in asked if x["status"] == "ok"]
     if not done:
         return ""
+    counts = {way: len(mine) for way, mine in group(asked, lambda x: (x["way"], x["model"])).items()}
     ways = group(done, lambda x: (x["way"], x["model"]))
     off = {way: float(np.median([abs(x["landing_error"]) for x in mine])) for way, mine in ways.items()}
-    ranked = sorted(off, key=lambda way: off[way])
+    ranked = sorted(counts, key=lambda way: (counts[way] - len(ways.get(way, ())), off.get(way, np.inf)))
     sentences = [
-        f"<b>{text(way)}</b> path, {text(model)}: lands {off[way, model]:.3g} mm beside, median of "
-        f"{len(ways[way, model])} fabric{'s' * (len(ways[way, model]) > 1)}."
+        f"<b>{text(way)}</b> path, {text(model)}: "
+        + (f"lands {off[way, model]:.3g} mm beside, median of " if (way, model) in ways else "lands in ")
+        + f"{len(ways.get((way, model), ()))} of {counts[way, model]} fabric{'s' * (counts[way, model] > 1)}."
         for way, model in ranked
     ]
     cards = []

@@ -73,11 +73,15 @@ def require_sheet(cell: FoldPathCell, model: Model) -> None:
 
 
 def led_sheet(cell: FoldPathCell, model: Any, places: np.ndarray) -> Landed:
-    """What becomes of its sheet."""
+    """What becomes of its sheet; a model that has no such material, or does not take the scene, is skipped."""
     world = scene(cell, places)
     if isinstance(model, RefusesScenes) and (reason := model.skip(world)):
         raise Skipped(reason)
-    rollout = model.prepare(world).run(model.of_material(material(cell), world)[None])
+    try:
+        simulation, theta = model.prepare(world), model.of_material(material(cell), world)
+    except ClothbenchError as fault:
+        raise Skipped(str(fault)) from fault
+    rollout = simulation.run(theta[None])
     if rollout.status[0] != "ok":
         raise ClothbenchError(f"{model.name}: {rollout.status[0]} on the way")
     return landed(cell, rollout)

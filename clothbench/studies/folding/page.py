@@ -15,7 +15,7 @@ from clothbench.display.plotly import COLOURS, GREY, rounded
 from clothbench.display.section import Section, drawing
 from clothbench.engine.study import Results
 from clothbench.studies.folding.answer import answer_of
-from clothbench.studies.folding.tables import inside
+from clothbench.studies.folding.tables import has_interval, inside
 
 Rows = Sequence[dict[str, Any]]
 INTRO = """<p class="soft">A strip is lifted step by step; after each step its stiffness is estimated from a laser
@@ -35,8 +35,10 @@ def fold_section(rows: Rows, steps: Rows) -> Section:
     body = f"<h2>{text(suites)}: estimated while folding</h2>{INTRO}{fabrics(rows, steps)}"
     if not steps:
         return Section(body)
-    suite_of = {r["key"]: r["suite"] for r in rows}
-    found = "".join(answer_of(s, mine) for s, mine in sorted(group(steps, lambda s: suite_of[s["key"]]).items()))
+    found = ""
+    for suite, mine in sorted(group(rows, lambda r: r["suite"]).items()):
+        keys = {r["key"] for r in mine}
+        found += answer_of(suite, [s for s in steps if s["key"] in keys], mine)
     shown = (
         (last_figure(steps), "Reference with its ± 2σ (grey), and the last step's estimate with its interval."),
         (step_figure(steps), "The estimate after every step over the reference."),
@@ -53,23 +55,29 @@ def fold_section(rows: Rows, steps: Rows) -> Section:
 def fabrics(rows: Rows, steps: Rows) -> str:
     """The table: fabric, reference, its range, the estimate of each step, friction, errors."""
     count = max((s["step"] for s in steps), default=0)
-    head = ["fabric", "model", "optimizer", "reference", "± 2σ", *map(str, range(1, count + 1)), "95 % interval",
-            "sheet", "friction", "estimation", "status"]  # fmt: skip
+    several = len({r.get("objective") for r in rows}) > 1
+    about = {"fabric": "case", "model": "model", "optimizer": "optimizer"} | (
+        {"metric": "objective"} if several else {}
+    )
+    head = [*about, "reference", "± 2σ", *map(str, range(1, count + 1)), "95 % interval", "sheet", "friction",
+            "estimation", "status"]  # fmt: skip
     body = []
     for key in dict.fromkeys(r["key"] for r in rows):
         row, mine = next(r for r in rows if r["key"] == key), [s for s in steps if s["key"] == key]
-        names = [text(row[n]) for n in ("case", "model", "optimizer")]
+        names = [text(row[n]) for n in about.values()]
         if not mine:
             body.append([*names, *[""] * (count + 6), pill(row) + f"<br><small>{text(row['reason'])}</small>"])
             continue
         last = mine[-1]
         told = [f"{s['value']:.3g}" for s in mine]
-        told[-1] = f"<b>{told[-1]}</b>" + ("" if inside(last) else " outside")
+        if row["status"] == "ok":  # where a time limit stopped it, it is no last step
+            told[-1] = f"<b>{told[-1]}</b>" + ("" if inside(last) else " outside")
         known = [f"{last['reference']:.2g}", f"{last['reference_low']:.2g} … {last['reference_high']:.2g}"]
-        sure = [f"{last['low']:.3g} … {last['high']:.3g}", f"{last['sheet']:.3g}"]
+        ends = f"{last['low']:.3g} … {last['high']:.3g}" if has_interval(last) else "no interval"
+        sure = [ends, f"{last['sheet']:.3g}"]
         effort = [f"{max(s['friction'] for s in mine):.2f}", f"{sum(s['wall_s'] for s in mine):.1f} s", pill(row)]
         body.append([*names, *known, *told, *[""] * (count - len(told)), *sure, *effort])
-    return table(head, body, numeric=set(range(3, count + 9)))
+    return table(head, body, numeric=set(range(len(about), len(about) + count + 6)))
 
 
 def last_figure(steps: Rows) -> dict[str, Any]:
@@ -105,16 +113,18 @@ def step_figure(steps: Rows) -> dict[str, Any]:
 
 
 def path_figure(steps: Rows) -> dict[str, Any]:
-    """The gripper's path of every fabric between the two geometrical ones, of a strip of 1 m as x over its length."""
+    """The gripper's path of every fabric between the two geometrical ones, those of every length of strip."""
     data = []
-    length = float(steps[0]["length"])
-    height = np.linspace(0.0, max(s["z"] for s in steps), 60)
-    for path, dash, name in ((triangular_path, "dash", "triangular"), (circular_path, "dot", "circular")):
-        data.append({"type": "scatter", "mode": "lines", "x": rounded(path(length, height)), "y": rounded(height),
-                     "line": {"color": GREY, "dash": dash, "width": 2}, "name": name})  # fmt: skip
+    lengths = group(steps, lambda s: float(s["length"]))
+    for length, some in sorted(lengths.items()):
+        height = np.linspace(0.0, min(max(s["z"] for s in some), length / 2), 60)  # as high as either path goes
+        for path, dash, name in ((triangular_path, "dash", "triangular"), (circular_path, "dot", "circular")):
+            told = f"{name}, {length:g} m" if len(lengths) > 1 else name
+            data.append({"type": "scatter", "mode": "lines", "x": rounded(path(length, height)), "y": rounded(height),
+                         "line": {"color": GREY, "dash": dash, "width": 2}, "name": told})  # fmt: skip
     for n, key in enumerate(dict.fromkeys(s["key"] for s in steps)):
         mine = [s for s in steps if s["key"] == key]
-        x, z = ([length, *(s["x"] for s in mine)], [0.0, *(s["z"] for s in mine)])
+        x, z = ([mine[0]["length"], *(s["x"] for s in mine)], [0.0, *(s["z"] for s in mine)])
         data.append(_line(rounded(x), rounded(z), n, mine[0]["case"], "x %{x:.3f} m, z %{y:.3f} m"))
     y = {"title": {"text": "z [m]"}, "scaleanchor": "x", "zeroline": False}
     return _figure(data, 520, {"title": {"text": "x [m]"}, "zeroline": False}, y, legend=True)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from rich.markup import escape
@@ -21,7 +22,7 @@ def show(results: Results) -> list[Any]:
         mine = [r for r in results.rows if r["suite"] == suite]
         keys = {r["key"] for r in mine}
         lifted = [s for s in steps if s["key"] in keys]
-        out += [fold_table(suite, mine, lifted), *([summary(lifted)] if lifted else [])]
+        out += [fold_table(suite, mine, lifted), *([summary(lifted, mine)] if lifted else [])]
     return out
 
 
@@ -45,7 +46,8 @@ def _line(row: dict[str, Any], steps: Rows) -> list[str]:
     first, last = steps[0], steps[-1]
     between = f"{first['reference_low']:.2g} … {first['reference_high']:.2g}"
     told = " ".join(f"{s['value']:.2g}" for s in steps)
-    mark = "" if inside(last) else " outside"
+    late = f" {row['status']}" if row["status"] != "ok" else ""
+    mark = late or ("" if inside(last) else " outside")
     friction = f"{max(s['friction'] for s in steps):.2f}" + (" slips" if any(s["slips"] for s in steps) else "")
     return [row["case"], f"{first['reference']:.2g}", between, told, f"{last['value']:.3g}{mark}", friction]
 
@@ -59,11 +61,29 @@ def inside(step: dict[str, Any]) -> bool:
     return step["reference_low"] <= step["value"] <= step["reference_high"]
 
 
-def summary(steps: Rows) -> str:
+def asked(steps: Rows, rows: Rows = ()) -> dict[str, dict[str, Any]]:
+    """A row of every fold that was asked for, by its key: all but those of models that fold no strips. Without rows of
+    the leaderboard, of every fold that has steps.
+    """
+    return {r["key"]: r for r in rows or steps if r.get("status") != "skipped"}
+
+
+def last_steps(steps: Rows, cells: Mapping[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """The last step of every fold that came to its end: what a time limit stopped has none."""
+    last = {s["key"]: s for s in steps}
+    return [last[key] for key, row in cells.items() if key in last and row.get("status", "ok") == "ok"]
+
+
+def has_interval(step: dict[str, Any]) -> bool:
+    return all(step[end] is not None and math.isfinite(step[end]) for end in ("low", "high"))
+
+
+def summary(steps: Rows, rows: Rows = ()) -> str:
     """How many fabrics end within their ±2σ, and the friction that no step exceeds, in a line."""
-    last = list({s["key"]: s for s in steps}.values())
+    cells = asked(steps, rows)
+    last = last_steps(steps, cells)
     slowest = max(sum(s["wall_s"] for s in steps if s["key"] == key) for key in {s["key"] for s in steps})
     return (
-        f"within ± 2σ at the last step: {sum(map(inside, last))} of {len(last)}; largest friction needed "
+        f"within ± 2σ at the last step: {sum(map(inside, last))} of {len(cells)}; largest friction needed "
         f"{max(s['friction'] for s in steps):.2f}; estimation takes {slowest:.1f} s a fold at most"
     )

@@ -20,11 +20,11 @@ def answer_of(suite: str, rows: Rows) -> str:
     cards = sorted((card_of(*pair) for pair in group(rows, lambda r: r["model"]).items()), key=rank)
     if not any(judged(rows)):
         return answer(f"{suite}: the answer", "There is no answer: no model came to a value.", cards)
-    most = met_by(cards[0])
-    best = [card.title for card in cards if met_by(card) == most]
+    most, of = met_by(cards[0]), cards[0].said
+    best = [card.title for card in cards if (met_by(card), card.said) == (most, of)]
     names = " and ".join(f"<b>{text(name)}</b>" for name in best)
     what = "its references" if len(cards) == 1 else "the most references"
-    said = f"{names} {'meet' if len(best) > 1 else 'meets'} {what}: {most} of {cards[0].said}"
+    said = f"{names} {'meet' if len(best) > 1 else 'meets'} {what}: {most} of {of}"
     lead = f"{said} within {NEAR:g} %, or of second order where that is the test."
     return answer(f"{suite}: the answer", lead, cards)
 
@@ -47,8 +47,8 @@ def card_of(model: str, rows: Rows) -> Card:
 
 
 def judged(rows: Rows) -> list[dict[str, Any]]:
-    """Rows with a value beside a reference that mechanics gives."""
-    return [r for r in rows if r["metric"] != MEASURED and relative_error(r) is not None]
+    """Rows with a value beside a reference that mechanics gives; one that a time limit stopped is of a coarser mesh."""
+    return [r for r in rows if r["status"] == "ok" and r["metric"] != MEASURED and relative_error(r) is not None]
 
 
 def meets(row: dict[str, Any]) -> bool:

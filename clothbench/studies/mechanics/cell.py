@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import digest, plugin_versions
-from clothbench.engine.settings import mapping, refuse, whole, words
+from clothbench.engine.settings import mapping, refuse, refuse_of_searches, whole, words
 from clothbench.modelling.curves import answers_sheets
 from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
 from clothbench.studies.mechanics import VERSION
@@ -93,6 +93,7 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     """Every cell of checked settings; what the user got wrong in a model's options comes to light here."""
     fitted = "the tests of this suite are not fitted to anything"
     refuse(settings, NOT_FITTED, fitted, "the tests of this suite bring their own scenes")
+    refuse_of_searches(settings, fitted)
     suite, cells = settings["suite"], []
     tests, meshes = chosen_tests(words("suite.tests", suite.get("tests"))), mesh_sizes(suite.get("meshes"))
     effects = mapping("suite.effects", suite.get("effects"))
@@ -104,8 +105,24 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
                 suite.get("name") or "mechanics", test, model, tuple(meshes), options,
                 timeout=settings["timeout"], stand_for=_standing_for(test, effects),
             )  # fmt: skip
+            require_parameters(cell, plugins)
             cells.append(dataclasses.replace(cell, versions=plugin_versions(cell.uses, plugins)))
     return cells
+
+
+def require_parameters(cell: MechanicsCell, plugins: Catalogue) -> None:
+    """Refuse an effect that cannot stand for what a test asks for; a broken one is left to its own cells."""
+    for wanted, values in cell.check.effects.items():
+        name = cell.stand_for[wanted]
+        try:
+            known = plugins.make("effects", name).parameters.names
+        except PluginBroken:
+            continue
+        if lacks := [parameter for parameter in values if parameter not in known]:
+            raise ClothbenchError(
+                f"setting 'suite.effects.{wanted}': effect {name!r} has no parameter {lacks[0]!r}, which the test "
+                f"{cell.case!r} sets; it has {', '.join(known)}; name another effect"
+            )
 
 
 def _standing_for(test: str, effects: Mapping[str, Any]) -> dict[str, str]:

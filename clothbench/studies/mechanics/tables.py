@@ -33,11 +33,13 @@ def relative_error(row: dict[str, Any]) -> float | None:
 
 
 def observed_orders(levels: Rows) -> dict[str, float]:
-    """Order of convergence over the meshes of each cell, as seen on its finest; of one with several loads, at that
-    which stands in the leaderboard."""
+    """Order of convergence over the meshes of each cell, as seen on its finest, where one is seen there; of one with
+    several loads, at that which stands in the leaderboard.
+    """
     shown = {check.name: check.headline for check in CHECKS}
     plain = [v for v in levels if v["step_scale"] == 1.0 and v["load"] == shown.get(v["case"])]
-    return {v["key"]: v["order"] for v in plain if v["order"] is not None}
+    finest = {v["key"]: v["order"] for v in plain}  # levels come from the coarsest mesh to the finest
+    return {key: order for key, order in finest.items() if order is not None}
 
 
 def validation_table(suite: str, rows: Rows, levels: Rows) -> Table:

@@ -6,14 +6,13 @@ from collections.abc import Sequence
 
 from clothbench.display.answer import Card, answer
 from clothbench.display.html import group, text
-from clothbench.studies.speed.bench import ASIDE, NO_PEERS, Row
+from clothbench.studies.speed.bench import ASIDE, NO_PEERS, Row, of_peer
 from clothbench.studies.speed.timing import TOLERABLE
 
 
 def answer_of(rows: Sequence[Row]) -> str:
     """The answer over all measurements, as HTML; "" where there are none."""
-    peers = {r["peer"] for r in rows}.difference(NO_PEERS)
-    mine = [r for r in rows if r["model"] not in peers and r["peer"] not in ASIDE]
+    mine = [r for r in rows if not of_peer(r) and r["peer"] not in ASIDE]
     plain, equal = ([r for r in mine if (r["error_m"] is not None) == at_equal] for at_equal in (False, True))
     if not plain:
         return ""
@@ -50,11 +49,16 @@ def kind_card(row: Row) -> Card:
 
 
 def peer_cards(rows: Sequence[Row]) -> list[Card]:
-    """How many times as quick as each peer the models are, per core."""
+    """How many times as quick as each peer the models are, per core: step by step, and at equal error."""
     out = []
     known = [r for r in rows if r["ratio"] is not None and r["peer"] not in NO_PEERS]
-    for peer, mine in sorted(group(known, lambda r: r["peer"]).items()):
+    told = group(known, lambda r: f"{r['peer']}, at equal error" if r["error_m"] is not None else r["peer"])
+    for peer, mine in sorted(told.items()):
         low, high = (end(r["ratio"] for r in mine) for end in (min, max))
         said = f"{low:.2g} × … {high:.2g} ×" if len(mine) > 1 else f"{low:.2g} ×"
-        out.append(Card(f"Beside {peer}", said, f"per core, over {len(mine)} measurements", good=low >= 1))
+        out.append(
+            Card(
+                f"Beside {peer}", said, f"per core, over {len(mine)} measurement{'s' * (len(mine) > 1)}", good=low >= 1
+            )
+        )
     return out

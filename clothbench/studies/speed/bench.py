@@ -46,7 +46,7 @@ SIDES = (9, 21, 41, 65)  # nodes along each side of the square sheet
 EQUAL_SIDES = (21, 41)  # at equal error, where a peer's converged simulation of a fine sheet takes many minutes
 CONVERGED = {"explicit": 0.5}  # of a model's default step, whose motion stands for the exact one; else a quarter
 BATCH = 64
-PEER_STEP = f"step {1e3 * STEP:g} ms"
+PEER_STEP, OWN_STEP = f"step {1e3 * STEP:g} ms", "own step"  # notes of models
 PROCESSES = "separate processes"
 ROOFLINE = "roofline of one core"
 ASIDE = (PROCESSES, ROOFLINE)  # what rows that are no speeds of their own are held against
@@ -83,6 +83,13 @@ def run_bench(sides: Sequence[int] = SIDES, progress: Say | None = None, chosen:
     for side in (s for s in sides if s in EQUAL_SIDES):
         rows += equal_error(models, side, say)
     return rows
+
+
+def of_peer(row: Row) -> bool:
+    """Whether a row is of a peer by itself: its note is what the peer is, a model's is its step. Names tell nothing: a
+    model may be called as the peer that it is built on.
+    """
+    return row["peer"] is None and row["error_m"] is None and row.get("note") not in (PEER_STEP, OWN_STEP)
 
 
 def two_cores(name: str, side: int = 21) -> list[Row]:
@@ -206,7 +213,7 @@ def _measure(variant: _Variant, side: int, threads: int, batch: int) -> Row:
         except FailedRun:
             pass
     model = variant.make()
-    return variant.row(model, time_model(model, side, batch, threads), threads, batch, "own step")
+    return variant.row(model, time_model(model, side, batch, threads), threads, batch, OWN_STEP)
 
 
 def _roofline_rows(variant: _Variant, rows: Sequence[Row], say: Say) -> list[Row]:

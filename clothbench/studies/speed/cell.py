@@ -9,7 +9,7 @@ from typing import Any, ClassVar
 
 from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import digest, plugin_versions
-from clothbench.engine.settings import refuse, whole
+from clothbench.engine.settings import refuse, refuse_of_searches, whole
 from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.speed.bench import SIDES
 
@@ -59,6 +59,7 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     """One cell, whatever there is to measure."""
     refuse(settings, NOT_TIMED, "speed is measured on a scene of its own, with options of each model's own",
            "speed is measured on a scene of its own")  # fmt: skip
+    refuse_of_searches(settings, "speed is measured on a scene of its own, and nothing is fitted")
     given = settings["suite"].get("sides") or SIDES
     sides = tuple(whole("suite.sides", n, 5) for n in (given if isinstance(given, list | tuple) else [given]))
     models = tuple(dict.fromkeys(settings["model"]))

@@ -13,7 +13,7 @@ from clothbench.display.html import text
 from clothbench.display.section import Section
 from clothbench.engine.study import Results
 from clothbench.studies.speed.answer import answer_of
-from clothbench.studies.speed.bench import ASIDE, NO_PEERS, PEER_STEP, PROCESSES, ROOFLINE, Row
+from clothbench.studies.speed.bench import ASIDE, NO_PEERS, PEER_STEP, PROCESSES, ROOFLINE, Row, of_peer
 from clothbench.studies.speed.timing import TOLERABLE
 
 
@@ -86,7 +86,7 @@ def _lines(rows: Sequence[Row], peers: Sequence[str]) -> Iterator[list[str]]:
         about[key] = row
         together.setdefault(key, {})[row["peer"]] = f"{row['ratio']:.1f}" if row["ratio"] is not None else ""
     for key, row in about.items():
-        step = PEER_STEP if row["model"] in peers else row["note"]
+        step = PEER_STEP if of_peer(row) else row["note"]
         texts = (row["model"], row["kind"], row["precision"], row["options"], step)
         counts = (row["nodes"], row["threads"], row["batch"])
         speed = (f"{row['node_steps_per_s'] / 1e6:.1f}", f"{row['realtime_factor']:.3g}")
