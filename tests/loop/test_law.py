@@ -177,6 +177,12 @@ def test_a_balance_needs_a_line_of_grips_and_most_of_the_sheet():
     assert motion_of(line, scene, NOISE) is None
 
 
+def test_a_formula_tells_the_forces_first_and_the_memory_after():
+    memory, push = "normal velocity of the last 0.4 s", "a steady force along y"
+    assert law(**{memory: 0.394, push: 0.017}).formula == "f = −0.394 w n + 0.017 e_y, ẇ = v̇_n − w/(0.4 s)"
+    assert law(**{memory: 0.394, "place along y": 3.0}).formula == "f = −0.394 w n − 3 y e_y, ẇ = v̇_n − w/(0.4 s)"
+
+
 def test_few_recordings_tell_no_law():
     assert law_of(motions(count=2)) is None
 

@@ -50,13 +50,16 @@ class Law:
 
     @property
     def formula(self) -> str:
-        """ "f = −0.64 |v_n| v_n n" with the amounts in place of k."""
+        """ "f = −0.64 |v_n| v_n n" with the amounts in place of k: all forces, and what else is said of them after."""
         parts: list[str] = []
+        beside: list[str] = []
         for amount in self.amounts:
-            negative = amount.term.formula.startswith("−") != (amount.value < 0)
-            body = amount.term.formula.removeprefix("−").replace("k", f"{abs(amount.value):.3g}", 1)
+            force, _, equation = amount.term.formula.partition(", ")
+            negative = force.startswith("−") != (amount.value < 0)
+            body = force.removeprefix("−").replace("k", f"{abs(amount.value):.3g}", 1)
             parts.append(("−" if negative else "+" if parts else "") + (" " if parts else "") + body)
-        return "f = " + " ".join(parts)
+            beside += [equation] if equation else []
+        return ", ".join(["f = " + " ".join(parts), *beside])
 
 
 @dataclass(frozen=True, eq=False)
