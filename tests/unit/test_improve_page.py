@@ -83,6 +83,7 @@ def test_every_section_is_there_and_text_is_escaped(tmp_path):
     assert checker.scripts == 3
     assert "a <b>" not in re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
     assert "late &lt;i&gt;" in text
+    assert "held out, never fitted, which decide only whether the verdict stands" in text
     found = blocks(text)
     assert list(found) == ["errors", "frames", "map", "directions", "against", "drift", "stages"]
     assert list(found["frames"]) == ["b (held out)", "a &lt;b&gt; (fit)"]

@@ -163,9 +163,9 @@ def error_section(found: Mapping[str, Any], errors: Rows, blocks: list[dict[str,
         return ""
     error = errors_of(found)
     over = OVER[error["unit"]]
-    caption = f"Root-mean-square over {over}. Dots: recordings that were fitted; diamonds: held out, never used to "
+    caption = f"Root-mean-square over {over}. Dots: recordings that were fitted; diamonds: held out, never fitted, "
     known = [name for name, _ in limits(error)]
-    caption += f"decide. Grey line: {known[0]} alone"
+    caption += f"which decide only whether the verdict stands. Grey line: {known[0]} alone"
     caption += f"; dotted: {known[1]}, below which this mesh tells nothing." if len(known) > 1 else "."
     fall = error["held_out"]["ci95"]
     if found["effects"] and fall[0] is not None:
