@@ -47,8 +47,9 @@ the outline, along the line of the picture along which, or across which, this fa
 CAPTURES = """<p class="soft">Drapes that are laid on anew fold anew. Where captures of one side of a specimen look
 alike beyond chance (p), folds are remembered or the cloth was not laid on anew, which pictures cannot tell apart: then
 there are fewer drapes than captures.</p>"""
-DRIFT = """The calibrated model fitted to each recording alone. Line and band: all together, 95 % interval. Diamonds lie
-outside it: a parameter that drifts from recording to recording is a sign of missing physics."""
+DRIFT = """The calibrated model fitted to each recording alone. Line and band: all together, 95 % interval,
+about which single recordings scatter more widely. Diamonds stand out of the spread of all that were fitted alone
+(Grubbs' test, 5 % over all recordings): a parameter that drifts so is a sign of missing physics."""
 
 
 def page_html(found: Mapping[str, Any], tables: Tables) -> str:
@@ -340,7 +341,7 @@ def drift_section(drift: Rows, blocks: list[dict[str, Any]]) -> str:
     if not drift:
         return ""
     outside = sorted({r["name"] for r in drift if r["outside"]})
-    said = f" Outside: {text(', '.join(outside))}." if outside else " None lies outside."
+    said = f" Standing out: {text(', '.join(outside))}." if outside else " None stands out."
     views = draw.drift_figures(drift)
     return f"<h2>Drift from recording to recording</h2>{block('drift', DRIFT + said, views, blocks, 'Parameter')}"
 
