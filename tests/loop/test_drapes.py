@@ -233,6 +233,20 @@ def test_drapes_say_without_a_model_what_symmetry_forbids():
     assert asymmetries([s for _, s in few]) == []
 
 
+def test_a_line_chosen_from_the_specimens_makes_no_elongation():
+    random, found = np.random.default_rng(0), {CONTRASTS[1][0]: [], CONTRASTS[2][0]: []}
+    for _ in range(300):
+        radius = 0.125 + np.zeros((10, len(TURN)))
+        for at in (TURN, TURN + np.pi / 4):
+            radius = radius + random.normal(0, 8e-3, (10, 1)) * np.cos(2 * at)
+        seen = Outlines(radius, PLATE, DISC, np.repeat(np.arange(5), 2), 1e-4, 1.4e-3)
+        (specimens,), _ = specimens_of([seen], [np.tile([1, 2], 5)], [True])
+        for row in asymmetries([s for _, s in specimens]):
+            if row["contrast"] in found:
+                found[row["contrast"]].append(row["p_value"] < 0.05)
+    assert [np.mean(each) for each in found.values()] == pytest.approx([0.05, 0.05], abs=0.03)
+
+
 def test_a_name_explains_what_tells_faces_or_threads_apart_and_contradicts_none_of_it():
     found, random = evidence(), np.random.default_rng(5)
     noise = [0.1 * random.standard_normal(4) for _ in range(6)]
