@@ -13,6 +13,7 @@ from clothbench.core.drape import outlines_of_points
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.scenes import drapes_of
+from clothbench.studies.improve.attribution import Probe
 from clothbench.studies.improve.candidates import candidates_of
 from clothbench.studies.improve.drape_quantities import (
     CONTRASTS,
@@ -26,6 +27,7 @@ from clothbench.studies.improve.drape_quantities import (
 )
 from clothbench.studies.improve.drapes import DrapeCase, DrapeEvidence, Drapemeter, quartered, turned
 from clothbench.studies.improve.fitted import Fitted, jackknife_interval
+from clothbench.studies.improve.permutation import permutation_test
 from clothbench.studies.improve.problem import Problem, residuals
 from clothbench.studies.improve.selection import Candidate, assess, choose, told_from_nothing
 from clothbench.studies.improve.settings import LOOP
@@ -268,6 +270,19 @@ def test_where_one_side_is_known_only_threads_can_be_told():
     seen, side = captured(5, sides=(1,))
     (found,), _ = specimens_of([seen], [side], [True])
     assert [r["contrast"] for r in asymmetries([s for _, s in found])] == [CONTRASTS[1][0]]
+
+
+@pytest.mark.parametrize(("specimens", "said"), [(5, "too few to tell"), (8, "")])
+def test_few_drapes_of_one_side_are_too_few_to_tell(specimens, said):
+    seen, side = captured(specimens, sides=(1,))
+    (found,), sides = specimens_of([seen], [side], [True])
+    cases = [DrapeCase(f"s{k}", "fit", one, Drapemeter((), sides, PLATE, DISC)) for k, one in found]
+    base = fitted_with((), [np.array([0.0, 4.0])] * specimens)  # all long one way, which is as much as can be
+    columns = [np.array([[0.0], [1.0]])] * specimens
+    probe = Probe("long", np.zeros(1), (0,), np.ones(1), np.zeros((1, 0)), columns)
+    test = permutation_test(cases, base, [probe], 0)
+    why = test.why_not(test.p_value(0))
+    assert why.startswith(said) if said else not why
 
 
 def test_what_contradicts_the_drapes_is_no_rival_of_the_others():
