@@ -1,5 +1,7 @@
 """The law of a missing force: the sparsest sum of terms that predicts it on recordings left out, beside chance.
 
+Its error on recordings left out is also what the terms are chosen by, and so somewhat too small.
+
 The force itself comes from the balance of torques (`balance`), without a model. Damping of all motion alike is taken
 away first, since every model has some. Terms join one by one (forward selection), each for what it takes off the error
 on recordings left out; whether the first of them beats chance is asked of the same series set out of step in time
@@ -38,7 +40,8 @@ class Law:
     """What a missing force goes with.
 
     amounts: of its terms; damping: kg/(m²·s), of all motion alike, beside them; p_value: of the first term, over all;
-    before, after: N·m rms of the torque on recordings left out, without and with the law; noise: N·m, σ of the torque.
+    before, after: N·m rms of the torque on recordings left out, by which the terms were chosen, without and with the
+    law; noise: N·m, σ of the torque.
     """
 
     amounts: tuple[Amount, ...]

@@ -35,7 +35,7 @@ class PermutationTest:
 
     @property
     def least(self) -> float:
-        """The p-value of the most that chance can do: of few cases with few surrogates each, many draws are the same."""
+        """The p-value of the most that chance can do: of few cases with few surrogates, many draws are the same."""
         most = self.null_maxima.max(initial=0.0) * (1 - 1e-9)
         return float((1 + (self.null_maxima >= most).sum()) / (1 + len(self.null_maxima)))
 
