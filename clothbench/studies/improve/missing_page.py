@@ -46,9 +46,9 @@ def balance_section(found: Mapping[str, Any] | None, kernel: Rows, blocks: list[
     law = f" The sparsest law: {text(found['formula'])} ({p_is(found['p_value'])})." if found["formula"] else ""
     caption = (
         "How long the past counts: force per area against a change of the normal velocity, by the time that has passed "
-        "since. Band: spread between recordings (95 %), without what smoothing does to all alike; what the kernel is at "
-        "the last lag cannot be told from drag, and is taken to be 0. Zero everywhere: no memory; all of it at 0: air "
-        "that is carried along."
+        "since. Band: spread between recordings (95 %), without what smoothing does to all alike; what the kernel is "
+        "at the last lag cannot be told from drag, and is taken to be 0. Zero everywhere: no memory; all of it at 0: "
+        "air that is carried along."
     )
     figure = block("kernel", caption, {"": [draw.kernel_figure(kernel)]}, blocks) if kernel else ""
     return f"<h2>Without any model</h2><p class='soft'>{BALANCE}{law}</p>{shown}{figure}"
