@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from test_curves import problem_of, runs
 
+from clothbench.core.observation import Observation
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.engine.cells import Source
 from clothbench.engine.checkpoint import Checkpoint
@@ -22,6 +23,8 @@ from clothbench.studies.improve.document import document_in, verdict_document
 from clothbench.studies.improve.files import write_files
 from clothbench.studies.improve.fitting import fit, search_settings
 from clothbench.studies.improve.loop import improve
+from clothbench.studies.improve.sheet_tables import summary
+from clothbench.studies.improve.sheets import SheetCase
 from clothbench.studies.improve.tables import drift_rows, finding_tables
 
 FOLDER = Path(room.__file__).parent
@@ -174,3 +177,16 @@ def test_noise_of_single_recordings_is_no_drift():
     assert np.mean(noise) == pytest.approx(0.05, abs=0.03)
     assert drifting([0.5, 0.51, 0.49, 0.505, 0.9, 0.495]) == [False] * 4 + [True, False]
     assert drifting([0.5, 0.5, 0.5]) == [False] * 3
+
+
+def test_squares_by_direction_add_up_on_a_sheared_sheet_with_gaps():
+    random = np.random.default_rng(0)
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, 0.3, 5), np.linspace(0, 0.3, 5)))
+    position = np.tile(np.stack([u + 0.5 * v, 0 * u, -v], axis=1), (20, 1, 1))
+    visible = random.random(position.shape[:2]) > 0.2
+    seen = Observation(np.arange(20) / 30, np.where(visible[..., None], position, np.nan), visible, 1e-3,
+                       np.stack([u, v], axis=1))  # fmt: skip
+    residual = np.tile([3e-3, 0.0, 4e-3], visible.sum())  # 5 mm at every node
+    found = summary(SheetCase("a", "fit", None, seen, None), residual)
+    assert np.hypot(np.hypot(found.normal, found.warp), found.weft) == pytest.approx(5e-3)
+    assert found.normal == pytest.approx(0.0)

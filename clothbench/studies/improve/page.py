@@ -290,10 +290,8 @@ def direction_section(found: Mapping[str, Any], portrait: Rows, blocks: list[dic
     if not portrait:
         return ""
     views = draw.direction_figures(portrait, bool(found["effects"]))
-    caption = (
-        "The residual split along the sheet's normal, warp and weft as it was seen; these are distances, so that their "
-    )
-    caption += "squares add up to three times that of a coordinate."
+    caption = "The residual split along the sheet's normal, along warp, and in the sheet across warp (weft), of nodes "
+    caption += "whose neighbours were seen: distances, whose squares add up to that of the whole distance."
     body = []
     for name, rows in draw.by_recording(portrait).items():
         at = {r["fit"]: r for r in rows}
