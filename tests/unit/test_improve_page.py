@@ -118,7 +118,9 @@ def test_a_run_that_was_stopped_has_gaps_and_no_numbers():
 
 def test_the_band_of_a_kernel_is_no_interval_of_the_truth():
     kernel = [{"lag": lag, "value": 0.4, "low": 0.3, "high": 0.5} for lag in (0.0, 0.5)]
-    text = balance_section({"shares": {"velocity": 0.5}, "formula": None, "p_value": None}, kernel, [])
+    found = {"shares": {"velocity": 0.5}, "formula": None, "p_value": None, "recordings": {"used": 4, "of": 6}}
+    text = balance_section(found, kernel, [])
+    assert "From 4 of 6 recordings" in text
     assert "spread between recordings" in text
     assert "95 % intervals" not in text
 

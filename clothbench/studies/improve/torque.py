@@ -44,17 +44,21 @@ class Past:
 @dataclass(frozen=True)
 class Balance:
     """What the recordings say without any model. past: what the torque about the grips goes with; law: the sparsest law
-    that predicts it, None where nothing beats chance.
+    that predicts it, None where nothing beats chance; recordings: on how many this rests, of so many that were fitted.
     """
 
     past: Past
     law: Law | None
+    recordings: tuple[int, int]
 
 
-def balance_of(motions: Sequence[Motion], seed: int) -> Balance | None:
-    """What the balance of torques tells; None of fewer than three recordings."""
-    past = past_of(motions)
-    return None if past is None else Balance(past, law_of(motions, seed))
+def balance_of(motions: Sequence[Motion | None], seed: int) -> Balance | None:
+    """What the balance of torques tells; None of fewer than three recordings. motions: None of one
+    of which a balance would say nothing (`motion_of`).
+    """
+    known = [m for m in motions if m is not None]
+    past = past_of(known)
+    return None if past is None else Balance(past, law_of(known, seed), (len(known), len(motions)))
 
 
 def past_of(motions: Sequence[Motion]) -> Past | None:
