@@ -53,8 +53,8 @@ class Balance:
 
 
 def balance_of(motions: Sequence[Motion | None], seed: int) -> Balance | None:
-    """What the balance of torques tells; None of fewer than three recordings. motions: None of one
-    of which a balance would say nothing (`motion_of`).
+    """What the balance of torques tells; None of fewer than three recordings. motions: None of one of which a
+    balance would say nothing (`motion_of`).
     """
     known = [m for m in motions if m is not None]
     past = past_of(known)
