@@ -13,7 +13,8 @@ def verdict(model, *effects, word=None, after=1.0):
     pairs = [(e, []) if isinstance(e, str) else (e[0], [e[1]]) for e in effects]
     error = {
         "fit": {"before": 5.0, "after": after},
-        "held_out": {"before": 5.0, "after": after, "ci95": [3.0, 5.0], "per_recording": [{"recording": "a", "before": 5.0, "after": after}]},
+        "held_out": {"before": 5.0, "after": after, "ci95": [3.0, 5.0],
+                     "per_recording": [{"recording": "a", "before": 5.0, "after": after}]},
         "noise": 0.5, "mesh": 0.2, "noise_floor": 0.54,
     }  # fmt: skip
     return {

@@ -89,7 +89,8 @@ def sham(error: Mapping[str, Any]) -> str:
 def sentence(found: Mapping[str, Any]) -> str:
     """The verdict as HTML."""
     error, model = errors_of(found), f"<b>{text(found['model'])}</b>"
-    if several := found.get("models"):
+    several = found.get("models") or ()
+    if several:
         model = f"each of <b>{text(', '.join(one['name'] for one in several))}</b>"
     unit = error["unit"]
     split = "held_out" if error["held_out"]["before"] is not None else "fit"
@@ -102,7 +103,7 @@ def sentence(found: Mapping[str, Any]) -> str:
         return f"{model} lacks nothing above the noise: {before} {unit} on the {where} recordings; {floor}."
     if not found["effects"]:
         rest = f"{before} {unit} on the {where} recordings; {floor}."
-        heard = speaking(several or ())
+        heard = speaking(several)
         if heard and len(heard) < LEAST:
             return (
                 f"Of {text(' and '.join(one['name'] for one in several))} only <b>{text(heard[0]['name'])}</b> has "
