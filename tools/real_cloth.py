@@ -7,7 +7,7 @@
 
 knits: every run of every swatch is held out once; what `improve` finds on the other four is judged on it.
 folds: ten fabrics, each left out once.
-swings: a robot swings cloth; repeats of each motion are held out.
+swings: a robot swings cloth; some recordings of each range or motion are held out.
 """
 
 from __future__ import annotations

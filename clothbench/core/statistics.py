@@ -45,6 +45,18 @@ def jackknife_half_width(moved: np.ndarray) -> np.ndarray:
     return student(count - 1) * np.sqrt((count - 1) / count * np.square(moved).sum(axis=0))
 
 
+def standing_out(values: np.ndarray, level: float = 0.05) -> np.ndarray:
+    """Which of N values stand out of the spread of all of them, (N,) bool: by chance any does with a probability of
+    `level` at most (Grubbs 1950, Sample criteria for testing outlying observations, Bonferroni over the values).
+    """
+    count, spread = len(values), values.std(ddof=1) if len(values) > 2 else 0.0
+    if spread <= 1e-12 * np.abs(values).max(initial=0.0):
+        return np.zeros(count, dtype=bool)
+    t = student_quantile(1 - level / (2 * count), np.array(count - 2.0))
+    most = (count - 1) / np.sqrt(count) * np.sqrt(t**2 / (count - 2 + t**2))
+    return np.asarray(np.abs(values - values.mean()) > most * spread)
+
+
 def sobol(dimensions: int, random: np.random.Generator, count: int) -> np.ndarray:
     """The first points (count, D) of a scrambled Sobol sequence in the unit cube."""
     from scipy.stats import qmc

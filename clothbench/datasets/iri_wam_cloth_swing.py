@@ -30,7 +30,7 @@ from clothbench.recordings.nodes import write_recording
 NAME = "iri_wam_cloth_swing"
 REPORT = "import-report.json"
 NEXT = "clothbench run +suite=iri_swing recordings={folder}"
-LAST_FIT_REPEAT = 5  # of the range motions' ten
+LAST_FIT_REPEAT = 5  # of the ten recordings of a range
 NO_TOOL = (
     "tool pose not measured; the commanded path strays up to 25 mm from the measured one where both exist, "
     "and the speed it was played at is not recorded"
@@ -83,11 +83,11 @@ def convert(source: Path, out: Path, progress: FileProgress | None = None) -> li
 
 
 def split_by_repeat(sources: Sequence[Source]) -> dict[Path, str]:
-    """Mesh file → "fit" or "held_out", by the number of the repeat.
+    """Mesh file → "fit" or "held_out", by the number that files call the repeat.
 
-    The range motions were repeated up to ten times: 1 to 5 are for fitting, 6 and up held out, whichever are
-    at hand. The traj motions were repeated up to three times: the last one is held out, a motion done once
-    is fitted.
+    Of each range there are up to ten recordings, each another random motion of that range: 1 to 5 are for
+    fitting, 6 and up held out, whichever are at hand. The traj motions were repeated up to three times: the
+    last one is held out (of traj9 it was played 2.4 times as fast), a motion done once is fitted.
     """
     repeats: dict[tuple[str, int, str], set[int]] = defaultdict(set)
     for one in sources:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from clothbench.studies.improve.common import common_document
 from clothbench.studies.improve.page import common_html
+from clothbench.studies.improve.verdict import AT_LIMIT
+from clothbench.studies.improve.words import sentence
 
 
 def verdict(model, *effects, word=None, after=1.0):
@@ -11,7 +13,8 @@ def verdict(model, *effects, word=None, after=1.0):
     pairs = [(e, []) if isinstance(e, str) else (e[0], [e[1]]) for e in effects]
     error = {
         "fit": {"before": 5.0, "after": after},
-        "held_out": {"before": 5.0, "after": after, "ci95": [3.0, 5.0], "per_recording": [{"recording": "a"}]},
+        "held_out": {"before": 5.0, "after": after, "ci95": [3.0, 5.0],
+                     "per_recording": [{"recording": "a", "before": 5.0, "after": after}]},
         "noise": 0.5, "mesh": 0.2, "noise_floor": 0.54,
     }  # fmt: skip
     return {
@@ -82,3 +85,36 @@ def test_the_page_says_that_each_lacks_something_else():
     assert found["verdict"] == "unexplained"
     assert "lacks is nothing that they have in common" in common_html(found)
     assert "no candidate explains" not in common_html(found)
+
+
+def test_where_nothing_is_in_common_the_errors_are_of_the_calibrated_fit():
+    found = common_document([verdict("a", "drag"), verdict("b", after=5.0)])
+    error = found["error_mm"]
+    assert found["effects"] == []
+    assert error["fit"]["after"] == error["fit"]["before"] == 5.0
+    assert error["held_out"]["after"] == error["held_out"]["before"] == 5.0
+    assert found["unexplained_mm"] > 4.9
+    assert "only <b>a</b> has something to say" in sentence(found)
+    assert "no candidate explains" not in sentence(found)
+
+
+def test_one_model_that_lacks_nothing_says_nothing_in_common():
+    found = common_document([verdict("a", word="complete"), verdict("b")])
+    assert found["verdict"] == "unexplained"
+    assert "only <b>a</b> has something to say" in sentence(found)
+
+
+def test_what_two_of_three_lack_is_no_fault_of_their_own():
+    found = common_document([verdict("a", "drag"), verdict("b", "drag"), verdict("c", word="complete", after=5.0)])
+    assert (found["verdict"], found["model"]) == ("complete", "c")
+    assert [m["own"] for m in found["models"]] == [[], [], []]
+    assert "a and b lack drag, which c does not lack" in found["hint"]
+    assert "of its own" not in found["hint"]
+
+
+def test_what_could_not_be_judged_is_not_said_to_be_below_the_mesh():
+    found = verdict("a") | {"hint": f"{AT_LIMIT}, but r7, held out, could not be simulated with it"}
+    found["unexplained_mm"] = 0.0
+    found["error_mm"]["held_out"]["before"] = None
+    assert "not all of it could be judged" in sentence(found)
+    assert "its mesh can tell" not in sentence(found)

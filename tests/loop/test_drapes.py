@@ -13,6 +13,7 @@ from clothbench.core.drape import outlines_of_points
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.scenes import drapes_of
+from clothbench.studies.improve.attribution import Probe
 from clothbench.studies.improve.candidates import candidates_of
 from clothbench.studies.improve.drape_quantities import (
     CONTRASTS,
@@ -26,6 +27,7 @@ from clothbench.studies.improve.drape_quantities import (
 )
 from clothbench.studies.improve.drapes import DrapeCase, DrapeEvidence, Drapemeter, quartered, turned
 from clothbench.studies.improve.fitted import Fitted, jackknife_interval
+from clothbench.studies.improve.permutation import permutation_test
 from clothbench.studies.improve.problem import Problem, residuals
 from clothbench.studies.improve.selection import Candidate, assess, choose, told_from_nothing
 from clothbench.studies.improve.settings import LOOP
@@ -233,6 +235,20 @@ def test_drapes_say_without_a_model_what_symmetry_forbids():
     assert asymmetries([s for _, s in few]) == []
 
 
+def test_a_line_chosen_from_the_specimens_makes_no_elongation():
+    random, found = np.random.default_rng(0), {CONTRASTS[1][0]: [], CONTRASTS[2][0]: []}
+    for _ in range(300):
+        radius = 0.125 + np.zeros((10, len(TURN)))
+        for at in (TURN, TURN + np.pi / 4):
+            radius = radius + random.normal(0, 8e-3, (10, 1)) * np.cos(2 * at)
+        seen = Outlines(radius, PLATE, DISC, np.repeat(np.arange(5), 2), 1e-4, 1.4e-3)
+        (specimens,), _ = specimens_of([seen], [np.tile([1, 2], 5)], [True])
+        for row in asymmetries([s for _, s in specimens]):
+            if row["contrast"] in found:
+                found[row["contrast"]].append(row["p_value"] < 0.05)
+    assert [np.mean(each) for each in found.values()] == pytest.approx([0.05, 0.05], abs=0.03)
+
+
 def test_a_name_explains_what_tells_faces_or_threads_apart_and_contradicts_none_of_it():
     found, random = evidence(), np.random.default_rng(5)
     noise = [0.1 * random.standard_normal(4) for _ in range(6)]
@@ -254,6 +270,19 @@ def test_where_one_side_is_known_only_threads_can_be_told():
     seen, side = captured(5, sides=(1,))
     (found,), _ = specimens_of([seen], [side], [True])
     assert [r["contrast"] for r in asymmetries([s for _, s in found])] == [CONTRASTS[1][0]]
+
+
+@pytest.mark.parametrize(("specimens", "said"), [(5, "too few to tell"), (8, "")])
+def test_few_drapes_of_one_side_are_too_few_to_tell(specimens, said):
+    seen, side = captured(specimens, sides=(1,))
+    (found,), sides = specimens_of([seen], [side], [True])
+    cases = [DrapeCase(f"s{k}", "fit", one, Drapemeter((), sides, PLATE, DISC)) for k, one in found]
+    base = fitted_with((), [np.array([0.0, 4.0])] * specimens)  # all long one way, which is as much as can be
+    columns = [np.array([[0.0], [1.0]])] * specimens
+    probe = Probe("long", np.zeros(1), (0,), np.ones(1), np.zeros((1, 0)), columns)
+    test = permutation_test(cases, base, [probe], 0)
+    why = test.why_not(test.p_value(0))
+    assert why.startswith(said) if said else not why
 
 
 def test_what_contradicts_the_drapes_is_no_rival_of_the_others():

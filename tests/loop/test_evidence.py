@@ -6,11 +6,14 @@ import ast
 import dataclasses
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from test_curves import problem_of, runs
 
+from clothbench.core.observation import Observation
+from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.engine.cells import Source
 from clothbench.engine.checkpoint import Checkpoint
 from clothbench.plugins.discovery import catalogue
@@ -20,7 +23,9 @@ from clothbench.studies.improve.document import document_in, verdict_document
 from clothbench.studies.improve.files import write_files
 from clothbench.studies.improve.fitting import fit, search_settings
 from clothbench.studies.improve.loop import improve
-from clothbench.studies.improve.tables import finding_tables
+from clothbench.studies.improve.sheet_tables import summary
+from clothbench.studies.improve.sheets import SheetCase
+from clothbench.studies.improve.tables import drift_rows, finding_tables
 
 FOLDER = Path(room.__file__).parent
 WRITERS = ("document", "tables", "sheet_tables", "page", "words", "figures", "rerun_file", "files")
@@ -154,3 +159,34 @@ def test_a_run_out_of_time_begins_no_further_round_and_says_so():
     assert finding.timed_out
     assert (finding.rounds, finding.verdict) == ((), "unexplained")
     assert "time ran out" in finding.hint
+
+
+def test_noise_of_single_recordings_is_no_drift():
+    """The joint interval is that of a mean: single values lie outside it, which is no drift."""
+    random = np.random.default_rng(0)
+    space = ParameterSpace((Parameter("a", "a", "1", (0.0, 1.0), "linear", 0.1, "a", ""),))
+    joint = SimpleNamespace(space=space, theta=np.array([0.5]), low=np.array([0.49]), high=np.array([0.51]))
+
+    def drifting(values):
+        alone = {
+            f"r{k}": SimpleNamespace(theta=np.array([v]), at_bound=np.array([False])) for k, v in enumerate(values)
+        }
+        return [row["outside"] for row in drift_rows(SimpleNamespace(calibrated=joint, alone=alone))]
+
+    noise = [any(drifting(0.5 + 0.05 * random.standard_normal(6))) for _ in range(400)]
+    assert np.mean(noise) == pytest.approx(0.05, abs=0.03)
+    assert drifting([0.5, 0.51, 0.49, 0.505, 0.9, 0.495]) == [False] * 4 + [True, False]
+    assert drifting([0.5, 0.5, 0.5]) == [False] * 3
+
+
+def test_squares_by_direction_add_up_on_a_sheared_sheet_with_gaps():
+    random = np.random.default_rng(0)
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, 0.3, 5), np.linspace(0, 0.3, 5)))
+    position = np.tile(np.stack([u + 0.5 * v, 0 * u, -v], axis=1), (20, 1, 1))
+    visible = random.random(position.shape[:2]) > 0.2
+    seen = Observation(np.arange(20) / 30, np.where(visible[..., None], position, np.nan), visible, 1e-3,
+                       np.stack([u, v], axis=1))  # fmt: skip
+    residual = np.tile([3e-3, 0.0, 4e-3], visible.sum())  # 5 mm at every node
+    found = summary(SheetCase("a", "fit", None, seen, None), residual)
+    assert np.hypot(np.hypot(found.normal, found.warp), found.weft) == pytest.approx(5e-3)
+    assert found.normal == pytest.approx(0.0)

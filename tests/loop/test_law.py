@@ -16,7 +16,7 @@ from clothbench.studies.improve.balance import terms
 from clothbench.studies.improve.described import NUMBERS, Described
 from clothbench.studies.improve.law import Amount, Law, law_of
 from clothbench.studies.improve.motion import motion_of
-from clothbench.studies.improve.torque import past_of
+from clothbench.studies.improve.torque import balance_of, past_of
 
 WIDTH, HEIGHT, DENSITY, NOISE = 0.3, 0.35, 0.18, 1e-3
 NAMED = {term.name: term for term in terms()}
@@ -175,6 +175,18 @@ def test_a_balance_needs_a_line_of_grips_and_most_of_the_sheet():
     row = scene.points[:, 1] == 0.0
     line = Observation(scene.times, position[:, row], visible[:, row], NOISE, scene.points[row])
     assert motion_of(line, scene, NOISE) is None
+
+
+def test_a_balance_says_on_how_many_recordings_it_rests():
+    seen = motions((("normal", 1.1),), "quadratic_drag")
+    assert balance_of([*seen[:4], None], 0).recordings == (4, 5)
+    assert balance_of([*seen[:2], None, None], 0) is None
+
+
+def test_a_formula_tells_the_forces_first_and_the_memory_after():
+    memory, push = "normal velocity of the last 0.4 s", "a steady force along y"
+    assert law(**{memory: 0.394, push: 0.017}).formula == "f = −0.394 w n + 0.017 e_y, ẇ = v̇_n − w/(0.4 s)"
+    assert law(**{memory: 0.394, "place along y": 3.0}).formula == "f = −0.394 w n − 3 y e_y, ẇ = v̇_n − w/(0.4 s)"
 
 
 def test_few_recordings_tell_no_law():

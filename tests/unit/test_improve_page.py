@@ -11,6 +11,7 @@ from test_page import checked
 from clothbench.core.optional import EFFECT_FAMILIES
 from clothbench.display.names import duration
 from clothbench.studies.improve.drawings import DRAWINGS, drawing
+from clothbench.studies.improve.missing_page import balance_section
 from clothbench.studies.improve.page import page_html
 from clothbench.studies.improve.schema import IMPROVE_TABLES
 from clothbench.studies.improve.words import chance, p_is, remains, sentence, sham
@@ -83,6 +84,7 @@ def test_every_section_is_there_and_text_is_escaped(tmp_path):
     assert checker.scripts == 3
     assert "a <b>" not in re.sub(r"<script>.*?</script>", "", text, flags=re.DOTALL)
     assert "late &lt;i&gt;" in text
+    assert "held out, never fitted, which decide only whether the verdict stands" in text
     found = blocks(text)
     assert list(found) == ["errors", "frames", "map", "directions", "against", "drift", "stages"]
     assert list(found["frames"]) == ["b (held out)", "a &lt;b&gt; (fit)"]
@@ -112,6 +114,15 @@ def test_a_run_that_was_stopped_has_gaps_and_no_numbers():
     text = page_html(verdict("attributed", EFFECT), stopped)
     assert blocks(text)["directions"]["b (held out)"][0]["data"][0]["y"] == [None, None, None]
     assert ">nan" not in text
+
+
+def test_the_band_of_a_kernel_is_no_interval_of_the_truth():
+    kernel = [{"lag": lag, "value": 0.4, "low": 0.3, "high": 0.5} for lag in (0.0, 0.5)]
+    found = {"shares": {"velocity": 0.5}, "formula": None, "p_value": None, "recordings": {"used": 4, "of": 6}}
+    text = balance_section(found, kernel, [])
+    assert "From 4 of 6 recordings" in text
+    assert "spread between recordings" in text
+    assert "95 % intervals" not in text
 
 
 def test_a_page_without_rows_still_says_the_verdict():

@@ -59,10 +59,10 @@ def test_a_phase_of_the_motion_is_told():
     assert "before the grips move" not in telling(rows)
 
 
-def test_every_frame_is_in_one_phase_of_the_grips():
+def test_no_frame_is_in_two_phases_of_the_grips():
     seen, scene, _ = recordings(3)[0]
     phases = grip_phases(seen.time, scene)
-    assert (np.sum(list(phases.values()), axis=0) == 1).all()
+    assert (np.sum(list(phases.values()), axis=0) <= 1).all()  # in none while they move evenly
     assert phases["before the grips move"][:25].all()
     assert phases["after the grips stopped"][-25:].all()
 
@@ -71,3 +71,29 @@ def test_of_grips_that_never_move_there_are_no_phases():
     seen, scene, _ = recordings(3)[0]
     still = dataclasses.replace(scene, grip_position=np.tile(scene.grip_position[:1], (len(scene.grip_time), 1, 1)))
     assert grip_phases(seen.time, still) == {}
+
+
+def phases_of_way(way):
+    """How many frames are in each phase, of two grips that go a way (2, 3) m over time."""
+    clock, time = np.linspace(0.0, 6.0, 601), np.arange(0.0, 6.0, 1 / 30)
+    held = np.array([[0.0, 0.0, 0.0], [SIDE, 0.0, 0.0]])
+    path = held + np.stack([way(t) for t in clock])
+    scene = Scene(SIDE, SIDE, 0.2, clock, held[:, [0, 2]], path, time, recordings(0)[0][1].points)
+    return {name: int(frames.sum()) for name, frames in grip_phases(time, scene).items()}
+
+
+def test_hands_that_part_and_meet_move():
+    apart = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0]])
+    found = phases_of_way(lambda t: 0.05 * np.sin(5 * t) * apart)
+    assert min(found["the grips speed up"], found["the grips slow down"]) > 40
+
+
+def test_grips_that_stand_still_for_long_pause_and_do_not_turn():
+    found = phases_of_way(lambda t: np.interp(t, [0.5, 1.5, 4.5, 5.5], [0.0, 0.2, 0.2, 0.4]) * np.eye(3)[[1, 1]])
+    assert found["the grips pause"] > 80
+    assert found["the grips turn"] == 0
+
+
+def test_grips_that_move_evenly_neither_speed_up_nor_slow_down():
+    found = phases_of_way(lambda t: 0.1 * np.array([[np.cos(6 * t), np.sin(6 * t), 0.0]] * 2))
+    assert found["the grips speed up"] + found["the grips slow down"] < 10

@@ -50,7 +50,8 @@ def along_axis(motion: Motion, axis: int, by_place: bool) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Term:
-    """One term of a law. name: as it is told; formula: with its coefficient k; unit: of the coefficient; force: per
+    """One term of a law. name: as it is told; formula: with its coefficient k, and behind a comma what another equation
+    says of a quantity in it; unit: of the coefficient; force: per
     area (T, N, 3) at a coefficient of 1; slot: number of the coefficient in `missing_force`, shape: of a number beside
     it, and its value; positive: mass, which cannot be negative: a sheet without any would balance whatever it did;
     law: of `FORCE_LAWS`, by which effects say that they are this, or "".
@@ -81,7 +82,7 @@ def terms() -> tuple[Term, ...]:
              lambda m: -np.einsum("tnc,tnc->tn", m.a, m.normal)[..., None] * m.normal, 4, positive=True,
              law="normal acceleration"),
         *(
-            Term(f"normal velocity of the last {t:g} s", f"−k y n, ẏ = v̇_n − y/({t:g} s)", "kg/(m²·s)",
+            Term(f"normal velocity of the last {t:g} s", f"−k w n, ẇ = v̇_n − w/({t:g} s)", "kg/(m²·s)",
                  partial(delayed, relaxation=t), 5, (6, t), positive=True, law="past normal velocity")
             for t in TIMES
         ),

@@ -20,25 +20,47 @@ def common_document(documents: Sequence[Document]) -> Document:
     model, on the same recordings.
 
     A model that ends without a name for what is left neither bears a name out nor speaks against it; at least two have
-    to have something to say.
+    to have something to say. Where nothing is in common, errors are those of the calibrated fit.
     """
-    best = min(speaking(documents) or documents, key=error_after)
+    heard = speaking(documents)
+    complete = [found for found in heard if found["verdict"] == "complete"] if len(heard) >= LEAST else []
+    best = min(complete or heard or documents, key=error_after)
     shared = shared_effects(documents, best)
     if shared:
         word = "tied" if any(entry["tied_with"] for entry in shared) else "attributed"
     else:
-        word = "complete" if any(found["verdict"] == "complete" for found in documents) else "unexplained"
+        word, best = "complete" if complete else "unexplained", without_names(best)
     total = {name: sum(found[name] for found in documents) for name in ("evaluations", "wall_s")}
     return best | total | {
-        "verdict": word, "effects": shared, "hint": hint(documents, shared, word),
+        "verdict": word, "effects": shared, "hint": hint(documents, word),
         "key": digest([found["key"] for found in documents]),
-        "models": [model_entry(found, documents, shared) for found in documents],
+        "models": [model_entry(found, documents) for found in documents],
     }  # fmt: skip
 
 
-def model_entry(found: Document, documents: Sequence[Document], shared: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
-    """What stands of one model in the common document; own: names of what another lacks not."""
-    own = [entry["name"] for entry in own_faults(found, documents, shared)]
+def without_names(found: Document) -> Document:
+    """The document with the errors of the calibrated fit in place of the named one's."""
+    if not found["effects"]:
+        return found
+    out = found | {name: calibrated(found[name]) for name in ("error_mm", "error") if name in found}
+    for name, error in (("unexplained_mm", out["error_mm"]), ("unexplained", out.get("error"))):
+        if found.get(name) is not None and error is not None:
+            out[name] = max(error["fit"]["before"] ** 2 - error["noise_floor"] ** 2, 0.0) ** 0.5
+    return out
+
+
+def calibrated(error: Mapping[str, Any]) -> dict[str, Any]:
+    """Errors of a document with those after as they were before."""
+    fit, held = error["fit"], error["held_out"]
+    each = [one | {"after": one["before"]} for one in held["per_recording"]]
+    ci95 = [None if end is None else 0.0 for end in held["ci95"]]
+    held = held | {"after": held["before"], "ci95": ci95, "per_recording": each, "placebo": None}
+    return {**error, "fit": fit | {"after": fit["before"]}, "held_out": held}
+
+
+def model_entry(found: Document, documents: Sequence[Document]) -> dict[str, Any]:
+    """What stands of one model in the common document; own: names of what no other lacks."""
+    own = [entry["name"] for entry in own_faults(found, documents)]
     kept = {name: found[name] for name in ENTRY if name in found}
     return {"name": found["model"], **kept, "own": own}
 
@@ -82,25 +104,35 @@ def names_of(entry: Mapping[str, Any]) -> set[str]:
     return {entry["name"], *entry["tied_with"]}
 
 
-def own_faults(
-    found: Mapping[str, Any], documents: Sequence[Document], shared: Sequence[Mapping[str, Any]]
-) -> list[dict[str, Any]]:
-    """What this model lacks while another that says something does not."""
+def own_faults(found: Mapping[str, Any], documents: Sequence[Document]) -> list[dict[str, Any]]:
+    """What this model lacks while no other that says something does."""
     others = [other for other in speaking(documents) if other["model"] != found["model"]]
-    return [
-        entry for entry in found["effects"] if others and not any(names_of(entry) & names_of(one) for one in shared)
-    ]
+    return [entry for entry in found["effects"] if others and not any(lacks(o, names_of(entry)) for o in others)]
 
 
-def hint(documents: Sequence[Document], shared: Sequence[Mapping[str, Any]], word: str) -> str:
+def shared_by_some(documents: Sequence[Document]) -> list[tuple[str, list[str], list[str]]]:
+    """(name, models that lack it, models that do not) of what several models that say something lack, and not all."""
+    heard = speaking(documents)
+    out: dict[tuple[str, ...], tuple[str, list[str], list[str]]] = {}
+    for entry in (entry for found in heard for entry in found["effects"]):
+        having = [found["model"] for found in heard if lacks(found, names_of(entry))]
+        if 1 < len(having) < len(heard):
+            others = [found["model"] for found in heard if found["model"] not in having]
+            out.setdefault((entry["name"], *having), (entry["name"], having, others))
+    return list(out.values())
+
+
+def hint(documents: Sequence[Document], word: str) -> str:
     """Which lack is whose, and which model has nothing to say."""
     heard, said = speaking(documents), []
     for found in heard:
-        if names := [entry["name"] for entry in own_faults(found, documents, shared)]:
-            others = [other["model"] for other in heard if other is not found]
-            without = " and ".join(o for o in others if not any(lacks(d, names) for d in heard if d["model"] == o))
-            beside = f", which {without} does not lack" if without else ""
-            said.append(f"{found['model']} lacks {' and '.join(names)}{beside}: a fault of its own")
+        if names := [entry["name"] for entry in own_faults(found, documents)]:
+            without = " and ".join(other["model"] for other in heard if other is not found)
+            said.append(
+                f"{found['model']} lacks {' and '.join(names)}, which {without} does not lack: a fault of its own"
+            )
+    for name, having, others in shared_by_some(documents):
+        said.append(f"{' and '.join(having)} lack {name}, which {' and '.join(others)} does not lack")
     if complete := [found["model"] for found in heard if found["verdict"] == "complete"]:
         said.insert(0, f"{' and '.join(complete)} lacks nothing" if word == "complete" else "")
     for found in documents:
@@ -112,5 +144,5 @@ def hint(documents: Sequence[Document], shared: Sequence[Mapping[str, Any]], wor
     return "; ".join(filter(None, said))
 
 
-def lacks(found: Mapping[str, Any], names: Sequence[str]) -> bool:
-    return any(names_of(entry) & set(names) for entry in found["effects"])
+def lacks(found: Mapping[str, Any], names: set[str]) -> bool:
+    return any(names_of(entry) & names for entry in found["effects"])

@@ -47,10 +47,10 @@ def edge_of(uv, i, edge):
 @effect_kernel
 def missing_force(t, dt, x, v, f, sheet, p, state):
     """Forces per area, against the unit normal n and the normal velocity v_n: p[0] v_n, p[1] |v_n|^(p[2] − 1) v_n,
-    p[3] |v| v, p[5] y with ẏ = v̇_n − y/p[6] (as `air_memory`), p[7] (s/H) v_n; the weight of the masses p[8] (along the
+    p[3] |v| v, p[5] w with ẇ = v̇_n − w/p[6] (as `air_memory`), p[7] (s/H) v_n; the weight of the masses p[8] (along the
     lower edge) and p[9] (s/H); p[10] to p[12] along x, y, z; −p[13] x e_x, −p[14] y e_y, −p[15] z e_z.
 
-    state: 0 before the first step, the time of the last, then v_n and y of all nodes.
+    state: 0 before the first step, the time of the last, then v_n and w of all nodes.
     """
     count, passed = x.shape[1], t - state[1]
     kept, share = 0.0, 0.0

@@ -16,6 +16,7 @@ QUANTITIES = (
     DRAPE_COEFFICIENT,
     Quantity("elongation", "a₂", "mm", 1e3, "second harmonic of the outline, along a line of the picture"),
 )
+ELONGATION = 1  # its number
 CONTRASTS = (  # (in words, number of the quantity)
     ("drape coefficient, face up less face down", 0),
     ("elongation, mean of both sides", 1),
@@ -32,13 +33,15 @@ class Specimen:
     """The drapes of one specimen: means over the captures of each side.
 
     mean: (S, Q) SI, of S sides, NaN where a side was not captured; known: (S, Q) bool, where it was, M times in all;
-    spread: (M,) between specimens, SI; labels: (M,) in words.
+    spread: (M,) between specimens, SI; labels: (M,) in words; across: (S,) m, the elongation's other part, along lines
+    that lie halfway between, which is 0 in the mean where drapes are long along a thread.
     """
 
     mean: np.ndarray
     known: np.ndarray
     spread: np.ndarray
     labels: tuple[str, ...]
+    across: np.ndarray
 
 
 def elongation(radius: np.ndarray) -> np.ndarray:
@@ -66,9 +69,8 @@ def specimens_of(
     ]
     known = np.stack([m for each, fit in zip(means, fitted, strict=True) if fit for m in each.values()])
     turn = line_of(known[..., 1])
-    real = [{k: _along(m, turn) for k, m in each.items()} for each in means]
     spread = spread_of(np.stack([_along(m, turn) for m in known]))
-    return [[(k, _specimen(m, spread, sides)) for k, m in each.items()] for each in real], sides
+    return [[(k, _specimen(m, turn, spread, sides)) for k, m in each.items()] for each in means], sides
 
 
 def alike(seen: Sequence[Outlines], side: Sequence[np.ndarray], seed: int) -> list[dict[str, Any]]:
@@ -112,11 +114,12 @@ def contrasts(field: np.ndarray) -> np.ndarray:
     )
 
 
-def asymmetries(specimens: Sequence[Specimen]) -> list[dict[str, Any]]:
-    """What the drapes themselves say, without any model: mean of each contrast over specimens with its 95 % interval,
-    and p of Student's t. None of it could be if faces and threads were alike.
+def asymmetries(specimens: Sequence[Specimen], line_from_these: bool = True) -> list[dict[str, Any]]:
+    """What the drapes themselves say, without any model: mean of each contrast over specimens with its 95 % interval
+    along the line, and p. None of it could be if faces and threads were alike. line_from_these: as in `contrast_means`.
     """
-    means, rows = contrast_means([s.mean for s in specimens]), []
+    across = [s.across for s in specimens] if line_from_these else None
+    means, rows = contrast_means([s.mean for s in specimens], across), []
     half, p_value = means.half_width(0.05), means.p_value
     for k, (name, quantity) in enumerate(CONTRASTS):
         if means.number[k] < LEAST_SPECIMENS:
@@ -133,35 +136,51 @@ def asymmetries(specimens: Sequence[Specimen]) -> list[dict[str, Any]]:
 @dataclass(frozen=True, eq=False)
 class ContrastMeans:
     """Means (C,) of contrasts over specimens, SI, 0 where too few are known; their standard errors (C,), which no row
-    of drapes that happen to be alike makes smaller than first shapes do; number (C,) of specimens.
+    of drapes that happen to be alike makes smaller than first shapes do; number (C,) of specimens; p_value (C,) of
+    means of 0.
     """
 
     mean: np.ndarray
     error: np.ndarray
     number: np.ndarray
+    p_value: np.ndarray
 
     def half_width(self, level: float) -> np.ndarray:
         """Half of the interval (C,) outside of which chance leads with a probability of `level`."""
-        return -student_quantile(level / 2, self._freedom) * self.error
-
-    @property
-    def p_value(self) -> np.ndarray:
-        """(C,), of Student's t against 0."""
-        return 2 * student_above(np.abs(self.mean) / self.error, self._freedom)
-
-    @property
-    def _freedom(self) -> np.ndarray:
-        return np.maximum(self.number - 1, 1)
+        return -student_quantile(level / 2, np.maximum(self.number - 1, 1)) * self.error
 
 
-def contrast_means(fields: Sequence[np.ndarray]) -> ContrastMeans:
-    """Of quantities, or what a model leaves of them, (S, Q) SI of each specimen."""
-    values = contrasts(np.stack(fields))
+def contrast_means(fields: Sequence[np.ndarray], across: Sequence[np.ndarray] | None = None) -> ContrastMeans:
+    """Of quantities, or what a model leaves of them, (S, Q) SI of each specimen.
+
+    p is Student's. Where the line was chosen from these specimens, along which they are then long by chance already,
+    across: (S,) m of each; p of an elongation is that of both its parts together, whatever the line.
+    """
+    seen = np.stack(fields)
+    values = contrasts(seen)
     number = np.isfinite(values).sum(axis=0)
     values = np.where(number >= LEAST_SPECIMENS, values, 0.0)
     least = LEAST_SPREAD[[quantity for _, quantity in CONTRASTS]]
     spread = np.maximum(np.nanstd(values, axis=0, ddof=1), least)
-    return ContrastMeans(np.nanmean(values, axis=0), spread / np.sqrt(np.maximum(number, 1)), number)
+    mean, error = np.nanmean(values, axis=0), spread / np.sqrt(np.maximum(number, 1))
+    p_value = 2 * student_above(np.abs(mean) / error, np.maximum(number - 1, 1))
+    if across is not None:
+        other = contrasts(np.stack([seen[..., 0], np.stack(across)], axis=-1))
+        for k, (_, quantity) in enumerate(CONTRASTS):
+            if quantity == ELONGATION and number[k] >= LEAST_SPECIMENS:
+                p_value[k] = beside_nothing(np.stack([values[:, k], other[:, k]], axis=1), least[k])
+    return ContrastMeans(mean, error, number, p_value)
+
+
+def beside_nothing(pairs: np.ndarray, least: float) -> float:
+    """p of a mean of 0 of pairs (N, 2): Hotelling's T², (N − 2)/(2(N − 1)) T² as F(2, N − 2), which is the same for
+    every line. least: spread below which none is taken to be.
+    """
+    pairs = pairs[np.isfinite(pairs).all(axis=1)]
+    count, mean = len(pairs), pairs.mean(axis=0)
+    variance, axes = np.linalg.eigh(np.cov(pairs.T))
+    square = count * float(np.sum((mean @ axes) ** 2 / np.maximum(variance, least**2)))
+    return float((1 + square / (count - 1)) ** (-(count - 2) / 2))
 
 
 def line_of(elongations: np.ndarray) -> complex:
@@ -193,10 +212,11 @@ def _along(mean: np.ndarray, turn: complex) -> np.ndarray:
     return np.stack([mean[:, 0].real, (mean[:, 1] / turn).real], axis=1)
 
 
-def _specimen(mean: np.ndarray, spread: np.ndarray, sides: Sequence[int]) -> Specimen:
+def _specimen(seen: np.ndarray, turn: complex, spread: np.ndarray, sides: Sequence[int]) -> Specimen:
+    mean = _along(seen, turn)
     known = np.isfinite(mean)
     at = np.argwhere(known)
     words = {0: "", 1: " face up", 2: " face down"}
     assert set(words) == set(SIDES)
     labels = tuple(QUANTITIES[q].name.replace("_", " ") + words[sides[s]] for s, q in at)
-    return Specimen(mean, known, spread[at[:, 1]], labels)
+    return Specimen(mean, known, spread[at[:, 1]], labels, (seen[:, 1] / turn).imag)

@@ -262,7 +262,10 @@ class DrapeEvidence:
         to be explained, or that it is not explained: the rest, stiffness or weight would do as well.
         """
         seen = self._of("fit")
-        was, now = (contrast_means([_field(r, s) for r, s in zip(each, seen, strict=True)]) for each in (before, after))
+        across = [s.across for s in seen]  # a model's threads lie along the line, so that it is not long across
+        was, now = (
+            contrast_means([_field(r, s) for r, s in zip(each, seen, strict=True)], across) for each in (before, after)
+        )
         worse = (np.abs(now.mean) - np.abs(was.mean) - now.half_width(0.05)) / now.error
         worst = int(np.argmax(worse))
         if worse[worst] > 0:
@@ -293,7 +296,8 @@ class DrapeEvidence:
                      "quantity": QUANTITIES[q].name, "measured": measured, "spread": spread, "before": before,
                      "after": after, "unit": QUANTITIES[q].unit}
                 )  # fmt: skip
-        said = [{"split": split, **row} for split in ("fit", "held_out") for row in asymmetries(self._of(split))]
+        said = [{"split": split, **row} for split in ("fit", "held_out")
+                for row in asymmetries(self._of(split), split == "fit")]  # fmt: skip
         return {"drapes": rows, "captures": self.captures, "asymmetries": said}
 
 

@@ -225,7 +225,7 @@ def padded(rows: Rows, log: bool) -> dict[str, Any]:
 
 
 def kernel_figure(kernel: Rows) -> Figure:
-    """The kernel of the missing force over lag, with its interval as a band."""
+    """The kernel of the missing force over lag, with the spread between recordings as a band."""
     x = [r["lag"] for r in kernel]
     band = curve(x + x[::-1], [r["high"] for r in kernel] + [r["low"] for r in reversed(kernel)], AFTER, None, width=0)
     line = curve(x, [r["value"] for r in kernel], AFTER, "%{y} kg/(m²·s) after %{x} s", "lines+markers")

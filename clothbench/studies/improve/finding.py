@@ -39,7 +39,7 @@ class Placebo:
 @dataclass(frozen=True)
 class Description:
     """The law of a force that no effect has a name for. before, after: error without and with it, on the recordings
-    held out, or on those fitted where there are none, base unit.
+    held out, base unit; where there are none, nothing is described.
     """
 
     law: Law

@@ -1,5 +1,7 @@
 """The law of a missing force: the sparsest sum of terms that predicts it on recordings left out, beside chance.
 
+Its error on recordings left out is also what the terms are chosen by, and so somewhat too small.
+
 The force itself comes from the balance of torques (`balance`), without a model. Damping of all motion alike is taken
 away first, since every model has some. Terms join one by one (forward selection), each for what it takes off the error
 on recordings left out; whether the first of them beats chance is asked of the same series set out of step in time
@@ -40,7 +42,8 @@ class Law:
     """What a missing force goes with.
 
     amounts: of its terms; damping: kg/(m²·s), of all motion alike, beside them; p_value: of the first term, over all;
-    before, after: N·m rms of the torque on recordings left out, without and with the law; noise: N·m, σ of the torque.
+    before, after: N·m rms of the torque on recordings left out, by which the terms were chosen, without and with the
+    law; noise: N·m, σ of the torque.
     """
 
     amounts: tuple[Amount, ...]
@@ -52,13 +55,16 @@ class Law:
 
     @property
     def formula(self) -> str:
-        """ "f = −0.64 |v_n| v_n n" with the amounts in place of k."""
+        """ "f = −0.64 |v_n| v_n n" with the amounts in place of k: all forces, and what else is said of them after."""
         parts: list[str] = []
+        beside: list[str] = []
         for amount in self.amounts:
-            negative = amount.term.formula.startswith("−") != (amount.value < 0)
-            body = amount.term.formula.removeprefix("−").replace("k", f"{abs(amount.value):.3g}", 1)
+            force, _, equation = amount.term.formula.partition(", ")
+            negative = force.startswith("−") != (amount.value < 0)
+            body = force.removeprefix("−").replace("k", f"{abs(amount.value):.3g}", 1)
             parts.append(("−" if negative else "+" if parts else "") + (" " if parts else "") + body)
-        return "f = " + " ".join(parts)
+            beside += [equation] if equation else []
+        return ", ".join(["f = " + " ".join(parts), *beside])
 
 
 @dataclass(frozen=True, eq=False)

@@ -44,9 +44,13 @@ def balance_section(found: Mapping[str, Any] | None, kernel: Rows, blocks: list[
     body = [[text(what), f"{100 * share:.0f} %"] for what, share in found["shares"].items()]
     shown = table(["goes with", "predicted on recordings left out"], body, numeric={1})
     law = f" The sparsest law: {text(found['formula'])} ({p_is(found['p_value'])})." if found["formula"] else ""
+    if rests := found.get("recordings"):
+        law += f" From {rests['used']} of {rests['of']} recordings that were fitted."
     caption = (
         "How long the past counts: force per area against a change of the normal velocity, by the time that has passed "
-        "since, with 95 % intervals. Zero everywhere: no memory; all of it at 0: air that is carried along."
+        "since. Band: spread between recordings (95 %), without what smoothing does to all alike; what the kernel is "
+        "at the last lag cannot be told from drag, and is taken to be 0. Zero everywhere: no memory; all of it at 0: "
+        "air that is carried along."
     )
     figure = block("kernel", caption, {"": [draw.kernel_figure(kernel)]}, blocks) if kernel else ""
     return f"<h2>Without any model</h2><p class='soft'>{BALANCE}{law}</p>{shown}{figure}"

@@ -47,8 +47,9 @@ the outline, along the line of the picture along which, or across which, this fa
 CAPTURES = """<p class="soft">Drapes that are laid on anew fold anew. Where captures of one side of a specimen look
 alike beyond chance (p), folds are remembered or the cloth was not laid on anew, which pictures cannot tell apart: then
 there are fewer drapes than captures.</p>"""
-DRIFT = """The calibrated model fitted to each recording alone. Line and band: all together, 95 % interval. Diamonds lie
-outside it: a parameter that drifts from recording to recording is a sign of missing physics."""
+DRIFT = """The calibrated model fitted to each recording alone. Line and band: all together, 95 % interval,
+about which single recordings scatter more widely. Diamonds stand out of the spread of all that were fitted alone
+(Grubbs' test, 5 % over all recordings): a parameter that drifts so is a sign of missing physics."""
 
 
 def page_html(found: Mapping[str, Any], tables: Tables) -> str:
@@ -163,9 +164,9 @@ def error_section(found: Mapping[str, Any], errors: Rows, blocks: list[dict[str,
         return ""
     error = errors_of(found)
     over = OVER[error["unit"]]
-    caption = f"Root-mean-square over {over}. Dots: recordings that were fitted; diamonds: held out, never used to "
+    caption = f"Root-mean-square over {over}. Dots: recordings that were fitted; diamonds: held out, never fitted, "
     known = [name for name, _ in limits(error)]
-    caption += f"decide. Grey line: {known[0]} alone"
+    caption += f"which decide only whether the verdict stands. Grey line: {known[0]} alone"
     caption += f"; dotted: {known[1]}, below which this mesh tells nothing." if len(known) > 1 else "."
     fall = error["held_out"]["ci95"]
     if found["effects"] and fall[0] is not None:
@@ -289,10 +290,8 @@ def direction_section(found: Mapping[str, Any], portrait: Rows, blocks: list[dic
     if not portrait:
         return ""
     views = draw.direction_figures(portrait, bool(found["effects"]))
-    caption = (
-        "The residual split along the sheet's normal, warp and weft as it was seen; these are distances, so that their "
-    )
-    caption += "squares add up to three times that of a coordinate."
+    caption = "The residual split along the sheet's normal, along warp, and in the sheet across warp (weft), of nodes "
+    caption += "whose neighbours were seen: distances, whose squares add up to that of the whole distance."
     body = []
     for name, rows in draw.by_recording(portrait).items():
         at = {r["fit"]: r for r in rows}
@@ -340,7 +339,7 @@ def drift_section(drift: Rows, blocks: list[dict[str, Any]]) -> str:
     if not drift:
         return ""
     outside = sorted({r["name"] for r in drift if r["outside"]})
-    said = f" Outside: {text(', '.join(outside))}." if outside else " None lies outside."
+    said = f" Standing out: {text(', '.join(outside))}." if outside else " None stands out."
     views = draw.drift_figures(drift)
     return f"<h2>Drift from recording to recording</h2>{block('drift', DRIFT + said, views, blocks, 'Parameter')}"
 

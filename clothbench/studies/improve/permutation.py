@@ -33,6 +33,20 @@ class PermutationTest:
     def p_value(self, probe: int) -> float:
         return float((1 + (self.null_maxima >= self.explained[probe]).sum()) / (1 + len(self.null_maxima)))
 
+    @property
+    def least(self) -> float:
+        """The p-value of the most that chance can do: of few cases with few surrogates, many draws are the same."""
+        most = self.null_maxima.max(initial=0.0) * (1 - 1e-9)
+        return float((1 + (self.null_maxima >= most).sum()) / (1 + len(self.null_maxima)))
+
+    def why_not(self, p_value: float) -> str:
+        """Why a candidate with that p-value is not told from chance; "" if it is."""
+        if p_value < LOOP.significance:
+            return ""
+        if self.least >= LOOP.significance:
+            return f"too few to tell: here no p can lie below {self.least:.2g} (p = {p_value:.2g})"
+        return f"explains no more than chance would (p = {p_value:.2g})"
+
 
 def permutation_test(cases: Sequence[Case], fitted: Fitted, found: Sequence[Probe], seed: int) -> PermutationTest:
     base = span_of(fitted.weighted_jacobian)

@@ -146,8 +146,7 @@ def screen(
             out.append(Candidate(name, 0.0, 1.0, why_not=refused.get(name, "could not be tried")))
             continue
         p_value = test.p_value(best)
-        why = "" if p_value < LOOP.significance else f"explains no more than chance would (p = {p_value:.2g})"
-        out.append(Candidate(name, float(test.explained[best]), p_value, why_not=why))
+        out.append(Candidate(name, float(test.explained[best]), p_value, why_not=test.why_not(p_value)))
     return out
 
 

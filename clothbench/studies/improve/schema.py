@@ -58,7 +58,8 @@ ASYMMETRY = {
     "p_value": _number, "number": _whole,
 }  # fmt: skip
 STAGE = {"stage": _text, "wall_s": _number, "evaluations": _whole}
-# value: fitted to this recording alone; joint, low, high: fitted to all together, with its 95 % interval.
+# value: fitted to this recording alone; joint, low, high: fitted to all together, with its 95 % interval; outside:
+# whether it stands out of the spread of those fitted alone.
 DRIFT = {
     "recording": _text, "name": _text, "symbol": _text, "unit": _text, "scale": _text, "value": _number,
     "at_bound": _flag, "joint": _number, "low": _number, "high": _number, "outside": _flag,
@@ -68,7 +69,8 @@ DRIFT = {
 WHEREABOUTS = {
     "kind": _text, "part": _text, "rms": _number, "unit": _text, "ratio": _number, "p_value": _number,
 }  # fmt: skip
-# The kernel over lag of the force that is missing, told without a model: kg/(m²·s) with 95 % intervals.
+# The kernel over lag of the force that is missing, told without a model: kg/(m²·s) with the spread between
+# recordings (low, high).
 KERNEL = {"lag": _number, "value": _number, "low": _number, "high": _number}
 
 IMPROVE_TABLES = {

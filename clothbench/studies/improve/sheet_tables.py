@@ -20,7 +20,7 @@ class ResidualSummary:
     """One recording's residual, in its base unit.
 
     rms: over coordinates;
-    normal, warp, weft: rms of its component along each, over nodes;
+    normal, warp, weft: rms of its component along each, over nodes of which all three are known; NaN without any;
     next_frame: correlation of one frame with the next, 0 for noise.
     """
 
@@ -44,7 +44,9 @@ def summary(case: Any, residual: np.ndarray) -> ResidualSummary:
     """Of a case's residual (M,)."""
     field, seen = case.field(residual), case.observation.visible
     frames = directions(case.observation)
-    normal, warp, weft = (float(np.sqrt(np.mean(np.sum(field * d, axis=-1)[seen] ** 2))) for d in frames)
+    known = seen & frames[0].any(axis=-1)
+    squares = [np.square(np.sum(field * d, axis=-1)[known]) for d in frames]
+    normal, warp, weft = (float(np.sqrt(s.mean())) if s.size else np.nan for s in squares)
     both = seen[1:] & seen[:-1]
     product = float(np.mean(np.sum((field[1:] * field[:-1])[both], axis=-1))) / case.observation.coordinates
     square = float(np.mean(residual**2))
@@ -52,7 +54,9 @@ def summary(case: Any, residual: np.ndarray) -> ResidualSummary:
 
 
 def directions(observation: Observation) -> list[np.ndarray]:
-    """Unit vectors (T, N, 3) along the sheet's normal, warp and weft, from the nodes seen nearest in u and in v."""
+    """Unit vectors (T, N, 3) along the sheet's normal, along warp, and in the sheet across warp, which is along weft
+    where the sheet is not sheared; from the nodes nearest in u and in v, 0 where these were not seen.
+    """
     material, position = observation.material, observation.position
     out = []
     for axis in range(2):
@@ -65,7 +69,7 @@ def directions(observation: Observation) -> list[np.ndarray]:
         out.append(_unit_vectors(np.nan_to_num(position[:, after] - position[:, before])))
     warp, weft = out
     normal = _unit_vectors(np.cross(warp, weft))
-    return [normal, warp, weft]
+    return [normal, warp, np.cross(normal, warp)]
 
 
 def _unit_vectors(vectors: np.ndarray) -> np.ndarray:

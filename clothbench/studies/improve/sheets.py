@@ -178,7 +178,7 @@ class SheetEvidence:
 
     def balance(self, seed: int) -> Balance | None:
         motions = [motion_of(case.observation, case.scene, noise_of(case.observation)) for case in self._fitted()]
-        return balance_of([m for m in motions if m is not None], seed)
+        return balance_of(motions, seed)
 
     def whereabouts(self, residual: Sequence[np.ndarray], seed: int) -> Rows:
         fields = [

@@ -5,6 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+
+from clothbench.core.statistics import standing_out
 from clothbench.engine.store import finite
 from clothbench.studies.improve.document import why_not
 from clothbench.studies.improve.evidence import Rows, of_split
@@ -88,17 +91,20 @@ def stage_rows(finding: Finding) -> Rows:
 
 
 def drift_rows(finding: Finding) -> Rows:
-    """Each recording's own fit beside the joint one: what lies outside the joint interval drifts."""
+    """Each recording's own fit beside the joint one, whose interval is that of a mean: a single recording drifts where
+    it stands out of the spread of single ones.
+    """
     joint = finding.calibrated
     rows: list[dict[str, Any]] = []
-    for recording, fitted in finding.alone.items():
+    alone = np.array([joint.space.to_unit(fitted.theta) for fitted in finding.alone.values()])
+    drifts = np.apply_along_axis(standing_out, 0, alone) if alone.size else np.zeros(alone.shape, dtype=bool)
+    for (recording, fitted), drifting in zip(finding.alone.items(), drifts, strict=True):
         at_bound = fitted.at_bound
         for i, p in enumerate(joint.space):
             value, low, high = float(fitted.theta[i]), finite(joint.low[i]), finite(joint.high[i])
-            outside = low is not None and high is not None and not low <= value <= high
             rows.append({
                 "recording": recording, "name": p.name, "symbol": p.symbol, "unit": p.unit, "scale": p.scale,
                 "value": value, "at_bound": bool(at_bound[i]), "joint": float(joint.theta[i]), "low": low,
-                "high": high, "outside": outside,
+                "high": high, "outside": bool(drifting[i]),
             })  # fmt: skip
     return rows

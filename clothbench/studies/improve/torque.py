@@ -4,6 +4,10 @@ The past is a kernel over lag, without any form given beforehand: f = −b v_n n
 between a few lags and zero beyond the last. Air that follows the sheet with one relaxation time has K = h exp(−s/τ)
 (`air_memory`), drag without a memory none, and added mass all of K at s = 0. Coefficients by least squares with a
 penalty on the kernel's second difference, which is chosen by recordings left out.
+
+The band about the kernel is the spread between recordings and no more: that the penalty smooths a kernel which falls
+steeply moves all of them alike, and lies outside it. And K is known only up to what it is at the last lag: a constant
+over all lags is drag on the velocity now. The shares are of recordings left out, by which the penalty was chosen, too.
 """
 
 from __future__ import annotations
@@ -27,7 +31,7 @@ class Past:
     """What the missing torque goes with.
 
     shares: (of what, share of its mean square that this predicts on recordings left out);
-    lag: s; value, low, high: kg/(m²·s), the kernel there with 95 % intervals over recordings.
+    lag: s; value, low, high: kg/(m²·s), the kernel there and the spread between recordings.
     """
 
     shares: tuple[tuple[str, float], ...]
@@ -40,17 +44,21 @@ class Past:
 @dataclass(frozen=True)
 class Balance:
     """What the recordings say without any model. past: what the torque about the grips goes with; law: the sparsest law
-    that predicts it, None where nothing beats chance.
+    that predicts it, None where nothing beats chance; recordings: on how many this rests, of so many that were fitted.
     """
 
     past: Past
     law: Law | None
+    recordings: tuple[int, int]
 
 
-def balance_of(motions: Sequence[Motion], seed: int) -> Balance | None:
-    """What the balance of torques tells; None of fewer than three recordings."""
-    past = past_of(motions)
-    return None if past is None else Balance(past, law_of(motions, seed))
+def balance_of(motions: Sequence[Motion | None], seed: int) -> Balance | None:
+    """What the balance of torques tells; None of fewer than three recordings. motions: None of one of which a
+    balance would say nothing (`motion_of`).
+    """
+    known = [m for m in motions if m is not None]
+    past = past_of(known)
+    return None if past is None else Balance(past, law_of(known, seed), (len(known), len(motions)))
 
 
 def past_of(motions: Sequence[Motion]) -> Past | None:
@@ -144,7 +152,9 @@ def left_out(
 def kernel_of(
     design: Sequence[np.ndarray], missing: Sequence[np.ndarray], stiff: np.ndarray, lags: int
 ) -> tuple[tuple[float, ...], tuple[float, ...], tuple[float, ...]]:
-    """The kernel at each lag, with 95 % intervals from recordings left out in turn (jackknife)."""
+    """The kernel at each lag, and the spread between recordings: how far it would be moved by other ones (jackknife, 95
+    %), not what the penalty makes of all of them.
+    """
     count = len(missing)
     value = np.append(solution(design, missing, stiff)[-lags:], 0.0)
     moved = []

@@ -21,7 +21,8 @@ from clothbench.studies.improve.settings import LOOP
 
 Rows = list[dict[str, Any]]  # of the table `whereabouts`
 DOWN, ACROSS = ("upper", "middle", "lower"), ("left", "middle", "right")
-MOVES = 0.1  # of the grips' greatest speed: above that they move
+MOVES = 0.1  # of the grips' greatest speed: above that they move; and of their speed: above that it changes
+PAUSE = 0.3  # s; grips that stand still for longer do not turn, but pause
 LEAST_FRAMES = 5  # of a phase in a recording, for it to have a say
 SPEED_OVER = 0.1  # s, over which speeds are taken
 
@@ -117,27 +118,40 @@ def phases_of(observation: Observation, scene: Scene) -> Mapping[str, np.ndarray
 
 
 def grip_phases(time: np.ndarray, scene: Scene) -> dict[str, np.ndarray]:
-    """Of the grips: before they move, while they speed up, slow down or turn, and after they stopped; none of a sheet
-    that nobody holds, and where they never move.
+    """Of the grips: before they move, while they speed up, slow down, turn or pause, and after they stopped; none of a
+    sheet that nobody holds, and where they never move. Frames in which they move evenly are in none.
     """
     if not len(scene.grip_material):
         return {}
-    middle = scene.grip_position.mean(axis=1)
+    every = scene.grip_position.reshape(len(scene.grip_time), -1).T
 
     def at(when: np.ndarray) -> np.ndarray:
-        return np.stack([np.interp(when, scene.grip_time, middle[:, c]) for c in range(3)], axis=1)
+        return np.stack([np.interp(when, scene.grip_time, one) for one in every], axis=1)
 
     def speed(when: np.ndarray) -> np.ndarray:
-        return np.linalg.norm(at(when + SPEED_OVER / 2) - at(when - SPEED_OVER / 2), axis=1) / SPEED_OVER
+        """Rms over the grips: hands that part and meet have a middle that stands still."""
+        away = at(when + SPEED_OVER / 2) - at(when - SPEED_OVER / 2)
+        return np.sqrt(np.square(away).sum(axis=1) / len(scene.grip_material)) / SPEED_OVER
 
-    now, rising = speed(time), speed(time + SPEED_OVER / 2) > speed(time - SPEED_OVER / 2)
+    now, change = speed(time), speed(time + SPEED_OVER / 2) - speed(time - SPEED_OVER / 2)
     moving = now > MOVES * max(now.max(), 1e-9)
     if not moving.any():
         return {}
     first, last = int(np.argmax(moving)), len(time) - 1 - int(np.argmax(moving[::-1]))
     frame = np.arange(len(time))
+    still = ~moving & (frame > first) & (frame < last)
+    pause = still & longer_than(PAUSE, time, still)
     return {
-        "before the grips move": frame < first, "the grips speed up": moving & rising,
-        "the grips slow down": moving & ~rising,
-        "the grips turn": ~moving & (frame > first) & (frame < last), "after the grips stopped": frame > last,
+        "before the grips move": frame < first, "the grips speed up": moving & (change > MOVES * now),
+        "the grips slow down": moving & (change < -MOVES * now), "the grips turn": still & ~pause,
+        "the grips pause": pause, "after the grips stopped": frame > last,
     }  # fmt: skip
+
+
+def longer_than(least: float, time: np.ndarray, frames: np.ndarray) -> np.ndarray:
+    """Which frames (T,) are in a stretch of neighbouring `frames` (T,) that lasts longer than `least` s."""
+    out = np.zeros(len(time), dtype=bool)
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], frames, [False]]).astype(int)))
+    for begin, end in zip(edges[::2], edges[1::2], strict=True):
+        out[begin:end] = time[end - 1] - time[begin] > least
+    return out

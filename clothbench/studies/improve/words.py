@@ -6,8 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clothbench.display.html import group, text, unit
+from clothbench.studies.improve.common import LEAST, speaking
 from clothbench.studies.improve.figures import pooled
 from clothbench.studies.improve.settings import LOOP
+from clothbench.studies.improve.verdict import AT_LIMIT
 
 Rows = Sequence[dict[str, Any]]
 MESHED = "noise and mesh"
@@ -87,7 +89,8 @@ def sham(error: Mapping[str, Any]) -> str:
 def sentence(found: Mapping[str, Any]) -> str:
     """The verdict as HTML."""
     error, model = errors_of(found), f"<b>{text(found['model'])}</b>"
-    if several := found.get("models"):
+    several = found.get("models") or ()
+    if several:
         model = f"each of <b>{text(', '.join(one['name'] for one in several))}</b>"
     unit = error["unit"]
     split = "held_out" if error["held_out"]["before"] is not None else "fit"
@@ -100,8 +103,16 @@ def sentence(found: Mapping[str, Any]) -> str:
         return f"{model} lacks nothing above the noise: {before} {unit} on the {where} recordings; {floor}."
     if not found["effects"]:
         rest = f"{before} {unit} on the {where} recordings; {floor}."
-        if several and any(one["own"] for one in several):
+        heard = speaking(several)
+        if heard and len(heard) < LEAST:
+            return (
+                f"Of {text(' and '.join(one['name'] for one in several))} only <b>{text(heard[0]['name'])}</b> has "
+                f"something to say, so that nothing is known to be in common: {rest}"
+            )
+        if heard:
             return f"What {model} lacks is nothing that they have in common: {rest}"
+        if found["hint"].startswith(AT_LIMIT) and split == "fit" and error["held_out"]["per_recording"]:
+            return f"What {model} leaves is nothing above noise and mesh, but not all of it could be judged: {rest}"
         if not error["unexplained"] and error.get("mesh"):
             return f"What {model} leaves is less than its mesh can tell, so that nothing is named: {rest}"
         return f"{model} leaves {beyond(error)} that no candidate explains: {rest}"
