@@ -1,5 +1,5 @@
 """What several models lack in common, from the verdicts of each: that is physics or the sensor. What one lacks and
-another does not is a fault of its own.
+no other does is a fault of its own.
 """
 
 from __future__ import annotations

@@ -100,8 +100,8 @@ def common_html(found: Mapping[str, Any]) -> str:
     heads = ["model", "verdict", "lacks", "error before → after", "noise", "mesh"]
     parts = [
         f"<h1>What do {text(models)} lack in common?</h1>", verdict_box(found), table(heads, rows, numeric={3, 4, 5}),
-        "<p class='soft'>What all lack that have something to say is physics or the sensor; what one lacks and another "
-        "does not is its own fault. Error: on the recordings held out.</p>",
+        "<p class='soft'>What all lack that have something to say is physics or the sensor; what one lacks and no "
+        "other does is its own fault. Error: on the recordings held out.</p>",
         effect_section(found),
     ]  # fmt: skip
     return whole_page(f"improve {text(models)}", [Section("".join(parts), style=STYLE)])
