@@ -31,11 +31,13 @@ class SlurmWorkers:
         logging.getLogger("submitit").setLevel(logging.CRITICAL)
         self.folder, self.cores = folder / FOLDER, executor["cores"]
         self.owner = Owner() if executor["cluster"] == "local" else None
-        # On this machine submitit begins at once whatever it is given. Slurm has a queue, and takes all; but no more
-        # than `jobs`, where they are stated: its own bound holds for one array only, and there may be several.
-        self.most = jobs or (max(1, available_cores() // self.cores) if self.owner else ARRAY)
-        if not self.owner:
-            self.most = min(self.most, works, ARRAY)
+        # On this machine submitit begins at once whatever it is given. Slurm has a queue, takes all as one array, and
+        # is told how many of it may run; but that holds for one array only, so that of more works than one array takes
+        # no more are begun than may run.
+        if self.owner:
+            self.most = jobs or max(1, available_cores() // self.cores)
+        else:
+            self.most = works if works <= ARRAY else min(jobs or ARRAY, ARRAY)
         self.running: dict[int, submitit.Job] = {}
         self.heard: dict[int, str] = {}
         try:
