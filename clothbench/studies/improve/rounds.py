@@ -86,7 +86,8 @@ def witnessed_round(problem: Problem, law: Law | None, found: Round, mesh: float
     assumptions, and the effect has to pay for no more than its parameters.
     """
     before, effects = found.before, {c.name: c for c in found.candidates}
-    probed = [c.name for c in found.candidates if any(p.effect == c.name for p in found.probes)]
+    beat_chance = [n for n, c in effects.items() if c.p_value < LOOP.significance]
+    probed = [n for n in beat_chance if any(p.effect == n for p in found.probes)]
     told = [n for n in (*before.effects, *probed) if law is not None and told_by(law, problem.make("effects", n))]
     if not told or told[0] in before.effects:
         return found
