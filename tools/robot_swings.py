@@ -91,7 +91,7 @@ def balances(recordings: Path) -> dict[str, Balance]:
     for session in SESSIONS:
         read = [read_recording(path) for path in sorted(recordings.glob(f"iri-{session}-*.nc"))]
         motions = [motion_of(*beside(r), r.noise_sigma) for r in read if r.split == "fit"]
-        if (found := balance_of([m for m in motions if m is not None], seed=0)) is not None:
+        if (found := balance_of(motions, seed=0)) is not None:
             out[session] = found
     return out
 

@@ -1,11 +1,14 @@
 """Suites become cells: splits, keys, and settings that are refused."""
 
 import dataclasses
+from importlib.resources import files
 
 import pytest
+import yaml
 from conftest import swinging_recording
 
 from clothbench import ClothbenchError, write_recording
+from clothbench.engine.settings import OF_SEARCHES
 from clothbench.engine.suite import plan, suites_folder
 from clothbench.plugins.discovery import catalogue
 
@@ -131,3 +134,9 @@ def test_only_held_out_recordings_cannot_be_fitted(tmp_path):
 
 def test_the_built_in_suites_are_where_the_code_looks():
     assert {p.stem for p in (suites_folder() / "suite").glob("*.yaml")} >= {"static_dynamic", "iri_swing"}
+
+
+def test_what_steers_no_search_is_held_against_the_defaults_of_every_run():
+    """Two places state them: the settings of a run, and what studies without a search take as left out."""
+    defaults = yaml.safe_load(files("clothbench.conf").joinpath("run.yaml").read_text(encoding="utf-8"))
+    assert {key: defaults[key] for key in OF_SEARCHES} == OF_SEARCHES
