@@ -74,6 +74,34 @@ def test_it_seldom_names_an_effect_where_there_is_none(cases, candidates):
     assert alarms <= 9
 
 
+def test_nor_where_all_moves_in_one_direction():
+    """A sheet that swings in one plane: turned out of it, no surrogate would look like a candidate."""
+    plane, alarms = np.array([0.3, 1.0, 0.1]), 0
+    observation = Observation(
+        np.arange(FRAMES) / 30, np.zeros((FRAMES, len(MATERIAL), 3)), np.ones((FRAMES, len(MATERIAL)), bool), SIGMA,
+        MATERIAL,
+    )  # fmt: skip
+    cases = [SheetCase(f"r{k}", "fit", None, observation, None) for k in range(RECORDINGS)]
+
+    def in_plane(random: np.random.Generator) -> np.ndarray:
+        """(R, M) what swings as a whole, further out the further down."""
+        swing = smooth(random, RECORDINGS).mean(axis=(2, 3), keepdims=True)
+        field = swing * (MATERIAL[:, 1] / 0.3)[:, None] * plane
+        return field.reshape(RECORDINGS, -1)
+
+    for seed in range(100):
+        random = np.random.default_rng(seed)
+        probes = [
+            Probe(f"e{k}", np.zeros(1), (0,), np.ones(1), np.zeros((1, 0)), [f[:, None] for f in in_plane(random)])
+            for k in range(5)
+        ]
+        residual = in_plane(random)
+        residual = 2e-3 * residual / residual.std() + random.normal(0, 1e-4, residual.shape)
+        test = permutation_test(cases, fitted(residual, random), probes, seed)
+        alarms += min(test.p_value(k) for k in range(len(probes))) < 0.05
+    assert alarms <= 9
+
+
 @pytest.mark.parametrize(("size", "least"), [(1e-3, 0.8), (0.6e-3, 0.3)])
 def test_it_sees_an_effect_half_as_large_as_what_the_model_leaves(cases, candidates, size, least):
     """size: rms [m] of what the effect changes, beside 2 mm of structure that no effect explains."""

@@ -25,6 +25,8 @@ from clothbench.studies.improve.settings import LOOP
 MOST_TERMS = 3
 LEAST_SHARE = 0.5  # of what stands above the noise on recordings left out, that a law has to take off
 LEAST_FALL = 0.05  # the same of each further term
+SWELL = 0.5  # s, over which the size of a series is taken
+LEAST_SWELL = 0.02  # of a series' rms
 
 
 @dataclass(frozen=True)
@@ -70,14 +72,15 @@ class Law:
 @dataclass(frozen=True, eq=False)
 class Series:
     """The torques of several recordings, each with the same say. missing: (T,) N·m of each; damping: of each, at
-    1 kg/(m²·s); columns: (T, K) of each, of K terms at a coefficient of 1; noise: N·m; slot (K,) and positive (K,):
-    see `Term`.
+    1 kg/(m²·s); columns: (T, K) of each, of K terms at a coefficient of 1; noise: N·m; step: s, between two values;
+    slot (K,) and positive (K,): see `Term`.
     """
 
     missing: list[np.ndarray]
     damping: list[np.ndarray]
     columns: list[np.ndarray]
     noise: float
+    step: float
     slot: list[int]
     positive: np.ndarray
 
@@ -126,6 +129,7 @@ def law_of(motions: Sequence[Motion], seed: int = 0) -> Law | None:
         [m.missing[m.counted] for m in motions], [m.torque(-m.v)[m.counted] for m in motions],
         [np.column_stack([m.torque(term.force(m)) for term in known])[m.counted] for m in motions],
         float(np.sqrt(np.mean([m.missing_sigma**2 for m in motions]))),
+        float(np.median(np.concatenate([np.diff(m.time) for m in motions]))),
         [term.slot for term in known], np.array([term.positive for term in known]),
     )  # fmt: skip
     before = series.errors(())
@@ -189,15 +193,25 @@ def chance(series: Series, first: int, before: np.ndarray, seed: int) -> float:
     damping = series.amounts(())[0]
     rest = [q - damping * d for q, d in zip(series.missing, series.damping, strict=True)]
     found, at_least = 1 - series.errors([first]).mean() / before.mean(), 1
+    # A burst set elsewhere meets nothing that moves, and no term explains it: what chance does would look like little.
+    swells = [swell_of(r, max(1, round(SWELL / series.step))) for r in rest]
     for _ in range(LOOP.permutations):
-        at_least += bool(best([out_of_step(r, random) for r in rest]) >= found)
+        drawn = [out_of_step(r, swell, random) for r, swell in zip(rest, swells, strict=True)]
+        at_least += bool(best(drawn) >= found)
     return at_least / (1 + LOOP.permutations)
 
 
-def out_of_step(values: np.ndarray, random: np.random.Generator) -> np.ndarray:
-    """The series (T,) moved round in time, and either sign."""
-    moved = moved_round(values, random)
-    return random.choice([-1.0, 1.0]) * moved
+def out_of_step(values: np.ndarray, swell: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """The series (T,) moved round in time, and either sign; as large as it is, `swell` (T,), where it is so."""
+    return random.choice([-1.0, 1.0]) * swell * moved_round(values / swell, random)
+
+
+def swell_of(values: np.ndarray, count: int) -> np.ndarray:
+    """(T,) how large a series (T,) is about each of its values: rms over so many, and never next to nothing."""
+    from scipy.ndimage import uniform_filter1d
+
+    square = uniform_filter1d(np.square(values), min(count, len(values)), mode="nearest")
+    return np.sqrt(np.maximum(square, LEAST_SWELL**2 * np.mean(values**2)) + 1e-300)
 
 
 def moved_round(values: np.ndarray, random: np.random.Generator) -> np.ndarray:

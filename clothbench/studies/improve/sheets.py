@@ -103,24 +103,26 @@ class SheetCase:
         return field_of(self.observation, residual)
 
     def surrogates(self, residual: np.ndarray) -> Surrogate:
-        """Moved round in time, turned about the vertical, up and down exchanged or not, mirrored left to right or
-        not; in a picture, which has no vertical to turn about, right and left exchanged or not.
+        """What stays of it at each node is turned about the vertical, what moves is moved round in time and along its
+        main directions reversed or not, so that it keeps them; both mirrored left to right or not. A picture has no
+        vertical to turn about: there what stays is reversed along its rows and columns or not, too.
         """
         observation = self.observation
         field, seen = self.field(residual), observation.visible
         if observation.sight is not None:
             field = observation.in_measured(field)
-        image = mirror(self.observation.material)
+        staying = field.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)[:, None]
+        moving = np.where(seen[..., None], field - staying, 0.0)
+        axes, image, in_space = main_directions(moving), mirror(observation.material), field.shape[-1] == 3
 
         def draw(random: np.random.Generator) -> np.ndarray:
-            shifted = moved_round(field, random)
             angle = random.uniform(0, 2 * np.pi)
             c, s = np.cos(angle), np.sin(angle)
             turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, random.choice([-1.0, 1.0])]])
-            turned = shifted @ (turn if field.shape[-1] == 3 else np.diag(random.choice([-1.0, 1.0], 2)))
-            if random.random() < 0.5:
-                turned = turned[:, image]
-            return turned[seen].ravel()
+            stays = staying @ (turn if in_space else np.diag(random.choice([-1.0, 1.0], 2)))
+            reverse = (axes * random.choice([-1.0, 1.0], len(axes))) @ axes.T
+            drawn = stays + moved_round(moving, random) @ reverse
+            return (drawn[:, image] if random.random() < 0.5 else drawn)[seen].ravel()
 
         return draw
 
@@ -231,6 +233,17 @@ def field_of(observation: Observation, residual: np.ndarray) -> np.ndarray:
     out = np.zeros(observation.position.shape)
     out[observation.visible] = observation.in_space(residual.reshape(-1, observation.coordinates))
     return out
+
+
+def main_directions(field: np.ndarray) -> np.ndarray:
+    """The directions along which a field (T, N, D) moves most and least, one in each column (D, D): level ones and the
+    vertical in space, rows and columns in a picture.
+    """
+    axes = np.eye(field.shape[-1])
+    if len(axes) == 3:
+        level = field[..., :2].reshape(-1, 2)
+        axes[:2, :2] = np.linalg.eigh(level.T @ level)[1]
+    return axes
 
 
 def mirror(material: np.ndarray) -> np.ndarray:
