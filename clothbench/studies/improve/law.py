@@ -25,6 +25,7 @@ from clothbench.studies.improve.settings import LOOP
 MOST_TERMS = 3
 LEAST_SHARE = 0.5  # of what stands above the noise on recordings left out, that a law has to take off
 LEAST_FALL = 0.05  # the same of each further term
+ALIKE = 0.98  # of what the first term takes off
 SWELL = 0.5  # s, over which the size of a series is taken
 LEAST_SWELL = 0.02  # of a series' rms
 
@@ -45,7 +46,7 @@ class Law:
 
     amounts: of its terms; damping: kg/(m²·s), of all motion alike, beside them; p_value: of the first term, over all;
     before, after: N·m rms of the torque on recordings left out, by which the terms were chosen, without and with the
-    law; noise: N·m, σ of the torque.
+    law; noise: N·m, σ of the torque; alike: other terms that alone would predict as much as the first, within `ALIKE`.
     """
 
     amounts: tuple[Amount, ...]
@@ -54,6 +55,7 @@ class Law:
     before: float
     after: float
     noise: float
+    alike: tuple[Term, ...] = ()
 
     @property
     def formula(self) -> str:
@@ -147,12 +149,29 @@ def law_of(motions: Sequence[Motion], seed: int = 0) -> Law | None:
     amounts = tuple(
         Amount(known[k], float(v), float(v - h), float(v + h)) for k, v, h in zip(chosen, values, half, strict=True)
     )
-    return Law(amounts, float(damping), p_value, rms(before), rms(after), series.noise)
+    alike = tuple(known[k] for k in as_good_as(series, chosen[0], before))
+    return Law(amounts, float(damping), p_value, rms(before), rms(after), series.noise, alike)
+
+
+def as_good_as(series: Series, first: int, before: np.ndarray) -> list[int]:
+    """Other terms that alone take off as much as the first does, or next to it: powers of one velocity can hardly be
+    told apart.
+    """
+
+    def fall(term: int) -> float:
+        return float(before.mean() - series.errors([term]).mean())
+
+    others = [k for k in range(len(series.slot)) if k != first and series.allowed([k])]
+    return [k for k in others if fall(k) >= ALIKE * fall(first)]
 
 
 def told_by(law: Law | None, effect: Any) -> bool:
-    """Whether an effect's force goes with what the law's first term goes with, which is the one that beats chance."""
-    return law is not None and bool(said := law.amounts[0].term.law) and law_of_force(effect) == said
+    """Whether an effect's force goes with what the law's first term goes with, which is the one that beats chance, or
+    with what cannot be told from that.
+    """
+    if law is None or not (mine := law_of_force(effect)):
+        return False
+    return mine in {term.law for term in (law.amounts[0].term, *law.alike)}
 
 
 def rms(squares: np.ndarray) -> float:
