@@ -98,8 +98,8 @@ def description_entry(finding: Finding, in_mm: bool) -> dict[str, Any] | None:
 
 def balance_entry(finding: Finding) -> dict[str, Any] | None:
     """What the torque about the grips goes with, without any model: shares of its mean square that are predicted on
-    recordings left out, the kernel over lag, the law, if there is one, with other terms that predict as much as its first alone,
-    and on how many of the fitted recordings it rests: of the others a balance would say nothing (`motion_of`).
+    recordings left out, the kernel over lag, the law, if there is one, other terms that alone predict as much as its
+    first, and on how many of the fitted recordings it rests: of the others a balance would say nothing (`motion_of`).
     """
     if (found := finding.balance) is None:
         return None
