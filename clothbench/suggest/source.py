@@ -66,7 +66,7 @@ def problem_of_cell(runs: Path, key: str, plugins: Catalogue) -> tuple[Problem, 
         if not isinstance(recording, Recording):
             raise ClothbenchError(f"{source.path}: found a drape, expected a sheet that grips hold")
         (scene,) = scenes_of(recording, **cell.judged)
-        cases.append(SheetCase(recording.name, "fit", recording, trial.observation, scene))
+        cases.append(SheetCase(recording.name, "fit", recording, trial.observation, scene, switches=True))
     problem = Problem(
         cell.model, SheetEvidence(tuple(cases)), plugins, cell.optimizer, cell.effects, cell.options, cell.bounds,
         cell.seed, own={case.name: dict(cell.fixed) for case in cases},

@@ -17,7 +17,10 @@ from clothbench import Camera, write_recording
 from clothbench.cli.commands import main
 from clothbench.core.files import read_json
 from clothbench.datasets.depth_folder import camera_of
+from clothbench.engine.store import Store
+from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.nodes import read_recording
+from clothbench.studies.calibration.cell import asked_and_fitted, set_up
 from clothbench.suggest.settings import PLACEMENTS
 
 QUICK = ("model=mass_spring", "resolution=5", "durations=0.4", "draws=0", "best=2", "grips=as recorded,level side")
@@ -239,3 +242,21 @@ def test_a_cell_of_a_run(place, monkeypatch, capsys):
     assert set(found["parameters"]) == {"k1", "k2", "zeta"}
     assert found == json.loads((place / "of_cell" / "suggest.json").read_text())
     assert not (place / "of_cell" / "fits").exists()
+
+
+def test_a_cell_keeps_all_that_was_fitted(place, monkeypatch, capsys):
+    """Also the model's own physics that could be switched off, as `improve` does: what is left is what the cell left."""
+    monkeypatch.chdir(place)
+    run = ["run", "recording=rec/sway-1.nc", "model=baraff_witkin", "optimizer=least_squares", "metric=node_error"]
+    assert main([*run, "+options.baraff_witkin.resolution=5", "budget=30", "jobs=1", "out=whole", "seed=3"]) == 0
+    capsys.readouterr()
+    asked = ["durations=0.4", "draws=0", "best=1", "grips=as recorded", "out=of_whole", "--json"]
+    assert main(["suggest", "sway-1", *asked, "--runs=whole"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    cell, fitted = asked_and_fitted(Store(place / "whole"), next((place / "whole" / "cells").iterdir()).name)
+    values = {row["name"]: row["value"] for row in fitted}
+    assert {name: p["value"] for name, p in found["parameters"].items()} == pytest.approx(values)
+    (trial,) = set_up(cell, catalogue()).trials
+    away = trial.observation.differences(trial.simulation.run(np.array([list(values.values())])).position)
+    rms = np.sqrt(np.mean(away[:, trial.observation.visible] ** 2))
+    assert found["left_mm"] == pytest.approx(1e3 * rms, rel=1e-6)
