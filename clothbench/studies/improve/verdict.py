@@ -231,7 +231,8 @@ def stopped_by_bound(candidate: Candidate) -> str:
     i = amounts_at_bound(candidate.name, fitted)[0]
     name, (low, high) = fitted.space.names[i], fitted.space.parameters[i].bounds
     wider = f"[{low:g},…]" if fitted.theta[i] > (low + high) / 2 else f"[…,{high:g}]"
-    return f"its {name} lies at its bound {fitted.theta[i]:.3g}, which alone keeps it from a name; widen with bounds.{name}={wider}"
+    stopped = f"its {name} lies at its bound {fitted.theta[i]:.3g}, which alone keeps it from a name"
+    return f"{stopped}; widen with bounds.{name}={wider}"
 
 
 def explained(candidate: Candidate, tried: Round) -> float:
