@@ -47,6 +47,15 @@ def verdict_in(folder: Path) -> dict[str, Any]:
     return document
 
 
+def settings_in(document: Mapping[str, Any]) -> dict[str, str]:
+    """Words for the ranges and the mesh that a verdict was found with; none of one that was written without them."""
+    stated = document.get("settings", {})
+    out = {f"bounds.{name}": f"[{low!r},{high!r}]" for name, (low, high) in stated.get("bounds", {}).items()}
+    if stated.get("resolution") is not None:
+        out["resolution"] = str(stated["resolution"])
+    return out
+
+
 def require_same(problem: Problem, document: Mapping[str, Any], folder: Path) -> None:
     """Refuse a verdict on other recordings."""
     judged, found = sorted(document["recordings"]["fit"]), sorted(c.name for c in problem.of_split("fit"))
