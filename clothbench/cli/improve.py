@@ -42,7 +42,7 @@ OUT = "improve"
 NEEDED = ("recordings", "model")  # of the first, `recording` will do
 # Words that are taken as they stand, commas and all, and where they belong; Hydra would see a sweep.
 PLAIN = {
-    "recording": ("recording",), "recordings": ("recordings",), "model": ("model",), "out": ("out",),
+    "recordings": ("recordings",), "recording": ("recording",), "model": ("model",), "out": ("out",),
     "candidates": ("suite", "candidates"), "base": ("suite", "base"),
 }  # fmt: skip
 SHORT = {"resolution": "suite.resolution", "damping": "suite.damping", "areal_density": "scene.areal_density"}
