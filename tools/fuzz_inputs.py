@@ -149,7 +149,7 @@ model: [mass_spring]
 optimizer: [ga, least_squares]
 metric: [node_error]
 report: [relative_error]
-scene: {spacing: 0.05, areal_density: 0.1, start: rest, thickness: 0.001}
+scene: {spacing: 0.05, start: rest, thickness: 0.001}
 bounds: {k1: [10, 100]}
 options:
   ga: {generations: 3}

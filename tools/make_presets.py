@@ -122,6 +122,15 @@ class Measured:
             "shear": spread([shear_modulus(row[3]) for fabric in mine for row in fabric["stretching"]], source),
         }
 
+    def both_threads(self, name: str) -> Number:
+        """Stretch of one fabric whose threads differ: the geometric mean of the two, as of bending, where a median over
+        both would lie in the gap between them, and the range of both.
+        """
+        pulled = np.array(self.pulled([name])).reshape(-1, 2)
+        warp, weft = (digits(value) for value in np.median(pulled, axis=0))
+        source = f"{WANG}: {name}, geometric mean of {warp:.0f} along one thread and {weft:.0f} along the other"
+        return number(math.sqrt(warp * weft), float(pulled.min()), float(pulled.max()), f"{source}, range of both")
+
     def pulled(self, names: Sequence[str]) -> list[float]:
         """Stretch of strips of these fabrics along both threads, at all their strains [N/m]."""
         rows = [row for name in names for row in self.fabrics[name]["stretching"]]
@@ -213,6 +222,7 @@ def presets(folder: Path) -> dict[str, Any]:
     every = data.wang(EVERY, ", for want of any of this class")
     wide = {name: every[name] for name in ("stretch", "shear")}
     denim = data.wang(("11oz-black-denim",))
+    denim["stretch"] = data.both_threads("11oz-black-denim")
     denim["areal_density"] = number(0.324, 0.324, 0.373, f"{WANG}: weighed, and what 11 oz/yd² is")
     cotton = number(0.114, 0.059, 0.192, f"{WEIGHED}: three cottons")
     once = ", one fabric, ± 20 % assumed"

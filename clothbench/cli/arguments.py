@@ -47,7 +47,7 @@ def parser() -> argparse.ArgumentParser:
     _add(commands, "datasets", "known public data sets, their licence, and whether they are at hand", _json)
     _add(commands, "import", "convert a public data set into recordings", _import)
     _add(commands, "leaderboard", "all results so far", _store, _json)
-    _add(commands, "compare", "exit 1 if NEW is worse than BASE beyond the noise", _compare, _json)
+    _add(commands, "compare", "exit 1 if NEW is worse than BASE beyond the noise", _compare)
     _add(commands, "history", "error and speed of every model against commit, and where they changed",
          _history, _json)  # fmt: skip
     _add(commands, "bench", "speed of every model beside the installed peers", _bench, _json)
@@ -118,7 +118,7 @@ def _span(word: str, unit: str) -> Callable[[str], float]:
     return read
 
 
-def _json(sub: argparse.ArgumentParser) -> None:
+def _json(sub: argparse._ActionsContainer) -> None:
     sub.add_argument("--json", action="store_true", help="one JSON document on standard output")
 
 
@@ -243,7 +243,9 @@ def _suggest(sub: argparse.ArgumentParser) -> None:
 def _compare(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("base", metavar="BASE", help="results folder or leaderboard .json to hold against")
     sub.add_argument("new", metavar="NEW", help="results folder or leaderboard .json to judge")
-    sub.add_argument("--markdown", action="store_true", help="as Markdown, for a comment on a pull request")
+    either = sub.add_mutually_exclusive_group()
+    either.add_argument("--markdown", action="store_true", help="as Markdown, for a comment on a pull request")
+    _json(either)
 
 
 def _history(sub: argparse.ArgumentParser) -> None:
@@ -261,7 +263,7 @@ def _history(sub: argparse.ArgumentParser) -> None:
 
 
 def _bench(sub: argparse.ArgumentParser) -> None:
-    sub.add_argument("--quick", action="store_true", help="the two smaller sheets only")
+    sub.add_argument("--quick", action="store_true", help="the two smaller sheets only: some two minutes on two cores")
 
 
 def _report(sub: argparse.ArgumentParser) -> None:

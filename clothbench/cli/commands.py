@@ -29,16 +29,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         if arguments[:1] == ["run"]:  # Hydra reads the rest
             from clothbench.cli.run import run
 
-            return run(arguments[1:])
+            return flushed(run(arguments[1:]))
         options = parsed(arguments)
-        return COMMANDS[options.command](options)
+        return flushed(COMMANDS[options.command](options))
     except ClothbenchError as fault:
         if debug:
             raise
         print(f"clothbench: {fault}", file=sys.stderr)
         return 2
     except BrokenPipeError:  # the reader of our output has gone, as `| head` does
-        sys.stderr.close()
+        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # else Python finds it gone once more when it ends
         return 0
     except OSError as fault:
         if debug:
@@ -49,6 +49,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print("clothbench: stopped; finished cells are kept, run the same command again to go on", file=sys.stderr)
         return 130
+
+
+def flushed(code: int) -> int:
+    """The exit code, with all that was printed gone out: a reader that has gone shows here at the latest."""
+    sys.stdout.flush()
+    return code
 
 
 def parsed(arguments: Sequence[str]) -> argparse.Namespace:
@@ -167,6 +173,10 @@ def import_data(options: argparse.Namespace) -> int:
     from clothbench.engine.progress import counting
 
     given, known = Path(options.name), options.name in DATASETS
+    if not (known or os.path.exists(given)):
+        raise ClothbenchError(
+            f"{given}: no such file or folder, and no data set {options.name!r}; known: {', '.join(sorted(DATASETS))}"
+        )
     if not known and is_video(given):
         settings = key_values(options.settings, SETTINGS)
         with counting("frames") as told:
@@ -229,10 +239,13 @@ def bench(options: argparse.Namespace) -> int:
     from clothbench.studies.speed.tables import speed_tables
 
     def told(line: str) -> None:
-        if sys.stderr.isatty():
-            print(line, file=sys.stderr)
+        print(line, file=sys.stderr, flush=True)
 
-    rows = run_bench(sides=(9, 21) if options.quick else (9, 21, 41, 65), progress=told)
+    try:
+        rows = run_bench(sides=(9, 21) if options.quick else (9, 21, 41, 65), progress=told)
+    except KeyboardInterrupt:
+        print("clothbench: stopped; a speed is a ratio within one run, so nothing was kept", file=sys.stderr)
+        return 130
     if options.json:
         print_json(rows)
         return 0

@@ -14,15 +14,27 @@ from clothbench.reference.presets import presets
 from clothbench.twins.of_cell import FittedCell, brought, twin_of_cell
 from clothbench.twins.of_preset import twin_of_preset
 
+PRESET = "preset:"  # before the name of a class of fabrics, where a cell is called so, too
+
 
 def fitted(name: str, results: Path) -> FittedCell | None:
-    """The cell that is meant; None for a preset that no cell, case or recording is called like."""
+    """The cell that is meant; None for a preset that no cell, case or recording is called like, or that is asked for as
+    preset:NAME. Says which it is where both are there.
+    """
+    if name.startswith(PRESET):
+        return None
+    is_preset = name.strip().lower() in presets()
     try:
         key = find_cell(results, name).name
     except ClothbenchError as fault:
-        if name.strip().lower() in presets():
+        if is_preset:
             return None
         raise ClothbenchError(f"{fault}; a class of fabrics can be exported, too: {', '.join(presets())}") from None
+    if is_preset:
+        print(
+            f"clothbench: {name}: taken for the cell {key} of {results}; the class of fabrics is {PRESET}{name}",
+            file=sys.stderr,
+        )
     return FittedCell.of(results, key)
 
 
@@ -31,11 +43,13 @@ def export(name: str, target: str, results: Path, out: Path | None) -> int:
     exporter = catalogue().load("exporters", target)
     if reason := exporter.skip_reason():
         raise ClothbenchError(f"--to {target}: {reason}")
-    path = out or Path(f"{file_name(name)}{exporter.suffix}")
+    if out is not None and str(out) == "-":
+        raise ClothbenchError("--out -: an export is a file, which others name; give one, as --out cloth.xml")
+    fit, named = fitted(name, results), name.removeprefix(PRESET)
+    path = out or Path(f"{file_name(named)}{exporter.suffix}")
     if path.is_dir():
         raise ClothbenchError(f"--out {path} is a folder; give a file, for example {path / 'cloth'}{exporter.suffix}")
-    fit = fitted(name, results)
-    twin = twin_of_preset(name) if fit is None else twin_of_cell(fit)
+    twin = twin_of_preset(named) if fit is None else twin_of_cell(fit)
     written = exporter.export(twin)
     cannot = list(written.cannot)
     if cannot and fit is not None:

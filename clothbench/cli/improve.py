@@ -15,7 +15,7 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from clothbench.cli.run import composed
+from clothbench.cli.run import composed, say_idle
 from clothbench.core.create_only import require_create_only
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import json_text
@@ -39,11 +39,11 @@ from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.terminal import verdict_lines
 
 OUT = "improve"
-NEEDED = ("recordings", "model")
+NEEDED = ("recordings", "model")  # of the first, `recording` will do
 # Words that are taken as they stand, commas and all, and where they belong; Hydra would see a sweep.
 PLAIN = {
-    "recordings": ("recordings",), "model": ("model",), "out": ("out",), "candidates": ("suite", "candidates"),
-    "base": ("suite", "base"),
+    "recordings": ("recordings",), "recording": ("recording",), "model": ("model",), "out": ("out",),
+    "candidates": ("suite", "candidates"), "base": ("suite", "base"),
 }  # fmt: skip
 SHORT = {"resolution": "suite.resolution", "damping": "suite.damping", "areal_density": "scene.areal_density"}
 NESTED = ("options", "bounds")  # told as KEY.NAME=VALUE
@@ -68,6 +68,7 @@ def command(words: Sequence[str], as_json: bool = False) -> int:
         )
     out = Path(settings["out"])
     store = Store(out)
+    say_idle(words, cells)
     for remark in remarks(cells[0], plugins, all_tried=settings["suite"]["candidates"] is None):
         print(f"clothbench: {remark}", file=sys.stderr)
     with workers_of(executor, settings["jobs"], out, [cell for cell in cells if not store.has(cell.key)]) as elsewhere:
@@ -128,7 +129,7 @@ def settings_of(words: Sequence[str]) -> dict[str, Any]:
         else:
             given.append(f"{SHORT.get(key, key)}={value}")
     for key in NEEDED:
-        if not plain.get(key):
+        if not (plain.get(key) or (key == "recordings" and plain.get("recording"))):
             raise ClothbenchError(f"found no {key}=…, expected clothbench improve recordings=DIR model=NAME [out=DIR]")
     settings = composed(given)
     for key, value in plain.items():

@@ -7,6 +7,7 @@ are for the command line.
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +23,7 @@ from clothbench.core.errors import ClothbenchError
 
 FLAGS = ("--config-dir", "-cd")
 OTHERS = ("--config-path", "-cp", "--config-name", "-cn")
+QUOTES = "'\""
 MOST = 100_000  # values in a file, those counted again that it names by an alias
 OF_ONE_RUN = ("searchpath", "overrides", "runtime", "mode")  # settings of Hydra's that tell what was asked for
 
@@ -39,8 +41,9 @@ def require_harmless(arguments: Sequence[str]) -> None:
     for word in _settings(arguments):
         _values(word)
     for folder in _folders(arguments):
-        for file in sorted([*folder.rglob("*.yaml"), *folder.rglob("*.yml")]):
-            require_plain(file)
+        if not folder.is_dir():
+            raise ClothbenchError(f"{folder}: no such folder; --config-dir names one with suite/NAME.yaml in it")
+        require_all_plain(folder, arguments)
         for words in each_choice(arguments):
             require_no_hydra(folder, words)
 
@@ -58,14 +61,38 @@ def _folders(arguments: Sequence[str]) -> list[Path]:
     return [Path(folder).absolute() for folder in out]
 
 
-def require_plain(file: Path) -> None:
-    """Refuse a file that is no YAML, names objects of Python, or says so much by aliases that it fills the memory."""
+def require_all_plain(folder: Path, arguments: Sequence[str]) -> None:
+    """Refuse the files of a folder that are asked for and cannot be read; and all others, where one of those names
+    further files in a `defaults` list.
+    """
+    asked = list(dict.fromkeys(_asked_for(folder, arguments)))
+    if any([require_plain(file) for file in asked]):
+        for file in sorted({*folder.rglob("*.yaml"), *folder.rglob("*.yml")} - set(asked)):
+            require_plain(file)
+
+
+def _asked_for(folder: Path, arguments: Sequence[str]) -> Iterator[Path]:
+    """The files GROUP/NAME.yaml of a folder that settings GROUP=NAME choose."""
+    for word in _settings(arguments):
+        for one in _values(word):
+            group, _, names = one.lstrip("+").partition("=")
+            for name in names.strip("[]").split(","):
+                file = folder / group.partition("@")[0] / f"{name.strip().strip(QUOTES)}.yaml"
+                if os.path.isfile(file):  # which does not stumble over what can be no path
+                    yield file
+
+
+def require_plain(file: Path) -> bool:
+    """Refuse a file that is no YAML, names objects of Python, or says so much by aliases that it fills the memory;
+    returns whether it has a `defaults` list.
+    """
     try:
         node = yaml.compose(file.read_text(encoding="utf-8"), yaml.SafeLoader)
     except (yaml.YAMLError, UnicodeDecodeError, RecursionError) as fault:
         raise ClothbenchError(f"{file}: found no YAML that can be read ({fault}), expected settings") from None
     if node is not None and _size(node, {}) > MOST:
         raise ClothbenchError(f"{file}: found more than {MOST} values, or an alias of itself, expected settings")
+    return isinstance(node, yaml.MappingNode) and any(key.value == "defaults" for key, _ in node.value)
 
 
 def _size(node: yaml.Node, known: dict[int, int]) -> int:

@@ -40,6 +40,7 @@ from clothbench.engine.pool import failed, run_cells
 from clothbench.engine.progress import CellBar, Sweep, counting
 from clothbench.engine.settings import KNOWN, last_word
 from clothbench.engine.store import Store
+from clothbench.engine.study import Cell
 from clothbench.engine.suite import plan, suites_folder
 from clothbench.plugins.discovery import catalogue, config_groups
 
@@ -166,7 +167,8 @@ def job(config: Any) -> None:
     """One Hydra job. Leaves a note of its cells; a user's error is noted too, so that any launcher can carry it."""
     try:
         settings = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
-        note = _run(last_word(settings, HydraConfig.get().overrides.task), sweep_now())  # type: ignore[arg-type]
+        words = HydraConfig.get().overrides.task
+        note = _run(last_word(settings, words), sweep_now(), words)  # type: ignore[arg-type]
     except ClothbenchError as fault:
         note = {"error": str(fault)}
     except OmegaConfBaseException as fault:
@@ -176,12 +178,14 @@ def job(config: Any) -> None:
     (folder / f"{uuid.uuid4().hex}.json").write_text(json.dumps(note))
 
 
-def _run(config: Any, sweep: Sweep | None) -> dict[str, Any]:
+def _run(config: Any, sweep: Sweep | None, words: Sequence[str] = ()) -> dict[str, Any]:
     executor, limits = executor_settings(config.get("executor")), Limits.of(config.get("limits"))
     if is_address(config.get("out")):
         config = {**config, "out": str(results_folder(config["out"]))}
     with counting("files") as told:
         cells = plan(config, catalogue(), told)
+    if sweep is None:  # a sweep may mean them for other jobs
+        say_idle(words, cells)
     out = Path(config["out"])
     with CellBar(cells, sweep) as bar:
         run_cells(
@@ -190,6 +194,16 @@ def _run(config: Any, sweep: Sweep | None) -> dict[str, Any]:
             limits=limits,
         )  # fmt: skip
     return {"out": str(out.absolute()), "cells": [c.key for c in cells]}
+
+
+def say_idle(words: Sequence[str], cells: Sequence[Cell]) -> None:
+    """A line for each plugin that words (KEY=VALUE) give options and no cell uses; those of a suite are for its other
+    models.
+    """
+    named = {found[1] for word in words if (found := re.match(r"\+{0,2}options\.([^.=]+)[.=]", word))}
+    used = {plugin.partition("/")[2] for cell in cells for plugin in cell.versions}
+    for name in sorted(named - used):
+        print(f"clothbench: options.{name}: {name} is not in use here, so this changes nothing", file=sys.stderr)
 
 
 def _conclude(notes: Path, sweep: bool) -> int:

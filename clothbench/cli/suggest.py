@@ -23,14 +23,18 @@ from clothbench.suggest.document import CAMERA, DOCUMENT, MOTION, suggestion, wr
 from clothbench.suggest.experiments import experiments
 from clothbench.suggest.ranking import promises, rank_of, ranked
 from clothbench.suggest.settings import DEPTH, TIE, WORDS, as_recorded, wanted_of
-from clothbench.suggest.source import problem_of_cell, problem_of_settings, require_same, verdict_in
-from clothbench.suggest.subject import Subject, subject_of
+from clothbench.suggest.source import problem_of_cell, problem_of_settings, require_same, settings_in, verdict_in
+from clothbench.suggest.subject import sensor_of, subject_of
 
 OUT = "suggest"
 OWN = (*WORDS, "effects", "tied", "verdict")
 NOT_ASKED = ("recordings", "candidates", "rerun", "executor", "jobs")  # words of improve that mean nothing here
 OF_RECORDINGS = tuple(word for word in RECORDING_WORDS if word not in NOT_ASKED)
 SHOWN = 10  # lines of the table
+WIDENS = "*"  # marks what makes the intervals wider
+
+# Recordings with a model, its effects beyond the base, pairs of tied ones, and the values of a fit that is known.
+Question = tuple[Problem, tuple[str, ...], Sequence[tuple[str, str]], Mapping[str, float] | None]
 
 
 def command(name: str, words: Sequence[str], runs: Path, as_json: bool = False) -> int:
@@ -41,9 +45,9 @@ def command(name: str, words: Sequence[str], runs: Path, as_json: bool = False) 
     set_thread_count(0)
     with StageBar() as bar:
         bar.stage("fit", 0, 1)
-        subject = asked(name, given, runs, out, plugins)
-        if subject.sensor is not None:
-            wanted = as_recorded(wanted, given, subject.sensor)
+        question = asked(name, given, runs, out, plugins)
+        wanted = as_recorded(wanted, given, sensor_of(question[0]))
+        subject = subject_of(*question)
         rank_of(subject, wanted.rank)  # a wrong word comes to light before anything is simulated
         model = plugins.load("models", subject.problem.model)
         chosen = list(experiments(subject.like.scene, subject.rate, wanted, "contact" in model.capabilities))
@@ -73,8 +77,8 @@ def told(words: Sequence[str]) -> dict[str, str]:
     return out
 
 
-def asked(name: str, given: Mapping[str, str], runs: Path, out: Path, plugins: Catalogue) -> Subject:
-    """What is asked about, fitted."""
+def asked(name: str, given: Mapping[str, str], runs: Path, out: Path, plugins: Catalogue) -> Question:
+    """What is asked about; nothing is fitted yet."""
     place = Path(name)
     if (place / VERDICT).is_file():
         raise ClothbenchError(f"{name}: found a verdict of improve; give RECORDINGS model=NAME verdict={name}")
@@ -88,13 +92,13 @@ def asked(name: str, given: Mapping[str, str], runs: Path, out: Path, plugins: C
     problem = of_recordings(name, given, document, out, plugins)
     names, tied = effects_of(given, problem, plugins)
     if document is None:
-        return subject_of(problem, names, tied)
+        return problem, names, tied, None
     require_same(problem, document, Path(given["verdict"]))
     if names:
         raise ClothbenchError("found effects= or tied= beside verdict=, which names them; leave one of them out")
     named = tuple(effect["name"] for effect in document["effects"])
     tied = [(effect["name"], other) for effect in document["effects"] for other in effect["tied_with"]]
-    return subject_of(problem, named, tied, {n: p["value"] for n, p in document["parameters"].items()})
+    return problem, named, tied, {n: p["value"] for n, p in document["parameters"].items()}
 
 
 def of_recordings(
@@ -108,23 +112,22 @@ def of_recordings(
         for key, value in (("model", document["model"]), ("base", ",".join(document["base"]))):
             if words.setdefault(key, value) != value:
                 raise ClothbenchError(f"found {key}={words[key]}, and a verdict on {value or 'none'}; leave {key}= out")
+        words = settings_in(document) | words
     if "model" not in words:
         raise ClothbenchError("found no model=…, expected clothbench suggest RECORDINGS model=NAME")
     return problem_of_settings(settings_of([f"{key}={value}" for key, value in words.items()]), plugins, out)
 
 
-def of_cell(name: str, given: Mapping[str, str], runs: Path, plugins: Catalogue) -> Subject:
+def of_cell(name: str, given: Mapping[str, str], runs: Path, plugins: Catalogue) -> Question:
     """A cell, a case or a recording of a run, as it was fitted there."""
-    if strays := [key for key in given if key.partition(".")[0] not in (*WORDS, "out")]:
-        raise ClothbenchError(
-            f"{name}: no such file or folder, and of a cell of {runs} everything is known: leave {strays[0]}= out"
-        )
     try:
         key = find_cell(runs, name).name
     except ClothbenchError as fault:
         raise ClothbenchError(f"{name}: no such file or folder, and {fault}") from None
+    if strays := [key for key in given if key.partition(".")[0] not in (*WORDS, "out")]:
+        raise ClothbenchError(f"{name}: of a cell of {runs} everything is known: leave {strays[0]}= out")
     problem, values = problem_of_cell(runs, key, plugins)
-    return subject_of(problem, (), (), values)
+    return problem, (), (), values
 
 
 def effects_of(
@@ -148,17 +151,19 @@ def effects_of(
 def say(found: Mapping[str, Any], out: Path) -> None:
     """What is open, and the experiments that would tell most."""
     show = console()
-    noise = "" if found["noise_mm"] is None else f", its noise {found['noise_mm']:.2g} mm"
+    noise = "" if found["noise_mm"] is None else f", its noise {size(found['noise_mm'])} mm"
+    count = len(found["recordings"]["fit"])
     show.print(
-        f"{' + '.join((found['model'], *found['base'], *found['effects']))} on {len(found['recordings']['fit'])} "
-        f"recordings: leaves {found['left_mm']:.2g} mm{noise}; a coordinate counts as {found['counted_mm']:.2g} mm",
+        f"{' + '.join((found['model'], *found['base'], *found['effects']))} on {count} "
+        f"recording{'s' if count > 1 else ''}: leaves {size(found['left_mm'])} mm{noise}; "
+        f"a coordinate counts as {size(found['counted_mm'])} mm",
         soft_wrap=True,
     )
     for name, p in found["parameters"].items():
-        open_ = "" if p["determined"] else "   not determined"
+        open_ = "" if p["determined"] else "   not determined" + (", at its bound" if p["at_bound"] else "")
         show.print(f"  {name} = {p['value']:.3g} {p['unit']} ({p['low']:.3g} … {p['high']:.3g}){open_}", soft_wrap=True)
     for tie in found["ties"]:
-        show.print(f"  {tie['one']} and {tie['other']}: {tie['sigma_now']:.1f} σ apart now", soft_wrap=True)
+        show.print(f"  {tie['one']} and {tie['other']}: {apart_now(tie)}", soft_wrap=True)
     if found["settings"]["cameras"]:
         camera = found["settings"]["camera"]
         depth = f" and {1e3 * camera['depth_noise']:g} mm at 1 m" if camera["kind"] == DEPTH else ""
@@ -168,10 +173,24 @@ def say(found: Mapping[str, Any], out: Path) -> None:
             soft_wrap=True,
         )
     show.print(table(found))
+    if any(one["widens"] for one in found["experiments"][:SHOWN]):
+        show.print(f"{WIDENS} the intervals, multiplied, get no narrower: the mesh errs there by more than it tells")
     for one in found["left_out"]:
         show.print(f"left out: {one['grips']}: {one['motion']}: {one['reason']}", soft_wrap=True)
     camera = f", {CAMERA} beside it," if found["settings"]["cameras"] else ""
     print(f"motions: {out / 'experiments'}/1/{MOTION}{camera} and so on; all of it: {out / DOCUMENT}")
+
+
+def size(millimetres: float) -> str:
+    """Two digits, and all before the point."""
+    return f"{millimetres:.2g}" if millimetres < 99.5 else f"{millimetres:.0f}"
+
+
+def apart_now(tie: Mapping[str, Any]) -> str:
+    """How far apart the two are in the recordings that there are, and which fits better."""
+    if tie["sigma_other_better"] > 0:
+        return f"{tie['other']} fits better by {tie['sigma_other_better']:.1f} σ now"
+    return f"{tie['sigma_now']:.1f} σ apart now"
 
 
 def table(found: Mapping[str, Any]) -> Table:
@@ -186,17 +205,17 @@ def table(found: Mapping[str, Any]) -> Table:
         out.add_column("sees", justify="right", no_wrap=True)
     out.add_column("s", justify="right")
     for tie in ties:
-        out.add_column(f"{tie['one']} | {tie['other']}", justify="right", overflow="fold")
+        out.add_column(f"{tie['one']} |\n{tie['other']}", justify="right", overflow="fold")
     out.add_column("nats", justify="right")
     for name in names:
-        out.add_column(name, justify="right", overflow="fold")
+        out.add_column(name.replace(".", ".\n"), justify="right", overflow="fold")
     for one in found["experiments"][:SHOWN]:
         out.add_row(
             str(one["rank"]), one["grips"], one["motion"],
             *(text for best in one["cameras"][:1] for text in (best["name"], f"{100 * best['points_seen']:.0f} %")),
             f"{one['duration_s']:g}",
             *(f"{tie['sigma']:.1f} σ (≥ {tie['sigma_least']:.1f})" for tie in one["ties"]),
-            f"{one['information_nats']:.1f}",
+            f"{one['information_nats']:.1f}{WIDENS if one['widens'] else ''}",
             *(f"÷ {one['parameters'][name]['factor']:.2g}" for name in names),
         )  # fmt: skip
     return out

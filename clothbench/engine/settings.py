@@ -26,6 +26,7 @@ KNOWN = {
 }  # fmt: skip
 STARTS = ("rest", "measured")
 FINER_SHARE = 0.25  # of the evaluations, which a search that ends on a finer mesh gets there
+HEAVIEST = 5.0  # kg/m², of any cloth
 SCENE_WORDS = {
     "areal_density", "air_density", "resolution", "spacing", "start", "thickness", "outline", "obstacles", "starts",
     "perturbation",
@@ -58,6 +59,11 @@ def checked(config: Mapping[str, Any], plugins: Catalogue, suite_words: frozense
     out["finer"] = finer_settings(mapping("finer", out.get("finer")), out["scene"])
     for key in PLUGINS:
         out[key] = words(key, out.get(key))
+    if out["recording"] and out["recordings"]:
+        raise ClothbenchError(
+            "found settings 'recording' and 'recordings', expected one of them; name files and folders together with "
+            "recordings=[…]"
+        )
     if twice := sorted({e for e in out["effects"] if out["effects"].count(e) > 1}):
         raise ClothbenchError(f"setting 'effects': {twice[0]!r} is given twice; name every effect once")
     return out
@@ -111,7 +117,7 @@ def named_budget(config: dict[str, Any]) -> dict[str, Any]:
     brought = mapping(f"suite.budgets.{name}", known[name])
     known_words(f"setting of 'suite.budgets.{name}'", brought, {"budget", "options", "analysis", "finer", "recordings"})
     out = {**config, "budget": brought.get("budget")}
-    if "recordings" in brought:
+    if "recordings" in brought and not config.get("recording"):
         out["recordings"] = brought["recordings"]
     for key in ("options", "analysis", "finer"):
         out[key] = deep(mapping(key, config.get(key)), mapping(key, brought.get(key)))
@@ -226,6 +232,11 @@ def scene_settings(scene: dict[str, Any]) -> dict[str, Any]:
     for name in ("areal_density", "air_density", "spacing", "perturbation"):
         if scene.get(name) is not None:
             out[name] = number(f"scene.{name}", scene[name], above=0.0)
+    if out.get("areal_density", 0.0) > HEAVIEST:
+        raise ClothbenchError(
+            f"setting 'scene.areal_density' is {out['areal_density']:g}, expected kg/m², {HEAVIEST:g} at most; "
+            f"if g/m² were meant, give {out['areal_density'] / 1e3:g}"
+        )
     if (start := scene.get("start") or "rest") not in STARTS:
         raise ClothbenchError(f"setting 'scene.start' is {start!r}, expected one of {', '.join(STARTS)}")
     if start != "rest":  # what is as it always was leaves keys as they were

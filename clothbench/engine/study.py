@@ -6,6 +6,7 @@ their study, and whatever shows them asks that study.
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -18,7 +19,7 @@ from clothbench.display.section import Section
 from clothbench.engine.checkpoint import Checkpoint
 from clothbench.engine.store import FINISHED, KEY, Store
 from clothbench.engine.tables import Columns
-from clothbench.plugins.discovery import Catalogue
+from clothbench.plugins.discovery import Catalogue, PluginBroken
 
 Rows = list[dict[str, Any]]
 Settings = Mapping[str, Any]
@@ -163,8 +164,14 @@ class Study(Protocol):
 
 
 def studies(plugins: Catalogue) -> dict[str, Study]:
-    """Every registered study by name, in the order of registration."""
-    return {name: plugins.load("studies", name) for name in plugins.names("studies")}
+    """Every registered study that can be loaded by name, in the order of registration; a broken one stands in the way
+    of its own rows only.
+    """
+    found = {}
+    for name in plugins.names("studies"):
+        with contextlib.suppress(PluginBroken):
+            found[name] = plugins.load("studies", name)
+    return found
 
 
 def results_by_study(
@@ -180,7 +187,7 @@ def results_by_study(
             row["study"] = next(name for name, study in known.items() if study.claims(row, tables))
         by_name.setdefault(row["study"], []).append(row)
     for name in by_name.keys() - known.keys():
-        plugins.find("studies", name)  # says which there are
+        plugins.load("studies", name)  # says which there are, or why it is broken
     return [
         (known[name], Results(store, rows, tuple(dict.fromkeys(r["key"] for r in rows)), known[name].tables))
         for name, rows in sorted(by_name.items(), key=lambda item: list(known).index(item[0]))

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
+
+import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import Observation
@@ -50,7 +53,7 @@ def watched(
     own, under a key of the images, the tracker, its options and its version.
     """
     if isinstance(recording, Recording):
-        return recording, tracker.track(recording)
+        return as_seen(recording, seen := tracker.track(recording), tracker.name), seen
     require_readable(recording, tracker.name, plugins)
     key = digest([recording.hash, dict(options), plugin_versions([("trackers", tracker.name)], plugins)])
     path = kept / f"{key}.nc" if kept is not None else None
@@ -61,3 +64,21 @@ def watched(
         if path is not None:
             write_recording(nodes, path)
     return nodes, seen_in(nodes)
+
+
+def as_seen(recording: Recording, seen: Observation, tracker: str) -> Recording:
+    """The recording with the stamps and points that a tracker gave of it, so that these are what is simulated; itself
+    where it gave all of them.
+    """
+    if np.array_equal(seen.time, recording.time) and np.array_equal(seen.material, recording.material):
+        return recording
+    frames = np.searchsorted(recording.time, seen.time)
+    filmed = recording.video if np.isin(seen.time, recording.time).all() else None
+    try:
+        return dataclasses.replace(
+            recording, time=seen.time, material=seen.material, confidence=seen.confidence,
+            position=np.where(seen.visible[..., None], seen.position, np.nan),
+            video=filmed and dataclasses.replace(filmed, frame=filmed.frame[frames]),
+        )  # fmt: skip
+    except ClothbenchError as fault:
+        raise ClothbenchError(f"tracker {tracker!r}: what it gave is no recording: {fault}") from None

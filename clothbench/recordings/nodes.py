@@ -25,6 +25,7 @@ import math
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -213,6 +214,11 @@ def _check_video(r: Recording, where: str) -> None:
 
 
 def _check_stated(r: Recording, where: str) -> None:
+    for name in LAYOUT.numbers:
+        if not isinstance(value := getattr(r, name), Real):
+            raise ClothbenchError(
+                f"{where}: attribute '{name}': found {value!r}, expected a number (NaN where it is not known)"
+            )
     if not r.name:
         raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
     if not all(map(math.isfinite, r.gravity)):

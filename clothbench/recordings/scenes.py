@@ -150,6 +150,18 @@ def _density(recording: Recording | Silhouettes, assumed: float | None) -> float
     return assumed
 
 
+def refuse_stated_weight(recordings: Sequence[Any], assumed: float | None) -> None:
+    """Refuse an areal density [kg/m²] to assume where every recording states its own: it would say nothing."""
+    if assumed is None or any(math.isnan(recording.areal_density) for recording in recordings):
+        return
+    first = recordings[0]
+    raise ClothbenchError(
+        f"setting 'scene.areal_density' is {assumed:g}, and {first.path or first.name} states {first.areal_density:g} "
+        f"kg/m², as all {len(recordings)} do; leave it out (~scene.areal_density where a suite has it), or change the "
+        "recordings"
+    )
+
+
 def _spaced(width: float, height: float, spacing: float) -> tuple[int, int]:
     """Nodes along (u, v) that are at most `spacing` m apart."""
     across, down = (max(3, 1 + math.ceil(length / spacing - 1e-6)) for length in (width, height))

@@ -40,7 +40,7 @@ def suggestion(subject: Subject, found: Sequence[Promise], left: Sequence[LeftOu
         "left_mm": 1e3 * known.fitted.rms, "noise_mm": finite(1e3 * known.noise), "counted_mm": 1e3 * known.usual,
         "parameters": parameters(known),
         "ties": [
-            {"one": tie.one, "other": tie.other, "sigma_now": tie.now}
+            {"one": tie.one, "other": tie.other, "sigma_now": tie.now, "sigma_other_better": tie.behind}
             for tie in subject.ties
         ],
         "experiments": [entry(subject, number, promise, wanted) for number, promise in enumerate(found, 1)],
@@ -49,12 +49,12 @@ def suggestion(subject: Subject, found: Sequence[Promise], left: Sequence[LeftOu
 
 
 def parameters(known: Known) -> dict[str, Any]:
-    """Each parameter with its interval by what the recordings tell."""
-    half = known.half
+    """Each parameter with its interval by what the recordings tell. On a bound it is the bound that chose the value."""
+    half, at_bound = known.half, known.fitted.at_bound
     return {
         p.name: {
             "value": float(known.fitted.theta[k]), **ends(known, half)[p.name], "unit": p.unit, "meaning": p.meaning,
-            "determined": bool(half[k] < DETERMINED),
+            "determined": bool(half[k] < DETERMINED and not at_bound[k]), "at_bound": bool(at_bound[k]),
         }
         for k, p in enumerate(known.fitted.space)
     }  # fmt: skip
@@ -75,8 +75,8 @@ def entry(subject: Subject, number: int, promise: Promise, wanted: Wanted) -> di
         "rank": number, "name": name_of(promise), "grips": experiment.grips, "motion": experiment.motion,
         "duration_s": promise.duration, "frames_per_s": subject.rate, "points": len(experiment.scene.points),
         "max_speed_m_s": experiment.speed, "max_acceleration_m_s2": experiment.acceleration,
-        "information_nats": promise.gain, "counted_mm": 1e3 * promise.counted, "doubt_mm": 1e3 * promise.doubt,
-        "parameters": {
+        "information_nats": promise.gain, "widens": promise.widens(now), "counted_mm": 1e3 * promise.counted,
+        "doubt_mm": 1e3 * promise.doubt, "parameters": {
             name: {
                 "factor": float(now[k] / promise.after[k]), "factor_least": float(now[k] / promise.worst[k]),
                 "factor_most": float(now[k] / promise.best[k]), **expected[name],

@@ -51,6 +51,12 @@ class Promise:
     view: Placed | None = None
     views: tuple[Promise, ...] = ()
 
+    def widens(self, now: np.ndarray) -> bool:
+        """Whether the intervals, multiplied, become no narrower than they are `now` (P,): the mesh pulls at the fit
+        there by more than the experiment tells.
+        """
+        return bool(np.log(self.after / now).sum() >= 0)
+
 
 @dataclass(frozen=True)
 class LeftOut:
@@ -203,7 +209,7 @@ def doubts(subject: Subject, trial: Trial, at: np.ndarray, jacobian: np.ndarray,
 
 def ranked(subject: Subject, found: Sequence[Promise], rank: str | None) -> list[Promise]:
     """The best first: of each experiment the shortest duration that tells nearly as much as the longest, then the
-    others.
+    others. By information, what makes the intervals wider comes last, as nats do not know of the mesh.
     """
     value = value_of(subject, rank)
     found = well_seen(found, value)
@@ -213,7 +219,12 @@ def ranked(subject: Subject, found: Sequence[Promise], rank: str | None) -> list
         most = max(map(value, those))
         first.append(min((p for p in those if value(p) >= ENOUGH * most), key=lambda p: p.duration))
     rest = [p for p in found if p not in first]
-    return [*sorted(first, key=value, reverse=True), *sorted(rest, key=value, reverse=True)]
+    last = rank_of(subject, rank) == INFORMATION
+
+    def order(promise: Promise) -> tuple[bool, float]:
+        return not (last and promise.widens(subject.known.half)), value(promise)
+
+    return [*sorted(first, key=order, reverse=True), *sorted(rest, key=order, reverse=True)]
 
 
 def well_seen(found: Sequence[Promise], value: Callable[[Promise], float]) -> list[Promise]:

@@ -96,16 +96,28 @@ def wanted_of(words: Mapping[str, str]) -> Wanted:
         read["rank"] = words["rank"]
     if "cameras" in words:
         read["cameras"] = placements(read["cameras"])  # type: ignore[arg-type]
-    of_camera = camera_words(words)
-    if of_camera and read.get("cameras") is None:
+    wanted = Wanted(**read, camera=sensor_told(camera_words(words), Sensor()))  # type: ignore[arg-type]
+    if "cameras" in words:
+        refuse_placeless(words, wanted)
+    return wanted
+
+
+def as_recorded(wanted: Wanted, words: Mapping[str, str], sensor: Sensor | None) -> Wanted:
+    """For recordings in one camera's picture: seen by one like it, wherever it may stand, unless words say else.
+
+    sensor: that camera; None where points were measured in space: then what is said of a camera needs a place for it.
+    """
+    if sensor is not None:
+        cameras = wanted.cameras if "cameras" in words else tuple(PLACEMENTS)
+        wanted = replace(wanted, cameras=cameras, camera=sensor_told(camera_words(words), sensor))
+    refuse_placeless(words, wanted)
+    return wanted
+
+
+def refuse_placeless(words: Mapping[str, str], wanted: Wanted) -> None:
+    """Refuse what is said of a camera that may stand nowhere."""
+    if wanted.cameras is None and (of_camera := camera_words(words)):
         raise ClothbenchError(f"found {next(iter(of_camera))}= and no cameras=; say where it may stand, as cameras=all")
-    return Wanted(**read, camera=sensor_told(of_camera, Sensor()))  # type: ignore[arg-type]
-
-
-def as_recorded(wanted: Wanted, words: Mapping[str, str], sensor: Sensor) -> Wanted:
-    """For recordings in one camera's picture: seen by one like it, wherever it may stand, unless words say else."""
-    cameras = wanted.cameras if "cameras" in words else tuple(PLACEMENTS)
-    return replace(wanted, cameras=cameras, camera=sensor_told(camera_words(words), sensor))
 
 
 def camera_words(words: Mapping[str, str]) -> dict[str, str]:
@@ -141,6 +153,10 @@ def sensor_told(words: Mapping[str, str], recorded: Sensor) -> Sensor:
             known = ", ".join(f"camera.{field.name}=" for field in fields(Sensor))
             raise ClothbenchError(f"found {key}=, expected {known}; where it may stand is said with cameras=")
     sensor = replace(recorded, **read)  # type: ignore[arg-type]
+    if "depth_noise" in read and sensor.kind != DEPTH:
+        raise ClothbenchError(
+            "found camera.depth_noise= of a colour camera, expected a depth camera; add camera.kind=depth"
+        )
     if sensor.field_of_view >= WIDEST:
         raise ClothbenchError(
             f"setting 'camera.field_of_view' is '{sensor.field_of_view:g}', expected degrees below {WIDEST:g}"

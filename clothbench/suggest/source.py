@@ -47,6 +47,15 @@ def verdict_in(folder: Path) -> dict[str, Any]:
     return document
 
 
+def settings_in(document: Mapping[str, Any]) -> dict[str, str]:
+    """Words for the ranges and the mesh that a verdict was found with; none of one that was written without them."""
+    stated = document.get("settings", {})
+    out = {f"bounds.{name}": f"[{low!r},{high!r}]" for name, (low, high) in stated.get("bounds", {}).items()}
+    if stated.get("resolution") is not None:
+        out["resolution"] = str(stated["resolution"])
+    return out
+
+
 def require_same(problem: Problem, document: Mapping[str, Any], folder: Path) -> None:
     """Refuse a verdict on other recordings."""
     judged, found = sorted(document["recordings"]["fit"]), sorted(c.name for c in problem.of_split("fit"))
@@ -66,7 +75,7 @@ def problem_of_cell(runs: Path, key: str, plugins: Catalogue) -> tuple[Problem, 
         if not isinstance(recording, Recording):
             raise ClothbenchError(f"{source.path}: found a drape, expected a sheet that grips hold")
         (scene,) = scenes_of(recording, **cell.judged)
-        cases.append(SheetCase(recording.name, "fit", recording, trial.observation, scene))
+        cases.append(SheetCase(recording.name, "fit", recording, trial.observation, scene, switches=True))
     problem = Problem(
         cell.model, SheetEvidence(tuple(cases)), plugins, cell.optimizer, cell.effects, cell.options, cell.bounds,
         cell.seed, own={case.name: dict(cell.fixed) for case in cases},

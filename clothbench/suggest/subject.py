@@ -25,6 +25,7 @@ from clothbench.suggest.information import beforehand, counted_noise, half_width
 from clothbench.suggest.settings import Sensor
 from clothbench.suggest.weighted import patient, weighted
 
+CLEARLY = 3.0  # σ, by which a rival has to fit better to take the place of what was named first
 REWEIGHTED = 1  # times that recordings are weighed anew by what the fit before left of each
 
 
@@ -72,7 +73,7 @@ class Known:
 class Tie:
     """Two effects (or sets of them) that fit alike: one and its rival, each with its fit.
 
-    now: by how much more the rival leaves, √Δχ² [σ], 0 where it leaves less.
+    now: by how much more the rival leaves, √Δχ² [σ], 0 where it leaves less; behind: by how much less, 0 where more.
     """
 
     one: str
@@ -80,6 +81,7 @@ class Tie:
     known: Known
     rival: Known
     now: float
+    behind: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,11 +96,6 @@ class Subject:
     def like(self) -> SheetCase:
         """The recording whose sheet, points, frames and camera further experiments have."""
         return first_case(self.problem)
-
-    @property
-    def sensor(self) -> Sensor | None:
-        """The camera in whose picture the recording is, or None."""
-        return None if self.like.observation.sight is None else recorded_by(self.like.observation)
 
     @property
     def rate(self) -> float:
@@ -125,6 +122,13 @@ class Subject:
             scene.times, np.zeros((frames, points, 3)), np.ones((frames, points), bool), self.known.noise, scene.points
         )
         return self.problem.restricted(dataclasses.replace(self.like, split="fit", observation=seen, scene=scene))
+
+
+def sensor_of(problem: Problem) -> Sensor | None:
+    """The camera in whose picture the recordings are, or None."""
+    require_sheets(problem)
+    observation = first_case(problem).observation
+    return None if observation.sight is None else recorded_by(observation)
 
 
 def recorded_by(observation: Observation) -> Sensor:
@@ -241,7 +245,7 @@ def subject_of(
     values: Mapping[str, float] | None = None,
 ) -> Subject:
     """The recordings with their fit, and one tie for each pair (effect, rival). values: of a fit that was found before;
-    without, it is searched.
+    without, it is searched, and a rival that clearly fits better is what the others are held against.
     """
     require_sheets(problem)
     known = searched(problem, effects) if values is None else known_of(problem, fitted_at(problem, effects, values))
@@ -250,6 +254,10 @@ def subject_of(
         names = tuple(other if name == one else name for name in effects)
         shared = dict(zip(known.fitted.space.names, known.fitted.theta.tolist(), strict=True))
         ties.append(tie_of(one, other, known, searched(problem, names, shared)))
+    best = max(ties, key=lambda tie: tie.behind, default=None)
+    if values is None and best is not None and best.behind > CLEARLY:
+        known, fits = best.rival, {best.one: best.known, **{tie.other: tie.rival for tie in ties if tie is not best}}
+        ties = [tie_of(best.other, other, known, rival) for other, rival in fits.items()]
     return Subject(problem, known, tuple(ties))
 
 
@@ -257,5 +265,6 @@ def tie_of(one: str, other: str, known: Known, rival: Known) -> Tie:
     """Both count by the same noises: of each recording that of the one which leaves less."""
     counted = np.minimum(known.counted, rival.counted)
     left = [np.array([float(r @ r) for r in k.fitted.residual]) / counted**2 for k in (known, rival)]
-    now = float(np.sqrt(max((left[1] - left[0]).sum(), 0.0)))
-    return Tie(one, other, counting(known, counted), counting(rival, counted), now)
+    more = float((left[1] - left[0]).sum())
+    now, behind = np.sqrt(max(more, 0.0)), np.sqrt(max(-more, 0.0))
+    return Tie(one, other, counting(known, counted), counting(rival, counted), float(now), float(behind))

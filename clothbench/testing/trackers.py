@@ -12,8 +12,10 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import Observation
 from clothbench.core.optional import TRACKED_KINDS, ShowsSteps, kinds_read
 from clothbench.core.protocols import Tracker
+from clothbench.estimation.watched import as_seen
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
+from clothbench.recordings.scenes import scene_of
 from clothbench.testing import scenes
 from clothbench.testing.rules import NotApplicable, Outcome, choose, made, require, require_members, run_rules
 
@@ -112,6 +114,20 @@ def sees_what_was_recorded(case: TrackerCase) -> str | None:
     return None
 
 
+def serves_a_cell(case: TrackerCase) -> str | None:
+    """What it gives can be simulated and compared: the scene has its stamps and points, whichever it left out."""
+    if not isinstance(case.source, Recording):
+        return "tracks raw data, which states no scene before it is tracked"
+    seen = case.track()
+    try:
+        scene = scene_of(as_seen(case.source, seen, case.tracker.name))
+    except ClothbenchError as refusal:
+        require(False, f"an observation that no scene can be made of ({refusal})", "two stamps or more, of its sheet")
+    away = seen.differences(np.zeros((1, len(scene.times), len(scene.points), 3)))
+    require(away.shape[1:3] == seen.visible.shape, f"differences of shape {away.shape[1:3]}", str(seen.visible.shape))
+    return None
+
+
 def gives_the_same_bits_twice(case: TrackerCase) -> None:
     first, again = case.track(), case.track()
     for name in ("time", "position", "visible", "material"):
@@ -154,6 +170,7 @@ RULES = (
     keeps_what_it_offers,
     gives_a_whole_observation,
     sees_what_was_recorded,
+    serves_a_cell,
     gives_the_same_bits_twice,
     leaves_the_recording_alone,
 )

@@ -4,13 +4,15 @@ import json
 import subprocess
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 from conftest import swinging_recording
 
-from clothbench import write_recording
-from clothbench.cli.commands import parsed
-from clothbench.cli.run import composed
+from clothbench import ClothbenchError, write_recording
+from clothbench.cli.commands import main, parsed
+from clothbench.cli.own_suites import require_harmless
+from clothbench.cli.run import composed, say_idle
 
 CELL = ("model=mass_spring", "optimizer=ga", "metric=node_error", "+options.mass_spring.resolution=5", "budget=25")
 
@@ -46,7 +48,13 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
         ),
         (("run", "recording=good.nc", "optimizer=ga", "metric=node_error"), "setting 'model' is empty"),
         (("run", "recording=good.nc", *CELL, "effects=[quadratic_drag,quadratic_drag]"), "given twice"),
-        (("import", "unknown_set"), "no data set 'unknown_set'"),
+        (
+            ("import", "unknown_set"),
+            "unknown_set: no such file or folder, and no data set 'unknown_set'; known: cusick",
+        ),
+        (("import", "none.mp4", "template=x.png", "width=0.3"), "none.mp4: no such file or folder, and no data set"),
+        (("export", "denim", "--to", "mujoco", "--out", "-"), "--out -: an export is a file, which others name"),
+        (("run", "--config-dir", "none", "+suite=mine"), "none: no such folder; --config-dir names one"),
         (("import", "iri_wam_cloth_swing", "data_dir=/nowhere"), "/nowhere is not a folder"),
         (("import", "good.nc"), "good.nc: found a recording, expected a video; see it with clothbench validate good"),
         (("import", "iri_wam_cloth_swing", "dir=x"), "expected data_dir=VALUE"),
@@ -232,6 +240,9 @@ def test_paths_are_no_words_of_a_grammar(word, value):
         ("scene.resolution=5", "expected [nodes along u, along v]"),
         ("scene.resolution=[2,2]", "setting 'scene.resolution' is 2"),
         ("scene.areal_density=abc", "setting 'scene.areal_density' is 'abc'"),
+        ("scene.areal_density=220", "expected kg/m², 5 at most; if g/m² were meant, give 0.22"),
+        ("scene.areal_density=0.15", "states 0.2 kg/m², as all 2 do; leave it out"),
+        ("recording=x.nc", "found settings 'recording' and 'recordings', expected one of them"),
         ("recording=3", "setting 'recording' is 3"),
         ("data_dir=3", "setting 'data_dir' is 3, expected a folder"),
         ("data_dir=[a,b]", "setting 'data_dir' is ['a', 'b'], expected a folder"),
@@ -246,6 +257,53 @@ def test_a_wrong_setting_is_refused_before_anything_is_run(clothbench, recording
     assert out.returncode == 2, out.stderr
     assert found in only_line(out.stderr)
     assert [p.name for p in tmp_path.iterdir()] == ["recordings"]
+
+
+def test_a_gate_says_it_one_way_only(capsys):
+    with pytest.raises(SystemExit, match="2"):
+        main(["compare", "a.json", "b.json", "--json", "--markdown"])
+    assert "argument --json: not allowed with argument --markdown" in capsys.readouterr().err
+
+
+def test_options_of_a_plugin_that_is_not_in_use_are_told(capsys):
+    cell = SimpleNamespace(versions={"models/mass_spring": "1", "optimizers/cma_es": "1"})
+    say_idle(["options.ga.generations=9", "++options.cma_es.sigma=1", "budget=3"], [cell])
+    assert capsys.readouterr().err == "clothbench: options.ga: ga is not in use here, so this changes nothing\n"
+
+
+def test_a_reader_that_goes_away_is_no_failure(clothbench, tmp_path):
+    """As `| head -1` does, after one line or before any."""
+    for words in (["plugins"], ["plugins", "--json"], ["presets"], ["--version"]):
+        command = [sys.executable, "-m", "clothbench", *words]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path) as reading:
+            reading.stdout.close()
+            said = reading.stderr.read().decode()
+        assert (reading.returncode, said) == (0, ""), (words, said)
+
+
+def test_only_the_suite_that_is_asked_for_is_read(tmp_path):
+    (tmp_path / "suite").mkdir()
+    (tmp_path / "suite" / "broken.yaml").write_text("a: [")
+    (tmp_path / "suite" / "mine.yaml").write_text("# @package _global_\nsuite: {name: mine}\n")
+    flag = ["--config-dir", str(tmp_path)]
+    require_harmless([*flag, "+suite=mine"])
+    for word in ("+suite=broken", "suite=mine,broken"):
+        with pytest.raises(ClothbenchError, match=r"broken\.yaml: found no YAML that can be read"):
+            require_harmless([*flag, word])
+    (tmp_path / "suite" / "mine.yaml").write_text("defaults: [broken]\n")  # which brings others in
+    with pytest.raises(ClothbenchError, match=r"broken\.yaml: found no YAML that can be read"):
+        require_harmless([*flag, "+suite=mine"])
+
+
+def test_a_stopped_bench_keeps_nothing_and_says_so(monkeypatch, capsys):
+    def stopped(sides, progress):
+        progress("mass_spring: 9 nodes a side")
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("clothbench.studies.speed.bench.run_bench", stopped)
+    assert main(["bench", "--quick"]) == 130
+    said = capsys.readouterr().err
+    assert said.startswith("mass_spring: 9 nodes a side\nclothbench: stopped; a speed is a ratio within one run")
 
 
 def test_a_step_too_long_diverges_with_its_reason(clothbench, recordings_folder):

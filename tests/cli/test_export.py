@@ -153,3 +153,19 @@ def test_a_recording_goes_by_its_last_name_where_that_is_enough(fitted, monkeypa
     monkeypatch.setattr(Store, "rows", lambda self: [*rows, *({**r, "recording": "denim/swing"} for r in rows)])
     with pytest.raises(ClothbenchError, match="there are: paper, denim/swing, paper/swing"):
         find_cell(fitted / "runs", "swing")
+
+
+def test_a_cell_and_a_class_of_fabrics_of_one_name_are_told_apart(tmp_path, monkeypatch, capsys):
+    """The cell is taken, as ever, and the line says how the class is named."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(command, "find_cell", lambda results, name: results / "cells" / "0123456789abcdef")
+    monkeypatch.setattr(command.FittedCell, "of", lambda results, key: key)
+    assert command.fitted("linen", tmp_path) == "0123456789abcdef"
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1
+    assert "linen: taken for the cell 0123456789abcdef of" in said
+    assert "the class of fabrics is preset:linen" in said
+    assert command.export("preset:linen", "mujoco", tmp_path, None) == 0
+    assert (tmp_path / "linen.xml").is_file()
+    with pytest.raises(ClothbenchError, match="no preset 'nylon'"):
+        command.export("preset:nylon", "mujoco", tmp_path, None)

@@ -90,6 +90,7 @@ def verdict(done) -> dict:
 def test_the_verdict_names_the_planted_effect_with_its_amount(verdict):
     assert verdict["schema"] == 1
     assert set(verdict) >= KEYS
+    assert verdict["settings"] == {"bounds": {}, "resolution": 5}
     assert (verdict["verdict"], [e["name"] for e in verdict["effects"]]) == ("attributed", ["clock_offset"])
     delay = verdict["effects"][0]["parameters"]["delay"]
     assert delay["low"] <= DELAY <= delay["high"]
@@ -199,6 +200,20 @@ def test_what_the_recordings_do_not_say_belongs_to_the_question(tmp_path):
     light = prepare(cells[0], catalogue())
     assert [case.scene.resolution for case in light.evidence.cases] == [(9, 9), (9, 5)]
     assert [case.scene.resolution for case in light.refined().evidence.cases] == [(17, 17), (17, 9)]
+
+
+def test_one_recording_is_named_by_recording_alone(tmp_path):
+    write_recording(planted(0, "fit"), tmp_path / "one.nc")
+    words = [f"recording={tmp_path / 'one.nc'}", *SMALL]
+    (cell,) = plan(settings_of(words), catalogue())
+    assert [source.name for source in cell.recordings] == [planted(0, "fit").name]
+    for more, said in (
+        (f"recordings={tmp_path}", "expected one of them"),
+        ("areal_density=0.3", "as all 1 do; leave it out"),
+        ("areal_density=300", "if g/m² were meant, give 0.3"),
+    ):
+        with pytest.raises(ClothbenchError, match=said):
+            plan(settings_of([*words, more]), catalogue())
 
 
 def test_a_recording_that_the_model_cannot_simulate_is_refused_before_a_fit(tmp_path):

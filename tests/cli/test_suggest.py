@@ -15,10 +15,15 @@ from conftest import swinging_recording
 
 from clothbench import Camera, write_recording
 from clothbench.cli.commands import main
+from clothbench.cli.suggest import apart_now, of_recordings
 from clothbench.core.files import read_json
 from clothbench.datasets.depth_folder import camera_of
+from clothbench.engine.store import Store
+from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.nodes import read_recording
+from clothbench.studies.calibration.cell import asked_and_fitted, set_up
 from clothbench.suggest.settings import PLACEMENTS
+from clothbench.suggest.source import verdict_in
 
 QUICK = ("model=mass_spring", "resolution=5", "durations=0.4", "draws=0", "best=2", "grips=as recorded,level side")
 
@@ -141,6 +146,9 @@ def test_recordings_in_one_camera_s_picture_are_followed_by_one_like_it(tmp_path
     pixels = seen.noise_sigma * camera.matrix[0, 0] / camera.in_view(seen.position)[..., 2].mean()
     assert found["settings"]["camera"]["noise"] == pytest.approx(pixels, rel=0.02)
 
+    assert main([*asked, "camera.noise=2"]) == 0  # the places are those that recordings in a picture always have
+    told = json.loads((tmp_path / "found" / "suggest.json").read_text())["settings"]
+    assert (told["cameras"], told["camera"]["noise"]) == (list(PLACEMENTS), 2.0)
     assert main([*asked, "cameras=front", "camera.noise=2"]) == 0
     told = json.loads((tmp_path / "found" / "suggest.json").read_text())["settings"]
     assert (told["cameras"], told["camera"]["noise"], told["camera"]["size"]) == (["front"], 2.0, [640, 480])
@@ -179,7 +187,7 @@ def test_neither_a_recording_nor_a_cell(tmp_path, monkeypatch, capsys):
     assert main(["suggest", "nothing"]) == 2
     assert "nothing: no such file or folder, and runs: found no cells" in capsys.readouterr().err
     assert main(["suggest", "nothing", "model=mass_spring"]) == 2
-    assert "leave model= out" in capsys.readouterr().err
+    assert "nothing: no such file or folder, and runs: found no cells" in capsys.readouterr().err
 
 
 def verdict(place: Path, told: tuple[Path, dict], **changes) -> Path:
@@ -224,6 +232,28 @@ def test_a_verdict_that_does_not_fit(changes, said, place, told, capsys):
     assert said in capsys.readouterr().err.splitlines()[-1]
 
 
+def test_ranges_and_mesh_are_those_of_the_verdict(place, told):
+    settings = {"bounds": {"quadratic_drag.normal": [0.0, 8.0], "k1": [1.0, 500.0]}, "resolution": 5}
+    document = verdict_in(verdict(place, told, settings=settings))
+    problem = of_recordings(str(place / "rec"), {}, document, place / "as-judged", catalogue())
+    space = problem.space(("quadratic_drag",))
+    assert dict(zip(space.names, (p.bounds for p in space), strict=True))["quadratic_drag.normal"] == (0.0, 8.0)
+    assert problem.evidence.cases[0].scene.resolution == (5, 5)
+    own = of_recordings(str(place / "rec"), {"bounds.k1": "[2,400]"}, document, place / "as-judged", catalogue())
+    assert own.bounds["k1"] == (2.0, 400.0)  # what is said has the last word
+
+
+@pytest.mark.parametrize(
+    ("one", "said"),
+    [
+        ({"sigma_now": 1.04, "sigma_other_better": 0.0}, "1.0 σ apart now"),
+        ({"sigma_now": 0.0, "sigma_other_better": 37.64}, "wind fits better by 37.6 σ now"),
+    ],
+)
+def test_which_of_two_fits_better_is_said(one, said):
+    assert apart_now({"one": "drag", "other": "wind", **one}) == said
+
+
 def test_a_cell_of_a_run(place, monkeypatch, capsys):
     """The fit is the cell's own, and nothing is searched."""
     monkeypatch.chdir(place)
@@ -239,3 +269,21 @@ def test_a_cell_of_a_run(place, monkeypatch, capsys):
     assert set(found["parameters"]) == {"k1", "k2", "zeta"}
     assert found == json.loads((place / "of_cell" / "suggest.json").read_text())
     assert not (place / "of_cell" / "fits").exists()
+
+
+def test_a_cell_keeps_all_that_was_fitted(place, monkeypatch, capsys):
+    """Also the model's own physics that `improve` would switch off: what is left is what the cell left."""
+    monkeypatch.chdir(place)
+    run = ["run", "recording=rec/sway-1.nc", "model=baraff_witkin", "optimizer=least_squares", "metric=node_error"]
+    assert main([*run, "+options.baraff_witkin.resolution=5", "budget=30", "jobs=1", "out=whole", "seed=3"]) == 0
+    capsys.readouterr()
+    asked = ["durations=0.4", "draws=0", "best=1", "grips=as recorded", "out=of_whole", "--json"]
+    assert main(["suggest", "sway-1", *asked, "--runs=whole"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    cell, fitted = asked_and_fitted(Store(place / "whole"), next((place / "whole" / "cells").iterdir()).name)
+    values = {row["name"]: row["value"] for row in fitted}
+    assert {name: p["value"] for name, p in found["parameters"].items()} == pytest.approx(values)
+    (trial,) = set_up(cell, catalogue()).trials
+    away = trial.observation.differences(trial.simulation.run(np.array([list(values.values())])).position)
+    rms = np.sqrt(np.mean(away[:, trial.observation.visible] ** 2))
+    assert found["left_mm"] == pytest.approx(1e3 * rms, rel=1e-6)

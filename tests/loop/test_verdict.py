@@ -105,6 +105,16 @@ def test_hint_says_who_comes_nearest_and_where_and_when_most_is_left(state):
         assert said in found.hint
 
 
+def test_hint_says_which_bound_keeps_a_name_away(state):
+    """Only where nothing else speaks against it: a wider bound would then give the name."""
+    at_bound = replace(state.rounds[0].candidates[1].fitted, theta=np.array([1.5, 4.0]), low=np.array([1.0, 3.0]))
+    for why, said in (("its quadratic_drag.normal runs to the bound 4", True), ("explains no more than chance", False)):
+        tried = Candidate("quadratic_drag", 0.4, 0.005, 0.3 * state.base.rms**2, fitted=at_bound, why_not=why)
+        found = concluded(replace(state, rounds=(replace(state.rounds[0], candidates=(tried,)),)), [])
+        line = "its quadratic_drag.normal lies at its bound 4, which alone keeps it from a name; widen with "
+        assert (f"{line}bounds.quadratic_drag.normal=[0,…]" in found.hint) == said
+
+
 def test_hint_of_a_tie_says_how_alike_the_two_are_and_where_they_differ(state):
     base, names = state.base, ("quadratic_drag", "clock_offset")
     corrected = [0.05 * r for r in base.residual]

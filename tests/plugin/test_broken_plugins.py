@@ -161,6 +161,16 @@ def test_a_broken_one_in_a_product_costs_its_own_cells_only(clothbench, installe
     assert "has no attribute 'Missing'" in row["reason"]
 
 
+def test_a_broken_study_stands_in_the_way_of_its_own_rows_only(clothbench, installed):
+    path = installed(lost=HOOK.format(kind="studies", name="lost", target="gone.study"))
+    quick = ("+suite=physical_validation", "model=[mass_spring]", "suite.meshes=[5]", "suite.tests=[free_fall]")
+    for words in (("run", *quick), ("leaderboard",), ("report",), ("store", "check", "runs")):
+        done = clothbench(*words, PYTHONPATH=path)
+        assert (done.returncode, "broken" in done.stderr) == (0, False), done.stderr
+    asked = clothbench("run", "study=lost", "model=mass_spring", PYTHONPATH=path)
+    assert (asked.returncode, "study 'lost' (lost) is broken" in asked.stderr) == (2, True)
+
+
 def test_a_plugin_whose_module_is_broken_cannot_be_chosen(clothbench, installed, recordings_folder):
     """Its names are not known, so nothing is begun."""
     path = installed(crashing=BROKEN["crashing"][0])

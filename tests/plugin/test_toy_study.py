@@ -58,3 +58,11 @@ def test_it_stands_beside_other_studies_in_one_folder(toss, tmp_path):
     said = toss("leaderboard").stdout
     assert "models against references" in said
     assert "of the coins fell heads up" in said
+
+
+def test_its_rows_are_refused_in_one_line_where_it_is_broken(toss, tmp_path):
+    assert toss("run", "study=toss", "model=mass_spring").returncode == 0
+    (tmp_path / "site" / "clothbench_toss" / "study.py").write_text("raise RuntimeError('no coins')\n")
+    shown = toss("leaderboard")
+    assert shown.returncode == 2
+    assert shown.stderr == "clothbench: study 'toss' (clothbench-toss) is broken: RuntimeError: no coins\n"

@@ -424,6 +424,14 @@ class Squinting(HonestTracker):
         return dataclasses.replace(seen, position=seen.position + 0.01)
 
 
+class Glancing(HonestTracker):
+    """It keeps one frame, of which no motion can be made."""
+
+    def track(self, source):
+        o = super().track(source)
+        return dataclasses.replace(o, time=o.time[:1], position=o.position[:1], visible=o.visible[:1])
+
+
 class Trembling(HonestTracker):
     count = itertools.count()
 
@@ -455,6 +463,7 @@ TRACKERS = [
     (Sleeping, "gives a whole observation", "no node seen in any frame"),
     (Imagining, "sees what was recorded", "nodes seen in frames where the recording has none"),
     (Squinting, "sees what was recorded", "mm from where it was recorded"),
+    (Glancing, "serves a cell", "an observation that no scene can be made of"),
     (Trembling, "gives the same bits twice", "another position when tracking again"),
     (Defacing, "leaves the recording alone", "a recording that tracking has changed"),
 ]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import re
 from pathlib import Path
 
@@ -46,3 +47,16 @@ def test_files_that_are_named_are_there(page):
 def test_every_page_is_linked_from_the_first():
     linked = {link.partition("#")[0] for link in LINK.findall(prose(ROOT / "README.md"))}
     assert {f"docs/{page.name}" for page in PAGES[2:]} <= linked
+
+
+def test_the_suite_of_ones_own_recordings_runs_as_the_page_says(clothbench, recordings_folder, tmp_path):
+    text = (ROOT / "docs" / "recordings.md").read_text()
+    (suite,) = re.findall(r"^```yaml\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+    (command,) = re.findall(r"^clothbench (run --config-dir .*)$", text, re.MULTILINE)
+    (tmp_path / "my-suites" / "suite").mkdir(parents=True)
+    (tmp_path / "my-suites" / "suite" / "swings.yaml").write_text(suite)
+    quick = ("budget=3", "jobs=1", "rerun=false", "model=mass_spring", "options.mass_spring.resolution=5")
+    done = clothbench(*command.split(), *quick)
+    assert done.returncode == 0, done.stderr
+    (row, *_) = json.loads(clothbench("leaderboard", "--json").stdout)
+    assert (row["suite"], row["model"], row["status"]) == ("swings", "mass_spring", "ok")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from clothbench import ClothbenchError, Parameter, ParameterSpace, Scene
-from clothbench.suggest import ranking
+from clothbench.suggest import ranking, subject
 from clothbench.suggest.experiments import (
     AS_RECORDED,
     EXPERIMENTS,
@@ -183,3 +183,42 @@ def test_as_many_parameter_sets_are_drawn_as_are_asked_for(count, monkeypatch):
 def test_settings_as_they_are_given():
     wanted = wanted_of({"durations": "[2,1]", "max_speed": "0.3", "best": "2"})
     assert (wanted.durations, wanted.max_speed, wanted.best) == ((1.0, 2.0), 0.3, 2)
+
+
+def fit_of(left: float, names: tuple[str, ...]) -> SimpleNamespace:
+    """What is known of a fit of one parameter that leaves so much of two recordings."""
+    space = ParameterSpace((Parameter("a", "a", "1", (0.0, 1.0), "linear", 0.5, "a number", "a test"),))
+    fitted = SimpleNamespace(
+        space=space, theta=np.array([0.5]), effects=names, residual=[np.full(9, left)] * 2,
+        jacobian=[np.ones((9, 1))] * 2,
+    )  # fmt: skip
+    return subject.Known(fitted, np.full(2, 0.1), 0.01, (np.zeros(9),) * 2, np.empty(0), np.empty(0))
+
+
+@pytest.mark.parametrize(("left", "first"), [(0.11, "drag"), (0.099, "drag"), (0.01, "wind")])
+def test_what_clearly_fits_better_is_what_the_others_are_held_against(left, first, monkeypatch):
+    """left: m, by the rival, beside 0.1 m and a noise as large: 1.4 σ less is no reason to change places."""
+    fits = {("drag",): fit_of(0.1, ("drag",)), ("wind",): fit_of(left, ("wind",))}
+    monkeypatch.setattr(subject, "require_sheets", lambda problem: None)
+    monkeypatch.setattr(subject, "searched", lambda problem, names, start=None: fits[names])
+    found = subject.subject_of(None, ("drag",), [("drag", "wind")])
+    (tie,) = found.ties
+    assert (found.known.fitted.effects, tie.one, {tie.one, tie.other}) == ((first,), first, {"drag", "wind"})
+    more = 18 * (left**2 - 0.1**2) / 0.1**2
+    apart = (tie.now, tie.behind) if first == "drag" else (tie.behind, tie.now)
+    assert apart == pytest.approx((np.sqrt(max(more, 0.0)), np.sqrt(max(-more, 0.0))))
+
+
+def test_what_makes_intervals_wider_is_not_suggested_first():
+    """The mesh pulls by more than the experiment tells, which nats do not know of; a parameter asked for is its own."""
+    made = [SimpleNamespace(name="table"), SimpleNamespace(name="swing")]
+    table, swing = (
+        ranking.Promise(one, 1.0, gain, np.array(after), np.array(after), np.array(after), (), 0.1, 0.0)
+        for one, gain, after in zip(made, (2.7, 1.8), ([0.4, 0.1], [0.21, 0.05]), strict=True)
+    )
+    space = SimpleNamespace(names=("a", "b"))
+    known = SimpleNamespace(half=np.array([0.2, 0.1]), fitted=SimpleNamespace(space=space))
+    asked = SimpleNamespace(known=known, ties=())
+    assert (table.widens(known.half), swing.widens(known.half)) == (True, False)
+    assert ranking.ranked(asked, [table, swing], None) == [swing, table]
+    assert ranking.ranked(asked, [swing, table], "b") == [swing, table]

@@ -9,15 +9,22 @@ from types import ModuleType
 
 import numpy as np
 import pytest
-from conftest import ROOT
+from conftest import ROOT, swinging_recording
 
 import clothbench
 import clothbench.modelling
+from clothbench import write_recording
+from clothbench.cli.improve import settings_of
+from clothbench.cli.run import composed
 from clothbench.core import optional
 from clothbench.engine.store import Store
 from clothbench.engine.study import Context, Results
+from clothbench.engine.suite import plan
+from clothbench.estimation.trials import score_of
 from clothbench.plugins import hookspecs
-from clothbench.plugins.discovery import catalogue
+from clothbench.plugins.discovery import Catalogue, Plugin, catalogue
+from clothbench.studies.calibration.cell import set_up
+from clothbench.studies.improve.prepare import prepare
 from clothbench.testing import check_effect, check_metric, check_model, check_optimizer, check_tracker, scenes
 from clothbench.twins.of_preset import twin_of_preset
 
@@ -63,6 +70,27 @@ CHECKS = {
 def test_a_first_plugin_keeps_every_rule(module_of, kind):
     heading, name, check = CHECKS[kind]
     check(getattr(module_of(heading), name))
+
+
+def test_the_first_tracker_serves_run_and_improve(module_of, tmp_path):
+    """It leaves out every second frame, and so does what is simulated."""
+    module = module_of("A tracker")
+    mine = Plugin("trackers", "every_second", f"{module.__name__}:EverySecond", "of the page", "mine", "1.0")
+    plugins = Catalogue((*catalogue().plugins, mine))
+    recording = swinging_recording("sway-1")
+    write_recording(recording, tmp_path / "sway-1.nc")
+    said = [f"recordings={tmp_path}", "model=mass_spring", "tracker=every_second", f"out={tmp_path / 'out'}"]
+    (cell,) = plan(settings_of([*said, "resolution=5"]), plugins)
+    (judged,) = prepare(cell, plugins).trials((), "fit")
+    run = composed([*said, "optimizer=least_squares", "metric=node_error", "+options.mass_spring.resolution=5"])
+    (cell,) = plan(run, plugins)
+    bench = set_up(cell, plugins)
+    fitted = bench.trials[0]
+    for trial in (judged, fitted):
+        assert np.array_equal(trial.observation.time, recording.time[::2])
+        theta = trial.simulation.parameters.defaults[None]
+        assert np.isfinite(score_of(trial, trial.metric, trial.simulation.run(theta)).value).all()
+    assert np.array_equal(bench.recordings[0].time, recording.time[::2])  # films and pages show what was compared
 
 
 def test_the_first_model_says_what_its_formula_says(module_of):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 
 import make_presets
 import numpy as np
@@ -35,6 +36,13 @@ def test_a_fitted_class_says_by_what_and_of_what():
         assert all(bending.low <= truth <= bending.high for truth in truths)
         assert bending.source.startswith(f"fitted by baraff_witkin to {name}/static-2")
         assert "Bhat et al. 2003" in bending.source
+
+
+def test_the_stretch_of_one_fabric_lies_between_its_threads_and_says_so():
+    stretch = presets()["denim"].numbers["stretch"]
+    warp, weft = map(float, re.findall(r"(\d+) along", stretch.source))
+    assert stretch.low < warp < weft < stretch.high
+    assert stretch.value == pytest.approx(math.sqrt(warp * weft), rel=5e-3)
 
 
 def test_they_are_printed_with_their_sources(clothbench):

@@ -261,3 +261,9 @@ def test_a_calibration_of_no_video_is_refused(tmp_path):
         file.attrs["camera_matrix"] = "1 0 0 0 1 0 0 0 1"
     with pytest.raises(ClothbenchError, match="variable 'frame' is missing beside attribute 'camera_matrix'"):
         read_recording(path)
+
+
+@pytest.mark.parametrize("name", ["areal_density", "noise_sigma", "cloth_width"])
+def test_a_number_that_is_none_is_refused_in_words(name):
+    with pytest.raises(ClothbenchError, match=rf"attribute '{name}': found None, expected a number \(NaN where"):
+        swinging_recording(**{name: None})

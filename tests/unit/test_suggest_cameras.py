@@ -10,7 +10,7 @@ import pytest
 from clothbench import Camera, ClothbenchError, Obstacle, Scene
 from clothbench.suggest.cameras import FILLED, Placed, behind_obstacles, derivative, framing, look_of, placed, seen_from
 from clothbench.suggest.information import information
-from clothbench.suggest.settings import PLACEMENTS, Sensor, Wanted, wanted_of
+from clothbench.suggest.settings import PLACEMENTS, Sensor, Wanted, as_recorded, wanted_of
 
 RANDOM = np.random.default_rng(8)
 UP = np.array([0.0, 0.0, 1.0])
@@ -204,6 +204,7 @@ def test_obstacles_hide_too():
         ({"camera.noise": "1"}, "found camera.noise= and no cameras=; say where it may stand, as cameras=all"),
         ({"cameras": "none", "camera.noise": "1"}, "found camera.noise= and no cameras=; say where it may stand"),
         ({"cameras": "all", "camera": "front"}, "found camera=, expected camera.kind=, camera.noise=, "),
+        ({"cameras": "all", "camera.depth_noise": "2"}, "found camera.depth_noise= of a colour camera"),
         ({"cameras": "all", "camera.zoom": "2"}, "found camera.zoom=, expected camera.kind=, "),
         ({"cameras": "all", "camera.kind": "stereo"}, "setting 'camera.kind' is 'stereo', expected colour or depth"),
         ({"cameras": "all", "camera.noise": "0"}, "setting 'camera.noise' is '0', expected a number above 0"),
@@ -214,7 +215,7 @@ def test_obstacles_hide_too():
 )
 def test_words_that_make_no_sense(words, said):
     with pytest.raises(ClothbenchError, match=said):
-        wanted_of(words)
+        as_recorded(wanted_of(words), words, None)
 
 
 def test_words_as_they_are_given():

@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.observation import Observation
 from clothbench.core.optional import absent, takes_option, why_skipped
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Metric
@@ -287,29 +288,33 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
     tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
 
     def make(recording: Recording | Silhouettes, areal_density: float | None = None) -> Trial:
+        if recording.hash not in seen:  # of another case, which the fit is held against
+            recording = looked_at(recording)
         scenes = scenes_of(recording, **cell.judged)
         if areal_density is not None:
             scenes = [dataclasses.replace(scene, areal_density=areal_density) for scene in scenes]
         if reason := next(filter(None, (why_skipped(model, scene) for scene in scenes)), None):
             raise Skipped(reason)
         simulation = joined([holding(model.prepare(scene, effects), cell.fixed) for scene in scenes])
-        if recording.hash not in seen:  # of another case, which the fit is held against
-            seen[recording.hash] = tracker.track(recording)
         return Trial(recording.name, seen[recording.hash], simulation, metric)
 
-    recordings, seen, trials = [], {}, []
+    def looked_at(raw: Any) -> Recording | Silhouettes:
+        if isinstance(raw, Silhouettes):
+            require_readable(raw, cell.tracker, plugins)
+            seen[raw.hash] = tracker.track(raw)
+            return raw
+        recording, observation = watched(raw, tracker, cell.option(cell.tracker), plugins, kept)
+        seen[recording.hash] = observation
+        return recording
+
+    recordings: list[Recording | Silhouettes] = []
+    seen: dict[str, Observation] = {}
+    trials = []
     for source in cell.recordings:
         raw = read_sheet(source.file)
         if raw.hash != source.hash:
             raise ClothbenchError(f"{source.path}: changed on disk since the suite was planned; run it again")
-        recording: Recording | Silhouettes
-        if isinstance(raw, Silhouettes):
-            require_readable(raw, cell.tracker, plugins)
-            recording, observation = raw, tracker.track(raw)
-        else:
-            recording, observation = watched(raw, tracker, cell.option(cell.tracker), plugins, kept)
-        seen[recording.hash] = observation
-        recordings.append(recording)
+        recordings.append(recording := looked_at(raw))
         trials.append(make(recording))
     space = begun(bounded(trials[0].simulation.parameters, cell.bounds), cell.start)
     others = tuple(plugins.make("metrics", name, **cell.option(name)) for name in cell.report if name != cell.metric)

@@ -22,7 +22,7 @@ from clothbench.estimation.prior import Prior, density_of, hanging, prior_of
 from clothbench.plugins.discovery import Catalogue, PluginBroken
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
-from clothbench.recordings.scenes import scenes_of
+from clothbench.recordings.scenes import refuse_stated_weight, scenes_of
 from clothbench.reference.presets import Preset, preset
 from clothbench.studies.calibration.cell import CalibrationCell, Names, rehearse, uses
 from clothbench.studies.calibration.settings import analysis_settings, suite_settings
@@ -35,6 +35,7 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     suite, analyses = suite_settings(settings["suite"]), analysis_settings(settings["analysis"])
     require_plugins(settings, PRODUCT)
     recordings = read_all(where({**settings, "suite": suite}, progress))
+    refuse_stated_weight(recordings, settings["scene"].get("areal_density"))
     by, each, joint = suite.get("case") or "fabric", suite["each"], suite["together"]
     cases = group(recordings, by, suite["select"], settings["seed"], fitted=not each and not joint)
     if each:

@@ -42,7 +42,7 @@ def verdict_document(finding: Finding) -> dict[str, Any]:
         "evaluations": finding.evaluations, "wall_s": finding.wall_s, "seed": finding.seed,
         "recordings": {split: [c.name for c in of_split(finding.evidence, split)] for split in ("fit", "held_out")},
         "parameters": {name: amount(final, i) for i, name in enumerate(final.space.names)},
-        "key": finding.key,
+        "settings": dict(finding.settings), "key": finding.key,
     }  # fmt: skip
     if in_mm:
         return document

@@ -75,7 +75,8 @@ class Finding:
     whereabouts: rows of that table: where and when more is left than elsewhere;
     description: of what is missing, where it has no name; None where it has one, or nothing could be told;
     own: by effect and recording, those held out included, the amounts that are each recording's own;
-    timed_out: whether a further round was not begun for want of time.
+    timed_out: whether a further round was not begun for want of time;
+    settings: `bounds` of the search by parameter, and `resolution` of the mesh, None where there is none.
     """
 
     key: str
@@ -105,6 +106,7 @@ class Finding:
     whereabouts: tuple[Mapping[str, Any], ...] = ()
     own: Mapping[str, Mapping[str, Fitted]] = field(default_factory=dict)
     timed_out: bool = False
+    settings: Mapping[str, Any] = field(default_factory=dict)
 
     @property
     def floor(self) -> float:

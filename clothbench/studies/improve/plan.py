@@ -23,6 +23,7 @@ from clothbench.recordings.codec import kind_of
 from clothbench.recordings.curve import LAYOUT as CURVES
 from clothbench.recordings.curve import read_curve
 from clothbench.recordings.kinds import read_sheet
+from clothbench.recordings.scenes import refuse_stated_weight
 from clothbench.recordings.silhouette import LAYOUT as DRAPES
 from clothbench.reference.presets import Preset, preset
 from clothbench.studies.improve.candidates import candidates_of, names
@@ -53,6 +54,8 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     stated = kind_of(paths[0])
     kind = stated if stated in (CURVES.kind, DRAPES.kind) else "nodes"
     recordings = [read_kind(path, kind) for path in paths]
+    if kind != CURVES.kind:
+        refuse_stated_weight(recordings, settings["scene"].get("areal_density"))
     return [
         cell_of(case, model, optimizer, kind, sources, settings, plugins)
         for case, sources in cases_of(recordings, settings).items()

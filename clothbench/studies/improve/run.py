@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 from clothbench.engine.rows import about_cell, no_value
 from clothbench.engine.store import finite
 from clothbench.engine.study import Context, Result, Rows
@@ -21,6 +23,8 @@ def run(cell: ImproveCell, context: Context) -> Result:
 
     problem = prepare(cell, context.plugins, context.checkpoint, context.kept, context.elsewhere)
     finding = improve(problem, cell.candidates, told, cell.timeout)
+    stated = {"bounds": {n: list(ends) for n, ends in cell.bounds.items()}, "resolution": cell.scene.get("resolution")}
+    finding = dataclasses.replace(finding, settings=stated)
     told("page, tables and Rerun files", 0, 1)
     tables = finding_tables(finding)
     rows = leaderboard_rows(cell, finding)

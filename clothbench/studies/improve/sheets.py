@@ -58,7 +58,8 @@ class SheetCase:
     name, split: as the recording has them, or the seed;
     recording: as it was read;
     observation: what the tracker saw of it;
-    scene: what is simulated, with the mesh's resolution.
+    scene: what is simulated, with the mesh's resolution;
+    switches: whether physics of the model's own that can be switched off stays on, as a calibration fitted it.
     """
 
     name: str
@@ -66,6 +67,7 @@ class SheetCase:
     recording: Recording
     observation: Observation
     scene: Scene
+    switches: bool = False
 
     @property
     def duration(self) -> float:
@@ -75,7 +77,8 @@ class SheetCase:
     def trial(self, model: Model, effects: Sequence[Effect], correction: np.ndarray | None) -> Trial:
         remember_rest(self.scene)  # searches ask for it again and again, with what does not change it
         simulation = prepared(model, self.scene, effects, self.recording.path or self.name)
-        simulation = without_switches(simulation, len(model.parameters))
+        if not self.switches:
+            simulation = without_switches(simulation, len(model.parameters))
         return Trial(
             self.name, self.observation, simulation, CoordinateError(0.0 if correction is None else correction)
         )

@@ -13,7 +13,13 @@ from clothbench.studies.improve.by_recording import with_own
 from clothbench.studies.improve.experiment import parting_experiment
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.law import told_by
-from clothbench.studies.improve.selection import Candidate, correction_correlation, parameters_of
+from clothbench.studies.improve.selection import (
+    Candidate,
+    amounts_at_bound,
+    at_bound,
+    correction_correlation,
+    parameters_of,
+)
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round, State
 
@@ -208,7 +214,25 @@ def nearest(state: State, near: dict[Candidate, float], beside: str) -> str:
     forces = [c for c in near if state.problem.make("effects", c.name).place == "dynamics"]
     force = max(forces, key=lambda c: near[c], default=best)
     among = f", {with_amounts(force, near[force])} among forces" if force is not best else ""
-    return f"{with_amounts(best, near[best])} comes nearest{beside}{among}"
+    stopped = "".join(f"; {stopped_by_bound(c)}" for c in dict.fromkeys((best, force)) if held_by_bound(c))
+    return f"{with_amounts(best, near[best])} comes nearest{beside}{among}{stopped}"
+
+
+def held_by_bound(candidate: Candidate) -> bool:
+    """Whether nothing else speaks against a candidate than that an amount has run to its bound."""
+    fitted = candidate.fitted
+    return fitted is not None and bool(why := at_bound(candidate.name, fitted)) and candidate.why_not == why
+
+
+def stopped_by_bound(candidate: Candidate) -> str:
+    """Which bound keeps a candidate from being named, and the word that moves it."""
+    fitted = candidate.fitted
+    assert fitted is not None  # as of all that a bound holds
+    i = amounts_at_bound(candidate.name, fitted)[0]
+    name, (low, high) = fitted.space.names[i], fitted.space.parameters[i].bounds
+    wider = f"[{low:g},…]" if fitted.theta[i] > (low + high) / 2 else f"[…,{high:g}]"
+    stopped = f"its {name} lies at its bound {fitted.theta[i]:.3g}, which alone keeps it from a name"
+    return f"{stopped}; widen with bounds.{name}={wider}"
 
 
 def explained(candidate: Candidate, tried: Round) -> float:
