@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -24,14 +25,25 @@ class PermutationTest:
     """What each probe explains of the residual that a refit of the base would leave, and what chance would.
 
     explained: (K,), share of the variance that each of K probes explains;
-    null_maxima: (D,), the largest such share over all probes in each of D surrogates.
+    null: (D, K), the same of each of D surrogates.
     """
 
     explained: np.ndarray
-    null_maxima: np.ndarray
+    null: np.ndarray
+
+    @cached_property
+    def null_maxima(self) -> np.ndarray:
+        """(D,) the largest share over all probes in each surrogate."""
+        return self.null.max(axis=1, initial=0.0)
 
     def p_value(self, probe: int) -> float:
         return float((1 + (self.null_maxima >= self.explained[probe]).sum()) / (1 + len(self.null_maxima)))
+
+    def p_alone(self, probes: Sequence[int]) -> float:
+        """Of the best of these probes, over them alone: for an effect that was asked about before it was looked for."""
+        mine = list(probes)
+        at_least = self.null[:, mine].max(axis=1) >= self.explained[mine].max()
+        return float((1 + at_least.sum()) / (1 + len(at_least)))
 
     @property
     def least(self) -> float:
@@ -56,12 +68,12 @@ def permutation_test(cases: Sequence[Case], fitted: Fitted, found: Sequence[Prob
         spans.append(span_of(columns - base @ (base.T @ columns), np.square(columns).sum()))
     random = np.random.default_rng(seed)
     draws = [case.surrogates(r) for case, r in zip(cases, fitted.residual, strict=True)]
-    maxima, count, batch = [], LOOP.permutations, LOOP.permutation_batch
+    null, count, batch = [], LOOP.permutations, LOOP.permutation_batch
     for first in range(0, count, batch):  # of long recordings, all would not fit into memory
         drawn = [np.concatenate([draw(random) for draw in draws]) for _ in range(first, min(first + batch, count))]
-        maxima.append(explained_variance(base, spans, np.array(drawn) * fitted.weights).max(axis=1, initial=0.0))
+        null.append(explained_variance(base, spans, np.array(drawn) * fitted.weights))
     explained = explained_variance(base, spans, fitted.weighted_residual[None])[0]
-    return PermutationTest(explained, np.concatenate(maxima))
+    return PermutationTest(explained, np.concatenate(null))
 
 
 def span_of(columns: np.ndarray, of: float | None = None) -> np.ndarray:

@@ -83,10 +83,11 @@ def witnessed_round(problem: Problem, law: Law | None, found: Round, mesh: float
 
     A model's damping takes up most of what drag does, so that little is left of it beside what the mesh may be wrong
     by; but the balance of torques knows neither. Its word for the same force is a second account of it, from other
-    assumptions, and the effect has to pay for no more than its parameters.
+    assumptions, and the effect has to pay for no more than its parameters. As the torques say which it is, it has to
+    beat what chance gives it alone, not the best of all candidates.
     """
     before, effects = found.before, {c.name: c for c in found.candidates}
-    beat_chance = [n for n, c in effects.items() if c.p_value < LOOP.significance]
+    beat_chance = [n for n, c in effects.items() if c.p_alone < LOOP.significance]
     probed = [n for n in beat_chance if any(p.effect == n for p in found.probes)]
     told = [n for n in (*before.effects, *probed) if law is not None and told_by(law, problem.make("effects", n))]
     if not told or told[0] in before.effects:
@@ -100,7 +101,7 @@ def witnessed_round(problem: Problem, law: Law | None, found: Round, mesh: float
         account.count(count)
     fitted = polished(problem, fitted, account, goal) if near(fitted, goal) else fitted
     before = refit_null(problem, before, fitted, fall, account)
-    mine = dataclasses.replace(effects[name], fitted=fitted)
+    mine = dataclasses.replace(effects[name], fitted=fitted, p_value=effects[name].p_alone, why_not="")
     rivals = [c for c in found.candidates if c.fitted is not None and c.name != name]
     same = correction_correlation(before, [mine, *rivals])[0, 1:] >= LOOP.alike_correlation
     tried = [mine, *(c for c, alike in zip(rivals, same, strict=True) if alike)]
@@ -143,18 +144,14 @@ def screen(
     """Each candidate at the best setting of its shape parameters; or why it was refused."""
     out = []
     for name in candidates:
-        if (best := best_probe(name, found, test)) is None:
+        if not (mine := [k for k, probe in enumerate(found) if probe.effect == name]):
             out.append(Candidate(name, 0.0, 1.0, why_not=refused.get(name, "could not be tried")))
             continue
-        p_value = test.p_value(best)
-        out.append(Candidate(name, float(test.explained[best]), p_value, why_not=test.why_not(p_value)))
+        best = max(mine, key=lambda k: test.explained[k])
+        p_value, p_alone = test.p_value(best), test.p_alone(mine)
+        why = test.why_not(p_value)
+        out.append(Candidate(name, float(test.explained[best]), p_value, why_not=why, p_alone=p_alone))
     return out
-
-
-def best_probe(name: str, found: Sequence[Probe], test: PermutationTest) -> int | None:
-    """Number of the probe of a candidate that explains most; None if it has none."""
-    mine = [k for k, probe in enumerate(found) if probe.effect == name]
-    return max(mine, key=lambda k: test.explained[k], default=None)
 
 
 def most_promising(screened: Sequence[Candidate], anew: Sequence[str], promise: float) -> list[Candidate]:

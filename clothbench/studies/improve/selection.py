@@ -26,7 +26,8 @@ class Candidate:
     gain: by which the mean square fell when all was refitted, base unit squared (NaN where it was not);
     selected: in how many of the leave-one-out rounds it is the best and explains enough;
     fitted: everything refitted with it, if it was;
-    why_not: what speaks against it, or "".
+    why_not: what speaks against it, or "";
+    p_alone: of its share, over its own settings alone.
     """
 
     name: str
@@ -36,6 +37,7 @@ class Candidate:
     selected: int = 0
     fitted: Fitted | None = None
     why_not: str = ""
+    p_alone: float = 1.0
 
 
 def least_fall(current: Fitted, floor: float, noise: float) -> float:
