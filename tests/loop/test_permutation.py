@@ -74,6 +74,19 @@ def test_it_seldom_names_an_effect_where_there_is_none(cases, candidates):
     assert alarms <= 9
 
 
+def test_of_one_effect_asked_about_beforehand_chance_is_its_own(cases, candidates):
+    """As often below 0.05 as it says, of residuals without an effect, and sooner than the best of all candidates."""
+    alone, of_all = [], []
+    for seed in range(100):
+        random = np.random.default_rng(seed)
+        seen = permutation_test(cases, fitted(left(random), random), candidates[:8], seed)
+        alone.append(seen.p_alone([2]))
+        of_all.append(seen.p_value(2))
+    assert (np.array(alone) < 0.05).sum() <= 9
+    assert all(a <= b for a, b in zip(alone, of_all, strict=True))
+    assert 0.3 < np.mean(alone) < 0.7
+
+
 def test_nor_where_all_moves_in_one_direction():
     """A sheet that swings in one plane: turned out of it, no surrogate would look like a candidate."""
     plane, alarms = np.array([0.3, 1.0, 0.1]), 0

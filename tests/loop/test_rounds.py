@@ -82,9 +82,10 @@ def test_a_name_in_doubt_is_fitted_in_another_valley_before_it_is_withdrawn(monk
     assert state.rounds[-1].named == (("heavy_hem",) if stands else ())
 
 
-def told(law: str) -> SimpleNamespace:
-    """A law of the recordings whose first term goes with this."""
-    return SimpleNamespace(amounts=(SimpleNamespace(term=SimpleNamespace(law=law)),))
+def told(law: str, *alike: str) -> SimpleNamespace:
+    """A law of the recordings whose first term goes with this, and cannot be told from these."""
+    terms = [SimpleNamespace(term=SimpleNamespace(law=one)) for one in (law, *alike)]
+    return SimpleNamespace(amounts=tuple(terms[:1]), alike=tuple(one.term for one in terms[1:]))
 
 
 @pytest.mark.parametrize(
@@ -93,6 +94,7 @@ def told(law: str) -> SimpleNamespace:
         (None, 0.005, 3.5e-3, ()),
         (told("mass along the lower edge"), 0.005, 3.5e-3, ()),
         (told("normal velocity squared"), 0.005, 3.5e-3, ("quadratic_drag",)),
+        (told("", "normal velocity squared"), 0.005, 3.5e-3, ("quadratic_drag",)),  # a power that no effect has
         (told("normal velocity squared"), 0.14, 3.5e-3, ()),  # chance explains it
         (told("normal velocity squared"), 0.005, 3.95e-3, ()),  # two parameters have to take off a tenth
     ],
@@ -118,7 +120,13 @@ def test_what_the_torques_tell_without_a_model_has_to_pay_for_its_parameters_onl
     tried = (
         Candidate("point_mass", 0.2, 0.005, 1e-6, fitted=mass, why_not="explains only 40% of what a name has to"),
         Candidate(
-            "quadratic_drag", 0.1, p_value, 1e-6, fitted=after, why_not="explains only 40% of what a name has to"
+            "quadratic_drag",
+            0.1,
+            0.4,
+            1e-6,
+            fitted=after,
+            why_not="explains no more than chance would (p = 0.4)",
+            p_alone=p_value,
         ),
     )
     for what, value in {"fit_starts": lambda *_: theta[None], "polished": lambda problem, fit, *_: fit}.items():

@@ -172,7 +172,7 @@ def test_a_name_stays_though_much_is_left_where_the_torques_say_the_same_without
     base, final = state.base, fitted([0.7 * r for r in state.base.residual], ("quadratic_drag",), [DRAG])
     found = Candidate("quadratic_drag", 0.5, 0.005, 0.5 * base.rms**2, fitted=final)
     rounds = (Round(base, 1e-3, (found,), (), ("quadratic_drag",), final), Round(final, 1e-3, (), (), ()))
-    told = None if law is None else SimpleNamespace(amounts=(SimpleNamespace(term=SimpleNamespace(law=law)),))
+    told = None if law is None else SimpleNamespace(amounts=(SimpleNamespace(term=SimpleNamespace(law=law)),), alike=())
     state = replace(state, final=final, rounds=rounds, balance=SimpleNamespace(law=told))
     end = concluded(state, [5e-3], held_out_after=[4e-3])
     assert end.word == verdict
