@@ -175,7 +175,7 @@ class InextensibleSimulation(GridSimulation):
         begins, result = batch.begin(b), np.zeros(3, np.int64)
         ratio = theta[0, 3] if self.orthotropic else 1.0
         bending = self.thread_bending.matrix(ratio) if self.orthotropic else self.bending
-        stiffer = self.effects.stiffness(theta)[0] / np.array([1.0, softer_share(ratio)])
+        stiffer = self.effects.stiffness(theta)[0] / np.array([TAUT, softer_share(ratio)])
         plate = triangles.Plate(bending.offsets, bending.values, bend, 0.0, stiffer)
         obstacles, layers, sampling = obstacle_table(scene), layers_of(scene, self.sheet), batch.sampling(b)
         terms, grips = batch.effect_terms(b), batch.grips(b)  # what effects remember of the settling goes on in the run
