@@ -1,5 +1,7 @@
 """Calibration on a toy whose truth is known: does the loop end well, and do the intervals hold what they promise?"""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -94,6 +96,20 @@ def test_what_the_data_do_not_determine_gets_its_bounds():
     low, high, condition = intervals([idle], blind, np.array([*TRUTH, 0.5]))
     np.testing.assert_array_equal([low[2], high[2]], [0.0, 1.0])
     assert condition > 1e4
+
+
+def test_a_lost_run_tells_nothing_whatever_positions_it_left():
+    """Neither as a value nor as a residual: least squares would take it for a good one."""
+
+    class Halfway(Toy):
+        def run(self, theta):
+            return dataclasses.replace(super().run(np.minimum(theta, 1.3)), status=("ok", "timeout"))
+
+    base = trial(np.random.default_rng(0))
+    evaluation, _ = evaluate([dataclasses.replace(base, simulation=Halfway())], np.array([TRUTH, TRUTH]))
+    assert np.isfinite(evaluation.value).tolist() == [True, False]
+    assert np.isfinite(evaluation.residual[0]).all()
+    assert np.isnan(evaluation.residual[1]).all()
 
 
 WIDTH = ParameterSpace((Parameter("width", "w", "m", (0.05, 0.15), "linear", 0.1, "radius of a drape", "toy"),))

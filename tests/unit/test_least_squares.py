@@ -9,6 +9,7 @@ from clothbench_optimizers.least_squares import DAMPINGS, LeastSquares
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.core.protocols import Evaluation
 from clothbench.estimation.search import drive
+from clothbench.plugins.discovery import catalogue
 
 SPACE = ParameterSpace(
     tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.2, "a number", "a test") for n in ("a", "b", "c"))
@@ -33,3 +34,17 @@ def test_a_walk_ends_after_as_many_rounds_without_a_gain_as_it_has_patience():
     assert end == pytest.approx(0.6, abs=1e-3)
     assert (more - few, most - more) == (len(DAMPINGS), len(DAMPINGS))
     assert walked()[1] == more  # two, where nothing is said
+
+
+@pytest.mark.parametrize("name", ["least_squares", "iterative_least_squares"])
+def test_what_has_a_residual_and_no_value_is_lost(name):
+    """However small its residual: it would else be walked to."""
+
+    def evaluate(theta: np.ndarray) -> Evaluation:
+        residual = theta - 0.1
+        return Evaluation(np.where(theta[:, 0] < 0.15, np.nan, np.square(residual).sum(axis=1)), residual)
+
+    search = catalogue().make("optimizers", name, SPACE, seed=0, budget=200)
+    values = np.concatenate([found.value for _, found in drive(search, evaluate)])
+    assert np.nanmin(values) < 1e-2
+    assert np.isnan(values).mean() < 0.5
