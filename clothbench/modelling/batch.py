@@ -25,6 +25,8 @@ from clothbench.modelling.sheet import Sheet, own_sheet, sheet_of
 from clothbench.modelling.time_loop import (
     DIVERGED,
     GOES_ON,
+    OK,
+    RESTLESS,
     RESTS,
     SETTLES,
     SLOTS,
@@ -170,6 +172,12 @@ class GridSimulation:
     if TYPE_CHECKING:  # each model has its own; a grid that is only laid out needs none
 
         def run(self, theta: np.ndarray) -> Rollout: ...
+
+    def settled(self, ended: int) -> int:
+        """How settling ended, of which it says so: where no effect has a say in it, what moves still is a limp sheet that
+        goes to and fro between two wrinkles, and either is as good to begin with.
+        """
+        return OK if ended == RESTLESS and not self.effects.at_rest else ended
 
     def calmed(self, theta: np.ndarray) -> np.ndarray:
         """The parameters (B, P) with which the sheet settles in its grips: where it comes to rest must be the same."""
@@ -317,17 +325,20 @@ class GridBatch:
         scene = self.simulation.scene
         position = self.simulation.effects.seen(scene, self.theta, self.position[self.alike])
         lost = ~(np.abs(position).max(axis=(2, 3), initial=0.0) < 1e6)
-        gone = (self.status[self.alike] == DIVERGED) | (lost.any(axis=1) & ~self.late)
+        ended = self.status[self.alike]
+        gone = (ended != OK) | (lost.any(axis=1) & ~self.late)
         status = np.where(self.late, "timeout", np.where(gone, "diverged", "ok"))
+        why = np.where((status == "diverged") & (ended == RESTLESS), "restless", status)
         reasons = {
             "ok": "",
             "diverged": "the sheet left all bounds: the step is too long for these parameters",
+            "restless": "the sheet did not come to rest before the run: these effects keep it moving",
             "timeout": f"more than {MAX_STEPS:.0e} steps: these parameters need too short a step",
         }
         position[np.logical_or.accumulate(lost, axis=1)] = np.nan
         return Rollout(
             scene.times, position, tuple(map(str, status)), self.steps[self.alike], self.simulation.nodes,
-            tuple(reasons[s] for s in status),
+            tuple(reasons[w] for w in why),
         )  # fmt: skip
 
 

@@ -87,11 +87,13 @@ class BoundEffects(JoinedParameters):
         sizes = [e.state_size(sheet) for e, _ in self._stages() if isinstance(e, Remembers)]
         return np.zeros((members, slots, max([1, *sizes])))
 
-    def stiffness(self, theta: np.ndarray) -> np.ndarray:
-        """What all effects together add at most to in-plane stiffness N/m and bending rigidity N·m, (B, 2)."""
+    def stiffness(self, theta: np.ndarray, settling: bool = False) -> np.ndarray:
+        """What all effects together add at most to in-plane stiffness N/m and bending rigidity N·m, (B, 2); settling:
+        those that act on a sheet that comes to rest.
+        """
         out = np.zeros((len(theta), 2))
         for effect in self.at("dynamics"):
-            if isinstance(effect, Stiffens):
+            if isinstance(effect, Stiffens) and (acts_at_rest(effect) or not settling):
                 out += [effect.stiffness(phi) for phi in self.of_effect(effect, theta)]
         return out
 

@@ -56,6 +56,7 @@ class Viscoelasticity:
     name = "viscoelasticity"
     version = 1
     place = "dynamics"
+    at_rest = False
     family = "bending"
     normals = False
     summary = "stress relaxation in bending and stretch"
