@@ -87,13 +87,22 @@ class BoundEffects(JoinedParameters):
         sizes = [e.state_size(sheet) for e, _ in self._stages() if isinstance(e, Remembers)]
         return np.zeros((members, slots, max([1, *sizes])))
 
-    def stiffness(self, theta: np.ndarray, settling: bool = False) -> np.ndarray:
-        """What all effects together add at most to in-plane stiffness N/m and bending rigidity N·m, (B, 2); settling:
-        those that act on a sheet that comes to rest.
-        """
+    def resting(self, theta: np.ndarray) -> np.ndarray:
+        """theta (B, P) with what acts in motion only at its null values: a sheet that comes to rest knows nothing of it."""
+        out = theta.copy()
+        for effect in self.at("dynamics"):
+            if not acts_at_rest(effect):
+                own = self.of_effect(effect, out)
+                for k, parameter in enumerate(effect.parameters):
+                    if parameter.null is not None:
+                        own[:, k] = parameter.null
+        return out
+
+    def stiffness(self, theta: np.ndarray) -> np.ndarray:
+        """What all effects together add at most to in-plane stiffness N/m and bending rigidity N·m, (B, 2)."""
         out = np.zeros((len(theta), 2))
         for effect in self.at("dynamics"):
-            if isinstance(effect, Stiffens) and (acts_at_rest(effect) or not settling):
+            if isinstance(effect, Stiffens):
                 out += [effect.stiffness(phi) for phi in self.of_effect(effect, theta)]
         return out
 

@@ -187,15 +187,15 @@ class BaraffWitkinSimulation(GridSimulation):
 
         if begins.settles == SETTLES:  # by the implicit loop, whatever the scheme
             unseen = sampling._replace(times=np.zeros(0))
-            inner = self._inner(theta, settling=True)
+            inner = self._inner(self.effects.resting(theta))
             march(kernels.BDF2, TOLERANCE["bdf2"], begins, inner, batch.settling_kernels, unseen)
             begins, result[0] = begins._replace(settles=RESTS), self.settled(result[0])
         if result[0] == OK:
             march(self.scheme, self.tolerance, begins, self._inner(theta), batch.kernels, sampling)
         return int(result[0]), int(result[1])
 
-    def _inner(self, theta: np.ndarray, settling: bool = False) -> tuple[kernels.Membrane, kernels.Plate]:
-        """The inner forces of one parameter set (1, P); settling: beside effects that act at rest only."""
+    def _inner(self, theta: np.ndarray) -> tuple[kernels.Membrane, kernels.Plate]:
+        """The inner forces of one parameter set (1, P)."""
         bend, stretch, shear, bend_damping, stretch_damping, shear_damping = theta[0, :6]
         bend_ratio, stretch_ratio = theta[0, 9:11] if self.orthotropic else (1.0, 1.0)
         bending = self.thread_bending.matrix(bend_ratio) if self.orthotropic else self.bending
@@ -205,7 +205,7 @@ class BaraffWitkinSimulation(GridSimulation):
         dampings = np.array([stretch_damping * root, stretch_damping / root, shear_damping])
         membrane = kernels.Membrane(lengths, over, shares * stiffness[:, None], shares * dampings[:, None])
         # Effects act along any thread, and the matrix has to know of it along the softer one, too.
-        stiffer = self.effects.stiffness(theta, settling)[0] / np.array([stiffness[:2].min(), softer_share(bend_ratio)])
+        stiffer = self.effects.stiffness(theta)[0] / np.array([stiffness[:2].min(), softer_share(bend_ratio)])
         return membrane, kernels.Plate(bending.offsets, bending.values, bend, bend_damping, stiffer)
 
 

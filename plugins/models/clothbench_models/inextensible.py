@@ -176,7 +176,7 @@ class InextensibleSimulation(GridSimulation):
         ratio = theta[0, 3] if self.orthotropic else 1.0
         bending = self.thread_bending.matrix(ratio) if self.orthotropic else self.bending
         softer = np.array([TAUT, softer_share(ratio)])
-        settling, moving = (self.effects.stiffness(theta, at_rest)[0] / softer for at_rest in (True, False))
+        settling, moving = (self.effects.stiffness(t)[0] / softer for t in (self.effects.resting(theta), theta))
         plate = triangles.Plate(bending.offsets, bending.values, bend, 0.0, settling)
         obstacles, layers, sampling = obstacle_table(scene), layers_of(scene, self.sheet), batch.sampling(b)
         terms, grips = batch.effect_terms(b), batch.grips(b)  # what effects remember of the settling goes on in the run
