@@ -158,10 +158,13 @@ class BoundEffects(JoinedParameters):
         return position
 
     def times(self, scene: Scene, theta: np.ndarray) -> np.ndarray:
-        """When each member is looked at for each stamp of the scene: (B, T) s."""
+        """When each member is looked at for each stamp of the scene: (B, T) s. What acts on points in a camera's picture
+        does so on the times of its frames.
+        """
         out = np.repeat(scene.times[None], len(theta), axis=0)
         for effect in self.at("sensor"):
-            if isinstance(effect, ShiftsTimes):
+            in_pictures = isinstance(effect, ShiftsSight)
+            if isinstance(effect, ShiftsTimes) and not (in_pictures and scene.camera is None):
                 for b, phi in enumerate(self.of_effect(effect, theta)):
                     out[b] = effect.times(out[b], phi)
         return out

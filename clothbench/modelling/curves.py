@@ -46,7 +46,7 @@ def acts_on_sheets(effect: Any) -> bool:
 
 def needs_a_picture(effect: Any) -> bool:
     """Whether it acts on points that were seen in a camera's picture, and on nothing else."""
-    others = ("times", "positions", CURVE_HOOKS["sensor"])
+    others = ("positions", CURVE_HOOKS["sensor"])
     return isinstance(effect, ShiftsSight) and not any(callable(getattr(effect, hook, None)) for hook in others)
 
 
