@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from clothbench_optimizers.iterative_least_squares import IterativeLeastSquares
 from clothbench_optimizers.least_squares import DAMPINGS, LeastSquares
 
 from clothbench.core.parameters import Parameter, ParameterSpace
@@ -34,6 +35,22 @@ def test_a_walk_ends_after_as_many_rounds_without_a_gain_as_it_has_patience():
     assert end == pytest.approx(0.6, abs=1e-3)
     assert (more - few, most - more) == (len(DAMPINGS), len(DAMPINGS))
     assert walked()[1] == more  # two, where nothing is said
+
+
+@pytest.mark.parametrize("budget", range(1, 12))
+def test_a_new_measurement_begins_at_the_best_of_the_last_one(budget):
+    """Also of the batch that spent the budget."""
+
+    def evaluate(theta: np.ndarray) -> Evaluation:
+        residual = theta - 0.6
+        return Evaluation(np.square(residual).sum(axis=1), residual)
+
+    search = IterativeLeastSquares(SPACE, seed=0, budget=budget)
+    asked = [(theta, found.value) for theta, found in drive(search, evaluate)]
+    points, values = (np.concatenate(parts) for parts in zip(*asked, strict=True))
+    search.renew()
+    assert evaluate(search.ask()).value[0] <= values.min() + 1e-5  # differences are no steps of the walk
+    assert len(points) <= budget
 
 
 @pytest.mark.parametrize("name", ["least_squares", "iterative_least_squares"])
