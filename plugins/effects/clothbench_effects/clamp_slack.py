@@ -11,6 +11,7 @@ class ClampSlack:
     name = "clamp_slack"
     version = 1
     place = "boundary"
+    rank = 1  # before it slips, cloth is pulled: what slips does so by the cloth's own stretch
     family = "clamp"
     summary = "zero of the stretch off: a sample loose or already drawn between its clamps at the start"
     parameters = ParameterSpace(
