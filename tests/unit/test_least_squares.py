@@ -37,6 +37,31 @@ def test_a_walk_ends_after_as_many_rounds_without_a_gain_as_it_has_patience():
     assert walked()[1] == more  # two, where nothing is said
 
 
+@pytest.mark.parametrize("budget", range(1, 40))
+def test_no_more_than_a_third_of_the_budget_goes_into_looking_around(budget):
+    assert len(LeastSquares(SPACE, seed=0, budget=budget).ask()) <= max(1, budget / 3)
+
+
+@pytest.mark.parametrize("name", ["nelder_mead", "annealing"])
+@pytest.mark.parametrize("start", ["defaults", "look"])
+def test_where_all_about_the_start_is_lost_a_search_looks_elsewhere(name, start):
+    def evaluate(theta: np.ndarray) -> Evaluation:
+        value = np.square(theta - 0.8).sum(axis=1)
+        return Evaluation(np.where((theta > 0.6).all(axis=1), value, np.nan))
+
+    for seed in range(4):
+        search = catalogue().make("optimizers", name, SPACE, seed=seed, budget=300, start=start)
+        values = np.concatenate([found.value for _, found in drive(search, evaluate)])
+        assert np.nanmin(values) < 0.01
+
+    def lost(theta: np.ndarray) -> Evaluation:
+        return Evaluation(np.full(len(theta), np.nan))
+
+    search = catalogue().make("optimizers", name, SPACE, seed=0, budget=100, start=start)
+    points = np.concatenate([theta for theta, _ in drive(search, lost)])
+    assert len(np.unique(points, axis=0)) > 80
+
+
 @pytest.mark.parametrize("budget", range(1, 12))
 def test_a_new_measurement_begins_at_the_best_of_the_last_one(budget):
     """Also of the batch that spent the budget."""

@@ -42,7 +42,7 @@ class LeastSquares(GeneratorSearch):
 
     def steps(self) -> Steps:
         # No more than a third of the budget goes into looking around.
-        starts = min(self.starts, max(1, self.budget // 3 - 1))
+        starts = min(self.starts, max(0, self.budget // 3 - 1))
         points = spread(self, starts)
         evaluation = yield points
         cost = sums_of_squares(self.name, evaluation)
