@@ -174,8 +174,8 @@ class GridSimulation:
         def run(self, theta: np.ndarray) -> Rollout: ...
 
     def settled(self, ended: int) -> int:
-        """How settling ended, of which it says so: where no effect has a say in it, what moves still is a limp sheet that
-        goes to and fro between two wrinkles, and either is as good to begin with.
+        """How settling ended, OK or RESTLESS, as far as it counts: where no effect has a say in rest, what still moves
+        is a limp sheet that goes to and fro between two wrinkles, and either is as good to begin with.
         """
         return OK if ended == RESTLESS and not self.effects.at_rest else ended
 

@@ -88,7 +88,7 @@ class BoundEffects(JoinedParameters):
         return np.zeros((members, slots, max([1, *sizes])))
 
     def resting(self, theta: np.ndarray) -> np.ndarray:
-        """theta (B, P) with what acts in motion only at its null values: a sheet that comes to rest knows nothing of it."""
+        """theta (B, P) with what acts in motion only at its null values: it has no say in where a sheet rests."""
         out = theta.copy()
         for effect in self.at("dynamics"):
             if not acts_at_rest(effect):
@@ -158,8 +158,8 @@ class BoundEffects(JoinedParameters):
         return position
 
     def times(self, scene: Scene, theta: np.ndarray) -> np.ndarray:
-        """When each member is looked at for each stamp of the scene: (B, T) s. What acts on points in a camera's picture
-        does so on the times of its frames.
+        """When each member is looked at for each stamp of the scene: (B, T) s. What acts on pictures shifts their times
+        only.
         """
         out = np.repeat(scene.times[None], len(theta), axis=0)
         for effect in self.at("sensor"):

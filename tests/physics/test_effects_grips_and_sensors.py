@@ -221,7 +221,7 @@ def test_a_lens_bends_the_picture_as_opencv_does(cloud):
 
 
 def test_a_slow_video_shows_later_moments():
-    """After the last stamp, too, up to which the loop then has to run; what was not seen in pictures has its own times."""
+    """After the last stamp, too, up to which the loop then has to run; what was not seen in pictures is left alone."""
     effect, model = effect_named("frame_rate"), catalogue().make("models", "mass_spring")
     stamps, ratio = np.linspace(0.0, 0.3, 7), 1.15
     np.testing.assert_array_equal(effect.times(stamps, np.array([1.0])), stamps)

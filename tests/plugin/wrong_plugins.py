@@ -374,7 +374,8 @@ class Dependent(HonestOptimizer):
 
     def tell(self, theta, evaluation):
         squares = np.square(evaluation.residual).sum(axis=1)
-        super().tell(theta, dataclasses.replace(evaluation, value=np.where(np.isnan(evaluation.value), np.nan, squares)))
+        value = np.where(np.isnan(evaluation.value), np.nan, squares)
+        super().tell(theta, dataclasses.replace(evaluation, value=value))
 
 
 class Unseeded(RandomSearch):

@@ -17,4 +17,5 @@ def at_other_times(time: np.ndarray, position: np.ndarray, wanted: np.ndarray) -
     node = np.broadcast_to(np.arange(position.shape[1]), k.shape)
     a, b, da, db = position[k, node], position[k + 1, node], slope[k, node] * step, slope[k + 1, node] * step
     on = beyond[..., None] * np.where(beyond[..., None] < 0, slope[0], slope[-1])
-    return on + (2 * s**3 - 3 * s**2 + 1) * a + (s**3 - 2 * s**2 + s) * da + (3 * s**2 - 2 * s**3) * b + (s**3 - s**2) * db
+    a, b = a + on, b + on  # the weights of both are 1 together
+    return (2 * s**3 - 3 * s**2 + 1) * a + (s**3 - 2 * s**2 + s) * da + (3 * s**2 - 2 * s**3) * b + (s**3 - s**2) * db

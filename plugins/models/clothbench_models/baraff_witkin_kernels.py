@@ -183,8 +183,9 @@ def _march_implicit(
     """Run the sheet step by step from where it begins, settled first if it is to; fills `sampling.out` (T, N, 3) m.
 
     The steps are those of `implicit_step`. Settling is the same step with v̄ = 0 and steps growing to a second, which is
-    Newton's method for rest; a sheet that does not come to it in time is RESTLESS. clock.tolerance: what the linear solver leaves of a step's residual; size: m, of the
-    cloth; shear_rows: TRIANGLES or CELLS; result: (3,) status, time steps, rounds of the linear solver.
+    Newton's method for rest; a sheet that does not come to it in time is RESTLESS. clock.tolerance: what the linear
+    solver leaves of a step's residual; size: m, of the cloth; shear_rows: TRIANGLES or CELLS; result: (3,) status, time
+    steps, rounds of the linear solver.
     """
     effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
     pins, mass, bend, stiffer = sheet.held, sheet.mass, plate.rigidity, plate.stiffer
@@ -333,8 +334,8 @@ def _march_adaptive(
     """Run the sheet, which has settled, with Dormand and Prince's embedded pair; arguments as `_march_implicit`.
 
     clock.tolerance: m, the largest error of a node in one step; clock.dt: s, the longest step. Effects with a memory
-    see a copy of it in trial stages and go on for good once per accepted step; the first stage after a contact, at the
-    same time, sees what they remembered before that step, since a memory asked twice at one time takes that for settling.
+    see a copy of it in trial stages and go on for good once per accepted step. The first stage after a contact, at the
+    time of the last, sees what they remembered before that: asked twice at one time, a memory takes it for settling.
     """
     effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
     pins, mass = sheet.held, sheet.mass
