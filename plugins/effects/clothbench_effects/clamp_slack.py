@@ -9,7 +9,7 @@ class ClampSlack:
     """The true unloaded distance is (1 + s) times the one that stretches are stated by. Curves only."""
 
     name = "clamp_slack"
-    version = 1
+    version = 2
     place = "boundary"
     rank = 1  # before it slips, cloth is pulled: what slips does so by the cloth's own stretch
     family = "clamp"

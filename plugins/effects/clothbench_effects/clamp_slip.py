@@ -11,7 +11,7 @@ class ClampSlip:
     """From the cloth's stretch λ_s on, a share s of what the clamps move apart is cloth that comes out. Curves only."""
 
     name = "clamp_slip"
-    version = 1
+    version = 2
     place = "boundary"
     rank = 2  # after `clamp_slack`
     family = "clamp"

@@ -9,7 +9,7 @@ class FrameRate:
     """A frame stamped t shows the cloth at t₀ + r (t − t₀), t₀ the first frame's stamp."""
 
     name = "frame_rate"
-    version = 1
+    version = 2
     place = "sensor"
     family = "clock"
     summary = "a video that runs too fast or too slow (pictures)"

@@ -58,7 +58,7 @@ def clasp(t, dt, x, v, f, sheet, p, state):
 
 class GripPatch:
     name = "grip_patch"
-    version = 1
+    version = 2
     place = "dynamics"
     family = "grip"
     normals = False

@@ -55,7 +55,7 @@ SOURCE = "how the sheet was sewn: each further layer adds the cloth's own areal 
 
 class HeavyHem:
     name = "heavy_hem"
-    version = 1
+    version = 2
     place = "dynamics"
     family = "mass"
     law = "mass along the lower edge"

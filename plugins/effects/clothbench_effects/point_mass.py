@@ -63,7 +63,7 @@ SOURCE = "weigh it, and see where it is"
 
 class PointMass:
     name = "point_mass"
-    version = 1
+    version = 2
     place = "dynamics"
     family = "mass"
     normals = False

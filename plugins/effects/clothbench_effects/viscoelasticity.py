@@ -54,7 +54,7 @@ SOURCE = "Maxwell 1867; Simo and Hughes 1998, Computational Inelasticity, sectio
 
 class Viscoelasticity:
     name = "viscoelasticity"
-    version = 1
+    version = 2
     place = "dynamics"
     at_rest = False
     family = "bending"

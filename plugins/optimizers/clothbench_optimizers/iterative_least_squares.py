@@ -24,7 +24,7 @@ class IterativeLeastSquares(GeneratorSearch):
     """
 
     name = "iterative_least_squares"
-    version = 1
+    version = 2
     needs_residual = True
 
     def __init__(
