@@ -382,7 +382,7 @@ class ShiftsTimes(Protocol):
     """A sensor effect that shifts when the simulation is looked at. One without it and `positions` does nothing."""
 
     def times(self, time: np.ndarray, phi: np.ndarray) -> np.ndarray:
-        """When the simulation is looked at (T,) s for each stamp (T,) s."""
+        """When the simulation is looked at (T,) s for each stamp (T,) s; if it has `sights`, of pictures only."""
         ...
 
 

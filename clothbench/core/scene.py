@@ -145,12 +145,15 @@ class Scene:
         curve: PPoly = Akima1DInterpolator(self.grip_time, position, method="makima")
         return np.ascontiguousarray(curve.c)
 
-    def grips_at(self, times: np.ndarray) -> np.ndarray:
-        """Where the grips are at `times` (T,) s → (T, G, 3) m; held still before the first and after the last stamp."""
+    def grips_at(self, times: np.ndarray, curve: np.ndarray | None = None) -> np.ndarray:
+        """Where the grips are at `times` (T,) s → (T, G, 3) m; held still before the first and after the last stamp.
+
+        curve: of grips that are elsewhere than the scene says, as `grip_curve` gives it.
+        """
         times = np.clip(times, self.grip_time[0], self.grip_time[-1])
         i = np.clip(np.searchsorted(self.grip_time, times, side="right") - 1, 0, self.grip_time.size - 2)
         s = (times - self.grip_time[i])[:, None, None]
-        c = self.grip_curve()
+        c = self.grip_curve() if curve is None else curve
         return ((c[0, i] * s + c[1, i]) * s + c[2, i]) * s + c[3, i]
 
 

@@ -106,7 +106,7 @@ def calibrate(
     values: list[np.ndarray] = []
     several: list[np.ndarray] = []
     warmth: list[np.ndarray] = []
-    stopped, looked = "", 0
+    stopped, looked, given = "", 0, start_of(optimizer) is not None  # one that begins at the defaults looks at nothing
 
     def answer(theta: np.ndarray) -> Evaluation:
         if (temperature := temperature_of(optimizer)) is not None:
@@ -118,7 +118,7 @@ def calibrate(
         values.append(evaluation.value)
         if evaluation.objectives is not None:
             several.append(evaluation.objectives)
-        if not looked and start_of(optimizer) is not None:
+        if not given and not looked and start_of(optimizer) is not None:
             looked = sum(map(len, values))
         if progress is not None:
             progress(sum(map(len, values)), _lowest(np.concatenate(values)))

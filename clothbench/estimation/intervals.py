@@ -53,15 +53,19 @@ def intervals(trials: Sequence[Trial], space: ParameterSpace, best: np.ndarray) 
 def jackknife(jacobian: np.ndarray, residual: np.ndarray, groups: Sequence[np.ndarray]) -> np.ndarray:
     """Half-width (P,) of the 95 % interval from leaving out each group of rows of J (R, P) and r (R,) in turn.
 
-    Infinite where the data do not determine a parameter.
+    Infinite where the data do not determine a parameter, all of them or those without one of the groups: then nobody
+    knows how far it would move. What is left of a group is held against all of the data, parameter by parameter.
     """
     hessian = jacobian.T @ jacobian
-    moved = []
+    told = np.sqrt(np.diag(hessian))
+    told[told == 0.0] = 1.0
+    moved, nowhere = [], undetermined(hessian)
     for rows in groups:
         rest = hessian - jacobian[rows].T @ jacobian[rows]
         moved.append(np.linalg.lstsq(rest, jacobian[rows].T @ residual[rows], rcond=1 / SINGULAR)[0])
+        nowhere |= undetermined(rest / np.outer(told, told))
     half = jackknife_half_width(np.array(moved))
-    half[undetermined(hessian)] = np.inf
+    half[nowhere] = np.inf
     return half
 
 

@@ -58,7 +58,16 @@ def over(trials: Sequence[Trial], work: Callable[[Trial], Any]) -> list[Any]:
 
 
 def score_of(trial: Trial, metric: Metric, rollout: Rollout) -> Score:
-    """The metric on this trial; a member that did not run to its end has no value, whatever positions it left."""
+    """The metric on this trial; a member that did not run to its end has no value, residual or objectives, whatever
+    positions it left: a search by any of them would else take it for a good one.
+    """
     score = metric(trial.observation, rollout)
     ok = np.array([status == "ok" for status in rollout.status])
-    return score if ok.all() else dataclasses.replace(score, value=np.where(ok, score.value, np.nan))
+    if ok.all():
+        return score
+
+    def kept(rows: np.ndarray | None) -> np.ndarray | None:
+        return None if rows is None else np.where(ok[:, None], rows, np.nan)
+
+    value, residual, objectives = np.where(ok, score.value, np.nan), kept(score.residual), kept(score.objectives)
+    return dataclasses.replace(score, value=value, residual=residual, objectives=objectives)

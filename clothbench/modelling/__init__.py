@@ -11,7 +11,8 @@ effects in a time loop: BoundEffects, EFFECT (their numba type), Terms, SLOTS, F
     add_effects, apply_effects, show_grips
 start, grips, sampling and the end of a time loop: Start, Grips, Sampling, Clock (numba types in capitals, and
     `…_OF_MANY` for loops that run several members at once), GOES_ON, SETTLES, RESTS, grip_point, grip_speed,
-    advance_segment, hold_grips, write_frames, put_grips, fastest, is_lost, as_double, put_back, OK, DIVERGED
+    advance_segment, hold_grips, write_frames, put_grips, fastest, is_lost, as_double, put_back, OK, DIVERGED,
+    RESTLESS
 contact: obstacle_table, OBSTACLE (its columns), vector_of, carry, keep_out, inside, layers_of, keep_apart, LAYERS
 force-extension curves: curve_of, CurveSimulation
 threads over members, and the shape to settle from: for_each, initial_shape
@@ -67,6 +68,7 @@ from clothbench.modelling.time_loop import (
     GRIPS,
     GRIPS_OF_MANY,
     OK,
+    RESTLESS,
     RESTS,
     SAMPLING,
     SAMPLING_OF_MANY,
@@ -111,6 +113,7 @@ __all__ = [
     "OK",
     "PLACES",
     "PLANE",
+    "RESTLESS",
     "RESTS",
     "SAMPLING",
     "SAMPLING_OF_MANY",

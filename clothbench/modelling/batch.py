@@ -25,6 +25,8 @@ from clothbench.modelling.sheet import Sheet, own_sheet, sheet_of
 from clothbench.modelling.time_loop import (
     DIVERGED,
     GOES_ON,
+    OK,
+    RESTLESS,
     RESTS,
     SETTLES,
     SLOTS,
@@ -112,12 +114,15 @@ class GridSimulation:
     @cached_property
     def start(self) -> tuple[np.ndarray, np.ndarray]:
         """The shape (n, 3) m that the run, or the settling before it, begins with, and its velocity (n, 3) m/s."""
-        scene, sheet = self.scene, self.sheet
-        shape, velocity = self._first_shape, initial_velocity(scene, sheet.uv)
+        return self.start_with(None), initial_velocity(self.scene, self.sheet.uv)
+
+    def start_with(self, curve: np.ndarray | None) -> np.ndarray:
+        """The same shape (n, 3) m where the grips follow `curve` (4, K−1, G, 3), as `Scene.grip_curve` gives it."""
+        scene, sheet, shape = self.scene, self.sheet, self._first_shape
         if scene.velocity is not None:  # noise of the measurement would else be let loose as stretch
-            grips = scene.grips_at(np.array([scene.start_time]))[0] if sheet.gripped else np.zeros((0, 3))
+            grips = scene.grips_at(np.array([scene.start_time]), curve)[0] if sheet.gripped else np.zeros((0, 3))
             shape = unstretched(shape, self.lines, sheet.held[: sheet.gripped], grips)
-        return _flat_in_clamps(scene, shape, self.clamped), velocity
+        return _flat_in_clamps(scene, shape, self.clamped)
 
     @property
     def settles(self) -> bool:
@@ -168,6 +173,12 @@ class GridSimulation:
 
         def run(self, theta: np.ndarray) -> Rollout: ...
 
+    def settled(self, ended: int) -> int:
+        """How settling ended, OK or RESTLESS, as far as it counts: where no effect has a say in rest, what still moves
+        is a limp sheet that goes to and fro between two wrinkles, and either is as good to begin with.
+        """
+        return OK if ended == RESTLESS and not self.effects.at_rest else ended
+
     def calmed(self, theta: np.ndarray) -> np.ndarray:
         """The parameters (B, P) with which the sheet settles in its grips: where it comes to rest must be the same."""
         return theta
@@ -210,9 +221,13 @@ class GridBatch:
         self.interpolator = Interpolator.on_lines(scene.points, *simulation.lines, nodes)
         self.held_points, self.pins_of_points = _shared_points(scene.points, scene.grip_material)
         self.shape, self.velocity = simulation.start
+        curves = effects.grip_curves(scene, theta)
+        # Effects may hold the grips elsewhere; cloth that is already moving begins there, and does not jump onto them.
+        elsewhere = not simulation.settles and len(scene.grip_material) > 0 and len(effects.at("boundary")) > 0
+        self.shapes = np.stack([simulation.start_with(curve) for curve in curves]) if elsewhere else self.shape[None]
         self.knots = np.array(scene.grip_time) if len(scene.grip_material) else np.zeros(2)
         still = simulation.sheet.held[simulation.sheet.gripped :]
-        self.curves = _with_still(effects.grip_curves(scene, theta), self.shape[still])
+        self.curves = _with_still(curves, self.shapes[:, still])
         span = self.times.max(axis=1) - scene.start_time + settling
         self.late = span / dt > MAX_STEPS
         first, self.alike = effects.distinct(theta, self.times)
@@ -261,11 +276,15 @@ class GridBatch:
     def begin(self, b: int | None = None) -> Start:
         """Where member b begins, arrays of its own; any of them, if none has been hung up yet."""
         if self.hung is None or b is None:
-            shape, how = self.shape, SETTLES if self.simulation.settles else GOES_ON
+            shape, how = self.shape_of(b or 0), SETTLES if self.simulation.settles else GOES_ON
         else:
             shape, how = self.hung[b], RESTS
         x, v = (np.ascontiguousarray(rows.T, dtype=float).copy() for rows in (shape, self.velocity))
         return Start(x, v, how)
+
+    def shape_of(self, b: int) -> np.ndarray:
+        """The shape (n, 3) m with which member b begins to move or to settle."""
+        return self.shapes[b % len(self.shapes)]
 
     def sheet(self) -> Sheet:
         """The sheet for one member's loop, with normals and grips of its own."""
@@ -306,26 +325,29 @@ class GridBatch:
         scene = self.simulation.scene
         position = self.simulation.effects.seen(scene, self.theta, self.position[self.alike])
         lost = ~(np.abs(position).max(axis=(2, 3), initial=0.0) < 1e6)
-        gone = (self.status[self.alike] == DIVERGED) | (lost.any(axis=1) & ~self.late)
+        ended = self.status[self.alike]
+        gone = (ended != OK) | (lost.any(axis=1) & ~self.late)
         status = np.where(self.late, "timeout", np.where(gone, "diverged", "ok"))
+        why = np.where((status == "diverged") & (ended == RESTLESS), "restless", status)
         reasons = {
             "ok": "",
             "diverged": "the sheet left all bounds: the step is too long for these parameters",
+            "restless": "the sheet did not come to rest before the run: these effects keep it moving",
             "timeout": f"more than {MAX_STEPS:.0e} steps: these parameters need too short a step",
         }
         position[np.logical_or.accumulate(lost, axis=1)] = np.nan
         return Rollout(
             scene.times, position, tuple(map(str, status)), self.steps[self.alike], self.simulation.nodes,
-            tuple(reasons[s] for s in status),
+            tuple(reasons[w] for w in why),
         )  # fmt: skip
 
 
 def _with_still(curves: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Grips' piecewise cubics (M, 4, K − 1, G, 3), and after them nodes that stay at `places` (S, 3) m."""
-    if not len(places):
+    """Grips' piecewise cubics (M, 4, K − 1, G, 3), and after them nodes that stay at `places` (M or 1, S, 3) m."""
+    if not places.shape[1]:
         return curves
-    still = np.zeros((*curves.shape[:3], len(places), 3))
-    still[:, 3] = places
+    still = np.zeros((*curves.shape[:3], places.shape[1], 3))
+    still[:, 3] = places[:, None]
     return np.ascontiguousarray(np.concatenate([curves, still], axis=3))
 
 

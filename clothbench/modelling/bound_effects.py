@@ -87,6 +87,17 @@ class BoundEffects(JoinedParameters):
         sizes = [e.state_size(sheet) for e, _ in self._stages() if isinstance(e, Remembers)]
         return np.zeros((members, slots, max([1, *sizes])))
 
+    def resting(self, theta: np.ndarray) -> np.ndarray:
+        """theta (B, P) with what acts in motion only at its null values: it has no say in where a sheet rests."""
+        out = theta.copy()
+        for effect in self.at("dynamics"):
+            if not acts_at_rest(effect):
+                own = self.of_effect(effect, out)
+                for k, parameter in enumerate(effect.parameters):
+                    if parameter.null is not None:
+                        own[:, k] = parameter.null
+        return out
+
     def stiffness(self, theta: np.ndarray) -> np.ndarray:
         """What all effects together add at most to in-plane stiffness N/m and bending rigidity N·m, (B, 2)."""
         out = np.zeros((len(theta), 2))
@@ -147,10 +158,13 @@ class BoundEffects(JoinedParameters):
         return position
 
     def times(self, scene: Scene, theta: np.ndarray) -> np.ndarray:
-        """When each member is looked at for each stamp of the scene: (B, T) s."""
+        """When each member is looked at for each stamp of the scene: (B, T) s. What acts on pictures shifts their times
+        only.
+        """
         out = np.repeat(scene.times[None], len(theta), axis=0)
         for effect in self.at("sensor"):
-            if isinstance(effect, ShiftsTimes):
+            in_pictures = isinstance(effect, ShiftsSight)
+            if isinstance(effect, ShiftsTimes) and not (in_pictures and scene.camera is None):
                 for b, phi in enumerate(self.of_effect(effect, theta)):
                     out[b] = effect.times(out[b], phi)
         return out

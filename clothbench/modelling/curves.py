@@ -9,7 +9,8 @@ in N/m, per width of the sample. An effect takes part through one optional metho
 | boundary | `clamped(stretch (M,), phi) -> stretch (M,)` | the cloth's own, where the clamps say `stretch` |
 | sensor | `weighed(stretch (M,), force (M,) N, phi) -> force (M,)` | what the load cell shows |
 
-The cloth's stretch is never below 1: a slack sample hangs, it does not push. Tension times the sample's width is the
+Effects of the clamps act in the order of their `rank` (0 where they say none), in whatever order they are named. The
+cloth's stretch is never below 1: a slack sample hangs, it does not push. Tension times the sample's width is the
 force. Where the width is not known it is taken for 1: every parameter in N/m is then the whole sample's, in N.
 """
 
@@ -46,7 +47,7 @@ def acts_on_sheets(effect: Any) -> bool:
 
 def needs_a_picture(effect: Any) -> bool:
     """Whether it acts on points that were seen in a camera's picture, and on nothing else."""
-    others = ("times", "positions", CURVE_HOOKS["sensor"])
+    others = ("positions", CURVE_HOOKS["sensor"])
     return isinstance(effect, ShiftsSight) and not any(callable(getattr(effect, hook, None)) for hook in others)
 
 
@@ -105,7 +106,7 @@ class CurveSimulation:
     def _force(self, theta: np.ndarray) -> np.ndarray:
         own, parts = self.joined.of_model(theta), list(self.joined.of_effects(theta))
         stretch = self.stretch
-        for effect, phi in parts:
+        for effect, phi in sorted(parts, key=lambda part: getattr(part[0], "rank", 0)):
             if effect.place == "boundary":
                 stretch = effect.clamped(stretch, phi)  # type: ignore[attr-defined]
         stretch = np.maximum(stretch, 1.0)

@@ -13,7 +13,7 @@ from clothbench.modelling.bound_effects import FORCE
 from clothbench.modelling.sheet import sheet_normals, wants_normals
 
 SLOTS = 8  # places for dynamics effects in a loop
-OK, DIVERGED = 0, 1
+OK, DIVERGED, RESTLESS = 0, 1, 2  # how a loop ends; restless: it found no rest to begin with
 GOES_ON, SETTLES, RESTS = 0, 1, 2  # how a loop begins
 
 Terms = namedtuple("Terms", "stages count parameters state")

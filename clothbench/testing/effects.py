@@ -162,12 +162,13 @@ def lets_hang_what_hangs(case: EffectCase) -> str | None:
     if acts_at_rest(case.effect) or case.effect.place != "dynamics" or getattr(case.effect, "force", None) is None:
         return "may act on a sheet at rest, or exerts no force at all"
     effect, (sheet, x, v) = case.effect, waving_sheet()
-    state = np.zeros(effect.state_size(sheet) if isinstance(effect, Remembers) else 0)
     for values in probe.acting_values(effect):
-        force = np.zeros_like(x)
-        effect.force.py_func(0.0, 1e-3, x, 0 * v, force, sheet, values, state)  # type: ignore[attr-defined]
-        found = f"a force of {np.abs(force).max():.3g} N at {values.tolist()} on a sheet that does not move"
-        require(not force.any(), found, "none, since at_rest is False")
+        state = np.zeros(effect.state_size(sheet) if isinstance(effect, Remembers) else 0)
+        for t in np.linspace(0.0, 2.0, 5):  # it may come later, or with what it remembers
+            force = np.zeros_like(x)
+            effect.force.py_func(t, 1e-3, x, 0 * v, force, sheet, values, state)  # type: ignore[attr-defined]
+            found = f"a force of {np.abs(force).max():.3g} N at {values.tolist()} on a sheet that does not move"
+            require(not force.any(), found, "none, since at_rest is False")
     return None
 
 
@@ -204,17 +205,18 @@ def keeps_to_its_own_memory(case: EffectCase) -> str | None:
     for stage in SHEET_HOOKS["dynamics"]:
         if getattr(effect, stage, None) is None:
             continue
-        given = [x, v, *(part for part in sheet if isinstance(part, np.ndarray)), effect.parameters.defaults]
-        before = [array.copy() for array in given]
-        filled, longer = np.zeros((2, 3 if stage == "force" else 6, x.shape[1]))
-        for added, state in ((filled, np.zeros(size)), (longer, np.zeros(size + 7))):
-            for step in range(3):
-                getattr(effect, stage).py_func(1e-3 * step, 1e-3, x, v, added, sheet, given[-1], state)
-        kept = all(np.array_equal(a, b) for a, b in zip(given, before, strict=True))
-        require(kept, f"an input of {stage!r} that it has changed", "changes to f and state only")
-        require(np.isfinite(filled).all(), f"what {stage!r} adds, which is not finite", "finite numbers")
-        alike = np.array_equal(filled, longer)
-        require(alike, f"{stage!r} that adds something else with a longer state", "the same: others may remember more")
+        for values in probe.acting_values(effect):
+            given = [x, v, *(part for part in sheet if isinstance(part, np.ndarray)), values]
+            before = [array.copy() for array in given]
+            filled, longer = np.zeros((2, 3 if stage == "force" else 6, x.shape[1]))
+            for added, state in ((filled, np.zeros(size)), (longer, np.zeros(size + 7))):
+                for step in range(3):
+                    getattr(effect, stage).py_func(1e-3 * step, 1e-3, x, v, added, sheet, values, state)
+            kept = all(np.array_equal(a, b) for a, b in zip(given, before, strict=True))
+            require(kept, f"an input of {stage!r} that it has changed", "changes to f and state only")
+            require(np.isfinite(filled).all(), f"what {stage!r} adds, which is not finite", "finite numbers")
+            found = f"{stage!r} that adds something else with a longer state"
+            require(np.array_equal(filled, longer), found, "the same: others may remember more")
     return None
 
 

@@ -123,6 +123,9 @@ def gives_no_number_for_a_lost_rollout(case: MetricCase) -> None:
     late[len(late) // 2 :] = np.nan
     score = case.score(lost, late, np.full_like(lost, np.nan))
     require(np.isnan(score.value[1:]).all(), f"values {score.value[1:]} for rollouts that were lost", "NaN")
+    if score.residual is not None:  # least squares looks at nothing else
+        finite = np.isfinite(score.residual[1:]).all(axis=1).any()
+        require(not finite, "a finite residual for a rollout that was lost", "NaN in it")
     alone = case.score(lost).value[0]
     require(
         _close(score.value[0], alone),

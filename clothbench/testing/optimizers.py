@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -44,7 +45,7 @@ class OptimizerCase:
 
 def played(optimizer: Optimizer, problem: Problem, budget: int) -> Search:
     """Play the caller's part: ask, evaluate, tell, until it is done; bounds and budget are watched, so that one that
-    never ends is stopped.
+    never ends is stopped. One that says that it needs no residual gets none, as of a metric that has none.
     """
     asked, told = [], []
     while not optimizer.done:
@@ -52,6 +53,8 @@ def played(optimizer: Optimizer, problem: Problem, budget: int) -> Search:
         require_in_bounds(theta, problem.space)
         asked.append(np.array(theta))
         evaluation = problem.evaluate(theta)
+        if optimizer.needs_residual is False:
+            evaluation = dataclasses.replace(evaluation, residual=None)
         told.append(evaluation.value)
         spent = sum(map(len, asked))
         require(

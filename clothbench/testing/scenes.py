@@ -114,12 +114,26 @@ def standard() -> dict[str, Scene]:
 
 
 def moved(scene: Scene, turn: np.ndarray, shift: np.ndarray, *, with_gravity: bool) -> Scene:
-    """The same scene after x → turn·x + shift, turn (3, 3), shift (3,) m; gravity turns along or stays."""
+    """The same scene, with all that stands in it, after x → turn·x + shift, turn (3, 3), shift (3,) m; gravity turns
+    along or stays.
+    """
+
+    def placed(obstacle: Obstacle) -> Obstacle:
+        centre, normal = turn @ obstacle.centre + shift, turn @ obstacle.normal
+        return dataclasses.replace(obstacle, centre=tuple(centre), normal=tuple(normal))
+
+    camera = scene.camera
+    if camera is not None:
+        rotation = camera.rotation @ turn.T
+        camera = dataclasses.replace(camera, rotation=rotation, translation=camera.translation - rotation @ shift)
     return dataclasses.replace(
         scene,
         grip_position=scene.grip_position @ turn.T + shift,
         start=None if scene.start is None else scene.start @ turn.T + shift,
+        velocity=None if scene.velocity is None else scene.velocity @ turn.T,
         gravity=tuple(turn @ scene.gravity) if with_gravity else scene.gravity,
+        obstacles=tuple(map(placed, scene.obstacles)),
+        camera=camera,
     )
 
 

@@ -8,6 +8,7 @@ from clothbench_effects.grip_offset import GripOffset
 from clothbench_effects.quadratic_drag import QuadraticDrag
 from clothbench_effects.rest_curvature import RestCurvature
 from clothbench_effects.steady_wind import SteadyWind
+from clothbench_effects.viscoelasticity import Viscoelasticity
 from clothbench_models.baraff_witkin import BaraffWitkin
 from clothbench_models.inextensible import Inextensible
 from clothbench_models.mass_spring import MassSpring
@@ -16,6 +17,7 @@ from clothbench_models.mass_spring_verlet import MassSpringVerlet
 from clothbench import Scene
 from clothbench.core.resting import RestShapes, remember_rest, rest_shapes
 from clothbench.modelling import GridSimulation
+from clothbench.testing import scenes
 
 MODELS = (MassSpring, MassSpringVerlet, BaraffWitkin, Inextensible)
 IN_MOTION = {"mass_spring": 2, "mass_spring_verlet": 12, "baraff_witkin": 3, "inextensible": 2}  # a damping of each
@@ -172,3 +174,26 @@ def test_slack_cloth_hangs_in_an_arc_and_is_not_squeezed_in_its_plane(slack):
 
     assert max(apart) < 0.015  # m, of a sheet 20 cm wide: springs bend more readily
     assert apart[2] < 0.004  # two models of one material
+
+
+def test_a_sheet_that_a_wind_keeps_moving_is_lost_and_says_so():
+    """It would else begin anywhere, as if that were rest; in a light wind it hangs still."""
+    hanging = scenes.hanging()
+    simulation = BaraffWitkin().prepare(hanging, [SteadyWind()])
+    strong, light = ([3.6, 0.45, 1.6, 1.6, 1.6], [1.0, 0.02, 0.0, 0.2, 0.0])
+    theta = np.array([[*BaraffWitkin.parameters.defaults, *wind] for wind in (strong, light)])
+    rollout = simulation.run(theta)
+    assert rollout.status == ("diverged", "ok")
+    assert rollout.reasons == ("the sheet did not come to rest before the run: these effects keep it moving", "")
+    assert np.isnan(rollout.position[0]).all()
+
+
+@each_model
+def test_stress_that_relaxes_has_relaxed_where_a_sheet_rests(make):
+    """However stiff it is at once: it has no say in where that is, nor in how soon it is found."""
+    swinging = scenes.with_times(scenes.swinging(), np.array([0.0]))
+    bare = make().prepare(swinging)
+    beside = make().prepare(swinging, [Viscoelasticity()])
+    theta = make.parameters.defaults
+    rest = finished(beside, np.array([[*theta, 1e-3, 500.0, 0.2]]))
+    np.testing.assert_allclose(rest, finished(bare, theta[None]), atol=1e-5)

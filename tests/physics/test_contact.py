@@ -14,6 +14,8 @@ from contact_scenes import DISC, IMPLICIT, QUADS, SOFT, SPHERE, TRIANGLES, G, dr
 from clothbench import Scene
 from clothbench.core.scene import Obstacle
 from clothbench.modelling import keep_out, obstacle_table
+from clothbench.plugins.discovery import catalogue
+from clothbench.testing import scenes
 
 THREE = (
     Obstacle("plane"),
@@ -143,6 +145,18 @@ def test_in_runge_kutta_steps_a_sheet_slides_as_coulomb_says():
     times, path = slide(angle, 0.5, model, TRIANGLES)
     expected = 0.5 * G * (np.sin(angle) - 0.5 * np.cos(angle)) * times**2
     np.testing.assert_allclose(path[0, 1:], expected[1:], rtol=1e-3)
+
+
+@pytest.mark.parametrize("effect", ["air_memory", "viscoelasticity"])
+def test_a_floor_far_below_halts_no_memory(effect):
+    """In Runge-Kutta steps the forces are taken anew after each step in which something might have been touched."""
+    memory = catalogue().make("effects", effect)
+    values = [2.0, 0.0, 0.15] if effect == "air_memory" else [1e-4, 0.0, 0.2]
+    free = scenes.with_times(scenes.swinging(), np.linspace(0.0, 0.2, 5))
+    above = dataclasses.replace(free, obstacles=(Obstacle("plane", (0.0, 0.0, -5.0)),))
+    theta = np.array([[*BaraffWitkin.parameters.defaults, *values]])
+    one, other = (BaraffWitkin(integrator="rk45").prepare(scene, (memory,)).run(theta) for scene in (free, above))
+    np.testing.assert_allclose(other.position, one.position, atol=1e-5)
 
 
 def accelerated(model, theta, friction, pull):

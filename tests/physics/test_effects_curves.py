@@ -80,6 +80,18 @@ def test_slip_takes_a_share_of_the_way_beyond_its_onset():
     np.testing.assert_allclose(found, 40 * (STRAIN - 0.5 * np.maximum(STRETCH - 1.2, 0)), atol=1e-12)
 
 
+def test_slack_and_slip_do_not_care_in_which_order_they_are_named():
+    """Slack is pulled first, and slips then by the cloth's own stretch."""
+    made, theta = catalogue(), {"clamp_slack": [0.1], "clamp_slip": [0.5, 1.2]}
+    model, found = made.make("models", "linear_stretch"), []
+    for names in (("clamp_slack", "clamp_slip"), ("clamp_slip", "clamp_slack")):
+        curve = curve_of(model, [made.make("effects", name) for name in names], STRETCH, 1.0)
+        found.append(curve.run(np.array([[40.0, *theta[names[0]], *theta[names[1]]]])).force[0])
+    np.testing.assert_array_equal(*found)
+    own = STRETCH / 1.1
+    np.testing.assert_allclose(found[0], 40 * np.maximum(own - 0.5 * np.maximum(own - 1.2, 0) - 1, 0), atol=1e-12)
+
+
 def test_a_load_cell_is_off_in_newtons_whatever_the_width():
     found = force(0.05, 0.3, effect="load_offset")
     np.testing.assert_allclose(found, 0.05 * 40 * STRAIN + 0.3, atol=1e-12)

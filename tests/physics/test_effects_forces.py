@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 import pytest
 
@@ -9,6 +11,7 @@ from clothbench.core.protocols import Effect
 from clothbench.modelling.mesh import grid_triangles
 from clothbench.modelling.sheet import own_sheet, sheet_of, wants_normals
 from clothbench.plugins.discovery import catalogue
+from clothbench.testing import scenes
 
 SIZE, SHAPE = (0.2, 0.3), (4, 5)
 DENSITY, AIR = 0.2, 1.2
@@ -251,6 +254,22 @@ def test_what_hangs_on_the_cloth_weighs_what_it_should_where_it_should(crumpled,
     mass = weight[2] / -9.81
     assert mass.sum() == pytest.approx(total)
     np.testing.assert_allclose(mass @ sheet.uv / total, middle, rtol=1e-12)
+
+
+def test_what_hangs_on_cut_cloth_hangs_on_cloth():
+    """A hem weighs what its strip of a disc does, and a point off the cloth hangs from its rim with all its mass."""
+    scene = dataclasses.replace(scenes.draped(), obstacles=(), resolution=(25, 25))
+    sheet = catalogue().make("models", "baraff_witkin").prepare(scene).sheet
+    radius, width = 0.12, 0.05
+    away = radius - width  # of the strip's inner edge from the middle
+    strip = radius**2 * np.arccos(away / radius) - away * np.sqrt(radius**2 - away**2)
+    x = np.ascontiguousarray(np.column_stack([sheet.uv, np.zeros(len(sheet.uv))]).T)
+    hem = push(effect_named("heavy_hem"), (0.5, width), sheet, x, 0 * x)[2] / -9.81
+    assert hem.sum() == pytest.approx(0.5 * strip, rel=1e-2)
+    button = push(effect_named("point_mass"), (0.004, 0.02, 0.05), sheet, x, 0 * x)[2] / -9.81
+    assert button.min() >= 0.0
+    assert button.sum() == pytest.approx(0.004)
+    assert np.linalg.norm(sheet.uv[button > 0] - radius, axis=1).max() < 1.1 * radius
 
 
 def test_gravity_turns_about_x_then_y(crumpled):

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from clothbench_models.baraff_witkin import BaraffWitkin
 from clothbench_models.inextensible import TAUT, Inextensible
-from effect_scenes import falling, hanging
+from effect_scenes import effect_named, falling, hanging
 from implicit_scenes import (
     DENSITY,
     PENDULUM,
@@ -26,6 +26,7 @@ from clothbench import ClothbenchError, Scene
 from clothbench.core.protocols import Material
 from clothbench.reference import mechanics as references
 from clothbench.studies.mechanics import scenes, trials
+from clothbench.testing.scenes import overhanging, with_times
 
 CLOTH = (1e-5, 1.5, 2e-7)
 BARE = (1e-6, 0.0, 0.0)
@@ -151,6 +152,17 @@ def test_a_settled_sheet_stays_at_rest(integrator, scene):
     x = simulate(Inextensible(integrator=integrator), scene(np.array([0.0, 0.01, 0.5])), *CLOTH)
     assert np.abs(x[1] - x[0]).max() / 0.01 < 1e-4  # m/s
     assert np.abs(x[2] - x[0]).max() < 1e-5
+
+
+@pytest.mark.parametrize("name", ["stretch_stiffening", "poisson_coupling", "viscoelasticity"])
+def test_what_acts_on_stretch_leaves_rest_where_it_is(name):
+    """Over all of its bounds: nothing stretches here. Settling knows of it as a share of its own stiff springs."""
+    model, effect, scene = Inextensible(), effect_named(name), with_times(overhanging(), np.array([0.0]))
+    values = [effect.parameters.from_unit(np.full(len(effect.parameters), at)) for at in (0.0, 0.3, 0.7, 1.0)]
+    rest = model.prepare(scene).run(np.array([CLOTH])).position[0]
+    beside = model.prepare(scene, (effect,)).run(np.array([[*CLOTH, *phi] for phi in values]))
+    assert set(beside.status) == {"ok"}
+    assert np.abs(beside.position - rest).max() < 1e-4
 
 
 # --- batches, options, materials --------------------------------------------------------------------------------------

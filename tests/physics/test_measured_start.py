@@ -58,6 +58,24 @@ def test_a_run_goes_on_where_it_was_cut(name, options):
     assert np.sqrt((np.linalg.norm(halted - seen[3:], axis=-1) ** 2).mean()) > 1.5 * np.sqrt((away**2).mean())
 
 
+@pytest.mark.parametrize("name", ["mass_spring", "baraff_witkin", "inextensible"])
+def test_grips_that_an_effect_holds_elsewhere_take_the_measured_shape_along(name):
+    """Nothing is torn in the first step: every mesh line begins with its length."""
+    model, offset = catalogue().make("models", name), catalogue().make("effects", "grip_offset")
+    scene = swung(np.array([0.0, 1e-3]))
+    scene = dataclasses.replace(scene, velocity=np.zeros_like(scene.start))
+    shifts, theta = np.array([[0.0, 0.02, 0.0], [0.01, -0.03, 0.005], [0.0, 0.0, 0.0]]), model.parameters.defaults
+    found = model.prepare(scene, (offset,)).run(np.array([[*theta, *shift] for shift in shifts]))
+    for shift, (begin, after) in zip(shifts, found.position, strict=True):
+        nodes = begin.reshape(*SHAPE[::-1], 3)
+        np.testing.assert_allclose(nodes[0, [0, -1]], scene.grip_position[0] + shift, atol=1e-12)
+        for axis, step in ((1, SIZE[0] / 6), (0, SIZE[1] / 8)):
+            assert np.abs(np.linalg.norm(np.diff(nodes, axis=axis), axis=-1) / step - 1).max() < 0.02
+        assert np.linalg.norm(after - begin, axis=1).max() < 2e-4
+    bare = model.prepare(scene).run(theta[None])
+    np.testing.assert_array_equal(found.position[2], bare.position[0])
+
+
 def test_models_that_know_rest_only_are_skipped():
     scene = dataclasses.replace(swung(np.array([0.0, 0.1])), velocity=np.zeros((len(UV), 3)))
     model = type("Still", (), {"capabilities": frozenset({"dynamic"})})()

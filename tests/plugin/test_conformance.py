@@ -117,6 +117,17 @@ def test_a_model_may_refine_its_steps_by_a_method():
     assert not outcome.skipped
 
 
+@pytest.mark.parametrize(
+    "rule", ["moves along with the room", "turns along with gravity", "is pulled down", "follows the grips"]
+)
+def test_a_sound_model_keeps_its_rules_in_scenes_with_a_table_and_with_a_start_in_motion(rule):
+    """The room moves with all that stands in it, and what was thrown does not fall as what was let go."""
+    fall = scenes.free_fall()
+    velocity = np.broadcast_to([0.6, -0.4, 1.2], fall.start.shape)
+    of_its_own = {"thrown": dataclasses.replace(fall, velocity=velocity), "carried": scenes.carried()}
+    check_model(wrong_models.Faulty, scenes=of_its_own, only=[rule])
+
+
 def test_a_rule_that_does_not_apply_says_why():
     (outcome,) = check_effect(wrong_plugins.HonestEffect, only=["keeps to its own memory"])
     assert outcome.skipped == "has no kernel"

@@ -103,6 +103,36 @@ class Pushing(Greedy):
     at_rest = False
 
 
+@effect_kernel
+def tiring_force(t, dt, x, v, f, sheet, p, state):
+    state[0] += 1.0
+    if state[0] > 2.0:
+        f[1] += p[0] * 1e-3
+
+
+class Tiring(Greedy):
+    """Pushes from its third step on, where nothing moves either."""
+
+    force = staticmethod(tiring_force)
+    at_rest = False
+
+    def state_size(self, sheet):
+        return 1
+
+
+@effect_kernel
+def late_greedy_force(t, dt, x, v, f, sheet, p, state):
+    f[0, 0] += p[0] * 1e-3
+    if p[0] > 0.06:
+        state[0] += 1.0
+
+
+class GreedyOnceStrong(Greedy):
+    """Counts in a memory that was never declared, but not at its defaults."""
+
+    force = staticmethod(late_greedy_force)
+
+
 class Uncompiled(Greedy):
     force = staticmethod(greedy_force.py_func)
 
@@ -166,8 +196,10 @@ EFFECTS = [
     (NeverNull, "vanishes at its null values", "another motion at the null values"),
     (Idle, "acts elsewhere", "no change of any motion"),
     (Pushing, "lets hang what hangs", "on a sheet that does not move"),
+    (Tiring, "lets hang what hangs", "on a sheet that does not move"),
     (Jealous, "goes along with another effect", "at its null values"),
     (Greedy, "keeps to its own memory", "IndexError"),
+    (GreedyOnceStrong, "keeps to its own memory", "IndexError"),
     (Braking, "keeps to its own memory", "an input of 'force'"),
     (Spreading, "keeps to its own memory", "with a longer state"),
     (Overwriting, "leaves positions it is given alone", "arrays given to 'times'"),
@@ -229,6 +261,13 @@ class Inventive(HonestMetric):
         return dataclasses.replace(score, value=np.nan_to_num(score.value, nan=99.0))
 
 
+class Filling(HonestMetric):
+    """Has a residual for what it has no value for."""
+
+    def spoil(self, observation, score):
+        return dataclasses.replace(score, residual=np.nan_to_num(score.residual))
+
+
 class InventiveWithoutView(HonestMetric):
     def spoil(self, observation, score):
         return score if observation.visible.any() else dataclasses.replace(score, value=np.zeros(len(score.value)))
@@ -273,6 +312,7 @@ METRICS = [
     (Aimless, "says its objectives", "objectives of shape (2, 1)"),
     (SeeingTheUnseen, "ignores what was not seen", "when only unseen nodes move"),
     (Inventive, "gives no number for a lost rollout", "for rollouts that were lost"),
+    (Filling, "gives no number for a lost rollout", "a finite residual"),
     (InventiveWithoutView, "gives no number where nothing was seen", "where no node was seen"),
     (Ordered, "does not care for the order of nodes", "in another order"),
     (Competitive, "scores a batch as one by one", "another value of member 0"),
@@ -329,6 +369,15 @@ class Changeable(RandomSearch):
     needs_residual = "sometimes"
 
 
+class Dependent(HonestOptimizer):
+    """Says that it needs no residual, and takes one."""
+
+    def tell(self, theta, evaluation):
+        squares = np.square(evaluation.residual).sum(axis=1)
+        value = np.where(np.isnan(evaluation.value), np.nan, squares)
+        super().tell(theta, dataclasses.replace(evaluation, value=value))
+
+
 class Unseeded(RandomSearch):
     def draw(self, count):
         return np.random.random((count, len(self.space)))  # noqa: NPY002
@@ -377,6 +426,7 @@ OPTIMIZERS = [
     (Lost, "keeps what it offers", "within its bounds"),
     (Headstrong, "keeps what it offers", "the defaults first"),
     (Finished, "keeps what it offers", "done = True after renew()"),
+    (Dependent, "keeps what it offers", "TypeError"),
     (Changeable, "has all members", "needs_residual 'sometimes'"),
     (Unseeded, "gives the same search for the same seed", "other points asked with the same seed"),
     (Trespassing, "stays within bounds and budget", "asked, expected within its bounds"),

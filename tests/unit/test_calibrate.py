@@ -1,11 +1,13 @@
 """Calibration on a toy whose truth is known: does the loop end well, and do the intervals hold what they promise?"""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
 from clothbench import Observation, Outlines, Parameter, ParameterSpace, Rollout, Score
 from clothbench.estimation.calibrate import calibrate
-from clothbench.estimation.intervals import clusters, error_interval, intervals, mean_interval, mean_of_split
+from clothbench.estimation.intervals import clusters, error_interval, intervals, jackknife, mean_interval, mean_of_split
 from clothbench.estimation.trials import Trial, evaluate
 from clothbench.plugins.discovery import catalogue
 
@@ -96,6 +98,20 @@ def test_what_the_data_do_not_determine_gets_its_bounds():
     assert condition > 1e4
 
 
+def test_a_lost_run_tells_nothing_whatever_positions_it_left():
+    """Neither as a value nor as a residual: least squares would take it for a good one."""
+
+    class Halfway(Toy):
+        def run(self, theta):
+            return dataclasses.replace(super().run(np.minimum(theta, 1.3)), status=("ok", "timeout"))
+
+    base = trial(np.random.default_rng(0))
+    evaluation, _ = evaluate([dataclasses.replace(base, simulation=Halfway())], np.array([TRUTH, TRUTH]))
+    assert np.isfinite(evaluation.value).tolist() == [True, False]
+    assert np.isfinite(evaluation.residual[0]).all()
+    assert np.isnan(evaluation.residual[1]).all()
+
+
 WIDTH = ParameterSpace((Parameter("width", "w", "m", (0.05, 0.15), "linear", 0.1, "radius of a drape", "toy"),))
 
 
@@ -127,6 +143,20 @@ def rings(captured, sample, chance) -> Trial:
         outlines=Outlines(radius, 0.05, 0.15, np.asarray(sample), 1e-4, 1e-3),
     )  # fmt: skip
     return Trial("rings", observation, Rings(chance), Rings(chance))
+
+
+@pytest.mark.parametrize("scale", [1e-3, 1.0])
+def test_what_a_single_block_tells_has_no_end(scale):
+    """Without that block nobody knows how far it would move, however little or much it matters."""
+    random, blocks = np.random.default_rng(3), np.array_split(np.arange(60), 6)
+    jacobian, residual = random.normal(size=(60, 3)), random.normal(size=60)
+    jacobian[:50, 2] = 0.0
+    jacobian[:, 2] *= scale
+    half = jackknife(jacobian, residual, blocks)
+    assert np.isfinite(half[:2]).all()
+    assert half[2] == np.inf
+    jacobian[:10, 2] = scale  # a second one
+    assert np.isfinite(jackknife(jacobian, residual, blocks)).all()
 
 
 def test_intervals_of_drapes_hold_the_truth_about_as_often_as_they_say():

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from clothbench_optimizers.iterative_least_squares import IterativeLeastSquares
 from clothbench_optimizers.least_squares import DAMPINGS, LeastSquares
 
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.core.protocols import Evaluation
 from clothbench.estimation.search import drive
+from clothbench.plugins.discovery import catalogue
 
 SPACE = ParameterSpace(
     tuple(Parameter(n, n, "1", (0.0, 1.0), "linear", 0.2, "a number", "a test") for n in ("a", "b", "c"))
@@ -33,3 +35,58 @@ def test_a_walk_ends_after_as_many_rounds_without_a_gain_as_it_has_patience():
     assert end == pytest.approx(0.6, abs=1e-3)
     assert (more - few, most - more) == (len(DAMPINGS), len(DAMPINGS))
     assert walked()[1] == more  # two, where nothing is said
+
+
+@pytest.mark.parametrize("budget", range(1, 40))
+def test_no_more_than_a_third_of_the_budget_goes_into_looking_around(budget):
+    assert len(LeastSquares(SPACE, seed=0, budget=budget).ask()) <= max(1, budget / 3)
+
+
+@pytest.mark.parametrize("name", ["nelder_mead", "annealing"])
+@pytest.mark.parametrize("start", ["defaults", "look"])
+def test_where_all_about_the_start_is_lost_a_search_looks_elsewhere(name, start):
+    def evaluate(theta: np.ndarray) -> Evaluation:
+        value = np.square(theta - 0.8).sum(axis=1)
+        return Evaluation(np.where((theta > 0.6).all(axis=1), value, np.nan))
+
+    for seed in range(4):
+        search = catalogue().make("optimizers", name, SPACE, seed=seed, budget=300, start=start)
+        values = np.concatenate([found.value for _, found in drive(search, evaluate)])
+        assert np.nanmin(values) < 0.01
+
+    def lost(theta: np.ndarray) -> Evaluation:
+        return Evaluation(np.full(len(theta), np.nan))
+
+    search = catalogue().make("optimizers", name, SPACE, seed=0, budget=100, start=start)
+    points = np.concatenate([theta for theta, _ in drive(search, lost)])
+    assert len(np.unique(points, axis=0)) > 80
+
+
+@pytest.mark.parametrize("budget", range(1, 12))
+def test_a_new_measurement_begins_at_the_best_of_the_last_one(budget):
+    """Also of the batch that spent the budget."""
+
+    def evaluate(theta: np.ndarray) -> Evaluation:
+        residual = theta - 0.6
+        return Evaluation(np.square(residual).sum(axis=1), residual)
+
+    search = IterativeLeastSquares(SPACE, seed=0, budget=budget)
+    asked = [(theta, found.value) for theta, found in drive(search, evaluate)]
+    points, values = (np.concatenate(parts) for parts in zip(*asked, strict=True))
+    search.renew()
+    assert evaluate(search.ask()).value[0] <= values.min() + 1e-5  # differences are no steps of the walk
+    assert len(points) <= budget
+
+
+@pytest.mark.parametrize("name", ["least_squares", "iterative_least_squares"])
+def test_what_has_a_residual_and_no_value_is_lost(name):
+    """However small its residual: it would else be walked to."""
+
+    def evaluate(theta: np.ndarray) -> Evaluation:
+        residual = theta - 0.1
+        return Evaluation(np.where(theta[:, 0] < 0.15, np.nan, np.square(residual).sum(axis=1)), residual)
+
+    search = catalogue().make("optimizers", name, SPACE, seed=0, budget=200)
+    values = np.concatenate([found.value for _, found in drive(search, evaluate)])
+    assert np.nanmin(values) < 1e-2
+    assert np.isnan(values).mean() < 0.5

@@ -236,8 +236,14 @@ def test_a_search_that_still_falls_asks_for_more():
     value, said = settled(some, way_of(some), {"a-linen": steady, "b-satin": falling})
     assert value == "20 evaluations"
     assert "1 of 2 (satin)" in said
-    assert "the order of models was" in said
+    assert "the order" not in said  # of what two models make of two cloths
     assert "mesh" not in said
+    alike = [row("a", "linen", "x", 1.0, key="a"), row("b", "linen", "x", 1.0, key="b")]
+    hard = row("a", "satin", "x", 1.0, key="hard")  # which the other model was not fitted to
+    histories = {"a": np.array([4.0] * 20), "b": np.array([6.0] * 20), "hard": np.array([1e3] * 15 + [100.0] * 5)}
+    assert "the order of models was the same" in settled([*alike, hard], way_of(alike), histories)[1]
+    histories = {"a": np.array([4.0] * 20), "b": np.array([6.0] * 15 + [3.0] * 5), "hard": np.array([9.0] * 20)}
+    assert "the order of models was another" in settled([*alike, hard], way_of(alike), histories)[1]
     both = settled([r | {"evaluations": 80} for r in some], way_of(some), {"a-linen": steady, "b-satin": falling})
     assert both[0] == "80 evaluations"  # 60 of them on a coarser mesh
     assert "in the last quarter of those on the finer mesh" in both[1]

@@ -1,5 +1,6 @@
 """Searches beside each other: hypervolume, and what is said of several optimizers over several seeds."""
 
+import json
 from types import SimpleNamespace
 
 import numpy as np
@@ -8,6 +9,7 @@ import pytest
 
 from clothbench.engine.store import write_table
 from clothbench.engine.study import Results
+from clothbench.studies.calibration.schema import QUESTION
 from clothbench.studies.calibration.searches import WORST, contests, hypervolume
 from clothbench.studies.calibration.searches_page import contest_tables, searches_section
 
@@ -80,6 +82,21 @@ def test_searches_of_other_budgets_or_settings_are_not_averaged(tmp_path):
     assert {s.optimizer for s in both[0].searches} == {"quick", "slow"}
     assert {s.optimizer for s in both[1].searches} == {f"{o} · settings {s}" for o in runs for s in "ab"}
     assert all(s.seeds == 3 for c in both for s in c.searches)
+
+
+def test_searches_for_something_else_are_another_contest(tmp_path):
+    """Other bounds are another question; the options of the optimizer and its version are not."""
+    runs, rows = {"quick": [[1.0]] * 3, "slow": [[2.0]] * 3}, []
+    for number, bend in enumerate((1e-3, 1e-2)):
+        found = results_of(tmp_path, runs, settings=f"{bend}")
+        for row in found.rows:
+            asked = {"optimizer": row["optimizer"], "bounds": {"bend": [0.0, bend]}, "recordings": [],
+                     "options": {row["optimizer"]: {"size": number}}, "versions": {}}  # fmt: skip
+            question = [{"question": json.dumps(asked), "key": row["key"]}]
+            write_table(tmp_path / row["key"] / "question.parquet", question, QUESTION)
+        rows += found.rows
+    both = contests(Results(found.store, rows))
+    assert [sorted(s.optimizer for s in c.searches) for c in both] == [["quick", "slow"]] * 2
 
 
 def test_the_same_seed_again_and_other_budgets_are_no_further_seeds(tmp_path):

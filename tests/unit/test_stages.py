@@ -53,6 +53,7 @@ def test_the_cell_is_judged_on_the_finer_mesh_and_begins_on_the_other(recordings
         ({"finer": {"spacing": 0.05, "share": 1.0}}, "'finer.share' is 1, expected a number below 1"),
         ({"finer": {"spacing": 0.05, "factor": 2}}, "setting of 'finer' 'factor' is not known"),
         ({"scene": {}}, "found no 'scene.spacing' for it to be finer than"),
+        ({"budget": 1}, "'budget' is 1, expected at least 2 evaluations, one on each mesh"),
         ({"optimizer": "ga"}, "optimizer 'ga' cannot begin at a given start"),
     ],
 )

@@ -65,14 +65,21 @@ def settled(rows: Rows, way: Callable[[dict[str, Any]], str], histories: Histori
 def order_said(
     about: Mapping[str, dict[str, Any]], way: Callable[[dict[str, Any]], str], histories: Histories
 ) -> str:  # fmt: skip
-    """Whether the order of ways by what they were fitted to was the same before the last quarter."""
+    """Whether the order of ways by what they were fitted to was the same before the last quarter, over the cases, and
+    the seeds of each, that all ways have: one case is harder than another.
+    """
+
+    def of(row: dict[str, Any]) -> tuple[Any, Any]:
+        return row["case"], row["seed"]
+
     ways = group(list(about.values()), way)
-    if len(ways) < 2 or len({r["objective"] for r in about.values()}) > 1:
+    shared = set.intersection(*({of(r) for r in some} for some in ways.values()))
+    if len(ways) < 2 or len({r["objective"] for r in about.values()}) > 1 or not shared:
         return ""
 
     def order(share: float) -> list[str]:
         logs = {
-            w: np.mean([np.log(max(least(histories[r["key"]], share), 1e-300)) for r in some])
+            w: np.mean([np.log(max(least(histories[r["key"]], share), 1e-300)) for r in some if of(r) in shared])
             for w, some in ways.items()
         }
         return sorted(logs, key=lambda w: logs[w])

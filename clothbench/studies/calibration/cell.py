@@ -262,7 +262,11 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
 
 
 def refuse_without_start(cell: CalibrationCell, plugins: Catalogue) -> None:
-    """A search that cannot begin where another ended cannot go on on a finer mesh."""
+    """A search that cannot begin where another ended cannot go on on a finer mesh, nor without an evaluation there."""
+    if cell.finer and cell.budget < 2:
+        raise ClothbenchError(
+            f"setting 'budget' is {cell.budget}, expected at least 2 evaluations, one on each mesh; or leave finer out"
+        )
     if cell.finer and not takes_option(plugins.load("optimizers", cell.optimizer), "start"):
         raise ClothbenchError(
             f"setting 'finer': optimizer {cell.optimizer!r} cannot begin at a given start; choose one that has the "

@@ -2,22 +2,27 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from clothbench.engine.cells import digest
 from clothbench.engine.study import Results
 from clothbench.engine.tables import read_table
 from clothbench.estimation.front import on_front
 from clothbench.estimation.intervals import mean_interval
 from clothbench.studies.calibration.schema import HISTORY
+from clothbench.studies.calibration.schema import QUESTION as ASKED
 
 LEAST_SEEDS = 3  # of each search, from which on they are compared
 WORST = 3.0  # spreads between recordings of the same cloth: the corner that hypervolumes are counted from
 GOAL = 0.75  # share of all runs that come to the error that searches are timed to
 QUESTION = ("suite", "case", "model", "effects", "metric", "unit", "budget")  # columns of a row
+# What of a cell says what was asked, beside those: how it was searched, judged and shown is left out.
+MEANT = ("bounds", "scene", "fixed", "tracker", "finer", "start")
 Interval = tuple[float, float, float]
 
 
@@ -71,9 +76,10 @@ def contests(results: Results) -> list[Contest]:
     questions: dict[tuple[str, ...], list[dict[str, Any]]] = {}
     for row in results.rows:
         if row["split"] == "fit" and row["recording"] is None and row["metric"] == row["objective"]:
-            questions.setdefault(tuple(str(row.get(name) or "") for name in QUESTION), []).append(row)
+            about = tuple(str(row.get(name) or "") for name in QUESTION)
+            questions.setdefault((*about, _meant(results, row)), []).append(row)
     out = []
-    for (_, case, model, effects, metric, unit, budget), asked in sorted(questions.items()):
+    for (_, case, model, effects, metric, unit, budget, _), asked in sorted(questions.items()):
         by_optimizer = _by_search(asked)
         kept = {name: keys for name, keys in by_optimizer.items() if len(keys) >= LEAST_SEEDS}
         if len(kept) < 2:
@@ -85,6 +91,21 @@ def contests(results: Results) -> list[Contest]:
         out.append(Contest(case, " + ".join(filter(None, (model, effects))), metric, unit, goal, found, budget,
                            any(r.coarse for some in runs.values() for r in some)))  # fmt: skip
     return out
+
+
+def _meant(results: Results, row: dict[str, Any]) -> str:
+    """A digest of what its cell was asked, whatever searched for the answer; "" where that was not kept."""
+    path = results.store.cell(row["key"]) / "question.parquet"
+    if not path.is_file():
+        return ""
+    cell = json.loads(read_table(path, ASKED)["question"][0].as_py())
+    own = f"optimizers/{cell['optimizer']}"
+    return digest([
+        [cell.get(name) for name in MEANT],
+        sorted((source["hash"], source["split"]) for source in cell["recordings"]),
+        {name: told for name, told in cell["options"].items() if name != cell["optimizer"]},
+        {name: version for name, version in cell["versions"].items() if name != own},
+    ])  # fmt: skip
 
 
 def _by_search(rows: Sequence[dict[str, Any]]) -> dict[str, dict[Any, str]]:

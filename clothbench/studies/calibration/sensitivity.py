@@ -30,10 +30,10 @@ def morris(
     unit = sampling.sample(problem, trajectories, num_levels=LEVELS, seed=seed % 2**32)
     error, whole = _errors(trials, space, unit, len(space) + 1, checkpoint)
     if whole.sum() < 2 * (len(space) + 1):
-        return _failed(space, "morris", len(unit), "fewer than two trajectories could be simulated")
+        return _failed(space, "morris", error, "fewer than two trajectories could be simulated")
     found = analysis.analyze(problem, unit[whole], error[whole], num_levels=LEVELS, seed=seed % 2**32)
     spread = np.asarray(found["sigma"])
-    return _rows(space, "morris", found["mu_star"], found["mu_star_conf"], spread, None, len(unit), ~whole)
+    return _rows(space, "morris", found["mu_star"], found["mu_star_conf"], spread, None, error)
 
 
 def sobol(
@@ -50,10 +50,10 @@ def sobol(
     unit = sampling.sample(problem, samples, calc_second_order=False, seed=seed % 2**32)
     error, whole = _errors(trials, space, unit, block, checkpoint)
     if whole.sum() < 4 * block or np.ptp(error[whole]) == 0:
-        return _failed(space, "sobol", len(unit), "fewer than four blocks could be simulated, or the error is constant")
+        return _failed(space, "sobol", error, "fewer than four blocks could be simulated, or the error is constant")
     found = analysis.analyze(problem, error[whole], calc_second_order=False, seed=seed % 2**32)
     halves = (found["S1_conf"], found["ST_conf"])
-    return _rows(space, "sobol", found["S1"], halves[0], found["ST"], halves[1], len(unit), ~whole)
+    return _rows(space, "sobol", found["S1"], halves[0], found["ST"], halves[1], error)
 
 
 def error_map(
@@ -92,17 +92,18 @@ def _errors(
     return error, np.repeat(known, block)
 
 
-def _rows(space, method, main, main_half, total, total_half, evaluations, lost) -> list[dict[str, Any]]:
+def _rows(space, method, main, main_half, total, total_half, error) -> list[dict[str, Any]]:
     half = [None] * len(space) if total_half is None else [finite(h) for h in total_half]
     return [
-        {**_about(p, method, evaluations), "main": finite(main[i]), "main_half": finite(main_half[i]),
-         "total": finite(total[i]), "total_half": half[i], "lost": int(lost.sum()), "reason": ""}
+        {**_about(p, method, len(error)), "main": finite(main[i]), "main_half": finite(main_half[i]),
+         "total": finite(total[i]), "total_half": half[i], "lost": int((~np.isfinite(error)).sum()), "reason": ""}
         for i, p in enumerate(space)
     ]  # fmt: skip
 
 
-def _failed(space: ParameterSpace, method: str, evaluations: int, reason: str) -> list[dict[str, Any]]:
-    return [{**_about(p, method, evaluations), "lost": evaluations, "reason": reason} for p in space]
+def _failed(space: ParameterSpace, method: str, error: np.ndarray, reason: str) -> list[dict[str, Any]]:
+    lost = int((~np.isfinite(error)).sum())
+    return [{**_about(p, method, len(error)), "lost": lost, "reason": reason} for p in space]
 
 
 def _about(p: Any, method: str, evaluations: int) -> dict[str, Any]:

@@ -73,6 +73,10 @@ def analysis_settings(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
             elif isinstance(default, list):
                 options[key] = words(f"analysis.{name}.{key}", options[key])
         out[name] = options
+    if (points := out.get("variability", {}).get("points", 2)) % 2:
+        raise ClothbenchError(
+            f"setting 'analysis.variability.points' is {points}, expected an even number, half of them on each side"
+        )
     axes = out.get("map", {}).get("parameters", ["x", "y"])
     if len(set(axes)) != 2:
         raise ClothbenchError(f"setting 'analysis.map.parameters' is {axes!r}, expected two different parameters")

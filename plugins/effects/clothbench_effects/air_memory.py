@@ -1,4 +1,7 @@
-"""`air_memory`: the air before a sheet follows its motion late: added mass to slow motion, drag to fast."""
+"""`air_memory`: the air before a sheet follows its motion late: added mass to slow motion, drag to fast.
+
+Of air that is still far away: a wind that is named beside it is not in its w.
+"""
 
 from __future__ import annotations
 

@@ -42,6 +42,8 @@ def rub(t, dt, x, v, f, sheet, p, state):
 
     Solved exactly for the change of κ since the last step, M → ±M_c + (M ∓ M_c) exp(−|Δκ|/κ₀): nothing depends on
     the step or the rate. state: 0 before the first step, when M = 0; then κ and M, three each, of all triangles.
+    The first step is that in which a sheet sets out to settle: yarns rub on that way, too, which is made up, and where
+    the sheet rests depends on its first shape, by a millimetre.
     """
     if p[0] == 0.0:
         return

@@ -9,8 +9,9 @@ class ClampSlack:
     """The true unloaded distance is (1 + s) times the one that stretches are stated by. Curves only."""
 
     name = "clamp_slack"
-    version = 1
+    version = 2
     place = "boundary"
+    rank = 1  # before it slips, cloth is pulled: what slips does so by the cloth's own stretch
     family = "clamp"
     summary = "zero of the stretch off: a sample loose or already drawn between its clamps at the start"
     parameters = ParameterSpace(

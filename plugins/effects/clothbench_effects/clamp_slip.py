@@ -8,11 +8,12 @@ SOURCE = "slippage of the test specimen, a reason to discard a tensile test in I
 
 
 class ClampSlip:
-    """From the stretch λ_s on, a share s of what the clamps move apart is cloth that comes out of them. Curves only."""
+    """From the cloth's stretch λ_s on, a share s of what the clamps move apart is cloth that comes out. Curves only."""
 
     name = "clamp_slip"
-    version = 1
+    version = 2
     place = "boundary"
+    rank = 2  # after `clamp_slack`
     family = "clamp"
     summary = "cloth that slips out of its clamps from a certain stretch on"
     parameters = ParameterSpace(

@@ -31,7 +31,9 @@ def give_way(couple, set_, now, rigidity, limit):
 def keep(t, dt, x, v, f, sheet, p, state):
     """Couples per width M = R (κ − κ_p), |κ − κ_p| ≤ κ_y, for κ_uu, κ_vv and κ_uv of each triangle by itself.
 
-    state: κ_p [1/m], three for each triangle; 0, as woven, when a run begins. Nothing depends on the step or the rate.
+    state: κ_p [1/m], three for each triangle; 0, as woven, in the shape from which a sheet sets out to settle. What
+    yields on that way, which is made up, is kept: where such a sheet rests depends on that shape, by a millimetre.
+    Nothing depends on the step or the rate.
     """
     if p[0] == 0.0:
         return

@@ -1,7 +1,7 @@
 """`drag_crisis`: at speed the drag of a sheet grows less than quadratically, since the cloth yields and sheds air.
 
 Bhat et al. 2003, section 3: f = −½ ρ_air A C_N |v_n| v_n / (1 + k_f v_n²). It takes the place of `quadratic_drag`,
-which it is at low speed.
+which it is at low speed. In still air: a wind that is named beside it has a drag of its own.
 """
 
 from clothbench import Parameter, ParameterSpace, effect_kernel

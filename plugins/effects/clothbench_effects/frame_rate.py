@@ -3,14 +3,13 @@
 import numpy as np
 
 from clothbench import Camera, Parameter, ParameterSpace
-from clothbench_effects.at_other_times import at_other_times
 
 
 class FrameRate:
     """A frame stamped t shows the cloth at t₀ + r (t − t₀), t₀ the first frame's stamp."""
 
     name = "frame_rate"
-    version = 1
+    version = 2
     place = "sensor"
     family = "clock"
     summary = "a video that runs too fast or too slow (pictures)"
@@ -23,8 +22,10 @@ class FrameRate:
         )
     )  # fmt: skip
 
+    def times(self, time: np.ndarray, phi: np.ndarray) -> np.ndarray:
+        """When the cloth was as frames stamped `time` (T,) s show it, after the last stamp, too."""
+        return time if phi[0] == 1.0 else time[0] + phi[0] * (time - time[0])
+
     def sights(self, time: np.ndarray, position: np.ndarray, camera: Camera, phi: np.ndarray) -> np.ndarray:
-        if phi[0] == 1.0:
-            return position
-        wanted = time[0] + phi[0] * (time - time[0])
-        return at_other_times(time, position, np.broadcast_to(wanted[:, None], position.shape[:2]))
+        """Of a camera's frames only: positions (T, N, 3) m are those of `times` already."""
+        return position

@@ -6,7 +6,7 @@ It belongs to the grips, but acts through forces: a model pins single nodes, wha
 import numpy as np
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
-from clothbench_effects.sheet_kernels import add_overlap, helper
+from clothbench_effects.sheet_kernels import add_overlap, helper, nodal_cloth
 
 OMEGA = 150.0  # rad/s: far above what a swinging sheet does, slow enough for the steps of an explicit model
 
@@ -18,10 +18,7 @@ def take_hold(x, sheet, size, state):
     state: 0 or 1 if taken hold; then coverage, grip and offset (3) m of every node.
     """
     n = x.shape[1]
-    whole, part = np.zeros(n), np.zeros(n)
-    for face in range(sheet.triangles.shape[0]):
-        for k in range(3):
-            whole[sheet.triangles[face, k]] += sheet.face_area[face] / 3.0
+    whole, part = nodal_cloth(sheet), np.zeros(n)
     for grip in range(sheet.gripped):
         middle = sheet.uv[sheet.held[grip]]
         part[:] = 0.0
@@ -29,7 +26,7 @@ def take_hold(x, sheet, size, state):
             add_overlap(sheet, face, middle - 0.5 * size, middle + 0.5 * size, part)
         for i in range(n):
             memory = state[1 + 5 * i : 6 + 5 * i]
-            if part[i] / whole[i] > memory[0]:
+            if whole[i] > 0.0 and part[i] / whole[i] > memory[0]:
                 memory[0], memory[1] = part[i] / whole[i], grip
                 for c in range(3):
                     memory[2 + c] = x[c, i] - sheet.grip[c, grip]
@@ -61,7 +58,7 @@ def clasp(t, dt, x, v, f, sheet, p, state):
 
 class GripPatch:
     name = "grip_patch"
-    version = 1
+    version = 2
     place = "dynamics"
     family = "grip"
     normals = False

@@ -3,14 +3,15 @@
 import numpy as np
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
-from clothbench_effects.sheet_kernels import add_overlap, helper
+from clothbench_effects.sheet_kernels import add_overlap, helper, nodal_cloth
 
 
 @helper
 def find_hem(sheet, density, width, state):
     """What each node carries of the strip [kg], into state[1:]; state[0] says that it is known.
 
-    By the part of each triangle that lies in the strip: total and first moment are right on every mesh.
+    By the part of each triangle that lies in the strip: total and first moment are right on every whole mesh, and the
+    total within 1.5 % of a disc cut from one of 13 nodes.
     """
     if state[0] != 0.0:
         return
@@ -19,6 +20,11 @@ def find_hem(sheet, density, width, state):
     low, high = np.array([-np.inf, foot - width]), np.array([np.inf, np.inf])
     for face in range(sheet.triangles.shape[0]):
         add_overlap(sheet, face, low, high, state[1:])
+    if sheet.columns == 0:
+        whole = nodal_cloth(sheet)
+        for i in range(whole.shape[0]):
+            if whole[i] > 0.0:  # slivers of cloth beside an outline lie in no triangle, but their nodes carry them
+                state[1 + i] *= sheet.area[i] / whole[i]
     state[1:] *= density
 
 
@@ -49,7 +55,7 @@ SOURCE = "how the sheet was sewn: each further layer adds the cloth's own areal 
 
 class HeavyHem:
     name = "heavy_hem"
-    version = 1
+    version = 2
     place = "dynamics"
     family = "mass"
     law = "mass along the lower edge"

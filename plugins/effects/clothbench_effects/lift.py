@@ -10,8 +10,8 @@ def deflect(t, dt, x, v, f, sheet, p, state):
     """f −= ½ ρ_air A C_L (v·n) (|v| n − (v·n) v/|v|): ½ ρ_air A C_L v² sin α cos α at an angle of attack α.
 
     It lies in the plane of v and n, at right angles to v, so it does no work; like all pressure it acts against the
-    side of the sheet that meets the air. It is the quasi-steady lift of a plate whose flow separates beyond a few
-    degrees (Andersen, Pesavento and Wang 2005).
+    side of the sheet that meets the air. v is against the room: a wind that is named beside it is not in it. It is the
+    quasi-steady lift of a plate whose flow separates beyond a few degrees (Andersen, Pesavento and Wang 2005).
     """
     if p[0] == 0.0:
         return

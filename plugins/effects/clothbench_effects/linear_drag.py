@@ -1,4 +1,7 @@
-"""`linear_drag`: drag in proportion to the velocity, the same in every direction."""
+"""`linear_drag`: drag in proportion to the velocity, the same in every direction.
+
+In still air: a wind that is named beside it has a drag of its own.
+"""
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
 

@@ -6,7 +6,9 @@ from clothbench_effects.sheet_kernels import helper
 
 @helper
 def find_place(sheet, u, v, state):
-    """The triangle that holds the point and its barycentric weights there; state: 0 or 1 if known, nodes, weights."""
+    """The triangle that holds the point and its barycentric weights there; of a point off a sheet that has been cut, of
+    the place in the nearest triangle with no weight below 0. state: 0 or 1 if known, nodes, weights.
+    """
     if state[0] != 0.0:
         return
     state[0] = 1.0
@@ -17,9 +19,14 @@ def find_place(sheet, u, v, state):
         inside = min(weight(sheet, face, 0, u, v), weight(sheet, face, 1, u, v), weight(sheet, face, 2, u, v))
         if inside > deepest:
             deepest, place = inside, face
+    whole = 0.0
     for k in range(3):
         state[1 + k] = sheet.triangles[place, k]
-        state[4 + k] = weight(sheet, place, k, u, v)
+        state[4 + k] = max(weight(sheet, place, k, u, v), 0.0)
+        whole += state[4 + k]
+    if deepest < 0.0:
+        for k in range(3):
+            state[4 + k] /= whole
 
 
 @helper
@@ -56,7 +63,7 @@ SOURCE = "weigh it, and see where it is"
 
 class PointMass:
     name = "point_mass"
-    version = 1
+    version = 2
     place = "dynamics"
     family = "mass"
     normals = False

@@ -10,7 +10,7 @@ class RollingShutter:
     """Row y of H shows the cloth at t + τ (y/H − ½), t the frame's stamp: of its middle row."""
 
     name = "rolling_shutter"
-    version = 1
+    version = 2
     place = "sensor"
     family = "clock"
     summary = "rows of a picture that are read one after the other (pictures)"

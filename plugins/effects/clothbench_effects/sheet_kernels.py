@@ -26,6 +26,16 @@ def add_drag(f, i, sheet, vx, vy, vz, normal, tangential):
 
 
 @helper
+def nodal_cloth(sheet):
+    """∫ N dA of the cloth in the triangles around each node, (n,) m²."""
+    whole = np.zeros(sheet.area.shape[0])
+    for face in range(sheet.triangles.shape[0]):
+        for k in range(3):
+            whole[sheet.triangles[face, k]] += sheet.face_area[face] / 3.0
+    return whole
+
+
+@helper
 def cut(polygon, count, axis, side, limit, out):
     """Keep the part of a convex polygon (count, 2) in which side·(coordinate − limit) ≥ 0; returns its corner count.
 
@@ -46,9 +56,10 @@ def cut(polygon, count, axis, side, limit, out):
 
 @helper
 def add_overlap(sheet, face, low, high, share):
-    """share_k += ∫ N_k over the part of a triangle between low (2,) and high (2,) m, N_k linear, 1 at corner k.
+    """share_k += ∫ N_k over the part of a triangle between low (2,) and high (2,) m, N_k linear, 1 at corner k; where
+    an outline cuts a triangle, as if its cloth were spread evenly over it.
 
-    share: (n,) m². Sums and first moments over the sheet are those of the rectangle, whatever the mesh.
+    share: (n,) m². Sums and first moments over a whole sheet are those of the rectangle, whatever the mesh.
     """
     one, two = np.zeros((8, 2)), np.zeros((8, 2))
     for k in range(3):
@@ -58,9 +69,13 @@ def add_overlap(sheet, face, low, high, share):
     count = cut(one, count, 1, 1.0, low[1], two)
     count = cut(two, count, 1, -1.0, high[1], one)
     origin = sheet.uv[sheet.triangles[face, 0]]
+    cloth = 1.0
+    if sheet.columns == 0:
+        p, q = sheet.uv[sheet.triangles[face, 1]] - origin, sheet.uv[sheet.triangles[face, 2]] - origin
+        cloth = sheet.face_area[face] / (0.5 * abs(p[0] * q[1] - p[1] * q[0]))
     for m in range(1, count - 1):
         a, b = one[m] - one[0], one[m + 1] - one[0]
-        area = 0.5 * abs(a[0] * b[1] - a[1] * b[0])
+        area = 0.5 * abs(a[0] * b[1] - a[1] * b[0]) * cloth
         middle = (one[0] + one[m] + one[m + 1]) / 3.0 - origin
         for k in range(3):
             weight = sheet.gradient[face, 0, k] * middle[0] + sheet.gradient[face, 1, k] * middle[1]

@@ -54,8 +54,9 @@ SOURCE = "Maxwell 1867; Simo and Hughes 1998, Computational Inelasticity, sectio
 
 class Viscoelasticity:
     name = "viscoelasticity"
-    version = 1
+    version = 2
     place = "dynamics"
+    at_rest = False
     family = "bending"
     normals = False
     summary = "stress relaxation in bending and stretch"

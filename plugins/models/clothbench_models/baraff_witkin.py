@@ -177,9 +177,9 @@ class BaraffWitkinSimulation(GridSimulation):
         scene, theta = self.scene, batch.theta[b : b + 1]
         begins, result = batch.begin(b), np.zeros(3, np.int64)
         obstacles, layers, terms = obstacle_table(scene), layers_of(scene, self.sheet), batch.effect_terms(b)
-        size, sampling, inner = max(scene.width, scene.height), batch.sampling(b), self._inner(theta)
+        size, sampling = max(scene.width, scene.height), batch.sampling(b)
 
-        def march(scheme, tolerance, begins, effects, sampling):
+        def march(scheme, tolerance, begins, inner, effects, sampling):
             kernels.march(scheme)(
                 scheme, TRIANGLES, begins, self.shape[0], batch.sheet(), *inner, theta[0, 6:9].copy(),
                 *effects, terms, batch.grips(b), obstacles, layers, batch.clock(b, tolerance), size, sampling, result,
@@ -187,10 +187,11 @@ class BaraffWitkinSimulation(GridSimulation):
 
         if begins.settles == SETTLES:  # by the implicit loop, whatever the scheme
             unseen = sampling._replace(times=np.zeros(0))
-            march(kernels.BDF2, TOLERANCE["bdf2"], begins, batch.settling_kernels, unseen)
-            begins = begins._replace(settles=RESTS)
+            inner = self._inner(self.effects.resting(theta))
+            march(kernels.BDF2, TOLERANCE["bdf2"], begins, inner, batch.settling_kernels, unseen)
+            begins, result[0] = begins._replace(settles=RESTS), self.settled(result[0])
         if result[0] == OK:
-            march(self.scheme, self.tolerance, begins, batch.kernels, sampling)
+            march(self.scheme, self.tolerance, begins, self._inner(theta), batch.kernels, sampling)
         return int(result[0]), int(result[1])
 
     def _inner(self, theta: np.ndarray) -> tuple[kernels.Membrane, kernels.Plate]:

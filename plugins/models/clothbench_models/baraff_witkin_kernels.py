@@ -14,6 +14,8 @@ from clothbench.modelling import (
     EFFECT,
     GRIPS,
     LAYERS,
+    OK,
+    RESTLESS,
     RESTS,
     SAMPLING,
     SETTLES,
@@ -83,6 +85,7 @@ NEARLY = 2e-6  # m that a node still moves in a rough step, from which on they a
 NEAR = 1e-3  # of the sheet's size, that a node still moves in a full step, from which on the valley is certain
 STRAIGHT = 0.9  # cosine between two steps, above which the next may be longer
 AT_REST = 2e-8  # m that a node still moves in a settling step as long as a second
+VISIBLE = 1e-4  # m of it, above which what the last round left is no rest
 
 
 @kernel
@@ -180,8 +183,9 @@ def _march_implicit(
     """Run the sheet step by step from where it begins, settled first if it is to; fills `sampling.out` (T, N, 3) m.
 
     The steps are those of `implicit_step`. Settling is the same step with v̄ = 0 and steps growing to a second, which is
-    Newton's method for rest. clock.tolerance: what the linear solver leaves of a step's residual; size: m, of the
-    cloth; shear_rows: TRIANGLES or CELLS; result: (3,) status, time steps, rounds of the linear solver.
+    Newton's method for rest; a sheet that does not come to it in time is RESTLESS. clock.tolerance: what the linear
+    solver leaves of a step's residual; size: m, of the cloth; shear_rows: TRIANGLES or CELLS; result: (3,) status, time
+    steps, rounds of the linear solver.
     """
     effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
     pins, mass, bend, stiffer = sheet.held, sheet.mass, plate.rigidity, plate.stiffer
@@ -280,6 +284,7 @@ def _march_implicit(
                 result[0], result[1], result[2] = DIVERGED, count, rounds
                 return
             if rests or count == SETTLE_ROUNDS:
+                result[0] = RESTLESS if moved > VISIBLE else OK
                 settling, count = False, 0
                 x_old[:] = x
                 v_old[:] = 0.0
@@ -329,7 +334,8 @@ def _march_adaptive(
     """Run the sheet, which has settled, with Dormand and Prince's embedded pair; arguments as `_march_implicit`.
 
     clock.tolerance: m, the largest error of a node in one step; clock.dt: s, the longest step. Effects with a memory
-    see a copy of it in trial stages and go on for good once per accepted step.
+    see a copy of it in trial stages and go on for good once per accepted step. The first stage after a contact, at the
+    time of the last, sees what they remembered before that: asked twice at one time, a memory takes it for settling.
     """
     effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
     pins, mass = sheet.held, sheet.mass
@@ -339,7 +345,8 @@ def _march_adaptive(
     speed, push = np.zeros((7, 3, n)), np.zeros((7, 3, n))  # dx/dt and dv/dt of the stages
     f, extra, free = np.empty((3, n)), np.zeros((6, n)), 1.0 / mass
     x, v, xs, vs = begins.x, begins.v, np.empty((3, n)), np.empty((3, n))
-    memory, before, speed_before = terms.state.copy(), np.empty((3, n)), np.empty((3, n))
+    memory, remembered = terms.state.copy(), terms.state.copy()
+    before, speed_before = np.empty((3, n)), np.empty((3, n))
     for g in range(pins.shape[0]):
         free[pins[g]] = 0.0
     t, h, count, tries, segment, fresh = start, min(dt, 1e-5), 0, 0, 0, True
@@ -360,7 +367,7 @@ def _march_adaptive(
                 for c in range(3):
                     vs[c, pins[g]] = grip_speed(grips.knots, grips.curve, at, segment, g, c)
             f[:] = 0.0
-            memory[:] = terms.state
+            memory[:] = remembered if stage == 0 else terms.state
             heavier = add_outer(at, h, xs, vs, f, nu, air, sheet, effects, terms, memory, extra, grips, segment)
             elastic(xs, vs, f, nu, membrane, plate, 0.0, 0.0, 0.0, edges, shear, work)
             if heavier:
@@ -382,9 +389,6 @@ def _march_adaptive(
         tries += 1
         worst /= tolerance
         if worst <= 1.0:  # the last stage is the new state, and the first stage of the next step
-            if terms.count > 0:
-                f[:] = 0.0
-                add_outer(t + h, h, xs, vs, f, nu, air, sheet, effects, terms, terms.state, extra, grips, segment)
             before[:], speed_before[:] = x, v
             x[:], v[:] = xs, vs
             count += 1
@@ -397,6 +401,9 @@ def _march_adaptive(
             if layers.size[0] > 0.0:
                 part_layers(x, v, before, h, free, layers, f, vs)
                 fresh = True
+            if terms.count > 0:
+                f[:], remembered[:] = 0.0, terms.state
+                add_outer(t + h, h, x, v, f, nu, air, sheet, effects, terms, terms.state, extra, grips, segment)
             done = write_frames(before, speed_before, x, v, t, t + h, done, sampling, grips)
             t += h
         h = min(dt, h * min(4.0, max(0.2, 0.9 * max(worst, 1e-8) ** -0.2)))

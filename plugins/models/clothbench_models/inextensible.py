@@ -175,8 +175,9 @@ class InextensibleSimulation(GridSimulation):
         begins, result = batch.begin(b), np.zeros(3, np.int64)
         ratio = theta[0, 3] if self.orthotropic else 1.0
         bending = self.thread_bending.matrix(ratio) if self.orthotropic else self.bending
-        stiffer = self.effects.stiffness(theta)[0] / np.array([1.0, softer_share(ratio)])
-        plate = triangles.Plate(bending.offsets, bending.values, bend, 0.0, stiffer)
+        softer = np.array([TAUT, softer_share(ratio)])
+        settling, moving = (self.effects.stiffness(t)[0] / softer for t in (self.effects.resting(theta), theta))
+        plate = triangles.Plate(bending.offsets, bending.values, bend, 0.0, settling)
         obstacles, layers, sampling = obstacle_table(scene), layers_of(scene, self.sheet), batch.sampling(b)
         terms, grips = batch.effect_terms(b), batch.grips(b)  # what effects remember of the settling goes on in the run
         if begins.settles == SETTLES:  # the same sheet with stiff springs for constraints finds rest in a few rounds
@@ -188,10 +189,11 @@ class InextensibleSimulation(GridSimulation):
                 plate, np.zeros(3), *batch.settling_kernels, terms, grips, obstacles, layers,
                 batch.clock(b, 1e-4), max(scene.width, scene.height), sampling._replace(times=np.zeros(0)), result,
             )  # fmt: skip
+            result[0] = self.settled(result[0])
         if result[0] == OK:
             kernels.march()(
                 self.scheme, begins, self.shape[0], batch.sheet(), self.constraints,
-                plate._replace(damping=beta), alpha, *batch.kernels, terms, grips, obstacles,
+                plate._replace(damping=beta, stiffer=moving), alpha, *batch.kernels, terms, grips, obstacles,
                 layers, batch.clock(b, self.tolerance), sampling, result,
             )  # fmt: skip
         return int(result[0]), int(result[1])

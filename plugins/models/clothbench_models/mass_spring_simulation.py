@@ -113,7 +113,7 @@ class _Batch(GridBatch):
 
     def __init__(self, simulation: SpringSimulation, theta: np.ndarray):
         options = simulation.options
-        self.calmed = simulation.calmed(theta)
+        self.calmed = simulation.effects.resting(simulation.calmed(theta))
         if options.dt is not None:
             dt = self.settle_dt = np.full(len(theta), options.dt * options.step_scale)
         else:

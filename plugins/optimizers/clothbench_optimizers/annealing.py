@@ -99,6 +99,10 @@ class Walker:
         """Moves until the budget is spent; the temperature follows the evaluations."""
         settings, size = self.settings, self.settings.size
         yield from self._span(size)
+        while self.spent < budget and not np.isfinite(self.lowest):  # nothing to walk towards yet: look elsewhere
+            yield from self._ask(self.random.random(self.corner.shape))
+            if np.isfinite(self.lowest):
+                yield from self._span(size)
         known = self.value[np.isfinite(self.value)]
         hot = settings.temperature * max(float(np.ptp(known)) if len(known) else 0.0, np.finfo(float).tiny)
         level, since = hot, self.spent

@@ -24,7 +24,7 @@ class IterativeLeastSquares(GeneratorSearch):
     """
 
     name = "iterative_least_squares"
-    version = 1
+    version = 2
     needs_residual = True
 
     def __init__(
@@ -35,14 +35,23 @@ class IterativeLeastSquares(GeneratorSearch):
         check_between(self.name, "difference", difference, 0.0, LONGEST)
         check_between(self.name, "tolerance", tolerance, 0.0, 1.0)
         self.scan, self.difference, self.tolerance = scan, difference, tolerance
-        self.here = space.to_unit(space.defaults)
+        self.here, self.least = space.to_unit(space.defaults), np.inf
         super().__init__(space, seed=seed, budget=budget)
 
     def renew(self) -> None:
         """A new measurement has come."""
-        self.done, self.stopped, self._left = False, "", self.budget
+        self.done, self.stopped, self._left, self.least = False, "", self.budget, np.inf
         self._search = self._descend(self.here[None])
         self._next = next(self._search)
+
+    def tell(self, theta: np.ndarray, evaluation: Evaluation) -> None:
+        """The walk is not told of the batch that spends the budget; the next one sets out from the best of it, too."""
+        asked = self._next[: len(theta)]
+        super().tell(theta, evaluation)
+        if self._left <= 0:
+            cost = sums_of_squares(self.name, evaluation)
+            if cost.min() < self.least:
+                self.here, self.least = asked[int(np.argmin(cost))], cost.min()
 
     def steps(self) -> Steps:
         log = [i for i, p in enumerate(self.space) if p.scale == "log"]
@@ -61,7 +70,7 @@ class IterativeLeastSquares(GeneratorSearch):
         first = int(np.argmin(worst_last(cost)))
         if not np.isfinite(cost[first]):
             return "no start could be simulated"
-        self.here, residual, least = starts[first], evaluation.residual[first], cost[first]
+        self.here, residual, self.least = starts[first], evaluation.residual[first], cost[first]
         damping, idle = 1e-3, 0
         while idle < 2:
             away = np.where(self.here + self.difference <= 1.0, self.difference, -self.difference)
@@ -71,10 +80,11 @@ class IterativeLeastSquares(GeneratorSearch):
             evaluation = yield trials
             cost = sums_of_squares(self.name, evaluation)
             best = int(np.argmin(cost))
-            gain = (least - cost[best]) / max(least, np.finfo(float).tiny)
+            gain = (self.least - cost[best]) / max(self.least, np.finfo(float).tiny)
             if gain > 0:
                 assert evaluation.residual is not None  # it has a sum of squares
-                self.here, residual, least, damping = trials[best], evaluation.residual[best], cost[best], used[best]
+                self.here, residual, damping = trials[best], evaluation.residual[best], used[best]
+                self.least = cost[best]
             else:
                 damping *= 100.0
             idle = idle + 1 if gain < self.tolerance else 0

@@ -42,7 +42,7 @@ class LeastSquares(GeneratorSearch):
 
     def steps(self) -> Steps:
         # No more than a third of the budget goes into looking around.
-        starts = min(self.starts, max(1, self.budget // 3 - 1))
+        starts = min(self.starts, max(0, self.budget // 3 - 1))
         points = spread(self, starts)
         evaluation = yield points
         cost = sums_of_squares(self.name, evaluation)
@@ -76,12 +76,14 @@ class LeastSquares(GeneratorSearch):
 
 
 def sums_of_squares(name: str, evaluation: Evaluation) -> np.ndarray:
-    """Σ r² (B,) of each member, infinite where it could not be computed; name: the optimizer's that needs them."""
+    """Σ r² (B,) of each member, infinite where it or the value could not be computed; name: the optimizer's that needs
+    them.
+    """
     if evaluation.residual is None:
         raise ClothbenchError(f"{name}: this metric has no residuals; choose another metric or optimizer")
     with np.errstate(over="ignore"):
         cost = np.einsum("br,br->b", evaluation.residual, evaluation.residual)
-    return np.where(np.isfinite(cost), cost, np.inf)
+    return np.where(np.isfinite(cost) & np.isfinite(evaluation.value), cost, np.inf)
 
 
 def proposals(

@@ -51,16 +51,30 @@ class NelderMead(GeneratorSearch):
 
     def steps(self) -> Steps:
         look = min(self.starts, self.budget // 4) if self.begin == "look" else 0
+        if not look:
+            self.start = self.space.defaults
         points = spread(self, look)
         value = worst_last((yield points).value)
         best, lowest = points[int(np.argmin(value))], float(value.min())
         self.start, size = self.space.from_unit(best), self.size
         while True:
             here, found = yield from self._descend(best, size)
+            if not np.isfinite(min(found, lowest)):  # all of it was lost: a smaller simplex would be, too
+                best, lowest = yield from self._elsewhere()
+                self.start = self.space.from_unit(best)
+                continue
             gain, best, lowest = lowest - found, (here if found < lowest else best), min(found, lowest)
             if not gain > self.tolerance * abs(lowest):
                 return "converged"
             size /= 2
+
+    def _elsewhere(self) -> Walk:
+        """A point that could be simulated, and its value: drawn until there is one, or the budget is spent."""
+        while True:
+            points = self.random.random((self.starts, len(self.space)))
+            value = worst_last((yield points).value)
+            if np.isfinite(value).any():
+                return points[int(np.argmin(value))], float(value.min())
 
     def _descend(self, here: np.ndarray, size: float) -> Walk:
         from scipy.optimize import minimize

@@ -153,7 +153,7 @@ class _March:
         self.limit, self.held = batch.bounds(), batch.simulation.anchored
         self.steps = self.now = 0
         self.settles = self.held and self.scene.velocity is None
-        self._begin(batch.shape, batch.velocity)
+        self._begin(batch.shape_of(b), batch.velocity)
 
     @property
     def position(self) -> np.ndarray:
