@@ -247,7 +247,7 @@ def test_a_first_term_stands_for_those_that_predict_as_much():
     """A drag between two powers of the velocity is told by either; another force is not."""
     random, time = np.random.default_rng(0), np.arange(150) / 30
     speeds = [np.sin(2 * np.pi * rate * time + rate) for rate in (0.6, 0.9, 1.1, 1.4)]
-    missing = [-np.abs(v) ** 0.8 * v + 0.01 * random.normal(size=len(v)) for v in speeds]
+    missing = [-(np.abs(v) ** 0.8) * v + 0.01 * random.normal(size=len(v)) for v in speeds]
     columns = [np.column_stack([-np.abs(v) * v, -(np.abs(v) ** 0.5) * v, np.gradient(v, time)]) for v in speeds]
     series = Series(missing, [-v for v in speeds], columns, 0.01, 1 / 30, [0, 0, 1], np.zeros(3, bool))
     assert as_good_as(series, 0, series.errors(())) == [1]
