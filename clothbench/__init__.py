@@ -96,6 +96,7 @@ _HOME = {
     "FoldState": "core.folding",
     "for_each": "core.parallel",
     "on_front": "estimation.front",
+    "jackknife_half_width": "core.statistics",
     "Surface": "vision.surface",
     "surface_of": "vision.surface",
     "silhouettes": "vision.render",

@@ -8,7 +8,7 @@ import pytest
 from clothbench_metrics.drape import Drape as DrapeMetric
 from clothbench_trackers.drape import Drape as DrapeTracker
 
-from clothbench import ClothbenchError, Rollout, Silhouettes, outline_in, outlines_of_points, read_silhouettes
+from clothbench import ClothbenchError, Outlines, Rollout, Silhouettes, outline_in, outlines_of_points, read_silhouettes
 from clothbench import write_silhouettes as write
 from clothbench.core.drape import RINGS, SPOKES, drape_coefficient, drape_points
 from clothbench.core.optional import textile_of
@@ -171,7 +171,40 @@ def test_the_metric_compares_distributions_not_single_drapes():
     alike = rollout(captured)  # chance puts nearly every draw above it
     low, high = metric.interval(seen, alike, 1)
     assert 0.0 <= low < 0.8 * metric(seen, alike).value[0] < high
-    assert 0 < metric.floor(seen) < 2
+
+
+def test_an_interval_needs_two_specimens_and_two_first_shapes():
+    outlines, metric = [petals(n, phase=k) for k, n in enumerate([6, 7, 7, 8])], DrapeMetric()
+    several = DrapeTracker().track(captures_of(outlines))
+    single = DrapeTracker().track(captures_of(outlines, sample=np.zeros(4)))
+    low, high = metric.interval(several, rollout([petals(7), petals(6)]), 0)
+    assert 0 <= low < high  # of two only: Student's t of 12.7
+    assert high - metric(several, rollout([petals(7), petals(6)])).value[0] > 1.0
+    assert np.isnan(metric.interval(several, rollout([petals(7)]), 0)).all()
+    assert np.isnan(metric.interval(single, rollout([petals(7), petals(6)]), 0)).all()
+    assert np.isnan(metric.floor(single))
+
+
+def drawn_captures(random, specimens, each):
+    """Outlines of captures of specimens that differ in size by 4 mm, as do the captures of each by 3 mm."""
+    size = np.repeat(random.normal(0.122, 4e-3, specimens), each) + random.normal(0.0, 3e-3, specimens * each)
+    radius = np.stack([petals(7, mean=m, phase=p) for m, p in zip(size, random.uniform(0, 6, len(size)), strict=True)])
+    return Outlines(radius, PLATE, DISC, np.repeat(np.arange(specimens), each), 1e-4, PIXEL)
+
+
+def test_the_floor_is_what_the_fabrics_own_drapes_score():
+    random, metric = np.random.default_rng(0), DrapeMetric(["drape_coefficient"])
+    scored, floors = [], []
+    for _ in range(40):
+        seen, own = drawn_captures(random, 5, 3), drawn_captures(random, 4, 1)
+        of = DrapeTracker().track(captures_of([petals(7)]))
+        there = dataclasses.replace(
+            of, outlines=seen, time=np.arange(15.0), position=np.repeat(of.position, 15, axis=0),
+            visible=np.repeat(of.visible, 15, axis=0),
+        )  # fmt: skip
+        scored.append(metric(there, rollout(own.radius)).value[0])
+        floors.append(metric.floor(there))
+    assert np.mean(floors) == pytest.approx(np.mean(scored), rel=0.2)
 
 
 def test_the_metric_takes_some_quantities_only():
