@@ -83,5 +83,7 @@ def test_bad_images_are_refused_in_one_line(images, change, fault):
 def test_bad_options_are_refused():
     with pytest.raises(ClothbenchError, match="width is -1, expected a number above 0"):
         LaserProfile(width=-1)
+    with pytest.raises(ClothbenchError, match="width is inf, expected a number above 0"):
+        LaserProfile(width=float("inf"))
     with pytest.raises(ClothbenchError, match="unexpected keyword argument 'blur'"):
         discovery.catalogue().make("trackers", "laser_profile", blur=2)

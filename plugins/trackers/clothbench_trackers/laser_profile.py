@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from clothbench import ClothbenchError, LaserImages, Observation, Recording, read_laser
+from clothbench_trackers.options import check_number
 
 FADED = 0.5  # of the line's usual height, below which it is not judged
 NEIGHBOURS = 45  # points of the line by which its noise is judged
@@ -26,8 +27,7 @@ class LaserProfile:
 
     def __init__(self, width: float = 2.0, contrast: float = 25.0, shortest: int = 12):
         for word, value in (("width", width), ("contrast", contrast), ("shortest", shortest)):
-            if not isinstance(value, int | float) or not value > 0:
-                raise ClothbenchError(f"laser_profile: {word} is {value!r}, expected a number above 0")
+            check_number(self.name, word, value)
         self.width, self.contrast, self.shortest = float(width), float(contrast), int(shortest)
 
     def track(self, source: Any) -> Observation:

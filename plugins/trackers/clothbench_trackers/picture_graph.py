@@ -129,7 +129,8 @@ def observed(
     grips = None if held is None else GripPath(video.time, held_material(video), graph.view.lifted(held))
     position = graph.view.lifted(np.where(seen[..., None], pixel, np.nan))
     if sigma is None:  # across the line of sight alone: along it, all nodes lie on one plane
-        sigma = trembling((position - graph.view.origin) @ np.stack([graph.view.along, graph.view.down], axis=1))
+        flat = (position - graph.view.origin) @ np.stack([graph.view.along, graph.view.down], axis=1)
+        sigma = trembling(video.time, flat)
     return Observation(
         video.time, position, seen, sigma, graph.material, eye=graph.view.camera.place, sight=graph.view.camera,
         confidence=confidence, grips=grips,
