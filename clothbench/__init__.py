@@ -95,6 +95,8 @@ _HOME = {
     "FoldPath": "core.folding",
     "FoldState": "core.folding",
     "for_each": "core.parallel",
+    "check_grip_gap": "recordings.nodes_rules",
+    "longest_gap": "recordings.nodes_rules",
     "on_front": "estimation.front",
     "jackknife_half_width": "core.statistics",
     "Surface": "vision.surface",
