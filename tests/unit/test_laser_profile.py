@@ -49,6 +49,11 @@ def test_pixels_are_traced_back_through_the_lens(images):
     assert in_plane(images, pixels) == pytest.approx(points, abs=1e-5)
 
 
+def test_what_meets_the_plane_behind_the_camera_was_not_seen(images):
+    level = dataclasses.replace(images, laser_plane=np.array([0.0, 0.0, 1.0, images.camera_translation[1] + 9.0]))
+    assert in_plane(level, np.array([[800.0, 890.0]])).shape == (0, 3)  # it looks down, the plane is high above
+
+
 def test_speckle_alone_is_no_line(images):
     dark = np.random.default_rng(0).integers(0, 20, images.image.shape).astype(np.uint8)
     with pytest.raises(ClothbenchError, match="found no laser line of contrast 25"):
@@ -68,12 +73,13 @@ def test_a_file_gives_what_the_images_gave(images, tmp_path):
     [
         ({"name": ""}, "attribute 'name'"),
         ({"camera_matrix": np.eye(2)}, r"variable 'camera_matrix': found shape \(2, 2\), expected \(3, 3\)"),
+        ({"camera_matrix": np.diag([-5.0, 5.0, 1.0])}, "variable 'camera_matrix': found focal lengths -5 and 5 px"),
         ({"image": np.zeros((1, 8, 900), np.uint8)}, "variable 'image': found shape"),
         ({"camera_rotation": 2 * np.eye(3)}, "variable 'camera_rotation': found no rotation"),
         ({"camera_rotation": np.diag([1.0, 1.0, -1.0])}, "variable 'camera_rotation': found no rotation"),
         ({"laser_plane": np.array([0.0, 2.0, 0.0, 0.0])}, "variable 'laser_plane'"),
     ],
-    ids=["name", "matrix", "image", "rotation", "mirror", "plane"],
+    ids=["name", "matrix", "focal", "image", "rotation", "mirror", "plane"],
 )
 def test_bad_images_are_refused_in_one_line(images, change, fault):
     with pytest.raises(ClothbenchError, match=fault):

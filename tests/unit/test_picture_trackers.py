@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import cv2
 import flat_video as flat
 import numpy as np
@@ -221,6 +223,21 @@ def test_what_moves_along_the_line_of_sight_is_not_seen():
 
 def rolled(position):
     return Rollout(np.arange(4.0), position[None], ("ok",), np.array([1]), 2)
+
+
+def test_pixels_are_those_of_the_camera_its_lens_included():
+    lens = dataclasses.replace(
+        flat.CAMERA, matrix=flat.CAMERA.matrix * np.array([[1.0], [1.4], [1.0]]), distortion=[-0.3, 0.1, 0, 0, 0]
+    )
+    material = FOUR[:2]
+    seen = flat.place(material, 0)[None].repeat(2, axis=0)
+    there = seen[None] + np.array([0.01, 0.05, 0.02])  # aside, away from the camera and up
+    o = Observation(np.arange(2.0), seen, np.ones((2, 2), bool), 1e-3, material, sight=lens)
+    run = Rollout(np.arange(2.0), there, ("ok",), np.ones(1), 100)
+    off = np.linalg.norm(lens.project(there)[0] - lens.project(seen)[0], axis=-1)
+    score = catalogue().make("metrics", "node_error", unit="px")(o, run)
+    assert score.value[0] == pytest.approx(off.mean())
+    assert (score.residual**2).sum() == pytest.approx((off**2).sum())
 
 
 def test_what_needs_depth_refuses_a_picture():
