@@ -145,7 +145,8 @@ class View:
 
     silhouette: (T, H, W) bool, the cloth; angle: (T, H, W) rad, modulo π, the dominant orientation of the projected
     stripes, and fold: (T, H, W) bool, where it changes fast; both None without a projector. blur: standard deviation
-    [px] of the smoothing on the way to the angles, which a simulated view has to repeat.
+    [px] of the smoothing on the way to the angles, and threshold: rad/px, from which on the angle changes fast (NaN:
+    not known); a simulated view has to repeat both.
     """
 
     camera: Camera
@@ -154,6 +155,7 @@ class View:
     angle: np.ndarray | None = None
     fold: np.ndarray | None = None
     blur: float = 0.0
+    threshold: float = math.nan
 
     def __post_init__(self) -> None:
         for name in ("silhouette", "angle", "fold"):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -209,9 +210,10 @@ def camera_before(
     flat = np.stack([material[:, 0], material[:, 1], np.zeros(len(material))], axis=1)
     straight = lens.straight(seen)
     there = np.isfinite(straight).all(axis=1)
-    ok, turn, shift = False, None, None
+    pose: Any = cv2.solvePnP
+    ok, turn, shift = False, np.zeros(3), np.zeros(3)
     if there.sum() >= 4:
-        ok, turn, shift = cv2.solvePnP(flat[there], straight[there], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
+        ok, turn, shift = pose(flat[there], straight[there], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     if not ok:
         raise ClothbenchError("camera: found no place from which the first frame can have been seen")
     rotation, _ = cv2.Rodrigues(turn)
