@@ -3,6 +3,7 @@
 import dataclasses
 import json
 
+import cv2
 import numpy as np
 import pytest
 from clothbench_metrics.drape import Drape as DrapeMetric
@@ -10,7 +11,7 @@ from clothbench_trackers.drape import Drape as DrapeTracker
 
 from clothbench import ClothbenchError, Outlines, Rollout, Silhouettes, outline_in, outlines_of_points, read_silhouettes
 from clothbench import write_silhouettes as write
-from clothbench.core.drape import RINGS, SPOKES, drape_coefficient, drape_points
+from clothbench.core.drape import RINGS, SPOKES, about_centroid, drape_coefficient, drape_points
 from clothbench.core.optional import textile_of
 from clothbench.datasets.cusick_drape_bdp import convert
 from clothbench.engine.settings import scene_settings
@@ -68,6 +69,39 @@ def test_an_outline_is_found_to_a_third_of_a_pixel(folds):
     assert np.abs(found - radius).max() < 1.2 * PIXEL
     about = outline_in(rendered(radius), PIXEL)  # about its centroid
     assert np.sqrt(np.mean((about - radius) ** 2)) < 0.4 * PIXEL
+
+
+def noisy(picture, dark, ground, noise):
+    """A picture whose shape and ground have these greys, with noise."""
+    grey = ground - (ground - dark) * (1 - picture / 255.0)
+    return np.clip(np.round(grey + np.random.default_rng(0).normal(0, noise, grey.shape)), 0, 255).astype(np.uint8)
+
+
+def test_noise_moves_neither_the_middle_nor_the_edge():
+    radius, middle = petals(6, mean=0.115), (160.0, 127.5)
+    picture = cv2.GaussianBlur(rendered(radius, middle=middle), (0, 0), 2.0)
+    true = drape_coefficient(radius, PLATE, DISC)
+    found = noisy(picture, 100, 200, 12.0)
+    assert centroid(darkness(found)) == pytest.approx(middle, abs=0.15)
+    assert drape_coefficient(outline_in(found, PIXEL, centre=middle), PLATE, DISC) == pytest.approx(true, abs=5e-3)
+
+
+def test_a_shadow_may_be_darker_than_its_ground_by_little():
+    grey = noisy(rendered(petals(6)), 20, 120, 2.0)
+    seen = DrapeTracker().track(captures_of([petals(6)], image=grey[None]))
+    expected = drape_coefficient(petals(6), PLATE, DISC)
+    assert seen.outlines.coefficient()[0] == pytest.approx(expected, abs=0.01)
+
+
+def test_a_centre_beside_the_shadow_is_refused():
+    drapes = captures_of([petals(6)])
+    with pytest.raises(ClothbenchError, match=r"capture 0: found no shadow at centre=\[10\.0, 10\.0\]"):
+        DrapeTracker(centre=(10.0, 10.0)).track(drapes)
+    with pytest.raises(ClothbenchError, match=r"found no shadow at centre=\[1000\.0, 1000\.0\]"):
+        DrapeTracker(centre=(1000.0, 1000.0)).track(drapes)
+    for centre in (5, "ab", True, (1.0, np.nan)):
+        with pytest.raises(ClothbenchError, match=r"drape: centre is .*, expected \[x,y\] in pixels"):
+            DrapeTracker(centre=centre)
 
 
 def test_the_ground_need_not_be_white():
@@ -205,6 +239,24 @@ def test_the_floor_is_what_the_fabrics_own_drapes_score():
         scored.append(metric(there, rollout(own.radius)).value[0])
         floors.append(metric.floor(there))
     assert np.mean(floors) == pytest.approx(np.mean(scored), rel=0.2)
+
+
+def test_drapes_beside_the_plates_middle_are_compared_about_their_own_where_the_captures_are():
+    """One drape lies 8 mm aside: about its own middle its six folds are even, about the plates' they are not."""
+    aside = 0.118 + 0.012 * np.cos(6 * TURN) + 0.008 * np.cos(TURN - 0.3)
+    seen = DrapeTracker().track(captures_of([petals(6), petals(6), petals(6), petals(6)]))
+    metric = DrapeMetric(["unevenness"])
+    run = rollout([aside], [aside])
+    about_plate = dataclasses.replace(seen, outlines=dataclasses.replace(seen.outlines, centred=False))
+    middles = outlines_of_points(run.position, (0.0, 0.0, 0.0), PLATE)
+    own = drape_quantities(about_centroid(middles), PLATE, DISC)
+    assert metric.simulated(seen.outlines, run) == pytest.approx(own)
+    assert not np.allclose(metric.simulated(about_plate.outlines, run)[..., 3], own[..., 3])
+    assert about_centroid(petals(6)) == pytest.approx(petals(6), abs=1e-4)
+    spot = about_centroid(np.hypot(0.1, 0) * np.ones(360))
+    assert spot == pytest.approx(np.full(360, 0.1), abs=1e-5)
+    known = DrapeTracker(centre=(126.4, 125.7)).track(captures_of([petals(6)]))
+    assert (seen.outlines.centred, known.outlines.centred) == (True, False)
 
 
 def test_the_metric_takes_some_quantities_only():

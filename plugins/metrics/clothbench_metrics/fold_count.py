@@ -22,7 +22,7 @@ class FoldCount:
     """
 
     name = "fold_count"
-    version = 2
+    version = 3
     unit = "folds"
 
     def __init__(self, least: float = 0.003, pixels: int = 96, blur: float = 2.0, threshold: float = 0.006):

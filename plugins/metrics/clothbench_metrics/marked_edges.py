@@ -26,7 +26,7 @@ class MarkedEdges:
     """
 
     name = "marked_edges"
-    version = 1
+    version = 2
     unit = "px"
 
     def __init__(self, pixels: int = 96):

@@ -21,7 +21,7 @@ class NodeError:
     """
 
     name = "node_error"
-    version = 1
+    version = 2
 
     def __init__(self, unit: str = "mm"):
         check_choice(self.name, "unit", unit, UNITS)

@@ -21,7 +21,7 @@ class Profile:
     """
 
     name = "profile"
-    version = 1
+    version = 2
     unit = "m^2"
 
     def __init__(self, join: float = 2e-3):

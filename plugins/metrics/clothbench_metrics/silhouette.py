@@ -24,7 +24,7 @@ class Silhouette:
     """
 
     name = "silhouette"
-    version = 1
+    version = 2
 
     def __init__(self, quantity: str = "mismatch", pixels: int = 96):
         check_choice(self.name, "quantity", quantity, QUANTITIES)

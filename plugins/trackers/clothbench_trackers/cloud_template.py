@@ -71,7 +71,7 @@ class CloudTemplate:
     """
 
     name = "cloud_template"
-    version = 2
+    version = 3
     kinds = frozenset({"depth"})
 
     def __init__(

@@ -69,7 +69,7 @@ class DepthMesh:
     """
 
     name = "depth_mesh"
-    version = 2
+    version = 3
     kinds = frozenset({"depth"})
 
     def __init__(

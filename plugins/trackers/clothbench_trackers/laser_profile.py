@@ -23,7 +23,7 @@ class LaserProfile:
     """
 
     name = "laser_profile"
-    version = 1
+    version = 2
 
     def __init__(self, width: float = 2.0, contrast: float = 25.0, shortest: int = 12):
         for word, value in (("width", width), ("contrast", contrast), ("shortest", shortest)):
