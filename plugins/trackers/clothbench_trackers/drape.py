@@ -48,8 +48,9 @@ class Drape:
         if self.centre is not None:
             for number, image in enumerate(source.image):
                 if not _is_dark(image, self.centre):
+                    where = f"{source.path or source.name}: capture {number}"
                     raise ClothbenchError(
-                        f"{source.path or source.name}: capture {number}: found no shadow at centre={list(self.centre)}, "
+                        f"{where}: found no shadow at centre={list(self.centre)}, "
                         "expected the plates' middle [x,y] px, which every shadow covers; correct it, or leave it out"
                     )
         pixel = source.pixel_size
