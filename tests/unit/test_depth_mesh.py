@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from clothbench_trackers.depth_mesh import at_times, trembling
 
-from clothbench import Camera, ClothbenchError, DepthImages
+from clothbench import Camera, ClothbenchError, DepthImages, write_depth
 from clothbench.core.observation import GripPath
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.depth import Colour
+from clothbench.studies.calibration.cloth import as_grey, contact_sheet, picture_of
 from clothbench.vision.depth_camera import DepthSensor, facing, seen_points, sensed, to_world
 from clothbench.vision.render import rasterise
 from clothbench.vision.surface import surface_of
@@ -129,6 +131,15 @@ def test_uneven_stamps_become_even_ones():
     images = dataclasses.replace(filmed(), time=uneven, grips=None, colour=None)
     assert np.ptp(np.diff(tracker(far=1.4).track(images).time)) < 1e-12
     assert np.array_equal(tracker(far=1.4, even=False).track(images).time, uneven)
+
+
+def test_a_film_shows_the_depth_that_was_taken_nearest(tmp_path):
+    uneven = TIME + np.array([0, 45, 45, 45, 45, 45, 45, 0]) * 1e-3  # nearly a frame late in between
+    images = dataclasses.replace(filmed(), time=uneven, grips=None, colour=None)
+    path = write_depth(images, tmp_path / "swing.nc")
+    even = SimpleNamespace(time=np.linspace(uneven[0], uneven[-1], 8), sight=None)
+    shown = picture_of(None, str(path), even, np.array([2, 3]))[0]
+    assert shown == contact_sheet(as_grey(images.depth[[1, 2]]))[0]
 
 
 def test_where_frames_were_dropped_nothing_is_seen():

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from clothbench import ClothbenchError, LaserImages, read_laser, write_laser
 from clothbench.plugins import discovery
 from clothbench.recordings.kinds import read_any
-from clothbench.studies.folding.laser_camera import rendered
+from clothbench.studies.folding.laser_camera import rendered, upper_side
 from clothbench.testing import check_tracker
 
 
@@ -47,6 +47,19 @@ def test_pixels_are_traced_back_through_the_lens(images):
         points, turn, np.array(images.camera_translation), np.array(images.camera_matrix), np.array(images.distortion)
     )[0][:, 0]
     assert in_plane(images, pixels) == pytest.approx(points, abs=1e-5)
+
+
+def test_what_lies_under_a_layer_is_not_seen():
+    """A strip that rises in a bow and goes back over itself, 10 cm above: the lower layer is lit beside it only."""
+    u = np.linspace(0.0, 1.2, 2401)
+    turn = np.clip((u - 0.7) / 0.05, 0.0, np.pi)
+    step = np.diff(u, prepend=0.0)
+    folded = np.stack([np.cumsum(np.cos(turn) * step), np.cumsum(np.sin(turn) * step)], axis=1)
+    end = folded[-1, 0]
+    seen = upper_side(folded)
+    lower = u < 0.7
+    assert seen[lower & (folded[:, 0] < end - 0.15)].all()
+    assert not seen[lower & (folded[:, 0] > end + 0.15)].any()
 
 
 def test_what_meets_the_plane_behind_the_camera_was_not_seen(images):
