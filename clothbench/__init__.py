@@ -108,7 +108,6 @@ _HOME = {
     "turned": "vision.orientation",
     "Outlines": "core.drape",
     "QUANTITIES": "core.drape",
-    "about_centroid": "core.drape",
     "drape_points": "core.drape",
     "outlines_of_points": "core.drape",
     "LEAST_FOLD": "vision.drape",

@@ -43,8 +43,7 @@ class Outlines:
     """Outlines of drapes of one fabric, capture by capture; arrays are read-only.
 
     radius: (T, K) m, at K even angles from 0 on, counter-clockwise as seen from above, about the plates' middle;
-    plate_radius, disc_radius: m; sample: (T,), which specimen each capture shows; sigma: m, of one radius; pixel: m;
-    centred: whether each is about the middle of its own area instead, where nobody knows the plates'.
+    plate_radius, disc_radius: m; sample: (T,), which specimen each capture shows; sigma: m, of one radius; pixel: m.
     """
 
     radius: np.ndarray
@@ -53,7 +52,6 @@ class Outlines:
     sample: np.ndarray
     sigma: float
     pixel: float
-    centred: bool = False
 
     def __post_init__(self) -> None:
         for name in ("radius", "sample"):
@@ -96,20 +94,6 @@ def outlines_of_points(position: np.ndarray, centre: tuple[float, float, float],
     out = np.stack([_reach(one) for one in flat]) if len(flat) else np.zeros((0, ANGLES))
     out = np.where(np.isfinite(flat).all(axis=(1, 2, 3))[:, None], np.maximum(out, plate), np.nan)
     return out.reshape(*position.shape[:-2], ANGLES)
-
-
-def about_centroid(radius: np.ndarray) -> np.ndarray:
-    """Outlines (..., K) m about the middle of the area that each encloses, (..., ANGLES) m: as a shadow is read of
-    which nobody knows where the plates' middle lies. NaN where an outline has it.
-    """
-    turn = 2 * np.pi * np.arange(radius.shape[-1]) / radius.shape[-1]
-    ray = np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    flat = radius.reshape(-1, radius.shape[-1])
-    out = np.full((len(flat), ANGLES), np.nan)
-    for k in np.flatnonzero(np.isfinite(flat).all(axis=1)):
-        middle = (2 / 3) * (flat[k] ** 3 @ ray) / (flat[k] ** 2).sum()
-        out[k] = _reach((flat[k][:, None] * ray - middle)[None])
-    return out.reshape(*radius.shape[:-1], ANGLES)
 
 
 def _reach(rings: np.ndarray) -> np.ndarray:

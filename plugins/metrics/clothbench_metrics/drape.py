@@ -15,7 +15,6 @@ from clothbench import (
     Outlines,
     Rollout,
     Score,
-    about_centroid,
     drape_quantities,
     jackknife_half_width,
     outlines_of_points,
@@ -76,9 +75,8 @@ class Drape:
         )  # fmt: skip
 
     def simulated(self, seen: Outlines, rollout: Rollout) -> np.ndarray:
-        """The quantities of all drapes of a rollout (B, S, 4), about the same middle as the captures'."""
+        """The quantities of all drapes of a rollout (B, S, 4)."""
         radius = outlines_of_points(rollout.position, (0.0, 0.0, 0.0), seen.plate_radius)
-        radius = about_centroid(radius) if seen.centred else radius
         return drape_quantities(radius, seen.plate_radius, seen.disc_radius, self.least)
 
     def floor(self, observation: Observation) -> float:

@@ -55,9 +55,7 @@ class Drape:
                     )
         pixel = source.pixel_size
         radius = np.stack([outline_in(image, pixel, self.centre) for image in source.image])
-        seen = Outlines(
-            radius, source.plate_radius, source.disc_radius, source.sample, EDGE * pixel, pixel, self.centre is None
-        )  # fmt: skip
+        seen = Outlines(radius, source.plate_radius, source.disc_radius, source.sample, EDGE * pixel, pixel)
         points = drape_points(source.plate_radius, source.disc_radius)
         shape = (len(radius), len(points))
         return Observation(
