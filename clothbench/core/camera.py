@@ -13,6 +13,8 @@ import numpy as np
 from clothbench.core.errors import ClothbenchError
 
 MOST_PIXELS = 2**25  # more than 8K video has: memory is taken for whole pictures, and a header may claim anything
+UNBENT = (3, 100, 1e-12)  # OpenCV's rounds of taking distortion back, by number and step: its usual 5 end pixels off
+MISSED = 0.01  # px, from where the lens shows the line of sight that was found for a pixel
 LENSES = {"matrix": (3, 3), "rotation": (3, 3), "translation": (3,), "distortion": (5,)}
 
 
@@ -37,6 +39,8 @@ class Camera:
                 raise ClothbenchError(f"camera: {name} has shape {array.shape}, expected {shape} finite numbers")
             array.flags.writeable = False
             object.__setattr__(self, name, array)
+        if fault := matrix_fault(self.matrix):
+            raise ClothbenchError(f"camera: matrix: {fault}")
         if len(self.size) != 2 or min(self.size) < 1 or math.prod(self.size) > MOST_PIXELS:
             raise ClothbenchError(
                 f"camera: size is {self.size}, expected (width, height), with {MOST_PIXELS} pixels at most"
@@ -66,6 +70,22 @@ class Camera:
         if self.distortion.any():
             flat = distorted(flat, self.distortion)
         return flat @ self.matrix[:2, :2].T + self.matrix[:2, 2], depth
+
+    def straight(self, pixels: np.ndarray) -> np.ndarray:
+        """Pixels (..., 2) → where their lines of sight pass at a depth of 1, to the right and down (..., 2): distortion
+        is taken back. NaN where the lens shows nothing at such a pixel.
+        """
+        (fx, skew, cx), (_, fy, cy) = self.matrix[:2]
+        down = (np.asarray(pixels, dtype=float)[..., 1] - cy) / fy
+        bent = np.stack([(np.asarray(pixels, dtype=float)[..., 0] - cx - skew * down) / fx, down], axis=-1)
+        if not self.distortion.any() or not bent.size:
+            return bent
+        import cv2
+
+        flat = bent.reshape(-1, 1, 2)
+        found = cv2.undistortPoints(flat, np.eye(3), np.array(self.distortion), criteria=UNBENT).reshape(bent.shape)
+        missed = np.linalg.norm(distorted(found, self.distortion) - bent, axis=-1)
+        return np.where(missed[..., None] < MISSED / fx, found, np.nan)
 
     @classmethod
     def looking_at(
@@ -125,7 +145,8 @@ class View:
 
     silhouette: (T, H, W) bool, the cloth; angle: (T, H, W) rad, modulo π, the dominant orientation of the projected
     stripes, and fold: (T, H, W) bool, where it changes fast; both None without a projector. blur: standard deviation
-    [px] of the smoothing on the way to the angles, which a simulated view has to repeat.
+    [px] of the smoothing on the way to the angles, and threshold: rad/px, from which on the angle changes fast (NaN:
+    not known); a simulated view has to repeat both.
     """
 
     camera: Camera
@@ -134,6 +155,7 @@ class View:
     angle: np.ndarray | None = None
     fold: np.ndarray | None = None
     blur: float = 0.0
+    threshold: float = math.nan
 
     def __post_init__(self) -> None:
         for name in ("silhouette", "angle", "fold"):
@@ -143,6 +165,15 @@ class View:
                 object.__setattr__(self, name, array)
                 if array.shape != self.silhouette.shape:
                     raise ClothbenchError(f"view: {name} has shape {array.shape}, expected {self.silhouette.shape}")
+
+
+def matrix_fault(matrix: np.ndarray) -> str | None:
+    """What keeps a matrix (3, 3) from being that of a pinhole; None if nothing does."""
+    if not (matrix[0, 0] > 0 and matrix[1, 1] > 0):
+        return f"found focal lengths {matrix[0, 0]:g} and {matrix[1, 1]:g} px, expected both above 0"
+    if matrix[1, 0] or matrix[2].tolist() != [0.0, 0.0, 1.0]:
+        return f"found rows {matrix[1].tolist()} and {matrix[2].tolist()} below, expected [0, fy, cy] and [0, 0, 1]"
+    return None
 
 
 def distorted(flat: np.ndarray, coefficients: np.ndarray) -> np.ndarray:

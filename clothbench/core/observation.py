@@ -40,7 +40,8 @@ class Observation:
     of one coordinate (NaN = not known); material: (N, 2) m; view: what was made of a camera's images, or None; eye:
     (3,) m, where the camera stood, or None; confidence: (T, N), 0 to 1, how sure the tracker is, or None;
     grips: where the tracker found the cloth to be held, if it looks for that; outlines: of drapes, where that is what
-    was seen: then frames are captures, each a drape of its own, `time` counts them, and no point is visible.
+    was seen: then frames are captures, each a drape of its own, `time` counts them, and no point is visible; size:
+    (width, height) m of the cloth, which may reach beyond its outermost points, or None.
 
     sight: the one camera that saw the points, where nothing else tells how far away they were. A position then is any
     place on the line of sight, and what it says is across that line only: two coordinates, not three.
@@ -57,6 +58,7 @@ class Observation:
     confidence: np.ndarray | None = None
     grips: GripPath | None = None
     outlines: Outlines | None = None
+    size: tuple[float, float] | None = None
 
     def __post_init__(self) -> None:
         for name in ("time", "position", "visible", "material", "confidence"):

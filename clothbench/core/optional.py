@@ -477,7 +477,7 @@ class HasInterval(Protocol):
     """A metric that knows how sure its value is. Without it: from blocks of the frames, as of a film."""
 
     def interval(self, observation: Observation, rollout: Rollout, seed: int) -> tuple[float, float]:
-        """95 % interval of the value of the rollout's first member, in the metric's unit."""
+        """95 % interval of the value of the rollout's first member, in the metric's unit, or NaN and NaN."""
         ...
 
 

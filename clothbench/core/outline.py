@@ -39,7 +39,26 @@ def checked_outline(outline: np.ndarray, width: float, height: float) -> np.ndar
     area = signed_area(outline)
     if abs(area) < 1e-6 * width * height:
         raise ClothbenchError(f"outline: encloses {abs(area):g} m², expected a polygon with an area")
+    if touching := _touching(outline, slack):
+        raise ClothbenchError(
+            f"outline: corner {touching[0]} lies on side {touching[1]}, expected a simple polygon that touches itself "
+            "nowhere, each corner stated once; take the corner out, or move it"
+        )
     return outline if area > 0 else outline[::-1].copy()
+
+
+def _touching(outline: np.ndarray, slack: float) -> tuple[int, int] | None:
+    """The first corner that lies within `slack` m of a side that does not end in it, and that side; None of a simple
+    polygon.
+    """
+    side = np.roll(outline, -1, axis=0) - outline
+    to = outline[:, None] - outline[None]  # from the begin of each side to each corner, (corner, side, 2)
+    share = np.clip((to * side).sum(axis=-1) / np.maximum((side**2).sum(axis=-1), 1e-300), 0.0, 1.0)
+    away = np.linalg.norm(to - share[..., None] * side, axis=-1)
+    corner = np.arange(len(outline))
+    away[corner, corner] = away[corner, corner - 1] = np.inf
+    found = np.argwhere(away <= slack)
+    return (int(found[0, 0]), int(found[0, 1])) if len(found) else None
 
 
 def _crossing(outline: np.ndarray) -> tuple[int, int] | None:

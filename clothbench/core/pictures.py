@@ -9,6 +9,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 
@@ -19,22 +20,37 @@ MOST_PIXELS = 2**27  # of one picture: more than any camera's, and what a file o
 os.environ.setdefault("OPENCV_IO_MAX_IMAGE_PIXELS", str(MOST_PIXELS))
 
 
+_lock = Lock()
+_silent: list[None] = []  # one for each thread that wants silence
+_kept: list[int] = []  # the terminal, while there is silence
+
+
 @contextmanager
 def silenced() -> Iterator[None]:
-    """Keep what OpenCV and its decoders say of a broken file off the terminal."""
+    """Keep what OpenCV and its decoders say of a broken file off the terminal. Of several threads at once the first to
+    come turns it away and the last to go gives it back: each by itself might keep what another had turned away.
+    """
     import cv2
 
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
-    sys.stderr.flush()
-    kept, nothing = os.dup(2), os.open(os.devnull, os.O_WRONLY)
+    with _lock:
+        if not _silent:
+            sys.stderr.flush()
+            _kept.append(os.dup(2))
+            nothing = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nothing, 2)
+            os.close(nothing)
+        _silent.append(None)
     try:
-        os.dup2(nothing, 2)
         yield
     finally:
-        os.dup2(kept, 2)
-        os.close(kept)
-        os.close(nothing)
+        with _lock:
+            _silent.pop()
+            if not _silent:
+                kept = _kept.pop()
+                os.dup2(kept, 2)
+                os.close(kept)
 
 
 def picture_of(content: bytes | np.ndarray | Path, flags: int) -> np.ndarray | None:

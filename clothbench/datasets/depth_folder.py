@@ -36,6 +36,8 @@ from clothbench.recordings.rig import RawRecording
 LEVEL = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # a camera that looks along +y, z up
 MILLIMETRE = 1e-3
 FARTHEST = 65535  # steps that a depth frame of 16 bit can tell; what is farther counts as not measured
+SUGGESTED = {"name", "kind", "field_of_view_deg", "position_m", "target_m", "up"}  # what `suggest` writes beside them
+OF_CAMERAS = {"size", "matrix", "fx", "fy", "cx", "cy", "distortion", "rotation", "translation"} | SUGGESTED
 OWN = {"camera", "time", "rate", "colour_time", "grips", "gravity", "depth_step"}
 
 
@@ -240,7 +242,20 @@ def _numbers(about: Mapping[str, Any], name: str, where: Path) -> np.ndarray:
 
 def camera_of(told: Any, where: Path) -> Camera:
     """The camera that a JSON object states; without a place it looks along +y from the origin, level."""
+    if isinstance(told, dict):
+        if unknown := [name for name in told if name not in OF_CAMERAS]:
+            known = ", ".join(sorted(OF_CAMERAS - SUGGESTED))
+            raise ClothbenchError(
+                f"{where}: 'camera': found {unknown[0]!r}, expected {known}; correct it or take it out"
+            )
+        if ("rotation" in told) != ("translation" in told):
+            lacks = "translation" if "rotation" in told else "rotation"
+            raise ClothbenchError(
+                f"{where}: 'camera': found no {lacks!r}, expected both or neither; they say where it is"
+            )
     try:
+        if any(isinstance(n, bool) or n != int(n) for n in told["size"]):
+            raise ClothbenchError(f"'camera': size is {told['size']}, expected whole numbers of pixels")
         size = tuple(int(n) for n in told["size"])
         if "matrix" in told:
             matrix = np.array(told["matrix"], dtype=float)

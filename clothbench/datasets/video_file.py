@@ -132,10 +132,16 @@ def _film(file: Path, rate: float | None, progress: FileProgress | None) -> tupl
     time = np.array(stamps)
     if rate is not None:
         time = np.arange(len(time)) / rate
-    elif not (np.diff(time) > 0).all():
+    elif not (np.diff(time) > 0).any():  # no frame has a stamp of its own
         if not told > 0:
             raise ClothbenchError(f"{file}: found neither stamps nor a rate in the video; state rate=FRAMES_PER_SECOND")
         time = np.arange(len(time)) / told
+    elif (wrong := np.flatnonzero(np.diff(time) <= 0)).size:
+        k = int(wrong[0])
+        raise ClothbenchError(
+            f"{file}: found frame {k + 1} at {time[k + 1]:g} s after frame {k} at {time[k]:g} s, expected stamps that "
+            "grow; if the frames are evenly apart, state rate=FRAMES_PER_SECOND"
+        )
     return stream, time - time[0]
 
 

@@ -116,6 +116,15 @@ class DepthImages(RawRecording):
         """Depth (H, W) m of a frame, NaN where nothing was measured."""
         return np.where(self.depth[frame] > 0, self.depth[frame] * self.depth_step, np.nan)
 
+    def picture(self, frame: int) -> np.ndarray | None:
+        """The picture (H, W, 3) that was taken nearest to a frame of depth; None without one within half a step."""
+        if self.colour is None:
+            return None
+        away = np.abs(self.colour.time - self.time[frame])
+        nearest = int(away.argmin())
+        step = float(np.median(np.diff(self.time))) if len(self.time) > 1 else np.inf
+        return self.colour.frame[nearest] if away[nearest] <= step / 2 * (1 + 1e-6) else None
+
 
 def read_depth(path: str | os.PathLike[str]) -> DepthImages:
     """Read and check one file; a fault raises `ClothbenchError` with file, variable, found, expected."""

@@ -21,6 +21,7 @@ from pathlib import Path
 
 import numpy as np
 
+from clothbench.core.camera import matrix_fault
 from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.codec import freeze, hash_of, read, write
 from clothbench.recordings.layout import Layout, Variable
@@ -89,6 +90,8 @@ def _check(r: LaserImages, where: str) -> None:
         if array.shape != shape or not np.isfinite(array).all():
             found = f"found shape {array.shape}, expected {shape}, all finite"
             raise ClothbenchError(f"{where}: variable '{name}': {found}")
+    if fault := matrix_fault(r.camera_matrix):
+        raise ClothbenchError(f"{where}: variable 'camera_matrix': {fault}")
     if r.image.ndim != 3 or len(r.image) != len(r.time) or len(r.time) == 0 or min(r.image.shape[1:]) < SMALLEST:
         raise ClothbenchError(
             f"{where}: variable 'image': found shape {r.image.shape}, expected ({len(r.time)}, y, x), "

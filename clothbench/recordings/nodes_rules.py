@@ -9,6 +9,7 @@ from clothbench.recordings.layout import Arrays, Layout, Part
 
 COVERED = 0.9  # of the frames, while which somebody has to know where the grips are
 SIZES = {"uv": 2, "space": 3}
+LONGEST = 0.5  # s, for which a grip that a camera lost may be taken to go straight on: a hand swings at 1 Hz
 FARTHEST = 1e6  # m from the origin that cloth and grips may be; sums and squares of what is farther may overflow
 
 
@@ -102,6 +103,25 @@ def check_points(points: np.ndarray, name: str, size: np.ndarray, where: str) ->
         raise ClothbenchError(
             f"{where}: variable '{name}': found row {row} {int(counts[counts > 1].max())} times "
             f"(the same material point), expected every point once; drop the repeats"
+        )
+
+
+def longest_gap(time: np.ndarray, seen: np.ndarray) -> tuple[float, float]:
+    """The longest time [s] without a sample, of those numbered `seen` (K,) among stamps (T,) s, and when it begins [s];
+    0 where no sample is missing between the first and the last.
+    """
+    gaps = np.where(np.diff(seen) > 1, np.diff(time[seen]), 0.0)
+    worst = int(np.argmax(gaps)) if gaps.size else 0
+    return (float(gaps[worst]), float(time[seen[worst]])) if gaps.size else (0.0, float("nan"))
+
+
+def check_grip_gap(time: np.ndarray, seen: np.ndarray, what: str, where: str) -> None:
+    """Refuse a grip that no frame between showed for too long: nobody knows how it moved. what: which grip it is."""
+    gap, begin = longest_gap(time, seen)
+    if gap > LONGEST:
+        raise ClothbenchError(
+            f"{where}: found {what} in no frame for {gap:.3g} s after {begin:.3g} s, expected gaps of {LONGEST:g} s at "
+            "most; cut the recording there, or state the grips"
         )
 
 

@@ -119,7 +119,7 @@ def _check_shadows(r: Silhouettes, where: str) -> None:
     """Each picture shows one dark shape that has the plate in it, is no larger than the specimen, and ends before the
     border.
     """
-    dark = r.image < 128
+    dark = np.stack([_dark(image) for image in r.image])
     area = np.asarray(dark.sum(axis=(1, 2)) * r.pixel_size**2)
     border = np.asarray(dark[:, [0, -1]].any(axis=(1, 2)) | dark[:, :, [0, -1]].any(axis=(1, 2)))
     least, most = (np.pi * radius**2 for radius in (r.plate_radius, r.disc_radius))
@@ -135,3 +135,9 @@ def _check_shadows(r: Silhouettes, where: str) -> None:
                 f"{where}: variable 'image': found a shadow that reaches the picture's border in capture {k}, expected "
                 "all of it to be seen"
             )
+
+
+def _dark(image: np.ndarray) -> np.ndarray:
+    """The pixels (H, W) bool beyond halfway from the ground, the median along the border, to the darkest."""
+    ground = float(np.median(np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])))
+    return image < (ground + float(image.min())) / 2

@@ -9,7 +9,7 @@ from clothbench.core.observation import GripPath, Observation
 from clothbench.recordings.colour_video import ColourVideo
 from clothbench.recordings.depth import DepthImages
 from clothbench.recordings.nodes import Recording
-from clothbench.recordings.nodes_rules import COVERED
+from clothbench.recordings.nodes_rules import COVERED, check_grip_gap
 from clothbench.recordings.rig import HEADER
 from clothbench.recordings.video import text_of
 
@@ -53,6 +53,9 @@ def corners_of(images: Images, seen: Observation) -> GripPath:
                 f"m from frame {there[0]} to {there[-1]} of {len(seen.time)}, expected {COVERED:.0%} of them; cut the "
                 "recording there, or state grip_time, grip_material and grip_position"
             )
+        u, v = seen.material[n]
+        what = f"the upper corner at u = {u:g} m, v = {v:g} m"
+        check_grip_gap(seen.time, there, what, str(images.path or images.name))
         path = [np.interp(seen.time, seen.time[there], seen.position[there, n, c]) for c in range(3)]
         paths.append(np.stack(path, axis=-1))
     return GripPath(np.array(seen.time), seen.material[which], np.stack(paths, axis=1))

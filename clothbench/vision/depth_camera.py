@@ -7,6 +7,7 @@ Accuracy and Resolution of Kinect Depth Data, eq. 11: noise and steps grow with 
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
+from functools import lru_cache
 
 import numpy as np
 
@@ -79,15 +80,16 @@ def seen_points(depth: np.ndarray, camera: Camera) -> np.ndarray:
     return depth[..., None] * sight(camera)
 
 
+@lru_cache(maxsize=8)  # every frame of a recording asks for the same
 def sight(camera: Camera) -> np.ndarray:
-    """The line of sight (H, W, 3) of every pixel in the camera's frame, with a depth of 1."""
-    import cv2
-
+    """The line of sight (H, W, 3) of every pixel in the camera's frame, with a depth of 1; NaN where the lens shows
+    none. Read-only.
+    """
     width, height = camera.size
-    x, y = np.meshgrid(np.arange(width, dtype=float), np.arange(height, dtype=float))
-    pixels = np.stack([x.ravel(), y.ravel()], axis=1)[:, None]
-    flat = cv2.undistortPoints(pixels, np.array(camera.matrix), np.array(camera.distortion))
-    return np.concatenate([flat[:, 0], np.ones((width * height, 1))], axis=1).reshape(height, width, 3)
+    pixels = np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1)
+    lines = np.concatenate([camera.straight(pixels), np.ones((height, width, 1))], axis=-1)
+    lines.flags.writeable = False
+    return lines
 
 
 def to_world(points: np.ndarray, camera: Camera) -> np.ndarray:

@@ -8,6 +8,7 @@ from clothbench.core.drape import ANGLES, QUANTITIES, drape_coefficient
 
 LEAST_FOLD = 2e-3  # m, prominence of what counts as a fold: a hand's tremble in the cloth, not the camera's pixels
 SMOOTH = 1.5  # degrees, of the Gaussian that takes pixels out of an outline before its folds are looked for
+SOFT = 4  # px beyond its edge that a shape may be soft, and count for its middle
 STEP = 0.25  # px along a ray
 BLOCK = 2**14  # places along a ray that are read at once: OpenCV takes fewer than 2**15
 
@@ -31,7 +32,7 @@ def outline_in(image: np.ndarray, pixel: float, centre: tuple[float, float] | No
         places = x + along * np.cos(turn), y - along * np.sin(turn)
         blocks.append(cv2.remap(dark, *places, cv2.INTER_LINEAR, borderMode=cv2.BORDER_CONSTANT, borderValue=0.0))
     grey = np.concatenate(blocks, axis=1)
-    level = 0.5 * float(dark.max())
+    level = 0.5 * inside(dark)
     last = reach - 1 - (grey[:, ::-1] >= level).argmax(axis=1)
     rows = np.arange(ANGLES)
     inner, outer = grey[rows, last], grey[rows, np.minimum(last + 1, reach - 1)]
@@ -57,8 +58,22 @@ def darkness(image: np.ndarray) -> np.ndarray:
     return dark if count == 2 else np.where((part == 0) | (part == largest), dark, np.float32(0.0))
 
 
+def inside(dark: np.ndarray) -> float:
+    """How dark the shape itself is in (H, W): the middle of what is half as dark as anything, which noise makes no
+    darker as it does the darkest pixel; 0 where nothing is dark.
+    """
+    shape = dark[dark >= 0.5 * dark.max()] if dark.any() else dark[:0]
+    return float(np.median(shape)) if shape.size else 0.0
+
+
 def centroid(dark: np.ndarray) -> tuple[float, float]:
-    """The middle (x, y) px of all that is dark in (H, W)."""
+    """The middle (x, y) px of the shape in (H, W), soft edges included; what is dark farther out is the ground's noise,
+    which would draw it to the picture's middle.
+    """
+    import cv2
+
+    shape = (dark >= 0.5 * inside(dark)).astype(np.uint8)
+    dark = np.where(cv2.dilate(shape, np.ones((2 * SOFT + 1, 2 * SOFT + 1), np.uint8)) > 0, dark, np.float32(0.0))
     total = max(float(dark.sum()), 1e-12)
     rows, columns = dark.sum(axis=1), dark.sum(axis=0)
     return float(columns @ np.arange(len(columns))) / total, float(rows @ np.arange(len(rows))) / total

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -164,15 +165,12 @@ class FirstView:
 
     def lifted(self, pixel: np.ndarray) -> np.ndarray:
         """Pixels (..., 2) → where their lines of sight meet the flat cloth's plane (..., 3) m; NaN stays NaN."""
-        import cv2
-
-        camera, flat = self.camera, np.asarray(pixel, dtype=float).reshape(-1, 1, 2)
-        ideal = cv2.undistortPoints(flat, np.array(camera.matrix), np.array(camera.distortion))[:, 0]
-        sight = np.concatenate([ideal, np.ones((len(ideal), 1))], axis=1) @ camera.rotation
+        camera, ideal = self.camera, self.camera.straight(pixel)
+        sight = np.concatenate([ideal, np.ones((*ideal.shape[:-1], 1))], axis=-1) @ camera.rotation
         normal = np.cross(self.along, self.down)
         with np.errstate(divide="ignore", invalid="ignore"):
             reach = ((self.origin - camera.place) @ normal) / (sight @ normal)
-        return (camera.place + reach[:, None] * sight).reshape(*np.shape(pixel)[:-1], 3)
+        return camera.place + reach[..., None] * sight
 
 
 def first_view(
@@ -210,9 +208,12 @@ def camera_before(
     material = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
     seen = found(to_template(material, size, shape))
     flat = np.stack([material[:, 0], material[:, 1], np.zeros(len(material))], axis=1)
-    ok, turn, shift = cv2.solvePnP(
-        flat, seen, np.array(lens.matrix), np.array(lens.distortion), flags=cv2.SOLVEPNP_IPPE
-    )
+    straight = lens.straight(seen)
+    there = np.isfinite(straight).all(axis=1)
+    pose: Any = cv2.solvePnP
+    ok, turn, shift = False, np.zeros(3), np.zeros(3)
+    if there.sum() >= 4:
+        ok, turn, shift = pose(flat[there], straight[there], np.eye(3), None, flags=cv2.SOLVEPNP_IPPE)
     if not ok:
         raise ClothbenchError("camera: found no place from which the first frame can have been seen")
     rotation, _ = cv2.Rodrigues(turn)

@@ -47,8 +47,9 @@ def test_what_something_hides_later_keeps_its_labels():
     [
         ({"refine": 0}, "cloud_template: refine is 0, expected a whole number"),
         ({"rounds": 2.5}, "cloud_template: rounds is 2.5, expected a whole number"),
-        ({"reach": -1}, "cloud_template: reach is -1, expected metres above 0"),
+        ({"reach": -1}, "cloud_template: reach is -1, expected a number above 0"),
         ({"sigma": "small"}, "cloud_template: sigma is 'small', expected metres above 0, or null"),
+        ({"foo": 1}, "cloud_template: 'foo' is no option of it"),
         ({"jump": 0}, "jump is 0, expected a number above 0"),
     ],
 )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 
 import cv2
 import flat_video as flat
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 
 from clothbench import ClothbenchError, GripPath, read_video, write_video
+from clothbench.core.pictures import silenced
+from clothbench.datasets import video_file
 from clothbench.datasets.video_file import video_recording
 from clothbench.recordings.colour_video import Marks
 from clothbench.recordings.kinds import read_any, read_sheet
@@ -88,6 +91,8 @@ def files(tmp_path_factory):
     cv2.imwrite(str(folder / "other.png"), np.random.default_rng(1).integers(0, 255, (300, 300, 3)).astype(np.uint8))
     matrix = flat.CAMERA.matrix.tolist()
     (folder / "camera.json").write_text(json.dumps({"size": flat.PIXELS, "matrix": matrix}))
+    turned = {"size": flat.PIXELS, "matrix": matrix, "rotation": np.eye(3).tolist()}
+    (folder / "turned.json").write_text(json.dumps(turned))
     (folder / "text.mp4").write_text("no video")
     return folder
 
@@ -111,6 +116,27 @@ def test_a_video_and_a_folder_of_pictures_become_recordings(files, tmp_path):
     assert len(list(film.frames())) == len(list(pictures.frames())) == 6
 
 
+def test_a_stamp_that_comes_twice_is_no_reason_to_take_the_files_rate(files, tmp_path, monkeypatch):
+    whole, stamps = settings(files, out=str(tmp_path)), np.array([0, 0.1, 0.1, 0.3, 0.4, 0.5])
+    monkeypatch.setattr(video_file, "_stamps", lambda *_: (stamps.tolist(), 30.0))
+    with pytest.raises(ClothbenchError, match=r"frame 2 at 0\.1 s after frame 1 at 0\.1 s, expected stamps that grow"):
+        video_recording(files / "run.mp4", whole)
+    assert np.allclose(read_video(video_recording(files / "run.mp4", {**whole, "rate": "10"})).time, np.arange(6) / 10)
+    monkeypatch.setattr(video_file, "_stamps", lambda *_: ([0.0] * 6, 30.0))  # a container without any
+    film = read_video(video_recording(files / "run.mp4", {**whole, "name": "film"}))
+    assert np.allclose(film.time, np.arange(6) / 30)
+
+
+def test_threads_that_want_silence_together_give_the_terminal_back():
+    before, one, other = os.fstat(2), silenced(), silenced()
+    one.__enter__()
+    other.__enter__()
+    one.__exit__(None, None, None)
+    assert os.fstat(2).st_ino != before.st_ino
+    other.__exit__(None, None, None)
+    assert (os.fstat(2).st_dev, os.fstat(2).st_ino) == (before.st_dev, before.st_ino)
+
+
 def test_pictures_come_in_the_order_of_their_numbers(files, tmp_path):
     for k in range(6):
         (tmp_path / f"{k + 8}.png").write_bytes((files / "pictures" / f"{k:03d}.png").read_bytes())
@@ -128,6 +154,7 @@ def test_pictures_come_in_the_order_of_their_numbers(files, tmp_path):
         ("run.mp4", {"template": "{}/plain.png"}, "a plain cloth shows nothing to go by"),
         ("run.mp4", {"template": "{}/other.png"}, "found no cloth in the first frame"),
         ("run.mp4", {"camera": "{}/text.mp4"}, "found no JSON that can be read"),
+        ("run.mp4", {"camera": "{}/turned.json"}, "'camera': found no 'translation', expected both or neither"),
         ("run.mp4", {"marks": "3,4"}, "the upper left and the upper right corner"),
         ("text.mp4", {}, "found 0 frames that can be read"),
         ("pictures", {}, "pictures have no clock; state rate="),

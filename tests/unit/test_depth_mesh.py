@@ -4,14 +4,17 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from clothbench_trackers.depth_mesh import at_times, trembling
 
-from clothbench import Camera, ClothbenchError, DepthImages
+from clothbench import Camera, ClothbenchError, DepthImages, write_depth
 from clothbench.core.observation import GripPath
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.depth import Colour
+from clothbench.studies.calibration.cloth import as_grey, contact_sheet, picture_of
 from clothbench.vision.depth_camera import DepthSensor, facing, seen_points, sensed, to_world
 from clothbench.vision.render import rasterise
 from clothbench.vision.surface import surface_of
@@ -36,27 +39,29 @@ def lattice(nu: int, nv: int) -> np.ndarray:
 
 
 @cache
-def filmed(sensor: DepthSensor = NOISY, tilt: float = 0.0, hidden: float = 0.0, grips: bool = True, blue=True):
+def filmed(
+    sensor: DepthSensor = NOISY, tilt: float = 0.0, hidden: float = 0.0, grips: bool = True, blue=True, view=VIEW
+):
     """Depth images of the sheet; hidden: share of its width behind something that stands before its right side."""
     fine, random = lattice(25, 33), np.random.default_rng(1)
     triangle = surface_of(fine).triangle
     depth, colour = [], []
     for t in TIME:
-        pixel, away = VIEW.project(bent(fine, t, tilt))
-        nearest, empty = np.empty(VIEW.size[::-1]), np.empty((*VIEW.size[::-1], 0))
+        pixel, away = view.project(bent(fine, t, tilt))
+        nearest, empty = np.empty(view.size[::-1]), np.empty((*view.size[::-1], 0))
         rasterise(pixel, away, triangle, np.zeros((len(fine), 0)), nearest, empty)
         seen = np.isfinite(nearest)
         picture = np.where(seen[..., None], (50, 80, 170), (190, 180, 170))
         if hidden:
-            edge = VIEW.project(np.array([SIZE[0] * (0.5 - hidden), -0.1, 0.8]))[0][0]
+            edge = view.project(np.array([SIZE[0] * (0.5 - hidden), -0.1, 0.8]))[0][0]
             nearest[:, int(edge) :], picture[:, int(edge) :] = 0.6, (150, 60, 50)
         nearest[~np.isfinite(nearest)] = 1.6
-        depth.append(sensed(nearest, VIEW, sensor, random))
+        depth.append(sensed(nearest, view, sensor, random))
         colour.append(picture.astype(np.uint8))
     corners = np.array([[0.0, 0.0], [SIZE[0], 0.0]])
     held = GripPath(TIME, corners, np.stack([bent(corners, t, tilt) for t in TIME]))
     return DepthImages(
-        name="swing", time=TIME, depth=np.stack(depth), depth_step=1e-3, camera=VIEW, cloth_width=SIZE[0],
+        name="swing", time=TIME, depth=np.stack(depth), depth_step=1e-3, camera=view, cloth_width=SIZE[0],
         cloth_height=SIZE[1], colour=Colour(TIME, np.stack(colour)) if blue else None, grips=held if grips else None,
     )  # fmt: skip
 
@@ -128,6 +133,15 @@ def test_uneven_stamps_become_even_ones():
     assert np.array_equal(tracker(far=1.4, even=False).track(images).time, uneven)
 
 
+def test_a_film_shows_the_depth_that_was_taken_nearest(tmp_path):
+    uneven = TIME + np.array([0, 45, 45, 45, 45, 45, 45, 0]) * 1e-3  # nearly a frame late in between
+    images = dataclasses.replace(filmed(), time=uneven, grips=None, colour=None)
+    path = write_depth(images, tmp_path / "swing.nc")
+    even = SimpleNamespace(time=np.linspace(uneven[0], uneven[-1], 8), sight=None)
+    shown = picture_of(None, str(path), even, np.array([2, 3]))[0]
+    assert shown == contact_sheet(as_grey(images.depth[[1, 2]]))[0]
+
+
 def test_where_frames_were_dropped_nothing_is_seen():
     gap = TIME + np.array([0, 0, 0, 0, 6, 6, 6, 6]) / 20.0  # six frames dropped after the fourth
     images = dataclasses.replace(filmed(), time=gap, grips=None, colour=None)
@@ -136,6 +150,70 @@ def test_where_frames_were_dropped_nothing_is_seen():
     assert between.sum() == 4
     assert not seen.visible[between].any()
     assert seen.visible[~between].mean() > 0.9
+
+
+def test_a_frame_that_was_not_seen_takes_none_with_it_where_stamps_are_off_by_a_trifle():
+    random, time = np.random.default_rng(0), np.round(np.arange(60) / 30, 3)  # whole milliseconds
+    nodes = random.normal(size=(60, 40, 3))
+    nodes[random.random((60, 40)) < 0.1] = np.nan
+    even = at_times(time, nodes, np.linspace(time[0], time[-1], 60))
+    assert np.isfinite(even).mean() > np.isfinite(nodes).mean() - 0.01
+
+
+def test_noise_is_judged_by_the_real_stamps():
+    random = np.random.default_rng(0)
+    time = np.sort(np.arange(120) / 30 + random.normal(0.0, 5e-3, 120))
+    place = 0.15 * np.sin(2 * np.pi * 0.8 * time)[:, None, None] + random.random((81, 3))
+    still = trembling(np.arange(120) / 30, random.normal(0.0, 1e-3, (120, 81, 3)))
+    assert trembling(time, place + random.normal(0.0, 1e-3, place.shape)) == pytest.approx(still, rel=0.1)
+    assert 0.8e-3 < still < 1e-3  # the quieter half: a lower bound
+
+
+def shifted(by):
+    """The camera of these tests, turned until the middle of its picture lies `by` m beside the sheet's."""
+    return Camera.looking_at(np.array([0.05, -1.1, 0.85]), np.array([by, 0.0, 0.8]), VIEW.size, 0.48)
+
+
+def test_a_sheet_that_the_pictures_border_cuts_is_not_stretched_to_its_hem():
+    images = filmed(view=shifted(0.12))
+    seen = tracker().track(images)
+    truth = np.stack([bent(seen.material, t) for t in seen.time])
+    outside = (images.camera.project(truth)[0] < -0.5).any(axis=-1)
+    assert 0.1 < outside.mean() < 0.4
+    assert not seen.visible[outside].any()
+    away = np.linalg.norm(seen.position - truth, axis=-1)
+    assert np.nanmedian(away) < 4.5e-3
+    assert np.isfinite(away[~outside]).mean() > 0.95
+
+
+@pytest.mark.parametrize("turn", [90, 180, -90])
+def test_a_camera_may_be_rolled_before_a_hanging_sheet_that_nobody_holds(turn):
+    straight = Camera.looking_at(np.array([0.05, -1.1, 0.85]), np.array([0.0, 0.0, 0.8]), (200, 200), 0.65)
+    c, s = np.round(np.cos(np.deg2rad(turn))), np.round(np.sin(np.deg2rad(turn)))
+    roll = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    view = dataclasses.replace(straight, rotation=roll @ straight.rotation, translation=roll @ straight.translation)
+    away, _ = errors(filmed(grips=False, blue=False, view=view), far=1.4)
+    assert np.nanmedian(away) < 6e-3
+
+
+def test_a_picture_is_that_taken_nearest_to_the_frame():
+    images, step = filmed(), TIME[1]
+    frames = images.colour.frame
+    late = Colour(TIME + step, np.concatenate([frames[1:], frames[-1:]]))  # each picture stands a place too early
+    moved = dataclasses.replace(images, colour=late)
+    assert moved.picture(0) is None
+    assert all(np.array_equal(moved.picture(k), frames[k]) for k in range(1, len(TIME)))
+    first = tracker().masks(moved, 0, moved.metres(0), np.array([0.0, 0.0]))
+    assert np.array_equal(first["colour"], first["outliers"])  # no picture tells what is no cloth
+    assert "colour" not in tracker().pictures(moved, 0, tracker().track(moved))
+
+
+def test_the_hue_is_what_most_frames_say():
+    images = filmed()
+    frames = images.colour.frame.copy()
+    frames[0] = (190, 180, 170)  # the light was still off, say
+    away, _ = errors(dataclasses.replace(images, colour=Colour(TIME, frames)))
+    assert np.isfinite(away[1:]).mean() > 0.95
 
 
 def test_grips_along_one_side_say_nothing_of_where_u_points():
@@ -186,8 +264,15 @@ def test_of_a_sheet_that_lies_level_v_goes_away_from_the_grips_or_down_in_the_pi
         ({"sigma": 0}, "sigma is 0, expected metres above 0, or null"),
         ({"jump": 0}, "jump is 0, expected a number above 0"),
         ({"method": "conformal"}, "expected one of isometric, harmonic"),
-        ({"support": 9}, "expected 0 to 8 neighbours"),
+        ({"jump": np.inf}, "jump is inf, expected a number above 0"),
+        ({"smooth": -0.5}, "smooth is -0.5, expected a number 0 or above"),
+        ({"support": 9}, "support is 9, expected a whole number from 0 to 8"),
+        ({"even": "no"}, "even is 'no', expected true or false"),
         ({"colour": [1, 2]}, "expected [red, green, blue]"),
+        ({"colour": "red"}, "colour is 'red', expected [red, green, blue]"),
+        ({"colour": [300, 0, 0]}, "whole numbers from 0 to 255"),
+        ({"colour": [0.8, 0.2, 0.1]}, "whole numbers from 0 to 255"),
+        ({"colour": True}, "colour is True, expected"),
     ],
 )
 def test_bad_options_are_refused(options, found):

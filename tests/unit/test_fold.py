@@ -93,6 +93,15 @@ def test_a_fine_surface_may_slide_along_itself():
     assert nearest(surface, points, 1e-4)[0, 0] == pytest.approx(-0.0004)
 
 
+def test_layers_that_lie_close_are_not_joined():
+    """Two layers 1.5 mm apart with points 2 mm apart: a point between the layers is as far away as the nearer one."""
+    x = np.linspace(0, 0.02, 11)
+    lower, upper = np.stack([x, 0 * x, 0 * x], axis=1), np.stack([x[::-1], 0 * x, 0 * x + 1.5e-3], axis=1)
+    between = np.array([[0.0101, 0.0, 0.6e-3]])
+    away = nearest(np.concatenate([lower, upper]), between, 2.1e-3)
+    assert away == pytest.approx(np.array([[0.0, 0.0, -0.6e-3]]), abs=1e-9)
+
+
 def test_the_search_goes_on_from_where_it_stood():
     from clothbench.testing.toys import bowl
 

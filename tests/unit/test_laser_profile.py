@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from clothbench import ClothbenchError, LaserImages, read_laser, write_laser
 from clothbench.plugins import discovery
 from clothbench.recordings.kinds import read_any
-from clothbench.studies.folding.laser_camera import rendered
+from clothbench.studies.folding.laser_camera import rendered, upper_side
 from clothbench.testing import check_tracker
 
 
@@ -49,6 +49,24 @@ def test_pixels_are_traced_back_through_the_lens(images):
     assert in_plane(images, pixels) == pytest.approx(points, abs=1e-5)
 
 
+def test_what_lies_under_a_layer_is_not_seen():
+    """A strip that rises in a bow and goes back over itself, 10 cm above: the lower layer is lit beside it only."""
+    u = np.linspace(0.0, 1.2, 2401)
+    turn = np.clip((u - 0.7) / 0.05, 0.0, np.pi)
+    step = np.diff(u, prepend=0.0)
+    folded = np.stack([np.cumsum(np.cos(turn) * step), np.cumsum(np.sin(turn) * step)], axis=1)
+    end = folded[-1, 0]
+    seen = upper_side(folded)
+    lower = u < 0.7
+    assert seen[lower & (folded[:, 0] < end - 0.15)].all()
+    assert not seen[lower & (folded[:, 0] > end + 0.15)].any()
+
+
+def test_what_meets_the_plane_behind_the_camera_was_not_seen(images):
+    level = dataclasses.replace(images, laser_plane=np.array([0.0, 0.0, 1.0, images.camera_translation[1] + 9.0]))
+    assert in_plane(level, np.array([[800.0, 890.0]])).shape == (0, 3)  # it looks down, the plane is high above
+
+
 def test_speckle_alone_is_no_line(images):
     dark = np.random.default_rng(0).integers(0, 20, images.image.shape).astype(np.uint8)
     with pytest.raises(ClothbenchError, match="found no laser line of contrast 25"):
@@ -68,12 +86,13 @@ def test_a_file_gives_what_the_images_gave(images, tmp_path):
     [
         ({"name": ""}, "attribute 'name'"),
         ({"camera_matrix": np.eye(2)}, r"variable 'camera_matrix': found shape \(2, 2\), expected \(3, 3\)"),
+        ({"camera_matrix": np.diag([-5.0, 5.0, 1.0])}, "variable 'camera_matrix': found focal lengths -5 and 5 px"),
         ({"image": np.zeros((1, 8, 900), np.uint8)}, "variable 'image': found shape"),
         ({"camera_rotation": 2 * np.eye(3)}, "variable 'camera_rotation': found no rotation"),
         ({"camera_rotation": np.diag([1.0, 1.0, -1.0])}, "variable 'camera_rotation': found no rotation"),
         ({"laser_plane": np.array([0.0, 2.0, 0.0, 0.0])}, "variable 'laser_plane'"),
     ],
-    ids=["name", "matrix", "image", "rotation", "mirror", "plane"],
+    ids=["name", "matrix", "focal", "image", "rotation", "mirror", "plane"],
 )
 def test_bad_images_are_refused_in_one_line(images, change, fault):
     with pytest.raises(ClothbenchError, match=fault):
@@ -83,5 +102,7 @@ def test_bad_images_are_refused_in_one_line(images, change, fault):
 def test_bad_options_are_refused():
     with pytest.raises(ClothbenchError, match="width is -1, expected a number above 0"):
         LaserProfile(width=-1)
+    with pytest.raises(ClothbenchError, match="width is inf, expected a number above 0"):
+        LaserProfile(width=float("inf"))
     with pytest.raises(ClothbenchError, match="unexpected keyword argument 'blur'"):
         discovery.catalogue().make("trackers", "laser_profile", blur=2)

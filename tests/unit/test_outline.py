@@ -15,6 +15,19 @@ def rectangle(width, height):
     return np.array([[0, 0], [width, 0], [width, height], [0, height]], dtype=float)
 
 
+@pytest.mark.parametrize(
+    ("outline", "says"),
+    [
+        (np.array([[0, 0], [2, 0], [2, 1], [1, 0], [1, 2], [0, 2.0]]), "corner 3 lies on side 0"),
+        (np.array([[0, 0], [2, 0], [2, 2], [0, 2], [0, 0.0]]), "corner 0 lies on side 3"),
+        (np.array([[0, 0], [2, 0], [2, 0], [2, 2], [0, 2.0]]), "corner 1 lies on side 2"),
+    ],
+)
+def test_an_outline_that_touches_itself_is_refused(outline, says):
+    with pytest.raises(ClothbenchError, match=says):
+        checked_outline(outline, 2.0, 2.0)
+
+
 def test_boxes_hold_what_the_outline_encloses():
     lines = np.linspace(0, 2, 5)
     assert covered(ELL, lines, lines) / 0.25 == pytest.approx(np.kron([[1, 1], [1, 0]], np.ones((2, 2))))

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
+
+import cv2
 import flat_video as flat
 import numpy as np
 import pytest
-from clothbench_trackers.picture_graph import Follower
+from clothbench_trackers.picture_graph import Follower, graph_of, held_path
 
 from clothbench import ClothbenchError, GripPath, Observation, Rollout, scene_of
 from clothbench.plugins.discovery import catalogue
@@ -103,6 +106,52 @@ def test_a_mark_that_is_lost_is_no_measurement(name, lost, refused, monkeypatch)
         assert np.linalg.norm(seen.grips.position - truth(corners), axis=-1).max() < 2e-3
 
 
+def test_a_mark_behind_a_hand_is_not_found_on_what_hides_it():
+    """Two marks go towards each other over a printed ground; a board hides the right one for six frames."""
+    random = np.random.default_rng(1)
+
+    def printed(height, width):
+        soft = cv2.GaussianBlur(random.integers(0, 255, (height, width)).astype(np.uint8), (0, 0), 2.5)
+        return cv2.normalize(soft, None, 0, 255, cv2.NORM_MINMAX)
+
+    ground, marks = printed(400, 600), [printed(60, 60), printed(60, 60)]
+
+    def frame(k):
+        picture, place = ground.copy(), np.array([[100 + 3 * k, 150], [400 - 3 * k, 150]])
+        for (x, y), mark in zip(place, marks, strict=True):
+            picture[y - 30 : y + 30, x - 30 : x + 30] = mark
+        if 10 <= k < 16:
+            x, y = place[1]
+            picture[y - 45 : y + 45, x - 45 : x + 45] = 128
+        return cv2.cvtColor(picture, cv2.COLOR_GRAY2RGB), place
+
+    first, place = frame(0)
+    follower = Follower(first, place, 21)
+    for k in range(30):
+        picture, place = frame(k)
+        off = np.linalg.norm(follower.found_in(picture) - place, axis=1)
+        assert off[0] < 0.5
+        assert np.isnan(off[1]) if 10 <= k < 16 else np.isnan(off[1]) or off[1] < 0.5
+    blinked = Follower(first, frame(0)[1], 21)
+    off = [np.linalg.norm(blinked.found_in(p) - place, axis=1)[1] for p, place in map(frame, (0, 3, 6, 9, 12, 9, 6))]
+    assert np.isnan(off[4])
+    assert off[-1] < 0.5  # it came back near where it was lost
+
+
+def test_grips_that_were_lost_for_long_are_refused():
+    """Seen in some frames at the beginning and at the end; in between nobody knows how the hands moved."""
+    seen = tracker("optical_flow").track(flat.video())
+    time, visible = 0.2 * np.arange(6.0), seen.visible.copy()
+    visible[1:5] = False
+    lost = Observation(time, np.where(visible[..., None], seen.position, np.nan), visible, seen.sigma, seen.material)
+    with pytest.raises(ClothbenchError, match=r"in no frame for 1 s after 0 s, expected gaps of 0\.5 s at most"):
+        nodes_of(flat.video(time=time), lost)
+    path = seen.sight.project(np.nan_to_num(seen.position))[0]
+    graph = graph_of(flat.video(), MESH, next(flat.video().frames()))
+    with pytest.raises(ClothbenchError, match="the point held at u = 0 m, v = 0 m in no frame for 1 s after 0 s"):
+        held_path(flat.video(time=time), graph, "corners", path, visible, None)
+
+
 def test_a_detector_of_hands_is_asked(tmp_path, monkeypatch):
     (tmp_path / "my_hands.py").write_text("import numpy as np\ndef both(frame):\n    return [[100, 60], [380, 60]]\n")
     monkeypatch.syspath_prepend(str(tmp_path))
@@ -174,6 +223,21 @@ def test_what_moves_along_the_line_of_sight_is_not_seen():
 
 def rolled(position):
     return Rollout(np.arange(4.0), position[None], ("ok",), np.array([1]), 2)
+
+
+def test_pixels_are_those_of_the_camera_its_lens_included():
+    lens = dataclasses.replace(
+        flat.CAMERA, matrix=flat.CAMERA.matrix * np.array([[1.0], [1.4], [1.0]]), distortion=[-0.3, 0.1, 0, 0, 0]
+    )
+    material = FOUR[:2]
+    seen = flat.place(material, 0)[None].repeat(2, axis=0)
+    there = seen[None] + np.array([0.01, 0.05, 0.02])  # aside, away from the camera and up
+    o = Observation(np.arange(2.0), seen, np.ones((2, 2), bool), 1e-3, material, sight=lens)
+    run = Rollout(np.arange(2.0), there, ("ok",), np.ones(1), 100)
+    off = np.linalg.norm(lens.project(there)[0] - lens.project(seen)[0], axis=-1)
+    score = catalogue().make("metrics", "node_error", unit="px")(o, run)
+    assert score.value[0] == pytest.approx(off.mean())
+    assert (score.residual**2).sum() == pytest.approx((off**2).sum())
 
 
 def test_what_needs_depth_refuses_a_picture():

@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from clothbench import Camera, ClothbenchError, Projector
+from clothbench.vision.depth_camera import sight
 from clothbench.vision.render import (
     AMBIENT,
     LIT,
@@ -47,6 +48,16 @@ def test_what_a_lens_would_fold_back_is_not_in_the_picture():
     assert np.isfinite(pixel[across < 1.05]).all()
     assert (np.diff(pixel[across < 1.05, 0]) > 0).all()
     assert np.isnan(pixel[across > 1.06]).all()
+
+
+@pytest.mark.parametrize("bends", [[-0.4, 0.2, 0, 0, 0], [-0.35, 0.15, 1e-3, -1e-3, -0.03], [0.2, -0.5, 0, 0, 0.3]])
+def test_lines_of_sight_lead_back_to_their_pixels_through_a_strong_lens(bends):
+    lens = Camera((640, 480), [[400, 3, 319.5], [0, 410, 239.5], [0, 0, 1]], np.eye(3), np.zeros(3), bends)
+    lines = sight(lens)
+    there = np.isfinite(lines).all(axis=-1)
+    assert there.mean() > 0.99  # in the farthest corners such a lens may show nothing
+    x, y = np.meshgrid(np.arange(640), np.arange(480))
+    np.testing.assert_allclose(lens.project(lines)[0][there], np.stack([x, y], axis=-1)[there], atol=0.01)
 
 
 def test_the_middle_of_the_image_is_what_it_looks_at():
@@ -156,6 +167,8 @@ def test_the_sensor_adds_its_noise():
     ("make", "found"),
     [
         (lambda: Camera((9, 9), np.eye(2), np.eye(3), np.zeros(3)), "matrix has shape"),
+        (lambda: Camera((9, 9), np.diag([5, -5, 1]), np.eye(3), np.zeros(3)), "found focal lengths 5 and -5 px"),
+        (lambda: Camera((9, 9), [[5, 0, 4], [0, 5, 4], [5, 7, 9]], np.eye(3), np.zeros(3)), "and \\[5.0, 7.0, 9.0\\]"),
         (lambda: Camera((9, 9), np.eye(3), np.diag([1, 1, -1]), np.zeros(3)), "no proper rotation"),
         (lambda: Camera((0, 9), np.eye(3), np.eye(3), np.zeros(3)), "size is"),
         (lambda: Camera.looking_at((0, 0, 1), (0, 0, 0), (9, 9), 1.0), "looks along `up`"),

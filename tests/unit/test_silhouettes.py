@@ -3,12 +3,13 @@
 import dataclasses
 import json
 
+import cv2
 import numpy as np
 import pytest
 from clothbench_metrics.drape import Drape as DrapeMetric
 from clothbench_trackers.drape import Drape as DrapeTracker
 
-from clothbench import ClothbenchError, Rollout, Silhouettes, outline_in, outlines_of_points, read_silhouettes
+from clothbench import ClothbenchError, Outlines, Rollout, Silhouettes, outline_in, outlines_of_points, read_silhouettes
 from clothbench import write_silhouettes as write
 from clothbench.core.drape import RINGS, SPOKES, drape_coefficient, drape_points
 from clothbench.core.optional import textile_of
@@ -68,6 +69,39 @@ def test_an_outline_is_found_to_a_third_of_a_pixel(folds):
     assert np.abs(found - radius).max() < 1.2 * PIXEL
     about = outline_in(rendered(radius), PIXEL)  # about its centroid
     assert np.sqrt(np.mean((about - radius) ** 2)) < 0.4 * PIXEL
+
+
+def noisy(picture, dark, ground, noise):
+    """A picture whose shape and ground have these greys, with noise."""
+    grey = ground - (ground - dark) * (1 - picture / 255.0)
+    return np.clip(np.round(grey + np.random.default_rng(0).normal(0, noise, grey.shape)), 0, 255).astype(np.uint8)
+
+
+def test_noise_moves_neither_the_middle_nor_the_edge():
+    radius, middle = petals(6, mean=0.115), (160.0, 127.5)
+    picture = cv2.GaussianBlur(rendered(radius, middle=middle), (0, 0), 2.0)
+    true = drape_coefficient(radius, PLATE, DISC)
+    found = noisy(picture, 100, 200, 12.0)
+    assert centroid(darkness(found)) == pytest.approx(middle, abs=0.15)
+    assert drape_coefficient(outline_in(found, PIXEL, centre=middle), PLATE, DISC) == pytest.approx(true, abs=5e-3)
+
+
+def test_a_shadow_may_be_darker_than_its_ground_by_little():
+    grey = noisy(rendered(petals(6)), 20, 120, 2.0)
+    seen = DrapeTracker().track(captures_of([petals(6)], image=grey[None]))
+    expected = drape_coefficient(petals(6), PLATE, DISC)
+    assert seen.outlines.coefficient()[0] == pytest.approx(expected, abs=0.01)
+
+
+def test_a_centre_beside_the_shadow_is_refused():
+    drapes = captures_of([petals(6)])
+    with pytest.raises(ClothbenchError, match=r"capture 0: found no shadow at centre=\[10\.0, 10\.0\]"):
+        DrapeTracker(centre=(10.0, 10.0)).track(drapes)
+    with pytest.raises(ClothbenchError, match=r"found no shadow at centre=\[1000\.0, 1000\.0\]"):
+        DrapeTracker(centre=(1000.0, 1000.0)).track(drapes)
+    for centre in (5, "ab", True, (1.0, np.nan)):
+        with pytest.raises(ClothbenchError, match=r"drape: centre is .*, expected \[x,y\] in pixels"):
+            DrapeTracker(centre=centre)
 
 
 def test_the_ground_need_not_be_white():
@@ -171,7 +205,40 @@ def test_the_metric_compares_distributions_not_single_drapes():
     alike = rollout(captured)  # chance puts nearly every draw above it
     low, high = metric.interval(seen, alike, 1)
     assert 0.0 <= low < 0.8 * metric(seen, alike).value[0] < high
-    assert 0 < metric.floor(seen) < 2
+
+
+def test_an_interval_needs_two_specimens_and_two_first_shapes():
+    outlines, metric = [petals(n, phase=k) for k, n in enumerate([6, 7, 7, 8])], DrapeMetric()
+    several = DrapeTracker().track(captures_of(outlines))
+    single = DrapeTracker().track(captures_of(outlines, sample=np.zeros(4)))
+    low, high = metric.interval(several, rollout([petals(7), petals(6)]), 0)
+    assert 0 <= low < high  # of two only: Student's t of 12.7
+    assert high - metric(several, rollout([petals(7), petals(6)])).value[0] > 1.0
+    assert np.isnan(metric.interval(several, rollout([petals(7)]), 0)).all()
+    assert np.isnan(metric.interval(single, rollout([petals(7), petals(6)]), 0)).all()
+    assert np.isnan(metric.floor(single))
+
+
+def drawn_captures(random, specimens, each):
+    """Outlines of captures of specimens that differ in size by 4 mm, as do the captures of each by 3 mm."""
+    size = np.repeat(random.normal(0.122, 4e-3, specimens), each) + random.normal(0.0, 3e-3, specimens * each)
+    radius = np.stack([petals(7, mean=m, phase=p) for m, p in zip(size, random.uniform(0, 6, len(size)), strict=True)])
+    return Outlines(radius, PLATE, DISC, np.repeat(np.arange(specimens), each), 1e-4, PIXEL)
+
+
+def test_the_floor_is_what_the_fabrics_own_drapes_score():
+    random, metric = np.random.default_rng(0), DrapeMetric(["drape_coefficient"])
+    scored, floors = [], []
+    for _ in range(40):
+        seen, own = drawn_captures(random, 5, 3), drawn_captures(random, 4, 1)
+        of = DrapeTracker().track(captures_of([petals(7)]))
+        there = dataclasses.replace(
+            of, outlines=seen, time=np.arange(15.0), position=np.repeat(of.position, 15, axis=0),
+            visible=np.repeat(of.visible, 15, axis=0),
+        )  # fmt: skip
+        scored.append(metric(there, rollout(own.radius)).value[0])
+        floors.append(metric.floor(there))
+    assert np.mean(floors) == pytest.approx(np.mean(scored), rel=0.2)
 
 
 def test_the_metric_takes_some_quantities_only():

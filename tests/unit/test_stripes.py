@@ -4,6 +4,7 @@ import dataclasses
 
 import numpy as np
 import pytest
+from clothbench_metrics.marked_edges import neighbours
 from conftest import swinging_recording
 
 from clothbench import (
@@ -204,6 +205,58 @@ def test_marked_lines_are_found_again_where_they_are(observation):
     assert 0.5 < shifted < 2.0
     unseen = dataclasses.replace(observation, visible=np.zeros_like(observation.visible))
     assert np.isnan(metric(unseen, rollout(draped(0.02))).value[0])
+
+
+def test_a_rollout_that_left_the_picture_is_a_diagonal_away(observation):
+    gone = draped(0.02) + np.array([5.0, 0.0, 0.0])
+    for name, options in (("silhouette", {"quantity": "edge_distance"}), ("marked_edges", {})):
+        value = catalogue().make("metrics", name, **options)(observation, rollout(draped(0.02), gone)).value
+        assert value[1] == pytest.approx(np.hypot(100, 104))
+        assert value[0] < 1.0
+
+
+@pytest.mark.parametrize("name", ["fold", "fold_count", "silhouette", "marked_edges"])
+def test_of_one_visible_place_no_picture_can_be_drawn(observation, name):
+    once = np.zeros_like(observation.visible)
+    once[2, 40] = True
+    seen = dataclasses.replace(observation, view=None, visible=once)
+    assert np.isnan(catalogue().make("metrics", name)(seen, rollout(draped(0.02))).value).all()
+
+
+def test_only_neighbours_of_a_lattice_are_joined():
+    """Rows may differ by less than is said of them; across a missing point there is no line."""
+    lattice = np.stack([a.ravel() for a in np.meshgrid(np.arange(5) * 0.1, np.arange(4) * 0.1)], axis=1)
+    rough = lattice + np.where(np.arange(20)[:, None] % 2, 4e-7, -4e-7) + 5e-7  # on both sides of a rounded number
+    whole = {tuple(sorted(pair)) for pair in neighbours(lattice).tolist()}
+    assert len(whole) == 4 * 4 + 5 * 3
+    assert {tuple(sorted(pair)) for pair in neighbours(rough).tolist()} == whole
+    holed = np.delete(lattice, 7, axis=0)  # an inner point, with four lines
+    assert len(neighbours(holed)) == len(whole) - 4
+
+
+def test_a_sheet_is_drawn_to_its_hems_where_its_nodes_do_not_reach():
+    """Nodes 15 mm inside the hem: the silhouette fits best where the sheet is as long as it is."""
+    inner = 0.015 + LATTICE * 0.9
+
+    def at_inner(stretch):
+        place = np.stack([inner[:, 0] - 0.15, 0 * inner[:, 0], 1 - stretch * inner[:, 1]], axis=-1)
+        return np.broadcast_to(place, (6, *place.shape))
+
+    marked = dataclasses.replace(recording(0.0), material=inner, position=at_inner(1.0))
+    seen = catalogue().make("trackers", "stripes").track(marked)
+    value = catalogue().make("metrics", "silhouette")(seen, rollout(*map(at_inner, (0.97, 1.0, 1.03, 1.06)))).value
+    assert value.argmin() == 1
+    assert value[1] < 60  # of 5600 px
+
+
+def test_the_film_and_the_model_are_looked_at_with_one_threshold():
+    seen = catalogue().make("trackers", "stripes", threshold=0.02).track(recording())
+    usual, other = (
+        catalogue().make("metrics", "fold_count", **options)(seen, rollout(draped(0.02))).value[0]
+        for options in ({}, {"threshold": 0.02})
+    )
+    assert usual == other
+    assert seen.view.threshold == 0.02
 
 
 def test_folds_are_counted_wherever_they_are():

@@ -88,7 +88,8 @@ def picture_of(recording: Any, path: str, seen: Observation, frames: np.ndarray)
         picture, size = contact_sheet(np.stack(list(picked(raw.frames(), frames))))
         return picture, size, scaled(seen.sight, size), None
     if isinstance(raw, DepthImages):
-        picture, size = contact_sheet(as_grey(raw.depth[frames]))
+        nearest = [int(np.abs(raw.time - t).argmin()) for t in seen.time[frames]]  # trackers may even out the stamps
+        picture, size = contact_sheet(as_grey(raw.depth[nearest]))
         return picture, size, scaled(raw.camera, size), None
     return b"", (0, 0), None, None  # nodes that were seen across a line of sight, too: there is no picture to draw in
 

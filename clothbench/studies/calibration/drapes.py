@@ -11,7 +11,7 @@ from clothbench.core.drape import outlines_of_points
 from clothbench.core.rollout import Rollout
 from clothbench.engine.cells import Source
 from clothbench.estimation.trials import Trial
-from clothbench.vision.drape import drape_quantities
+from clothbench.vision.drape import LEAST_FOLD, drape_quantities
 
 SIDE, MARGIN = 520, 1.08  # px of a picture; of the flat specimen's radius that it shows
 CAPTURED, SIMULATED, PLATE, INK = (205, 205, 205), (200, 60, 40), (120, 120, 120), (60, 60, 60)  # red, green, blue
@@ -39,7 +39,9 @@ def write_drapes(folder: Path, sources: Sequence[Source], trials: Sequence[Trial
         for line, (who, outlines) in enumerate((("captured", seen.radius), ("simulated", radius))):
             quantities = drape_quantities(outlines, seen.plate_radius, seen.disc_radius)
             coefficient, folds = quantities.mean(axis=0)[:2]
-            text = f"{who}: DC {100 * coefficient:.1f} %, {folds:.1f} folds ({len(outlines)} drapes)"
+            text = (
+                f"{who}: DC {100 * coefficient:.1f} %, {folds:.1f} folds of {1e3 * LEAST_FOLD:g} mm ({len(outlines)})"
+            )
             cv2.putText(picture, text, (8, 16 + 16 * line), cv2.FONT_HERSHEY_SIMPLEX, 0.42, INK, 1, cv2.LINE_AA)
         name = f"{number} {SPLITS.get(source.split, source.split)} {source.name.replace('/', ' ')}.png"
         cv2.imwrite(str(folder / name), cv2.cvtColor(picture, cv2.COLOR_RGB2BGR))

@@ -16,13 +16,15 @@ from clothbench import (
     Rollout,
     Score,
     drape_quantities,
+    jackknife_half_width,
     outlines_of_points,
 )
 
 NAMES = tuple(q.name for q in QUANTITIES)
 FOLDS = NAMES.index("folds")
 LEAST_SPREAD = np.array([0.005, 0.5, 0.5e-3, 0.02])  # of each quantity: what two looks at one drape differ by
-DRAWS = 400
+DRAWS = 400  # of the floor
+STARTS = 4  # drapes of one set of parameters, as scenes have them unless `scene.starts` says so
 
 
 class Drape:
@@ -34,21 +36,25 @@ class Drape:
     counts in units of the spread between captures (their standard deviation), and the value is the root mean square of
     that over the quantities.
 
-    quantities: which of drape_coefficient, folds, depth and unevenness; least_fold: m, prominence of a fold.
+    quantities: which of drape_coefficient, folds, depth and unevenness; least_fold: m, prominence of a fold; starts:
+    how many drapes of a model the floor is for (`scene.starts`).
     """
 
     name = "drape"
-    version = 1
+    version = 2
     unit = "sd"
     kinds = frozenset({"silhouette"})
     scalarisation = "root mean square over the objectives, each in standard deviations between captures"
 
-    def __init__(self, quantities: Sequence[str] = NAMES, least_fold: float = 2e-3):
+    def __init__(self, quantities: Sequence[str] = NAMES, least_fold: float = 2e-3, starts: int = STARTS):
         some = isinstance(quantities, Sequence) and not isinstance(quantities, str) and len(quantities) > 0
         if not some or not all(q in NAMES for q in quantities):
             raise ClothbenchError(f"drape: quantities is {quantities!r}, expected some of {', '.join(NAMES)}")
         if not isinstance(least_fold, int | float) or isinstance(least_fold, bool) or not 0 < least_fold < 0.05:
             raise ClothbenchError(f"drape: least_fold is {least_fold!r}, expected metres above 0 and below 0.05")
+        if not isinstance(starts, int) or isinstance(starts, bool) or starts < 1:
+            raise ClothbenchError(f"drape: starts is {starts!r}, expected a whole number, 1 or above")
+        self.starts = starts
         self.which, self.least = [NAMES.index(name) for name in NAMES if name in quantities], float(least_fold)
         self.objectives = tuple(
             Objective(q.name, q.unit, f"distance in {q.meaning}") for q in (QUANTITIES[k] for k in self.which)
@@ -74,44 +80,46 @@ class Drape:
         return drape_quantities(radius, seen.plate_radius, seen.disc_radius, self.least)
 
     def floor(self, observation: Observation) -> float:
-        """What captures of one specimen are from those of the others: the same fabric, cut and laid on anew."""
+        """What a perfect model would score on average: `starts` of the fabric's own drapes, of other specimens, against
+        as many specimens as were captured. NaN of a single specimen, which does not tell how specimens differ.
+
+        Both sides are drawn from the captures, specimen by specimen, always with the same seed. What is drawn scatters
+        less than other specimens would, by (K − 1)/K, and so does the spread in which it is measured.
+        """
         seen, captured = self._captured(observation)
         samples = np.unique(seen.sample)
         if len(samples) < 2:
             return float("nan")
-        spread = _spread(captured)
-        one = [
-            _distances(captured[seen.sample == s][None], captured[seen.sample != s])[0][self.which]
-            / spread[self.which]
-            for s in samples
-        ]  # fmt: skip
-        return float(np.mean(np.sqrt(np.mean(np.square(one), axis=1))))
+        random, drawn = np.random.default_rng(0), []
+        of = [captured[seen.sample == s] for s in samples]
+        for _ in range(DRAWS):
+            chosen = random.integers(len(of), size=len(of))
+            others = [random.choice(of[k]) for k in random.integers(len(of), size=self.starts)]
+            drawn.append(self._value(np.array(others), np.concatenate([of[k] for k in chosen])))
+        return float(np.mean(drawn))
 
     def interval(self, observation: Observation, rollout: Rollout, seed: int) -> tuple[float, float]:
-        """95 % interval of the first member's value by a bootstrap over specimens and first shapes.
+        """95 % interval of the first member's value, from leaving out each specimen, and each first shape, in turn.
 
-        Quantiles are counted from the draws' own mean, since a drawn distance is larger than the value by what chance
-        adds to it. The interval holds the value and does not go below 0.
+        Both are chance of their own, so their half-widths (the jackknife's, with Student's t) are added as squares. It
+        does not go below 0. NaN of a single specimen or a single first shape: nobody knows what another would be like.
         """
         seen, captured = self._captured(observation)
         simulated = self.simulated(seen, rollout)[0]
-        if not np.isfinite(simulated).all():
+        samples, shapes = np.unique(seen.sample), np.arange(len(simulated))
+        if min(len(samples), len(shapes)) < 2 or not np.isfinite(simulated).all():
             return float("nan"), float("nan")
-        random, samples, drawn = np.random.default_rng(seed), np.unique(seen.sample), []
-        spread = _spread(captured)
+        here = self._value(simulated, captured)
+        fewer_specimens = [self._value(simulated, captured[seen.sample != s]) for s in samples]
+        fewer_shapes = [self._value(simulated[shapes != k], captured) for k in shapes]
+        moved = [np.array(values)[:, None] - here for values in (fewer_specimens, fewer_shapes)]
+        half = float(np.hypot(*[jackknife_half_width(m)[0] for m in moved]))
+        return max(here - half, 0.0), here + half
 
-        def value(shapes: np.ndarray, drapes: np.ndarray) -> float:
-            away = _distances(shapes[None], drapes)[0]
-            return float(np.sqrt(np.mean((away / spread)[self.which] ** 2)))
-
-        for _ in range(DRAWS):
-            chosen = random.choice(samples, len(samples))
-            again = np.concatenate([captured[seen.sample == s] for s in chosen])
-            shapes = simulated[random.integers(0, len(simulated), len(simulated))]
-            drawn.append(value(shapes, again))
-        here = value(simulated, captured)
-        below, above = np.quantile(drawn, [0.025, 0.975]) - np.mean(drawn)
-        return max(here + min(float(below), 0.0), 0.0), here + max(float(above), 0.0)
+    def _value(self, simulated: np.ndarray, captured: np.ndarray) -> float:
+        """The value of simulated drapes (S, 4) beside captures (T, 4)."""
+        away = _distances(simulated[None], captured)[0] / _spread(captured)
+        return float(np.sqrt(np.mean(away[self.which] ** 2)))
 
     def _captured(self, observation: Observation) -> tuple[Outlines, np.ndarray]:
         """The outlines that were seen, and their quantities (T, 4), read once."""

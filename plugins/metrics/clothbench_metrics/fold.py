@@ -26,7 +26,7 @@ class Fold:
     """
 
     name = "fold"
-    version = 1
+    version = 2
     unit = "px"
 
     def __init__(self, alpha: float = 0.1, pixels: int = 96, blur: float = 2.0, threshold: float = 0.006):

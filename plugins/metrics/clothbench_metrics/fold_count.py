@@ -16,19 +16,19 @@ class FoldCount:
     propose for garments whose start is not known (section 7), blind to where and when a fold appears.
 
     Hills and valleys count alike: each is a connected part of the picture, of at least `least` of the silhouette, in
-    which the stripes turn (Bhat et al., eq. 4) one way from left to right. threshold: rad/px, from which on they do, as
-    of the tracker `stripes`; pixels, blur: as of `fold`. Per frame it gives by how many folds there
-    are too many (below 0: too few); the value is the size of their mean.
+    which the stripes turn (Bhat et al., eq. 4) one way from left to right, as fast as the view's threshold says, with
+    which the film was looked at. pixels, blur, threshold: as of `fold`, of a view that states none. Per frame it gives
+    by how many folds there are too many (below 0: too few); the value is the size of their mean.
     """
 
     name = "fold_count"
-    version = 2
+    version = 3
     unit = "folds"
 
     def __init__(self, least: float = 0.003, pixels: int = 96, blur: float = 2.0, threshold: float = 0.006):
         if not isinstance(least, int | float) or isinstance(least, bool) or not 0 <= least < 1:
             raise ClothbenchError(f"fold_count: least is {least!r}, expected a share of the silhouette, 0 … 1")
-        self.least, self.threshold = float(least), threshold
+        self.least = float(least)
         self.sights = Sights(self.name, pixels, blur, threshold)
 
     def __call__(self, observation: Observation, rollout: Rollout) -> Score:
@@ -42,11 +42,12 @@ class FoldCount:
             raise ClothbenchError("fold_count: the view has no folds; track the recording with tracker=stripes")
         filmed = zip(view.angle, view.fold, view.silhouette, strict=True)
         seen = np.array([self._count(*one) for one in filmed], dtype=float)
+        threshold = view.threshold if math.isfinite(view.threshold) else self.sights.threshold
 
         def compare(b: int, some: slice) -> None:
             for t, (angle, shape) in enumerate(zip(*sight.stripes(rollout.position[b], some), strict=True), some.start):
                 if frames[t]:
-                    count[b, t] = self._count(angle, fold_mask(angle, shape, self.threshold), shape)
+                    count[b, t] = self._count(angle, fold_mask(angle, shape, threshold), shape)
 
         lost = compared(sight, rollout, compare)
         mean = np.abs(count[:, frames].mean(axis=1) - seen[frames].mean())

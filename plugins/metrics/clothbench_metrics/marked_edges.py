@@ -8,7 +8,10 @@ import numpy as np
 
 from clothbench import Observation, Rollout, Score
 from clothbench_metrics.node_error import check_shape
-from clothbench_metrics.sight import Sight, Sights, apart, compared
+from clothbench_metrics.sight import Sight, Sights, apart, compared, farthest
+
+ALIGNED = 1e-6  # m, by which points of one row may differ
+HOLE = 1.5  # of the usual spacing, from which on something is missing between two points
 
 
 class MarkedEdges:
@@ -18,11 +21,12 @@ class MarkedEdges:
 
     Where the lines were is known from the tracked nodes; they are drawn through the camera of the observation's view,
     or, without one, on an image `pixels` wide. A line is drawn where both of its ends were tracked, on the far side of
-    a fold too; without tracked nodes there is no value.
+    a fold too; without tracked nodes there is no value. A rollout whose lines have left the picture is the picture's
+    diagonal away.
     """
 
     name = "marked_edges"
-    version = 1
+    version = 2
     unit = "px"
 
     def __init__(self, pixels: int = 96):
@@ -35,11 +39,14 @@ class MarkedEdges:
         frames = there.any(axis=1) & sight.frames
         per_frame = np.full((len(rollout), len(frames)), np.nan)
         seen = {int(t): self._drawn(sight, lines[there[t]], observation.position[t]) for t in np.flatnonzero(frames)}
+        for t, drawn in seen.items():
+            frames[t] = drawn.any()
 
         def compare(b: int, some: slice) -> None:
             for t in range(len(frames))[some]:
                 if frames[t]:
-                    per_frame[b, t] = apart(self._drawn(sight, lines[there[t]], rollout.position[b, t]), seen[t])
+                    drawn = self._drawn(sight, lines[there[t]], rollout.position[b, t])
+                    per_frame[b, t] = apart(drawn, seen[t]) if drawn.any() else farthest(sight)
 
         lost = compared(sight, rollout, compare)
         mean = per_frame[:, frames].mean(axis=1) if frames.any() else np.full(len(rollout), np.nan)
@@ -64,10 +71,17 @@ class MarkedEdges:
 
 
 def neighbours(material: np.ndarray) -> np.ndarray:
-    """Pairs (L, 2) of neighbouring points of a lattice (N, 2) m, along its rows and columns."""
+    """Pairs (L, 2) of neighbouring points of a lattice (N, 2) m, along its rows and columns. Where points are missing,
+    those on either side of the hole are no neighbours.
+    """
     out = []
     for along, across in ((0, 1), (1, 0)):
-        order = np.lexsort((material[:, along], np.round(material[:, across], 6)))
-        same = np.abs(np.diff(material[order, across])) < 1e-6
-        out.append(np.stack([order[:-1], order[1:]], axis=1)[same])
+        order = np.argsort(material[:, across], kind="stable")
+        row = np.empty(len(material), int)
+        row[order] = np.cumsum(np.diff(material[order, across], prepend=-np.inf) > ALIGNED)
+        order = np.lexsort((material[:, along], row))
+        step = np.diff(material[order, along])
+        same = np.diff(row[order]) == 0
+        near = same & (step < HOLE * np.median(step[same])) if same.any() else same
+        out.append(np.stack([order[:-1], order[1:]], axis=1)[near])
     return np.concatenate(out)

@@ -8,7 +8,7 @@ import numpy as np
 
 from clothbench import ClothbenchError, Observation, Rollout, Score, check_choice
 
-UNITS = {"mm": 1e3, "cm": 1e2, "m": 1.0, "px": 1.0}
+UNITS = {"mm": 1e3, "cm": 1e2, "m": 1.0, "px": math.nan}  # to a metre; of pixels the camera tells
 
 
 class NodeError:
@@ -21,7 +21,7 @@ class NodeError:
     """
 
     name = "node_error"
-    version = 1
+    version = 2
 
     def __init__(self, unit: str = "mm"):
         check_choice(self.name, "unit", unit, UNITS)
@@ -29,7 +29,10 @@ class NodeError:
 
     def __call__(self, observation: Observation, rollout: Rollout) -> Score:
         away, seen = differences(observation, rollout)
-        distance = np.where(seen, np.linalg.norm(away, axis=-1), 0.0) * self._scale(observation)
+        if self.unit == "px":
+            away = in_pixels(observation, rollout)
+        scale = 1.0 if self.unit == "px" else UNITS[self.unit]
+        distance = np.where(seen, scale * np.linalg.norm(away, axis=-1), 0.0)
         per_node = mean_over(distance, seen, axis=1)
         watched = seen.any(axis=0)
         residual = away[:, seen]
@@ -46,15 +49,12 @@ class NodeError:
         picture σ √(π/2) (Rayleigh's).
         """
         mean = math.sqrt(8 / math.pi) if observation.coordinates == 3 else math.sqrt(math.pi / 2)
-        scale = self._scale(observation)
-        usual = float(np.mean(scale[observation.visible])) if observation.visible.any() else math.nan
-        return mean * observation.sigma * usual
-
-    def _scale(self, observation: Observation) -> np.ndarray:
-        """How many of the unit a metre is where each point was seen (T, N)."""
-        if self.unit == "px":
-            return 1 / np.maximum(observation.pixel_size(), 1e-12)
-        return np.full(observation.visible.shape, UNITS[self.unit])
+        if not observation.visible.any():
+            return math.nan
+        if self.unit != "px":
+            return mean * observation.sigma * UNITS[self.unit]
+        pixels = 1 / np.maximum(observation.pixel_size()[observation.visible], 1e-12)  # to a metre, where it was seen
+        return mean * observation.sigma * float(np.mean(pixels))
 
 
 def differences(observation: Observation, rollout: Rollout) -> tuple[np.ndarray, np.ndarray]:
@@ -63,6 +63,14 @@ def differences(observation: Observation, rollout: Rollout) -> tuple[np.ndarray,
     """
     check_shape(observation, rollout)
     return observation.differences(rollout.position), observation.visible
+
+
+def in_pixels(observation: Observation, rollout: Rollout) -> np.ndarray:
+    """Simulated minus seen (B, T, N, 2) in the pixels of the camera that saw the points, its lens included."""
+    if observation.sight is None:
+        raise ClothbenchError("px: the recording has no picture, only places in space; take mm, cm or m")
+    seen, there = (observation.sight.project(p)[0] for p in (np.nan_to_num(observation.position), rollout.position))
+    return there - seen
 
 
 def check_shape(observation: Observation, rollout: Rollout) -> None:

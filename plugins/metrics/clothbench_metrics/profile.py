@@ -14,13 +14,14 @@ class Profile:
     averaged over the frames (Petrík et al., Automatic Material Properties Estimation for the Physics-Based Robotic
     Garment Folding, eq. 7 and 8).
 
-    S is given by points. The paper takes the nearest of a fine grid; here the two nearest are joined by a straight
-    line if they are no further apart than `join` [m]: with the nearest alone, a surface that slides along itself would
-    seem to resist.
+    S is given by points, in order along the sheet. The paper takes the nearest of a fine grid; here straight lines join
+    it to the points before and after it, unless they are further apart than `join` [m]: with the nearest alone, a
+    surface that slides along itself would seem to resist. What comes near in space only, as the layer of a fold does on
+    another, is not joined; of a surface that is coarser than `join`, the points alone count.
     """
 
     name = "profile"
-    version = 1
+    version = 2
     unit = "m^2"
 
     def __init__(self, join: float = 2e-3):
@@ -56,9 +57,17 @@ def nearest(surface: np.ndarray, points: np.ndarray, join: float) -> np.ndarray:
 
     if not np.isfinite(surface).all():
         return np.full_like(points, np.nan)
-    _, index = cKDTree(surface).query(points, k=min(2, len(surface)))
-    index = index.reshape(len(points), -1)
-    first, along = surface[index[:, 0]], surface[index[:, -1]] - surface[index[:, 0]]
+    _, index = cKDTree(surface).query(points)
+    beside = (np.clip(index + k, 0, len(surface) - 1) for k in (-1, 1))
+    before, after = (_to_segment(surface[index], surface[number], points, join) for number in beside)
+    return np.where((np.square(before).sum(axis=1) <= np.square(after).sum(axis=1))[:, None], before, after)
+
+
+def _to_segment(first: np.ndarray, second: np.ndarray, points: np.ndarray, join: float) -> np.ndarray:
+    """From points (N, 3) m to the segments between two points (N, 3) m each, or to the first where these are further
+    apart than `join` m, (N, 3).
+    """
+    along = second - first
     square = (along**2).sum(axis=1)
     joined = (square > 0) & (square <= join**2)
     share = ((points - first) * along).sum(axis=1) / np.where(joined, square, 1.0)

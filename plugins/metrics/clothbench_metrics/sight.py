@@ -90,9 +90,9 @@ class Sights:
 
     def _make(self, observation: Observation) -> Sight:
         if observation.view is not None:
-            return Sight(observation.view, surface_of(observation.material, REFINE), None)
+            return Sight(observation.view, surface_of(observation.material, REFINE, observation.size), None)
         surface, shape = surface_of(observation.material), observation.visible.shape[:1]
-        if not observation.visible.any():
+        if not spread(observation.position[observation.visible]):
             camera = Camera.looking_at(np.array([0.0, -1.0, 0.0]), np.zeros(3), (self.pixels, self.pixels), 1.0)
             return Sight(View(camera, np.zeros((*shape, self.pixels, self.pixels), bool)), surface, observation.visible)
         camera, projector = rig(observation.position[observation.visible], self.pixels, observation.sight)
@@ -100,7 +100,13 @@ class Sights:
         blank = Sight(View(camera, empty, projector, blur=self.blur), surface, observation.visible)
         angle, silhouette = blank.stripes(np.nan_to_num(observation.position), slice(None))
         fold = np.stack([fold_mask(a, s, self.threshold) for a, s in zip(angle, silhouette, strict=True)])
-        return Sight(View(camera, silhouette, projector, angle, fold, self.blur), surface, observation.visible)
+        view = View(camera, silhouette, projector, angle, fold, self.blur, self.threshold)
+        return Sight(view, surface, observation.visible)
+
+
+def spread(points: np.ndarray) -> bool:
+    """Whether points (n, 3) m lie apart at all: a single place is nothing that a camera could be put up before."""
+    return len(points) > 0 and float(np.ptp(points, axis=0).max()) > 0
 
 
 def rig(points: np.ndarray, pixels: int, sight: Camera | None = None) -> tuple[Camera, Projector]:
@@ -144,6 +150,11 @@ def compared(sight: Sight, rollout: Rollout, compare: Callable[[int, slice], Non
     tasks = [(b, slice(t, min(t + CHUNK, len(frames)))) for b in np.flatnonzero(~lost) for t in starts]
     for_each(lambda task: compare(*task), tasks)
     return lost
+
+
+def farthest(sight: Sight) -> float:
+    """The diagonal [px] of the picture: nothing in it lies farther from anything else."""
+    return float(np.hypot(*sight.view.camera.size))
 
 
 def apart(one: np.ndarray, other: np.ndarray) -> float:

@@ -8,7 +8,7 @@ import numpy as np
 
 from clothbench import Observation, Rollout, Score, check_choice
 from clothbench_metrics.node_error import check_shape
-from clothbench_metrics.sight import Sights, apart, compared
+from clothbench_metrics.sight import Sights, apart, compared, farthest
 
 QUANTITIES = {"mismatch": "px", "iou": "%", "edge_distance": "px"}
 
@@ -16,14 +16,15 @@ QUANTITIES = {"mismatch": "px", "iou": "%", "edge_distance": "px"}
 class Silhouette:
     """The mean over the frames of the pixels in which the silhouettes differ (Bhat et al. 2003, eq. 6), or of what both
     share over what either covers, as 100 (1 − intersection over union), so that lower is better; or how far their
-    edges lie apart, from each pixel of either to the nearest of the other (chamfer distance, Barrow et al. 1977).
+    edges lie apart, from each pixel of either to the nearest of the other (chamfer distance, Barrow et al. 1977), and
+    the picture's diagonal where the rollout has left it.
 
     quantity: "mismatch" [px], "iou" [%] or "edge_distance" [px]. As in `fold`, the observation's view says what was
     seen; without one, tracked nodes are drawn on an image `pixels` wide.
     """
 
     name = "silhouette"
-    version = 1
+    version = 2
 
     def __init__(self, quantity: str = "mismatch", pixels: int = 96):
         check_choice(self.name, "quantity", quantity, QUANTITIES)
@@ -40,8 +41,9 @@ class Silhouette:
         def compare(b: int, some: slice) -> None:
             shape, there = sight.outlines(rollout.position[b], some), sight.frames[some]
             if self.quantity == "edge_distance":
-                distance = [apart(edge_of(a), edge_of(b)) for a, b in zip(shape, seen[some], strict=True)]
-                per_frame[b, some] = np.where(there, distance, np.nan)
+                distance = np.array([apart(edge_of(a), edge_of(b)) for a, b in zip(shape, seen[some], strict=True)])
+                gone = ~shape.any(axis=(1, 2))
+                per_frame[b, some] = np.where(there, np.where(gone, farthest(sight), distance), np.nan)
                 return
             wrong = np.count_nonzero(shape != seen[some], axis=(1, 2))
             either = np.count_nonzero(shape | seen[some], axis=(1, 2))

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from clothbench import ClothbenchError, DepthImages, Observation
+from clothbench import ClothbenchError, DepthImages, Observation, takes_option
 from clothbench_trackers.depth_mesh import BEYOND, DepthMesh, held_at, images_of, lattice, observation
-from clothbench_trackers.options import check_metres
+from clothbench_trackers.options import check_metres, check_number, check_switch, check_whole
 
 DATA, BEND, GRIP = 0.1, 0.05, 20.0  # weights per node, a length's being 1
 SPLIT = 4  # places on each side of a template's cell that a point of the cloud may pull at
@@ -71,19 +71,21 @@ class CloudTemplate:
     """
 
     name = "cloud_template"
-    version = 2
+    version = 3
     kinds = frozenset({"depth"})
 
     def __init__(
         self, mesh: Any = (9, 9), refine: int = 2, rounds: int = 20, reach: float = REACH, even: bool = True,
         sigma: float | None = None, **cleaning: Any,
     ):  # fmt: skip
-        for word, value in (("refine", refine), ("rounds", rounds)):
-            if not isinstance(value, int) or value < 1:
-                raise ClothbenchError(f"cloud_template: {word} is {value!r}, expected a whole number ≥ 1")
-        if not isinstance(reach, int | float) or not reach > 0:
-            raise ClothbenchError(f"cloud_template: reach is {reach!r}, expected metres above 0")
+        check_whole(self.name, "refine", refine, 1)
+        check_whole(self.name, "rounds", rounds, 1)
+        check_number(self.name, "reach", reach)
+        check_switch(self.name, "even", even)
         check_metres(self.name, "sigma", sigma)
+        for option in cleaning:
+            if not takes_option(DepthMesh, option):
+                raise ClothbenchError(f"cloud_template: {option!r} is no option of it, nor of depth_mesh; leave it out")
         self.cleaner = DepthMesh(mesh=mesh, **cleaning)
         self.mesh, self.refine, self.rounds, self.reach = self.cleaner.mesh, refine, rounds, reach
         self.even, self.sigma = even, sigma

@@ -27,7 +27,14 @@ from clothbench import (
 from clothbench_trackers import depth_patch as patches
 from clothbench_trackers import flattening as flats
 from clothbench_trackers.depth_pictures import of_steps
-from clothbench_trackers.options import check_mesh, check_metres
+from clothbench_trackers.options import (
+    check_colour,
+    check_mesh,
+    check_metres,
+    check_number,
+    check_switch,
+    check_whole,
+)
 
 METHODS = ("isometric", "harmonic")
 STRIDE_FOR = 3500  # vertices that a frame's patch has at most
@@ -37,8 +44,10 @@ LOST = 3.0  # pixels that are lost along a hem at most
 BEYOND = 2.5  # pixels that a node may lie outside the patch, and a vertex more
 LEAST = 30  # vertices of a patch, below which a frame shows no sheet
 ALIGN_ROUNDS = 3  # of telling what is a hem, and turning the map towards it
+HUE_FRAMES = 5  # that are asked for the cloth's own hue
 HUES = 12  # of the a and b of Lab, of 255, that a pixel may differ by
 GAP = 1.5  # usual steps between two frames, beyond which frames were dropped and nothing is known in between
+AT_FRAME = 0.02  # of the step between two frames, within which a wanted time is that of one of them
 LEVEL = 0.3  # of v along gravity, below which a sheet lies too level for gravity to say which way v goes
 
 
@@ -60,7 +69,7 @@ class DepthMesh:
     """
 
     name = "depth_mesh"
-    version = 2
+    version = 3
     kinds = frozenset({"depth"})
 
     def __init__(
@@ -73,14 +82,13 @@ class DepthMesh:
             check_metres(self.name, word, metres)
         if near is not None and far is not None and near >= far:
             raise ClothbenchError(f"depth_mesh: near is {near!r} and far is {far!r}, expected near below far")
-        for word, value, least in (("jump", jump, 0.0), ("hue", hue, 0.0), ("smooth", smooth, -1.0)):
-            if not isinstance(value, int | float) or not value > least:
-                raise ClothbenchError(f"depth_mesh: {word} is {value!r}, expected a number above {max(least, 0):g}")
+        check_number(self.name, "jump", jump)
+        check_number(self.name, "hue", hue)
+        check_number(self.name, "smooth", smooth, nothing=True)
         check_choice(self.name, "method", method, METHODS)
-        if not isinstance(support, int) or not 0 <= support <= 8:
-            raise ClothbenchError(f"depth_mesh: support is {support!r}, expected 0 to 8 neighbours")
-        if colour not in (None, False) and (len(tuple(colour)) != 3):
-            raise ClothbenchError(f"depth_mesh: colour is {colour!r}, expected [red, green, blue], null or false")
+        check_whole(self.name, "support", support, 0, 8)
+        check_colour(self.name, colour)
+        check_switch(self.name, "even", even)
         self.near, self.far, self.jump = near, far, jump
         self.support, self.colour, self.hue, self.smooth = support, colour, hue, smooth
         self.method, self.even, self.sigma = method, even, sigma
@@ -133,9 +141,12 @@ class DepthMesh:
         if len(patch.point) < LEAST:
             return Step(depth, masks, np.full((len(material), 3), np.nan))
         inside = pixel * patches.from_border(patch, masks["colour"])
-        flat, uv = self._flattened(images, frame, patch, inside, pixel)
+        cut = np.any((patch.pixel < stride) | (patch.pixel >= np.array(depth.shape) - stride), axis=1)
+        flat, uv = self._flattened(images, frame, patch, inside, cut, pixel)
         nodes = flats.looked_up(flat, uv, patch.point, material, (BEYOND + stride) * pixel)
-        return Step(depth, masks, nodes)
+        place = images.camera.project(nodes)[0]
+        outside = ((place < -0.5) | (place > np.array(images.camera.size) - 0.5)).any(axis=1)
+        return Step(depth, masks, np.where(outside[:, None], np.nan, nodes))
 
     def masks(
         self, images: DepthImages, frame: int, depth: np.ndarray, hue: np.ndarray | None
@@ -144,9 +155,10 @@ class DepthMesh:
         near, far = self._planes(images, frame)
         plane = patches.within(depth, near, far)
         outliers = patches.without_outliers(depth, plane, self.jump, self.support)
-        if hue is None or images.colour is None:
+        picture = images.picture(frame)
+        if hue is None or picture is None:
             return {"plane": plane, "outliers": outliers, "colour": outliers}
-        seen = patches.of_colour(patches.hues(images.colour.frame[frame]), outliers, hue, self.hue)
+        seen = patches.of_colour(patches.hues(picture), outliers, hue, self.hue)
         return {"plane": plane, "outliers": outliers, "colour": patches.without_outliers(depth, seen, self.jump, 3)}
 
     def _planes(self, images: DepthImages, frame: int) -> tuple[float, float]:
@@ -160,26 +172,36 @@ class DepthMesh:
         return near if near is not None else 0.0, far if far is not None else np.inf
 
     def _hue(self, images: DepthImages) -> np.ndarray | None:
-        """The cloth's own hue (2,): as stated, or that of most pixels that the first two steps leave."""
+        """The cloth's own hue (2,): as stated, or that of most pixels that the first two steps leave, and the middle of
+        what some frames say: one alone may show something else there. None where most of them say that it has none.
+        """
         if self.colour is False or images.colour is None:
             return None
         if self.colour is not None:
             return patches.hues(np.array([[self.colour]], dtype=np.uint8))[0, 0]
-        depth = images.metres(0)
-        near, far = self._planes(images, 0)
-        mask = patches.without_outliers(depth, patches.within(depth, near, far), self.jump, self.support)
-        return patches.own_hue(patches.hues(images.colour.frame[0]), mask)
+        said, asked = [], np.unique(np.linspace(0, len(images.time) - 1, HUE_FRAMES).round().astype(int))
+        for frame in asked:
+            if (picture := images.picture(frame)) is not None:
+                depth = images.metres(frame)
+                plane = patches.within(depth, *self._planes(images, frame))
+                outliers = patches.without_outliers(depth, plane, self.jump, self.support)
+                said.append(patches.own_hue(patches.hues(picture), outliers))
+        known = [hue for hue in said if hue is not None]
+        return np.median(known, axis=0) if 2 * len(known) > len(said) else None
 
     def _flattened(
-        self, images: DepthImages, frame: int, patch: patches.Patch, inside: np.ndarray, pixel: float
+        self, images: DepthImages, frame: int, patch: patches.Patch, inside: np.ndarray, cut: np.ndarray, pixel: float
     ) -> tuple[flats.Flat, np.ndarray]:
-        """A patch laid flat, and the material coordinates (M, 2) m of its vertices."""
+        """A patch laid flat, and the material coordinates (M, 2) m of its vertices. cut: (M,) bool, along the picture's
+        border, where the picture may end and the sheet go on: that is no hem.
+        """
         size = np.array([images.cloth_width, images.cloth_height])
         guess, held, there = first_guess(images, frame, patch.point, self.jump + LOST * pixel)
         flat = flats.Flat.of(patch.point, flats.upright(patch.triangle, guess))
         uv = flats.isometric(flat, guess)
         uv = boxed(uv, size) if held is None or there is None else flats.placed(uv, uv[held], there)
         edge = flats.border(flat.triangle)
+        edge = edge[~cut[edge]]
         for _ in range(ALIGN_ROUNDS):  # a turn of the whole is what the isometric steps find most slowly
             wanted = on_hems(uv, edge, inside, size, pixel)
             uv = flats.turned_to(uv, wanted)
@@ -219,16 +241,20 @@ def held_at(images: DepthImages, time: np.ndarray) -> np.ndarray:
 def first_guess(
     images: DepthImages, frame: int, point: np.ndarray, reach: float
 ) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
-    """The patch as a plane has it, u along grips that differ in u (else to the camera's right), v down: (M, 2) m; and
-    the vertices nearest to the grips with their material points, where there are grips within `reach` m of a vertex.
-    Of a sheet that lies level, v goes away from the grips, else down in the picture.
+    """The patch as a plane has it, v down and u along grips that differ in u, else to the right of somebody who stands
+    upright where the camera is: (M, 2) m; and the vertices nearest to the grips with their material points, where there
+    are grips within `reach` m of a vertex. Of a sheet that lies level, v goes away from the grips, else down in the
+    picture, and u to the camera's right.
     """
     gravity = np.array(images.gravity)
     down = gravity / max(np.linalg.norm(gravity), 1e-12)
     centre = point.mean(axis=0)
     _, _, axes = np.linalg.svd(point - centre, full_matrices=False)
     normal, held, there = axes[2], None, None
-    right, aside = images.camera.rotation[:2]
+    right, aside, forwards = images.camera.rotation
+    level = float(np.linalg.norm(down - down @ normal * normal)) <= LEVEL
+    if not level:  # the camera may be rolled; gravity is not
+        right = np.cross(down, normal if normal @ forwards > 0 else -normal)
     if images.grips is not None and len(images.grips.material) >= 2:
         at, material = held_at(images, images.time[frame : frame + 1])[0], images.grips.material
         first, last = np.argmin(material[:, 0]), np.argmax(material[:, 0])
@@ -245,7 +271,7 @@ def first_guess(
     right = right - right @ normal * normal
     right /= max(float(np.linalg.norm(right)), 1e-12)
     below = np.cross(normal, right)
-    down = down if abs(below @ down) > LEVEL else aside
+    down = aside if level or abs(below @ down) <= LEVEL else down
     below = below if below @ down > 0 else -below
     return np.stack([(point - centre) @ right, (point - centre) @ below], axis=1), held, there
 
@@ -291,7 +317,7 @@ def observation(
     where, time = images.path or images.name, images.time
     if not np.isfinite(nodes).any():
         raise ClothbenchError(f"{where}: {who} found no sheet in any frame; look at its steps: near, far, colour")
-    sigma = trembling(nodes) if sigma is None else sigma
+    sigma = trembling(time, nodes) if sigma is None else sigma
     if even and np.ptp(np.diff(time)) > 1e-6 * np.diff(time).mean():
         steps = np.linspace(time[0], time[-1], len(time))
         nodes, time = at_times(time, nodes, steps), steps
@@ -300,7 +326,7 @@ def observation(
 
 def at_times(time: np.ndarray, nodes: np.ndarray, wanted: np.ndarray) -> np.ndarray:
     """Nodes (T, N, 3) at other times (K,) s, on straight lines between frames; NaN where frames were dropped or a
-    node was not seen beside.
+    node was not seen beside. A frame that is as near as a fiftieth of a step needs no other.
     """
     after = np.clip(np.searchsorted(time, wanted), 1, len(time) - 1)
     step = np.diff(time)
@@ -308,17 +334,24 @@ def at_times(time: np.ndarray, nodes: np.ndarray, wanted: np.ndarray) -> np.ndar
     share = ((wanted - time[after - 1]) / (time[after] - time[after - 1]))[:, None, None]
     between = np.where(dropped[:, None, None], np.nan, (1 - share) * nodes[after - 1] + share * nodes[after])
     for edge, k in ((0.0, after - 1), (1.0, after)):
-        between = np.where(share == edge, nodes[k], between)
+        between = np.where(np.isnan(between) & (np.abs(share - edge) < AT_FRAME), nodes[k], between)
     return between
 
 
-def trembling(nodes: np.ndarray) -> float:
-    """The noise of a coordinate [m], from third differences in time, whose variance is 20 σ² where motion is smooth;
-    the quieter half of the nodes speaks, since motion adds to it.
+def trembling(time: np.ndarray, nodes: np.ndarray) -> float:
+    """The noise of a coordinate [m] of nodes (T, N, 3) at `time` (T,) s, from third differences in time.
+
+    Divided differences of the real stamps, in which a parabola leaves nothing, scaled so that their variance is 20 σ²
+    as at even steps. The quieter half of the nodes speaks, since motion adds to it; that half is quieter by chance,
+    too, and errors that go on from frame to frame leave no trace, so that this is a lower bound.
     """
     if len(nodes) < 5:
         return float("nan")
-    third = np.abs(np.diff(nodes, 3, axis=0))
+    four = np.arange(len(time) - 3)[:, None] + np.arange(4)
+    apart = time[four][:, :, None] - time[four][:, None] + np.eye(4)
+    weight = 1 / apart.prod(axis=2)
+    weight *= np.sqrt(20.0) / np.linalg.norm(weight, axis=1, keepdims=True)
+    third = np.abs((weight[:, :, None, None] * nodes[four]).sum(axis=1))
     third = third[:, np.isfinite(third).any(axis=(0, 2))]  # nodes that were seen in four frames on end
     if not third.size:
         return float("nan")

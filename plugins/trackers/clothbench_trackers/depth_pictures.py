@@ -18,8 +18,9 @@ def of_steps(
 ) -> dict[str, np.ndarray]:
     """Pictures (H, W, 3) uint8 by the step's name: what the camera saw, what each mask leaves of it, and the mesh."""
     depth = coloured(images.metres(frame), next(iter(masks.values())))
-    camera = images.colour.frame[frame] if images.colour is not None else depth
-    out = {"colour": camera, "depth": depth} if images.colour is not None else {"depth": depth}
+    picture = images.picture(frame)
+    camera = depth if picture is None else picture
+    out = {"depth": depth} if picture is None else {"colour": picture, "depth": depth}
     for name, mask in masks.items():
         out[f"after {name}"] = np.where(mask[..., None], camera, (DIMMED * camera).astype(np.uint8))
     out = {name: np.repeat(np.repeat(picture, LARGE, axis=0), LARGE, axis=1) for name, picture in out.items()}

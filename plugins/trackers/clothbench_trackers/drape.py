@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from clothbench import (
+    LEAST_FOLD,
     ClothbenchError,
     Observation,
     Outlines,
@@ -17,6 +20,7 @@ from clothbench import (
     outline_in,
     smoothed,
 )
+from clothbench_trackers.options import is_number
 
 EDGE = 0.3  # px, standard deviation of an edge that is found between pixels of a soft picture
 INK, FOLD = (200, 60, 40), (40, 90, 220)  # red, green, blue
@@ -28,18 +32,27 @@ class Drape:
     """
 
     name = "drape"
-    version = 3
+    version = 4
     kinds = frozenset({"silhouette"})
 
     def __init__(self, centre: tuple[float, float] | None = None):
-        if centre is not None and (len(centre) != 2 or not np.isfinite(centre).all()):
-            raise ClothbenchError(f"drape: centre is {centre!r}, expected [x,y] in pixels")
+        two = isinstance(centre, Sequence) and not isinstance(centre, str) and len(centre) == 2
+        if centre is not None and not (two and all(map(is_number, centre))):
+            raise ClothbenchError(f"drape: centre is {centre!r}, expected [x,y] in pixels, or null")
         self.centre = None if centre is None else (float(centre[0]), float(centre[1]))
 
     def track(self, source: Silhouettes) -> Observation:
         """The outlines of all captures; the material points are those in which drapes are simulated, none is seen."""
         if not isinstance(source, Silhouettes):
             raise ClothbenchError(f"drape: found {type(source).__name__}, expected a recording of kind 'silhouette'")
+        if self.centre is not None:
+            for number, image in enumerate(source.image):
+                if not _is_dark(image, self.centre):
+                    where = f"{source.path or source.name}: capture {number}"
+                    raise ClothbenchError(
+                        f"{where}: found no shadow at centre={list(self.centre)}, "
+                        "expected the plates' middle [x,y] px, which every shadow covers; correct it, or leave it out"
+                    )
         pixel = source.pixel_size
         radius = np.stack([outline_in(image, pixel, self.centre) for image in source.image])
         seen = Outlines(radius, source.plate_radius, source.disc_radius, source.sample, EDGE * pixel, pixel)
@@ -75,6 +88,12 @@ class Drape:
         for place in places(radius)[peaks]:
             cv2.circle(folded, tuple(map(int, place)), 3 * scale, FOLD, 2, cv2.LINE_AA)
         coefficient = drape_quantities(radius, source.plate_radius, source.disc_radius)[0]
-        text = f"DC {100 * coefficient:.1f} %, {len(peaks)} folds"
+        text = f"DC {100 * coefficient:.1f} %, {len(peaks)} folds of {1e3 * LEAST_FOLD:g} mm or more"
         cv2.putText(folded, text, (8, 24), cv2.FONT_HERSHEY_SIMPLEX, 0.7, (60, 60, 60), 1, cv2.LINE_AA)
         return {"shadow": shadow, "outline and plate": outlined, "folds": folded}
+
+
+def _is_dark(image: np.ndarray, at: tuple[float, float]) -> bool:
+    """Whether a place (x, y) px lies in the shadow that a picture (H, W) shows."""
+    dark, (x, y) = darkness(image), np.round(at).astype(int)
+    return 0 <= y < len(dark) and 0 <= x < dark.shape[1] and bool(dark[y, x] >= 0.5 * dark.max())

@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from clothbench import ClothbenchError, LaserImages, Observation, Recording, read_laser
+from clothbench import Camera, ClothbenchError, LaserImages, Observation, Recording, read_laser
+from clothbench_trackers.options import check_number
 
 FADED = 0.5  # of the line's usual height, below which it is not judged
 NEIGHBOURS = 45  # points of the line by which its noise is judged
@@ -22,12 +23,11 @@ class LaserProfile:
     """
 
     name = "laser_profile"
-    version = 1
+    version = 2
 
     def __init__(self, width: float = 2.0, contrast: float = 25.0, shortest: int = 12):
         for word, value in (("width", width), ("contrast", contrast), ("shortest", shortest)):
-            if not isinstance(value, int | float) or not value > 0:
-                raise ClothbenchError(f"laser_profile: {word} is {value!r}, expected a number above 0")
+            check_number(self.name, word, value)
         self.width, self.contrast, self.shortest = float(width), float(contrast), int(shortest)
 
     def track(self, source: Any) -> Observation:
@@ -108,16 +108,20 @@ def ridges(image: np.ndarray, width: float) -> tuple[np.ndarray, np.ndarray]:
 
 
 def in_plane(images: LaserImages, pixels: np.ndarray) -> np.ndarray:
-    """Where the lines of sight of pixels (N, 2) meet the laser's plane, (N, 3) m."""
-    import cv2
-
-    if len(pixels) == 0:
-        return np.zeros((0, 3))
-    flat = cv2.undistortPoints(pixels[:, None], np.array(images.camera_matrix), np.array(images.distortion))[:, 0]
-    rays = np.column_stack([flat, np.ones(len(flat))]) @ images.camera_rotation
-    eye = -images.camera_rotation.T @ images.camera_translation
+    """Where the lines of sight of pixels (N, 2) meet the laser's plane before the camera, (M, 3) m; pixels whose line
+    does not are left out.
+    """
+    size = images.image.shape[:0:-1]
+    camera = Camera(
+        size, images.camera_matrix, images.camera_rotation, images.camera_translation, images.distortion
+    )  # fmt: skip
+    flat = camera.straight(pixels)
+    rays = np.column_stack([flat, np.ones(len(flat))]) @ camera.rotation
     normal, distance = images.laser_plane[:3], images.laser_plane[3]
-    return eye + ((distance - normal @ eye) / (rays @ normal))[:, None] * rays
+    with np.errstate(divide="ignore", invalid="ignore"):
+        reach = (distance - normal @ camera.place) / (rays @ normal)
+    met = np.isfinite(reach) & (reach > 0)
+    return camera.place + reach[met, None] * rays[met]
 
 
 def scatter(points: np.ndarray) -> float:

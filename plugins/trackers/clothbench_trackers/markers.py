@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from clothbench import ClothbenchError, Observation, Recording, read_recording
+from clothbench import ClothbenchError, Observation, Recording, longest_gap, read_recording
 from clothbench_trackers.marker_files import UNITS, MarkerFile, read_markers, read_material, refusal
 
 # Proper rotations that turn the file's up axis into z.
@@ -284,10 +284,9 @@ def _check_grip_gaps(time: np.ndarray, seen: np.ndarray, up_to: float, path: Pat
     """Refuse grips that nobody saw for longer than `up_to` s while the cloth was moved."""
     if seen.size < 2:
         raise refusal(path, "setting 'grips'", f"{seen.size} frames with all of them seen", "at least 2")
-    gaps = np.where(np.diff(seen) > 1, np.diff(time[seen]), 0.0)
-    worst = int(np.argmax(gaps))
-    if gaps[worst] > up_to + ROUNDING:
-        found = f"none for {gaps[worst]:g} s after {time[seen[worst]]:g} s"
+    gap, begin = longest_gap(time, seen)
+    if gap > up_to + ROUNDING:
+        found = f"none for {gap:g} s after {begin:g} s"
         expected = f"all seen, or gaps of at most {up_to:g} s"
         raise refusal(path, "setting 'grips'", found, expected, "set 'fill_gaps_up_to' [s] if that is harmless")
 

@@ -20,7 +20,7 @@ class OpticalFlow:
     """
 
     name = "optical_flow"
-    version = 2
+    version = 3
     kinds = frozenset({"video"})
 
     def __init__(

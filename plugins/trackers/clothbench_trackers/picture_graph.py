@@ -24,6 +24,7 @@ from clothbench import (
     GripPath,
     Keypoints,
     Observation,
+    check_grip_gap,
     find_template,
     first_view,
     read_video,
@@ -39,6 +40,7 @@ LOOSE = 0.06  # of the width, by which hands in the first frame may be nearer or
 SPAN = 0.9  # of the frames, from the first in which a grip is seen to the last: beyond, nobody knows where it is
 GRIPS = ("corners", "marks")
 GRAPH = (40, 90, 220)
+ALIKE = 0.8  # correlation of a lost point's patch with the first frame's, from which on it is found again
 TEXTURE = 1e-3  # least eigenvalue of the gradients' matrix, per pixel and (grey/255)²: below it, a patch is plain
 
 
@@ -129,7 +131,8 @@ def observed(
     grips = None if held is None else GripPath(video.time, held_material(video), graph.view.lifted(held))
     position = graph.view.lifted(np.where(seen[..., None], pixel, np.nan))
     if sigma is None:  # across the line of sight alone: along it, all nodes lie on one plane
-        sigma = trembling((position - graph.view.origin) @ np.stack([graph.view.along, graph.view.down], axis=1))
+        flat = (position - graph.view.origin) @ np.stack([graph.view.along, graph.view.down], axis=1)
+        sigma = trembling(video.time, flat)
     return Observation(
         video.time, position, seen, sigma, graph.material, eye=graph.view.camera.place, sight=graph.view.camera,
         confidence=confidence, grips=grips,
@@ -175,6 +178,9 @@ def held_path(
                 f"{video.path or video.name}: found the point held at u = {u:g} m, v = {v:g} m from frame {first} to "
                 f"{last} of {len(there)}, expected {SPAN:.0%} of them; cut the video there, or state the grips"
             )
+        u, v = material[g]
+        what = f"the point held at u = {u:g} m, v = {v:g} m"
+        check_grip_gap(video.time, np.flatnonzero(there), what, str(video.path or video.name))
         for c in range(2):
             path[:, g, c] = np.interp(video.time, video.time[there], path[there, g, c])
     if len(path) >= SMOOTH:
@@ -240,6 +246,7 @@ class Follower:
     def __init__(self, first: np.ndarray, pixel: np.ndarray, window: int, miss: float = 1.0):
         self.last, self.pixel = _grey(first), np.asarray(pixel, dtype=np.float32)
         self.window, self.miss = (window, window), miss
+        self.first, self.lost = (self.last, self.pixel), np.zeros(len(self.pixel), bool)
 
     def step(self, frame: np.ndarray) -> np.ndarray:
         """Whether each point was found in the next frame, (N,) bool: there and back again within `miss` px, with some
@@ -264,10 +271,40 @@ class Follower:
 
     def found_in(self, frame: np.ndarray) -> np.ndarray:
         """Where the points are in the next frame (N, 2) px, NaN for one that was not found: where it would be by those
-        around it serves to look for it again, and is no measurement.
+        around it serves to look for it again, and is no measurement. One that was lost is found again where it looks as
+        in the first frame; flow alone would go on with whatever hid it.
         """
+        before = self.pixel
         found = self.step(frame)
+        again = found & self.lost
+        surely = found & ~self.lost
+        move = np.median((self.pixel - before)[surely], axis=0) if surely.any() else 0.0
+        for k in np.flatnonzero(again).tolist():  # where flow takes it, or else where those around it do
+            guesses = self.pixel[k], before[k] + move
+            places = [there for guess in guesses if (there := self._again(_grey(frame), k, guess)) is not None]
+            found[k] = bool(places)
+            self.pixel[k] = places[0] if places else guesses[1]
+        self.lost = ~found
         return np.where(found[:, None], self.pixel, np.nan)
+
+    def _again(self, grey: np.ndarray, k: int, guess: np.ndarray) -> np.ndarray | None:
+        """Where flow from the first frame straight to this one (H, W), from a guess (2,) px on, takes point number k
+        (2,) px; None where it does not look as it did.
+        """
+        import cv2
+
+        (first, pixel), begin = self.first, np.array(guess, dtype=np.float32).reshape(1, 1, 2)
+        flow: Any = cv2.calcOpticalFlowPyrLK
+        place = pixel[k : k + 1, None]
+        near: dict[str, Any] = {"winSize": self.window, "maxLevel": 1, "flags": cv2.OPTFLOW_USE_INITIAL_FLOW}
+        there = flow(first, grey, place, begin, **near)[0][0, 0]
+        looks = [
+            cv2.getRectSubPix(picture, self.window, (float(at[0]), float(at[1]))).astype(float)
+            for picture, at in ((first, pixel[k]), (grey, there))
+        ]
+        before, now = (look - look.mean() for look in looks)
+        alike = float((before * now).sum()) / max(float(np.sqrt((before**2).sum() * (now**2).sum())), 1e-9)
+        return there if alike > ALIKE else None
 
 
 def _grey(frame: np.ndarray) -> np.ndarray:

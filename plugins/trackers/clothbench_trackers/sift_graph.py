@@ -35,7 +35,7 @@ class SiftGraph:
     """
 
     name = "sift_graph"
-    version = 2
+    version = 3
     kinds = frozenset({"video"})
 
     def __init__(

@@ -44,9 +44,10 @@ class Stripes:
             fold[t] = fold_mask(angle[t], silhouette[t], self.threshold)
 
         for_each(look, range(len(angle)))
-        view = View(video.camera, silhouette, video.projector, angle, fold, self.blur)
+        view = View(video.camera, silhouette, video.projector, angle, fold, self.blur, self.threshold)
         r = recording
-        return Observation(r.time, r.position, r.visible, r.noise_sigma, r.material, view, sight=r.sight)
+        size = (r.cloth_width, r.cloth_height)
+        return Observation(r.time, r.position, r.visible, r.noise_sigma, r.material, view, sight=r.sight, size=size)
 
 
 def largest_bright_part(grey: np.ndarray, level: float) -> np.ndarray:
