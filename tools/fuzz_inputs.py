@@ -154,7 +154,7 @@ bounds: {k1: [10, 100]}
 options:
   ga: {generations: 3}
 analysis:
-  variability: {cases: ["*"], points: 3}
+  variability: {cases: ["*"], points: 2}
   repeats: {cases: ["*"], count: 2}
   morris: {cases: ["*"], trajectories: 2}
   map: {cases: ["*"], points: 3}
