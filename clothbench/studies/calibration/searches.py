@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.engine.cells import digest
 from clothbench.engine.study import Results
 from clothbench.engine.tables import read_table
@@ -98,14 +99,20 @@ def _meant(results: Results, row: dict[str, Any]) -> str:
     path = results.store.cell(row["key"]) / "question.parquet"
     if not path.is_file():
         return ""
-    cell = json.loads(read_table(path, ASKED)["question"][0].as_py())
-    own = f"optimizers/{cell['optimizer']}"
-    return digest([
-        [cell.get(name) for name in MEANT],
-        sorted((source["hash"], source["split"]) for source in cell["recordings"]),
-        {name: told for name, told in cell["options"].items() if name != cell["optimizer"]},
-        {name: version for name, version in cell["versions"].items() if name != own},
-    ])  # fmt: skip
+    asked = read_table(path, ASKED)["question"].to_pylist()
+    try:
+        cell = json.loads(asked[0])
+        own = f"optimizers/{cell['optimizer']}"
+        return digest([
+            [cell.get(name) for name in MEANT],
+            sorted((source["hash"], source["split"]) for source in cell["recordings"]),
+            {name: told for name, told in cell["options"].items() if name != cell["optimizer"]},
+            {name: version for name, version in cell["versions"].items() if name != own},
+        ])  # fmt: skip
+    except (ValueError, LookupError, TypeError, AttributeError):
+        raise ClothbenchError(
+            f"{path}: 'question' is no calibration as JSON text; remove the cell's folder and run its command again"
+        ) from None
 
 
 def _by_search(rows: Sequence[dict[str, Any]]) -> dict[str, dict[Any, str]]:
