@@ -112,9 +112,7 @@ def in_plane(images: LaserImages, pixels: np.ndarray) -> np.ndarray:
     does not are left out.
     """
     size = images.image.shape[:0:-1]
-    camera = Camera(
-        size, images.camera_matrix, images.camera_rotation, images.camera_translation, images.distortion
-    )  # fmt: skip
+    camera = Camera(size, images.camera_matrix, images.camera_rotation, images.camera_translation, images.distortion)
     flat = camera.straight(pixels)
     rays = np.column_stack([flat, np.ones(len(flat))]) @ camera.rotation
     normal, distance = images.laser_plane[:3], images.laser_plane[3]

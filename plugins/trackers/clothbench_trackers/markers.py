@@ -13,6 +13,7 @@ import numpy as np
 
 from clothbench import ClothbenchError, Observation, Recording, longest_gap, read_recording
 from clothbench_trackers.marker_files import UNITS, MarkerFile, read_markers, read_material, refusal
+from clothbench_trackers.options import is_number
 
 # Proper rotations that turn the file's up axis into z.
 UP = {
@@ -62,7 +63,7 @@ class Markers:
             raise refusal(self.name, "setting 'unit'", repr(self.unit), ", ".join(UNITS))
         for name in ("rate", "frame_tolerance", "fill_gaps_up_to", "sigma"):
             value = getattr(self, name)
-            if value is not None and not (_is_number(value) and value >= 0):
+            if value is not None and not (is_number(value) and value >= 0):
                 raise refusal(self.name, f"setting '{name}'", repr(value), "a number, 0 or above")
 
     def track(self, source: Recording | Path) -> Observation:
@@ -124,7 +125,7 @@ def recording_from_markers(
         "noise_sigma": math.nan if told.sigma is None else told.sigma,
     }
     for what, size in (("cloth_width", cloth_width), ("cloth_height", cloth_height)):
-        if not _is_number(size):
+        if not is_number(size):
             raise refusal(path, f"setting '{what}'", repr(size), "metres above 0")
     return Recording(
         time=markers.time[driven],
@@ -194,10 +195,6 @@ def _told(given: Mapping[str, Any], path: Path) -> Markers:
         return Markers(**given)
     except ClothbenchError as fault:
         raise ClothbenchError(str(fault).replace(Markers.name, str(path), 1)) from fault
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
 def _in_world(path: Path, told: Markers) -> MarkerFile:
