@@ -13,6 +13,7 @@ import tempfile
 import traceback
 import uuid
 from collections.abc import Sequence
+from contextlib import suppress
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -42,7 +43,7 @@ from clothbench.engine.settings import KNOWN, last_word
 from clothbench.engine.store import Store
 from clothbench.engine.study import Cell
 from clothbench.engine.suite import plan, suites_folder
-from clothbench.plugins.discovery import catalogue, config_groups
+from clothbench.plugins.discovery import PluginBroken, catalogue, config_groups
 
 JOBS = "CLOTHBENCH_RUN_JOBS"  # how many jobs a sweep has, for the jobs to say
 NOTES = "CLOTHBENCH_RUN_NOTES"  # folder in which the jobs of one command leave word for it, whatever launched them
@@ -51,6 +52,10 @@ RECORDINGS = ("suite=", "recording=", "recordings=")  # how a command line names
 # A setting below one that holds any number of them. Hydra would take it only with a sign that says whether the suite
 # has it; what is not known is refused once all is put together.
 OPEN = re.compile(r"(options|bounds|finer|scene|analysis|suite|limits)\.[^=]*=")
+KINDS = {
+    "study": "studies", "model": "models", "optimizer": "optimizers", "metric": "metrics", "report": "metrics",
+    "effects": "effects", "tracker": "trackers",
+}  # fmt: skip
 PATHS = re.compile(r"\+{0,2}(recording|recordings|out|data_dir)=")
 # What Hydra reads by itself: plain words, sweeps, interpolations, what somebody has quoted.
 READ = re.compile(r"[\w/.:*?@%|+~=-]*|.*(['\"\\]|\$\{).*|(choice|range|interval|glob|sort|shuffle|tag)\(.*\)", re.ASCII)
@@ -87,6 +92,8 @@ def run(arguments: Sequence[str]) -> int:
     sys.argv = ["clothbench run", *arguments]
     try:
         require_harmless(arguments)
+        if sweep:
+            require_known(arguments)
         hydra.main(version_base="1.3", config_path="pkg://clothbench.conf", config_name="run")(job)()
         return _conclude(notes, sweep)
     except (HydraException, OmegaConfBaseException) as fault:
@@ -128,11 +135,25 @@ def jobs_of(words: Sequence[str]) -> int:
     """How many jobs Hydra's own sweeper makes of the words of a sweep; 0 where another one decides."""
     if any(word.startswith(("hydra/sweeper=", "hydra.sweeper")) for word in words):
         return 0
+    return math.prod(len(values) for _, values in swept(words))
+
+
+def swept(words: Sequence[str]) -> list[tuple[str, list[str]]]:
+    """What a sweep goes over: each KEY and its values. Nothing where Hydra cannot read the words: it says so itself."""
     try:
         given = OverridesParser.create().parse_overrides([word for word in words if not word.startswith("-")])
-    except HydraException:  # said by Hydra itself, when it reads them
-        return 0
-    return math.prod(len(list(one.sweep_string_iterator())) for one in given if one.is_sweep_override())
+        return [(one.key_or_group, list(one.sweep_string_iterator())) for one in given if one.is_sweep_override()]
+    except HydraException:
+        return []
+
+
+def require_known(words: Sequence[str]) -> None:
+    """Refuse a sweep over a plugin that does not exist: its jobs are read one by one, the last perhaps hours later."""
+    for key, values in swept(words):
+        for name in (name for value in values for name in value.strip("[]").split(",")):
+            if key in KINDS and name not in ("", "null"):
+                with suppress(PluginBroken):  # its own cells say so
+                    catalogue().find(KINDS[key], name.strip("'\" "))
 
 
 @cache

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 SCHEMA_VERSION = 1
 Columns = Mapping[str, pa.DataType]
 DENSEST = 10_000_000  # values of a table that are nobody's memory problem
+SMALL = 100_000  # values that one thread reads at once
+FEW = 100  # rows
 # `UNSEEN` of clothbench/core/errors.py in UTF-8: whole columns are looked through at once.
 _UNSEEN = re.compile(rb"[\x00-\x08\x0b-\x1f\x7f]|\xc2[\x80-\x9f]|\xe2\x80[\xaa-\xae]|\xe2\x81[\xa6-\xa9]")
 AGAIN = "delete its folder and run again"
@@ -34,7 +36,9 @@ def write_table(path: Path, content: list[dict[str, Any]] | pd.DataFrame, column
     else:
         table = pa.Table.from_pandas(content, preserve_index=False)
     stamped = table.replace_schema_metadata({"clothbench_schema": str(SCHEMA_VERSION)})
-    pq.write_table(stamped, path, write_page_checksum=True)  # a flipped bit is a fault then, and not another number
+    many = table.num_rows > FEW  # below that, lists of distinct values and ranges take more room than what they spare
+    # With a checksum a flipped bit is a fault, and not another number.
+    pq.write_table(stamped, path, write_page_checksum=True, use_dictionary=many, write_statistics=many)
 
 
 def read_table(path: Path, columns: Columns | None = None, needed: Collection[str] = ()) -> pa.Table:
@@ -51,7 +55,8 @@ def read_table(path: Path, columns: Columns | None = None, needed: Collection[st
                     f"{path}: found a claim of {values} values in a file of {path.stat().st_size} bytes, expected at "
                     f"most what such a file can hold; {AGAIN}"
                 )
-            table = file.read()
+            # Dividing a cell's few rows among threads takes longer than reading them.
+            table = file.read(use_threads=values > SMALL)
         table.validate(full=True)
     except (pa.ArrowException, OSError, ValueError, MemoryError) as fault:
         said = (str(fault).splitlines() or [type(fault).__name__])[0]

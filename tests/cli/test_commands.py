@@ -168,6 +168,17 @@ def test_a_job_that_is_refused_does_not_hide_the_others_of_its_sweep(clothbench,
     assert {r["seed"] for r in json.loads(clothbench("leaderboard", "--json").stdout)} == {1, 2}
 
 
+@pytest.mark.parametrize(
+    ("swept", "said"), [("model=mass_spring,mass_sprung", "mass_sprung"), ("report=[],[node_error,node_eror]", "node_eror")]
+)
+def test_a_sweep_over_what_does_not_exist_is_refused_before_it_begins(clothbench, recordings_folder, swept, said):
+    out = clothbench("run", "-m", f"recordings={recordings_folder}", *CELL, swept, "rerun=false")
+    assert out.returncode == 2
+    (line,) = out.stderr.splitlines()
+    assert f"named {said!r}; did you mean" in line
+    assert not out.stdout
+
+
 @pytest.mark.slow
 def test_a_sweep_without_recordings_is_over_the_main_suite(clothbench):
     out = clothbench(
