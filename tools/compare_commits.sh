@@ -12,7 +12,7 @@
 # summary and in the output `passed`. Exits with another code if one of the two could not be run.
 set -euo pipefail
 
-results=${RESULTS:-$(mktemp -d)}
+results=$(realpath -m "${RESULTS:-$(mktemp -d)}")
 mkdir -p "$results"
 rm -rf "$results"/{base/runs,head/runs,env-base,env-head,comment.md} # of an earlier use of the same folder
 

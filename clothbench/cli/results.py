@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Iterable
 from typing import Any
 
@@ -15,7 +16,10 @@ from clothbench.plugins.discovery import catalogue
 def print_results(store: Store, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
     """Print what the store holds, or some cells of it; returns the rows."""
     out, rows = console(), []
-    for study, results in results_by_study(store, catalogue(), keys):
+    found, left_out = results_by_study(store, catalogue(), keys)
+    for line in left_out:
+        print(f"clothbench: {store.folder}: {line}", file=sys.stderr)
+    for study, results in found:
         rows += results.rows
         for shown in study.show(results):
             out.print(shown, soft_wrap=isinstance(shown, str))

@@ -1,4 +1,4 @@
-"""The one exception a user can cause: a single line that says what to do."""
+"""The one exception a user can cause, a single line that says what to do; and what ends any work from outside."""
 
 from __future__ import annotations
 
@@ -16,6 +16,15 @@ class ClothbenchError(Exception):
 
     def __init__(self, text: object = ""):
         super().__init__(one_line(str(text)))
+
+
+class Stopped(BaseException):
+    """Nobody waits for this work any more; no `except Exception` of a plugin holds it up."""
+
+
+# What ends a work and is no word of it: everything else that a plugin raises is a fault, whatever it is made of (an
+# asyncio.CancelledError and what Rust's libraries raise are no Exceptions).
+ENDS = (KeyboardInterrupt, GeneratorExit, Stopped)
 
 
 def seen(text: str) -> str:

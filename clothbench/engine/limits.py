@@ -18,6 +18,7 @@ from clothbench.engine.settings import known_words, mapping, number
 
 GB = 1e9
 SHARE = 0.9  # of the machine's memory that all cells at work together may have, where no limit is stated
+LEAST = 1 * GB  # that every cell may have, then: one loads libraries of a third of that, most of it shared
 CHILDREN = 8  # looks from one at the children of a process to the next: finding them is dear
 
 
@@ -48,7 +49,7 @@ class Watch:
 
     def __init__(self, limits: Limits, workers: int):
         self.seconds = limits.seconds
-        self.memory = limits.memory or SHARE * psutil.virtual_memory().total / max(1, workers)
+        self.memory = limits.memory or max(LEAST, SHARE * psutil.virtual_memory().total / max(1, workers))
         self.ended: dict[str, str] = {}
         self._begun: dict[tuple[str, int], float] = {}
         self._looks = 0

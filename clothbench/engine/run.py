@@ -8,11 +8,10 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ENDS, ClothbenchError
 from clothbench.core.parallel import set_thread_count
 from clothbench.core.progress import StageProgress
 from clothbench.engine.cells import Skipped
-from clothbench.engine.executors.work import ENDS
 from clothbench.engine.rows import failure
 from clothbench.engine.store import JOURNAL, Store
 from clothbench.engine.study import Cell, Context, Elsewhere, Result, Study

@@ -19,6 +19,7 @@ from clothbench.core.scene import AIR_DENSITY, Obstacle, obstacles_of
 from clothbench.engine.bucket import is_address
 from clothbench.plugins.discovery import Catalogue
 
+LARGEST = 2**63 - 1  # whole number that a row can hold
 PLUGINS = ("model", "optimizer", "metric", "effects", "report", "recording", "recordings")  # names, or lists of them
 KNOWN = {
     *PLUGINS, "study", "tracker", "scene", "options", "bounds", "budget", "seed", "jobs", "timeout", "out", "data_dir",
@@ -157,8 +158,9 @@ def known_words(what: str, given: Mapping[str, Any], known: set[str]) -> None:
 
 
 def whole(name: str, value: Any, least: int) -> int:
-    if not isinstance(value, int) or isinstance(value, bool) or value < least:
-        raise ClothbenchError(f"setting '{name}' is {value!r}, expected a whole number, at least {least}")
+    if not isinstance(value, int) or isinstance(value, bool) or not least <= value <= LARGEST:
+        limit = " and below 2⁶³" if isinstance(value, int) and value > LARGEST else ""
+        raise ClothbenchError(f"setting '{name}' is {value!r}, expected a whole number, at least {least}{limit}")
     return value
 
 

@@ -176,8 +176,10 @@ def studies(plugins: Catalogue) -> dict[str, Study]:
 
 def results_by_study(
     store: Store, plugins: Catalogue, keys: Iterable[str] | None = None
-) -> list[tuple[Study, Results]]:
-    """What the store holds, or of some cells of it, by study; studies without any are left out."""
+) -> tuple[list[tuple[Study, Results]], list[str]]:
+    """What the store holds, or of some cells of it, by study; studies without any are left out. And a line for each
+    study of others' cells that is not there or is broken; a ClothbenchError where there are no cells but its own.
+    """
     known, found = studies(plugins), store.rows(keys)
     by_name: dict[str, Rows] = {}
     for row in found:
@@ -186,12 +188,20 @@ def results_by_study(
             tables = store.tables_of(row["key"])
             row["study"] = next(name for name, study in known.items() if study.claims(row, tables))
         by_name.setdefault(row["study"], []).append(row)
-    for name in by_name.keys() - known.keys():
-        plugins.load("studies", name)  # says which there are, or why it is broken
-    return [
+    left_out = []
+    for name in sorted(by_name.keys() - known.keys()):
+        try:
+            plugins.load("studies", name)
+        except ClothbenchError as fault:
+            if not by_name.keys() & known.keys():
+                raise
+            cells = {row["key"] for row in by_name.pop(name)}
+            left_out.append(f"cells left out, since what they are of cannot be shown: {len(cells)}; {fault}")
+    found_here = [
         (known[name], Results(store, rows, tuple(dict.fromkeys(r["key"] for r in rows)), known[name].tables))
         for name, rows in sorted(by_name.items(), key=lambda item: list(known).index(item[0]))
     ]
+    return found_here, left_out
 
 
 def _require_shown(row: Mapping[str, Any], store: Store) -> None:

@@ -31,7 +31,8 @@ def plan(config: Mapping[str, Any], plugins: Catalogue, progress: FileProgress |
     if not isinstance(name, str):
         raise ClothbenchError(f"setting 'study' is {name!r}, expected one of {', '.join(plugins.names('studies'))}")
     study: Study = plugins.load("studies", name)
-    return list(study.plan(checked(config, plugins, study.suite_words), plugins, progress))
+    planned = study.plan(checked(config, plugins, study.suite_words), plugins, progress)
+    return list({cell.key: cell for cell in planned}.values())  # what is asked for twice is run once
 
 
 def where(config: Mapping[str, Any], progress: FileProgress | None = None) -> list[Path]:

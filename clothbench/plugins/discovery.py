@@ -22,7 +22,7 @@ from typing import Any
 import pluggy
 
 import clothbench.plugins.hookspecs as hookspecs
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ENDS, ClothbenchError
 from clothbench.plugins.hookspecs import Registration
 
 KINDS = ("models", "effects", "metrics", "optimizers", "trackers")
@@ -82,7 +82,9 @@ class Catalogue:
             try:
                 with quiet_output(), patience(plugin.distribution):
                     self._loaded[kind, name] = import_target(plugin.target)
-            except (Exception, SystemExit) as fault:
+            except ENDS:
+                raise
+            except BaseException as fault:
                 raise self._broken(plugin, fault) from fault
         return self._loaded[kind, name]
 
@@ -93,9 +95,9 @@ class Catalogue:
         factory = self.load(kind, name)
         try:
             return factory(*args, **options)
-        except ClothbenchError:
+        except (ClothbenchError, *ENDS):
             raise
-        except Exception as fault:
+        except BaseException as fault:
             if not (isinstance(fault, TypeError) and "argument" in str(fault)):
                 raise self._broken(self.find(kind, name), fault) from fault
             raise ClothbenchError(
@@ -249,7 +251,9 @@ def _load(point: EntryPoint) -> tuple[list[Plugin], list[str]]:
         configs = [str(path) for paths in manager.hook.clothbench_configs() for path in paths]
         for place in configs:
             config_groups(place)
-    except (Exception, SystemExit) as fault:
+    except ENDS:
+        raise
+    except BaseException as fault:
         return broken(_explain(fault))
     if not plugins and not configs:
         return broken("it implements no clothbench hook; mark one with @clothbench.hookimpl")

@@ -38,11 +38,12 @@ def write_page(folder: Path, first: Sequence[Section] = ()) -> Path:
 
 def page_html(store: Store, first: Sequence[Section] = ()) -> str:
     """The whole page as text: what was run, what failed, then the sections of each study."""
-    found = results_by_study(store, catalogue())
+    found, left_out = results_by_study(store, catalogue())
     rows = [row for _, results in found for row in results.rows]
     if not rows:
         return whole_page(title(rows), [Section(heading(found)), *first, Section(HINT)])
-    sections = [Section(heading(found)), *first, Section(failure_list(rows))]
+    notes = "".join(f"<p>{text(line)}</p>" for line in left_out)
+    sections = [Section(heading(found)), *first, Section(failure_list(rows) + notes)]
     for study, results in found:
         sections += study.sections(results)
     return whole_page(title(rows), [*sections, Section(what_was_run(rows) + machines(rows)), Section(MORE)])

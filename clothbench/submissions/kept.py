@@ -86,7 +86,8 @@ def rows_of(compared: Sequence[Compared]) -> list[dict[str, Any]]:
     out = []
     for metric in dict.fromkeys(metric for one in compared for metric in one.scores):
         for split in dict.fromkeys(one.split for one in compared):
-            mine = [one for one in compared if one.split == split and metric in one.scores]
+            if not (mine := [one for one in compared if one.split == split and metric in one.scores]):
+                continue  # this metric is not handed in for the recordings of this split
             about = {"metric": metric, "objective": metric, "split": split, "unit": mine[0].units[metric]}
             single = [{**about, "recording": one.measured.name, **_one(one, metric)} for one in mine]
             out += [{**about, "recording": None, **mean_of_split(single)}, *single]

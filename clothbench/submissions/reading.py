@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from clothbench.core.errors import ClothbenchError, seen
 from clothbench.core.files import read_json
+from clothbench.engine.settings import LARGEST
 from clothbench.studies.calibration.cell import CalibrationCell, asked_again
 from clothbench.submissions.submission import FILE, SCHEMA, Asked, Entry, Submission, Wheel
 
 TEXTS = ("suite", "case", "model", "optimizer", "metric", "tracker", "choice")  # of a question
 WHOLE = {"seed": 0, "budget": 1}  # numbers of a question, with the least that each may be
 MAPPINGS = ("options", "bounds", "scene", "versions", "fixed", "analysis", "published", "start", "finer")
-LARGEST = 2**63 - 1  # that a row can hold
 
 
 def require_submission(folder: Path) -> Path:
@@ -95,7 +94,8 @@ def _entry(path: Path, number: int, stated: Any) -> Entry:
 
 
 def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and bool(np.isfinite(value))
+    """Whether it is a finite number; a whole one may have more digits than any float, and is none then."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def questions_of(folder: Path, submission: Submission) -> tuple[dict[str, CalibrationCell], list[str]]:

@@ -38,6 +38,13 @@ def verdict_in(folder: Path) -> dict[str, Any]:
         raise ClothbenchError(f"verdict={folder}: found no {VERDICT}, expected the folder of a `clothbench improve`")
     if "parameters" not in document or "effects" not in document:
         raise ClothbenchError(f"{folder / VERDICT}: found no parameters and effects in it; run improve again")
+    try:
+        _read(document)
+    except (KeyError, TypeError, ValueError, AttributeError) as fault:
+        said = f"{type(fault).__name__}: {fault}"
+        raise ClothbenchError(
+            f"{folder / VERDICT}: is no verdict of this version ({said}); run improve again"
+        ) from None
     for effect in document["effects"]:
         if effect.get("by_recording"):
             raise ClothbenchError(
@@ -45,6 +52,17 @@ def verdict_in(folder: Path) -> dict[str, Any]:
                 "one has yet; name the effects with effects= and tied= instead of verdict="
             )
     return document
+
+
+def _read(document: Mapping[str, Any]) -> None:
+    """Read all of a verdict that is used here: what is damaged raises now, and not in the middle of the work."""
+    settings_in(document)
+    sorted(document["recordings"]["fit"])
+    for effect in document["effects"]:
+        "".join([effect["name"], *effect["tied_with"]])
+    for parameter in document["parameters"].values():
+        float(parameter["value"])
+    "".join([document["model"], *document["base"]])
 
 
 def settings_in(document: Mapping[str, Any]) -> dict[str, str]:

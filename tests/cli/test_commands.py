@@ -169,7 +169,8 @@ def test_a_job_that_is_refused_does_not_hide_the_others_of_its_sweep(clothbench,
 
 
 @pytest.mark.parametrize(
-    ("swept", "said"), [("model=mass_spring,mass_sprung", "mass_sprung"), ("report=[],[node_error,node_eror]", "node_eror")]
+    ("swept", "said"),
+    [("model=mass_spring,mass_sprung", "mass_sprung"), ("report=[],[node_error,node_eror]", "node_eror")],
 )
 def test_a_sweep_over_what_does_not_exist_is_refused_before_it_begins(clothbench, recordings_folder, swept, said):
     out = clothbench("run", "-m", f"recordings={recordings_folder}", *CELL, swept, "rerun=false")
@@ -242,6 +243,7 @@ def test_paths_are_no_words_of_a_grammar(word, value):
         ("budget=abc", "setting 'budget' is 'abc', expected a whole number, at least 1"),
         ("budget=1.5", "setting 'budget' is 1.5"),
         ("seed=-1", "setting 'seed' is -1"),
+        (f"seed={10**20}", f"setting 'seed' is {10**20}, expected a whole number, at least 0 and below 2⁶³"),
         ("jobs=x", "setting 'jobs' is 'x'"),
         ("timeout=abc", "setting 'timeout' is 'abc', expected a number above 0"),
         ("rerun=maybe", "setting 'rerun' is 'maybe'"),

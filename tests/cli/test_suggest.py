@@ -221,6 +221,7 @@ def test_what_a_verdict_found_tied(place, told):
     ("changes", "said"),
     [
         ({"recordings": {"fit": ["other"], "held_out": []}}, "found a verdict on other, expected one on sway-1"),
+        ({"settings": {"bounds": {"a": 3}}}, "verdict.json: is no verdict of this version (TypeError: cannot unpack"),
         ({"effect": {"by_recording": [1]}}, "'quadratic_drag' has amounts of its own in each recording"),
         ({"model": "inextensible"}, "found model=mass_spring, and a verdict on inextensible; leave model= out"),
     ],

@@ -19,6 +19,7 @@ HOOK = """
     """
 # distribution: its module, what it is found under, and the reason that is given
 BROKEN = {
+    "cancelled": ("import asyncio; raise asyncio.CancelledError('no time')", "module", "CancelledError: no time"),
     "crashing": ("import no_such_library", "module", "ModuleNotFoundError: No module named 'no_such_library'"),
     "raising": ("raise RuntimeError('out of wool')", "module", "RuntimeError: out of wool"),
     "misspelt": (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 import json
 import shutil
 from pathlib import Path
@@ -66,3 +67,15 @@ def test_its_rows_are_refused_in_one_line_where_it_is_broken(toss, tmp_path):
     shown = toss("leaderboard")
     assert shown.returncode == 2
     assert shown.stderr == "clothbench: study 'toss' (clothbench-toss) is broken: RuntimeError: no coins\n"
+
+
+def test_its_rows_are_left_out_where_it_is_not_there_and_others_are(toss, tmp_path):
+    assert toss("run", "study=toss", "model=mass_spring").returncode == 0
+    (tmp_path / "site" / "clothbench_toss" / "study.py").write_text("raise RuntimeError('no coins')\n")
+    quick = ("+suite=physical_validation", "model=[mass_spring]", "suite.meshes=[5]", "suite.tests=[free_fall]")
+    told = "cells left out, since what they are of cannot be shown: 1; study 'toss' (clothbench-toss) is broken"
+    assert toss("run", *quick).returncode == 0
+    assert told in html.unescape((tmp_path / "runs" / "report.html").read_text())
+    shown = toss("leaderboard")
+    assert (shown.returncode, told in shown.stderr) == (0, True)
+    assert "models against references" in shown.stdout

@@ -22,13 +22,14 @@ import psutil
 import pytest
 
 from clothbench import ClothbenchError
+from clothbench.core.errors import Stopped
 from clothbench.engine.cells import Source, lie_here
 from clothbench.engine.executors import settings
 from clothbench.engine.executors.cells import CellWork, concluded, places, sources_of
 from clothbench.engine.executors.child import Ended, _kept, in_child
 from clothbench.engine.executors.drive import InOrder, answers, elsewhere
 from clothbench.engine.executors.settings import executor_settings
-from clothbench.engine.executors.work import Answer, Died, Owner, Stopped, attended, seldom
+from clothbench.engine.executors.work import Answer, Died, Owner, attended, seldom
 from clothbench.engine.leases import KEPT
 from clothbench.engine.limits import Limits, Watch
 from clothbench.engine.pool import _first, _run_alone, _told, _told_file, run_cells
@@ -126,6 +127,20 @@ def test_slurm_has_no_more_jobs_than_are_stated(monkeypatch, tmp_path, jobs, roo
     assert workers.room() == room
     workers.begin({0: None, 1: None})
     assert workers.room() == room - 2
+
+
+def test_what_slurm_says_when_it_takes_no_jobs(monkeypatch, tmp_path):
+    pytest.importorskip("submitit")
+    from clothbench.engine.executors import slurm
+
+    def refused(function, *tasks):
+        raise slurm.submitit.core.utils.FailedJobError("sbatch: error: invalid partition specified: nope")
+
+    there = types.SimpleNamespace(update_parameters=lambda **_: None, map_array=refused)
+    monkeypatch.setattr(slurm.submitit, "AutoExecutor", lambda *_, **__: there)
+    workers = slurm.SlurmWorkers(executor_settings({"name": "slurm", "partition": "nope"}), 0, 1, tmp_path)
+    with pytest.raises(ClothbenchError, match="Slurm took no jobs: sbatch: error: invalid partition specified: nope"):
+        workers.begin({0: None})
 
 
 @pytest.mark.parametrize("name", ["dask", "ray", "slurm"])

@@ -104,7 +104,7 @@ def test_points_on_a_lattice_are_refined_and_others_joined():
 def results(tmp_path_factory):
     folder = tmp_path_factory.mktemp("runs")
     assert run_cell(small_cell(tmp_path_factory.mktemp("recordings")), folder) == "ok"
-    ((_, found),) = results_by_study(Store(folder), catalogue())
+    ((_, found),), _ = results_by_study(Store(folder), catalogue())
     return found
 
 

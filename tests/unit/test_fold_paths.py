@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 
 from clothbench import ClothbenchError
+from clothbench.cli.run import composed
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store
 from clothbench.engine.study import Results
+from clothbench.engine.suite import plan as whole_plan
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.fold_path.cell import NOT_USED, FoldPathCell, PathSettings, chosen_ways, path_settings, plan
 from clothbench.studies.fold_path.page import sections
@@ -127,3 +129,8 @@ def test_settings_are_checked(given, told):
         plan({**dict.fromkeys(NOT_USED, ()), "timeout": 9.0, "scene": {}}, catalogue())
     with pytest.raises(ClothbenchError, match="setting 'seed': nothing is measured or fitted"):
         plan({**dict.fromkeys(NOT_USED, ()), "seed": 7, "scene": {}}, catalogue())
+
+
+def test_a_model_that_is_named_twice_is_run_once():
+    cells = whole_plan(composed(["suite=fold_over", "model=[mass_spring,mass_spring]"]), catalogue())
+    assert len({cell.key for cell in cells}) == len(cells) > 1

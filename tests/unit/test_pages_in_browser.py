@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -157,6 +158,29 @@ def test_the_page_is_painted_before_figures_are_unpacked(page, filmed):
     when = shown.run(script)
     assert when < shown.run("return performance.now()")
     assert not shown.run('return document.querySelector("script#plotly").textContent.includes("Plotly")')
+
+
+@pytest.mark.parametrize(
+    "ordered",
+    [
+        ["fleece/static-9", "fleece/static-10", "linen/static-1", "linen/waving-1", "wool"],
+        ["−1.5 mm", "2e-3 mm", "> 0.4 mm", "3.7 mm", "1,200 mm"],
+    ],
+)
+def test_names_are_sorted_as_words_and_numbers_by_their_size(page, swings, ordered):
+    shown = page(swings)
+    shown.wait('document.querySelector(".tools")')
+    script = f"""const texts = {json.dumps(ordered[::-1])};
+        const tables = [...document.querySelectorAll("table")];
+        const table = tables.find((t) => t.tHead?.innerText.includes("held out"));
+        const body = table.tBodies[0], row = [...body.rows].find((r) => r.cells.length > 1);
+        const rows = texts.map((text) => {{
+            const made = row.cloneNode(true); made.cells[0].textContent = text; return made;
+        }});
+        body.replaceChildren(...rows);
+        table.tHead.rows[0].cells[0].querySelector("button").click();
+        return [...body.rows].map((r) => r.cells[0].textContent);"""
+    assert shown.run(script) == ordered
 
 
 def test_tables_are_sorted_and_taken_along(page, swings):

@@ -92,6 +92,17 @@ def test_scores_are_computed_again_and_stand_on_the_leaderboard(folder, tmp_path
     assert len([row for row in rows if not row["recording"]]) == 2  # a mean for each split
 
 
+def test_metrics_that_not_every_split_has(folder, tmp_path):
+    packed(folder)
+    found = verify(folder, MEASURED, catalogue())
+    fitted, held_out = found.found
+    other = {name: {"drape": 1.0} for name in ("scores", "halves", "floors")}
+    both = [fitted, dataclasses.replace(held_out, **other, units={"drape": "%"})]
+    store = Store(tmp_path / "runs")
+    keys = keep(found.submission, both, store, catalogue())
+    assert {(row["metric"], row["split"]) for row in store.rows(keys)} == {("node_error", "fit"), ("drape", "held_out")}
+
+
 def test_a_forged_score_and_a_file_changed_afterwards_are_refused(folder):
     packed(folder)
     edit(folder, lambda stated: stated["entries"][0]["scores"].update(node_error=1.0))
@@ -172,6 +183,7 @@ def test_effects_that_move_what_is_held_are_named_and_nothing_is_packed(recordin
         (lambda s: s.update(entries={}), "entries is {}, expected a list"),
         (lambda s: s["entries"][0].update(file="../../etc/passwd"), "expected a path inside the submission's folder"),
         (lambda s: s["entries"][0].update(scores={"node_error": "low"}), "expected numbers by metric"),
+        (lambda s: s["entries"][0].update(scores={"node_error": 10**400}), "expected numbers by metric"),
     ],
 )
 def test_a_damaged_submission_is_one_line(folder, change, found):

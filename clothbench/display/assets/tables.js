@@ -9,12 +9,13 @@
   const cells = (row) => [...row.cells].map(words);
   const lines = (table) => [...table.tBodies[0].rows].filter((row) => !row.hidden);
   const single = (row) => row.classList.contains("group");
-  // "3.7 mm", "1e-5" and "> 100 %" are ordered as numbers, all else as words.
-  const number = (text) => { const found = text.match(/-?\d[\d,]*(\.\d+)?(e[-+]?\d+)?/i); return found ? +found[0] : NaN; };
+  // "3.7 mm", "1e-5" and "> 100 %" are ordered as numbers, all else as words, "linen/static-2" and "2026-01-31" too.
+  const NUMBER = /^[<>≤≥≈±\s]*([-−]?\d[\d,]*(?:\.\d+)?(?:e[-+−]?\d+)?)(?![\w.-])/i;
+  const number = (text) => { const found = text.match(NUMBER); return found ? +found[1].replace(/,/g, "").replace(/−/g, "-") : NaN; };
   const value = (row, column) => (row.cells[column] ? words(row.cells[column]) : "");
   function compare(a, b, column) {
     const [x, y] = [value(a, column), value(b, column)], [p, q] = [number(x), number(y)];
-    if (Number.isNaN(p) || Number.isNaN(q)) return Number.isNaN(p) - Number.isNaN(q) || x.localeCompare(y);
+    if (Number.isNaN(p) || Number.isNaN(q)) return Number.isNaN(p) - Number.isNaN(q) || x.localeCompare(y, undefined, { numeric: true });
     return p - q;
   }
   function sort(table, column, down) {

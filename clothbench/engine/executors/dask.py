@@ -14,9 +14,9 @@ from typing import Any
 
 import distributed
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, Stopped
 from clothbench.core.parallel import available_cores
-from clothbench.engine.executors.work import Answer, Died, Owner, Stopped, Tell, Work, attended
+from clothbench.engine.executors.work import Answer, Died, Owner, Tell, Work, attended
 from clothbench.plugins.discovery import one_line
 
 CONNECT = 15.0  # s until a scheduler that does not answer is given up

@@ -54,8 +54,14 @@ class SlurmWorkers:
     def begin(self, works: Mapping[int, Work]) -> None:
         self.folder.mkdir(parents=True, exist_ok=True)
         tasks = [(work, str(self._words(number)), self.cores, self.owner) for number, work in works.items()]
-        with _unheard(signal.SIGINT):  # of Ctrl+C the command hears, and ends its jobs
-            jobs = self.executor.map_array(_attended, *map(list, zip(*tasks, strict=True)))
+        try:
+            with _unheard(signal.SIGINT):  # of Ctrl+C the command hears, and ends its jobs
+                jobs = self.executor.map_array(_attended, *map(list, zip(*tasks, strict=True)))
+        except submitit.core.utils.FailedJobError as fault:
+            raise ClothbenchError(
+                f"executor slurm: Slurm took no jobs: {_why(fault)}; see executor.partition, executor.memory, "
+                "executor.minutes and executor.parameters"
+            ) from fault
         self.running.update(zip(works, jobs, strict=True))
 
     def ended(self, seconds: float) -> Iterable[tuple[int, Answer | Died]]:

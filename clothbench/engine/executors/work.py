@@ -13,7 +13,7 @@ from typing import Any, Protocol
 
 import psutil
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ENDS, ClothbenchError
 from clothbench.engine.cells import plugin_versions
 from clothbench.plugins.discovery import catalogue, one_line
 
@@ -21,15 +21,6 @@ SELDOM = 0.5  # s, between two words of a worker on how far it is
 
 Tell = Callable[[int, float], None]  # steps done so far, and the value that they have come to
 _one_at_a_time = threading.Lock()
-
-
-class Stopped(BaseException):
-    """Nobody waits for this work any more; no `except Exception` of a plugin holds it up."""
-
-
-# What ends a work and is no word of it: everything else that a plugin raises is a fault, whatever it is made of (an
-# asyncio.CancelledError and what Rust's libraries raise are no Exceptions).
-ENDS = (KeyboardInterrupt, GeneratorExit, Stopped)
 
 
 class Work(Protocol):
