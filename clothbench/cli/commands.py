@@ -139,6 +139,7 @@ def plugins(options: argparse.Namespace) -> int:
 
 
 def validate(options: argparse.Namespace) -> int:
+    from clothbench.recordings.colour_video import ColourVideo
     from clothbench.recordings.kinds import read_any
     from clothbench.recordings.nodes import find_recordings
 
@@ -146,6 +147,11 @@ def validate(options: argparse.Namespace) -> int:
     for path in find_recordings(options.paths):
         try:
             recording = read_any(path)
+            if isinstance(
+                recording, ColourVideo
+            ):  # readers take its frames when they need them, a check takes them now
+                for _ in recording.frames():
+                    pass
             rows.append({"file": str(path), "ok": True, "fault": None, "name": recording.name, "hash": recording.hash})
         except ClothbenchError as fault:
             rows.append({"file": str(path), "ok": False, "fault": str(fault), "name": None, "hash": None})

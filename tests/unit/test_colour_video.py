@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from clothbench import ClothbenchError, GripPath, read_video, write_video
+from clothbench.cli import main
 from clothbench.core.pictures import silenced
 from clothbench.datasets import video_file
 from clothbench.datasets.video_file import video_recording
@@ -64,13 +65,16 @@ def test_faults_are_one_line(change, found):
     assert found in str(fault.value)
 
 
-def test_a_broken_picture_is_told_with_its_frame():
+def test_a_broken_picture_is_told_with_its_frame(tmp_path, capsys):
     given = flat.video()
     stream = given.stream.copy()
     stream[given.ends[2] : given.ends[2] + 40] = 0
     broken = flat.video(stream=stream)
     with pytest.raises(ClothbenchError, match="no picture that can be read at frame 3"):
         list(broken.frames())
+    write_video(broken, tmp_path / "broken.nc")
+    assert main(["validate", str(tmp_path)]) == 1
+    assert "no picture that can be read at frame 3" in capsys.readouterr().out
 
 
 # --- video files ------------------------------------------------------------------------------------------------------
