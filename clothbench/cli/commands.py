@@ -147,9 +147,7 @@ def validate(options: argparse.Namespace) -> int:
     for path in find_recordings(options.paths):
         try:
             recording = read_any(path)
-            if isinstance(
-                recording, ColourVideo
-            ):  # readers take its frames when they need them, a check takes them now
+            if isinstance(recording, ColourVideo):  # whose readers take frames as they need them
                 for _ in recording.frames():
                     pass
             rows.append({"file": str(path), "ok": True, "fault": None, "name": recording.name, "hash": recording.hash})
