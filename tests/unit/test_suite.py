@@ -70,6 +70,14 @@ def test_cases_and_selection(tmp_path):
     assert [c.case for c in cells(tmp_path, suite={"name": "s", "select": "silk*"})] == ["silk"]
 
 
+@pytest.mark.parametrize("suite", [{}, {"case": "all"}, {"each": ["swing"]}])
+def test_two_recordings_of_one_name_are_refused_whatever_their_cases(tmp_path, suite):
+    for fabric in ("silk", "wool"):
+        write_recording(swinging_recording("swing", fabric=fabric), tmp_path / f"{fabric}.nc")
+    with pytest.raises(ClothbenchError, match=r"wool\.nc: found the name 'swing', which .*silk\.nc has too"):
+        cells(tmp_path, suite={"name": "s", **suite})
+
+
 @pytest.mark.parametrize(
     ("change", "found"),
     [

@@ -14,7 +14,7 @@ from typing import Any
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.optional import takes_option, textile_of
 from clothbench.core.progress import FileProgress
-from clothbench.engine.cells import Source, matching, plugin_versions, resplit
+from clothbench.engine.cells import Source, matching, plugin_versions, require_own_names, resplit
 from clothbench.engine.settings import require_plugins
 from clothbench.engine.suite import where
 from clothbench.estimation.front import CHOICES
@@ -261,9 +261,5 @@ def group(
             raise ClothbenchError(
                 f"case {case!r}: found only held-out recordings, expected at least one to fit; see suite.select"
             )
-        names = [s.name for s in sources]
-        if twice := sorted({n for n in names if names.count(n) > 1}):
-            raise ClothbenchError(
-                f"case {case!r}: two recordings are named {twice[0]!r}; names must differ within a case"
-            )
+    require_own_names([s for sources in out.values() for s in sources])
     return out
