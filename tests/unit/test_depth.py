@@ -159,6 +159,20 @@ def test_clouds_become_depth(tmp_path, form):
     assert np.abs(made.metres(0)[row, column] - 1.0 - 0.1 * across).max() < 2e-3
 
 
+@pytest.mark.parametrize("rows", ["0 0 1\n" * 3, "0 0 1\n" * 3 + "0 0", "0 0 1\n" * 3 + "3 0 1 2\n"])
+def test_a_cloud_cut_short_is_refused(tmp_path, rows):
+    """Of four vertices and a face: rows are missing, and what stands in the fourth place is no vertex."""
+    from clothbench.datasets.depth_folder import read_cloud
+
+    head = "element vertex 4\n" + "".join(f"property float {c}\n" for c in "xyz") + "element face 1\n"
+    head += "property list uchar int vertex_indices\nend_header\n"
+    (tmp_path / "a.ply").write_text("ply\nformat ascii 1.0\n" + head + "0 0 1\n" * 4 + "3 0 1 2\n")
+    assert read_cloud(tmp_path / "a.ply").shape == (4, 3)
+    (tmp_path / "b.ply").write_text("ply\nformat ascii 1.0\n" + head + rows)
+    with pytest.raises(ClothbenchError, match=r"b.ply: found \d rows, expected 5, the first 4 with 3 numbers each"):
+        read_cloud(tmp_path / "b.ply")
+
+
 @pytest.mark.parametrize(
     ("change", "found"),
     [
