@@ -188,6 +188,14 @@ def test_a_cloud_cut_short_is_refused(tmp_path, rows):
         ({"colour_time": [0.0, 0.05]}, "'colour_time': found 2 stamps, expected 6, one for each picture"),
         ({"depth_step": 1.0}, "is depth_step, 1 m, that of the sensor?"),
         ({"grips": {"time": [0, 1]}}, "'grips': found KeyError 'material'"),
+        (
+            {"grips": {"time": [0, 1], "material": 5, "position": [[[0, 0, 1]]] * 2}},
+            "'grip_material': found shape (), expected (grip, uv)",
+        ),
+        (
+            {"grips": {"time": [[0, 1], [2, 3]], "material": [[0, 0]], "position": [[[0, 0, 1]]] * 2}},
+            "'grip_time': found shape (2, 2), expected (grip_time)",
+        ),
     ],
 )
 def test_a_bad_folder_is_refused_in_one_line(clothbench, tmp_path, change, found):
