@@ -293,6 +293,20 @@ def test_a_bright_cloth_and_one_cut_off_are_refused():
         captures_of([petals(6)], image=np.roll(image, 50, axis=2))
 
 
+def test_two_shadows_are_refused():
+    """Each of them smaller than the plate, both together larger; and one cloth with half of another beside it."""
+    y, x = np.mgrid[:256, :256]
+
+    def shadows(*discs):
+        dark = np.any([np.hypot(x - at, y - 128) < radius / PIXEL for at, radius in discs], axis=0)
+        return np.where(dark, 0, 255).astype(np.uint8)[None]
+
+    with pytest.raises(ClothbenchError, match=r"found a shadow of 17\d cm² in capture 0"):
+        captures_of([petals(6)], image=shadows((68, 0.075), (188, 0.075)))
+    with pytest.raises(ClothbenchError, match=r"found several shadows in capture 0, 8\d% of all"):
+        captures_of([petals(6)], image=shadows((90, 0.1), (215, 0.045)))
+
+
 # --- scenes -----------------------------------------------------------------------------------------------------------
 
 
