@@ -63,6 +63,7 @@ def frames(**changes):
         ({"depth_step": 1.0}, "found a middle of all depths of 1000 m"),
         ({"depth_step": 0.0}, "'depth_step': found 0.0, expected metres above 0"),
         ({"cloth_width": -1.0}, "'cloth_width': found -1.0"),
+        ({"gravity": (0.0, 0.0, np.nan)}, "'gravity': found (0.0, 0.0, nan), expected three finite numbers"),
         ({"split": "test"}, "'split': found 'test'"),
         ({"name": ""}, "'name': found nothing"),
         ({"colour": Colour(TIME[:5], np.zeros((6, 40, 48, 3), np.uint8))}, "'colour_time': found 5 stamps, expected 6"),
