@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from clothbench import ClothbenchError, Outlines, Rollout, Silhouettes, outline_
 from clothbench import write_silhouettes as write
 from clothbench.core.drape import RINGS, SPOKES, drape_coefficient, drape_points
 from clothbench.core.optional import textile_of
-from clothbench.datasets.cusick_drape_bdp import convert
+from clothbench.datasets.cusick_drape_bdp import SHOT, Shot, convert, side_of
 from clothbench.engine.settings import scene_settings
 from clothbench.estimation.placements import joined
 from clothbench.recordings.kinds import read_sheet
@@ -389,6 +390,16 @@ def cusick(data_dir, tmp_path_factory):
     return out
 
 
+@pytest.mark.parametrize(
+    ("name", "fabric", "side"),
+    [("sample_7_upward_drape_1_Obs_5", "cotton_white", 1), ("Wool_Red_Sample_1_Downward_Drape_1", "wool_red", 2),
+     ("Fabric_2_Sample_1_Capture_3", "cotton_blue", 2), ("Fabric_9_Sample_1_Capture_1", "fabric_09", 0)],
+)  # fmt: skip
+def test_a_side_is_what_the_name_says_or_the_place_among_named_captures(name, fabric, side):
+    number = int(SHOT.search(name)["number"])
+    assert side_of(Shot(Path(f"{name}.jpg"), fabric, 1, number, "")) == side
+
+
 def test_every_picture_is_imported_once(cusick):
     report = json.loads((cusick / "import-report.json").read_text())
     assert sum(r["frames_kept"] for r in report["recordings"]) == 669
@@ -398,6 +409,7 @@ def test_every_picture_is_imported_once(cusick):
     assert (len(fit.image), len(held.image)) == (32, 16)
     assert not set(fit.sample) & set(held.sample)
     assert fit.areal_density == 0.274
+    assert set(read_silhouettes(cusick / "cotton_white" / "fit.nc").side) == {1}
 
 
 @pytest.mark.parametrize(
