@@ -46,6 +46,12 @@ class Obstacle:
             raise ClothbenchError(f"obstacle: radius of a {self.shape} is {self.radius}, expected metres above 0")
         if not (math.isfinite(self.friction) and self.friction >= 0):
             raise ClothbenchError(f"obstacle: friction is {self.friction}, expected 0 or above")
+        for name in ("centre", "normal"):
+            if not _is_triple(getattr(self, name)):
+                raise ClothbenchError(f"obstacle: {name} is {getattr(self, name)!r}, expected three finite numbers")
+        for name in ("clamps", "carried"):  # any text would be taken for yes
+            if not isinstance(getattr(self, name), bool):
+                raise ClothbenchError(f"obstacle: {name} is {getattr(self, name)!r}, expected true or false")
         length = math.hypot(*self.normal)
         if not (math.isfinite(length) and length > 0):
             raise ClothbenchError(f"obstacle: normal is {self.normal}, expected a direction")
@@ -54,6 +60,15 @@ class Obstacle:
         if self.clamps and self.carried:
             raise ClothbenchError("obstacle: a disc that clamps the cloth stands still and cannot be carried by grips")
         object.__setattr__(self, "normal", tuple(c / length for c in self.normal))
+
+
+def _is_triple(value: Any) -> bool:
+    """Whether it is three finite numbers."""
+    try:
+        numbers = np.array(value)
+    except ValueError:  # lists of unequal lengths
+        return False
+    return numbers.shape == (3,) and numbers.dtype.kind in "iuf" and bool(np.isfinite(numbers).all())
 
 
 def obstacles_of(stated: Sequence[Obstacle | Mapping[str, Any]]) -> tuple[Obstacle, ...]:

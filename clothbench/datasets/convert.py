@@ -11,7 +11,7 @@ from typing import Any
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import read_json, whole_file, whole_folder
 from clothbench.core.progress import FileProgress
-from clothbench.datasets.registry import dataset, fetch, local_copy
+from clothbench.datasets.registry import Dataset, dataset, fetch, local_copy
 from clothbench.plugins.discovery import import_target
 
 REPORT = "import-report.json"
@@ -27,8 +27,9 @@ def converted(
 ) -> Path:
     """The folder with the recordings of a data set; by default `recordings/NAME` below the working directory.
 
-    What is there already is used, unless `again`; it is refused where it is of another data set, and where `data_dir`
-    is another copy than it was made of. Files that no import made are never replaced. Originals come from `data_dir`,
+    What is there already is used, unless `again` or it was made by another version of the importer, or of other
+    originals; it is refused where it is of another data set, and where `data_dir` is another copy than it was made of.
+    Files that no import made are never replaced. Originals come from `data_dir`,
     else from the folder in CLOTHBENCH_DATA, else they are fetched. `progress(done, planned, file)` is called while
     files are fetched and read.
     """
@@ -37,7 +38,7 @@ def converted(
     if (folder / REPORT).is_file():
         report = _report(folder)
         _require_of(name, folder, report)
-        if not again and any(folder.rglob("*.nc")):
+        if not again and _is_as_made_now(known, report) and any(folder.rglob("*.nc")):
             _require_made_of(name, folder, report, data_dir)
             return folder
         _require_nothing_else(folder, report)
@@ -46,7 +47,7 @@ def converted(
     source = local_copy(name, data_dir) or fetch(name, progress)
     with whole_folder(folder) as part:
         import_target(known.importer)(source, part, progress)
-        _note(part, name, source)
+        _note(part, known, source)
     return folder
 
 
@@ -57,6 +58,11 @@ def _report(folder: Path) -> dict[str, Any]:
             f"{folder / REPORT}: found {type(found).__name__}, expected an import's report; remove it"
         )
     return found
+
+
+def _is_as_made_now(known: Dataset, report: Mapping[str, Any]) -> bool:
+    """Whether recordings are of the registry's commit and by this importer; what states no version is of the first."""
+    return report.get("commit", known.commit) == known.commit and report.get("importer", 1) == known.version
 
 
 def _require_of(name: str, folder: Path, report: Mapping[str, Any]) -> None:
@@ -97,9 +103,12 @@ def _require_made_of(
         )
 
 
-def _note(folder: Path, name: str, source: Path) -> None:
-    """State in the report of which data set and copy its recordings were made, and which files the import wrote."""
+def _note(folder: Path, known: Dataset, source: Path) -> None:
+    """State in the report of which data set, commit and copy its recordings were made, by which version of the
+    importer, and which files the import wrote.
+    """
     files = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if not path.is_dir())
-    document = {**_report(folder), "dataset": name, "copy": str(source.resolve()), "files": files}
+    made_of = {"dataset": known.name, "commit": known.commit, "importer": known.version, "copy": str(source.resolve())}
+    document = {**_report(folder), **made_of, "files": files}
     with whole_file(folder / REPORT) as part:
         part.write_text(json.dumps(document, indent=1) + "\n", encoding="utf-8")

@@ -8,8 +8,9 @@ One recording of kind "silhouette" for each fabric and split: two thirds of its 
 - Fabrics 2 to 5 have no name and no mass in their folders, but their pictures are those of named ones in another
   folder, byte by byte; so they get both. `cotton_white`, and one more capture of `cotton_blue`, are in that other
   folder only. The mass of all others is not known.
-- Which side was up is stated for named pictures only: where the same bytes lie in both folders, the first two captures
-  of a specimen show its face up, the others face down. So it is read for fabrics 2 to 5; of the others nobody knows.
+- Which side was up is stated in the names of named pictures only: where the same bytes lie in both folders, the first
+  two captures of a specimen show its face up, the others face down. So it is read for fabrics 2 to 5; `cotton_white`
+  says it of itself; of the others nobody knows.
 - The meshes are no measurements (straight from plate to shadow) and are not read.
 """
 
@@ -37,6 +38,7 @@ AREAL_DENSITY = {  # kg/m², as the authors' code has them
     "cotton_blue": 0.192, "cotton_pink": 0.114, "cotton_white": 0.059, "viscose_white": 0.213, "wool_red": 0.274,
 }  # fmt: skip
 FABRIC = re.compile(r"Fabric_(?P<fabric>\d+)(?P<observed>_Observations)?")
+FACE = re.compile(r"_(?P<turned>upward|downward)_", re.IGNORECASE)
 SHOT = re.compile(r"sample_(?P<sample>\d+)(?:_.*?(?P<number>\d+))?$", re.IGNORECASE)
 NEXT = "clothbench run model=mass_spring_verlet optimizer=cma_es metric=drape tracker=drape recordings={folder}"
 
@@ -134,6 +136,15 @@ def split_of(shots: Sequence[Shot]) -> dict[str, list[Shot]]:
     }
 
 
+def side_of(shot: Shot) -> int:
+    """Which side of the specimen was up, of `recordings.silhouette.SIDES`."""
+    if said := FACE.search(shot.path.stem):
+        return 1 if said["turned"].lower() == "upward" else 2
+    if shot.fabric in NAMED.values():
+        return 1 if shot.number <= 2 else 2
+    return 0
+
+
 def drapes_of(fabric: str, split: str, shots: Sequence[Shot]) -> Silhouettes:
     """One recording of a fabric's pictures."""
     import cv2
@@ -144,11 +155,11 @@ def drapes_of(fabric: str, split: str, shots: Sequence[Shot]) -> Silhouettes:
         if image is None:
             raise ClothbenchError(f"{shot.path}: found no picture that can be read, expected a JPEG of 256 × 256 px")
         images.append(image)
-    sides = [1 if s.number <= 2 else 2 for s in shots] if fabric in NAMED.values() else [0] * len(shots)
     dataset = registry.DATASETS[NAME]
     return Silhouettes(
         name=f"{fabric}/{split or 'all'}", fabric=fabric, split=split, image=np.stack(images),
-        sample=np.array([s.sample for s in shots]), side=np.array(sides), pixel_size=PIXEL, disc_radius=DISC,
-        plate_radius=PLATE, areal_density=AREAL_DENSITY.get(fabric, np.nan), sensor="Cusick drapemeter, camera above",
-        source=f"{dataset.repository}@{dataset.commit}", licence=dataset.licence, motion="drape",
+        sample=np.array([s.sample for s in shots]), side=np.array([side_of(s) for s in shots]), pixel_size=PIXEL,
+        disc_radius=DISC, plate_radius=PLATE, areal_density=AREAL_DENSITY.get(fabric, np.nan),
+        sensor="Cusick drapemeter, camera above", source=f"{dataset.repository}@{dataset.commit}",
+        licence=dataset.licence, motion="drape",
     )  # fmt: skip

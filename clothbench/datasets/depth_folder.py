@@ -147,8 +147,15 @@ def _ply(file: Path) -> np.ndarray:
     if not {"x", "y", "z"} <= {name for name, _ in names} or any(kind not in PLY_TYPES for _, kind in names):
         raise ClothbenchError(f"{file}: found vertices of {[n for n, _ in names]}, expected numbers x, y and z")
     if form == "ascii":
-        rows = np.array([line.split()[: len(names)] for line in body.decode().splitlines()[:count]], dtype=float)
-        table = {name: rows[:, k] for k, (name, _) in enumerate(names)}
+        rows = [line.split() for line in body.decode().splitlines() if line.strip()]
+        stated = sum(int(words[k][2]) for k in elements)  # the others follow the vertices, a row each
+        if len(rows) < stated or any(len(row) != len(names) for row in rows[:count]):
+            raise ClothbenchError(
+                f"{file}: found {len(rows)} rows, expected {stated}, the first {count} with {len(names)} numbers each; "
+                "is it whole?"
+            )
+        numbers = np.array(rows[:count], dtype=float)
+        table = {name: numbers[:, k] for k, (name, _) in enumerate(names)}
     else:
         order = {"binary_little_endian": "<", "binary_big_endian": ">"}.get(form)
         if order is None:

@@ -26,7 +26,8 @@ class Dataset:
     """A public data set. files: path in a local copy → (path in the repository, SHA-256); importer:
     "module:attribute".
 
-    folder: what a local copy's own folder is called; pattern: which files in it belong to the data set.
+    folder: what a local copy's own folder is called; pattern: which files in it belong to the data set; version: of the
+    importer, raised when it makes other recordings of them.
     """
 
     name: str
@@ -40,6 +41,7 @@ class Dataset:
     folder: str
     pattern: str
     files: Mapping[str, tuple[str, str]] = field(repr=False)
+    version: int = 1
 
     @property
     def address(self) -> str:

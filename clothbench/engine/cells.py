@@ -85,6 +85,19 @@ def matching(recordings: Sequence[Any], patterns: Sequence[str]) -> list[Any]:
     return chosen
 
 
+def require_own_names(sources: Iterable[Source]) -> None:
+    """Rows know a recording by its name alone, in whatever case: of two with one name a mean over cases would count
+    one, and `suite.each` fit one.
+    """
+    files: dict[str, str] = {}
+    for s in sources:
+        if s.name in files:
+            raise ClothbenchError(
+                f"{s.path}: found the name {s.name!r}, which {files[s.name]} has too; give each a name of its own"
+            )
+        files[s.name] = s.path
+
+
 def resplit(sources: list[Source], seed: int) -> list[Source]:
     """A split by recording where the files state none: a third, at least one of two, is held out. Seeded."""
     if any(s.split for s in sources) or len(sources) < 2:

@@ -23,14 +23,17 @@ def on_front(objectives: np.ndarray) -> np.ndarray:
 def chosen(objectives: np.ndarray, value: np.ndarray, choice: str) -> int:
     """The number of the row that is taken for the best, of objectives (E, M) with scalarised value (E,).
 
-    "nearest": the least value; "knee": the row of the front that lies farthest below the plane through its extremes,
-    each objective counted from its least (0) to its greatest (1) on the front (Das 1999, On characterizing the "knee"
-    of the Pareto curve); where they all have one extreme, the nearest.
+    "nearest": the least value on the front (off it one may have less still: the mean over recordings of a root mean
+    square does not follow from the mean objectives); "knee": the row of the front that lies farthest below the plane
+    through its extremes, each objective counted from its least (0) to its greatest (1) on the front (Das 1999, On
+    characterizing the "knee" of the Pareto curve); where they all have one extreme, the nearest.
     """
     finite = np.where(np.isfinite(value), value, np.inf)
     front = np.flatnonzero(on_front(objectives))
-    if choice == "nearest" or len(front) < 2:
+    if not len(front):
         return int(finite.argmin())
+    if choice == "nearest" or len(front) < 2:
+        return int(front[finite[front].argmin()])
     rows = objectives[front]
     least, span = rows.min(axis=0), np.ptp(rows, axis=0)
     share = np.divide(rows - least, span, out=np.zeros_like(rows), where=span > 0)

@@ -75,11 +75,13 @@ def jackknife_of_drapes(trials: Sequence[Trial], jacobian: np.ndarray, best: np.
     Each row of a drape's residual is one quantity, of all captures and all simulated drapes at once, so rows are no
     pieces of evidence as seconds of a film are. Captures of one specimen are alike, hence the specimen is one; the
     other chance is which drape the simulation falls into from each of its first shapes. Both are independent, so
-    their half-widths are added as squares. How far the parameters would move is −(JᵀJ)⁻¹Jᵀ times what the residual
-    changes by. NaN where a recording has a single specimen or its simulation a single first shape, since then nobody
-    knows what another would have been like.
+    their half-widths are added as squares; so are those of several recordings' specimens. First shapes are the same in
+    all recordings, and each is left out of all at once. How far the parameters would move is −(JᵀJ)⁻¹Jᵀ times what the
+    residual changes by. NaN where a recording has a single specimen or its simulation a single first shape, since then
+    nobody knows what another would have been like.
     """
     hessian, square, start = jacobian.T @ jacobian, np.zeros(len(best)), 0
+    shapes: list[np.ndarray] = []  # (S, P) of each recording, how far the parameters move without each first shape
     for trial in trials:
         rollout = trial.simulation.run(best[None])
         whole = _residual(trial, trial.observation, rollout)
@@ -87,11 +89,15 @@ def jackknife_of_drapes(trials: Sequence[Trial], jacobian: np.ndarray, best: np.
         start += len(whole)
         fewer_specimens = [_residual(trial, seen, rollout) for seen in _without_each_specimen(trial.observation)]
         fewer_shapes = [_residual(trial, trial.observation, fewer) for fewer in _without_each_frame(rollout)]
-        for others in (fewer_specimens, fewer_shapes):
-            if len(others) < 2:
-                return np.full(len(best), np.nan)
-            changed = np.array(others) - whole
-            square += jackknife_half_width(np.linalg.lstsq(hessian, rows.T @ changed.T, rcond=1 / SINGULAR)[0].T) ** 2
+        if min(len(fewer_specimens), len(fewer_shapes)) < 2:
+            return np.full(len(best), np.nan)
+        specimens, moved = (
+            np.linalg.lstsq(hessian, rows.T @ (np.array(others) - whole).T, rcond=1 / SINGULAR)[0].T
+            for others in (fewer_specimens, fewer_shapes)
+        )
+        square += jackknife_half_width(specimens) ** 2
+        shapes.append(moved)
+    square += jackknife_half_width(np.sum(shapes, axis=0)) ** 2
     half = np.sqrt(square)
     half[undetermined(hessian)] = np.inf
     return half

@@ -36,7 +36,14 @@ from clothbench.core.observation import confidence_fault
 from clothbench.core.scene import Obstacle
 from clothbench.recordings.codec import freeze, hash_of, read, write
 from clothbench.recordings.layout import SPLITS, Arrays, Layout, Part, Stated, Variable
-from clothbench.recordings.nodes_rules import check_clock, check_overlap, check_points, check_shapes, check_values
+from clothbench.recordings.nodes_rules import (
+    check_clock,
+    check_gravity,
+    check_overlap,
+    check_points,
+    check_shapes,
+    check_values,
+)
 from clothbench.recordings.rig import TEXTS, camera_attributes, pack_camera, unpack_camera
 from clothbench.recordings.supports import SUPPORTS, check_supports
 from clothbench.recordings.video import VIDEO
@@ -221,8 +228,7 @@ def _check_stated(r: Recording, where: str) -> None:
             )
     if not r.name:
         raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
-    if not all(map(math.isfinite, r.gravity)):
-        raise ClothbenchError(f"{where}: attribute 'gravity': found {r.gravity}, expected three finite numbers [m/s²]")
+    check_gravity(r.gravity, where)
     for name in ("cloth_width", "cloth_height"):
         value = getattr(r, name)
         if not (math.isfinite(value) and value > 0):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
@@ -67,6 +70,12 @@ def check_values(arrays: Arrays, where: str) -> None:
         raise ClothbenchError(f"{where}: variable 'position': found only NaN, expected at least one node seen")
     if not np.isfinite(position).all(axis=-1).any():
         raise ClothbenchError(f"{where}: variable 'position': found no node with all of x, y and z")
+
+
+def check_gravity(gravity: Sequence[float], where: str) -> None:
+    """Gravity is three finite numbers [m/s²]."""
+    if len(gravity) != 3 or not all(map(math.isfinite, gravity)):
+        raise ClothbenchError(f"{where}: attribute 'gravity': found {gravity}, expected three finite numbers [m/s²]")
 
 
 def check_finite(values: np.ndarray, name: str, where: str) -> None:

@@ -6,7 +6,7 @@ import math
 from abc import ABC, abstractmethod
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, ClassVar, Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -15,7 +15,14 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import GripPath
 from clothbench.recordings.codec import freeze, hash_of
 from clothbench.recordings.layout import SPLITS, Arrays, Layout, Part, Stated, Variable
-from clothbench.recordings.nodes_rules import check_clock, check_finite, check_near, check_overlap, check_points
+from clothbench.recordings.nodes_rules import (
+    check_clock,
+    check_finite,
+    check_near,
+    check_overlap,
+    check_points,
+    check_shapes,
+)
 from clothbench.recordings.video import lens_of, size_of, text_of
 
 TEXTS = ("name", "fabric", "sensor", "source", "licence", "declared_effects", "motion", "split")
@@ -132,10 +139,8 @@ def check_grips(r: RawRecording, where: str) -> None:
     grips = r.grips
     if grips is None:
         return
+    check_shapes(_pack_grips(grips)[0], GRIPS, where)
     check_clock(grips.time, "grip_time", where)
-    expected: Any = (len(grips.time), len(grips.material), 3)
-    if grips.position.shape != expected or grips.material.shape[1:] != (2,):
-        raise ClothbenchError(f"{where}: variable 'grip_position': found {grips.position.shape}, expected {expected}")
     check_finite(grips.position, "grip_position", where)
     check_finite(grips.material, "grip_material", where)
     check_near(grips.position, "grip_position", where)

@@ -171,21 +171,23 @@ def _spaced(width: float, height: float, spacing: float) -> tuple[int, int]:
 def first_motion(recording: Recording) -> tuple[np.ndarray, np.ndarray]:
     """Where each node was (N, 3) m and how fast (N, 3) m/s at the first frame, from a parabola through the first ones.
 
-    A node that is seen too seldom in them has NaN for both, the place included: there it would be of a later time.
+    A node that is seen in less than two thirds of them, or four, has NaN for both, the place included: there it would
+    be of a later time, or of a parabola that was drawn far beyond what was seen.
     """
     time = recording.time - recording.time[0]
     count = max(FIRST_FRAMES, int(np.searchsorted(time, FIRST_SECONDS)))
+    least = max(FIRST_FRAMES - 1, math.ceil(2 * count / 3))
     terms = np.vander(time[:count], 3, increasing=True)
     place, velocity = (np.full((len(recording.material), 3), np.nan) for _ in range(2))
     for n in range(len(recording.material)):
         seen = recording.visible[:count, n]
-        if seen.sum() >= FIRST_FRAMES - 1:
+        if seen.sum() >= least:
             fit = np.linalg.lstsq(terms[: len(seen)][seen], recording.position[:count][seen, n], rcond=None)[0]
             place[n], velocity[n] = fit[0], fit[1]
     if not np.isfinite(place).any():
         raise ClothbenchError(
-            f"{recording.path or recording.name}: found no node seen in {FIRST_FRAMES - 1} of its first {count} "
-            "frames, which scene.start=measured needs; use scene.start=rest"
+            f"{recording.path or recording.name}: found no node seen in {least} of its first {count} frames, "
+            "which scene.start=measured needs; use scene.start=rest"
         )
     return place, velocity
 

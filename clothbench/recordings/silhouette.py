@@ -28,6 +28,7 @@ from clothbench.recordings.rig import TEXTS, check_stated
 
 SIDES = {0: "not known", 1: "face up", 2: "face down"}
 LEAST_PIXELS = 20  # across the plate's radius
+DUST = 0.05  # of what is dark that may lie beside the shadow
 LAYOUT = Layout(
     kind="silhouette",
     variables={
@@ -116,11 +117,12 @@ def _check(r: Silhouettes, where: str) -> None:
 
 
 def _check_shadows(r: Silhouettes, where: str) -> None:
-    """Each picture shows one dark shape that has the plate in it, is no larger than the specimen, and ends before the
-    border.
+    """Each picture shows one dark shape, beside which there is no more than dust, as large as the plate at least and as
+    the specimen at most, that ends before the border.
     """
     dark = np.stack([_dark(image) for image in r.image])
-    area = np.asarray(dark.sum(axis=(1, 2)) * r.pixel_size**2)
+    whole, largest = dark.sum(axis=(1, 2)), np.array([_largest_part(one) for one in dark])
+    area = np.asarray(largest * r.pixel_size**2)
     border = np.asarray(dark[:, [0, -1]].any(axis=(1, 2)) | dark[:, :, [0, -1]].any(axis=(1, 2)))
     least, most = (np.pi * radius**2 for radius in (r.plate_radius, r.disc_radius))
     for k in range(len(r.image)):
@@ -129,6 +131,11 @@ def _check_shadows(r: Silhouettes, where: str) -> None:
                 f"{where}: variable 'image': found a shadow of {area[k] * 1e4:.0f} cm² in capture {k}, expected "
                 f"{least * 1e4:.0f} (the plate) to {most * 1e4:.0f} cm² (the flat specimen); check pixel_size and "
                 "radii, and that the cloth is dark"
+            )
+        if largest[k] < (1 - DUST) * whole[k]:
+            raise ClothbenchError(
+                f"{where}: variable 'image': found several shadows in capture {k}, {largest[k] / whole[k]:.0%} of all "
+                "that is dark in the largest, expected one, and dust at most"
             )
         if border[k]:
             raise ClothbenchError(
@@ -141,3 +148,11 @@ def _dark(image: np.ndarray) -> np.ndarray:
     """The pixels (H, W) bool beyond halfway from the ground, the median along the border, to the darkest."""
     ground = float(np.median(np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]])))
     return image < (ground + float(image.min())) / 2
+
+
+def _largest_part(dark: np.ndarray) -> int:
+    """How many pixels of (H, W) bool the largest part has that hangs together; 0 where nothing is dark."""
+    import cv2
+
+    *_, stated, _ = cv2.connectedComponentsWithStats(dark.astype(np.uint8))
+    return int(stated[1:, cv2.CC_STAT_AREA].max(initial=0))

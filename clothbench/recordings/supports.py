@@ -22,7 +22,7 @@ from clothbench.core.outline import checked_outline
 from clothbench.core.scene import Obstacle
 from clothbench.recordings.codec import number
 from clothbench.recordings.layout import Arrays, Part, Stated, Variable
-from clothbench.recordings.nodes_rules import check_shapes
+from clothbench.recordings.nodes_rules import check_near, check_shapes
 
 NUMBERS = ("obstacle_centre", "obstacle_normal", "obstacle_radius", "obstacle_friction")
 STATED = ("obstacle_shape", "obstacle_clamps")
@@ -55,6 +55,7 @@ def _unpack_obstacles(arrays: Arrays, stated: Stated, path: Path) -> tuple[Obsta
     if missing := sorted({*NUMBERS, *STATED} - {*arrays, *stated}):
         raise ClothbenchError(f"{path}: '{missing[0]}' is missing beside what else is stated of obstacles; add it")
     check_shapes(arrays, SUPPORTS["obstacles"], str(path))
+    check_near(arrays["obstacle_centre"], "obstacle_centre", str(path))
     count = len(arrays["obstacle_centre"])
     words = {name: str(stated[name]).split() for name in (*STATED, CARRIED) if name in stated}
     for name, each in words.items():

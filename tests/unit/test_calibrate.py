@@ -172,6 +172,13 @@ def test_intervals_of_drapes_hold_the_truth_about_as_often_as_they_say():
     assert 0.92 < np.mean(inside) < 0.99
 
 
+def test_first_shapes_that_two_recordings_share_are_one_chance():
+    """The same drapes twice are no more evidence of what other first shapes would have come to."""
+    once = rings(np.full(6, 0.1), np.arange(6), 0.003 * np.random.default_rng(0).standard_normal(6))
+    one, two = (intervals([once] * count, WIDTH, np.array([0.1])) for count in (1, 2))
+    np.testing.assert_allclose(two[:2], one[:2], rtol=1e-9)
+
+
 def test_of_one_specimen_or_one_first_shape_there_is_no_interval():
     for sample, chance in (([0, 0, 0], [0.0, 0.001]), ([0, 1, 2], [0.0])):
         low, high, _ = intervals([rings([0.1, 0.11, 0.12], sample, chance)], WIDTH, np.array([0.11]))

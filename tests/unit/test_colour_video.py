@@ -49,6 +49,7 @@ def test_a_file_holds_all_of_it(tmp_path, without):
     [
         ({"time": np.array([0, 1, 2, 3, 4, 90]) / 30}, "found a jump of"),
         ({"cloth_width": 0.0}, "expected metres above 0"),
+        ({"gravity": (0.0, 0.0, np.inf)}, "expected three finite numbers"),
         ({"world": "moon"}, "expected 'cloth' or 'camera'"),
         ({"camera": None}, "no camera is stated"),
         ({"world": "cloth", "grips": grips()}, "no camera in whose world they are"),

@@ -103,6 +103,18 @@ def test_an_import_replaces_its_own_files_only(tmp_path, small, monkeypatch):
     assert (made / "mine.nc").read_bytes() == b"mine"
 
 
+@pytest.mark.parametrize("change", [{"version": 3}, {"commit": "another"}])
+def test_recordings_of_an_older_importer_are_made_again(tmp_path, small, monkeypatch, change):
+    convert = with_small_importer(monkeypatch)
+    (tmp_path / "iri-wam-cloth-swing").mkdir()
+    about = {"data_dir": tmp_path, "out": tmp_path / "out"}
+    made = convert.converted(NAME, **about)
+    (made / "one.nc").write_bytes(b"as it was")
+    assert (convert.converted(NAME, **about) / "one.nc").read_bytes() == b"as it was"
+    monkeypatch.setattr(registry, "DATASETS", {NAME: replace(small[0], **change)})
+    assert (convert.converted(NAME, **about) / "one.nc").read_bytes() == b"recording"
+
+
 @pytest.mark.parametrize("again", [False, True])
 def test_a_folder_of_another_data_set_is_refused(tmp_path, monkeypatch, again):
     convert = with_small_importer(monkeypatch)

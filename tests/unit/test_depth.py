@@ -63,6 +63,7 @@ def frames(**changes):
         ({"depth_step": 1.0}, "found a middle of all depths of 1000 m"),
         ({"depth_step": 0.0}, "'depth_step': found 0.0, expected metres above 0"),
         ({"cloth_width": -1.0}, "'cloth_width': found -1.0"),
+        ({"gravity": (0.0, 0.0, np.nan)}, "'gravity': found (0.0, 0.0, nan), expected three finite numbers"),
         ({"split": "test"}, "'split': found 'test'"),
         ({"name": ""}, "'name': found nothing"),
         ({"colour": Colour(TIME[:5], np.zeros((6, 40, 48, 3), np.uint8))}, "'colour_time': found 5 stamps, expected 6"),
@@ -159,6 +160,20 @@ def test_clouds_become_depth(tmp_path, form):
     assert np.abs(made.metres(0)[row, column] - 1.0 - 0.1 * across).max() < 2e-3
 
 
+@pytest.mark.parametrize("rows", ["0 0 1\n" * 3, "0 0 1\n" * 3 + "0 0", "0 0 1\n" * 3 + "3 0 1 2\n"])
+def test_a_cloud_cut_short_is_refused(tmp_path, rows):
+    """Of four vertices and a face: rows are missing, and what stands in the fourth place is no vertex."""
+    from clothbench.datasets.depth_folder import read_cloud
+
+    head = "element vertex 4\n" + "".join(f"property float {c}\n" for c in "xyz") + "element face 1\n"
+    head += "property list uchar int vertex_indices\nend_header\n"
+    (tmp_path / "a.ply").write_text("ply\nformat ascii 1.0\n" + head + "0 0 1\n" * 4 + "3 0 1 2\n")
+    assert read_cloud(tmp_path / "a.ply").shape == (4, 3)
+    (tmp_path / "b.ply").write_text("ply\nformat ascii 1.0\n" + head + rows)
+    with pytest.raises(ClothbenchError, match=r"b.ply: found \d rows, expected 5, the first 4 with 3 numbers each"):
+        read_cloud(tmp_path / "b.ply")
+
+
 @pytest.mark.parametrize(
     ("change", "found"),
     [
@@ -174,6 +189,14 @@ def test_clouds_become_depth(tmp_path, form):
         ({"colour_time": [0.0, 0.05]}, "'colour_time': found 2 stamps, expected 6, one for each picture"),
         ({"depth_step": 1.0}, "is depth_step, 1 m, that of the sensor?"),
         ({"grips": {"time": [0, 1]}}, "'grips': found KeyError 'material'"),
+        (
+            {"grips": {"time": [0, 1], "material": 5, "position": [[[0, 0, 1]]] * 2}},
+            "'grip_material': found shape (), expected (grip, uv)",
+        ),
+        (
+            {"grips": {"time": [[0, 1], [2, 3]], "material": [[0, 0]], "position": [[[0, 0, 1]]] * 2}},
+            "'grip_time': found shape (2, 2), expected (grip_time)",
+        ),
     ],
 )
 def test_a_bad_folder_is_refused_in_one_line(clothbench, tmp_path, change, found):

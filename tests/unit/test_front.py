@@ -10,6 +10,7 @@ from clothbench import ClothbenchError, Evaluation, Score
 from clothbench.estimation.front import chosen, on_front
 from clothbench.studies.calibration import run
 from clothbench.studies.calibration.plan import choice_of
+from clothbench.studies.calibration.tables import fit_and_least
 from clothbench.testing.toys import bowl, partly_lost
 
 
@@ -33,6 +34,18 @@ def test_nearest_and_knee_are_different_choices():
     assert chosen(bend, value, "knee") == 1
     assert chosen(bend[:, :1], bend[:, 0], "knee") == 0
     assert chosen(np.full((3, 2), np.nan), np.array([np.nan, 3.0, 2.0]), "knee") == 2
+
+
+def test_the_nearest_of_several_recordings_is_on_the_front():
+    """Two recordings, two evaluations: the first has the less mean of roots of squares, the second both objectives."""
+    each = np.array([[[1.0, 1.0], [0.0, 1.9]], [[1.0, 1.0], [1.9, 0.0]]])
+    value, objectives = np.sqrt((each**2).mean(axis=2)).mean(axis=0), each.mean(axis=0)
+    assert (value.argmin(), chosen(objectives, value, "nearest")) == (0, 1)
+
+
+def test_a_front_without_its_fit_is_shown_without_it():
+    rows = [{"objective": "dc", "evaluation": 1, "chosen": False, "distance": 1.0}]
+    assert fit_and_least(rows) == []
 
 
 def test_an_unknown_choice_is_refused():

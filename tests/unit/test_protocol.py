@@ -92,6 +92,29 @@ def test_bounds_may_be_of_parameters_that_only_some_cells_search(tmp_path):
         plan(config(tmp_path, suite=suite, bounds={"zta": [0.1, 0.5]}), catalogue())
 
 
+@pytest.mark.parametrize(
+    ("recordings", "wrong", "found"),
+    [
+        ("drape", {"bounds": {"H1_typo": [0, 1]}}, "no parameter 'H1_typo'; there are: D1"),
+        ("drape", {"suite": {"fixed": {"*": {"H1_typo": 1.0}}}}, "'suite.fixed': no parameter 'H1_typo'"),
+        ("drape", {"options": {"mass_spring_verlet": {"no_such": 3}}}, "unexpected keyword argument 'no_such'"),
+        (
+            "drape",
+            {"scene": {"spacing": 0.02}, "finer": {"spacing": 0.01, "share": 0.5}, "budget": 1},
+            "expected at least 2 evaluations",
+        ),
+        ("shake", {"bounds": {"H1_typo": [0, 1]}}, "no parameter 'H1_typo'; there are: D1"),
+    ],
+)
+def test_settings_are_held_against_a_model_before_images_are_tracked(recordings, wrong, found):
+    """Of drapes the scene is known; of depth frames, in which the cloth has to be found first, the parameters are."""
+    told = {"drape": {"tracker": "drape", "metric": "drape"}, "shake": {"tracker": "depth_mesh"}}[recordings]
+    given = {"model": "mass_spring_verlet", **told, **wrong, "recordings": f"builtin:{recordings}"}
+    suite = {"case": "fabric", "each": [], "select": ["ribbed*", "damped*"], **wrong.get("suite", {})}
+    with pytest.raises(ClothbenchError, match=found):
+        plan(config("", **{**given, "suite": suite}), catalogue())
+
+
 def test_an_option_reaches_the_tracker_and_makes_another_cell(tmp_path):
     suite = {"each": ["silk/sway-1"]}
     usual = plan(config(stand_ins(tmp_path), suite=suite), catalogue())[0]

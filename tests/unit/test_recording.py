@@ -236,6 +236,18 @@ def test_obstacles_of_unequal_shapes_are_refused(tmp_path, name, shape, says):
         read_recording(path)
 
 
+@pytest.mark.parametrize(
+    ("height", "says"), [(np.nan, "three finite numbers"), (1e300, "'obstacle_centre': found 1e.300")]
+)
+def test_an_obstacle_that_is_nowhere_is_refused(tmp_path, height, says):
+    """A plane at NaN is never touched: the cloth would fall through it."""
+    path = write_recording(dataclasses.replace(swinging_recording(), **SUPPORTS), tmp_path / "r.nc")
+    with h5py.File(path, "a") as file:
+        file["obstacle_centre"][0, 2] = height
+    with pytest.raises(ClothbenchError, match=says):
+        read_recording(path)
+
+
 def test_no_obstacles_are_as_if_nothing_was_stated(tmp_path):
     none = dataclasses.replace(swinging_recording(), obstacles=())
     again = read_recording(write_recording(none, tmp_path / "r.nc"))

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -13,7 +14,7 @@ from clothbench import ClothbenchError, Outlines, Rollout, Silhouettes, outline_
 from clothbench import write_silhouettes as write
 from clothbench.core.drape import RINGS, SPOKES, drape_coefficient, drape_points
 from clothbench.core.optional import textile_of
-from clothbench.datasets.cusick_drape_bdp import convert
+from clothbench.datasets.cusick_drape_bdp import SHOT, Shot, convert, side_of
 from clothbench.engine.settings import scene_settings
 from clothbench.estimation.placements import joined
 from clothbench.recordings.kinds import read_sheet
@@ -293,6 +294,20 @@ def test_a_bright_cloth_and_one_cut_off_are_refused():
         captures_of([petals(6)], image=np.roll(image, 50, axis=2))
 
 
+def test_two_shadows_are_refused():
+    """Each of them smaller than the plate, both together larger; and one cloth with half of another beside it."""
+    y, x = np.mgrid[:256, :256]
+
+    def shadows(*discs):
+        dark = np.any([np.hypot(x - at, y - 128) < radius / PIXEL for at, radius in discs], axis=0)
+        return np.where(dark, 0, 255).astype(np.uint8)[None]
+
+    with pytest.raises(ClothbenchError, match=r"found a shadow of 17\d cm² in capture 0"):
+        captures_of([petals(6)], image=shadows((68, 0.075), (188, 0.075)))
+    with pytest.raises(ClothbenchError, match=r"found several shadows in capture 0, 8\d% of all"):
+        captures_of([petals(6)], image=shadows((90, 0.1), (215, 0.045)))
+
+
 # --- scenes -----------------------------------------------------------------------------------------------------------
 
 
@@ -327,6 +342,11 @@ def test_settings_of_the_other_kind_are_refused():
         ({"obstacles": {"shape": "plane"}}, "expected a list"),
         ({"obstacles": [{"radius": 1}]}, "states no shape"),
         ({"obstacles": [{"shape": "cone"}]}, "shape is 'cone'"),
+        ({"obstacles": [{"shape": "plane", "centre": [0, 0]}]}, r"centre is \(0, 0\), expected three finite numbers"),
+        ({"obstacles": [{"shape": "plane", "centre": ["a", 0, 0]}]}, "centre is .* expected three finite numbers"),
+        ({"obstacles": [{"shape": "plane", "centre": [0, 0, float("nan")]}]}, "centre is .*nan.*three finite numbers"),
+        ({"obstacles": [{"shape": "plane", "normal": [0, 1]}]}, "normal is .* expected three finite numbers"),
+        ({"obstacles": [{"shape": "disc", "radius": 0.1, "clamps": "no"}]}, "clamps is 'no', expected true or false"),
         ({"obstacles": [{"shape": "plane", "height": 1}]}, "'height' is not known"),
         ({"thickness": -1}, "setting 'scene.thickness' is -1, expected a number, at least 0$"),
         ({"starts": 0}, "scene.starts"),
@@ -370,6 +390,16 @@ def cusick(data_dir, tmp_path_factory):
     return out
 
 
+@pytest.mark.parametrize(
+    ("name", "fabric", "side"),
+    [("sample_7_upward_drape_1_Obs_5", "cotton_white", 1), ("Wool_Red_Sample_1_Downward_Drape_1", "wool_red", 2),
+     ("Fabric_2_Sample_1_Capture_3", "cotton_blue", 2), ("Fabric_9_Sample_1_Capture_1", "fabric_09", 0)],
+)  # fmt: skip
+def test_a_side_is_what_the_name_says_or_the_place_among_named_captures(name, fabric, side):
+    number = int(SHOT.search(name)["number"])
+    assert side_of(Shot(Path(f"{name}.jpg"), fabric, 1, number, "")) == side
+
+
 def test_every_picture_is_imported_once(cusick):
     report = json.loads((cusick / "import-report.json").read_text())
     assert sum(r["frames_kept"] for r in report["recordings"]) == 669
@@ -379,6 +409,7 @@ def test_every_picture_is_imported_once(cusick):
     assert (len(fit.image), len(held.image)) == (32, 16)
     assert not set(fit.sample) & set(held.sample)
     assert fit.areal_density == 0.274
+    assert set(read_silhouettes(cusick / "cotton_white" / "fit.nc").side) == {1}
 
 
 @pytest.mark.parametrize(

@@ -23,6 +23,7 @@ from clothbench.estimation.placements import joined
 from clothbench.estimation.prior import begun
 from clothbench.estimation.trials import Trial
 from clothbench.estimation.watched import require_comparable, require_readable, watched
+from clothbench.modelling.joined import JoinedParameters
 from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
@@ -229,23 +230,23 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
         mine = [recordings[s.path] for s in cell.recordings]
         for recording, name in itertools.product(mine, (cell.metric, *cell.report)):
             require_comparable(recording, name, plugins)
-        if not all(isinstance(r, Recording) for r in mine):  # images are tracked when the cell is run
-            for images in (r for r in mine if not isinstance(r, Recording)):
-                require_readable(images, cell.tracker, plugins)
-                if isinstance(images, Silhouettes):
-                    scenes_of(images, **cell.scene)
-            plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
-            return None
-        scenes = [scene for recording in mine for scene in scenes_of(recording, **cell.scene)]
+        for images in (r for r in mine if not isinstance(r, Recording)):
+            require_readable(images, cell.tracker, plugins)
+        simulated = [r for r in mine if isinstance(r, Recording | Silhouettes)]  # other images have to be tracked first
+        scenes = [scene for recording in simulated for scene in scenes_of(recording, **cell.scene)]
         if any(plugins.find(kind, name).distribution != OWN for kind, name in uses(cell)):
             return None
-        plugins.make("trackers", cell.tracker, **cell.option(cell.tracker)).track(mine[0])
+        tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
+        if isinstance(mine[0], Recording):  # images are tracked when the cell is run
+            tracker.track(mine[0])
         for name in (cell.metric, *cell.report):
             plugins.make("metrics", name, **cell.option(name))
         effects = [plugins.make("effects", name) for name in cell.effects]
         model = plugins.make("models", cell.model, **cell.option(cell.model))
         try:
-            simulation = model.prepare(scenes[0], effects)
+            simulation: Any = (
+                model.prepare(scenes[0], effects) if scenes else JoinedParameters(model.parameters, tuple(effects))
+            )
             everything = set(simulation.parameters.names)
         except Exception:  # a model may refuse a scene; in a product of several that is its own cell's affair
             return None

@@ -14,7 +14,7 @@ from typing import Any
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.optional import takes_option, textile_of
 from clothbench.core.progress import FileProgress
-from clothbench.engine.cells import Source, matching, plugin_versions, resplit
+from clothbench.engine.cells import Source, matching, plugin_versions, require_own_names, resplit
 from clothbench.engine.settings import require_plugins
 from clothbench.engine.suite import where
 from clothbench.estimation.front import CHOICES
@@ -37,7 +37,7 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     recordings = read_all(where({**settings, "suite": suite}, progress))
     refuse_stated_weight(recordings, settings["scene"].get("areal_density"))
     by, each, joint = suite.get("case") or "fabric", suite["each"], suite["together"]
-    cases = group(recordings, by, suite["select"], settings["seed"], fitted=not each and not joint)
+    cases = group(recordings, by, suite["select"], fitted=not each and not joint)
     if each:
         cases = one_by_one(cases, each)
     elif joint:
@@ -248,22 +248,21 @@ def _case_of(r: Recording, by: str) -> str:
 
 
 def group(
-    recordings: Sequence[Recording], by: str, patterns: Sequence[str], seed: int, fitted: bool = True
+    recordings: Sequence[Recording], by: str, patterns: Sequence[str], fitted: bool = True
 ) -> dict[str, list[Source]]:
-    """Recordings by case, each with a fit split if `fitted`; a recording's name must match one of `patterns`."""
+    """Recordings by case, each with a fit split if `fitted`; a recording's name must match one of `patterns`.
+
+    Where no split is stated it is the same for every seed: searches with several are repetitions on one question.
+    """
     chosen = matching(recordings, patterns)
     cases: dict[str, list[Source]] = {}
     for r in chosen:
         cases.setdefault(_case_of(r, by), []).append(Source(r.path, r.name, r.hash, r.split))
-    out = {case: resplit(sources, seed) for case, sources in sorted(cases.items())}
+    out = {case: resplit(sources, seed=0) for case, sources in sorted(cases.items())}
     for case, sources in out.items():
         if fitted and not any(s.split == "fit" for s in sources):
             raise ClothbenchError(
                 f"case {case!r}: found only held-out recordings, expected at least one to fit; see suite.select"
             )
-        names = [s.name for s in sources]
-        if twice := sorted({n for n in names if names.count(n) > 1}):
-            raise ClothbenchError(
-                f"case {case!r}: two recordings are named {twice[0]!r}; names must differ within a case"
-            )
+    require_own_names([s for sources in out.values() for s in sources])
     return out

@@ -165,8 +165,11 @@ def by_objective(front: Rows) -> dict[str, Rows]:
 
 
 def fit_and_least(front: Rows) -> list[tuple[str, dict[str, Any], dict[str, Any]]]:
-    """Of one cell's front: each objective, its row of the fit, and the row with the least of it."""
+    """Of one cell's front: each objective, its row of the fit, and the row with the least of it. Nothing of a front
+    that the fit is not on, as in results from before it was chosen from there.
+    """
     return [
         (objective, next(f for f in some if f["chosen"]), min(some, key=lambda f: f["distance"]))
         for objective, some in by_objective(front).items()
+        if any(f["chosen"] for f in some)
     ]

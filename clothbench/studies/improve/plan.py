@@ -11,7 +11,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.optional import absent, kind_of_model, textile_of
 from clothbench.core.progress import FileProgress
 from clothbench.core.scene import AIR_DENSITY
-from clothbench.engine.cells import Source, matching, plugin_versions, resplit
+from clothbench.engine.cells import Source, matching, plugin_versions, require_own_names, resplit
 from clothbench.engine.run import TRACKED
 from clothbench.engine.settings import one_word, refuse, require_plugins, whole, words
 from clothbench.engine.suite import where
@@ -208,14 +208,8 @@ def read_kind(path: Path, kind: str) -> Any:
 
 def sources_of(recordings: Sequence[Any], seed: int) -> list[Source]:
     """The recordings with the splits that they state; a name stands for one recording, and at least one is to fit."""
-    files: dict[str, Any] = {}
-    for r in recordings:
-        if r.name in files:
-            raise ClothbenchError(
-                f"{r.path}: found the name {r.name!r}, which {files[r.name]} has too; give each a name of its own"
-            )
-        files[r.name] = r.path
     sources = [Source(str(r.path), r.name, r.hash, r.split) for r in recordings]
+    require_own_names(sources)
     if not any(s.split == "fit" for s in resplit(sources, seed)):
         raise ClothbenchError(f"{sources[0].path}: found only held-out recordings, expected at least one to fit")
     return sources
