@@ -86,9 +86,7 @@ def matching(recordings: Sequence[Any], patterns: Sequence[str]) -> list[Any]:
 
 
 def require_own_names(sources: Iterable[Source]) -> None:
-    """Rows know a recording by its name alone, in whatever case: of two with one name a mean over cases would count
-    one, and `suite.each` fit one.
-    """
+    """Rows know a recording by its name alone: two of one name would be taken for one."""
     files: dict[str, str] = {}
     for s in sources:
         if s.name in files:

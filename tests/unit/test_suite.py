@@ -8,7 +8,9 @@ import yaml
 from conftest import swinging_recording
 
 from clothbench import ClothbenchError, write_recording
+from clothbench.engine.run import run_cell
 from clothbench.engine.settings import OF_SEARCHES
+from clothbench.engine.store import Store
 from clothbench.engine.suite import plan, suites_folder
 from clothbench.plugins.discovery import catalogue
 
@@ -70,12 +72,22 @@ def test_cases_and_selection(tmp_path):
     assert [c.case for c in cells(tmp_path, suite={"name": "s", "select": "silk*"})] == ["silk"]
 
 
-@pytest.mark.parametrize("suite", [{}, {"case": "all"}, {"each": ["swing"]}])
-def test_two_recordings_of_one_name_are_refused_whatever_their_cases(tmp_path, suite):
+def test_recordings_of_one_name_are_told_apart_by_their_cases(tmp_path):
     for fabric in ("silk", "wool"):
-        write_recording(swinging_recording("swing", fabric=fabric), tmp_path / f"{fabric}.nc")
-    with pytest.raises(ClothbenchError, match=r"wool\.nc: found the name 'swing', which .*silk\.nc has too"):
-        cells(tmp_path, suite={"name": "s", **suite})
+        for name in ("swing", "sway"):
+            recording = swinging_recording(name, fabric=fabric, split="fit" if name == "swing" else "held_out")
+            write_recording(recording, tmp_path / f"{fabric}-{name}.nc")
+    for suite in ({}, {"each": ["swing"]}, {"together": ["swing"]}):
+        planned = cells(tmp_path, suite={"name": "s", **suite})
+        assert [cell.case for cell in planned] == [f"{f}/swing" if "each" in suite else f for f in ("silk", "wool")]
+        for fabric, cell in zip(("silk", "wool"), planned, strict=True):
+            assert [s.name for s in cell.recordings if s.split == "fit"] == [f"{fabric}/swing"]
+    run_cell(planned[0], tmp_path / "runs")
+    store = Store(tmp_path / "runs")
+    assert {row["recording"] for row in store.rows()} == {None, "silk/swing", "silk/sway"}
+    assert {row["recording"] for row in store.table("trace")} == {"silk/swing", "silk/sway"}
+    with pytest.raises(ClothbenchError, match=r"wool-sway\.nc: found the name 'sway', which .*silk-sway\.nc has too"):
+        cells(tmp_path, suite={"name": "s", "case": "all"})
 
 
 @pytest.mark.parametrize(

@@ -291,6 +291,7 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
     effects: list[Effect] = [plugins.make("effects", name) for name in cell.effects]
     metric = plugins.make("metrics", cell.metric, **cell.option(cell.metric))
     tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
+    names = {source.hash: source.name for source in cell.recordings}
 
     def make(recording: Recording | Silhouettes, areal_density: float | None = None) -> Trial:
         if recording.hash not in seen:  # of another case, which the fit is held against
@@ -301,7 +302,7 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
         if reason := next(filter(None, (why_skipped(model, scene) for scene in scenes)), None):
             raise Skipped(reason)
         simulation = joined([holding(model.prepare(scene, effects), cell.fixed) for scene in scenes])
-        return Trial(recording.name, seen[recording.hash], simulation, metric)
+        return Trial(names.get(recording.hash, recording.name), seen[recording.hash], simulation, metric)
 
     def looked_at(raw: Any) -> Recording | Silhouettes:
         if isinstance(raw, Silhouettes):

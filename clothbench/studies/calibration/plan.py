@@ -7,6 +7,7 @@ import dataclasses
 import difflib
 import fnmatch
 import itertools
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -196,6 +197,11 @@ def _matches(case: str, patterns: Sequence[str]) -> bool:
     return any(fnmatch.fnmatch(case, p) for p in patterns)
 
 
+def _named(source: Source, case: str, patterns: Sequence[str]) -> bool:
+    """Whether a recording is meant, by its name with or without that of its case."""
+    return _matches(source.name, patterns) or _matches(source.name.removeprefix(f"{case}/"), patterns)
+
+
 def _told(options: Mapping[str, Any]) -> dict[str, Any]:
     return {key: value for key, value in options.items() if key != "cases"}
 
@@ -205,8 +211,8 @@ def one_by_one(cases: Mapping[str, Sequence[Source]], patterns: Sequence[str]) -
     case are held out, whatever split the files state.
     """
     out = {}
-    for sources in cases.values():
-        for fitted in (s for s in sources if _matches(s.name, patterns)):
+    for case, sources in cases.items():
+        for fitted in (s for s in sources if _named(s, case, patterns)):
             split = [dataclasses.replace(s, split="fit" if s is fitted else "held_out") for s in sources]
             out[fitted.name] = sorted(split, key=lambda s: s.split)
     if not out:
@@ -217,9 +223,9 @@ def one_by_one(cases: Mapping[str, Sequence[Source]], patterns: Sequence[str]) -
 def together(cases: Mapping[str, Sequence[Source]], patterns: Sequence[str]) -> dict[str, list[Source]]:
     """All recordings of a case whose names match are fitted at once, its others held out, whatever the files state."""
     out = {
-        case: [dataclasses.replace(s, split="fit" if _matches(s.name, patterns) else "held_out") for s in sources]
+        case: [dataclasses.replace(s, split="fit" if _named(s, case, patterns) else "held_out") for s in sources]
         for case, sources in cases.items()
-        if any(_matches(s.name, patterns) for s in sources)
+        if any(_named(s, case, patterns) for s in sources)
     }
     if not out:
         raise ClothbenchError(f"setting 'suite.together' {list(patterns)} matches none of the recordings")
@@ -252,12 +258,16 @@ def group(
 ) -> dict[str, list[Source]]:
     """Recordings by case, each with a fit split if `fitted`; a recording's name must match one of `patterns`.
 
-    Where no split is stated it is the same for every seed: searches with several are repetitions on one question.
+    Where no split is stated it is the same for every seed: searches with several are repetitions on one question. A
+    name that recordings of several cases have becomes CASE/NAME: rows know a recording by its name alone.
     """
     chosen = matching(recordings, patterns)
+    of_name = Counter(r.name for r in chosen)
     cases: dict[str, list[Source]] = {}
     for r in chosen:
-        cases.setdefault(_case_of(r, by), []).append(Source(r.path, r.name, r.hash, r.split))
+        case = _case_of(r, by)
+        name = f"{case}/{r.name}" if of_name[r.name] > 1 and by not in ("all", "recording") else r.name
+        cases.setdefault(case, []).append(Source(r.path, name, r.hash, r.split))
     out = {case: resplit(sources, seed=0) for case, sources in sorted(cases.items())}
     for case, sources in out.items():
         if fitted and not any(s.split == "fit" for s in sources):
