@@ -164,10 +164,14 @@ def whole(name: str, value: Any, least: int) -> int:
     return value
 
 
+def is_number(value: Any) -> bool:
+    """Whether it is a finite number; a whole one may have more digits than any float, and is none then."""
+    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
+
+
 def number(name: str, value: Any, above: float = -math.inf, least: float = -math.inf) -> float:
-    """A finite number; a whole one may have more digits than any float, and is none then."""
-    good = isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
-    if not good or not value > above or not value >= least:
+    """A finite number."""
+    if not is_number(value) or not value > above or not value >= least:
         limit = f", at least {least:g}" if least > -math.inf else f" above {above:g}" if above > -math.inf else ""
         raise ClothbenchError(f"setting '{name}' is {value!r}, expected a number{limit}")
     return float(value)

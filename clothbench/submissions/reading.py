@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError, seen
 from clothbench.core.files import read_json
-from clothbench.engine.settings import LARGEST
+from clothbench.engine.settings import LARGEST, is_number
 from clothbench.studies.calibration.cell import CalibrationCell, asked_again
 from clothbench.submissions.submission import FILE, SCHEMA, Asked, Entry, Submission, Wheel
 
@@ -85,17 +84,12 @@ def _entry(path: Path, number: int, stated: Any) -> Entry:
             raise ClothbenchError(f"{where}.{key} is {value!r}, expected text")
     require_inside(where, "file", texts["file"])
     scores = stated.get("scores")
-    if not isinstance(scores, dict) or not scores or not all(_is_number(value) for value in scores.values()):
+    if not isinstance(scores, dict) or not scores or not all(is_number(value) for value in scores.values()):
         raise ClothbenchError(f"{where}.scores is {scores!r}, expected numbers by metric")
     cell = stated.get("cell", "")
     if not isinstance(cell, str):
         raise ClothbenchError(f"{where}.cell is {cell!r}, expected the key of one of the cells, or none")
     return Entry(cell=cell, scores={str(metric): float(value) for metric, value in scores.items()}, **texts)
-
-
-def _is_number(value: Any) -> bool:
-    """Whether it is a finite number; a whole one may have more digits than any float, and is none then."""
-    return isinstance(value, int | float) and not isinstance(value, bool) and abs(value) <= sys.float_info.max
 
 
 def questions_of(folder: Path, submission: Submission) -> tuple[dict[str, CalibrationCell], list[str]]:
@@ -128,13 +122,13 @@ def _require_plain(cell: CalibrationCell) -> None:
     for name, least in WHOLE.items():
         value = getattr(cell, name)
         require(name, value, type(value) is int and least <= value <= LARGEST, f"a whole number from {least} on")
-    require("timeout", cell.timeout, cell.timeout is None or _is_number(cell.timeout), "seconds or null")
+    require("timeout", cell.timeout, cell.timeout is None or is_number(cell.timeout), "seconds or null")
     for name in MAPPINGS:
         require(name, getattr(cell, name), isinstance(getattr(cell, name), Mapping), "a mapping")
     for name in ("fixed", "start", "finer"):
-        require(name, getattr(cell, name), all(map(_is_number, getattr(cell, name).values())), "numbers by name")
+        require(name, getattr(cell, name), all(map(is_number, getattr(cell, name).values())), "numbers by name")
     pairs = [end for pair in cell.bounds.values() for end in pair]
-    require("bounds", cell.bounds, all(map(_is_number, pairs)), "pairs of numbers by name")
+    require("bounds", cell.bounds, all(map(is_number, pairs)), "pairs of numbers by name")
     require("versions", cell.versions, all(map(_is_text, cell.versions.values())), "texts by name")
     for name in ("options", "analysis", "published"):
         inner = getattr(cell, name).values()
