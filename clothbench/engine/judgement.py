@@ -41,20 +41,24 @@ def named(rows: Sequence[AnyRow], elsewhere: Counter[tuple[Any, ...]]) -> dict[t
 def spread(rows: Mapping[Key, Row], known: Iterable[tuple[Key, Row]]) -> dict[Key, Row]:
     """Rows by what they are about, where a cell that failed as a whole has a row at each of the `known` rows of it.
 
-    Such a cell has one row for all, without recording and split: by its identity alone it would be of another question
-    than every number that the cell has elsewhere. Where none is known the one row stays.
+    Such a cell has one row for all, without recording and split, and with the one metric that it was to be fitted to:
+    by its identity alone it would be of another question than every number that the cell has elsewhere. Those of its
+    key are meant, whatever their metric; where the key is another (another version, say), those of its metric. Where
+    none is known the one row stays.
     """
-    of_cell: dict[Key, list[Key]] = {}
+    of_cell: dict[Any, list[Key]] = {}
     for key, row in known:
         if not failed_whole(row):
-            of_cell.setdefault(_cell(key), []).append(key)
+            for cell in (row.get("key"), _cell(key)):
+                of_cell.setdefault(cell, []).append(key)
     out: dict[Key, Row] = {}
     failures = {key: row for key, row in rows.items() if failed_whole(row)}
     out.update((key, row) for key, row in rows.items() if key not in failures)
     for key, row in failures.items():
-        for place in of_cell.get(_cell(key), [key]):
+        of_key = of_cell.get(row["key"]) if row.get("key") else None
+        for place in of_key or of_cell.get(_cell(key), [key]):
             about = dict(zip(IDENTITY, place, strict=True))
-            out.setdefault(place, {**row, "recording": about["recording"], "split": about["split"]})
+            out.setdefault(place, {**row, **{name: about[name] for name in ("recording", "split", "metric")}})
     return out
 
 

@@ -69,6 +69,18 @@ def test_a_cell_that_failed_as_a_whole_lost_each_of_its_rows():
     assert compare_rows([failed], [failed])["passed"]
 
 
+def test_a_failed_cell_lost_its_rows_of_other_metrics_too():
+    failed, well = failed_and_well()
+    others = [{**one, "metric": "folds", "unit": ""} for one in well]
+    verdict = compare_rows([*well, *others], [failed])
+    assert len(verdict["worse"]) == len(well) + len(others)
+    assert not verdict["missing"]
+    # Computed by another version it has another key: then only what was asked for is known to be the same.
+    verdict = compare_rows([*well, *others], [{**failed, "key": "another"}])
+    assert len(verdict["worse"]) == len(well)
+    assert len(verdict["missing"]) == len(others)
+
+
 def test_nothing_to_compare_is_no_pass():
     assert not compare_rows([], [row(1.0)])["passed"]
 
