@@ -78,8 +78,9 @@ def _allowed(path: Any, inside: Path) -> bool:
     if isinstance(path, int):
         return True
     place = os.path.realpath(os.fsdecode(path))
+    kernels = os.path.realpath(os.environ.get("NUMBA_CACHE_DIR") or inside)  # else they lie in __pycache__
     return (
-        place.startswith((f"{inside}{os.sep}", "/dev/null", "/dev/tty"))
+        place.startswith((f"{inside}{os.sep}", f"{kernels}{os.sep}", "/dev/null", "/dev/tty"))
         or place == str(inside)
         or "__pycache__" in place
     )
