@@ -13,6 +13,7 @@ from clothbench import Parameter, ParameterSpace
 from clothbench.core.optional import varying_of
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.improve import by_recording, loop
+from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.selection import Candidate
 from clothbench.studies.improve.settings import LOOP
@@ -192,7 +193,7 @@ def test_amounts_that_do_not_hold_on_what_was_held_out_are_asked_by_recording(mo
     state = dataclasses.replace(earlier, final=named.fitted, rounds=(found,), earlier=earlier)
     seen = []
     monkeypatch.setattr(loop, "held_out_errors", lambda problem, fitted: held_out)
-    monkeypatch.setattr(loop, "with_own_amounts", lambda *given: seen.append(given))
+    monkeypatch.setattr(loop, "with_own_amounts", lambda *given: (seen.append(given), before))
     loop.where_amounts_differ(state, [2.0, 2.0], None)
     loop.where_amounts_differ(earlier, [2.0, 2.0], None)
     own = Round(named.fitted, 1.0, (other,), (), ("b",), other.fitted, own={"b": {"recording": other.fitted}})
@@ -205,6 +206,35 @@ def test_amounts_that_do_not_hold_on_what_was_held_out_are_asked_by_recording(mo
         assert [bool(c.why_not) for c in refuted.candidates] == [True, False]
         assert not refuted.named
         assert refuted.after is None
+
+
+@pytest.mark.parametrize("left", [5.0, 1.05])
+def test_what_the_shared_gain_in_another_valley_is_not_what_the_amounts_explain(monkeypatch, left):
+    """left: rms that the fit without the effect leaves when it goes on from where that with it has led."""
+    before = fitted_to([np.full(FRAMES, 5.0)] * 3, np.random.default_rng(0))
+    with_it = candidate("a", 1.0).fitted
+    without = before if left == 5.0 else candidate("b", left).fitted
+    amounts = {f"rec-{k}": dataclasses.replace(with_it, space=ParameterSpace((DELAY,))) for k in range(3)}
+    problem = SimpleNamespace(
+        evidence=SimpleNamespace(objection=lambda before, after: ""), space_of=lambda name: [DELAY]
+    )
+    for name, value in {
+        "screen": lambda *_: [Candidate("a", 0.99, 0.005)], "own_names": lambda *_: ("a.delay",),
+        "fitted_by_recording": lambda *_: (with_it, amounts, 7), "refit_null": lambda *_: without,
+        "beyond_bounds": lambda own: "", "with_own": lambda problem, own: problem,
+        "with_errors_of_mesh_and_model": lambda problem, fit, noise: fit,
+    }.items():  # fmt: skip
+        monkeypatch.setattr(by_recording, name, value)
+    account = Account(lambda *_: None)
+    found = Round(before, 1.0, (), (), ())
+    state, better = by_recording.with_own_amounts(State(problem, before, before, 1.0, 0.5), found, ["a"], account)
+    assert better is without
+    if left == 5.0:
+        assert state.final is with_it
+        assert state.rounds[-1].named == ("a",)
+        assert state.own["a"] is amounts
+    else:
+        assert state is None
 
 
 def test_of_a_drape_there_are_fewer_quantities_than_parts():

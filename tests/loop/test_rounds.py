@@ -11,6 +11,7 @@ import pytest
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.improve.account import Account
+from clothbench.studies.improve.attribution import Probe
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import multistart
 from clothbench.studies.improve.loop import all_rounds, confirmed
@@ -289,6 +290,20 @@ def test_nobody_is_sought_who_would_have_to_leave_less_than_the_floor(monkeypatc
     found = refine_finalists(problem, current, floor, 1e-6, tried, Account(lambda *_: None), 0)
     assert asked == sought
     assert [c.fitted for c in found] == [c.fitted for c in tried]
+
+
+def test_a_probe_of_an_earlier_round_may_be_set_out_from():
+    """It knows nothing of the effect named since, whose parameters follow those that it knows."""
+    one, random = fitted(4e-3), np.random.default_rng(0)
+    space = ParameterSpace((*one.space, Parameter("wind.x", "w", "m/s", (-2.0, 2.0), "linear", 0.5, "wind", "a test")))
+    jacobian = [np.hstack([j, random.normal(size=(len(j), 1))]) for j in one.jacobian]
+    now = dataclasses.replace(one, space=space, theta=np.append(one.theta, 1.0), jacobian=jacobian, effects=("wind",))
+    columns = [random.normal(size=(len(j), 1)) for j in one.jacobian]
+    probe = Probe("a", np.zeros(1), (0,), np.array([0.1]), np.full((1, len(one.theta)), 0.02), columns)
+    starts = fit_starts("a", now, [probe])
+    assert starts.shape == (3, len(now.theta) + 1)
+    assert starts[2, -2] == pytest.approx(1.0)  # as tried: what it did not know stays where it is
+    assert starts[2, 0] != one.theta[0]
 
 
 def test_a_candidate_is_fitted_from_whichever_of_its_probes_leaves_least(monkeypatch):

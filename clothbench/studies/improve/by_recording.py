@@ -25,6 +25,7 @@ from clothbench.studies.improve.fitting import fit
 from clothbench.studies.improve.permutation import span_of
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.refinement import discretisation_error, with_errors_of_mesh_and_model
+from clothbench.studies.improve.refits import refit_null
 from clothbench.studies.improve.selection import Candidate, allowances, at_bound, least_fall
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round, State
@@ -32,15 +33,17 @@ from clothbench.studies.improve.state import Round, State
 Own = Mapping[str, Fitted]  # by recording: the parameters that are its own, fitted to it alone
 
 
-def with_own_amounts(state: State, found: Round, candidates: Sequence[str], account: Account) -> State | None:
+def with_own_amounts(
+    state: State, found: Round, candidates: Sequence[str], account: Account
+) -> tuple[State | None, Fitted]:
     """The state with an effect whose amounts are each recording's own, if one explains what no amount that holds for
-    all recordings does; None if none does.
+    all recordings does; None if none does. And the fit without it: in another valley, if the way led through a better.
 
     found: the round in which amounts that hold for all were tried, from where the state is now.
     """
     problem, current = state.problem, found.before
     if len(current.residual) < LOOP.least_recordings or state.own:
-        return None
+        return None, current
     account.stage("amounts by recording", 0, 1)
     fall = least_fall(current, state.floor, state.noise)
     screened = screen(problem, current, [name for name in candidates if name not in current.effects])
@@ -53,25 +56,27 @@ def with_own_amounts(state: State, found: Round, candidates: Sequence[str], acco
         )
     ]
     if not any(within_reach(current, c, price(problem, current, c.name), state.floor) for c in promising):
-        return None
+        return None, current
     tried: list[Candidate] = []
     own: dict[str, Own] = {}
     for k, candidate in enumerate(promising[: LOOP.fitted_by_recording]):
         account.stage("amounts by recording", k, LOOP.fitted_by_recording)
-        fitted, amounts, count = fitted_by_recording(problem, current, candidate.name)
+        name = candidate.name
+        beside = bar(found, size_by_recording(problem, current, name))
+        goal = min(current.rms**2 - fall, price(problem, current, name), beside)
+        fitted, own[name], count = fitted_by_recording(problem, current, name, goal)
         account.count(count)
-        own[candidate.name] = amounts
-        gain = current.rms**2 - fitted.rms**2
-        why = (
-            beyond_bounds(amounts)
-            or at_bound(candidate.name, fitted)
-            or problem.evidence.objection(current.residual, fitted.residual)
-            or too_little(found, fitted, gain, size_of(amounts), fall)
-        )
-        tried.append(dataclasses.replace(candidate, gain=gain, fitted=fitted, why_not=why))
-    named = chosen(current, tried, [size_of(own[c.name]) for c in tried])
+        tried.append(dataclasses.replace(candidate, fitted=fitted))
+    tried, named = judged(problem, found, current, tried, own, fall)
+    if named:
+        # What the parameters that are shared gain in another valley is not what the amounts explain.
+        better = next(c.fitted for c in tried if c.name == named[0])
+        null = refit_null(problem, current, better, fall, account)
+        if null is not current:
+            current = null
+            tried, named = judged(problem, found, current, tried, own, fall)
     if not named:
-        return None
+        return None, current
     others = [c for c in found.candidates if c.name not in own]
     after = next(c.fitted for c in tried if c.name == named[0])
     assert after is not None  # all that were tried were fitted
@@ -79,7 +84,28 @@ def with_own_amounts(state: State, found: Round, candidates: Sequence[str], acco
     last = Round(current, state.floor, (*tried, *others), found.probes, named, after, own=of_each)
     mine = with_own(problem, own[named[0]])
     after = with_errors_of_mesh_and_model(mine, after, state.noise)
-    return dataclasses.replace(state, problem=mine, final=after, rounds=(*state.rounds, last))
+    return dataclasses.replace(state, problem=mine, final=after, rounds=(*state.rounds, last)), current
+
+
+def judged(
+    problem: Problem, found: Round, current: Fitted, tried: Sequence[Candidate], own: Mapping[str, Own], fall: float
+) -> tuple[list[Candidate], tuple[str, ...]]:
+    """The candidates, as they were fitted by recording, beside the `current` fit: with what each gains and why it
+    cannot stand; and which are named.
+    """
+    out = []
+    for candidate in tried:
+        fitted, amounts = candidate.fitted, own[candidate.name]
+        assert fitted is not None
+        gain = current.rms**2 - fitted.rms**2
+        why = (
+            beyond_bounds(amounts)
+            or at_bound(candidate.name, fitted)
+            or problem.evidence.objection(current.residual, fitted.residual)
+            or too_little(found, fitted, gain, size_of(amounts), fall)
+        )
+        out.append(dataclasses.replace(candidate, gain=gain, why_not=why))
+    return out, chosen(current, out, [size_of(own[c.name]) for c in out])
 
 
 def with_what_is_known(screened: Sequence[Candidate], shared: Sequence[Candidate]) -> list[Candidate]:
@@ -219,9 +245,10 @@ def explained(
     return np.array(parts).transpose(0, 2, 1), np.array(left)
 
 
-def fitted_by_recording(problem: Problem, current: Fitted, name: str) -> tuple[Fitted, Own, int]:
+def fitted_by_recording(problem: Problem, current: Fitted, name: str, goal: float) -> tuple[Fitted, Own, int]:
     """Everything refitted with what is each recording's own: in turn that, with all that is shared held, and what is
-    shared with that held, as long as it pays; and how many parameter sets that took.
+    shared with that held, as long as it pays; and how many parameter sets that took. What is shared is given up where
+    it will not come below the goal, above which the effect cannot stand.
     """
     effects = (*current.effects, name)
     shared = dict(zip(current.space.names, current.theta, strict=True))
@@ -234,7 +261,7 @@ def fitted_by_recording(problem: Problem, current: Fitted, name: str) -> tuple[F
         count += sum(one.evaluations for one in own.values()) // len(cases)
         free = with_own(problem, own)
         start = np.array([shared[n] for n in free.space(effects).names])
-        fitted = fit(free, effects, start, LOOP.refit_rounds)
+        fitted = fit(free, effects, start, LOOP.refit_rounds, goal=goal)
         count += fitted.evaluations
         shared |= dict(zip(fitted.space.names, fitted.theta, strict=True))
         if fitted.rms**2 > (1 - LOOP.tie_margin) * before:

@@ -133,17 +133,24 @@ def next_round(state: State, candidates: Sequence[str], account: Account) -> tup
     if not found.named:
         found = witnessed_round(problem, state.law, found, state.mesh, account)
     if found.before is not current:  # the refit without the effect came to a better fit of what there was
-        before = with_errors_of_mesh_and_model(problem, found.before, state.noise)
-        found = dataclasses.replace(found, before=before)
-        state = dataclasses.replace(state, base=state.base if state.rounds else before, final=before)
+        state, found = from_better(state, found, found.before)
     if found.after is None or (not state.rounds and found.after.rms > LOOP.floor_factor * state.floor):
         # What differs from recording to recording may pass, in part, for something that they share.
-        own = with_own_amounts(state, found, rest, account)
+        own, without = with_own_amounts(state, found, rest, account)
         if own is not None:
             return own, True
+        if found.after is None and without is not found.before:
+            state, found = from_better(state, found, without)
     if found.after is None:
         return with_round(state, found), False
     return confirmed(state, found, account)
+
+
+def from_better(state: State, found: Round, better: Fitted) -> tuple[State, Round]:
+    """Both with a better fit of what there was before the round."""
+    before = with_errors_of_mesh_and_model(state.problem, better, state.noise)
+    base = state.base if state.rounds else before
+    return dataclasses.replace(state, base=base, final=before), dataclasses.replace(found, before=before)
 
 
 def with_round(state: State, found: Round) -> State:
@@ -259,7 +266,7 @@ def where_amounts_differ(state: State, before: Sequence[float], account: Account
         for c in found.candidates
     ]
     refuted = dataclasses.replace(found, candidates=tuple(candidates), named=(), after=None)
-    return with_own_amounts(state.earlier, refuted, [c.name for c in candidates], account)
+    return with_own_amounts(state.earlier, refuted, [c.name for c in candidates], account)[0]
 
 
 def notes(problem: Problem, rounds: Sequence[Round]) -> dict[str, Note]:

@@ -48,11 +48,13 @@ def first_order_starts(current: Fitted, probe: Probe) -> np.ndarray:
     count = len(probe.amounts)
     starts = []
     nothing = np.zeros(len(current.theta))
+    # A probe of an earlier round knows nothing of the effect named since, whose parameters stand behind all others.
+    shifts = np.pad(probe.shifts, [(0, 0), (0, len(nothing) - probe.shifts.shape[1])])
     tried = np.ones(count) / count
     for amount, shift in ((found[:count], found[count:]), (found[:count], nothing), (tried, nothing)):
         phi = probe.phi.copy()
         phi[list(probe.amounts)] += amount * probe.steps
-        starts.append(np.concatenate([shifted(current, amount @ probe.shifts + shift), phi]))
+        starts.append(np.concatenate([shifted(current, amount @ shifts + shift), phi]))
     return np.array(starts)
 
 
