@@ -11,6 +11,7 @@ import os
 import re
 import shutil
 import tempfile
+import warnings
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -120,11 +121,13 @@ def _array(file: BinaryIO, size: int) -> np.ndarray:
 
     version = npy.read_magic(file)
     read = npy.read_array_header_1_0 if version == (1, 0) else npy.read_array_header_2_0
-    shape, _, of = read(file)
-    if of.hasobject or math.prod(shape) * of.itemsize > size or min(shape, default=0) < 0:
-        raise ValueError(f"a claim of {' × '.join(map(str, shape))} values of {of} in {size} bytes")
-    file.seek(0)
-    return npy.read_array(file, allow_pickle=False)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # files that Python 2 wrote are as good
+        shape, _, of = read(file)
+        if of.hasobject or math.prod(shape) * of.itemsize > size or min(shape, default=0) < 0:
+            raise ValueError(f"a claim of {' × '.join(map(str, shape))} values of {of} in {size} bytes")
+        file.seek(0)
+        return npy.read_array(file, allow_pickle=False)
 
 
 @contextmanager

@@ -14,6 +14,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.outline import checked_outline
 
 AIR_DENSITY = 1.2  # kg/m³, dry air at 20 °C
+HEAVIEST = 5.0  # kg/m², of any cloth
 
 
 SHAPES = ("plane", "disc", "sphere")

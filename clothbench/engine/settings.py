@@ -9,13 +9,14 @@ import copy
 import math
 import os
 import sys
+import unicodedata
 from collections.abc import Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.scene import AIR_DENSITY, Obstacle, obstacles_of
+from clothbench.core.scene import AIR_DENSITY, HEAVIEST, Obstacle, obstacles_of
 from clothbench.engine.bucket import is_address
 from clothbench.plugins.discovery import Catalogue
 
@@ -27,7 +28,6 @@ KNOWN = {
 }  # fmt: skip
 STARTS = ("rest", "measured")
 FINER_SHARE = 0.25  # of the evaluations, which a search that ends on a finer mesh gets there
-HEAVIEST = 5.0  # kg/m², of any cloth
 SCENE_WORDS = {
     "areal_density", "air_density", "resolution", "spacing", "start", "thickness", "outline", "obstacles", "starts",
     "perturbation",
@@ -223,6 +223,8 @@ def writable(value: Any) -> Path:
         raise ClothbenchError(
             f"setting 'out' is {value!r}, expected a folder (`run` and `improve` alone take a bucket)"
         )
+    if any(unicodedata.category(letter) == "Cc" for letter in value):
+        raise ClothbenchError(f"setting 'out' is {value!r}, expected a folder whose name a terminal can show")
     folder = Path(value)
     above = next(p for p in (folder.absolute(), *folder.absolute().parents) if os.path.exists(p))
     if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):

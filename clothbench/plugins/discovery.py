@@ -71,7 +71,7 @@ class Catalogue:
             return usable[0]
         if found:
             raise PluginBroken(f"{singular(kind)} {name!r} is broken: {found[0].reason}")
-        close = difflib.get_close_matches(name, self.names(kind), n=1)
+        close = difflib.get_close_matches(str(name), self.names(kind), n=1)
         hint = f"did you mean {close[0]!r}? " if close else ""
         raise ClothbenchError(f"no {singular(kind)} named {name!r}; {hint}there are: {', '.join(self.names(kind))}")
 

@@ -38,7 +38,9 @@ from clothbench.recordings.codec import freeze, hash_of, read, write
 from clothbench.recordings.layout import SPLITS, Arrays, Layout, Part, Stated, Variable
 from clothbench.recordings.nodes_rules import (
     check_clock,
+    check_density,
     check_gravity,
+    check_length,
     check_overlap,
     check_points,
     check_shapes,
@@ -230,13 +232,8 @@ def _check_stated(r: Recording, where: str) -> None:
         raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
     check_gravity(r.gravity, where)
     for name in ("cloth_width", "cloth_height"):
-        value = getattr(r, name)
-        if not (math.isfinite(value) and value > 0):
-            raise ClothbenchError(f"{where}: attribute '{name}': found {value}, expected metres above 0")
-    if r.areal_density <= 0 or math.isinf(r.areal_density):
-        raise ClothbenchError(
-            f"{where}: attribute 'areal_density': found {r.areal_density}, expected kg/m² above 0, or NaN"
-        )
+        check_length(name, getattr(r, name), where)
+    check_density(r.areal_density, where)
     if r.noise_sigma < 0 or math.isinf(r.noise_sigma):
         raise ClothbenchError(f"{where}: attribute 'noise_sigma': found {r.noise_sigma}, expected metres, 0 or above")
     if r.split not in SPLITS:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.scene import HEAVIEST
 from clothbench.recordings.layout import Arrays, Layout, Part
 
 COVERED = 0.9  # of the frames, while which somebody has to know where the grips are
@@ -70,6 +71,19 @@ def check_values(arrays: Arrays, where: str) -> None:
         raise ClothbenchError(f"{where}: variable 'position': found only NaN, expected at least one node seen")
     if not np.isfinite(position).all(axis=-1).any():
         raise ClothbenchError(f"{where}: variable 'position': found no node with all of x, y and z")
+
+
+def check_length(name: str, length: float, where: str) -> None:
+    if not 0 < length <= FARTHEST:
+        raise ClothbenchError(f"{where}: attribute '{name}': found {length}, expected metres above 0")
+
+
+def check_density(areal_density: float, where: str) -> None:
+    if areal_density <= 0 or areal_density > HEAVIEST:
+        raise ClothbenchError(
+            f"{where}: attribute 'areal_density': found {areal_density}, expected kg/m² above 0, {HEAVIEST:g} at "
+            "most, or NaN"
+        )
 
 
 def check_gravity(gravity: Sequence[float], where: str) -> None:

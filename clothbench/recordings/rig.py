@@ -17,7 +17,9 @@ from clothbench.recordings.codec import freeze, hash_of
 from clothbench.recordings.layout import SPLITS, Arrays, Layout, Part, Stated, Variable
 from clothbench.recordings.nodes_rules import (
     check_clock,
+    check_density,
     check_finite,
+    check_length,
     check_near,
     check_overlap,
     check_points,
@@ -153,12 +155,7 @@ def check_stated(r: Stating, where: str, lengths: tuple[str, ...] = ("cloth_widt
     if not r.name:
         raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
     for name in lengths:
-        value = getattr(r, name)
-        if not (math.isfinite(value) and value > 0):
-            raise ClothbenchError(f"{where}: attribute '{name}': found {value}, expected metres above 0")
-    if r.areal_density <= 0 or math.isinf(r.areal_density):
-        raise ClothbenchError(
-            f"{where}: attribute 'areal_density': found {r.areal_density}, expected kg/m² above 0, or NaN"
-        )
+        check_length(name, getattr(r, name), where)
+    check_density(r.areal_density, where)
     if r.split not in SPLITS:
         raise ClothbenchError(f"{where}: attribute 'split': found {r.split!r}, expected 'fit', 'held_out' or ''")

@@ -73,6 +73,7 @@ HARM = {
     "two marks for nothing": (lambda f: f["time"].attrs.__setitem__("_FillValue", [0.0, 1.0]), "'_FillValue'"),
     "coordinates of none": (lambda f: f["time"].attrs.__setitem__("coordinates", h5py.Empty("f")), None),
     "places beyond": (lambda f: f["position"].write_direct(np.full(f["position"].shape, 1e308)), "found 1e+308 m at"),
+    "a weight of no cloth": (lambda f: f.attrs.__setitem__("areal_density", 1.7e308), "'areal_density': found 1.7e"),
     "grips beyond": (lambda f: f["grip_position"].__setitem__((1, 0, 2), -1e307), "found -1e+307 m at (1, 0, 2)"),
 }  # fmt: skip
 
@@ -191,6 +192,13 @@ def test_errors_that_none_can_be_are_shown_all_the_same(tmp_path, capsys, value)
     assert main(["report", f"out={tmp_path}"]) == 0
 
 
+def test_a_parameter_without_a_name_is_shown_all_the_same(tmp_path, capsys):
+    fitted = {"key": "ab", "name": None, "unit": "N/m", "value": 1.0, "low": 0.9, "high": 1.1, "at_bound": False}
+    Store(tmp_path).put("ab", {"rows": [whole_row()], "parameters": [fitted]})
+    assert main(["leaderboard", "--out", str(tmp_path)]) == 0
+    assert main(["report", f"out={tmp_path}"]) == 0
+
+
 def test_an_analysis_without_units_is_shown(tmp_path, capsys):
     rows = [whole_row()]
     Store(tmp_path).put("ab", {"rows": rows, "variability": [{"key": "ab", "case": None, "name": "k1", "value": 1.0}]})
@@ -267,6 +275,12 @@ def test_pickles_bombs_and_claims_are_no_arrays(tmp_path):
             read_arrays(path)
         with pytest.raises(ClothbenchError, match="found a damaged film"):
             read_film(path)
+
+
+def test_arrays_that_an_old_python_wrote_are_read_in_silence(tmp_path):
+    header = b"\x93NUMPY\x01\x00v\x00" + b"{'descr': '<f8', 'fortran_order': False, 'shape': (2L,), }"
+    (tmp_path / "old.npy").write_bytes(header.ljust(127) + b"\n" + np.array([1.0, 2.0]).tobytes())
+    assert read_arrays(tmp_path / "old.npy")["array"].tolist() == [1.0, 2.0]
 
 
 @pytest.mark.parametrize("rate", ["1e-320", "1e308", "nan", "-1", "9" * 400])
@@ -369,6 +383,18 @@ def test_a_setting_that_refers_to_none_is_refused(capsys):
     assert main(["run", "+bounds.k1=${sue}"]) == 2
     said = capsys.readouterr().err
     assert (said.count("\n"), said[:48]) == (1, "clothbench: Interpolation key 'sue' not found fu"), said
+
+
+def test_a_place_of_results_moves_no_cursor(capsys):
+    words = ["model=mass_spring", "optimizer=ga", "metric=node_error", "recordings=builtin:static_dynamic"]
+    assert main(["run", *words, "out=\x1b[31mred"]) == 2
+    said = capsys.readouterr().err
+    assert (said.count("\n"), "whose name a terminal can show" in said) == (1, True), said
+
+
+def test_a_name_that_is_a_number_is_refused():
+    with pytest.raises(ClothbenchError, match=r"no tracker named 0\.5"):
+        catalogue().find("trackers", 0.5)
 
 
 @pytest.mark.parametrize(

@@ -275,6 +275,8 @@ def test_a_recording_is_read_as_it_was_written(tmp_path):
         ({"plate_radius": np.nan}, "attribute 'plate_radius'"),
         ({"side": np.array([0, 3])}, "variable 'side': found 3"),
         ({"areal_density": -1.0}, "attribute 'areal_density'"),
+        ({"areal_density": 220.0}, "expected kg/m² above 0, 5 at most"),
+        ({"disc_radius": 1e200}, "attribute 'disc_radius'"),
         ({"split": "test"}, "attribute 'split'"),
         ({"sample": np.array([1])}, "found 1 along 'capture', expected 2"),
         ({"name": ""}, "attribute 'name'"),

@@ -89,7 +89,7 @@ def _estimate(p: dict[str, Any], widest: tuple[float | None, float | None]) -> E
     log = lower is not None and lower > 0 and (p["scale"] == "log" if p.get("scale") else far)
     low, high = contained(p["value"], p["low"], p["high"])
     return Estimate(
-        p["key"], p["name"], p["symbol"], p["unit"], p["meaning"], p["value"], low, high, lower, upper, log,
+        p["key"], p["name"] or "–", p["symbol"], p["unit"], p["meaning"], p["value"], low, high, lower, upper, log,
         bool(p["at_bound"]), p.get("truth"),
     )  # fmt: skip
 
