@@ -191,7 +191,9 @@ class Made:
 
 def test_a_work_whose_worker_dies_is_tried_once_more():
     workers, told = Made({1: 1, 2: 2}), []
-    found = dict(answers(workers, lambda n: lambda tell, threads: n * n, InOrder(5), lambda *word: told.append(word)))
+    found = dict(
+        answers(workers, lambda n: lambda tell, threads: n * n, InOrder(range(5)), lambda *word: told.append(word))
+    )
     assert found == {0: Answer(0), 1: Answer(1), 2: Died("gone"), 3: Answer(9), 4: Answer(16)}
     assert sorted(workers.begun) == [0, 1, 1, 2, 2, 3, 4]
     assert workers.most == 2
@@ -206,6 +208,19 @@ def test_a_study_does_itself_what_killed_two_workers_and_hears_of_other_faults()
         list(elsewhere(AsDone(), {"models/mass_spring": "0.0, 9"})([lambda tell, threads: 5]))
 
 
+def test_answers_to_what_nobody_waits_for_any_more_are_no_others():
+    """A work with a fault ends its batch; what else of it is with the workers answers in the midst of the next one."""
+    pieces = elsewhere(OneByOne(), {})
+
+    def lost(tell, threads):
+        raise ClothbenchError("lost")
+
+    with pytest.raises(ClothbenchError, match="lost"):
+        list(pieces([lost, lambda tell, threads: "first"]))
+    assert dict(pieces([lambda tell, threads: "second"])) == {0: "second"}
+    assert dict(pieces([lambda tell, threads, k=k: k for k in range(5)])) == {k: k for k in range(5)}
+
+
 class AsDone(Made):
     """Workers that do as a real one does."""
 
@@ -214,6 +229,14 @@ class AsDone(Made):
 
     def ended(self, seconds):
         return [(number, attended(self.running.pop(number), print, 1, None)) for number in list(self.running)]
+
+
+class OneByOne(AsDone):
+    """One of them after the other."""
+
+    def ended(self, seconds):
+        number = next(iter(self.running))
+        return [(number, attended(self.running.pop(number), print, 1, None))]
 
 
 # --- in a worker ------------------------------------------------------------------------------------------------------

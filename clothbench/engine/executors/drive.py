@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import warnings
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -46,15 +46,18 @@ def _begun(executor: Mapping[str, Any], jobs: int, works: int, folder: Path) -> 
 
 def elsewhere(workers: Workers, versions: Mapping[str, str]) -> Elsewhere:
     """Workers as a study knows them; versions: of the plugins that they have to have, as cells state them."""
+    begun = 0  # works of earlier batches: one that ended with a fault leaves some with the workers, which answer late
 
     def pieces(works: Sequence[Work]) -> Iterator[tuple[int, Any]]:
-        checked = [AsInstalled(work, versions) for work in works]
-        for number, answer in answers(workers, checked.__getitem__, InOrder(len(works)), lambda *_: None):
+        nonlocal begun
+        first, begun = begun, begun + len(works)
+        checked = {first + k: AsInstalled(work, versions) for k, work in enumerate(works)}
+        for number, answer in answers(workers, checked.__getitem__, InOrder(checked), lambda *_: None):
             if isinstance(answer, Died):
                 warnings.warn(f"a worker died twice ({answer.reason}); what it was at is done here", stacklevel=2)
             elif answer.fault is not None:
                 raise ClothbenchError(answer.fault)
-            yield number, answer.value if isinstance(answer, Answer) else None
+            yield number - first, answer.value if isinstance(answer, Answer) else None
 
     return pieces
 
@@ -85,10 +88,10 @@ class Waiting(Protocol):
 
 
 class InOrder:
-    """So many of them, one after the other."""
+    """These, one after the other."""
 
-    def __init__(self, count: int):
-        self.numbers = list(range(count))[::-1]
+    def __init__(self, numbers: Iterable[int]):
+        self.numbers = list(numbers)[::-1]
 
     def __bool__(self) -> bool:
         return bool(self.numbers)
@@ -119,7 +122,9 @@ def answers(
             if number in running:
                 told(number, steps, value)
         for number, answer in ended:
-            running.discard(number)
+            if number not in running:  # of works that nobody waits for any more
+                continue
+            running.remove(number)
             tries[number] += 1
             if isinstance(answer, Died) and tries[number] < TRIES:
                 line.again(number)
