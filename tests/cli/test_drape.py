@@ -103,7 +103,7 @@ def test_the_metric_refuses_sheets(clothbench, recording, tmp_path):
     [
         (("model=mass_spring",), "take tracker=drape"),
         (("model=linear_stretch", "tracker=drape"), "expected one that can be cut to a disc and takes effects"),
-        (("model=mass_spring", "tracker=drape", "candidates=clock_offset"), "drapes have none; take it out"),
+        (("model=mass_spring", "tracker=drape", "candidates=clock_offset"), "a drape tells none; take it out"),
         (("model=mass_spring", "tracker=drape", "scene.start=measured"), "begin from several first shapes"),
     ],
 )

@@ -6,11 +6,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.optional import family_of
 from clothbench.core.protocols import Effect
 from clothbench.modelling.curves import acts_on_curves, acts_on_sheets, needs_a_picture
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.silhouette import LAYOUT as DRAPES
 
+OF_THE_ROOM = ("air", "wind", "gravity")  # families of effects
 ORDER = {"sensor": 0, "boundary": 1, "dynamics": 2}  # how the cloth was seen and held may look like physics
 
 
@@ -33,8 +35,10 @@ def candidates_of(
 
 
 def acts_on_drapes(effect: Effect) -> bool:
-    """Whether it is a force: a drape has no grips, and no clock or marker saw it."""
-    return acts_on_sheets(effect) and effect.place == "dynamics"
+    """Whether it is a force of the cloth itself. A drape has no grips, and no clock or marker saw it; it is at rest; and
+    what has a direction in the room would have to stay there while the sheet is turned over.
+    """
+    return acts_on_sheets(effect) and effect.place == "dynamics" and family_of(effect) not in OF_THE_ROOM
 
 
 ACTS = {"curve": acts_on_curves, DRAPES.kind: acts_on_drapes}
@@ -44,7 +48,7 @@ def why_stray(name: str, kind: str, plugins: Catalogue, blind: bool = False) -> 
     if blind:
         return f"effect {name!r} acts on pictures only, and these recordings have none; take it out of candidates"
     if kind == DRAPES.kind:
-        return f"effect {name!r} acts on grips, sensors or curves, and drapes have none; take it out of candidates"
+        return f"effect {name!r} acts on grips, sensors, curves or in the room, and a drape tells none; take it out"
     if kind != "curve":
         return f"effect {name!r} acts on force-extension curves only; take it out of candidates"
     known = [other for other, effect in plugins.made("effects")[0].items() if acts_on_curves(effect)]
