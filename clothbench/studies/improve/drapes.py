@@ -173,6 +173,7 @@ class DrapeCase:
     meter: Drapemeter
 
     duration: ClassVar[float] = float("inf")  # cloth at rest knows no time
+    last_moment: ClassVar[float] = float("inf")
 
     def trial(self, model: Model, effects: Sequence[Effect], correction: np.ndarray | None) -> Trial:
         metric = DrapeError(self.specimen, 0.0 if correction is None else correction)
