@@ -60,8 +60,8 @@ def shape_settings(space: ParameterSpace, seed: int, last: float = np.inf) -> It
     yield null, amounts, large
     if shapes:
         many = LOOP.shape_settings * (2 if len(shapes) > 1 else 1)
-        most = space.to_unit(np.clip(last, space.low, space.high))
-        most = [most[i] if space.parameters[i].unit == "s" else 1.0 for i in shapes]
+        ends = space.to_unit(np.clip(last, space.low, space.high))
+        most = [ends[i] if space.parameters[i].unit == "s" else 1.0 for i in shapes]
         for point in sobol(len(shapes), np.random.default_rng(seed), many):
             unit = space.to_unit(null)
             unit[shapes] = point * most

@@ -25,7 +25,7 @@ SAMPLED = 1 / 30  # s, of the times at which motion is told, unless frames come 
 LEAST_FRAMES = 20  # of a recording
 LEAST_COUNTED = 1.0  # s of motion that have to be told
 LEAST_COVERED = 0.9  # of the sheet, that lies between nodes seen in most frames
-LEAST_SEEN = 0.5  # of the frames, in which a node has to be seen
+LEAST_SEEN = 0.5  # of the frames, in which a node has to be seen; and of the nodes, in a frame that is counted
 NEIGHBOURS = 6  # nodes of the same frame, by which one is bridged that was not seen for long
 LEAST_ACROSS = 0.1  # of a force, that has to be across the line of the grips, for it to be told from its torque
 STRAIGHT = 0.02  # of the length of the line of the grips, by which one may lie beside it
@@ -38,7 +38,8 @@ class Motion:
     time: (T,) s; x, v, a: (T, N, 3) m, m/s, m/s²; normal: (T, N, 3); line: (T, 3), along the grips; lever: (T, N, 3) m,
     how a node moves by one radian about it; area: (N,) m²; along: (N, 2), place on the sheet, 0 to 1 from left to right
     and from the upper edge to the lower; width: m; density: kg/m²; gravity: (3,) m/s²; noise: m, σ of a coordinate;
-    rate: 1/s, of the frames; fastest: Hz, motion that is kept; counted: (T,), times that are in no gap between frames.
+    rate: 1/s, of the frames; fastest: Hz, motion that is kept; counted: (T,), times that are in no gap between frames
+    that saw enough.
     """
 
     time: np.ndarray
@@ -105,19 +106,24 @@ def motion_of(observation: Observation, scene: Scene, noise: float) -> Motion | 
     """
     from scipy.spatial import Delaunay
 
-    time = observation.time
+    # A frame in which nothing was seen is none, whether a recording has it or not.
+    some = observation.visible.any(axis=1)
+    time = observation.time[some]
     if observation.sight is not None or scene.obstacles or len(time) < LEAST_FRAMES or scene.outline is not None:
         return None
     if (line := line_of_grips(scene, time)) is None:
         return None
     step = float(np.median(np.diff(time)))
     fastest = min(FASTEST, RESOLVED / step)
-    seen = np.where(observation.visible[..., None], observation.position, np.nan)
+    seen = np.where(observation.visible[some, :, None], observation.position[some], np.nan)
     seen = bridged(with_grips(seen, observation.material, scene, time), observation.material, time, GAP / fastest / 3)
     often = np.asarray(np.isfinite(seen[..., 0]).mean(axis=0) >= LEAST_SEEN)
     seen, material = seen[:, often], observation.material[often]
-    at = np.arange(time[0] + ENDS / fastest, time[-1] - ENDS / fastest, min(step, SAMPLED))
-    counted = between_frames(time, at) <= GAP / fastest
+    enough = time[np.isfinite(seen[..., 0]).mean(axis=1) >= LEAST_SEEN]
+    if len(enough) < LEAST_FRAMES:
+        return None
+    at = np.arange(enough[0] + ENDS / fastest, enough[-1] - ENDS / fastest, min(step, SAMPLED))
+    counted = between_frames(enough, at) <= GAP / fastest
     if counted.sum() * min(step, SAMPLED) < LEAST_COUNTED or len(material) < 3:
         return None
     if np.linalg.matrix_rank(material - material[0]) < 2:
