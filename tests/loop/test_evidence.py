@@ -23,6 +23,7 @@ from clothbench.studies.improve.document import document_in, verdict_document
 from clothbench.studies.improve.files import write_files
 from clothbench.studies.improve.fitting import fit, search_settings
 from clothbench.studies.improve.loop import improve
+from clothbench.studies.improve.page import page_html
 from clothbench.studies.improve.sheet_tables import summary
 from clothbench.studies.improve.sheets import SheetCase
 from clothbench.studies.improve.tables import drift_rows, finding_tables
@@ -152,6 +153,17 @@ def test_a_finding_is_all_that_is_needed_to_write(tmp_path, monkeypatch):
     assert (tmp_path / "index.html").is_file()
     with pytest.raises(dataclasses.FrozenInstanceError):
         finding.verdict = "complete"
+
+
+def test_a_name_that_the_verdict_dropped_is_shown_as_dropped():
+    finding = improve(problem_of(runs(0, lambda e: 0.05 * np.expm1(9 * e))), ["strain_locking", "load_offset"])
+    assert [row["name"] for row in finding_tables(finding)["candidates"] if row["named"]] == ["strain_locking"]
+    dropped = dataclasses.replace(finding, verdict="unexplained", dropped="it falls through", final=finding.calibrated)
+    tables, document = finding_tables(dropped), verdict_document(dropped)
+    for rows in (tables["candidates"], document["candidates"]):
+        assert {row["name"]: row["why_not"] for row in rows}["strain_locking"] == "it falls through"
+    assert not any(row["named"] for row in tables["candidates"])
+    assert ">named</span>" not in page_html(document, tables)
 
 
 def test_a_run_out_of_time_begins_no_further_round_and_says_so():
