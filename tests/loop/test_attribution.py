@@ -164,6 +164,15 @@ def test_two_as_good_as_each_other_are_tied(before):
     assert choose(before, []) == ()
 
 
+def test_a_fit_that_could_not_be_simulated_is_no_rival(before):
+    good = dataclasses.replace(candidate("good", 5, 0.3), fitted=fitted_to(0.3 * BEFORE, 5, "good"))
+    lost = dataclasses.replace(good, name="lost", fitted=fitted_to(np.nan * BEFORE, 5, "lost"))
+    alone = assess(before, 0.1, [good])[0]
+    beside = {c.name: c for c in assess(before, 0.1, [good, lost])}
+    assert alone.selected == beside["good"].selected == RECORDINGS
+    assert beside["lost"].selected == 0
+
+
 def test_two_that_correct_the_same_are_tied_though_one_is_less_simple(before):
     assert choose(before, [candidate("simple", 5, 0.30), candidate("other", 6, 0.28)]) == ("simple", "other")
 
