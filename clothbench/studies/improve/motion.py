@@ -20,7 +20,7 @@ FASTEST = 5.5  # Hz, of motion that is kept of frames that come fast enough
 RESOLVED = 0.3  # of the rate of frames, that they resolve
 KNOTS = 4.0  # per period of the fastest motion that is kept
 GAP = 1.5  # periods of that motion between two frames, across which nothing is told
-ENDS = 0.75  # of that period, at either end of a recording, where a spline hangs on too little
+ENDS = 0.75  # of that period, at either end of a recording and of a gap, where a spline hangs on too little
 SAMPLED = 1 / 30  # s, of the times at which motion is told, unless frames come faster
 LEAST_FRAMES = 20  # of a recording
 LEAST_COUNTED = 1.0  # s of motion that have to be told
@@ -38,8 +38,8 @@ class Motion:
     time: (T,) s; x, v, a: (T, N, 3) m, m/s, m/s²; normal: (T, N, 3); line: (T, 3), along the grips; lever: (T, N, 3) m,
     how a node moves by one radian about it; area: (N,) m²; along: (N, 2), place on the sheet, 0 to 1 from left to right
     and from the upper edge to the lower; width: m; density: kg/m²; gravity: (3,) m/s²; noise: m, σ of a coordinate;
-    rate: 1/s, of the frames; fastest: Hz, motion that is kept; counted: (T,), times that are in no gap between frames
-    that saw enough.
+    rate: 1/s, of the frames; fastest: Hz, motion that is kept; counted: (T,), times that are neither in nor next to a
+    gap between frames that saw enough.
     """
 
     time: np.ndarray
@@ -123,7 +123,7 @@ def motion_of(observation: Observation, scene: Scene, noise: float) -> Motion | 
     if len(enough) < LEAST_FRAMES:
         return None
     at = np.arange(enough[0] + ENDS / fastest, enough[-1] - ENDS / fastest, min(step, SAMPLED))
-    counted = between_frames(enough, at) <= GAP / fastest
+    counted = ~in_gaps(enough, at, GAP / fastest, ENDS / fastest)
     if counted.sum() * min(step, SAMPLED) < LEAST_COUNTED or len(material) < 3:
         return None
     if np.linalg.matrix_rank(material - material[0]) < 2:
@@ -176,6 +176,12 @@ def between_frames(time: np.ndarray, at: np.ndarray) -> np.ndarray:
     """(S,) s from the frame before each of the times `at` to the one after it."""
     after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
     return time[after] - time[after - 1]
+
+
+def in_gaps(time: np.ndarray, at: np.ndarray, longest: float, ends: float) -> np.ndarray:
+    """Which of the times `at` (S,) are in a gap of more than `longest` s between frames, or within `ends` s of one."""
+    first = np.flatnonzero(np.diff(time) > longest)
+    return np.asarray(((at > time[first, None] - ends) & (at < time[first + 1, None] + ends)).any(axis=0))
 
 
 def with_grips(seen: np.ndarray, material: np.ndarray, scene: Scene, time: np.ndarray) -> np.ndarray:
