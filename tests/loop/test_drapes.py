@@ -233,6 +233,7 @@ def test_drapes_say_without_a_model_what_symmetry_forbids():
     seen, side = captured(2)
     (few,), _ = specimens_of([seen], [side], [True])
     assert asymmetries([s for _, s in few]) == []
+    assert asymmetries([]) == []  # of a split that no recording is in
 
 
 def test_a_line_chosen_from_the_specimens_makes_no_elongation():

@@ -124,6 +124,8 @@ def asymmetries(specimens: Sequence[Specimen], line_from_these: bool = True) -> 
     """What the drapes themselves say, without any model: mean of each contrast over specimens with its 95 % interval
     along the line, and p. None of it could be if faces and threads were alike. line_from_these: as in `contrast_means`.
     """
+    if len(specimens) < LEAST_SPECIMENS:  # none at all where nothing was held out
+        return []
     across = [s.across for s in specimens] if line_from_these else None
     means, rows = contrast_means([s.mean for s in specimens], specimens[0].sides, across), []
     half, p_value = means.half_width(0.05), means.p_value
