@@ -82,9 +82,18 @@ def test_the_shape_is_looked_for_where_most_is_left(fit, monkeypatch):
 def test_no_time_after_the_end_is_looked_at():
     slip = catalogue().make("effects", "grip_slip")
     at = slip.parameters.names.index("time")
-    times = [phi[at] for phi, _, _ in shape_settings(slip.parameters, 0, duration=3.0)]
+    times = [phi[at] for phi, _, _ in shape_settings(slip.parameters, 0, last=3.0)]
     assert len(times) >= 4
     assert max(times) <= 3.0
+    late = slip.parameters.bounded({"time": (5.0, 10.0)})
+    assert all(5.0 <= phi[at] <= 10.0 for phi, _, _ in shape_settings(late, 0, last=3.0))
+
+
+@pytest.mark.parametrize(("bounds", "steps"), [((-0.5, 0.0), (-0.05, -0.25)), ((0.0, 0.5), (0.05, 0.25))])
+def test_an_amount_whose_bounds_end_at_nothing_is_tried_on_the_side_that_is_left(bounds, steps):
+    space = catalogue().make("effects", "clock_offset").parameters.bounded({"delay": bounds})
+    space = ParameterSpace((dataclasses.replace(space.parameters[0], default=0.0),))
+    assert [float(step[0]) for _, _, step in shape_settings(space, 0)] == pytest.approx(steps)
 
 
 def test_the_mesh_widens_an_interval_by_what_it_would_shift(fit):
@@ -153,6 +162,15 @@ def test_two_as_good_as_each_other_are_tied(before):
     assert choose(before, [candidate("one", 5, 0.30, 1), candidate("other", 5, 0.305, 2)]) == ("one", "other")
     assert choose(before, [candidate("one", 5, 0.30, 1), candidate("other", 5, 0.35, 2)]) == ("one",)
     assert choose(before, []) == ()
+
+
+def test_a_fit_that_could_not_be_simulated_is_no_rival(before):
+    good = dataclasses.replace(candidate("good", 5, 0.3), fitted=fitted_to(0.3 * BEFORE, 5, "good"))
+    lost = dataclasses.replace(good, name="lost", fitted=fitted_to(np.nan * BEFORE, 5, "lost"))
+    alone = assess(before, 0.1, [good])[0]
+    beside = {c.name: c for c in assess(before, 0.1, [good, lost])}
+    assert alone.selected == beside["good"].selected == RECORDINGS
+    assert beside["lost"].selected == 0
 
 
 def test_two_that_correct_the_same_are_tied_though_one_is_less_simple(before):

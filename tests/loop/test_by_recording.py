@@ -181,6 +181,13 @@ def test_no_moment_after_the_end_is_looked_at():
     )
 
 
+def test_a_recording_that_ends_before_the_moments_that_are_allowed_keeps_their_bounds():
+    slip = catalogue().make("effects", "grip_slip").parameters.bounded({"time": (2.0, 10.0)})
+    for last, found in ((1.5, (2.0, 10.0)), (4.0, (2.0, 4.0))):
+        bounds = by_recording.moments_within(slip, "grip_slip", last)
+        assert slip.prefixed("grip_slip").bounded(bounds)["grip_slip.time"].bounds == found
+
+
 @pytest.mark.parametrize(("held_out", "asked"), [([1.2, 1.2], False), ([3.2, 2.0], True)])
 def test_amounts_that_do_not_hold_on_what_was_held_out_are_asked_by_recording(monkeypatch, held_out, asked):
     """From where the loop stood before them, as one that no amount for all explains; not if they hold, or none was."""

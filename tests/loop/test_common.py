@@ -4,13 +4,14 @@ from __future__ import annotations
 
 from clothbench.studies.improve.common import common_document
 from clothbench.studies.improve.page import common_html
+from clothbench.studies.improve.terminal import verdict_lines
 from clothbench.studies.improve.verdict import AT_LIMIT
 from clothbench.studies.improve.words import sentence
 
 
 def verdict(model, *effects, word=None, after=1.0):
-    """A verdict with effects by name, or as (name, tied with)."""
-    pairs = [(e, []) if isinstance(e, str) else (e[0], [e[1]]) for e in effects]
+    """A verdict with effects by name, or as (name, tied with, …)."""
+    pairs = [(e, []) if isinstance(e, str) else (e[0], list(e[1:])) for e in effects]
     error = {
         "fit": {"before": 5.0, "after": after},
         "held_out": {"before": 5.0, "after": after, "ci95": [3.0, 5.0],
@@ -24,6 +25,7 @@ def verdict(model, *effects, word=None, after=1.0):
              "selected_in": "4/4", "parameters": {"size": {"value": 1.0, "low": 0.5, "high": 2.0, "unit": "1"}}}
             for name, tied in pairs
         ],
+        "candidates": [{"name": name, "p_value": 0.01} for name, ties in pairs for name in (name, *ties)],
         "error_mm": error, "unexplained_mm": 0.5, "evaluations": 10, "wall_s": 60.0,
     }  # fmt: skip
 
@@ -51,6 +53,22 @@ def test_a_tie_holds_what_all_of_them_tie():
     decided = common_document([verdict("a", ("drag", "memory")), verdict("b", "memory", after=2.0)])
     assert (decided["verdict"], decided["effects"][0]["name"]) == ("attributed", "memory")
     assert decided["effects"][0]["tied_with"] == []
+
+
+def test_a_name_in_common_is_one_that_every_model_has():
+    """None names first what they share: it is told without the amounts of another."""
+    models = verdict("a", ("clock", "mount", "filter")), verdict("b", ("rate", "filter", "mount"), after=2.0)
+    found = common_document(models)
+    (entry,) = found["effects"]
+    assert (found["verdict"], entry["name"], entry["tied_with"]) == ("tied", "mount", ["filter"])
+    assert (entry["parameters"], entry["p_value"], entry["selected_in"]) == ({}, 0.01, "")
+    assert "clock" not in sentence(found) + "".join(verdict_lines({**found, "models": []}))
+    assert "lacks <b>mount</b>: each model has it tied with another name or <b>filter</b>" in common_html(found)
+
+
+def test_a_name_in_common_is_told_once():
+    models = verdict("a", ("clock", "grip"), "grip"), verdict("b", "grip", after=2.0)
+    assert [(e["name"], e["tied_with"]) for e in common_document(models)["effects"]] == [("grip", [])]
 
 
 def test_a_model_that_lacks_nothing_makes_the_lacks_of_others_their_own():

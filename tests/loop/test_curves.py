@@ -166,6 +166,20 @@ def test_a_step_of_stretch_that_no_run_has_a_sample_in_says_nothing_about_the_sp
     assert 0.5 < evidence.noise() / curve_evidence(curves, [c.split for c in curves]).noise() < 2
 
 
+def test_a_hole_in_one_run_is_no_spread_between_runs():
+    """The straight line across it lies 12 N off what the other run has there."""
+    random = np.random.default_rng(0)
+
+    def run(name, stretch):
+        return Curve(name, stretch, 2000 * (stretch - 1) ** 2 + random.normal(0, SIGMA, len(stretch)))
+
+    whole, holed = np.linspace(1.0, 1.2, 600), np.r_[np.linspace(1.0, 1.05, 300), np.linspace(1.195, 1.2, 30)]
+    complete = curve_evidence([run("a", whole), run("b", whole)], ["fit"] * 2).noise()
+    assert curve_evidence([run("a", whole), run("b", holed)], ["fit"] * 2).noise() < 2 * complete < 2 * SIGMA
+    halves = [run("a", np.r_[whole[:300], whole[-1:]]), run("b", np.r_[whole[:1], whole[300:]])]
+    assert 0.5 < curve_evidence(halves, ["fit"] * 2).noise() / SIGMA < 2  # of nothing in common: from the samples
+
+
 def test_the_loop_looks_at_the_way_up_in_equal_steps_that_all_runs_share():
     there, back = np.linspace(1.0, 1.4, 90), np.linspace(1.4, 1.0, 90)
     curve = Curve("loop", np.concatenate([there, back]), np.concatenate([10 * (there - 1), 4 * (back - 1)]))

@@ -233,6 +233,7 @@ def test_drapes_say_without_a_model_what_symmetry_forbids():
     seen, side = captured(2)
     (few,), _ = specimens_of([seen], [side], [True])
     assert asymmetries([s for _, s in few]) == []
+    assert asymmetries([]) == []  # of a split that no recording is in
 
 
 def test_a_line_chosen_from_the_specimens_makes_no_elongation():
@@ -270,6 +271,38 @@ def test_where_one_side_is_known_only_threads_can_be_told():
     seen, side = captured(5, sides=(1,))
     (found,), _ = specimens_of([seen], [side], [True])
     assert [r["contrast"] for r in asymmetries([s for _, s in found])] == [CONTRASTS[1][0]]
+
+
+def test_a_side_that_only_recordings_held_out_have_takes_nothing_from_those_that_are_fitted():
+    (seen, side), (unseen, others) = captured(5, sides=(1,)), captured(5, seed=1)
+    alone = specimens_of([seen], [side], [True])[0][0]
+    (fitted, held_out), sides = specimens_of([seen, unseen], [side, others], [True, False])
+    assert sides == (1, 2)
+    for (_, one), (_, other) in zip(fitted, alone, strict=True):
+        assert (one.labels, one.known.tolist()) == (other.labels, [[True, True], [False, False]])
+        np.testing.assert_array_equal(one.mean[:1], other.mean)
+    assert held_out[0][1].known.all()
+    rows = asymmetries([s for _, s in fitted])
+    assert rows == asymmetries([s for _, s in alone])
+    assert [r["contrast"] for r in rows] == [CONTRASTS[1][0]]
+    cases = tuple(DrapeCase("s", "fit", one, Drapemeter((), sides, PLATE, DISC)) for _, one in fitted)
+    long = [np.array([0.0, 4.0 + 0.1 * k]) for k in range(5)]
+    assert DrapeEvidence(cases).objection(long, [0.1 * r for r in long]) == ""
+
+
+def test_faces_are_compared_only_where_it_is_known_which_was_up():
+    seen, side = captured(6, up=0.004)
+    (found,), sides = specimens_of([seen], [np.where(side == 2, 0, side)], [True])
+    assert sides == (0, 1)
+    assert [r["contrast"] for r in asymmetries([s for _, s in found])] == [CONTRASTS[1][0]]
+
+
+def test_specimens_of_several_recordings_are_told_apart_whatever_their_numbers():
+    seen, side = captured(3)
+    twice = [seen, dataclasses.replace(seen, sample=seen.sample + 1000)]
+    pairs = {r["pairs"]: r["number"] for r in alike(twice, [side, side], seed=0)}
+    assert pairs == {"the two sides of a specimen": 6, "different specimens": 60}
+    assert pairs == {r["pairs"]: r["number"] for r in alike(twice[::-1], [side, side], seed=0)}
 
 
 @pytest.mark.parametrize(("specimens", "said"), [(5, "too few to tell"), (8, "")])

@@ -20,9 +20,11 @@ from clothbench.plugins.discovery import catalogue
 from clothbench.studies import improve as room
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.document import document_in, verdict_document
-from clothbench.studies.improve.files import write_files
+from clothbench.studies.improve.files import file_names, write_files
 from clothbench.studies.improve.fitting import fit, search_settings
 from clothbench.studies.improve.loop import improve
+from clothbench.studies.improve.page import page_html
+from clothbench.studies.improve.problem import residuals
 from clothbench.studies.improve.sheet_tables import summary
 from clothbench.studies.improve.sheets import SheetCase
 from clothbench.studies.improve.tables import drift_rows, finding_tables
@@ -99,6 +101,22 @@ def test_what_is_kept_of_an_unfinished_run_is_of_its_question_only(tmp_path):
     assert len(set(tmp_path.iterdir()) - kept) == 2  # the search, and the fit that it ended in
 
 
+def test_a_run_that_did_not_come_to_its_end_has_no_residual_whatever_it_left():
+    """As `evaluate` has it: a stranger's model may leave positions."""
+    trial = problem_of(runs(3, lambda e: 20 * e)).trials((), "fit")[0]
+    theta = trial.simulation.parameters.defaults[None]
+    stopped = dataclasses.replace(trial.simulation.run(theta), status=("timeout",))
+    left = dataclasses.replace(trial, simulation=SimpleNamespace(run=lambda _: stopped))
+    assert np.isfinite(residuals(trial, theta)).all()
+    assert np.isnan(residuals(left, theta)).all()
+
+
+def test_recordings_are_filed_under_a_name_each():
+    for names in (("a b", "a b-3", "a_b"), ("x", "x-3", "x"), ("x", "x-2", "x-3", "x", "x-2")):
+        found = file_names([SimpleNamespace(case=SimpleNamespace(name=name)) for name in names])
+        assert len(set(found)) == len(names)
+
+
 def test_options_and_bounds_reach_the_search():
     options = {"least_squares": {"walks": 2, "tolerance": 1e-3}}
     problem = dataclasses.replace(
@@ -152,6 +170,17 @@ def test_a_finding_is_all_that_is_needed_to_write(tmp_path, monkeypatch):
     assert (tmp_path / "index.html").is_file()
     with pytest.raises(dataclasses.FrozenInstanceError):
         finding.verdict = "complete"
+
+
+def test_a_name_that_the_verdict_dropped_is_shown_as_dropped():
+    finding = improve(problem_of(runs(0, lambda e: 0.05 * np.expm1(9 * e))), ["strain_locking", "load_offset"])
+    assert [row["name"] for row in finding_tables(finding)["candidates"] if row["named"]] == ["strain_locking"]
+    dropped = dataclasses.replace(finding, verdict="unexplained", dropped="it falls through", final=finding.calibrated)
+    tables, document = finding_tables(dropped), verdict_document(dropped)
+    for rows in (tables["candidates"], document["candidates"]):
+        assert {row["name"]: row["why_not"] for row in rows}["strain_locking"] == "it falls through"
+    assert not any(row["named"] for row in tables["candidates"])
+    assert ">named</span>" not in page_html(document, tables)
 
 
 def test_a_run_out_of_time_begins_no_further_round_and_says_so():

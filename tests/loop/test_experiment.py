@@ -10,6 +10,7 @@ import pytest
 
 from clothbench import Observation, Scene
 from clothbench.plugins.discovery import catalogue
+from clothbench.studies.improve.attribution import shapes_looked_at
 from clothbench.studies.improve.experiment import MOTIONS, parting_experiment
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.problem import Problem, residuals
@@ -51,6 +52,23 @@ def test_a_motion_done_otherwise():
     assert away == pytest.approx(2 * was)
     assert moved.scene.grip_time == pytest.approx(2 * CLOCK)
     assert case.scene.grip_time == pytest.approx(CLOCK)  # the recording's own stays
+
+
+def test_moments_count_from_the_grips_first_stamp_and_frames_may_come_late():
+    case = case_of(0.05)
+    assert case.last_moment == case.duration == pytest.approx(1.45)
+    late = dataclasses.replace(case.observation, time=TIME + 2.0)
+    late = dataclasses.replace(
+        case,
+        observation=late,
+        scene=dataclasses.replace(case.scene, times=TIME + 2.0, grip_time=np.linspace(0.0, 3.5, 151)),
+    )
+    assert late.duration == pytest.approx(1.45)
+    problem = Problem("mass_spring", SheetEvidence((late,)), catalogue(), "least_squares")
+    at = problem.space_of("grip_slip").names.index("time")
+    times = [phi[at] for phi, _, _ in shapes_looked_at(problem, "grip_slip")]
+    assert max(times) <= late.last_moment == pytest.approx(3.45)
+    assert any(t > 2.0 for t in times)
 
 
 def test_the_motion_named_parts_the_two_by_what_it_says(problem):

@@ -178,6 +178,32 @@ def test_a_balance_needs_a_line_of_grips_and_most_of_the_sheet():
     assert motion_of(line, scene, NOISE) is None
 
 
+def test_nothing_is_told_of_a_time_in_which_too_little_was_seen():
+    """Frames without any node are as frames that are not there; those of the upper row alone say nothing of a sheet."""
+    scene, position = simulated(0, ())
+    position = position + np.random.default_rng(0).normal(0, NOISE, position.shape)
+    whole = np.ones(position.shape[:2], dtype=bool)
+    gap = (scene.times > 1.2) & (scene.times < 2.1)
+
+    def seen(visible, frames=slice(None)):
+        shown = np.where(visible[..., None], position, np.nan)[frames]
+        return motion_of(Observation(scene.times[frames], shown, visible[frames], NOISE, scene.points), scene, NOISE)
+
+    all_seen, absent, blank = seen(whole), seen(whole, ~gap), seen(whole & ~gap[:, None])
+    np.testing.assert_array_equal(blank.counted, absent.counted)
+    np.testing.assert_array_equal(blank.missing, absent.missing)
+    row = seen(whole & ~(gap[:, None] & (scene.points[:, 1] > 0.0)))
+    for motion in (blank, row):
+        ends = 0.75 / motion.fastest  # as at the ends of a recording
+        apart = np.abs(motion.time - 1.65)  # the gap is between 1.2 and 2.1 s
+        assert not motion.counted[apart < 0.45 + ends].any()
+        assert motion.counted[apart > 0.45 + ends + 1 / 30].all()
+        truth = np.interp(motion.time, all_seen.time, all_seen.missing)
+        off = (motion.missing - truth)[motion.counted]
+        assert np.sqrt(np.mean(off**2)) < 0.2 * all_seen.missing_sigma
+    assert seen(whole & ~(scene.times < 1.0)[:, None]).time[0] > 1.0
+
+
 def test_a_balance_says_on_how_many_recordings_it_rests():
     seen = motions((("normal", 1.1),), "quadratic_drag")
     assert balance_of([*seen[:4], None], 0).recordings == (4, 5)

@@ -49,7 +49,7 @@ class Meshed:
         found = (self.left + row * self.cell**self.order)[None]
         if self.corrections:
             found = found + self.corrections[name]
-        run = SimpleNamespace(run=lambda theta: None)
+        run = SimpleNamespace(run=lambda theta: SimpleNamespace(status=("ok",)))
         return SimpleNamespace(observation=None, simulation=run, metric=lambda *_: SimpleNamespace(residual=found))
 
 

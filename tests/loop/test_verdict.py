@@ -11,11 +11,12 @@ import pytest
 from clothbench.core.observation import Observation
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.plugins.discovery import catalogue
+from clothbench.studies.improve.experiment import Experiment
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.selection import Candidate
 from clothbench.studies.improve.sheets import SheetCase, SheetEvidence
 from clothbench.studies.improve.state import Round, State
-from clothbench.studies.improve.verdict import concluded, fails_to_hold
+from clothbench.studies.improve.verdict import concluded, fails_to_hold, what_would_part
 
 TIME = np.arange(60) / 20.0
 MATERIAL = np.array([[0.0, 0.1], [0.0, 0.5], [0.0, 0.9]])
@@ -129,6 +130,15 @@ def test_hint_of_a_tie_says_how_alike_the_two_are_and_where_they_differ(state):
     assert found.word == "tied"
     assert "correlates with 1.00" in found.hint
     assert "differ most in second, by 0.58 mm, around 1.5 s" in found.hint
+
+
+@pytest.mark.parametrize(("noise", "said"), [(1e-3, ", 2.0 times the noise"), (0.0, "")])
+def test_without_noise_nothing_is_told_in_times_of_it(state, monkeypatch, noise, said):
+    moved = Experiment("first", "twice as far", 4.0, 2e-3)
+    monkeypatch.setattr("clothbench.studies.improve.verdict.parting_experiment", lambda *_: moved)
+    pair = Candidate("one", 0.9, 0.005, fitted=state.base), Candidate("other", 0.9, 0.005, fitted=state.base)
+    found = what_would_part(replace(state, noise=noise), state.rounds[0], pair, 1e-3)
+    assert found == f"moved as in first but twice as far, for 4.0 s, they would differ by 2 mm{said}"
 
 
 @pytest.mark.parametrize(("model", "said"), [("mass_spring", True), ("baraff_witkin", False)])

@@ -8,20 +8,22 @@ import numpy as np
 import pytest
 
 from clothbench import Observation, Scene
-from clothbench.studies.improve.whereabouts import grip_phases, whereabouts
+from clothbench.studies.improve.whereabouts import grip_phases, when, whereabouts
 
 SIDE, RECORDINGS = 0.3, 5
 
 
-def recordings(seed: int, more=lambda time, place: 1.0):
-    """Noise of 1 mm on sheets whose grips move for two of four seconds, times `more` by time and place (0 to 1)."""
+def recordings(seed: int, more=lambda time, place: 1.0, way=0.1, blank=0.0):
+    """Noise of 1 mm on sheets whose grips move for two of four seconds, times `more` by time and place (0 to 1); no
+    more is left by the fit, which has the motion right. blank: share of frames in which nothing was seen.
+    """
     random = np.random.default_rng(seed)
     time, clock = np.arange(0.0, 4.0, 1 / 30), np.linspace(0.0, 4.0, 401)
     u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, SIDE, 9), np.linspace(0, SIDE, 9)))
     material, out = np.stack([u, v], axis=1), []
     for number in range(RECORDINGS):
         away = (
-            0.1 * np.sin(np.pi * np.clip(clock - 1.0, 0.0, 2.0) * (1 + 0.1 * number)) ** 2 * (clock > 1) * (clock < 3)
+            way * np.sin(np.pi * np.clip(clock - 1.0, 0.0, 2.0) * (1 + 0.1 * number)) ** 2 * (clock > 1) * (clock < 3)
         )
         held = np.array([[0.0, 0.0, 0.0], [SIDE, 0.0, 0.0]])
         path = held + np.stack([0 * away, away, 0 * away], axis=1)[:, None]
@@ -29,9 +31,11 @@ def recordings(seed: int, more=lambda time, place: 1.0):
         swing = np.interp(time, clock, away)[:, None, None] * [0.0, 1.0, 0.0]
         position = np.stack([u, 0 * u, -v], axis=1) + swing
         visible = random.random((len(time), len(u))) > 0.02
-        seen = Observation(time, np.where(visible[..., None], position, np.nan), visible, 1e-3, material)
+        if blank:
+            visible &= random.random((len(time), 1)) > blank
         size = np.array([[more(t, place) for place in material / SIDE] for t in time])
         field = 1e-3 * random.standard_normal((len(time), len(u), 3)) * size[..., None] * visible[..., None]
+        seen = Observation(time, np.where(visible[..., None], position - field, np.nan), visible, 1e-3, material)
         out.append((seen, scene, field))
     return out
 
@@ -43,6 +47,26 @@ def telling(rows):
 def test_noise_has_no_whereabouts():
     found = [telling(whereabouts(recordings(seed), 1e3, "mm", seed)) for seed in range(6)]
     assert sum(map(bool, found)) <= 1
+
+
+@pytest.mark.parametrize("way", [0.0, 2e-3, 0.1])
+def test_noise_of_what_was_measured_is_no_phase(way):
+    """Where it makes positions jump, the cloth only seems to be fast, and just there much of it is left."""
+    told = [when(recordings(seed, way=way), 1e3, "mm", seed) for seed in range(10)]
+    assert sum(bool(telling(rows)) for rows in told) <= 1
+
+
+def test_frames_in_which_nothing_was_seen_are_no_frames_without_an_error():
+    told = [when(recordings(seed, blank=0.2), 1e3, "mm", seed) for seed in range(10)]
+    assert sum(bool(telling(rows)) for rows in told) <= 1
+    found = when(recordings(2, lambda t, place: 2.0 if t > 3.0 else 1.0, blank=0.2), 1e3, "mm", 0)
+    assert "after the grips stopped" in telling(found)
+
+
+def test_the_cloth_is_fast_where_the_fit_is():
+    found = when(recordings(4, lambda t, place: 2.0 if 1.0 < t < 3.0 else 1.0), 1e3, "mm", 0)
+    assert "the cloth is fast" in telling(found)
+    assert "the cloth is slow" not in telling(found)
 
 
 def test_a_part_of_the_cloth_is_told():

@@ -44,32 +44,35 @@ class Probe:
     columns: list[np.ndarray]
 
 
-def shape_settings(space: ParameterSpace, seed: int, duration: float = np.inf) -> Iterator[Setting]:
+def shape_settings(space: ParameterSpace, seed: int, last: float = np.inf) -> Iterator[Setting]:
     """(phi with amounts at null, numbers of the amounts, their steps) for each setting of an effect's shape parameters:
     default amounts at the default setting, large ones at it and at all others.
 
-    duration: s, of the longest recording; no time after its end is looked at.
+    last: s, the moment at which the longest recording ends; no time after that is looked at.
     """
     amounts = tuple(i for i, p in enumerate(space) if p.null is not None)
     shapes = [i for i, p in enumerate(space) if p.null is None]
     null = null_point(space)
-    steps = np.array([space.defaults[i] - null[i] or LOOP.default_step * (space.high[i] - null[i]) for i in amounts])
+    steps = np.array([space.defaults[i] - null[i] or LOOP.default_step * side_of(space, null, i) for i in amounts])
     room = np.where(steps > 0, (space.high - null)[[*amounts]], (null - space.low)[[*amounts]])
     large = np.sign(steps) * np.minimum(LOOP.large_step * np.abs(steps), room)
     yield null, amounts, steps
     yield null, amounts, large
     if shapes:
         many = LOOP.shape_settings * (2 if len(shapes) > 1 else 1)
-        last = [
-            space.to_unit(np.minimum(space.high, duration))[i] if space.parameters[i].unit == "s" else 1.0
-            for i in shapes
-        ]
+        ends = space.to_unit(np.clip(last, space.low, space.high))
+        most = [ends[i] if space.parameters[i].unit == "s" else 1.0 for i in shapes]
         for point in sobol(len(shapes), np.random.default_rng(seed), many):
             unit = space.to_unit(null)
-            unit[shapes] = point * last
+            unit[shapes] = point * most
             phi = space.from_unit(unit)
             phi[list(amounts)] = null[list(amounts)]
             yield phi, amounts, large
+
+
+def side_of(space: ParameterSpace, null: np.ndarray, amount: int) -> float:
+    """How far an amount can go from null, above it or, where its bounds end there, below it."""
+    return float(space.high[amount] - null[amount] or space.low[amount] - null[amount])
 
 
 def null_point(space: ParameterSpace) -> np.ndarray:
@@ -119,8 +122,8 @@ def best_settings(problem: Problem, fitted: Fitted, name: str) -> tuple[list[Set
 
 def shapes_looked_at(problem: Problem, name: str) -> list[Setting]:
     """The settings of an effect's shape that are looked at."""
-    duration = max(case.duration for case in problem.of_split("fit"))
-    return list(shape_settings(problem.space_of(name), problem.seed, duration))
+    last = max(case.last_moment for case in problem.of_split("fit"))
+    return list(shape_settings(problem.space_of(name), problem.seed, last))
 
 
 def tangents(

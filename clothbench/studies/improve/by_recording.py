@@ -284,7 +284,7 @@ def own_amounts(
         alone = problem.restricted(dataclasses.replace(case, split="fit"))
         alone = dataclasses.replace(
             alone, own={case.name: {**problem.own.get(case.name, {}), **held}},
-            bounds={**problem.bounds, **moments_within(problem.space_of(name), name, case.duration)},
+            bounds={**problem.bounds, **moments_within(problem.space_of(name), name, case.last_moment)},
         )  # fmt: skip
         start = places(alone.space(effects), problem.seed) if known is None else known[case.name].theta
         questions.append((alone, effects, start, LOOP.refit_rounds))
@@ -296,13 +296,13 @@ def own_amounts(
     return out
 
 
-def moments_within(space: ParameterSpace, name: str, duration: float) -> dict[str, tuple[float, float]]:
-    """Bounds for the moments [s] among an effect's shapes: none after the recording's end, where steps of a search
-    that are shares of the range would else lead.
+def moments_within(space: ParameterSpace, name: str, last: float) -> dict[str, tuple[float, float]]:
+    """Bounds for the moments [s] among an effect's shapes: none after `last`, the recording's end, where steps of a
+    search that are shares of the range would else lead. A recording that ends before all that the bounds allow keeps
+    them: there the effect does nothing, whatever its amounts.
     """
-    return {
-        f"{name}.{p.name}": (p.bounds[0], min(p.bounds[1], duration)) for p in space if p.unit == "s" and p.null is None
-    }
+    moments = [p for p in space if p.unit == "s" and p.null is None and p.bounds[0] < last]
+    return {f"{name}.{p.name}": (p.bounds[0], min(p.bounds[1], last)) for p in moments}
 
 
 def places(space: ParameterSpace, seed: int) -> np.ndarray:

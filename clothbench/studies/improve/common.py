@@ -79,8 +79,10 @@ def error_after(found: Mapping[str, Any]) -> float:
 
 
 def shared_effects(documents: Sequence[Document], best: Document) -> list[dict[str, Any]]:
-    """What every model that says anything lacks, as the best of them has it; tied are those that all of them tie."""
-    heard, out = speaking(documents), []
+    """What every model that says anything lacks, each name once, as the best of them has it; tied are those that all of
+    them tie.
+    """
+    heard, out, listed = speaking(documents), [], set[str]()
     if len(heard) < LEAST:
         return []
     for entry in best["effects"]:
@@ -88,11 +90,23 @@ def shared_effects(documents: Sequence[Document], best: Document) -> list[dict[s
         if any(one is None for one in matches):
             continue
         names = set.intersection(names_of(entry), *(names_of(one) for one in matches if one is not None))
+        names -= listed
         if not names:  # each shares one with the best model, and no two others the same
             continue
-        named = next((e for e in (entry, *matches) if e is not None and e["name"] in names), entry)
+        named = next((e for e in (entry, *matches) if e is not None and e["name"] in names), None)
+        named = named or named_first_by_none(best, next(name for name in entry["tied_with"] if name in names))
         out.append(named | {"tied_with": sorted(names - {named["name"]})})
+        listed |= names
     return out
+
+
+def named_first_by_none(found: Document, name: str) -> dict[str, Any]:
+    """An entry for what models only tie with what they name, so that none of them states its amounts."""
+    p_value = next(c["p_value"] for c in found["candidates"] if c["name"] == name)
+    return {
+        "name": name, "place": "", "summary": "each model has it tied with another name", "family": "",
+        "parameters": {}, "by_recording": None, "tied_with": [], "p_value": p_value, "selected_in": "",
+    }  # fmt: skip
 
 
 def match(entry: Mapping[str, Any], found: Mapping[str, Any]) -> dict[str, Any] | None:

@@ -12,6 +12,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.curve import Curve
 
 STEPS = 60  # of the common range of stretch, where the recordings have samples enough
+HOLE = 3  # steps from one with a sample to the next, beyond which nothing is told in between
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +75,7 @@ def floor_of(seen: Sequence[CurveObservation], curves: Sequence[Curve]) -> float
 
 
 def spread(seen: Sequence[CurveObservation], widths: Sequence[float]) -> float:
-    """Standard deviation [N] between runs at equal stretch, root-mean-square over the steps that any of them has.
+    """Standard deviation [N] between runs at equal stretch, root-mean-square over the steps that two of them have.
 
     widths: m, of the samples; NaN = not known, of all of them. Forces are compared per width, and what they differ by
     is told of a sample of the root-mean-square width.
@@ -82,9 +83,23 @@ def spread(seen: Sequence[CurveObservation], widths: Sequence[float]) -> float:
     known = np.any([one.visible for one in seen], axis=0)
     centres = np.nanmean([one.stretch[known] for one in seen], axis=0)
     times = np.ones(len(seen)) if np.isnan(widths).any() else np.divide(widths, widths[0])
-    forces = [
-        np.interp(centres, one.stretch[one.visible], one.force[one.visible]) / wider
-        for one, wider in zip(seen, times, strict=True)
-    ]
-    per_width = np.sqrt(np.mean(np.var(forces, axis=0, ddof=1)))
+    forces = np.array(
+        [force_at(one, centres, np.flatnonzero(known)) / wider for one, wider in zip(seen, times, strict=True)]
+    )
+    compared = np.isfinite(forces).sum(axis=0) > 1
+    if not compared.any():
+        return math.nan
+    per_width = np.sqrt(np.mean(np.nanvar(np.ascontiguousarray(forces[:, compared]), axis=0, ddof=1)))
     return float(per_width * np.sqrt(np.mean(times**2)))
+
+
+def force_at(one: CurveObservation, stretch: np.ndarray, steps: np.ndarray) -> np.ndarray:
+    """Force (K,) N of a run at stretches (K,) that lie in `steps` (K,): between its median there and the next. NaN of a
+    step in which it has no sample, and across a hole: there a straight line is no run.
+    """
+    mine = np.flatnonzero(one.visible)
+    force = np.interp(stretch, one.stretch[mine], one.force[mine])
+    beyond = np.searchsorted(mine, steps) + np.where(stretch > one.stretch[steps], 1, -1)
+    apart = np.abs(mine[np.clip(beyond, 0, len(mine) - 1)] - steps)
+    near = (apart <= HOLE) | np.isclose(stretch, one.stretch[steps])
+    return np.where(one.visible[steps] & near, force, np.nan)

@@ -66,6 +66,7 @@ class CurveCase:
     observation: CurveObservation
 
     duration: ClassVar[float] = math.inf  # no time is known of a curve
+    last_moment: ClassVar[float] = math.inf
 
     def trial(self, model: Any, effects: Sequence[Effect], correction: np.ndarray | None) -> Trial:
         """A curve has no mesh, and nothing to correct."""

@@ -181,18 +181,19 @@ def candidate_entries(finding: Finding) -> list[dict[str, Any]]:
     square = finding.evidence.unit.scale**2
     for found in finding.rounds:
         for c in found.candidates:
-            dropped = finding.dropped and c.name in found.named
             latest[c.name] = {
                 "name": c.name, "share": c.share, "gain": finite(square * c.gain), "p_value": c.p_value,
-                "why_not": finding.dropped if dropped else why_not(c, found),
+                "why_not": why_not(c, found, finding.dropped),
             }  # fmt: skip
     return sorted(latest.values(), key=lambda c: (-(c["gain"] or 0.0), -c["share"]))
 
 
-def why_not(candidate: Candidate, of: Round) -> str:
-    """Why a candidate was not named in a round; "" if it was."""
+def why_not(candidate: Candidate, of: Round, dropped: str) -> str:
+    """Why a candidate was not named in a round, or why what was named is no finding after all, `dropped`; "" of what
+    the verdict names.
+    """
     if candidate.name in of.named:
-        return ""
+        return dropped
     if candidate.why_not:
         return candidate.why_not
     if candidate.fitted is None:

@@ -22,6 +22,7 @@ CONTRASTS = (  # (in words, number of the quantity)
     ("elongation, mean of both sides", 1),
     ("elongation, half of face up less face down", 1),
 )
+FACES = (1, 2)  # sides, up and down
 LEAST_SPECIMENS = 3
 PAIRS = ("the same side of a specimen", "the two sides of a specimen", "different specimens")
 PERMUTATIONS = 999
@@ -32,11 +33,13 @@ LEAST_SPREAD = np.array([0.01, 0.7e-3])  # of each quantity: what other first sh
 class Specimen:
     """The drapes of one specimen: means over the captures of each side.
 
+    sides: (S,) numbers of `SIDES`, those of any recording;
     mean: (S, Q) SI, of S sides, NaN where a side was not captured; known: (S, Q) bool, where it was, M times in all;
     spread: (M,) between specimens, SI; labels: (M,) in words; across: (S,) m, the elongation's other part, along lines
     that lie halfway between, which is 0 in the mean where drapes are long along a thread.
     """
 
+    sides: tuple[int, ...]
     mean: np.ndarray
     known: np.ndarray
     spread: np.ndarray
@@ -67,7 +70,9 @@ def specimens_of(
         {int(k): _means(v[o.sample == k], s[o.sample == k], sides) for k in np.unique(o.sample)}
         for o, v, s in zip(seen, values, side, strict=True)
     ]
-    known = np.stack([m for each, fit in zip(means, fitted, strict=True) if fit for m in each.values()])
+    # A side that only recordings held out have says nothing of the line.
+    captured = np.isin(sides, np.concatenate([s for s, fit in zip(side, fitted, strict=True) if fit]))
+    known = np.stack([m[captured] for each, fit in zip(means, fitted, strict=True) if fit for m in each.values()])
     turn = line_of(known[..., 1])
     spread = spread_of(np.stack([_along(m, turn) for m in known]))
     return [[(k, _specimen(m, turn, spread, sides)) for k, m in each.items()] for each in means], sides
@@ -84,7 +89,8 @@ def alike(seen: Sequence[Outlines], side: Sequence[np.ndarray], seed: int) -> li
     radius = np.concatenate([o.radius - o.radius.mean(axis=1, keepdims=True) for o in seen])
     shape = radius / np.maximum(np.linalg.norm(radius, axis=1, keepdims=True), 1e-300)
     correlation = shape @ shape.T
-    specimen = np.concatenate([1000 * n + o.sample for n, o in enumerate(seen)])
+    numbers = [np.stack([np.full(len(o.sample), n), o.sample], axis=1) for n, o in enumerate(seen)]
+    specimen = np.unique(np.concatenate(numbers), axis=0, return_inverse=True)[1].ravel()
     up = np.concatenate([np.asarray(s) for s in side])
     upper = np.triu(np.ones(correlation.shape, dtype=bool), 1)
     same, turned = specimen[:, None] == specimen, up[:, None] != up
@@ -101,25 +107,27 @@ def alike(seen: Sequence[Outlines], side: Sequence[np.ndarray], seed: int) -> li
     return rows
 
 
-def contrasts(field: np.ndarray) -> np.ndarray:
-    """What symmetry forbids, of quantities (..., S, Q) of S sides: what `CONTRASTS` name (..., C), NaN where a side is
-    not known.
+def contrasts(field: np.ndarray, sides: Sequence[int]) -> np.ndarray:
+    """What symmetry forbids, of quantities (..., S, Q) of S `sides`: what `CONTRASTS` name (..., C), NaN where a side
+    is not known; between faces only where it was told which was up.
     """
     covers, long = field[..., 0], field[..., 1]
-    if field.shape[-2] < 2:
+    if not set(FACES) <= set(sides):
         nothing = np.full(long.shape[:-1], np.nan)
-        return np.stack([nothing, long[..., 0], nothing], axis=-1)
-    return np.stack(
-        [covers[..., -2] - covers[..., -1], long[..., -2:].mean(-1), np.diff(long[..., -2:])[..., 0] / -2], axis=-1
-    )
+        return np.stack([nothing, long.mean(-1), nothing], axis=-1)
+    up, down = (list(sides).index(face) for face in FACES)
+    halves = long[..., up] / 2, long[..., down] / 2
+    return np.stack([covers[..., up] - covers[..., down], halves[0] + halves[1], halves[0] - halves[1]], axis=-1)
 
 
 def asymmetries(specimens: Sequence[Specimen], line_from_these: bool = True) -> list[dict[str, Any]]:
     """What the drapes themselves say, without any model: mean of each contrast over specimens with its 95 % interval
     along the line, and p. None of it could be if faces and threads were alike. line_from_these: as in `contrast_means`.
     """
+    if len(specimens) < LEAST_SPECIMENS:  # none at all where nothing was held out
+        return []
     across = [s.across for s in specimens] if line_from_these else None
-    means, rows = contrast_means([s.mean for s in specimens], across), []
+    means, rows = contrast_means([s.mean for s in specimens], specimens[0].sides, across), []
     half, p_value = means.half_width(0.05), means.p_value
     for k, (name, quantity) in enumerate(CONTRASTS):
         if means.number[k] < LEAST_SPECIMENS:
@@ -150,14 +158,18 @@ class ContrastMeans:
         return -student_quantile(level / 2, np.maximum(self.number - 1, 1)) * self.error
 
 
-def contrast_means(fields: Sequence[np.ndarray], across: Sequence[np.ndarray] | None = None) -> ContrastMeans:
-    """Of quantities, or what a model leaves of them, (S, Q) SI of each specimen.
+def contrast_means(
+    fields: Sequence[np.ndarray], sides: Sequence[int], across: Sequence[np.ndarray] | None = None
+) -> ContrastMeans:
+    """Of quantities, or what a model leaves of them, (S, Q) SI of each specimen; a side of `sides` (S,) that none of
+    them has is left out.
 
     p is Student's. Where the line was chosen from these specimens, along which they are then long by chance already,
     across: (S,) m of each; p of an elongation is that of both its parts together, whatever the line.
     """
-    seen = np.stack(fields)
-    values = contrasts(seen)
+    captured = np.isfinite(fields).any(axis=(0, 2))
+    seen, sides = np.stack([field[captured] for field in fields]), np.array(sides)[captured].tolist()
+    values = contrasts(seen, sides)
     number = np.isfinite(values).sum(axis=0)
     values = np.where(number >= LEAST_SPECIMENS, values, 0.0)
     least = LEAST_SPREAD[[quantity for _, quantity in CONTRASTS]]
@@ -165,7 +177,7 @@ def contrast_means(fields: Sequence[np.ndarray], across: Sequence[np.ndarray] | 
     mean, error = np.nanmean(values, axis=0), spread / np.sqrt(np.maximum(number, 1))
     p_value = 2 * student_above(np.abs(mean) / error, np.maximum(number - 1, 1))
     if across is not None:
-        other = contrasts(np.stack([seen[..., 0], np.stack(across)], axis=-1))
+        other = contrasts(np.stack([seen[..., 0], np.stack([each[captured] for each in across])], axis=-1), sides)
         for k, (_, quantity) in enumerate(CONTRASTS):
             if quantity == ELONGATION and number[k] >= LEAST_SPECIMENS:
                 p_value[k] = beside_nothing(np.stack([values[:, k], other[:, k]], axis=1), least[k])
@@ -219,4 +231,4 @@ def _specimen(seen: np.ndarray, turn: complex, spread: np.ndarray, sides: Sequen
     words = {0: "", 1: " face up", 2: " face down"}
     assert set(words) == set(SIDES)
     labels = tuple(QUANTITIES[q].name.replace("_", " ") + words[sides[s]] for s, q in at)
-    return Specimen(mean, known, spread[at[:, 1]], labels, (seen[:, 1] / turn).imag)
+    return Specimen(tuple(sides), mean, known, spread[at[:, 1]], labels, (seen[:, 1] / turn).imag)

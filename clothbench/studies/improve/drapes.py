@@ -173,6 +173,7 @@ class DrapeCase:
     meter: Drapemeter
 
     duration: ClassVar[float] = float("inf")  # cloth at rest knows no time
+    last_moment: ClassVar[float] = float("inf")
 
     def trial(self, model: Model, effects: Sequence[Effect], correction: np.ndarray | None) -> Trial:
         metric = DrapeError(self.specimen, 0.0 if correction is None else correction)
@@ -264,7 +265,8 @@ class DrapeEvidence:
         seen = self._of("fit")
         across = [s.across for s in seen]  # a model's threads lie along the line, so that it is not long across
         was, now = (
-            contrast_means([_field(r, s) for r, s in zip(each, seen, strict=True)], across) for each in (before, after)
+            contrast_means([_field(r, s) for r, s in zip(each, seen, strict=True)], seen[0].sides, across)
+            for each in (before, after)
         )
         worse = (np.abs(now.mean) - np.abs(was.mean) - now.half_width(0.05)) / now.error
         worst = int(np.argmax(worse))

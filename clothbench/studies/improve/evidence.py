@@ -70,7 +70,12 @@ class Case(Protocol):
 
     @property
     def duration(self) -> float:
-        """s; infinite where no time is known of it."""
+        """s, of what was seen; infinite where no time is known of it."""
+        ...
+
+    @property
+    def last_moment(self) -> float:
+        """s, as effects count, at which what was seen ends; infinite where no time is known of it."""
         ...
 
     def trial(self, model: Model, effects: Sequence[Effect], correction: np.ndarray | None) -> Trial:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Mapping, Sequence
+from itertools import chain, count
 from pathlib import Path
 from typing import Any
 
@@ -68,5 +69,6 @@ def file_names(comparisons: Sequence[Comparison]) -> list[str]:
     out: list[str] = []
     for one in comparisons:
         name = file_name(one.case.name)
-        out.append(name if name not in out else f"{name}-{len(out) + 1}")
+        numbered = (f"{name}-{number}" for number in count(len(out) + 1))
+        out.append(next(free for free in chain([name], numbered) if free not in out))
     return out

@@ -20,12 +20,12 @@ FASTEST = 5.5  # Hz, of motion that is kept of frames that come fast enough
 RESOLVED = 0.3  # of the rate of frames, that they resolve
 KNOTS = 4.0  # per period of the fastest motion that is kept
 GAP = 1.5  # periods of that motion between two frames, across which nothing is told
-ENDS = 0.75  # of that period, at either end of a recording, where a spline hangs on too little
+ENDS = 0.75  # of that period, at either end of a recording and of a gap, where a spline hangs on too little
 SAMPLED = 1 / 30  # s, of the times at which motion is told, unless frames come faster
 LEAST_FRAMES = 20  # of a recording
 LEAST_COUNTED = 1.0  # s of motion that have to be told
 LEAST_COVERED = 0.9  # of the sheet, that lies between nodes seen in most frames
-LEAST_SEEN = 0.5  # of the frames, in which a node has to be seen
+LEAST_SEEN = 0.5  # of the frames, in which a node has to be seen; and of the nodes, in a frame that is counted
 NEIGHBOURS = 6  # nodes of the same frame, by which one is bridged that was not seen for long
 LEAST_ACROSS = 0.1  # of a force, that has to be across the line of the grips, for it to be told from its torque
 STRAIGHT = 0.02  # of the length of the line of the grips, by which one may lie beside it
@@ -38,7 +38,8 @@ class Motion:
     time: (T,) s; x, v, a: (T, N, 3) m, m/s, m/s²; normal: (T, N, 3); line: (T, 3), along the grips; lever: (T, N, 3) m,
     how a node moves by one radian about it; area: (N,) m²; along: (N, 2), place on the sheet, 0 to 1 from left to right
     and from the upper edge to the lower; width: m; density: kg/m²; gravity: (3,) m/s²; noise: m, σ of a coordinate;
-    rate: 1/s, of the frames; fastest: Hz, motion that is kept; counted: (T,), times that are in no gap between frames.
+    rate: 1/s, of the frames; fastest: Hz, motion that is kept; counted: (T,), times that are neither in nor next to a
+    gap between frames that saw enough.
     """
 
     time: np.ndarray
@@ -105,19 +106,24 @@ def motion_of(observation: Observation, scene: Scene, noise: float) -> Motion | 
     """
     from scipy.spatial import Delaunay
 
-    time = observation.time
+    # A frame in which nothing was seen is none, whether a recording has it or not.
+    some = observation.visible.any(axis=1)
+    time = observation.time[some]
     if observation.sight is not None or scene.obstacles or len(time) < LEAST_FRAMES or scene.outline is not None:
         return None
     if (line := line_of_grips(scene, time)) is None:
         return None
     step = float(np.median(np.diff(time)))
     fastest = min(FASTEST, RESOLVED / step)
-    seen = np.where(observation.visible[..., None], observation.position, np.nan)
+    seen = np.where(observation.visible[some, :, None], observation.position[some], np.nan)
     seen = bridged(with_grips(seen, observation.material, scene, time), observation.material, time, GAP / fastest / 3)
     often = np.asarray(np.isfinite(seen[..., 0]).mean(axis=0) >= LEAST_SEEN)
     seen, material = seen[:, often], observation.material[often]
-    at = np.arange(time[0] + ENDS / fastest, time[-1] - ENDS / fastest, min(step, SAMPLED))
-    counted = between_frames(time, at) <= GAP / fastest
+    enough = time[np.isfinite(seen[..., 0]).mean(axis=1) >= LEAST_SEEN]
+    if len(enough) < LEAST_FRAMES:
+        return None
+    at = np.arange(enough[0] + ENDS / fastest, enough[-1] - ENDS / fastest, min(step, SAMPLED))
+    counted = ~in_gaps(enough, at, GAP / fastest, ENDS / fastest)
     if counted.sum() * min(step, SAMPLED) < LEAST_COUNTED or len(material) < 3:
         return None
     if np.linalg.matrix_rank(material - material[0]) < 2:
@@ -170,6 +176,12 @@ def between_frames(time: np.ndarray, at: np.ndarray) -> np.ndarray:
     """(S,) s from the frame before each of the times `at` to the one after it."""
     after = np.clip(np.searchsorted(time, at), 1, len(time) - 1)
     return time[after] - time[after - 1]
+
+
+def in_gaps(time: np.ndarray, at: np.ndarray, longest: float, ends: float) -> np.ndarray:
+    """Which of the times `at` (S,) are in a gap of more than `longest` s between frames, or within `ends` s of one."""
+    first = np.flatnonzero(np.diff(time) > longest)
+    return np.asarray(((at > time[first, None] - ends) & (at < time[first + 1, None] + ends)).any(axis=0))
 
 
 def with_grips(seen: np.ndarray, material: np.ndarray, scene: Scene, time: np.ndarray) -> np.ndarray:

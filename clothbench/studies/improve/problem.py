@@ -19,7 +19,7 @@ from clothbench.engine.checkpoint import Checkpoint
 from clothbench.engine.study import Elsewhere
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.prior import begun
-from clothbench.estimation.trials import Trial
+from clothbench.estimation.trials import Trial, score_of
 from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.improve.evidence import Case, Evidence, of_split
 
@@ -143,8 +143,10 @@ class Problem:
 
 
 def residuals(trial: Trial, theta: np.ndarray) -> np.ndarray:
-    """Simulated minus measured (B, M), in the evidence's base unit, for parameter sets (B, P)."""
-    found = trial.metric(trial.observation, trial.simulation.run(theta)).residual
+    """Simulated minus measured (B, M), in the evidence's base unit, for parameter sets (B, P); NaN of a run that
+    did not come to its end.
+    """
+    found = score_of(trial, trial.metric, trial.simulation.run(theta)).residual
     assert found is not None  # every metric of the loop has one
     return found
 

@@ -65,10 +65,10 @@ def assess(
     current: Fitted, gain: float, tried: Sequence[Candidate], evidence: Evidence | None = None, mesh: float = 0.0
 ) -> list[Candidate]:
     """What speaks against each of them, if anything; and in how many leave-one-out rounds it is the best and explains
-    enough. What is left out there is a recording's say: nothing is fitted again. What contradicts the recordings is no
-    rival of the others; what corrects the same as another is compared with it on all recordings at once: which of the
-    two is ahead on some of them is a matter of ripples, and no reason to name one without the other. mesh: what the
-    model's mesh may be wrong by, base unit.
+    enough. What is left out there is a recording's say: nothing is fitted again. What contradicts the recordings, or
+    could not be simulated to the end, is no rival of the others; what corrects the same as another is compared with it
+    on all recordings at once: which of the two is ahead on some of them is a matter of ripples, and no reason to name
+    one without the other. mesh: what the model's mesh may be wrong by, base unit.
     """
     count = len(current.mean_squares)
     square = np.array([c.fitted.mean_squares for c in tried if c.fitted is not None]).reshape(-1, count)
@@ -76,7 +76,7 @@ def assess(
     objections = [
         evidence.objection(current.residual, c.fitted.residual) if evidence and c.fitted else "" for c in tried
     ]
-    rivals = [k for k, why in enumerate(objections) if not why]
+    rivals = [k for k, why in enumerate(objections) if not why and np.isfinite(square[k]).all()]
     allowed, same, doubt = allowances(current, tried), alike(current, tried), mesh_decides(current, tried, mesh)
     out = []
     for k, candidate in enumerate(tried):

@@ -74,6 +74,12 @@ class SheetCase:
         """s, from the first frame to the last."""
         return float(np.ptp(self.observation.time))
 
+    @property
+    def last_moment(self) -> float:
+        """s, from when effects count their moments, the grips' first stamp, to the last frame; frames may come late."""
+        held = self.scene.grip_time[:1] if len(self.scene.grip_material) else ()
+        return float(self.observation.time[-1] - min(self.scene.start_time, *held))
+
     def trial(self, model: Model, effects: Sequence[Effect], correction: np.ndarray | None) -> Trial:
         remember_rest(self.scene)  # searches ask for it again and again, with what does not change it
         simulation = prepared(model, self.scene, effects, self.recording.path or self.name)

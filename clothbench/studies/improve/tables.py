@@ -37,12 +37,12 @@ def candidate_rows(finding: Finding) -> Rows:
     unit = finding.evidence.unit
     for turn, one in enumerate(finding.rounds, 1):
         for c in one.candidates:
-            note = finding.notes[c.name]
+            note, why = finding.notes[c.name], why_not(c, one, finding.dropped)
             rows.append({
                 "round": turn, "name": c.name, "place": note.place, "summary": note.summary, "share": c.share,
                 "p_value": c.p_value, "gain": finite(unit.scale**2 * c.gain), "unit": f"{unit.reported}²",
-                "selected": c.selected, "of": len(one.before.residual), "why_not": why_not(c, one),
-                "named": c.name in one.named,
+                "selected": c.selected, "of": len(one.before.residual), "why_not": why,
+                "named": not why,
             })  # fmt: skip
     return sorted(rows, key=lambda r: (r["round"], not r["named"], -(r["gain"] or 0.0), -r["share"]))
 

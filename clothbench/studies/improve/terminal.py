@@ -31,8 +31,10 @@ def verdict_lines(found: Mapping[str, Any]) -> Iterator[str]:
     yield f"verdict{' in common' if found.get('models') else ''}: {found['verdict']}"
     for effect in found["effects"]:
         tied = f", tied with {', '.join(effect['tied_with'])}" if effect["tied_with"] else ""
-        yield f"  {effect['name']} ({effect['place']}): {effect['summary']}{tied}"
-        yield f"    {p_is(effect['p_value'])}, chosen in {effect['selected_in']} of the leave-one-out rounds"
+        place = f" ({effect['place']})" if effect["place"] else ""
+        rounds = f", chosen in {effect['selected_in']} of the leave-one-out rounds" if effect["selected_in"] else ""
+        yield f"  {effect['name']}{place}: {effect['summary']}{tied}"
+        yield f"    {p_is(effect['p_value'])}{rounds}"
         for name, p in effect["parameters"].items():
             low, high = (("?" if p[k] is None else f"{p[k]:.4g}") for k in ("low", "high"))
             yield f"    {name} = {p['value']:.4g} {p['unit']} ({low} … {high})"

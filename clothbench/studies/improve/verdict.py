@@ -283,10 +283,11 @@ def what_would_part(state: State, found: Round, pair: tuple[Candidate, Candidate
     best, unit = parting_experiment(*fits), state.problem.evidence.unit
     if best is None or best.apart <= size:
         return "a recording that goes further there would tell them apart"
-    return (
+    said = (
         f"moved as in {best.case} but {best.how}, for {best.seconds:.1f} s, they would differ by "
-        f"{unit.scale * best.apart:.2g} {unit.reported}, {best.apart / max(state.noise, 1e-300):.1f} times the noise"
+        f"{unit.scale * best.apart:.2g} {unit.reported}"
     )
+    return f"{said}, {best.apart / state.noise:.1f} times the noise" if state.noise > 0 else said
 
 
 def listed(names: Sequence[str]) -> str:

@@ -3,7 +3,7 @@
 A part of the cloth is told when more is left there than elsewhere in recording after recording (Student's t of the
 logarithm of the ratio over recordings, times the number of parts: Bonferroni). A phase is told when more is left in it
 than in the same residual moved round in time (max-statistic over all phases): a residual that is everywhere alike in
-time has no phase, however large it is.
+time has no phase, however large it is. Frames in which nothing was seen are in none.
 """
 
 from __future__ import annotations
@@ -71,8 +71,9 @@ def above_zero(values: np.ndarray) -> float:
 
 def when(seen: Sequence[tuple[Observation, Scene, np.ndarray]], scale: float, unit: str, seed: int) -> Rows:
     """Of the phases of the motion. ratio: of the rms in it to that of all of it."""
-    series = [per_frame(observation, field) for observation, _, field in seen]
-    phases = [phases_of(observation, scene) for observation, scene, _ in seen]
+    some = [observation.visible.any(axis=1) for observation, _, _ in seen]
+    series = [per_frame(observation, field)[k] for (observation, _, field), k in zip(seen, some, strict=True)]
+    phases = [{name: frames[k] for name, frames in phases_of(*one).items()} for one, k in zip(seen, some, strict=True)]
     names = sorted({name for one in phases for name, frames in one.items() if frames.sum() >= LEAST_FRAMES})
     if not names:
         return []
@@ -103,18 +104,31 @@ def per_frame(observation: Observation, field: np.ndarray) -> np.ndarray:
     return np.asarray(np.square(field).sum(axis=(1, 2)) / np.maximum(counted, 1))
 
 
-def phases_of(observation: Observation, scene: Scene) -> Mapping[str, np.ndarray]:
-    """Which frames (T,) are in each phase: by what the grips do, and by how fast the cloth moves."""
-    time = observation.time
-    out = grip_phases(time, scene)
-    x = np.where(observation.visible[..., None], observation.position, np.nan)
-    steps = np.diff(time)[:, None, None]
-    jump = np.linalg.norm(np.diff(x, axis=0) / steps, axis=2)
+def phases_of(observation: Observation, scene: Scene, field: np.ndarray) -> Mapping[str, np.ndarray]:
+    """Which frames (T,) are in each phase: by what the grips do, and by how fast the cloth moves; in none of the latter
+    where that is not known.
+
+    Speeds are the fit's, which is what was measured and `field` (T, N, 3) m together: those of the measured positions
+    have the noise of the residual, which would then seem to be larger where the cloth is fast.
+    """
+    x = np.where(observation.visible[..., None], observation.position + field, np.nan)
+    speed = speeds(x, observation.time)
+    known = np.isfinite(speed)
+    if not known.any():
+        return grip_phases(observation.time, scene)
+    slow, fast = np.quantile(speed[known], [1 / 3, 2 / 3])
+    cloth = {"the cloth is slow": speed <= slow, "the cloth is fast": speed >= fast}
+    return grip_phases(observation.time, scene) | cloth
+
+
+def speeds(x: np.ndarray, time: np.ndarray) -> np.ndarray:
+    """(T,) m/s, mean over nodes of positions (T, N, 3) m that are known in neighbouring frames; NaN where none is."""
+    jump = np.linalg.norm(np.diff(x, axis=0) / np.diff(time)[:, None, None], axis=2)
     seen = np.isfinite(jump)
-    speed = np.where(seen, jump, 0.0).sum(axis=1) / np.maximum(seen.sum(axis=1), 1)
-    speed = np.concatenate([speed[:1], (speed[1:] + speed[:-1]) / 2, speed[-1:]])
-    slow, fast = np.quantile(speed, [1 / 3, 2 / 3])
-    return out | {"the cloth is slow": speed <= slow, "the cloth is fast": speed >= fast}
+    count = seen.sum(axis=1)
+    speed = np.where(count > 0, np.where(seen, jump, 0.0).sum(axis=1) / np.maximum(count, 1), np.nan)
+    before, after = np.append(np.nan, speed), np.append(speed, np.nan)
+    return np.where(np.isnan(before), after, np.where(np.isnan(after), before, (before + after) / 2))
 
 
 def grip_phases(time: np.ndarray, scene: Scene) -> dict[str, np.ndarray]:

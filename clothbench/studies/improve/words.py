@@ -130,7 +130,8 @@ def named(effect: Mapping[str, Any]) -> str:
         amounts = ", ".join(filter(None, (amounts, "its amounts each recording's own")))
     others = "".join(f" or <b>{text(n)}</b>" for n in effect["tied_with"])
     means = f": {text(effect['summary'])}" if effect.get("summary") else ""
-    return f"<b>{text(effect['name'])}</b>{means} ({amounts}){others}" + (
+    amounts = f" ({amounts})" if amounts else ""
+    return f"<b>{text(effect['name'])}</b>{means}{amounts}{others}" + (
         ", which these recordings cannot tell apart" if others else ""
     )
 
