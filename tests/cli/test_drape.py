@@ -104,6 +104,7 @@ def test_the_metric_refuses_sheets(clothbench, recording, tmp_path):
         (("model=mass_spring",), "take tracker=drape"),
         (("model=linear_stretch", "tracker=drape"), "expected one that can be cut to a disc and takes effects"),
         (("model=mass_spring", "tracker=drape", "candidates=clock_offset"), "a drape tells none; take it out"),
+        (("model=mass_spring", "tracker=drape", "candidates=steady_wind"), "a drape tells none; take it out"),
         (("model=mass_spring", "tracker=drape", "scene.start=measured"), "begin from several first shapes"),
     ],
 )
@@ -141,5 +142,6 @@ def test_improve_asks_what_drapes_hide(clothbench, drapes, tmp_path):
     assert set(verdict["parameters"]) == {"k2"}  # of what a drape coefficient tells
     page = (tmp_path / "found" / "index.html").read_text()
     assert "Drapes, side by side" in page
+    assert "clothbench view" not in page  # there is no Rerun file of a drape
     table = pd.read_parquet(tmp_path / "found" / "tables" / "drapes.parquet")
     assert set(table["quantity"]) == {"drape_coefficient", "elongation"}

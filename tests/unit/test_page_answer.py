@@ -177,6 +177,11 @@ def test_a_way_is_called_by_what_tells_it_apart():
     name = way_of(some)
     assert [name(r) for r in some] == ["a · ga", "a · cma_es", "b · ga"]
     assert way_of(some[:1])(some[0]) == "a"
+    # Settings tell versions of the optimizer and the metric, too; these have other ones, but nothing was set otherwise.
+    told = [r | {"settings": f"digest of {r.get('optimizer')}"} for r in some]
+    assert [way_of(told)(r) for r in told] == ["a · ga", "a · cma_es", "b · ga"]
+    other = [told[0], told[0] | {"settings": "another"}]
+    assert way_of(other)(other[1]) == "a · settings another"
 
 
 def parameter(**more: Any) -> dict[str, Any]:

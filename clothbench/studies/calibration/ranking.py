@@ -70,8 +70,11 @@ def way_of(rows: Rows) -> Callable[[dict[str, Any]], str]:
 
 
 def differ(rows: Rows, name: str) -> bool:
-    """Whether rows differ in this; of settings, rows of one model in one case: a fabric may have bounds of its own."""
-    known = group(rows, lambda r: (model_name(r), r["case"]) if name == "settings" else "all")
+    """Whether rows differ in this; of settings, rows of one model, optimizer and objective in one case: a fabric may
+    have bounds of its own, and settings tell versions of these.
+    """
+    same = ("case", "optimizer", "objective")
+    known = group(rows, lambda r: (model_name(r), *map(r.get, same)) if name == "settings" else "all")
     return any(len({r.get(name) for r in some}) > 1 for some in known.values())
 
 

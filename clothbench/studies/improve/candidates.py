@@ -35,8 +35,8 @@ def candidates_of(
 
 
 def acts_on_drapes(effect: Effect) -> bool:
-    """Whether it is a force of the cloth itself. A drape has no grips, and no clock or marker saw it; it is at rest; and
-    what has a direction in the room would have to stay there while the sheet is turned over.
+    """Whether it is a force of the cloth itself: a drape has no grips, no clock or marker saw it, it is at rest, and
+    what has a direction in the room would have to keep it while the sheet is turned over.
     """
     return acts_on_sheets(effect) and effect.place == "dynamics" and family_of(effect) not in OF_THE_ROOM
 

@@ -30,8 +30,9 @@ HERE = Path(__file__).parent
 SURE = {"complete": "ok", "attributed": "ok"}
 OVER = {"mm": "visible node coordinates", "N": "steps of stretch", "sd": "sides and quantities"}
 LEGEND = '<div class="menu top"><div id="legend"></div></div>'
-FOOTER = """<footer>The same as data: <code>verdict.json</code> and the Parquet files in <code>tables</code>. See a
-recording beside the model before and after: <code>clothbench view RECORDING --out FOLDER</code>.</footer>"""
+FOOTER = "The same as data: <code>verdict.json</code> and the Parquet files in <code>tables</code>."
+VIEWED = """ See a recording beside the model before and after:
+<code>clothbench view RECORDING --out FOLDER</code>."""
 
 CANDIDATES = f"""<p class="soft">Share: how much of what the calibrated model leaves only this effect could explain, to
 first order. p: how often chance does as well with the best of all candidates; {LOOP.permutations} draws can tell no p
@@ -77,7 +78,9 @@ def page_html(found: Mapping[str, Any], tables: Tables) -> str:
         stage_section(found, tables["stages"], blocks),
         remains_section(found, tables),
     ]
-    drawn = Section(FOOTER, {"found": {"legend": legend(found), "blocks": blocks}}, BLOCKS, STYLE)
+    # What moves has Rerun files, curves and drapes have none.
+    footer = f"<footer>{FOOTER}{VIEWED if tables['frames'] else ''}</footer>"
+    drawn = Section(footer, {"found": {"legend": legend(found), "blocks": blocks}}, BLOCKS, STYLE)
     return whole_page(f"improve {text(found['model'])}", [*map(Section, sections), drawn])
 
 

@@ -161,7 +161,7 @@ def refuse_what_needs_a_mesh(settings: Mapping[str, Any]) -> None:
         del scene["air_density"]
     given = {"resolution": suite.get("resolution"), "base": own_base(settings), **{k: scene.get(k) for k in OF_SCENE}}
     for key, value in given.items():
-        if value is not None:
+        if value not in (None, []):  # that there is no base is what curves have, too
             raise ClothbenchError(f"found {key}=…, which force-extension curves have no use for; leave it out")
 
 
