@@ -116,6 +116,14 @@ def test_where_nothing_is_in_common_the_errors_are_of_the_calibrated_fit():
     assert "no candidate explains" not in sentence(found)
 
 
+def test_where_nothing_is_in_common_the_best_calibrated_model_stands():
+    better = verdict("b", after=2.0)
+    for split in ("fit", "held_out"):
+        better["error_mm"][split]["before"] = 2.0
+    found = common_document([verdict("a", "drag"), better])
+    assert (found["model"], found["error_mm"]["held_out"]["after"]) == ("b", 2.0)
+
+
 def test_one_model_that_lacks_nothing_says_nothing_in_common():
     found = common_document([verdict("a", word="complete"), verdict("b")])
     assert found["verdict"] == "unexplained"

@@ -20,7 +20,7 @@ def common_document(documents: Sequence[Document]) -> Document:
     model, on the same recordings.
 
     A model that ends without a name for what is left neither bears a name out nor speaks against it; at least two have
-    to have something to say. Where nothing is in common, errors are those of the calibrated fit.
+    to have something to say. Where nothing is in common, errors are those of the best calibrated fit.
     """
     heard = speaking(documents)
     complete = [found for found in heard if found["verdict"] == "complete"] if len(heard) >= LEAST else []
@@ -29,7 +29,8 @@ def common_document(documents: Sequence[Document]) -> Document:
     if shared:
         word = "tied" if any(entry["tied_with"] for entry in shared) else "attributed"
     else:
-        word, best = "complete" if complete else "unexplained", without_names(best)
+        word = "complete" if complete else "unexplained"
+        best = min(map(without_names, complete or documents), key=error_after)
     total = {name: sum(found[name] for found in documents) for name in ("evaluations", "wall_s")}
     return best | total | {
         "verdict": word, "effects": shared, "hint": hint(documents, word),
