@@ -14,10 +14,16 @@ from typing import Any
 
 from clothbench.cli.arguments import DEFAULT_OUT, parser
 from clothbench.core.errors import ClothbenchError, one_line
+from clothbench.core.output import kept_on
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code. Errors a user can cause are one line on standard error."""
+    with kept_on():
+        return _main(argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [a for a in arguments if a != "--debug"]
@@ -37,9 +43,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         print(f"clothbench: {fault}", file=sys.stderr)
         return 2
-    except BrokenPipeError:  # the reader of our output has gone, as `| head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # else Python finds it gone once more when it ends
-        return 0
     except OSError as fault:
         if debug:
             raise
@@ -52,8 +55,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 def flushed(code: int) -> int:
-    """The exit code, with all that was printed gone out: a reader that has gone shows here at the latest."""
-    sys.stdout.flush()
+    """The exit code, with all that was printed gone out: that a disk is full shows here at the latest."""
+    print(end="", flush=True)
     return code
 
 

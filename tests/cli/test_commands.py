@@ -1,6 +1,7 @@
 """The command line as a user meets it: exit codes, messages, what is written and what is not."""
 
 import json
+import os
 import subprocess
 import sys
 import time
@@ -292,6 +293,29 @@ def test_a_reader_that_goes_away_is_no_failure(clothbench, tmp_path):
             reading.stdout.close()
             said = reading.stderr.read().decode()
         assert (reading.returncode, said) == (0, ""), (words, said)
+
+
+def unheard(words, folder):
+    """The exit code of a command that nobody listens to."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        return subprocess.run(
+            [sys.executable, "-m", "clothbench", *map(str, words)], stdout=writing, stderr=writing, cwd=folder
+        ).returncode
+    finally:
+        os.close(writing)
+
+
+def test_a_command_that_nobody_listens_to_goes_on_to_its_end(recordings_folder, tmp_path):
+    """As of `… 2>&1 | head -1`: its page is there, and its exit code says what it found."""
+    assert unheard(["run", f"recordings={recordings_folder}", *CELL, "seed=1", "jobs=1"], tmp_path) == 0
+    assert (tmp_path / "runs" / "report.html").is_file()
+    row = {"suite": "s", "case": "c", "value": 10.0, "low": 9.0, "high": 11.0, "unit": "mm", "status": "ok"}
+    (tmp_path / "base.json").write_text(json.dumps([row]))
+    (tmp_path / "worse.json").write_text(json.dumps([{**row, "value": 20.0, "low": 19.0, "high": 21.0}]))
+    for words in ([], ["--json"], ["--markdown"]):
+        assert unheard(["compare", "base.json", "worse.json", *words], tmp_path) == 1
 
 
 def test_only_the_suite_that_is_asked_for_is_read(tmp_path):
