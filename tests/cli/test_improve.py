@@ -216,6 +216,25 @@ def test_one_recording_is_named_by_recording_alone(tmp_path):
             plan(settings_of([*words, more]), catalogue())
 
 
+def test_recordings_of_several_cloths_are_refused_and_of_one_that_not_all_state_are_not(tmp_path):
+    one, other = planted(0, "fit"), planted(3, "held_out")
+    words = [f"recordings={tmp_path}", *SMALL]
+
+    def planned(*more, **changes):
+        for recording in (one, dataclasses.replace(other, **changes)):
+            write_recording(recording, tmp_path / f"{recording.name}.nc")
+        return plan({**(said := settings_of(words)), "suite": {**said["suite"], **dict(more)}}, catalogue())
+
+    for changes, said in (
+        ({"fabric": "satin"}, r"attribute 'fabric': found paper, satin among 2 recordings, .*suite\.case=fabric"),
+        ({"areal_density": 0.31}, r"attribute 'areal_density': found 0\.\d+, 0\.31 among 2 recordings"),
+    ):
+        with pytest.raises(ClothbenchError, match=said):
+            planned(**changes)
+    assert len(planned(fabric="")) == 1
+    assert len(planned(("select", one.name), fabric="satin")) == 1
+
+
 def test_a_recording_that_the_model_cannot_simulate_is_refused_before_a_fit(tmp_path):
     """Held out as well as to fit: the model must not simulate the whole rectangle instead."""
     pytest.importorskip("mujoco")
