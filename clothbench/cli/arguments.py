@@ -100,7 +100,10 @@ def _prune(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--other-versions", action="store_true", help="cells of plugins in another version than the installed one, too"
     )
-    sub.add_argument("--cell", action="append", default=[], metavar="KEY", help="this cell, too, finished or not")
+    sub.add_argument(
+        "--cell", action="append", default=[], metavar="KEY",
+        help="this cell, too, finished or not: its whole key, as clothbench leaderboard --json has it",
+    )  # fmt: skip
 
 
 def _span(word: str, unit: str) -> Callable[[str], float]:
@@ -274,8 +277,8 @@ def _report(sub: argparse.ArgumentParser) -> None:
 def _view(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "name", metavar="CELL|CASE|RECORDING",
-        help="key of a cell, or its beginning, or the name of a case or recording, as page and leaderboard show them; "
-        "of `improve`, a recording's name",
+        help="the name of a case or recording, as page and leaderboard show them, or the key of a cell, or its "
+        "beginning, as clothbench leaderboard --json has it; of `improve`, a recording's name",
     )  # fmt: skip
     sub.add_argument("--web", action="store_true", help="in a browser; so it is where there is no display, too")
     _store(sub)

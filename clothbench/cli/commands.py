@@ -90,14 +90,10 @@ def results_in(place: str | Path, default: str = DEFAULT_OUT, whole: bool = True
     whole: whether an object of a bucket that cannot be read is one, too.
     """
     from clothbench.engine.mirror import results_folder
-    from clothbench.engine.store import Store
+    from clothbench.engine.store import Store, require_results
 
     folder = results_folder(place, whole)
-    if str(place) != default and not (folder / "cells").is_dir():
-        raise ClothbenchError(
-            f"{place}: found no results (no folder 'cells'); make some with clothbench run … out={place}"
-        )
-    return Store(folder)
+    return Store(folder if str(place) == default else require_results(folder, place))
 
 
 def _folder_of(place: str) -> Path:

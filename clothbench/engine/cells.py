@@ -28,6 +28,9 @@ def seed_of(*problem: Any) -> int:
     return int.from_bytes(hashlib.sha256(json.dumps(problem, sort_keys=True).encode()).digest()[:8], "big")
 
 
+FEW = 5  # names of recordings, to show what they are like
+
+
 class Skipped(Exception):
     """The model says that it cannot do this scene; not a fault."""
 
@@ -81,17 +84,20 @@ def matching(recordings: Sequence[Any], patterns: Sequence[str]) -> list[Any]:
     """Those whose name matches one of the patterns of `suite.select`; none is an error."""
     chosen = [r for r in recordings if any(fnmatch.fnmatch(r.name, p) for p in patterns)]
     if not chosen:
-        raise ClothbenchError(f"setting 'suite.select' {list(patterns)} matches none of {len(recordings)} recordings")
+        names = [r.name for r in recordings]
+        some = ", ".join(names[:FEW]) + (", …" if len(names) > FEW else "")
+        raise ClothbenchError(f"setting 'suite.select' {list(patterns)} matches none of {len(names)} recordings: {some}")
     return chosen
 
 
-def require_own_names(sources: Iterable[Source]) -> None:
-    """Rows know a recording by its name alone: two of one name would be taken for one."""
+def require_own_names(sources: Iterable[Source], case: str = "") -> None:
+    """Rows know a recording by its name alone: two of one name would be taken for one. case: that all of them are of."""
     files: dict[str, str] = {}
     for s in sources:
         if s.name in files:
+            of_case = f" of case {case!r}" if case else ""
             raise ClothbenchError(
-                f"{s.path}: found the name {s.name!r}, which {files[s.name]} has too; give each a name of its own"
+                f"{s.path}: found the name {s.name!r}, which {files[s.name]}{of_case} has too; give each a name of its own"
             )
         files[s.name] = s.path
 

@@ -113,7 +113,7 @@ def prunable(
     found = [(path, what) for path, what in left if time.time() - last_written(path) > older]
     for key in keys:
         if not KEY.fullmatch(key) or not store.cell(key).is_dir():
-            raise ClothbenchError(f"{store.cell(key)}: no such cell; give the whole key, as the leaderboard shows it")
+            raise ClothbenchError(f"{store.cell(key)}: no such cell; give the whole key, as clothbench leaderboard --json has it")
         found.append((store.cell(key), "named"))
     if other_versions:
         found += _of_other_versions(store, plugins, {path for path, _ in found})

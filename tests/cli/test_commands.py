@@ -1,5 +1,6 @@
 """The command line as a user meets it: exit codes, messages, what is written and what is not."""
 
+import io
 import json
 import os
 import subprocess
@@ -9,11 +10,14 @@ from types import SimpleNamespace
 
 import pytest
 from conftest import swinging_recording
+from rich.console import Console
 
 from clothbench import ClothbenchError, write_recording
 from clothbench.cli.commands import main, parsed
 from clothbench.cli.own_suites import require_harmless
 from clothbench.cli.run import composed, say_idle
+from clothbench.engine.store import ROW
+from clothbench.studies.calibration.tables import error_table
 
 CELL = ("model=mass_spring", "optimizer=ga", "metric=node_error", "+options.mass_spring.resolution=5", "budget=25")
 
@@ -40,6 +44,8 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
     ("arguments", "found"),
     [
         (("run", "+suite=nonsense"), "suite/nonsense"),
+        (("run", "+suite=worn_skrit"), "found no suite/worn_skrit; did you mean 'worn_skirt'? there are: drape, "),
+        (("run", "+suite=nonsense"), "waving_linear_drag, worn_skirt"),  # all of them
         (("run", "modle=x"), "modle"),
         (("run", *CELL), "no recordings named"),
         (("run", *CELL, "recording=none.nc"), "none.nc: no such file"),
@@ -60,7 +66,10 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
         (("import", "good.nc"), "good.nc: found a recording, expected a video; see it with clothbench validate good"),
         (("import", "iri_wam_cloth_swing", "dir=x"), "expected data_dir=VALUE"),
         (("compare", "a.json", "b.json"), "a.json: no such folder or file"),
-        (("view", "abc"), "found no cells; make some with"),
+        (("compare", ".", "good.nc"), ".: found no results (no folder 'cells'); make some with clothbench run"),
+        (("compare", "../empty.json", "../empty.json"), "empty.json: found an empty list, expected"),
+        (("view", "abc"), "found no cells; make some with: clothbench run +suite=static_dynamic\n"),
+        (("view", "abc", "--out", "empty"), "run +suite=static_dynamic out=empty\n"),
         (("validate", "nowhere"), "nowhere: no such file or folder"),
         (("leaderboard", "--out", "nowhere"), "nowhere: found no results"),
         (("report", "out=nowhere"), "nowhere: found no results"),
@@ -68,9 +77,10 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
 )
 def test_wrong_use_is_one_line_and_exit_2(clothbench, tmp_path, arguments, found):
     write_recording(swinging_recording(), tmp_path / "good.nc")
+    (tmp_path.parent / "empty.json").write_text("[]")
     out = clothbench(*arguments)
     assert out.returncode == 2, out.stderr
-    assert found in only_line(out.stderr)
+    assert found in only_line(out.stderr) + "\n"
     assert [p.name for p in tmp_path.iterdir()] == ["good.nc"]
 
 
@@ -403,6 +413,8 @@ def test_plugins_as_json_and_as_table(clothbench):
     assert not [r for r in rows if r["broken"]]
     model = next(r for r in rows if r["name"] == "mass_spring")
     assert [(p["name"], p["unit"]) for p in model["parameters"]] == [("k1", "N/m"), ("k2", "N/m"), ("zeta", "1")]
+    assert model["options"] == {"resolution": 13, "dt": None, "step_scale": 1.0, "precision": "double", "strain_limit": None}
+    assert next(r for r in rows if r["name"] == "least_squares")["options"]["starts"] == 31  # its seed is no option
     assert "mass_spring" in clothbench("plugins").stdout
 
 
@@ -416,6 +428,26 @@ def test_compare_is_a_gate(clothbench, tmp_path):
     assert worse.returncode == 1
     assert "gate failed" in worse.stdout
     assert not json.loads(clothbench("compare", "base.json", "worse.json", "--json").stdout)["passed"]
+
+
+def test_a_narrow_terminal_shows_what_a_row_is_about():
+    about = dict.fromkeys(ROW) | {
+        "suite": "s", "case": "linen", "model": "mass_spring", "optimizer": "ga", "metric": "node_error", "key": "a",
+        "objective": "node_error", "evaluations": 25, "split": "held_out", "unit": "mm", "status": "ok",
+        "value": 10.23, "low": 9.1, "high": 11.2, "floor": 1.5,
+    }  # fmt: skip
+    narrow = Console(width=40, record=True, file=io.StringIO())
+    narrow.print(error_table("s", [about | {"recording": "waving-1"}]))
+    said = narrow.export_text()
+    assert "waving-1" in said
+    assert "10.23 mm" in said
+
+
+def test_keys_are_said_to_be_where_they_are(capsys):
+    for words in (["store", "prune", "--help"], ["view", "--help"]):
+        with pytest.raises(SystemExit):
+            main(words)
+        assert "clothbench leaderboard --json" in " ".join(capsys.readouterr().out.split())
 
 
 def test_an_empty_leaderboard_says_what_to_do(clothbench):

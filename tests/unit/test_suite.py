@@ -88,6 +88,9 @@ def test_recordings_of_one_name_are_told_apart_by_their_cases(tmp_path):
     assert {row["recording"] for row in store.table("trace")} == {"silk/swing", "silk/sway"}
     with pytest.raises(ClothbenchError, match=r"wool-sway\.nc: found the name 'sway', which .*silk-sway\.nc has too"):
         cells(tmp_path, suite={"name": "s", "case": "all"})
+    write_recording(swinging_recording("sway", fabric="silk", noise_sigma=2e-3), tmp_path / "silk-again.nc")
+    with pytest.raises(ClothbenchError, match=r"found the name 'sway', which .*silk-again\.nc of case 'silk' has too"):
+        cells(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -97,7 +100,7 @@ def test_recordings_of_one_name_are_told_apart_by_their_cases(tmp_path):
         ({"scene": {"wind": 1}}, "setting of 'scene' 'wind' is not known"),
         ({"suite": {"name": "s", "cases": "x"}}, "setting of 'suite' 'cases' is not known"),
         ({"suite": {"name": "s", "case": "colour"}}, "'suite.case' is 'colour'"),
-        ({"suite": {"name": "s", "select": "zzz"}}, "matches none of 2 recordings"),
+        ({"suite": {"name": "s", "select": "zzz"}}, r"'suite.select' \['zzz'\] matches none of 2 recordings: \w+-\d, \w+-\d$"),
         ({"model": "mass_sping"}, "did you mean 'mass_spring'"),
         ({"model": []}, "setting 'model' is empty"),
         ({"budget": 0}, "expected a whole number, at least 1"),

@@ -247,9 +247,10 @@ def group(
     of_name = Counter(r.name for r in chosen)
     cases: dict[str, list[Source]] = {}
     for r in chosen:
-        case = _case_of(r, by)
-        name = f"{case}/{r.name}" if of_name[r.name] > 1 and by not in ("all", "recording") else r.name
-        cases.setdefault(case, []).append(Source(r.path, name, r.hash, r.split))
+        cases.setdefault(_case_of(r, by), []).append(Source(r.path, r.name, r.hash, r.split))
+    for case, mine in cases.items():
+        require_own_names(mine, "" if by in ("all", "recording") else case)
+        cases[case] = [dataclasses.replace(s, name=f"{case}/{s.name}") if of_name[s.name] > 1 else s for s in mine]
     out = {case: resplit(sources, seed=0) for case, sources in sorted(cases.items())}
     for case, sources in out.items():
         if fitted and not any(s.split == "fit" for s in sources):
