@@ -270,6 +270,7 @@ def report(options: argparse.Namespace) -> int:
 def watched(place: str) -> int:
     """The page of a folder or a bucket, in which a run may have yet to begin, followed until Ctrl+C."""
     from clothbench.cli.view import hear_interrupts
+    from clothbench.core.files import placing
     from clothbench.engine.bucket import is_address
     from clothbench.engine.mirror import results_folder, up_to_date
     from clothbench.engine.store import Store
@@ -277,7 +278,8 @@ def watched(place: str) -> int:
     from clothbench.report.watch import EVERY, watch
 
     folder = results_folder(place, whole=False)
-    folder.mkdir(parents=True, exist_ok=True)
+    with placing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     store = Store(folder)
     print(f"page: {folder / PAGE}   (open it once: it follows by itself; Ctrl+C ends that)", flush=True)
 
