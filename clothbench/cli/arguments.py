@@ -23,7 +23,7 @@ examples:
   clothbench import iri_wam_cloth_swing data_dir=DATA  real recordings of a robot
   clothbench leaderboard --json > results.json
   clothbench export fleece/waving-1 --to mujoco        what was calibrated, for another simulator
-exit codes: 0 done; 1 some cells failed or the gate is broken; 2 wrong use or bad input"""
+exit codes: 0 done; 1 some cells failed or the gate is broken; 2 wrong use or bad input; 130 stopped with Ctrl+C"""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -176,8 +176,10 @@ def _verify(sub: argparse.ArgumentParser) -> None:
         help="s that one fit may take (default: 3600)",
     )  # fmt: skip
     sub.add_argument(
-        "--verdicts", type=_local, metavar="FOLDER", help="keep what was found here, for `clothbench site`"
-    )
+        "--verdicts", type=_local, metavar="FOLDER",
+        help="with --reproduce or --held-out: keep what they find here, for `clothbench site`; with --out: the grade "
+        "that was found before",
+    )  # fmt: skip
 
 
 def _site(sub: argparse.ArgumentParser) -> None:

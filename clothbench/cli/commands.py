@@ -16,6 +16,8 @@ from clothbench.cli.arguments import DEFAULT_OUT, parser
 from clothbench.core.errors import ClothbenchError, one_line
 from clothbench.core.output import kept_on
 
+KEEP = {"run", "improve", "suggest"}  # commands that go on where they were stopped
+
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code. Errors a user can cause are one line on standard error."""
@@ -50,7 +52,8 @@ def _main(argv: Sequence[str] | None) -> int:
         print(f"clothbench: {line}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("clothbench: stopped; finished cells are kept, run the same command again to go on", file=sys.stderr)
+        kept = "; what is finished is kept, run the same command again to go on" if set(arguments[:1]) & KEEP else ""
+        print(f"clothbench: stopped{kept}", file=sys.stderr)
         return 130
 
 

@@ -27,7 +27,7 @@ OTHERS = ("--config-path", "-cp", "--config-name", "-cn")
 QUOTES = "'\""
 MOST = 100_000  # values in a file, those counted again that it names by an alias
 GLOBAL = "# @package _global_"
-OF_RUN = ("suite", "study", "model", "optimizer", "metric")  # settings beside those of `suite`, of which none is called so
+OF_RUN = ("suite", "study", "model", "optimizer", "metric")  # beside `suite`, whose own settings have other names
 OF_ONE_RUN = ("searchpath", "overrides", "runtime", "mode")  # settings of Hydra's that tell what was asked for
 
 
@@ -114,7 +114,9 @@ def require_global(file: Path) -> None:
     node = yaml.compose(text, yaml.SafeLoader)
     names = [str(key.value) for key, _ in node.value] if isinstance(node, yaml.MappingNode) else []
     if found := [name for name in names if name in OF_RUN]:
-        raise ClothbenchError(f"{file}: found {found[0]!r} and no line {GLOBAL!r}, expected it as the file's first line")
+        raise ClothbenchError(
+            f"{file}: found {found[0]!r} and no line {GLOBAL!r}, expected it as the file's first line"
+        )
 
 
 def _size(node: yaml.Node, known: dict[int, int]) -> int:

@@ -86,18 +86,20 @@ def matching(recordings: Sequence[Any], patterns: Sequence[str]) -> list[Any]:
     if not chosen:
         names = [r.name for r in recordings]
         some = ", ".join(names[:FEW]) + (", …" if len(names) > FEW else "")
-        raise ClothbenchError(f"setting 'suite.select' {list(patterns)} matches none of {len(names)} recordings: {some}")
+        raise ClothbenchError(
+            f"setting 'suite.select' {list(patterns)} matches none of {len(names)} recordings: {some}"
+        )
     return chosen
 
 
 def require_own_names(sources: Iterable[Source], case: str = "") -> None:
-    """Rows know a recording by its name alone: two of one name would be taken for one. case: that all of them are of."""
+    """Rows know a recording by its name alone: two of one name would be taken for one. case: theirs, to be told."""
     files: dict[str, str] = {}
     for s in sources:
         if s.name in files:
-            of_case = f" of case {case!r}" if case else ""
+            other = f"{files[s.name]} of case {case!r}" if case else files[s.name]
             raise ClothbenchError(
-                f"{s.path}: found the name {s.name!r}, which {files[s.name]}{of_case} has too; give each a name of its own"
+                f"{s.path}: found the name {s.name!r}, which {other} has too; give each a name of its own"
             )
         files[s.name] = s.path
 

@@ -141,7 +141,8 @@ def deep(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
 
 def last_word(config: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """The settings, with what `overrides` (Hydra's words: KEY=VALUE, +KEY=VALUE, ~KEY) speak of taken out of what the
-    suite's named budgets bring: a budget must not overrule the command line. Notes the bounds that they do not speak of.
+    suite's named budgets bring: a budget must not overrule the command line. Notes which bounds they leave as
+    the suite has them.
     """
     out = copy.deepcopy({key: value for key, value in config.items() if key != OF_SUITE})
     suite = out.get("suite")

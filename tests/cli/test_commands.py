@@ -13,7 +13,7 @@ from conftest import swinging_recording
 from rich.console import Console
 
 from clothbench import ClothbenchError, write_recording
-from clothbench.cli.commands import main, parsed
+from clothbench.cli.commands import COMMANDS, main, parsed
 from clothbench.cli.own_suites import require_harmless
 from clothbench.cli.run import composed, say_idle
 from clothbench.engine.store import ROW
@@ -353,6 +353,18 @@ def test_a_stopped_bench_keeps_nothing_and_says_so(monkeypatch, capsys):
     assert said.startswith("mass_spring: 9 nodes a side\nclothbench: stopped; a speed is a ratio within one run")
 
 
+@pytest.mark.parametrize(("command", "kept"), [("units", False), ("import", False), ("improve", True)])
+def test_only_commands_that_keep_something_say_so_when_they_are_stopped(monkeypatch, capsys, command, kept):
+    def stopped(options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(COMMANDS, command, stopped)
+    assert main([command, "x"]) == 130
+    said = capsys.readouterr().err
+    assert said.startswith("clothbench: stopped")
+    assert ("kept" in said) == kept
+
+
 def test_a_step_too_long_diverges_with_its_reason(clothbench, recordings_folder):
     out = clothbench("run", f"recordings={recordings_folder}", *CELL, "+options.mass_spring.dt=0.05", "rerun=false")
     assert out.returncode == 1
@@ -413,7 +425,13 @@ def test_plugins_as_json_and_as_table(clothbench):
     assert not [r for r in rows if r["broken"]]
     model = next(r for r in rows if r["name"] == "mass_spring")
     assert [(p["name"], p["unit"]) for p in model["parameters"]] == [("k1", "N/m"), ("k2", "N/m"), ("zeta", "1")]
-    assert model["options"] == {"resolution": 13, "dt": None, "step_scale": 1.0, "precision": "double", "strain_limit": None}
+    assert model["options"] == {
+        "resolution": 13,
+        "dt": None,
+        "step_scale": 1.0,
+        "precision": "double",
+        "strain_limit": None,
+    }
     assert next(r for r in rows if r["name"] == "least_squares")["options"]["starts"] == 31  # its seed is no option
     assert "mass_spring" in clothbench("plugins").stdout
 

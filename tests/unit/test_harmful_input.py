@@ -418,7 +418,9 @@ def test_a_suite_that_does_not_say_where_its_settings_belong_is_told_the_line(tm
     (tmp_path / "suite").mkdir()
     file, words = tmp_path / "suite" / "mine.yaml", ["--config-dir", str(tmp_path), "+suite=mine"]
     file.write_text("# my suite\nsuite: {name: mine}\nmodel: mass_spring\n")
-    with pytest.raises(ClothbenchError, match=r"mine\.yaml: found 'suite' and no line '# @package _global_', expected it"):
+    with pytest.raises(
+        ClothbenchError, match=r"mine\.yaml: found 'suite' and no line '# @package _global_', expected it"
+    ):
         require_harmless(words)
     require_harmless([*words[:2], "+suite@_global_=mine"])
     file.write_text("# my suite\n# @package _global_\nsuite: {name: mine}\n")  # where Hydra does not see it

@@ -97,7 +97,11 @@ def test_bounds_may_be_of_parameters_that_only_some_cells_search(tmp_path):
     [
         ("drape", {"bounds": {"H1_typo": [0, 1]}}, "no parameter 'H1_typo'; there are: D1"),
         ("drape", {"suite": {"fixed": {"*": {"H1_typo": 1.0}}}}, "'suite.fixed': no parameter 'H1_typo'"),
-        ("drape", {"options": {"mass_spring_verlet": {"no_such": 3}}}, "no option 'no_such'; there are: resolution, dt, "),
+        (
+            "drape",
+            {"options": {"mass_spring_verlet": {"no_such": 3}}},
+            "no option 'no_such'; there are: resolution, dt, ",
+        ),
         (
             "drape",
             {"scene": {"spacing": 0.02}, "finer": {"spacing": 0.01, "share": 0.5}, "budget": 1},

@@ -100,7 +100,10 @@ def test_recordings_of_one_name_are_told_apart_by_their_cases(tmp_path):
         ({"scene": {"wind": 1}}, "setting of 'scene' 'wind' is not known"),
         ({"suite": {"name": "s", "cases": "x"}}, "setting of 'suite' 'cases' is not known"),
         ({"suite": {"name": "s", "case": "colour"}}, "'suite.case' is 'colour'"),
-        ({"suite": {"name": "s", "select": "zzz"}}, r"'suite.select' \['zzz'\] matches none of 2 recordings: \w+-\d, \w+-\d$"),
+        (
+            {"suite": {"name": "s", "select": "zzz"}},
+            r"'suite.select' \['zzz'\] matches none of 2 recordings: \w+-\d, \w+-\d$",
+        ),
         ({"model": "mass_sping"}, "did you mean 'mass_spring'"),
         ({"model": []}, "setting 'model' is empty"),
         ({"budget": 0}, "expected a whole number, at least 1"),
@@ -146,7 +149,7 @@ def test_bounds_of_a_suite_may_be_of_models_that_are_not_run(recordings_folder):
         (cell,) = cells(recordings_folder, **last_word(suite, words))
         assert cell.bounds["k1"] == (10.0, 20.0)
     for word in ("bounds.theta=[0,1]", "+bounds={theta:[0,1]}", "++bounds.linear_drag.coefficient=[0,5]"):
-        with pytest.raises(ClothbenchError, match="no parameter '(theta|linear_drag.coefficient)'; there are: k1, k2"):
+        with pytest.raises(ClothbenchError, match=r"no parameter '(theta|linear_drag\.coefficient)'; there"):
             cells(recordings_folder, **last_word(suite, [word]))
     with pytest.raises(ClothbenchError, match="no parameter 'thata'"):  # which no plugin has
         cells(recordings_folder, **last_word({"bounds": {"thata": [0.0, 1e-4]}}, []))

@@ -56,7 +56,10 @@ def test_a_place_that_cannot_be_written_to_is_named_as_it_was_asked_for(tmp_path
     (tmp_path / "folder" / "inside").mkdir(parents=True)
     places = [tmp_path / "file" / "result", *([tmp_path / "folder"] if whole is whole_file else [])]
     for place in places:
-        with pytest.raises(OSError, match=r"cannot be written to \(.+\); give a folder of yours") as found, whole(place):
+        with (
+            pytest.raises(OSError, match=r"cannot be written to \(.+\); give a folder of yours") as found,
+            whole(place),
+        ):
             pass
         assert found.value.filename == str(place)
     assert sorted(p.name for p in tmp_path.rglob("*")) == ["file", "folder", "inside"]

@@ -253,7 +253,9 @@ def rehearse(cell: ImproveCell, settings: Mapping[str, Any], plugins: Catalogue)
         search = search_settings(problem, first)
         problem.plugins.make("optimizers", cell.optimizer, space, seed=0, budget=1, **search)
     refuse_strays(
-        settings, [*space.names, *of_effects({name: problem.make("effects", name) for name in cell.candidates})], plugins
+        settings,
+        [*space.names, *of_effects({name: problem.make("effects", name) for name in cell.candidates})],
+        plugins,
     )
 
 
