@@ -17,6 +17,8 @@ import numpy as np
 from clothbench.core.errors import ClothbenchError
 from clothbench.plugins.discovery import Catalogue, library_version
 
+FEW = 5  # names of recordings, to show what they are like
+
 
 def digest(question: Any, digits: int = 16) -> str:
     """Hexadecimal digits of plain data, the same on every machine for the same question."""
@@ -26,9 +28,6 @@ def digest(question: Any, digits: int = 16) -> str:
 def seed_of(*problem: Any) -> int:
     """A seed hashed from what it is for: no generator is shared between purposes."""
     return int.from_bytes(hashlib.sha256(json.dumps(problem, sort_keys=True).encode()).digest()[:8], "big")
-
-
-FEW = 5  # names of recordings, to show what they are like
 
 
 class Skipped(Exception):
