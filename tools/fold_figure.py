@@ -8,7 +8,7 @@ true parameters, and as simulated without the hips.
 
 from __future__ import annotations
 
-import sys
+import argparse
 from pathlib import Path
 from typing import Any
 
@@ -70,11 +70,14 @@ def shaded(angle: np.ndarray, silhouette: np.ndarray) -> np.ndarray:
 
 
 def main() -> None:
-    where = Path(sys.argv[1]) if len(sys.argv) > 1 else WHERE
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("folder", nargs="?", type=Path, default=WHERE, metavar="FOLDER", help="default: docs/images")
+    where = parser.parse_args().folder
     for name, draw in (("static_dynamic.png", column), ("worn-skirt.png", worn)):
         picture = np.hstack([draw(fabric) for fabric in FABRICS])
         larger = cv2.resize(picture, None, fx=ZOOM, fy=ZOOM, interpolation=cv2.INTER_NEAREST)
-        cv2.imwrite(str(where / name), larger, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+        if not cv2.imwrite(str(where / name), larger, [cv2.IMWRITE_PNG_COMPRESSION, 9]):
+            parser.error(f"{where / name}: cannot be written; give a folder of yours")
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ The sheet of `physical_validation`'s energy test on 17 nodes, without any dampin
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
 
 import matplotlib
@@ -36,6 +37,7 @@ def hem(integrator: str) -> tuple[np.ndarray, np.ndarray]:
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     plt.rcParams.update({"font.size": 9, "svg.hashsalt": "clothbench", "svg.fonttype": "none"})
     figure, axes = plt.subplots(figsize=(7.2, 2.6), layout="constrained")
     for integrator, colour, dash in SETTINGS:

@@ -7,8 +7,8 @@ Needs chromium, chromedriver and selenium (the extra `test`). ADDRESS: what foll
 
 from __future__ import annotations
 
+import argparse
 import shutil
-import sys
 import tempfile
 import time
 from pathlib import Path
@@ -41,4 +41,8 @@ def main(runs: str, picture: str, address: str = "") -> None:
 
 
 if __name__ == "__main__":
-    main(*sys.argv[1:])
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("runs", metavar="RUNS", help="results folder")
+    parser.add_argument("picture", metavar="PICTURE", help="the file to write (.png)")
+    parser.add_argument("address", nargs="?", default="", metavar="ADDRESS", help="what follows report.html")
+    main(**vars(parser.parse_args()))

@@ -11,11 +11,11 @@ deviations between captures; fits are those of the suite `static_dynamic` in `re
 
 from __future__ import annotations
 
+import argparse
 import csv
 import json
 import math
 import re
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -253,5 +253,7 @@ def presets(folder: Path) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    TARGET.write_text(json.dumps(presets(Path(sys.argv[1])), indent=1, ensure_ascii=False) + "\n")
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("data", type=Path, metavar="DATA", help="folder with the data sets")
+    TARGET.write_text(json.dumps(presets(parser.parse_args().data), indent=1, ensure_ascii=False) + "\n")
     print(TARGET)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -154,4 +154,6 @@ def write(name: str, picture: np.ndarray) -> None:
 
 
 if __name__ == "__main__":
-    draw_all(Store(sys.argv[1]))
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", metavar="FOLDER", help="results folder of the finished run")
+    draw_all(Store(parser.parse_args().folder))

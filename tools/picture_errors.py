@@ -4,6 +4,7 @@ truth is that of tools/make_hold.py, its soft fabric in hands, printed, striped 
 
 from __future__ import annotations
 
+import argparse
 import time
 from dataclasses import replace
 
@@ -39,6 +40,7 @@ def errors(seen: Observation, truth: hold.Truth, places: np.ndarray) -> tuple[np
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     truth, motion = hold.Truth(hold.FABRICS["soft"]), hold.MOTIONS[0]
     for pattern in ("printed", "striped", "plain"):
         video, places = hold.record("soft", motion, truth, pattern, encoded=False)

@@ -8,7 +8,7 @@ Each set: six runs of a linear sample of 20 N, stretched by 60 %, with 0.1 N of 
 
 from __future__ import annotations
 
-import sys
+import argparse
 from collections import Counter
 from collections.abc import Callable
 
@@ -84,7 +84,9 @@ def outcome(seed: int, law: Law) -> str:
 
 
 def main() -> None:
-    sets = int(sys.argv[1]) if len(sys.argv) > 1 else 12
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("sets", nargs="?", type=int, default=12, metavar="SETS", help="of each kind (default: 12)")
+    sets = parser.parse_args().sets
     for kind, law in KINDS.items():
         seen = Counter(outcome(1000 + number, law(1000 + number)) for number in range(sets))
         print(f"{kind}: " + "; ".join(f"{count} × {what}" for what, count in seen.most_common()), flush=True)

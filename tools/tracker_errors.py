@@ -4,6 +4,7 @@ tools/tracker_errors.py` prints the tables of docs/shake.md. The truth is that o
 
 from __future__ import annotations
 
+import argparse
 import time
 from dataclasses import replace
 
@@ -50,6 +51,7 @@ def filmed(truth: shake.Truth, places: np.ndarray, noise: float, degrees: float,
 
 
 def main() -> None:
+    argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     truth = shake.Truth("damped")
     places = truth.run(MOTION, TIMES)
     whole = LinearNDInterpolator(truth.mesh.material, places.swapaxes(0, 1))

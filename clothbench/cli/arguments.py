@@ -23,7 +23,7 @@ examples:
   clothbench import iri_wam_cloth_swing data_dir=DATA  real recordings of a robot
   clothbench leaderboard --json > results.json
   clothbench export fleece/waving-1 --to mujoco        what was calibrated, for another simulator
-exit codes: 0 done; 1 some cells failed or the gate is broken; 2 wrong use or bad input"""
+exit codes: 0 done; 1 some cells failed or the gate is broken; 2 wrong use or bad input; 130 stopped with Ctrl+C"""
 
 
 def parser() -> argparse.ArgumentParser:
@@ -100,7 +100,10 @@ def _prune(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "--other-versions", action="store_true", help="cells of plugins in another version than the installed one, too"
     )
-    sub.add_argument("--cell", action="append", default=[], metavar="KEY", help="this cell, too, finished or not")
+    sub.add_argument(
+        "--cell", action="append", default=[], metavar="KEY",
+        help="this cell, too, finished or not: its whole key, as clothbench leaderboard --json has it",
+    )  # fmt: skip
 
 
 def _span(word: str, unit: str) -> Callable[[str], float]:
@@ -173,8 +176,10 @@ def _verify(sub: argparse.ArgumentParser) -> None:
         help="s that one fit may take (default: 3600)",
     )  # fmt: skip
     sub.add_argument(
-        "--verdicts", type=_local, metavar="FOLDER", help="keep what was found here, for `clothbench site`"
-    )
+        "--verdicts", type=_local, metavar="FOLDER",
+        help="with --reproduce or --held-out: keep what they find here, for `clothbench site`; with --out: the grade "
+        "that was found before",
+    )  # fmt: skip
 
 
 def _site(sub: argparse.ArgumentParser) -> None:
@@ -274,8 +279,8 @@ def _report(sub: argparse.ArgumentParser) -> None:
 def _view(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "name", metavar="CELL|CASE|RECORDING",
-        help="key of a cell, or its beginning, or the name of a case or recording, as page and leaderboard show them; "
-        "of `improve`, a recording's name",
+        help="the name of a case or recording, as page and leaderboard show them, or the key of a cell, or its "
+        "beginning, as clothbench leaderboard --json has it; of `improve`, a recording's name",
     )  # fmt: skip
     sub.add_argument("--web", action="store_true", help="in a browser; so it is where there is no display, too")
     _store(sub)

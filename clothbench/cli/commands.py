@@ -14,10 +14,18 @@ from typing import Any
 
 from clothbench.cli.arguments import DEFAULT_OUT, parser
 from clothbench.core.errors import ClothbenchError, one_line
+from clothbench.core.output import kept_on
+
+KEEP = {"run", "improve", "suggest"}  # commands that go on where they were stopped
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code. Errors a user can cause are one line on standard error."""
+    with kept_on():
+        return _main(argv)
+
+
+def _main(argv: Sequence[str] | None) -> int:
     arguments = list(sys.argv[1:] if argv is None else argv)
     debug = "--debug" in arguments
     arguments = [a for a in arguments if a != "--debug"]
@@ -37,9 +45,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         print(f"clothbench: {fault}", file=sys.stderr)
         return 2
-    except BrokenPipeError:  # the reader of our output has gone, as `| head` does
-        os.dup2(os.open(os.devnull, os.O_WRONLY), 1)  # else Python finds it gone once more when it ends
-        return 0
     except OSError as fault:
         if debug:
             raise
@@ -47,13 +52,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         print(f"clothbench: {line}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
-        print("clothbench: stopped; finished cells are kept, run the same command again to go on", file=sys.stderr)
+        kept = "; what is finished is kept, run the same command again to go on" if set(arguments[:1]) & KEEP else ""
+        print(f"clothbench: stopped{kept}", file=sys.stderr)
         return 130
 
 
 def flushed(code: int) -> int:
-    """The exit code, with all that was printed gone out: a reader that has gone shows here at the latest."""
-    sys.stdout.flush()
+    """The exit code, with all that was printed gone out: that a disk is full shows here at the latest."""
+    print(end="", flush=True)
     return code
 
 
@@ -87,14 +93,10 @@ def results_in(place: str | Path, default: str = DEFAULT_OUT, whole: bool = True
     whole: whether an object of a bucket that cannot be read is one, too.
     """
     from clothbench.engine.mirror import results_folder
-    from clothbench.engine.store import Store
+    from clothbench.engine.store import Store, require_results
 
     folder = results_folder(place, whole)
-    if str(place) != default and not (folder / "cells").is_dir():
-        raise ClothbenchError(
-            f"{place}: found no results (no folder 'cells'); make some with clothbench run … out={place}"
-        )
-    return Store(folder)
+    return Store(folder if str(place) == default else require_results(folder, place))
 
 
 def _folder_of(place: str) -> Path:
@@ -271,6 +273,7 @@ def report(options: argparse.Namespace) -> int:
 def watched(place: str) -> int:
     """The page of a folder or a bucket, in which a run may have yet to begin, followed until Ctrl+C."""
     from clothbench.cli.view import hear_interrupts
+    from clothbench.core.files import placing
     from clothbench.engine.bucket import is_address
     from clothbench.engine.mirror import results_folder, up_to_date
     from clothbench.engine.store import Store
@@ -278,7 +281,8 @@ def watched(place: str) -> int:
     from clothbench.report.watch import EVERY, watch
 
     folder = results_folder(place, whole=False)
-    folder.mkdir(parents=True, exist_ok=True)
+    with placing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
     store = Store(folder)
     print(f"page: {folder / PAGE}   (open it once: it follows by itself; Ctrl+C ends that)", flush=True)
 

@@ -29,6 +29,7 @@ from clothbench.engine.store import Store
 from clothbench.engine.study import Elsewhere
 from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import Catalogue, catalogue
+from clothbench.recordings.kinds import read_any
 from clothbench.studies.improve.candidates import unusable
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.common import common_document
@@ -148,7 +149,7 @@ def models_of(value: str) -> list[str]:
 
 def remarks(cell: ImproveCell, plugins: Catalogue, all_tried: bool) -> list[str]:
     """What the user may not have meant: effects that cannot be tried, too few recordings, a split that no recording
-    states.
+    states, several fabrics for one cloth.
     """
     out = [f"no candidate: {reason}" for reason in (unusable(plugins) if all_tried else ())]
     fitted, least = len(cell.of_split("fit")), LOOP.least_recordings
@@ -157,6 +158,10 @@ def remarks(cell: ImproveCell, plugins: Catalogue, all_tried: bool) -> list[str]
     if cell.split_by_seed:
         held = ", ".join(s.name for s in cell.of_split("held_out")) or "none"
         out.append(f"no recording states a split; held out by seed {cell.seed}: {held}")
+    if len(fabrics := sorted({read_any(source.file).fabric for source in cell.recordings} - {""})) > 1:
+        out.append(
+            f"{', '.join(fabrics)} are taken for one cloth; run +suite=improve suite.case=fabric asks about each"
+        )
     return out
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import shlex
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.optional import absent
+from clothbench.core.optional import absent, defaults_of
 from clothbench.datasets.convert import REPORT
 from clothbench.display.terminal import console
 from clothbench.plugins.discovery import Plugin, catalogue, reason_of, singular
@@ -32,6 +33,7 @@ def _plugin_row(plugin: Plugin) -> dict[str, Any]:
         "broken": plugin.reason,
         "missing": None,
         "parameters": [],
+        "options": {},
     }
     if plugin.reason is None:
         try:
@@ -39,6 +41,7 @@ def _plugin_row(plugin: Plugin) -> dict[str, Any]:
             row["missing"] = absent(loaded)
             row["version"] = getattr(loaded, "version", None)
             row["parameters"] = [_parameter(p) for p in getattr(loaded, "parameters", ())]
+            row["options"] = {name: _plain(value) for name, value in defaults_of(loaded).items()}
         except Exception as fault:  # a stranger's class may do anything when it is looked at
             row["broken"] = reason_of(fault)
     return row
@@ -47,6 +50,14 @@ def _plugin_row(plugin: Plugin) -> dict[str, Any]:
 def _parameter(p: Any) -> dict[str, Any]:
     names = ("name", "symbol", "unit", "scale", "default", "null", "meaning", "source")
     return {**{n: getattr(p, n) for n in names}, "low": p.bounds[0], "high": p.bounds[1]}
+
+
+def _plain(value: Any) -> Any:
+    """A default as JSON has it; in words, where it has none for it."""
+    try:
+        return json.loads(json.dumps(value, allow_nan=False))
+    except (TypeError, ValueError):
+        return str(value)
 
 
 def print_plugins(rows: list[dict[str, Any]]) -> None:
@@ -105,8 +116,6 @@ def print_datasets(rows: list[dict[str, Any]]) -> None:
 
 def print_import(folder: Path) -> None:
     """What came of each source file: frames in, kept, dropped and why."""
-    import json
-
     report = json.loads((folder / REPORT).read_text())
     recordings = report["recordings"]
     table = Table(title="import", title_justify="left", title_style="bold")

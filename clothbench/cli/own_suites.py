@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import itertools
 import os
+import re
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,8 @@ FLAGS = ("--config-dir", "-cd")
 OTHERS = ("--config-path", "-cp", "--config-name", "-cn")
 QUOTES = "'\""
 MOST = 100_000  # values in a file, those counted again that it names by an alias
+GLOBAL = "# @package _global_"
+OF_RUN = ("suite", "study", "model", "optimizer", "metric")  # beside `suite`, whose own settings have other names
 OF_ONE_RUN = ("searchpath", "overrides", "runtime", "mode")  # settings of Hydra's that tell what was asked for
 
 
@@ -66,7 +69,11 @@ def require_all_plain(folder: Path, arguments: Sequence[str]) -> None:
     further files in a `defaults` list.
     """
     asked = list(dict.fromkeys(_asked_for(folder, arguments)))
-    if any([require_plain(file) for file in asked]):
+    brings = any([require_plain(file) for file in asked])
+    for file in asked:
+        if file.parent.name == "suite" and not any("@" in word.partition("=")[0] for word in _settings(arguments)):
+            require_global(file)
+    if brings:
         for file in sorted({*folder.rglob("*.yaml"), *folder.rglob("*.yml")} - set(asked)):
             require_plain(file)
 
@@ -93,6 +100,23 @@ def require_plain(file: Path) -> bool:
     if node is not None and _size(node, {}) > MOST:
         raise ClothbenchError(f"{file}: found more than {MOST} values, or an alias of itself, expected settings")
     return isinstance(node, yaml.MappingNode) and any(key.value == "defaults" for key, _ in node.value)
+
+
+def require_global(file: Path) -> None:
+    """Refuse a suite whose settings of a run Hydra would put below those of `suite`, as it does unless a line says
+    where they belong.
+    """
+    text = file.read_text(encoding="utf-8")
+    # Hydra looks for it no further than to the first line that is another one, comments included.
+    head = itertools.takewhile(lambda line: not line or re.match(r"#\s*@", line), map(str.strip, text.splitlines()))
+    if any(re.match(r"#+\s*@package\b", line) for line in head):
+        return
+    node = yaml.compose(text, yaml.SafeLoader)
+    names = [str(key.value) for key, _ in node.value] if isinstance(node, yaml.MappingNode) else []
+    if found := [name for name in names if name in OF_RUN]:
+        raise ClothbenchError(
+            f"{file}: found {found[0]!r} and no line {GLOBAL!r}, expected it as the file's first line"
+        )
 
 
 def _size(node: yaml.Node, known: dict[int, int]) -> int:

@@ -32,7 +32,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from clothbench.cli.own_suites import require_harmless
 from clothbench.cli.results import print_results
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, known_names
 from clothbench.engine.bucket import is_address
 from clothbench.engine.executors.settings import executor_settings
 from clothbench.engine.limits import Limits
@@ -271,4 +271,6 @@ def _one_line(fault: Exception) -> str:
     if unknown := re.match(r"Could not override '(.*)'\.\s+To append to your config", text):
         return f"setting {unknown[1]!r} is not known; `clothbench run --cfg job` shows all that are"
     lines = [line.strip() for line in text.splitlines() if line.strip()]
-    return " ".join(lines[:12]) or type(fault).__name__
+    if missing := re.match(r"In 'run': Could not find '(.*)/(.*)'\s+Available options in '.*':\s", text):
+        return f"found no {missing[1]}/{missing[2]}; {known_names(missing[2], lines[2:])}"
+    return " ".join(lines) or type(fault).__name__

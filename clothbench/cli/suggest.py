@@ -20,11 +20,11 @@ from clothbench.studies.improve.document import VERDICT
 from clothbench.studies.improve.plan import NOT_ASKED as REFUSED
 from clothbench.studies.improve.problem import Problem
 from clothbench.suggest.document import CAMERA, DOCUMENT, MOTION, suggestion, write_all
-from clothbench.suggest.experiments import experiments
-from clothbench.suggest.ranking import promises, rank_of, ranked
-from clothbench.suggest.settings import DEPTH, TIE, WORDS, as_recorded, wanted_of
+from clothbench.suggest.experiments import Experiment, experiments
+from clothbench.suggest.ranking import promises, rank_of, ranked, require_rank
+from clothbench.suggest.settings import DEPTH, TIE, WORDS, Wanted, as_recorded, wanted_of
 from clothbench.suggest.source import problem_of_cell, problem_of_settings, require_same, settings_in, verdict_in
-from clothbench.suggest.subject import sensor_of, subject_of
+from clothbench.suggest.subject import first_case, rate_of, sensor_of, subject_of
 
 OUT = "suggest"
 OWN = (*WORDS, "effects", "tied", "verdict")
@@ -44,17 +44,12 @@ def command(name: str, words: Sequence[str], runs: Path, as_json: bool = False) 
     plugins = catalogue()
     set_thread_count(0)
     with StageBar() as bar:
-        bar.stage("fit", 0, 1)
         question = asked(name, given, runs, out, plugins)
         wanted = as_recorded(wanted, given, sensor_of(question[0]))
+        chosen = possible(question, wanted)
+        bar.stage("fit", 0, 1)
         subject = subject_of(*question)
-        rank_of(subject, wanted.rank)  # a wrong word comes to light before anything is simulated
-        model = plugins.load("models", subject.problem.model)
-        chosen = list(experiments(subject.like.scene, subject.rate, wanted, "contact" in model.capabilities))
-        if not chosen:
-            raise ClothbenchError(
-                "found no motion that a robot with these limits can do; raise max_speed, max_acceleration or reach"
-            )
+        rank_of(subject, wanted.rank)  # the parameters may be those of a rival that fits better
         found, left = promises(subject, chosen, wanted, bar.stage)
     if not found:
         raise ClothbenchError(f"no experiment can be simulated: {left[0].grips}, {left[0].motion}: {left[0].reason}")
@@ -63,6 +58,21 @@ def command(name: str, words: Sequence[str], runs: Path, as_json: bool = False) 
     write_all(out, subject, found, document, wanted.camera)
     print(json_text(document)) if as_json else say(document, out)
     return 0
+
+
+def possible(question: Question, wanted: Wanted) -> list[Experiment]:
+    """The experiments to choose from; a wrong word comes to light here, before anything is fitted."""
+    problem, effects, tied, _ = question
+    swapped = [tuple(other if name == one else name for name in effects) for one, other in tied]
+    names = [name for some in (effects, *swapped) for name in problem.space(some).names]
+    require_rank(wanted.rank, list(dict.fromkeys(names)), bool(tied))
+    like, model = first_case(problem), problem.plugins.load("models", problem.model)
+    chosen = list(experiments(like.scene, rate_of(like), wanted, "contact" in model.capabilities))
+    if not chosen:
+        raise ClothbenchError(
+            "found no motion that a robot with these limits can do; raise max_speed, max_acceleration or reach"
+        )
+    return chosen
 
 
 def told(words: Sequence[str]) -> dict[str, str]:

@@ -12,6 +12,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
+from clothbench.cli.arguments import DEFAULT_OUT
 from clothbench.core.errors import ClothbenchError
 
 HERE = "127.0.0.1"
@@ -117,7 +118,8 @@ def find_cell(out: Path, name: str) -> Path:
     if len(found) == 1:
         return found[0]
     if not cells:
-        raise ClothbenchError(f"{out}: found no cells; make some with: clothbench run +suite=static_dynamic")
+        there = "" if str(out) == DEFAULT_OUT else f" out={out}"
+        raise ClothbenchError(f"{out}: found no cells; make some with: clothbench run +suite=static_dynamic{there}")
     if not found and (key := best_cell_of(out, name)):
         return out / "cells" / key
     if found:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import re
 from collections.abc import Iterable
 
@@ -36,6 +37,14 @@ def one_line(text: str) -> str:
     """A text that may come from anywhere as one line that a terminal shows as it is."""
     line = seen(re.sub(r"\s*[\n\r\v\f\x1c-\x1e\x85\u2028\u2029]\s*", " ", text).strip())
     return line if len(line) <= BEGINNING + END else f"{line[:BEGINNING]} … {line[-END:]}"
+
+
+def known_names(name: str, known: Iterable[str]) -> str:
+    """What to say of a name that is none of those known: the nearest, if one is near, and all of them."""
+    there = list(known)
+    close = difflib.get_close_matches(name, there, n=1)
+    hint = f"did you mean {close[0]!r}? " if close else ""
+    return f"{hint}there are: {', '.join(there) or 'none'}"
 
 
 def check_choice(plugin: str, option: str, value: object, choices: Iterable[str]) -> None:

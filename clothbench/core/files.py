@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 # Names of what is not in its place yet, or has left it; the eight letters are tempfile's.
 _HALF_FILE = re.compile(r"\..+\.[a-z0-9_]{8}\.part")
 _HALF_FOLDER = re.compile(r"\.(new|old|[0-9a-f]+)\.[a-z0-9_]{8}")
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _ODD = re.compile(r"\\u[dD]|[eE]\+?\d{3}")  # in JSON: what may be half a letter, or a number beyond all numbers
 
 
@@ -134,14 +135,16 @@ def _array(file: BinaryIO, size: int) -> np.ndarray:
 def whole_file(path: str | os.PathLike[str]) -> Iterator[Path]:
     """A temporary file beside `path` to write to; it takes the place of `path` when the block ends without a fault."""
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
+    with placing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.", suffix=".part")
     os.close(handle)
     part = Path(name)
     try:
         yield part
         os.chmod(part, 0o666 & ~_umask())  # mkstemp keeps files to their owner; results are no secret
-        os.replace(part, path)
+        with placing(path):
+            os.replace(part, path)
     except BaseException as fault:
         part.unlink(missing_ok=True)
         _name(fault, path)
@@ -157,8 +160,9 @@ def whole_folder(path: str | os.PathLike[str], stays: Callable[[], bool] = lambd
     first, and what stays is never absent, not even for a moment.
     """
     path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
+    with placing(path):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(dir=path.parent, prefix=f".{path.name}."))
     try:
         yield part
         os.chmod(part, 0o777 & ~_umask())
@@ -183,9 +187,11 @@ def _take_place(part: Path, path: Path, stays: Callable[[], bool]) -> None:
 
 def remove_folder(path: Path) -> None:
     """Remove a folder: out of sight by one rename, then file by file, so that nobody ever sees half of it."""
-    old = Path(tempfile.mkdtemp(dir=path.parent, prefix=".old."))
+    with placing(path.parent):
+        old = Path(tempfile.mkdtemp(dir=path.parent, prefix=".old."))
     try:
-        os.replace(path, old / "old")
+        with placing(path):
+            os.replace(path, old / "old")
     finally:
         shutil.rmtree(old, ignore_errors=True)
 
@@ -217,12 +223,13 @@ def alone(folder: Path) -> Iterator[None]:
 
 def renamed(part: Path, path: Path) -> bool:
     """Rename a folder, if nothing but an empty folder is in its way."""
-    try:
-        os.replace(part, path)
-    except OSError as fault:
-        if fault.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
-            return False
-        raise
+    with placing(path):
+        try:
+            os.replace(part, path)
+        except OSError as fault:
+            if fault.errno in (errno.ENOTEMPTY, errno.EEXIST, errno.ENOTDIR):
+                return False
+            raise
     return True
 
 
@@ -233,21 +240,37 @@ def whole_files(folder: str | os.PathLike[str], instead_of: Sequence[str] = ()) 
     What else lies in `folder` stays, but for older files that a pattern of `instead_of` ("tables/*.parquet") finds.
     """
     folder = Path(folder)
-    folder.mkdir(parents=True, exist_ok=True)
-    part = Path(tempfile.mkdtemp(dir=folder, prefix=".new."))
+    with placing(folder):
+        folder.mkdir(parents=True, exist_ok=True)
+        part = Path(tempfile.mkdtemp(dir=folder, prefix=".new."))
     try:
         yield part
         made = sorted(p.relative_to(part) for p in part.rglob("*") if p.is_file())
         for old in {p for pattern in instead_of for p in folder.glob(pattern)} - {folder / name for name in made}:
             old.unlink()
         for name in made:
-            (folder / name).parent.mkdir(parents=True, exist_ok=True)
-            os.replace(part / name, folder / name)
+            with placing(folder / name):
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                os.replace(part / name, folder / name)
     except OSError as fault:
         _name(fault, folder)
         raise
     finally:
         shutil.rmtree(part, ignore_errors=True)
+
+
+@contextmanager
+def placing(path: Path) -> Iterator[None]:
+    """Let a fault of the system's about a place say which one was asked for, and what to do: it names what is ours
+    alone, or nothing. That the disk is full says enough.
+    """
+    try:
+        yield
+    except OSError as fault:
+        if fault.errno in FULL or fault.errno is None:
+            raise
+        said = f"cannot be written to ({os.strerror(fault.errno)}); give a folder of yours"
+        raise OSError(fault.errno, said, str(path)) from fault
 
 
 def _name(fault: BaseException, path: Path) -> None:

@@ -75,6 +75,15 @@ def options_of(factory: Any) -> frozenset[str]:
         return frozenset()
 
 
+def defaults_of(factory: Any) -> dict[str, Any]:
+    """The options of a class or factory that may be left out, with what they are then; none where it does not say."""
+    try:
+        stated = inspect.signature(factory).parameters.values()
+    except (TypeError, ValueError):
+        return {}
+    return {p.name: p.default for p in stated if p.default is not p.empty and p.kind is not p.POSITIONAL_ONLY}
+
+
 def takes_option(factory: Any, name: str) -> bool:
     """Whether a class or factory has an option of that name."""
     return name in options_of(factory)

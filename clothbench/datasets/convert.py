@@ -42,7 +42,7 @@ def converted(
             _require_made_of(name, folder, report, data_dir)
             return folder
         _require_nothing_else(folder, report)
-    elif folder.exists() and any(folder.iterdir()):
+    elif folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ClothbenchError(f"{folder}: found files that no import made, expected an empty folder; give out=FOLDER")
     source = local_copy(name, data_dir) or fetch(name, progress)
     with whole_folder(folder) as part:

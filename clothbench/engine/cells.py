@@ -17,6 +17,8 @@ import numpy as np
 from clothbench.core.errors import ClothbenchError
 from clothbench.plugins.discovery import Catalogue, library_version
 
+FEW = 5  # names of recordings, to show what they are like
+
 
 def digest(question: Any, digits: int = 16) -> str:
     """Hexadecimal digits of plain data, the same on every machine for the same question."""
@@ -81,17 +83,22 @@ def matching(recordings: Sequence[Any], patterns: Sequence[str]) -> list[Any]:
     """Those whose name matches one of the patterns of `suite.select`; none is an error."""
     chosen = [r for r in recordings if any(fnmatch.fnmatch(r.name, p) for p in patterns)]
     if not chosen:
-        raise ClothbenchError(f"setting 'suite.select' {list(patterns)} matches none of {len(recordings)} recordings")
+        names = [r.name for r in recordings]
+        some = ", ".join(names[:FEW]) + (", …" if len(names) > FEW else "")
+        raise ClothbenchError(
+            f"setting 'suite.select' {list(patterns)} matches none of {len(names)} recordings: {some}"
+        )
     return chosen
 
 
-def require_own_names(sources: Iterable[Source]) -> None:
-    """Rows know a recording by its name alone: two of one name would be taken for one."""
+def require_own_names(sources: Iterable[Source], case: str = "") -> None:
+    """Rows know a recording by its name alone: two of one name would be taken for one. case: theirs, to be told."""
     files: dict[str, str] = {}
     for s in sources:
         if s.name in files:
+            other = f"{files[s.name]} of case {case!r}" if case else files[s.name]
             raise ClothbenchError(
-                f"{s.path}: found the name {s.name!r}, which {files[s.name]} has too; give each a name of its own"
+                f"{s.path}: found the name {s.name!r}, which {other} has too; give each a name of its own"
             )
         files[s.name] = s.path
 

@@ -15,6 +15,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from clothbench.core.output import keep_on
 from clothbench.core.parallel import available_cores, share_cores
 from clothbench.engine.executors.cells import run_cells_on
 from clothbench.engine.executors.settings import LOCAL
@@ -249,6 +250,7 @@ def _counter(path: Path, mode: Literal["r", "r+"] = "r+") -> np.memmap:
 def _begin(parent: int, count_file: Path) -> None:
     """In a worker, before its first cell. What plugins print goes to standard error: the other may be a document."""
     os.dup2(2, 1)
+    keep_on()
     running_now = _counter(count_file, "r")
     share_cores(lambda: int(running_now[0]))
     _end_with(parent)

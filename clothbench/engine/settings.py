@@ -5,17 +5,19 @@ Here is what every study shares; what only one of them knows is checked by its o
 
 from __future__ import annotations
 
+import contextlib
 import copy
 import math
 import os
 import sys
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.optional import takes_option
 from clothbench.core.scene import AIR_DENSITY, HEAVIEST, Obstacle, obstacles_of
 from clothbench.engine.bucket import is_address
 from clothbench.plugins.discovery import Catalogue
@@ -26,6 +28,7 @@ KNOWN = {
     *PLUGINS, "study", "tracker", "scene", "options", "bounds", "budget", "seed", "jobs", "timeout", "out", "data_dir",
     "suite", "rerun", "analysis", "choice", "prior", "finer", "executor", "limits",
 }  # fmt: skip
+OF_SUITE = "bounds_of_suite"  # names of bounds that the command line did not give, which `last_word` notes
 STARTS = ("rest", "measured")
 FINER_SHARE = 0.25  # of the evaluations, which a search that ends on a finer mesh gets there
 SCENE_WORDS = {
@@ -38,6 +41,7 @@ SUITE_WORDS = {"name", "version", "title", "budgets"}  # of every study; each ma
 def checked(config: Mapping[str, Any], plugins: Catalogue, suite_words: frozenset[str]) -> dict[str, Any]:
     """The settings with their types made sure; refuses what means nothing here. suite_words: of the study."""
     out = {**dict.fromkeys(KNOWN), **config}  # one that ~KEY takes out is empty
+    of_suite = out.pop(OF_SUITE, ())
     known_words("setting", out, KNOWN)
     out["suite"] = mapping("suite", suite_chosen(out.get("suite")))
     known_words("setting of 'suite'", out["suite"], SUITE_WORDS | suite_words)
@@ -52,6 +56,7 @@ def checked(config: Mapping[str, Any], plugins: Catalogue, suite_words: frozense
     out["scene"] = scene_settings(mapping("scene", out.get("scene")))
     bounds = flat(mapping("bounds", out.get("bounds")))
     out["bounds"] = {name: pair(f"bounds.{name}", b) for name, b in bounds.items()}
+    out[OF_SUITE] = frozenset(of_suite)
     out["options"] = option_settings(mapping("options", out.get("options")), plugins)
     out["prior"] = None if out.get("prior") is None else one_word("prior", out["prior"])
     if out["data_dir"] is not None and not (isinstance(out["data_dir"], str) and out["data_dir"]):
@@ -136,9 +141,10 @@ def deep(below: Mapping[str, Any], above: Mapping[str, Any]) -> dict[str, Any]:
 
 def last_word(config: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, Any]:
     """The settings, with what `overrides` (Hydra's words: KEY=VALUE, +KEY=VALUE, ~KEY) speak of taken out of what the
-    suite's named budgets bring: a budget must not overrule the command line.
+    suite's named budgets bring: a budget must not overrule the command line. Notes which bounds they leave as
+    the suite has them.
     """
-    out = copy.deepcopy(dict(config))
+    out = copy.deepcopy({key: value for key, value in config.items() if key != OF_SUITE})
     suite = out.get("suite")
     budgets = suite.get("budgets") if isinstance(suite, dict) else None
     for word in overrides:
@@ -149,7 +155,39 @@ def last_word(config: Mapping[str, Any], overrides: Sequence[str]) -> dict[str, 
                 brought = brought.get(key) if isinstance(brought, dict) else None
             if path != ["budget"] and isinstance(brought, dict):
                 brought.pop(last, None)
+    if own := _not_asked_for(out.get("bounds"), overrides):
+        out[OF_SUITE] = own
     return out
+
+
+def _not_asked_for(bounds: Any, overrides: Sequence[str]) -> list[str]:
+    """The names of bounds that no word of the command line speaks of."""
+    asked = [f"{word.lstrip('+~').partition('=')[0]}." for word in overrides]
+    names = flat(bounds) if isinstance(bounds, Mapping) else ()
+    return [name for name in names if not any(f"bounds.{name}.".startswith(word) for word in asked)]
+
+
+def refuse_strays(settings: Mapping[str, Any], known: Iterable[str], plugins: Catalogue) -> None:
+    """Refuse bounds of parameters that are not among the known ones. A suite's own may be of other models than those
+    that are run here, but not of what no plugin has.
+    """
+    own, there = settings.get(OF_SUITE, ()), sorted(known)
+    strays = [name for name in settings["bounds"] if name not in there]
+    if elsewhere := {name for name in strays if name in own}:
+        elsewhere &= parameters_of_all(plugins)
+    if strays := [name for name in strays if name not in elsewhere]:
+        raise ClothbenchError(f"setting 'bounds': no parameter {strays[0]!r}; there are: {', '.join(there)}")
+
+
+def parameters_of_all(plugins: Catalogue) -> set[str]:
+    """Names of the parameters of every installed model, also of one that tells warp from weft, and of every effect."""
+    made = list(plugins.made("models")[0].values())
+    for name in plugins.names("models"):
+        with contextlib.suppress(ClothbenchError):
+            if takes_option(plugins.load("models", name), "orthotropic"):
+                made.append(plugins.make("models", name, orthotropic=True))
+    names = {n for model in made for n in model.parameters.names}
+    return names | {f"{n}.{p}" for n, effect in plugins.made("effects")[0].items() for p in effect.parameters.names}
 
 
 def known_words(what: str, given: Mapping[str, Any], known: set[str]) -> None:

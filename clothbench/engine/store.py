@@ -313,10 +313,21 @@ def load_rows(path: str | os.PathLike[str]) -> list[dict[str, Any]]:
     """Rows of a results folder, or of a file that `leaderboard --json` wrote."""
     path = Path(path)
     if path.is_dir():
-        return Store(path).rows()
+        return Store(require_results(path, path)).rows()
     if not path.exists():
         raise ClothbenchError(f"{path}: no such folder or file; give a results folder or a leaderboard .json")
-    return require_rows(read_json(path, LISTED), path)
+    if not (rows := require_rows(read_json(path, LISTED), path)):
+        raise ClothbenchError(f"{path}: found an empty list, expected {LISTED}")
+    return rows
+
+
+def require_results(folder: Path, named: object) -> Path:
+    """The folder; one without any cells is the user's error. named: how it was asked for."""
+    if not (folder / "cells").is_dir():
+        raise ClothbenchError(
+            f"{named}: found no results (no folder 'cells'); make some with clothbench run … out={named}"
+        )
+    return folder
 
 
 def rows_in(text: str, where: object) -> list[dict[str, Any]]:

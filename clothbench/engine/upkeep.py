@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import remove_folder, whole_file
+from clothbench.core.files import placing, remove_folder, whole_file
 from clothbench.core.packed import files_in
 from clothbench.engine.cells import plugin_versions
 from clothbench.engine.check import Finding, check_cell, fault, remains, unreadable
@@ -113,7 +113,9 @@ def prunable(
     found = [(path, what) for path, what in left if time.time() - last_written(path) > older]
     for key in keys:
         if not KEY.fullmatch(key) or not store.cell(key).is_dir():
-            raise ClothbenchError(f"{store.cell(key)}: no such cell; give the whole key, as the leaderboard shows it")
+            raise ClothbenchError(
+                f"{store.cell(key)}: no such cell; give the whole key, as clothbench leaderboard --json has it"
+            )
         found.append((store.cell(key), "named"))
     if other_versions:
         found += _of_other_versions(store, plugins, {path for path, _ in found})
@@ -179,4 +181,5 @@ def remove(path: Path) -> None:
         with contextlib.suppress(FileNotFoundError):  # a run was done with it just now
             remove_folder(path)
     else:
-        path.unlink(missing_ok=True)
+        with placing(path.parent):
+            path.unlink(missing_ok=True)

@@ -22,7 +22,7 @@ from typing import Any
 import pluggy
 
 import clothbench.plugins.hookspecs as hookspecs
-from clothbench.core.errors import ENDS, ClothbenchError
+from clothbench.core.errors import ENDS, ClothbenchError, known_names
 from clothbench.plugins.hookspecs import Registration
 
 KINDS = ("models", "effects", "metrics", "optimizers", "trackers")
@@ -71,9 +71,7 @@ class Catalogue:
             return usable[0]
         if found:
             raise PluginBroken(f"{singular(kind)} {name!r} is broken: {found[0].reason}")
-        close = difflib.get_close_matches(str(name), self.names(kind), n=1)
-        hint = f"did you mean {close[0]!r}? " if close else ""
-        raise ClothbenchError(f"no {singular(kind)} named {name!r}; {hint}there are: {', '.join(self.names(kind))}")
+        raise ClothbenchError(f"no {singular(kind)} named {name!r}; {known_names(str(name), self.names(kind))}")
 
     def load(self, kind: str, name: str) -> Any:
         """Import what the plugin registered: a class, a factory, or a module."""
@@ -100,9 +98,7 @@ class Catalogue:
         except BaseException as fault:
             if not (isinstance(fault, TypeError) and "argument" in str(fault)):
                 raise self._broken(self.find(kind, name), fault) from fault
-            raise ClothbenchError(
-                f"{singular(kind)} {name!r}: {one_line(fault)}; see options.{name} and `clothbench plugins`"
-            ) from fault
+            raise ClothbenchError(f"{singular(kind)} {name!r}: {_wrong(factory, options, fault)}") from fault
 
     @staticmethod
     def _broken(plugin: Plugin, fault: BaseException) -> PluginBroken:
@@ -141,6 +137,16 @@ def discover(points: Iterable[EntryPoint]) -> Catalogue:
 def singular(kind: str) -> str:
     """ "models" → "model", "studies" → "study"."""
     return f"{kind[:-3]}y" if kind.endswith("ies") else kind.removesuffix("s")
+
+
+def _wrong(factory: Any, options: Iterable[str], fault: TypeError) -> str:
+    """Why a plugin does not take what it was given: by the first option that is none of its own, if there is one."""
+    from clothbench.core.optional import defaults_of, options_of  # loads numpy, which listing plugins does without
+
+    stray = next((name for name in options if name not in options_of(factory)), None)
+    if stray is None or "unexpected keyword" not in str(fault):
+        return f"{one_line(fault)}; see `options` in clothbench plugins --json"
+    return f"no option {stray!r}; {known_names(stray, defaults_of(factory))}"
 
 
 def import_target(target: str) -> Any:

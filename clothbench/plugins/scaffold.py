@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import keyword
+import os
 import re
 from importlib.resources import files
 from pathlib import Path
@@ -46,7 +47,8 @@ def create(kind: str, name: str, into: Path) -> Path:
     try:
         _write_whole(folder, content)
     except OSError as fault:
-        raise ClothbenchError(f"{folder}: cannot be written ({fault.strerror or fault})") from fault
+        said = os.strerror(fault.errno) if fault.errno else fault
+        raise ClothbenchError(f"{folder}: cannot be written to ({said}); give another place with --into") from fault
     return folder
 
 

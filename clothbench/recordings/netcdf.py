@@ -100,8 +100,11 @@ def opened(path: Path) -> Iterator[NetCDF]:
 
     if not path.is_file():
         raise ClothbenchError(f"{path}: no such file; give a recording (.nc)")
-    with open(path, "rb") as stream:
-        start = stream.read(len(MAGIC))
+    try:
+        with open(path, "rb") as stream:
+            start = stream.read(len(MAGIC))
+    except OSError as fault:
+        raise ClothbenchError(f"{path}: cannot be read ({fault.strerror or fault}); give a file of yours") from fault
     if start != MAGIC:
         raise ClothbenchError(
             f"{path}: found a file that starts with {start!r}, expected NetCDF-4 (HDF5); convert it first"

@@ -13,7 +13,7 @@ import numpy as np
 
 import clothbench
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import file_name, sha256
+from clothbench.core.files import file_name, placing, sha256
 from clothbench.engine.cells import Source, plugin_versions
 from clothbench.engine.store import Store
 from clothbench.plugins.discovery import Catalogue
@@ -164,6 +164,7 @@ def _packed(folder: Path, wheel: Path) -> Wheel:
     if wheel.suffix != ".whl" or not wheel.is_file():
         raise ClothbenchError(f"{wheel}: found no wheel, expected a .whl file; make one with `python -m build --wheel`")
     place = folder / WHEELS / wheel.name
-    place.parent.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(wheel, place)
+    with placing(place):
+        place.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copyfile(wheel, place)
     return Wheel(place.relative_to(folder).as_posix(), sha256(place))

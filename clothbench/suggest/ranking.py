@@ -241,15 +241,16 @@ def well_seen(found: Sequence[Promise], value: Callable[[Promise], float]) -> li
 
 def rank_of(subject: Subject, rank: str | None) -> str:
     """By what experiments are ranked: as asked for, or by a tie where there is one."""
-    names = subject.known.fitted.space.names
-    if rank is None:
-        return TIE if subject.ties else INFORMATION
-    if rank not in (INFORMATION, TIE, *names):
-        known = ", ".join((INFORMATION, TIE, *names))
-        raise ClothbenchError(f"setting 'rank' is {rank!r}, expected one of {known}")
-    if rank == TIE and not subject.ties:
+    require_rank(rank, subject.known.fitted.space.names, bool(subject.ties))
+    return rank or (TIE if subject.ties else INFORMATION)
+
+
+def require_rank(rank: str | None, names: Sequence[str], tied: bool) -> None:
+    """Refuse a word by which nothing can be ranked. names: of the parameters; tied: whether anything is."""
+    if rank is not None and rank not in (known := (INFORMATION, TIE, *names)):
+        raise ClothbenchError(f"setting 'rank' is {rank!r}, expected one of {', '.join(known)}")
+    if rank == TIE and not tied:
         raise ClothbenchError("setting 'rank' is 'tie', and nothing is tied; name two effects with tied=ONE,OTHER")
-    return rank
 
 
 def value_of(subject: Subject, rank: str | None) -> Callable[[Promise], float]:

@@ -100,7 +100,7 @@ class Subject:
     @property
     def rate(self) -> float:
         """Frames a second."""
-        return float(1 / np.median(np.diff(self.like.observation.time)))
+        return rate_of(self.like)
 
     def trial(self, scene: Scene, effects: Sequence[str]) -> Trial:
         """An experiment as a trial, seen at every point in every frame, with everything measured at the origin: its
@@ -122,6 +122,11 @@ class Subject:
             scene.times, np.zeros((frames, points, 3)), np.ones((frames, points), bool), self.known.noise, scene.points
         )
         return self.problem.restricted(dataclasses.replace(self.like, split="fit", observation=seen, scene=scene))
+
+
+def rate_of(case: SheetCase) -> float:
+    """Frames a second of a recording."""
+    return float(1 / np.median(np.diff(case.observation.time)))
 
 
 def sensor_of(problem: Problem) -> Sensor | None:

@@ -1,6 +1,8 @@
 """The command line as a user meets it: exit codes, messages, what is written and what is not."""
 
+import io
 import json
+import os
 import subprocess
 import sys
 import time
@@ -8,11 +10,14 @@ from types import SimpleNamespace
 
 import pytest
 from conftest import swinging_recording
+from rich.console import Console
 
 from clothbench import ClothbenchError, write_recording
-from clothbench.cli.commands import main, parsed
+from clothbench.cli.commands import COMMANDS, main, parsed
 from clothbench.cli.own_suites import require_harmless
 from clothbench.cli.run import composed, say_idle
+from clothbench.engine.store import ROW
+from clothbench.studies.calibration.tables import error_table
 
 CELL = ("model=mass_spring", "optimizer=ga", "metric=node_error", "+options.mass_spring.resolution=5", "budget=25")
 
@@ -39,6 +44,8 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
     ("arguments", "found"),
     [
         (("run", "+suite=nonsense"), "suite/nonsense"),
+        (("run", "+suite=worn_skrit"), "found no suite/worn_skrit; did you mean 'worn_skirt'? there are: drape, "),
+        (("run", "+suite=nonsense"), "waving_linear_drag, worn_skirt"),  # all of them
         (("run", "modle=x"), "modle"),
         (("run", *CELL), "no recordings named"),
         (("run", *CELL, "recording=none.nc"), "none.nc: no such file"),
@@ -59,7 +66,10 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
         (("import", "good.nc"), "good.nc: found a recording, expected a video; see it with clothbench validate good"),
         (("import", "iri_wam_cloth_swing", "dir=x"), "expected data_dir=VALUE"),
         (("compare", "a.json", "b.json"), "a.json: no such folder or file"),
-        (("view", "abc"), "found no cells; make some with"),
+        (("compare", ".", "good.nc"), ".: found no results (no folder 'cells'); make some with clothbench run"),
+        (("compare", "../empty.json", "../empty.json"), "empty.json: found an empty list, expected"),
+        (("view", "abc"), "found no cells; make some with: clothbench run +suite=static_dynamic\n"),
+        (("view", "abc", "--out", "empty"), "run +suite=static_dynamic out=empty\n"),
         (("validate", "nowhere"), "nowhere: no such file or folder"),
         (("leaderboard", "--out", "nowhere"), "nowhere: found no results"),
         (("report", "out=nowhere"), "nowhere: found no results"),
@@ -67,9 +77,10 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
 )
 def test_wrong_use_is_one_line_and_exit_2(clothbench, tmp_path, arguments, found):
     write_recording(swinging_recording(), tmp_path / "good.nc")
+    (tmp_path.parent / "empty.json").write_text("[]")
     out = clothbench(*arguments)
     assert out.returncode == 2, out.stderr
-    assert found in only_line(out.stderr)
+    assert found in only_line(out.stderr) + "\n"
     assert [p.name for p in tmp_path.iterdir()] == ["good.nc"]
 
 
@@ -294,6 +305,29 @@ def test_a_reader_that_goes_away_is_no_failure(clothbench, tmp_path):
         assert (reading.returncode, said) == (0, ""), (words, said)
 
 
+def unheard(words, folder):
+    """The exit code of a command that nobody listens to."""
+    reading, writing = os.pipe()
+    os.close(reading)
+    try:
+        return subprocess.run(
+            [sys.executable, "-m", "clothbench", *map(str, words)], stdout=writing, stderr=writing, cwd=folder
+        ).returncode
+    finally:
+        os.close(writing)
+
+
+def test_a_command_that_nobody_listens_to_goes_on_to_its_end(recordings_folder, tmp_path):
+    """As of `… 2>&1 | head -1`: its page is there, and its exit code says what it found."""
+    assert unheard(["run", f"recordings={recordings_folder}", *CELL, "seed=1", "jobs=1"], tmp_path) == 0
+    assert (tmp_path / "runs" / "report.html").is_file()
+    row = {"suite": "s", "case": "c", "value": 10.0, "low": 9.0, "high": 11.0, "unit": "mm", "status": "ok"}
+    (tmp_path / "base.json").write_text(json.dumps([row]))
+    (tmp_path / "worse.json").write_text(json.dumps([{**row, "value": 20.0, "low": 19.0, "high": 21.0}]))
+    for words in ([], ["--json"], ["--markdown"]):
+        assert unheard(["compare", "base.json", "worse.json", *words], tmp_path) == 1
+
+
 def test_only_the_suite_that_is_asked_for_is_read(tmp_path):
     (tmp_path / "suite").mkdir()
     (tmp_path / "suite" / "broken.yaml").write_text("a: [")
@@ -317,6 +351,18 @@ def test_a_stopped_bench_keeps_nothing_and_says_so(monkeypatch, capsys):
     assert main(["bench", "--quick"]) == 130
     said = capsys.readouterr().err
     assert said.startswith("mass_spring: 9 nodes a side\nclothbench: stopped; a speed is a ratio within one run")
+
+
+@pytest.mark.parametrize(("command", "kept"), [("units", False), ("import", False), ("improve", True)])
+def test_only_commands_that_keep_something_say_so_when_they_are_stopped(monkeypatch, capsys, command, kept):
+    def stopped(options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(COMMANDS, command, stopped)
+    assert main([command, "x"]) == 130
+    said = capsys.readouterr().err
+    assert said.startswith("clothbench: stopped")
+    assert ("kept" in said) == kept
 
 
 def test_a_step_too_long_diverges_with_its_reason(clothbench, recordings_folder):
@@ -379,6 +425,14 @@ def test_plugins_as_json_and_as_table(clothbench):
     assert not [r for r in rows if r["broken"]]
     model = next(r for r in rows if r["name"] == "mass_spring")
     assert [(p["name"], p["unit"]) for p in model["parameters"]] == [("k1", "N/m"), ("k2", "N/m"), ("zeta", "1")]
+    assert model["options"] == {
+        "resolution": 13,
+        "dt": None,
+        "step_scale": 1.0,
+        "precision": "double",
+        "strain_limit": None,
+    }
+    assert next(r for r in rows if r["name"] == "least_squares")["options"]["starts"] == 31  # its seed is no option
     assert "mass_spring" in clothbench("plugins").stdout
 
 
@@ -392,6 +446,26 @@ def test_compare_is_a_gate(clothbench, tmp_path):
     assert worse.returncode == 1
     assert "gate failed" in worse.stdout
     assert not json.loads(clothbench("compare", "base.json", "worse.json", "--json").stdout)["passed"]
+
+
+def test_a_narrow_terminal_shows_what_a_row_is_about():
+    about = dict.fromkeys(ROW) | {
+        "suite": "s", "case": "linen", "model": "mass_spring", "optimizer": "ga", "metric": "node_error", "key": "a",
+        "objective": "node_error", "evaluations": 25, "split": "held_out", "unit": "mm", "status": "ok",
+        "value": 10.23, "low": 9.1, "high": 11.2, "floor": 1.5,
+    }  # fmt: skip
+    narrow = Console(width=40, record=True, file=io.StringIO())
+    narrow.print(error_table("s", [about | {"recording": "waving-1"}]))
+    said = narrow.export_text()
+    assert "waving-1" in said
+    assert "10.23 mm" in said
+
+
+def test_keys_are_said_to_be_where_they_are(capsys):
+    for words in (["store", "prune", "--help"], ["view", "--help"]):
+        with pytest.raises(SystemExit):
+            main(words)
+        assert "clothbench leaderboard --json" in " ".join(capsys.readouterr().out.split())
 
 
 def test_an_empty_leaderboard_says_what_to_do(clothbench):

@@ -17,7 +17,7 @@ from conftest import swinging_recording
 from test_commands import only_line
 
 from clothbench import ClothbenchError, Recording, write_recording
-from clothbench.cli.improve import settings_of
+from clothbench.cli.improve import remarks, settings_of
 from clothbench.engine.store import read_table
 from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import catalogue
@@ -214,6 +214,25 @@ def test_one_recording_is_named_by_recording_alone(tmp_path):
     ):
         with pytest.raises(ClothbenchError, match=said):
             plan(settings_of([*words, more]), catalogue())
+
+
+def test_recordings_of_several_weights_are_refused_and_several_fabrics_told(tmp_path):
+    one, other = planted(0, "fit"), planted(3, "held_out")
+    words = [f"recordings={tmp_path}", *SMALL]
+
+    def planned(*more, **changes):
+        for recording in (one, dataclasses.replace(other, **changes)):
+            write_recording(recording, tmp_path / f"{recording.name}.nc")
+        return plan({**(said := settings_of(words)), "suite": {**said["suite"], **dict(more)}}, catalogue())
+
+    said = r"attribute 'areal_density': found 0\.\d+, 0\.31 among 2 recordings, .*suite\.case=fabric"
+    with pytest.raises(ClothbenchError, match=said):
+        planned(areal_density=0.31)
+    assert len(planned(("select", one.name), areal_density=0.31)) == 1
+    (cell,) = planned(fabric="")
+    assert not any("one cloth" in line for line in remarks(cell, catalogue(), all_tried=False))
+    (cell,) = planned(fabric="satin")  # one cloth may be called otherwise in each session
+    assert any(line.startswith("paper, satin are taken for one cloth") for line in remarks(cell, catalogue(), False))
 
 
 def test_a_recording_that_the_model_cannot_simulate_is_refused_before_a_fit(tmp_path):

@@ -6,6 +6,10 @@ import json
 
 import pytest
 
+from clothbench.cli.run import composed
+from clothbench.engine.suite import plan
+from clothbench.plugins.discovery import catalogue
+
 SMALL = ("suite.select=[damped/shake-2,damped/shake-4]", "optimizer=[nelder_mead]", "budget=6")
 
 
@@ -62,6 +66,19 @@ def test_wrong_settings_are_one_line(clothbench, settings, found):
     assert out.returncode == 2
     assert found in out.stderr
     assert out.stderr.count("\n") == 1
+
+
+def test_the_sheet_that_shears_is_planned_as_the_docs_have_it():
+    words = ["+suite=shake", "suite.select='damped/*'", "model=[mass_spring,baraff_witkin]", "effects=[linear_drag]",
+             "bounds.linear_drag.coefficient=[0,5]", "optimizer=[nelder_mead]"]  # fmt: skip
+    assert [cell.model for cell in plan(composed(words), catalogue())] == ["mass_spring", "baraff_witkin"]
+
+
+def test_a_bound_that_nothing_has_is_refused_before_anything_is_tracked(clothbench, tmp_path):
+    out = clothbench("run", "+suite=shake_improve", "bounds.theta=[0,1]", "suite.select=[damped/*]")
+    assert out.returncode == 2
+    assert "setting 'bounds': no parameter 'theta'; there are: " in out.stderr
+    assert not (tmp_path / "runs").exists()
 
 
 def test_a_model_that_starts_from_rest_only_is_skipped_with_the_reason(clothbench):

@@ -178,8 +178,8 @@ def test_one_line_for_what_is_wrong(words, said, told, place, monkeypatch, capsy
     monkeypatch.chdir(place)
     there = [f"out={told[0]}"] if not any(word.startswith("out=") for word in words) else []
     assert main(["suggest", "rec", "resolution=5", *there, *words]) == 2
-    lines = capsys.readouterr().err.splitlines()
-    assert said in lines[-1]
+    (line,) = capsys.readouterr().err.splitlines()
+    assert said in line
 
 
 def test_neither_a_recording_nor_a_cell(tmp_path, monkeypatch, capsys):

@@ -114,7 +114,7 @@ def test_nothing_is_left_half_written(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(os, "replace", full)
-    refused(tmp_path, "model", "veil", "cannot be written .No space left on device")
+    refused(tmp_path, "model", "veil", "cannot be written to .No space left on device")
 
 
 @pytest.mark.parametrize(

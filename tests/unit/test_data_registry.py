@@ -11,6 +11,7 @@ import pytest
 from clothbench.cli.listings import dataset_rows
 from clothbench.core.errors import ClothbenchError
 from clothbench.datasets import registry
+from clothbench.datasets.convert import converted
 
 NAME = "iri_wam_cloth_swing"
 
@@ -34,6 +35,14 @@ def test_addresses_are_pinned_and_quoted():
     )
     assert all(len(digest) == 64 for _, digest in entry.files.values())
     assert entry.importer == "clothbench.datasets.iri_wam_cloth_swing:convert"
+
+
+def test_a_file_is_no_folder_for_recordings(tmp_path):
+    (tmp_path / "file").touch()
+    with pytest.raises(
+        ClothbenchError, match="file: found files that no import made, expected an empty folder; give out="
+    ):
+        converted(NAME, out=str(tmp_path / "file"))
 
 
 def test_unknown_data_set_names_the_known_ones():

@@ -49,6 +49,12 @@ def test_every_page_is_linked_from_the_first():
     assert {f"docs/{page.name}" for page in PAGES[2:]} <= linked
 
 
+def test_every_tool_answers_help_before_it_begins():
+    begin = {path.name: path.read_text() for path in (ROOT / "tools").glob("*.py")}
+    silent = {name for name, text in begin.items() if "__main__" in text and "parse_args()" not in text}
+    assert silent == {"fuzz_child.py"}  # which the fuzzer starts
+
+
 def test_the_suite_of_ones_own_recordings_runs_as_the_page_says(clothbench, recordings_folder, tmp_path):
     text = (ROOT / "docs" / "recordings.md").read_text()
     (suite,) = re.findall(r"^```yaml\n(.*?)^```", text, re.MULTILINE | re.DOTALL)

@@ -18,7 +18,7 @@ from conftest import swinging_recording
 
 from clothbench import ClothbenchError, read_recording, write_recording
 from clothbench.cli import main
-from clothbench.cli.own_suites import each_choice, require_plain
+from clothbench.cli.own_suites import each_choice, require_harmless, require_plain
 from clothbench.core.errors import one_line
 from clothbench.core.files import read_arrays, read_json
 from clothbench.core.pictures import PNG, picture_of
@@ -438,6 +438,23 @@ def test_a_setting_may_be_taken_out(tmp_path, monkeypatch, capsys, name):
     words = ["recording=in.nc", "model=mass_spring", "optimizer=ga", "metric=node_error"]
     code = main(["run", *(word for word in words if not word.startswith(f"{name}=")), f"~{name}"])
     assert (code, capsys.readouterr().err.count("\n")) in ((0, 0), (2, 1))
+
+
+def test_a_suite_that_does_not_say_where_its_settings_belong_is_told_the_line(tmp_path):
+    (tmp_path / "suite").mkdir()
+    file, words = tmp_path / "suite" / "mine.yaml", ["--config-dir", str(tmp_path), "+suite=mine"]
+    file.write_text("# my suite\nsuite: {name: mine}\nmodel: mass_spring\n")
+    with pytest.raises(
+        ClothbenchError, match=r"mine\.yaml: found 'suite' and no line '# @package _global_', expected it"
+    ):
+        require_harmless(words)
+    require_harmless([*words[:2], "+suite@_global_=mine"])
+    file.write_text("# my suite\n# @package _global_\nsuite: {name: mine}\n")  # where Hydra does not see it
+    with pytest.raises(ClothbenchError, match="expected it as the file's first line"):
+        require_harmless(words)
+    for text in ("\n#@package _global_\nsuite: {name: mine}\n", "name: mine\ntitle: Hydra puts it where it belongs\n"):
+        file.write_text(text)
+        require_harmless(words)
 
 
 @pytest.mark.parametrize("text", ["a: [", "a: \x00", "&a [*a]", "\xff: 1"])

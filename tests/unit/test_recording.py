@@ -1,6 +1,8 @@
 """The recording format: round trip, hash, and one line for every fault."""
 
 import dataclasses
+import errno
+import os
 from pathlib import Path
 
 import h5netcdf.legacyapi
@@ -10,6 +12,7 @@ import pytest
 from conftest import swinging_recording
 
 from clothbench import Camera, ClothbenchError, Obstacle, read_recording, scene_of, write_recording
+from clothbench.cli.commands import main
 
 
 def test_round_trip_keeps_everything(recording, tmp_path):
@@ -119,6 +122,23 @@ def test_a_file_cut_off_and_a_text_file_are_refused(recording, tmp_path):
         read_recording(path)
     with pytest.raises(ClothbenchError, match="no such file"):
         read_recording(tmp_path / "none.nc")
+
+
+def test_a_file_that_may_not_be_read_is_a_fault_of_its_own_only(recording, tmp_path, monkeypatch, capsys):
+    """The tests may run as root, who may read all."""
+    for name in ("a.nc", "locked.nc", "z.nc"):
+        write_recording(recording, tmp_path / name)
+
+    def opening(path, *how):
+        if path.name == "locked.nc":
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return open(path, *how)
+
+    monkeypatch.setattr("clothbench.recordings.netcdf.open", opening, raising=False)
+    assert main(["validate", str(tmp_path)]) == 1
+    said = capsys.readouterr().out.splitlines()
+    assert [line.endswith(": ok") for line in said] == [True, False, True]
+    assert said[1].endswith("locked.nc: cannot be read (Permission denied); give a file of yours")
 
 
 @pytest.mark.data

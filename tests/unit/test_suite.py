@@ -9,7 +9,7 @@ from conftest import swinging_recording
 
 from clothbench import ClothbenchError, write_recording
 from clothbench.engine.run import run_cell
-from clothbench.engine.settings import OF_SEARCHES
+from clothbench.engine.settings import OF_SEARCHES, last_word
 from clothbench.engine.store import Store
 from clothbench.engine.suite import plan, suites_folder
 from clothbench.plugins.discovery import catalogue
@@ -88,6 +88,9 @@ def test_recordings_of_one_name_are_told_apart_by_their_cases(tmp_path):
     assert {row["recording"] for row in store.table("trace")} == {"silk/swing", "silk/sway"}
     with pytest.raises(ClothbenchError, match=r"wool-sway\.nc: found the name 'sway', which .*silk-sway\.nc has too"):
         cells(tmp_path, suite={"name": "s", "case": "all"})
+    write_recording(swinging_recording("sway", fabric="silk", noise_sigma=2e-3), tmp_path / "silk-again.nc")
+    with pytest.raises(ClothbenchError, match=r"found the name 'sway', which .*silk-again\.nc of case 'silk' has too"):
+        cells(tmp_path)
 
 
 @pytest.mark.parametrize(
@@ -97,7 +100,10 @@ def test_recordings_of_one_name_are_told_apart_by_their_cases(tmp_path):
         ({"scene": {"wind": 1}}, "setting of 'scene' 'wind' is not known"),
         ({"suite": {"name": "s", "cases": "x"}}, "setting of 'suite' 'cases' is not known"),
         ({"suite": {"name": "s", "case": "colour"}}, "'suite.case' is 'colour'"),
-        ({"suite": {"name": "s", "select": "zzz"}}, "matches none of 2 recordings"),
+        (
+            {"suite": {"name": "s", "select": "zzz"}},
+            r"'suite.select' \['zzz'\] matches none of 2 recordings: \w+-\d, \w+-\d$",
+        ),
         ({"model": "mass_sping"}, "did you mean 'mass_spring'"),
         ({"model": []}, "setting 'model' is empty"),
         ({"budget": 0}, "expected a whole number, at least 1"),
@@ -135,6 +141,18 @@ def test_wrong_settings_are_one_line(recordings_folder, change, found):
 def test_an_option_of_the_wrong_type_is_one_line(recordings_folder, plugins, options, found):
     with pytest.raises(ClothbenchError, match=found):
         cells(recordings_folder, **plugins, options=dict.fromkeys(plugins.values(), options))
+
+
+def test_bounds_of_a_suite_may_be_of_models_that_are_not_run(recordings_folder):
+    suite = {"bounds": {"theta": [0.0, 1e-4], "linear_drag": {"coefficient": [0.0, 5.0]}, "k1": [10.0, 20.0]}}
+    for words in (["seed=1"], ["bounds.k1=[10,20]"]):
+        (cell,) = cells(recordings_folder, **last_word(suite, words))
+        assert cell.bounds["k1"] == (10.0, 20.0)
+    for word in ("bounds.theta=[0,1]", "+bounds={theta:[0,1]}", "++bounds.linear_drag.coefficient=[0,5]"):
+        with pytest.raises(ClothbenchError, match=r"no parameter '(theta|linear_drag\.coefficient)'; there"):
+            cells(recordings_folder, **last_word(suite, [word]))
+    with pytest.raises(ClothbenchError, match="no parameter 'thata'"):  # which no plugin has
+        cells(recordings_folder, **last_word({"bounds": {"thata": [0.0, 1e-4]}}, []))
 
 
 def test_a_list_of_one_resolution_is_that_number(recordings_folder):

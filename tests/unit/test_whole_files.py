@@ -7,7 +7,7 @@ import shutil
 
 import pytest
 
-from clothbench.core.files import whole_file, whole_files, whole_folder
+from clothbench.core.files import remove_folder, whole_file, whole_files, whole_folder
 
 
 def test_files_take_their_place_beside_what_is_there(tmp_path):
@@ -47,6 +47,34 @@ def test_a_full_disk_says_what_could_not_be_written(tmp_path, whole):
         raise OSError(errno.ENOSPC, "No space left on device")
     assert found.value.filename == str(tmp_path / "result")
     assert [p for p in tmp_path.rglob("*") if p.name != "result"] == []
+
+
+@pytest.mark.parametrize("whole", [whole_file, whole_folder, whole_files])
+def test_a_place_that_cannot_be_written_to_is_named_as_it_was_asked_for(tmp_path, whole):
+    """And not by a hidden name of our own, or by what the system trips over."""
+    (tmp_path / "file").touch()
+    (tmp_path / "folder" / "inside").mkdir(parents=True)
+    places = [tmp_path / "file" / "result", *([tmp_path / "folder"] if whole is whole_file else [])]
+    for place in places:
+        with (
+            pytest.raises(OSError, match=r"cannot be written to \(.+\); give a folder of yours") as found,
+            whole(place),
+        ):
+            pass
+        assert found.value.filename == str(place)
+    assert sorted(p.name for p in tmp_path.rglob("*")) == ["file", "folder", "inside"]
+
+
+def test_a_folder_that_may_not_be_changed_is_named_when_something_is_to_be_removed_from_it(tmp_path, monkeypatch):
+    (tmp_path / "cell").mkdir()
+
+    def denied(prefix, dir):
+        raise PermissionError(errno.EACCES, "Permission denied", f"{dir}/{prefix}abcdefgh")
+
+    monkeypatch.setattr("clothbench.core.files.tempfile.mkdtemp", denied)
+    with pytest.raises(PermissionError, match=r"cannot be written to \(Permission denied\)") as found:
+        remove_folder(tmp_path / "cell")
+    assert found.value.filename == str(tmp_path)
 
 
 def test_a_folder_that_goes_while_it_is_replaced_leaves_its_place_free(tmp_path):

@@ -19,6 +19,7 @@ from typing import Any
 
 import psutil
 
+from clothbench.core.output import keep_on
 from clothbench.engine.executors.work import SELDOM, Answer, Owner, Tell, Work, attended
 from clothbench.engine.limits import Watch, end, end_forks
 from clothbench.plugins.discovery import one_line
@@ -125,6 +126,7 @@ class _Child:
 def main(handle: int) -> None:
     """Do works until nobody has any more."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of Ctrl+C the command hears
+    keep_on()
     mine = os.getpid()
     with Connection(handle) as pipe:
 

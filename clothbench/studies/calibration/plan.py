@@ -16,7 +16,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.optional import takes_option, textile_of
 from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import Source, matching, plugin_versions, require_own_names, resplit
-from clothbench.engine.settings import require_plugins
+from clothbench.engine.settings import parameters_of_all, refuse_strays, require_plugins
 from clothbench.engine.suite import where
 from clothbench.estimation.front import CHOICES
 from clothbench.estimation.prior import Prior, density_of, hanging, prior_of
@@ -82,7 +82,8 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
             cell = dataclasses.replace(cell, versions=plugin_versions(uses(cell), plugins))
             searched.append(rehearse(cell, plugins, by_path))
             cells[cell.key] = cell
-    refuse_strays(settings["bounds"], [None if names is None else names.free for names in searched])
+    if None not in searched:  # else not all names are known
+        refuse_strays(settings, {name for names in searched if names for name in names.free}, plugins)
     refuse_unmatched(suite, cases, {r.name for r in recordings} | {_case_of(r, by) for r in recordings})
     refuse_unknown(suite, searched, plugins)
     return list(cells.values())
@@ -134,14 +135,6 @@ def choice_of(stated: Any) -> str:
     return str(choice)
 
 
-def refuse_strays(bounds: Mapping[str, Any], searched: Sequence[set[str] | None]) -> None:
-    """Bounds of what no cell searches for, by the names of each cell's parameters (None: not known)."""
-    known = {name for names in searched for name in names or ()}
-    strays = [name for name in bounds if name not in known]
-    if strays and None not in searched:
-        raise ClothbenchError(f"setting 'bounds': no parameter {strays[0]!r}; there are: {', '.join(sorted(known))}")
-
-
 def refuse_unmatched(suite: Mapping[str, Any], cases: Iterable[str], others: set[str]) -> None:
     """Patterns of cases that say nothing of any case, nor of recordings that are left out (`others`: their names).
 
@@ -180,17 +173,6 @@ def refuse_unknown(suite: Mapping[str, Any], searched: Sequence[Names | None], p
         raise ClothbenchError(
             f"setting 'suite.fixed': no parameter {strays[0]!r}; there are: {', '.join(sorted(here))}"
         )
-
-
-def parameters_of_all(plugins: Catalogue) -> set[str]:
-    """Names of the parameters of every installed model, also of one that tells warp from weft, and of every effect."""
-    made = list(plugins.made("models")[0].values())
-    for name in plugins.names("models"):
-        with contextlib.suppress(ClothbenchError):
-            if takes_option(plugins.load("models", name), "orthotropic"):
-                made.append(plugins.make("models", name, orthotropic=True))
-    names = {n for model in made for n in model.parameters.names}
-    return names | {f"{n}.{p}" for n, effect in plugins.made("effects")[0].items() for p in effect.parameters.names}
 
 
 def _matches(case: str, patterns: Sequence[str]) -> bool:
@@ -265,9 +247,10 @@ def group(
     of_name = Counter(r.name for r in chosen)
     cases: dict[str, list[Source]] = {}
     for r in chosen:
-        case = _case_of(r, by)
-        name = f"{case}/{r.name}" if of_name[r.name] > 1 and by not in ("all", "recording") else r.name
-        cases.setdefault(case, []).append(Source(r.path, name, r.hash, r.split))
+        cases.setdefault(_case_of(r, by), []).append(Source(r.path, r.name, r.hash, r.split))
+    for case, mine in cases.items():
+        require_own_names(mine, "" if by in ("all", "recording") else case)
+        cases[case] = [dataclasses.replace(s, name=f"{case}/{s.name}") if of_name[s.name] > 1 else s for s in mine]
     out = {case: resplit(sources, seed=0) for case, sources in sorted(cases.items())}
     for case, sources in out.items():
         if fitted and not any(s.split == "fit" for s in sources):

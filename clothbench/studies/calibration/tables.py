@@ -19,6 +19,7 @@ from clothbench.studies.calibration.searches_page import contest_tables
 Rows = Sequence[dict[str, Any]]
 MANY = 24  # recordings in one cell beyond which only the totals are printed
 MOST = 500  # cells in one table of the terminal
+NARROWEST = 12  # characters of what a row is about, whatever the terminal leaves to its numbers
 
 
 def show(results: Results) -> list[Any]:
@@ -42,7 +43,7 @@ def show(results: Results) -> list[Any]:
 def error_table(suite: str, rows: Rows) -> Table:
     """Errors beside their floor. What a row is about stands in one column, so that the table fits 80 characters."""
     table = Table(title=f"{escape(suite)}: error, 95 % interval", title_justify="left", title_style="bold")
-    table.add_column("recording", overflow="fold")
+    table.add_column("recording", overflow="fold", min_width=NARROWEST)
     for name in ("error", "interval", "floor"):
         table.add_column(name, justify="right", no_wrap=True)
     cells = list(group(rows, lambda r: r["key"]).values())
@@ -116,7 +117,7 @@ def _interval(low: float | None, high: float | None, digits: str = ".2f") -> str
 def parameter_table(rows: Rows, parameters: Rows) -> Table:
     """Best values with intervals; a value on its bound is marked, since the bound chose it and not the data."""
     table = Table(title="parameters, 95 % interval", title_justify="left", title_style="bold")
-    table.add_column("parameter", overflow="fold")
+    table.add_column("parameter", overflow="fold", min_width=NARROWEST)
     stated = any(p.get("truth") is not None for p in parameters)
     for name in ("value", "interval", *(("truth",) if stated else ())):
         table.add_column(name, justify="right", no_wrap=True)
@@ -142,7 +143,7 @@ def front_table(rows: Rows, front: Rows) -> Table:
     """What was reached in each of several objectives: by the fit, and at best by any evaluation on the front."""
     title = "several objectives: the fit, and the least of each on the front"
     table = Table(title=title, title_justify="left", title_style="bold")
-    table.add_column("objective", overflow="fold")
+    table.add_column("objective", overflow="fold", min_width=NARROWEST)
     for name in ("fit", "in spreads", "least", "in spreads"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)

@@ -12,7 +12,16 @@ from typing import Any, ClassVar
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import digest, plugin_versions, seed_of
-from clothbench.engine.settings import known_words, mapping, number, refuse, require_plugins, whole, words
+from clothbench.engine.settings import (
+    known_words,
+    mapping,
+    number,
+    refuse,
+    refuse_strays,
+    require_plugins,
+    whole,
+    words,
+)
 from clothbench.modelling.joined import JoinedParameters
 from clothbench.plugins.discovery import Catalogue, PluginBroken
 from clothbench.reference.fabrics import Fabric, chosen_fabrics, fabric_named
@@ -125,10 +134,8 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
             raise ClothbenchError(
                 f"setting 'suite.fold.fit': no parameter {strays[0]!r}; there are: {', '.join(names)}"
             )
-    known = sorted({name for names in spaces for name in names})
-    strays = [name for name in settings["bounds"] if name not in known]
-    if strays and spaces:
-        raise ClothbenchError(f"setting 'bounds': no parameter {strays[0]!r}; there are: {', '.join(known)}")
+    if spaces:
+        refuse_strays(settings, {name for names in spaces for name in names}, plugins)
     return cells
 
 

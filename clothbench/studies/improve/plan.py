@@ -13,7 +13,7 @@ from clothbench.core.progress import FileProgress
 from clothbench.core.scene import AIR_DENSITY
 from clothbench.engine.cells import Source, matching, plugin_versions, require_own_names, resplit
 from clothbench.engine.run import TRACKED
-from clothbench.engine.settings import one_word, refuse, require_plugins, whole, words
+from clothbench.engine.settings import one_word, refuse, refuse_strays, require_plugins, whole, words
 from clothbench.engine.suite import where
 from clothbench.estimation.front import CHOICES
 from clothbench.estimation.prior import prior_of
@@ -111,6 +111,10 @@ def cell_of(
     prior = prior_asked(settings, kind)
     if kind == CURVES.kind:
         refuse_what_needs_a_mesh(settings)
+    if settings["bounds"]:  # before anything is tracked
+        effects = plugins.made("effects")[0]
+        own = plugins.make("models", model, **settings["options"].get(model, {})).parameters.names
+        refuse_strays(settings, [*own, *of_effects(effects)], plugins)
     cell = ImproveCell(
         recordings=tuple(resplit(list(sources), settings["seed"])), kind=kind, model=model, base=(), candidates=(),
         tracker=settings["tracker"] if kind != CURVES.kind else None, optimizer=optimizer, options=settings["options"],
@@ -132,7 +136,7 @@ def cell_of(
     base = base_of(settings, problem)
     candidates = candidates_of(suite.get("candidates"), kind, base, plugins, problem.evidence.in_pictures)
     cell = dataclasses.replace(cell, base=base, candidates=candidates)
-    rehearse(cell, plugins, Path(settings["out"]) / TRACKED)
+    rehearse(cell, settings, plugins)
     return dataclasses.replace(cell, versions=plugin_versions(cell.plugins, plugins))
 
 
@@ -238,17 +242,23 @@ def base_of(settings: Mapping[str, Any], problem: Problem) -> tuple[str, ...]:
     return () if any(p.unit == unit for p in problem.space(())) else (damping,)
 
 
-def rehearse(cell: ImproveCell, plugins: Catalogue, kept: Path | None = None) -> None:
+def rehearse(cell: ImproveCell, settings: Mapping[str, Any], plugins: Catalogue) -> None:
     """Make everything once without simulating: what is wrong in options and bounds, or with a recording that is held
     out, comes to light before a run.
     """
-    problem = prepare(cell, plugins, kept=kept)
+    problem = prepare(cell, plugins, kept=Path(settings["out"]) / TRACKED)
     space = problem.space(())
     problem.trials((), "held_out")
     for first in (True, False):
-        settings = search_settings(problem, first)
-        problem.plugins.make("optimizers", cell.optimizer, space, seed=0, budget=1, **settings)
-    own = {name: problem.make("effects", name).parameters.prefixed(name) for name in cell.candidates}
-    known = sorted([*space.names, *(p.name for one in own.values() for p in one)])
-    if strays := [name for name in cell.bounds if name not in known]:
-        raise ClothbenchError(f"setting 'bounds': no parameter {strays[0]!r}; there are: {', '.join(known)}")
+        search = search_settings(problem, first)
+        problem.plugins.make("optimizers", cell.optimizer, space, seed=0, budget=1, **search)
+    refuse_strays(
+        settings,
+        [*space.names, *of_effects({name: problem.make("effects", name) for name in cell.candidates})],
+        plugins,
+    )
+
+
+def of_effects(effects: Mapping[str, Any]) -> list[str]:
+    """The names of their parameters, as bounds have them."""
+    return [p.name for name, effect in effects.items() for p in effect.parameters.prefixed(name)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -62,6 +63,7 @@ def evidence_of_sheets(
     cell: ImproveCell, recordings: Sequence[Any], plugins: Catalogue, kept: Path | None = None
 ) -> SheetEvidence:
     assert cell.tracker is not None  # every cell of sheets has one
+    require_one_cloth(recordings)
     tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
     start = cell.scene.get("start", "rest")
     density, air, nodes = (cell.scene[name] for name in ("areal_density", "air_density", "resolution"))
@@ -101,6 +103,19 @@ def evidence_of_drapes(
         ),
         alike(seen, [r.side for r in recordings], cell.seed),
     )
+
+
+def require_one_cloth(recordings: Sequence[Recording]) -> None:
+    """Refuse recordings that state several weights: one model is one cloth. What states none may be any, and one cloth
+    may be called otherwise in each session.
+    """
+    weights = {f"{r.areal_density:g}": r for r in recordings if not math.isnan(r.areal_density)}
+    if len(weights) > 1:
+        raise ClothbenchError(
+            f"{next(iter(weights.values())).path}: attribute 'areal_density': found {', '.join(sorted(weights))} among "
+            f"{len(recordings)} recordings, expected one cloth's; give these with recordings=FOLDER, or with "
+            "run +suite=improve suite.select=PATTERN (suite.case=fabric asks about each)"
+        )
 
 
 def require_one_drapemeter(recordings: Sequence[Silhouettes]) -> None:
