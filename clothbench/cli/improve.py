@@ -159,9 +159,7 @@ def remarks(cell: ImproveCell, plugins: Catalogue, all_tried: bool) -> list[str]
         held = ", ".join(s.name for s in cell.of_split("held_out")) or "none"
         out.append(f"no recording states a split; held out by seed {cell.seed}: {held}")
     if len(fabrics := sorted({read_any(source.file).fabric for source in cell.recordings} - {""})) > 1:
-        out.append(
-            f"{', '.join(fabrics)} are taken for one cloth; run +suite=improve suite.case=fabric asks about each"
-        )
+        out.append(f"{', '.join(fabrics)} are taken for one cloth; run +suite=improve suite.case=fabric asks of each")
     return out
 
 
