@@ -143,6 +143,17 @@ def test_what_the_base_explains_counts_for_no_candidate(cases, candidates):
     assert permutation_test(cases, fit, [same, *candidates], 0).explained[0] < 1e-9
 
 
+@pytest.mark.parametrize(("least_own", "told"), [(0.0, True), (0.02, False)])
+def test_what_is_hardly_its_own_counts_where_more_is_asked_for(cases, candidates, least_own, told):
+    """A twentieth of what it changes is not the base's: 0.25 % of its squares."""
+    random = np.random.default_rng(7)
+    fit = fitted(left(random), random)
+    columns = [j[:, :1] / np.abs(j[:, 0]).mean() for j in fit.jacobian]
+    columns = [c + 0.05 * r[:, None] / np.abs(r).mean() for c, r in zip(columns, fit.residual, strict=True)]
+    probe = Probe("nearly a copy", np.zeros(1), (0,), np.ones(1), np.zeros((1, 0)), columns)
+    assert (permutation_test(cases, fit, [probe, *candidates], 0, least_own).explained[0] > 0.5) == told
+
+
 def test_surrogates_keep_what_a_residual_is_made_of(cases):
     random = np.random.default_rng(1)
     residual = left(random)[0]

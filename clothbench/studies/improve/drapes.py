@@ -44,7 +44,15 @@ SURE = 0.01  # p below which a contrast is told, and may be explained
 DRAPES_AS = (("soft", 0.4), ("medium", 0.7))  # types of textile below these drape coefficients, in this order
 # Amounts of bending are small beside their ranges, and beyond them a disc stands out flat: differences must be short.
 SEARCH = SearchSettings(
-    difference=0.02, tolerance=0.01, contest_tolerance=0.0, starts=15, walks=2, rounds=2, together=True, steps=True
+    difference=0.02,
+    tolerance=0.01,
+    contest_tolerance=0.0,
+    starts=15,
+    walks=2,
+    rounds=2,
+    least_own=0.02,
+    together=True,
+    steps=True,
 )
 
 

@@ -60,12 +60,15 @@ class PermutationTest:
         return f"explains no more than chance would (p = {p_value:.2g})"
 
 
-def permutation_test(cases: Sequence[Case], fitted: Fitted, found: Sequence[Probe], seed: int) -> PermutationTest:
+def permutation_test(
+    cases: Sequence[Case], fitted: Fitted, found: Sequence[Probe], seed: int, least_own: float = 0.0
+) -> PermutationTest:
+    """The test of these probes beside the `fitted` base. least_own: as in `SearchSettings`."""
     base = span_of(fitted.weighted_jacobian)
     spans = []
     for probe in found:
         columns = np.vstack(probe.columns) * fitted.weights[:, None]
-        spans.append(span_of(columns - base @ (base.T @ columns), np.square(columns).sum()))
+        spans.append(span_of(columns - base @ (base.T @ columns), np.square(columns).sum(), least_own))
     random = np.random.default_rng(seed)
     draws = [case.surrogates(r) for case, r in zip(cases, fitted.residual, strict=True)]
     null, count, batch = [], LOOP.permutations, LOOP.permutation_batch
@@ -76,10 +79,12 @@ def permutation_test(cases: Sequence[Case], fitted: Fitted, found: Sequence[Prob
     return PermutationTest(explained, np.concatenate(null))
 
 
-def span_of(columns: np.ndarray, of: float | None = None) -> np.ndarray:
-    """An orthonormal basis (M, k) of what the columns (M, K) span, less what is next to nothing beside squares `of`."""
+def span_of(columns: np.ndarray, of: float | None = None, least: float = 0.0) -> np.ndarray:
+    """An orthonormal basis (M, k) of what the columns (M, K) span, less what is next to nothing beside squares `of`, or
+    less than the share `least` of them.
+    """
     size, turn = np.linalg.eigh(columns.T @ columns)
-    kept = size > LOOP.rank_tolerance * (size.sum() if of is None else of) + 1e-300
+    kept = size > max(LOOP.rank_tolerance, least) * (size.sum() if of is None else of) + 1e-300
     return columns @ (turn[:, kept] / np.sqrt(size[kept]))
 
 

@@ -52,7 +52,8 @@ def one_round(
             continue
         account.count(count)
         found += more
-    test = permutation_test(problem.of_split("fit"), current, found, problem.seed)
+    search = problem.evidence.search
+    test = permutation_test(problem.of_split("fit"), current, found, problem.seed, search.least_own)
     screened = screen(candidates, found, test, refused)
     tried: list[Candidate] = []
     promising = most_promising(screened, anew, promise)
@@ -65,7 +66,7 @@ def one_round(
         fitted, count = refit(problem, *one, goal)
         account.count(count)
         tried.append(dataclasses.replace(candidate, fitted=fitted))
-        goal = min(goal, problem.evidence.search.contention * fitted.rms**2)
+        goal = min(goal, search.contention * fitted.rms**2)
     tried = refine_finalists(problem, current, floor, fall, tried, account, turn)
     assessed = assess(current, fall, tried, problem.evidence, mesh)
     if named := choose(current, assessed, mesh):

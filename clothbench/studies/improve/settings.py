@@ -132,6 +132,9 @@ class SearchSettings:
     budget_factor: int = 1  # times the parameter sets that the rounds of a search take
     rounds: int = 3  # effects that can be named one after the other
     contention: float = 1.5  # times the least mean square that any leaves: a candidate that leaves more is given up
+    # Share of the squares of what a candidate changes that has to be its own, beside the base's sensitivities. Of a few
+    # quantities all that is left has one direction, and the error of differences would explain as much as any effect.
+    least_own: float = 0.0
     together: bool = (
         False  # several amounts of one effect may do the same: it is enough that they together are something
     )
