@@ -29,7 +29,7 @@ from clothbench.engine.store import Store
 from clothbench.engine.study import Elsewhere
 from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import Catalogue, catalogue
-from clothbench.recordings.kinds import read_any
+from clothbench.recordings.codec import stated_in
 from clothbench.studies.improve.candidates import unusable
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.common import common_document
@@ -158,7 +158,7 @@ def remarks(cell: ImproveCell, plugins: Catalogue, all_tried: bool) -> list[str]
     if cell.split_by_seed:
         held = ", ".join(s.name for s in cell.of_split("held_out")) or "none"
         out.append(f"no recording states a split; held out by seed {cell.seed}: {held}")
-    if len(fabrics := sorted({read_any(source.file).fabric for source in cell.recordings} - {""})) > 1:
+    if len(fabrics := sorted({stated_in(Path(source.file), "fabric") for source in cell.recordings} - {""})) > 1:
         out.append(f"{', '.join(fabrics)} are taken for one cloth; run +suite=improve suite.case=fabric asks of each")
     return out
 

@@ -103,8 +103,13 @@ def _content(record: Any, layout: Layout) -> tuple[dict[str, np.ndarray], dict[s
 
 def kind_of(path: Path) -> str:
     """The kind that a recording file states: "nodes", "curve", or another one that cannot be read yet."""
+    return stated_in(path, "kind")
+
+
+def stated_in(path: Path, name: str) -> str:
+    """What the header of a recording file states under a name, "" where that is nothing; no array is read."""
     with opened(path) as file:
-        return str(file.attributes.get("kind", ""))
+        return str(file.attributes.get(name, ""))
 
 
 def check_header(stated: Stated, path: Path, kind: str, needed: Sequence[str]) -> None:

@@ -24,14 +24,10 @@ SHEETS = ("nodes", "depth", "video", "silhouette")  # kinds that show a sheet of
 
 
 class AnyRecording(Protocol):
-    """What records of every kind have: a name, the fabric if they state it, the file they were read from, and a hash of
-    all they hold.
-    """
+    """What records of every kind have: a name, the file they were read from, and a hash of all they hold."""
 
     @property
     def name(self) -> str: ...
-    @property
-    def fabric(self) -> str: ...
     @property
     def path(self) -> str: ...
     @property
