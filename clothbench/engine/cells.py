@@ -8,6 +8,7 @@ from __future__ import annotations
 import fnmatch
 import hashlib
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -57,6 +58,9 @@ def lie_here(files: Mapping[str, str]) -> None:
     _here.update(files)
 
 
+VERSION = re.compile(r"(?P<kind>[^/;]+)/(?P<name>[^;]+?) \((?P<version>[^;]*)\)(?:; |$)")  # of those `listed` below
+
+
 def listed(versions: Mapping[str, str]) -> str:
     """Versions of plugins as rows have them: "kind/name (version); …"."""
     return "; ".join(f"{name} ({version})" for name, version in sorted(versions.items()))
@@ -77,6 +81,14 @@ def plugin_versions(used: Iterable[tuple[str, str]], plugins: Catalogue) -> dict
             version = "broken"
         out[f"{kind}/{name}"] = f"{known.distribution} {known.version}, {version}"
     return out
+
+
+def installed_version(kind: str, name: str, plugins: Catalogue) -> str | None:
+    """The version of a plugin as `plugin_versions` has it; None where it is not installed."""
+    try:
+        return plugin_versions([(kind, name)], plugins)[f"{kind}/{name}"]
+    except ClothbenchError:
+        return None
 
 
 def matching(recordings: Sequence[Any], patterns: Sequence[str]) -> list[Any]:

@@ -73,14 +73,25 @@ def _cell(key: Key) -> Key:
 
 
 def judge(base: Row, new: Row) -> str | None:
-    """ "worse", "better", or None where the change is within the noise."""
+    """ "worse", "better", or None where the change is within the noise.
+
+    A new interval counts as no wider than the old one: what errs more has a wider one, and would excuse itself by it.
+    """
     had, has = has_number(base), has_number(new)
     if not (had and has):
         return "worse" if had and not has else "better" if has and not had else None
+    if other_unit(base, new):
+        return "worse"
     before, after = error(base), error(new)
-    allowed = RERUN * math.hypot(half(base), half(new)) + slack(base)
+    allowed = RERUN * math.hypot(half(base), min(half(base), half(new))) + slack(base)
     change = after - before
     return "worse" if change > allowed else "better" if change < -allowed else None
+
+
+def other_unit(base: Row, new: Row) -> str:
+    """How the new row's unit differs from the old one's; "" where it does not, or where one states none."""
+    had, has = base.get("unit"), new.get("unit")
+    return f"found a number in {has}, expected {had} as in BASE" if had and has and had != has else ""
 
 
 def has_number(row: Row) -> bool:

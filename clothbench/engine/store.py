@@ -15,6 +15,7 @@ Of results in a bucket the folder is a mirror (`clothbench.engine.mirror`): what
 from __future__ import annotations
 
 import functools
+import itertools
 import json
 import math
 import os
@@ -44,9 +45,10 @@ from clothbench.engine.bucket import (
     mirrored,
     require_conditional,
 )
-from clothbench.engine.cells import digest
+from clothbench.engine.cells import VERSION, digest, installed_version
 from clothbench.engine.index import INDEX, indexed
 from clothbench.engine.tables import Columns, as_declared, read_if_there, read_table, write_table
+from clothbench.plugins.discovery import catalogue
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -72,6 +74,8 @@ SYSTEM = {
 }  # fmt: skip
 ROWS = {**ROW, **SYSTEM}
 ABOUT = ("suite", "case", "model")
+# What a cell asks beside its cases and recordings, as its rows have it.
+QUESTION = ("study", "suite", "model", "effects", "optimizer", "objective", "budget", "settings", "seed")
 NUMBERS = tuple(name for name, of in ROW.items() if of is _number)
 BEYOND = 1e100  # in any unit; sums of squares of less are numbers still
 FINISHED = ("ok", "diverged", "timeout", "skipped")  # an error is tried again, these are not
@@ -247,9 +251,9 @@ class Store:
             write_files(part, files)
             self._compare(key, where, _rows_in(part), rows)
 
-    def rows(self, keys: Iterable[str] | None = None) -> list[dict[str, Any]]:
-        """Rows of all cells, or of some, sorted by what they are about, which a text says of each, if an empty one. A
-        number that no error can be is none.
+    def rows(self, keys: Iterable[str] | None = None, every: bool = False) -> list[dict[str, Any]]:
+        """Rows of all cells that are not `superseded`, of `every` one, or of some, sorted by what they are about, which
+        a text says of each, if an empty one. A number that no error can be is none.
         """
         rows = [{"study": None, **row} for row in self.table("rows", keys)]
         for row in rows:
@@ -259,6 +263,9 @@ class Store:
             for name in NUMBERS:
                 if (value := row[name]) is not None and not abs(value) < BEYOND:
                     row[name] = None
+        if keys is None and not every:
+            old = superseded(rows)
+            rows = [row for row in rows if row["key"] not in old]
         return sorted(rows, key=row_order)
 
     def tables_of(self, key: str) -> frozenset[str]:
@@ -282,6 +289,40 @@ class Store:
             return sorted(name for name in os.listdir(self.folder / "cells") if name[0] in string.hexdigits.lower())
         except FileNotFoundError:
             return []
+
+
+def superseded(rows: Iterable[Mapping[str, Any]]) -> set[str]:
+    """Keys of cells of which the store has the same question with the same plugins in other versions: of those the
+    ones that are not installed, or of several such those that were not finished last.
+
+    Whether two cells ask the same is told from their rows: a cell that failed as a whole has no recordings in its one
+    row, and is taken for every other's that differs in nothing else.
+    """
+    cells: dict[str, list[Mapping[str, Any]]] = {}
+    for row in rows:
+        cells.setdefault(row["key"], []).append(row)
+    alike: dict[tuple[Any, ...], list[str]] = {}
+    for key, mine in cells.items():
+        plugins = VERSION.sub(r"\g<kind>/\g<name>;", mine[0].get("plugins") or "")
+        alike.setdefault((plugins, *map(mine[0].get, QUESTION), *sorted({r["case"] for r in mine})), []).append(key)
+    out = set()
+    for keys in alike.values():
+        versions = {key: cells[key][0].get("plugins") or "" for key in keys}
+        if len(set(versions.values())) < 2:
+            continue
+        rank = {key: (_is_installed(versions[key]), cells[key][0].get("finished") or "") for key in keys}
+        places = {key: {(r["recording"], r["split"]) for r in cells[key] if r["recording"]} for key in keys}
+        for key, other in itertools.permutations(keys, 2):
+            same = places[key] == places[other] or not (places[key] and places[other])
+            if same and versions[key] != versions[other] and rank[key] < rank[other]:
+                out.add(key)
+    return out
+
+
+def _is_installed(plugins: str) -> bool:
+    """Whether the plugins that a row lists are installed in just these versions."""
+    here = catalogue()
+    return all(installed_version(p["kind"], p["name"], here) == p["version"] for p in VERSION.finditer(plugins))
 
 
 def _rows_in(cell: Path) -> list[dict[str, Any]]:

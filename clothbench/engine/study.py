@@ -17,7 +17,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import FileProgress, Progress, StageProgress
 from clothbench.display.section import Section
 from clothbench.engine.checkpoint import Checkpoint
-from clothbench.engine.store import FINISHED, KEY, Store
+from clothbench.engine.store import FINISHED, KEY, Store, superseded
 from clothbench.engine.tables import Columns
 from clothbench.plugins.discovery import Catalogue, PluginBroken
 
@@ -180,7 +180,13 @@ def results_by_study(
     """What the store holds, or of some cells of it, by study; studies without any are left out. And a line for each
     study of others' cells that is not there or is broken; a ClothbenchError where there are no cells but its own.
     """
-    known, found = studies(plugins), store.rows(keys)
+    known, found, left_out = studies(plugins), store.rows(keys, every=True), []
+    if keys is None and (old := superseded(found)):
+        found = [row for row in found if row["key"] not in old]
+        left_out.append(
+            f"cells left out, since the same was asked later with plugins of other versions: {len(old)}; "
+            f"`clothbench store prune {store.folder} --other-versions` removes such"
+        )
     by_name: dict[str, Rows] = {}
     for row in found:
         _require_shown(row, store)
@@ -188,7 +194,6 @@ def results_by_study(
             tables = store.tables_of(row["key"])
             row["study"] = next(name for name, study in known.items() if study.claims(row, tables))
         by_name.setdefault(row["study"], []).append(row)
-    left_out = []
     for name in sorted(by_name.keys() - known.keys()):
         try:
             plugins.load("studies", name)

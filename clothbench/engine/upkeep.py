@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import math
-import re
 import shutil
 import time
 from collections.abc import Iterable, Iterator
@@ -14,7 +13,7 @@ from pathlib import Path
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import placing, remove_folder, whole_file
 from clothbench.core.packed import files_in
-from clothbench.engine.cells import plugin_versions
+from clothbench.engine.cells import VERSION, installed_version
 from clothbench.engine.check import Finding, check_cell, fault, remains, unreadable
 from clothbench.engine.leases import LEASES, live
 from clothbench.engine.run import TRACKED
@@ -24,7 +23,6 @@ from clothbench.engine.tables import read_table
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import read_recording
 
-VERSION = re.compile(r"(?P<kind>[^/;]+)/(?P<name>[^;]+?) \((?P<version>[^;]*)\)(?:; |$)")  # as rows list their plugins
 DAY = 86400.0  # s
 
 
@@ -145,18 +143,10 @@ def _other_version(folder: Path, plugins: Catalogue, installed: dict[tuple[str, 
         for used in VERSION.finditer(row.get("plugins") or ""):
             plugin = used["kind"], used["name"]
             if plugin not in installed:
-                installed[plugin] = _installed(*plugin, plugins)
+                installed[plugin] = installed_version(*plugin, plugins)
             if installed[plugin] not in (None, used["version"]):
                 return f"{'/'.join(plugin)} {used['version']}; installed is {installed[plugin]}"
     return None
-
-
-def _installed(kind: str, name: str, plugins: Catalogue) -> str | None:
-    """The version of a plugin as rows have it; None where it is not installed."""
-    try:
-        return plugin_versions([(kind, name)], plugins)[f"{kind}/{name}"]
-    except ClothbenchError:
-        return None
 
 
 def last_written(path: Path) -> float:

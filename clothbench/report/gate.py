@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
 
 from clothbench.display.terminal import console
-from clothbench.engine.judgement import IDENTITY, Row, identity, judge, named, spread
+from clothbench.engine.judgement import IDENTITY, Row, identity, judge, other_unit, spread
 from clothbench.engine.store import finite
 
 Rows = Sequence[dict[str, Any]]
@@ -19,40 +19,93 @@ Rows = Sequence[dict[str, Any]]
 def compare_rows(base: Rows, new: Rows) -> dict[str, Any]:
     """Verdict over the rows both have: {"passed", "compared", "worse", "better", "missing", "added"}.
 
-    A row is worse if it lost its number, or if its error grew by more than 5 % of its value and a fifth of the joint
-    half-width of both 95 % intervals, √(h_base² + h_new²). Where a row has a reference, its error is how far its value
-    is from that; there a thousandth of the reference (of 1 in the row's unit, where it is 0) does not count. A row of
-    BASE that NEW lacks is missing, and fails the gate as well: leaving out a test is no way to pass it. A cell that
-    failed as a whole has lost each row that the other side has of it.
+    A row is worse if it lost its number, if its unit is another, or if its error grew by more than 5 % of its value and
+    a fifth of the joint half-width of both 95 % intervals, √(h_base² + h_new²), h_new ≤ h_base. Where a row has a
+    reference, its error is how far its value is from that; there a thousandth of the reference (of 1 in the row's unit,
+    where it is 0) does not count. A row of BASE that NEW lacks is missing, and fails the gate as well: leaving out a
+    test is no way to pass it. A cell that failed as a whole has lost each row that the other side has of it.
     """
-    # Of several cells about the same (other budgets or options) the one that the other side has, too, counts.
-    after = named(new, Counter({identity(r, "key") for r in base}))
-    before = named(base, Counter({identity(r, "key") for r in new}))
-    theirs = spread(after, before.items())
-    verdict: dict[str, Any] = {"compared": 0, "worse": [], "better": [], "missing": []}
-    for row in spread(before, after.items()).values():
-        other = theirs.pop(identity(row), None)
-        if other is None:
-            verdict["missing"].append(_change(row, None))
-            continue
-        verdict["compared"] += 1
-        if side := judge(row, other):
-            verdict[side].append(_change(row, other))
-    verdict["added"] = len(theirs)
+    verdict: dict[str, Any] = {"compared": 0, "worse": [], "better": [], "missing": [], "added": 0}
+    for mine, theirs in _pairs(base, new):
+        _compare_cells(mine, theirs, verdict)
     verdict["passed"] = not verdict["worse"] and not verdict["missing"] and verdict["compared"] > 0
     return verdict
 
 
-def _change(base: Row, new: Row | None) -> dict[str, Any]:
+def _pairs(base: Rows, new: Rows) -> Iterator[tuple[Rows, Rows]]:
+    """The rows of each cell of BASE beside those of the same cell of NEW, and last all others.
+
+    The same is what has the same key; else, since a plugin of another version changes that, the only cell on either
+    side with rows about the same, or of several such (of other budgets) the only one with as many evaluations.
+    """
+    before, after = _cells(base), _cells(new)
+    for about in (_key, _rows_of, lambda key, rows: (_rows_of(key, rows), rows[0].get("evaluations"))):
+        old, young = _by(before, about), _by(after, about)
+        for same, keys in old.items():
+            if len(keys) == len(young.get(same, ())) == 1:
+                yield before.pop(keys[0]), after.pop(young[same][0])
+    yield [row for rows in before.values() for row in rows], [row for rows in after.values() for row in rows]
+
+
+def _cells(rows: Rows) -> dict[Any, Rows]:
+    """Rows by the key of their cell; those without a key are of one."""
+    out: dict[Any, list[dict[str, Any]]] = {}
+    for row in rows:
+        out.setdefault(row.get("key"), []).append(row)
+    return {**out}
+
+
+def _key(key: Any, rows: Rows) -> Any:
+    return key
+
+
+def _rows_of(key: Any, rows: Rows) -> frozenset[tuple[Any, ...]]:
+    return frozenset(map(identity, rows))
+
+
+def _by(cells: Mapping[Any, Rows], about: Callable[[Any, Rows], Any]) -> dict[Any, list[Any]]:
+    """Keys of cells by what they are about."""
+    out: dict[Any, list[Any]] = {}
+    for key, rows in cells.items():
+        out.setdefault(about(key, rows), []).append(key)
+    return out
+
+
+def _compare_cells(base: Rows, new: Rows, verdict: dict[str, Any]) -> None:
+    """Add to the verdict what comes of rows of BASE and those of NEW that may be about the same."""
+    counts = [Counter(map(identity, rows)) for rows in (base, new)]
+    several = [about for about, times in counts[0].items() if times > 1 or counts[1][about] > 1]
+    for about in several:
+        lost = next(r for r in base if identity(r) == about)
+        why = f"several cells are about this ({counts[0][about]} of BASE, {counts[1][about]} of NEW), none with one key"
+        verdict["missing"].append(_change(lost, None, why if counts[1][about] else MISSING))
+    after, before = ({identity(r): r for r in rows if identity(r) not in several} for rows in (new, base))
+    theirs = spread(after, before.items())
+    for row in spread(before, after.items()).values():
+        other = theirs.pop(identity(row), None)
+        if other is None:
+            verdict["missing"].append(_change(row, None, MISSING))
+            continue
+        verdict["compared"] += 1
+        if side := judge(row, other):
+            verdict[side].append(_change(row, other, other_unit(row, other) or other.get("reason") or ""))
+    verdict["added"] += len(theirs)
+
+
+MISSING = "no such row in NEW"
+
+
+def _change(base: Row, new: Row | None, reason: str) -> dict[str, Any]:
     about = {name: base.get(name) for name in IDENTITY}
     return {
         **about,
         "unit": base.get("unit") or (new or {}).get("unit"),
+        "new_unit": (new or {}).get("unit") or base.get("unit"),
         "base": finite(base["value"]),
         "new": finite(new["value"]) if new else None,
         "base_status": base["status"],
         "status": new["status"] if new else "missing",
-        "reason": (new.get("reason") or "") if new else "no such row in NEW",
+        "reason": reason,
     }
 
 
@@ -97,8 +150,8 @@ def _changes(verdict: dict[str, Any]) -> list[tuple[str, ...]]:
         for r in verdict[side]:
             label = " · ".join(str(r[n]) for n in IDENTITY if r[n] not in (None, ""))
             base, new = (
-                f"{r[n]:.4g} {r['unit'] or ''}" if r[n] is not None else r[status]
-                for n, status in (("base", "base_status"), ("new", "status"))
+                f"{r[n]:.4g} {r[unit] or ''}" if r[n] is not None else r[status]
+                for n, unit, status in (("base", "unit", "base_status"), ("new", "new_unit", "status"))
             )
             out.append((side, label, base, new, r["reason"]))
     return out

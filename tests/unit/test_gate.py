@@ -40,6 +40,55 @@ def test_a_missing_row_fails_and_a_new_one_does_not():
     assert verdict["added"] == 1
 
 
+def test_a_wide_interval_of_what_got_worse_is_no_excuse():
+    assert not compare_rows([row(5.0)], [row(500.0, half=2790.0)])["passed"]
+
+
+def test_a_number_in_another_unit_is_worse_and_says_so():
+    (change,) = compare_rows([row(5.0)], [row(0.006, half=0.001, unit="m")])["worse"]
+    assert change["reason"] == "found a number in m, expected mm as in BASE"
+    shown = markdown(compare_rows([row(5.0)], [row(0.006, half=0.001, unit="m")]))
+    assert "`5 mm`" in shown
+    assert "`0.006 m`" in shown
+
+
+def two_cells(keys, values=(10.0, 50.0), recordings=("easy", "hard"), evaluations=(20, 20)):
+    """Rows of two cells about the same mean, of other recordings or budgets."""
+    cells = zip(keys, values, recordings, evaluations, strict=True)
+    return [
+        row(value, recording=one, key=key, evaluations=count)
+        for key, value, recording, count in cells
+        for one in (recording, None)
+    ]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_every_cell_is_compared_with_its_own(order):
+    old = two_cells("ab")
+    for new in (two_cells("ab"), two_cells("yz")):  # of another version: whose recordings are the same
+        assert compare_rows(old, new[::order]) == compare_rows(old, old)
+    worse = compare_rows(old, two_cells("yz", values=(12.0, 50.0)))["worse"]
+    assert [(r["recording"], r["new"]) for r in worse] == [("easy", 12.0), (None, 12.0)]
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_of_cells_about_the_same_those_with_as_many_evaluations_are_compared(order):
+    budgets = {"recordings": ("r", "r"), "evaluations": (20, 80)}
+    old, new = two_cells("ab", **budgets), two_cells("yz", **budgets)[::order]
+    assert compare_rows(old, new)["passed"]
+    assert compare_rows(old, new)["compared"] == 4
+
+
+def test_what_may_be_about_any_of_several_cells_is_compared_with_none():
+    old = two_cells("ab", recordings=("r", "r"))
+    verdict = compare_rows(old, two_cells("yz", recordings=("r", "r")))
+    assert not verdict["passed"]
+    assert verdict["compared"] == 0
+    assert {r["reason"] for r in verdict["missing"]} == {
+        "several cells are about this (2 of BASE, 2 of NEW), none with one key"
+    }
+
+
 def failed_and_well():
     """The row of a cell that failed as a whole, as a run writes it, and the rows of one that did well."""
     cell = FoldPathCell("paths", "chanel", "computed", "kirchhoff_love", PathSettings(), {})

@@ -8,7 +8,9 @@ import pytest
 
 from clothbench import ClothbenchError
 from clothbench.engine import index
-from clothbench.engine.store import ROW, Store, leaderboard_row, load_rows, recorded
+from clothbench.engine.cells import plugin_versions
+from clothbench.engine.store import ROW, Store, leaderboard_row, load_rows, recorded, superseded
+from clothbench.plugins.discovery import catalogue
 
 
 def one_row(status="ok", **changes):
@@ -76,6 +78,32 @@ def test_processes_that_write_the_same_cells_lose_none_and_none_is_ever_absent(t
     assert [writer.returncode for writer in writers] == [0] * 3
     assert sorted(row["value"] for row in store.rows()) == list(range(30, 60))
     assert {p.name for p in (tmp_path / "cells").iterdir()} == {f"{k:04x}" for k in range(30)}
+
+
+def plugin(version):
+    return f"models/mass_spring ({version})"
+
+
+def test_of_one_question_asked_with_several_versions_the_installed_one_counts_or_else_the_last(tmp_path):
+    store = Store(tmp_path)
+    here = plugin_versions([("models", "mass_spring")], catalogue())["models/mass_spring"]
+    cells = {  # key: version, when it was finished, and what else is another
+        "a0": ("clothbench 0.1, 1", "2026-01-01", {}),
+        "a1": (here, "2026-01-02", {}),
+        "a2": ("clothbench 9.9, 9", "2026-01-03", {}),
+        "b0": ("clothbench 0.1, 1", "2026-01-01", {"settings": "other"}),
+        "c0": ("clothbench 0.1, 1", "2026-01-01", {"recording": "r2"}),
+        "d0": ("clothbench 0.1, 1", "2026-01-01", {"seed": 3}),
+        "d1": ("clothbench 0.2, 1", "2026-01-02", {"seed": 3, "status": "diverged", "value": None, "recording": None}),
+        "e0": ("clothbench 0.1, 1", "2026-01-01", {"budget": 20}),
+        "e1": ("clothbench 0.1, 1", "2026-01-02", {"budget": 80}),
+    }
+    for key, (version, finished, other) in cells.items():
+        about = {"key": key, "plugins": plugin(version), "finished": finished, "recording": "r1", "split": "fit"}
+        store.put(key, {"rows": [{**one_row(), **about, **other}]})
+    assert superseded(store.rows(every=True)) == {"a0", "a2", "d0"}
+    assert {row["key"] for row in store.rows()} == {"a1", "b0", "c0", "d1", "e0", "e1"}
+    assert {row["key"] for row in store.rows(["a0"])} == {"a0"}  # what is named is meant
 
 
 def test_a_write_that_fails_leaves_the_old_cell_and_no_debris(tmp_path):

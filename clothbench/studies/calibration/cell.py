@@ -95,8 +95,8 @@ class CalibrationCell:
 
     @cached_property
     def settings(self) -> str:
-        """6 hexadecimal digits of how it is run, whatever it is run on."""
-        how = {name: getattr(self, name) for name in ("bounds", "scene", "versions", "budget", "tracker")}
+        """6 hexadecimal digits of how it is run, whatever it is run on and with whatever versions."""
+        how = {name: getattr(self, name) for name in ("bounds", "scene", "budget", "tracker")}
         how["options"] = {k: dict(v) for k, v in self.options.items() if k in self._plugins()}
         later: dict[str, Any] = {name: dict(getattr(self, name)) for name in ("fixed", "start", "finer")}
         later["timeout"] = self.timeout

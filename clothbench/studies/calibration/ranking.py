@@ -71,7 +71,7 @@ def way_of(rows: Rows) -> Callable[[dict[str, Any]], str]:
 
 def differ(rows: Rows, name: str) -> bool:
     """Whether rows differ in this; of settings, rows of one model, optimizer and objective in one case: a fabric may
-    have bounds of its own, and settings tell versions of these.
+    have bounds of its own.
     """
     same = ("case", "optimizer", "objective")
     known = group(rows, lambda r: (model_name(r), *map(r.get, same)) if name == "settings" else "all")
