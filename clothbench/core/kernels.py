@@ -12,12 +12,15 @@ import functools
 import hashlib
 import importlib.util
 import sys
+import threading
+import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from typing import Any
 
 from numba import njit, types
+from numba.core import event
 from numba.core.caching import IndexDataCacheFile
 from numba.core.compiler import Compiler
 from numba.core.errors import NumbaExperimentalFeatureWarning
@@ -62,6 +65,35 @@ class _Apart(Compiler):
 # code only with that promise (else the compiler would have to compare each row with each before every loop), and only
 # where the index is unsigned: numba takes any other for one that may count from the end.
 apart_kernel = functools.partial(fast_kernel, pipeline_class=_Apart)
+
+
+class _Compiling(event.Listener):
+    """How long numba has been compiling in this process, anybody's functions, in whatever threads."""
+
+    def __init__(self) -> None:
+        self.lock, self.depth, self.began, self.seconds = threading.Lock(), 0, 0.0, 0.0
+
+    def on_start(self, event: Any) -> None:
+        with self.lock:
+            if self.depth == 0:
+                self.began = time.perf_counter()
+            self.depth += 1
+
+    def on_end(self, event: Any) -> None:
+        with self.lock:
+            self.depth -= 1
+            if self.depth == 0:
+                self.seconds += time.perf_counter() - self.began
+
+
+_compiling = _Compiling()
+event.register("numba:compile", _compiling)
+
+
+def compiled_for() -> float:
+    """Seconds that this process has spent in compiling so far, which is no part of what a search takes."""
+    with _compiling.lock:
+        return _compiling.seconds
 
 
 def bundle_type(kind: type, *fields: Any) -> Any:

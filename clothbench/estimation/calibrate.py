@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clothbench.core.kernels import compiled_for
 from clothbench.core.optional import start_of, temperature_of
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.progress import Progress
@@ -26,7 +27,7 @@ class Fit:
 
     best: (P,); low, high: (P,), 95 % intervals (NaN where there are none); at_bound: (P,); theta: (E, P) and value:
     (E,), the history; condition: of the scaled Jacobian; status: ok, diverged (nothing could be simulated) or timeout
-    (stopped by the clock, best so far); wall_s: s, with that of stopped runs; start: (P,), where the search set out
+    (stopped by the clock, best so far); wall_s: s, with that of stopped runs, without compiling; start: (P,), where the search set out
     from after its first look around, if it says so; looked: evaluations that this look took; objectives: (E, M), in
     units of their spread, of a metric with several, or None; temperature: (E,), in the score's unit, of a search that
     cools, or None.
@@ -102,6 +103,12 @@ def calibrate(
     intervals, which cost 2 P + 1 evaluations, and one more of drapes.
     """
     checkpoint = checkpoint or Checkpoint()
+    compiled = compiled_for()
+
+    def seconds() -> float:
+        """Of the search. Kernels are compiled on a machine's first one only, which would else pass for a slow one."""
+        return checkpoint.seconds - (compiled_for() - compiled)
+
     thetas: list[np.ndarray] = []
     values: list[np.ndarray] = []
     several: list[np.ndarray] = []
@@ -122,7 +129,7 @@ def calibrate(
             looked = sum(map(len, values))
         if progress is not None:
             progress(sum(map(len, values)), _lowest(np.concatenate(values)))
-        if timeout is not None and not optimizer.done and checkpoint.seconds > timeout:
+        if timeout is not None and not optimizer.done and seconds() > timeout:
             stopped = f"stopped after {timeout:g} s, as asked"
             break
     theta, value = np.concatenate(thetas), np.concatenate(values)
@@ -143,7 +150,7 @@ def calibrate(
         condition=condition,
         status="diverged" if not simulated else "timeout" if stopped else "ok",
         stopped=stopped or optimizer.stopped,
-        wall_s=checkpoint.seconds,
+        wall_s=seconds(),
         start=start_of(optimizer),
         looked=looked,
         objectives=objectives,
