@@ -27,10 +27,10 @@ class Fit:
 
     best: (P,); low, high: (P,), 95 % intervals (NaN where there are none); at_bound: (P,); theta: (E, P) and value:
     (E,), the history; condition: of the scaled Jacobian; status: ok, diverged (nothing could be simulated) or timeout
-    (stopped by the clock, best so far); wall_s: s, with that of stopped runs, without compiling; start: (P,), where the search set out
-    from after its first look around, if it says so; looked: evaluations that this look took; objectives: (E, M), in
-    units of their spread, of a metric with several, or None; temperature: (E,), in the score's unit, of a search that
-    cools, or None.
+    (stopped by the clock, best so far); wall_s: s, with that of stopped runs, without compiling; start: (P,), where the
+    search set out from after its first look around, if it says so; looked: evaluations that this look took; objectives:
+    (E, M), in units of their spread, of a metric with several, or None; temperature: (E,), in the score's unit, of a
+    search that cools, or None.
     """
 
     space: ParameterSpace
