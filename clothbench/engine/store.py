@@ -303,20 +303,24 @@ def superseded(rows: Iterable[Mapping[str, Any]]) -> set[str]:
         cells.setdefault(row["key"], []).append(row)
     alike: dict[tuple[Any, ...], list[str]] = {}
     for key, mine in cells.items():
-        plugins = VERSION.sub(r"\g<kind>/\g<name>;", mine[0].get("plugins") or "")
-        alike.setdefault((plugins, *map(mine[0].get, QUESTION), *sorted({r["case"] for r in mine})), []).append(key)
-    out = set()
+        alike.setdefault((_without_versions(mine[0].get("plugins") or ""), *map(mine[0].get, QUESTION), *sorted({r["case"] for r in mine})), []).append(key)
+    out, is_installed = set(), functools.cache(_is_installed)
     for keys in alike.values():
         versions = {key: cells[key][0].get("plugins") or "" for key in keys}
         if len(set(versions.values())) < 2:
             continue
-        rank = {key: (_is_installed(versions[key]), cells[key][0].get("finished") or "") for key in keys}
+        rank = {key: (is_installed(versions[key]), cells[key][0].get("finished") or "") for key in keys}
         places = {key: {(r["recording"], r["split"]) for r in cells[key] if r["recording"]} for key in keys}
         for key, other in itertools.permutations(keys, 2):
             same = places[key] == places[other] or not (places[key] and places[other])
             if same and versions[key] != versions[other] and rank[key] < rank[other]:
                 out.add(key)
     return out
+
+
+@functools.lru_cache(1024)
+def _without_versions(plugins: str) -> str:
+    return VERSION.sub(r"\g<kind>/\g<name>;", plugins)
 
 
 def _is_installed(plugins: str) -> bool:
