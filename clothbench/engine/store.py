@@ -303,7 +303,8 @@ def superseded(rows: Iterable[Mapping[str, Any]]) -> set[str]:
         cells.setdefault(row["key"], []).append(row)
     alike: dict[tuple[Any, ...], list[str]] = {}
     for key, mine in cells.items():
-        alike.setdefault((_without_versions(mine[0].get("plugins") or ""), *map(mine[0].get, QUESTION), *sorted({r["case"] for r in mine})), []).append(key)
+        plugins, cases = _without_versions(mine[0].get("plugins") or ""), sorted({r["case"] for r in mine})
+        alike.setdefault((plugins, *map(mine[0].get, QUESTION), *cases), []).append(key)
     out, is_installed = set(), functools.cache(_is_installed)
     for keys in alike.values():
         versions = {key: cells[key][0].get("plugins") or "" for key in keys}

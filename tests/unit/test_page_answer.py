@@ -14,7 +14,7 @@ from clothbench.core.protocols import Score
 from clothbench.display.answer import Card
 from clothbench.display.templates import rendered
 from clothbench.estimation.intervals import error_interval
-from clothbench.studies.calibration.answer import HERE, lead
+from clothbench.studies.calibration.answer import HERE, lead, leading_metric
 from clothbench.studies.calibration.budget import late_fall, settled
 from clothbench.studies.calibration.estimates import contained, estimates
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
@@ -124,6 +124,12 @@ def test_the_terminal_says_of_how_many_cases_a_mean_is_and_mixes_no_budgets():
         "held out, all 2 cases: 2.00 px over 2 recordings (a · ga · fold · 9 evaluations, seed 0)",
         "held out, all 2 cases: 9.00 px over 2 recordings (a · ga · fold · 99 evaluations, seed 0)",
     ]
+
+
+def test_ways_are_not_ranked_by_a_metric_that_never_gave_a_number():
+    lost = row("cloth", "linen", None, None, objective="area", metric="area")
+    assert leading_metric([lost, *rows_of({"cloth": [1.0, 2.0]})]) == "fold"
+    assert leading_metric([lost]) == "area"
 
 
 def test_a_fit_that_was_not_judged_by_a_metric_is_not_one_that_failed():

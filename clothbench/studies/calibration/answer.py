@@ -48,11 +48,12 @@ def answer_section(results: Results, histories: Histories) -> Section:
 
 
 def leading_metric(rows: Rows) -> str:
-    """What ways are ranked by: what all minimised, else what has a noise floor, else the first."""
+    """What ways are ranked by: what all minimised, else what has a noise floor, else the first that gave a number."""
     objectives = sorted({r["objective"] for r in rows if r["objective"]})
     if len(objectives) == 1:
         return objectives[0]
-    return metric_with_floor(rows) or next(iter(objectives), "")
+    judged = {r["metric"] for r in rows if r["value"] is not None}
+    return metric_with_floor(rows) or next((o for o in objectives if o in judged), next(iter(objectives), ""))
 
 
 def metric_with_floor(rows: Rows) -> str | None:
