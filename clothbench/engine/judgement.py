@@ -22,18 +22,40 @@ RERUN = 0.2
 SMALL = 1e-3  # share of a reference below which a distance from it does not count
 
 
-def identity(row: Row, *more: str) -> tuple[Any, ...]:
-    return tuple(row.get(name) or None for name in (*IDENTITY, *more))
+def identity(row: Row) -> Key:
+    return tuple(row.get(name) or None for name in IDENTITY)
 
 
-def named(rows: Sequence[AnyRow], elsewhere: Counter[tuple[Any, ...]]) -> dict[tuple[Any, ...], AnyRow]:
-    """Rows by what they are about. Of several (cells with other budgets or options) the one counts whose identity and
-    cell key are found `elsewhere` most often, so that results are compared with those of the same cell.
+def of_cells(rows: Iterable[Row]) -> dict[Any, frozenset[Key]]:
+    """What the rows of each cell are about, by its key: the same, whatever the key, where it is of the same recordings.
+    Rows without a key are of one cell.
     """
-    out: dict[tuple[Any, ...], AnyRow] = {}
+    out: dict[Any, set[Key]] = {}
+    for row in rows:
+        out.setdefault(row.get("key"), set()).add(identity(row))
+    return {key: frozenset(about) for key, about in out.items()}
+
+
+def cells_in(rows: Iterable[Row]) -> set[tuple[Any, ...]]:
+    """What `named` counts of each row: what it is about, with the key of its cell, and with what the cell is about."""
+    about = of_cells(rows := list(rows))
+    return {(identity(row), found) for row in rows for found in (row.get("key"), about[row.get("key")])}
+
+
+def named(rows: Sequence[AnyRow], elsewhere: Counter[tuple[Any, ...]]) -> dict[Key, AnyRow]:
+    """Rows by what they are about. Of several (cells of other recordings, budgets or options) the one counts whose cell
+    is found `elsewhere` most often (by its key, or where that is of another version by what it is about), so that
+    results are compared with those of the same cell.
+    """
+    about, out = of_cells(rows), dict[Key, AnyRow]()
+
+    def found(row: Row) -> tuple[int, int, list[str]]:  # the last decides where all are found as often
+        mine = about[row.get("key")]
+        return elsewhere[identity(row), row.get("key")], elsewhere[identity(row), mine], sorted(map(repr, mine))
+
     for row in rows:
         kept = out.get(identity(row))
-        if kept is None or elsewhere[identity(row, "key")] >= elsewhere[identity(kept, "key")]:
+        if kept is None or found(row) >= found(kept):
             out[identity(row)] = row
     return out
 

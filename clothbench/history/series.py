@@ -13,11 +13,11 @@ from clothbench.engine.judgement import (
     IDENTITY,
     RERUN,
     SLACK,
+    cells_in,
     error,
     failed_whole,
     half,
     has_number,
-    identity,
     named,
     slack_at,
     spread,
@@ -89,7 +89,7 @@ def _errors(entries: Sequence[Entry]) -> list[Series]:
     points: dict[tuple[Any, ...], list[Point]] = {}
     last: dict[tuple[Any, ...], Mapping[str, Any]] = {}
     # A series keeps to the cell that most entries have, if some have others about the same beside it.
-    cells = Counter(cell for entry in entries for cell in {identity(row, "key") for row in entry.rows})
+    cells = Counter(cell for entry in entries for cell in cells_in(entry.rows))
     by_entry = [named(entry.rows, cells) for entry in entries]
     known = {key: row for rows in by_entry for key, row in rows.items() if not failed_whole(row)}
     for number, given in enumerate(by_entry):

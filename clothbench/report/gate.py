@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
 
 from clothbench.display.terminal import console
-from clothbench.engine.judgement import IDENTITY, Row, identity, judge, other_unit, spread
+from clothbench.engine.judgement import IDENTITY, Key, Row, identity, judge, of_cells, other_unit, spread
 from clothbench.engine.store import finite
 
 Rows = Sequence[dict[str, Any]]
@@ -38,37 +38,27 @@ def _pairs(base: Rows, new: Rows) -> Iterator[tuple[Rows, Rows]]:
     The same is what has the same key; else, since a plugin of another version changes that, the only cell on either
     side with rows about the same, or of several such (of other budgets) the only one with as many evaluations.
     """
-    before, after = _cells(base), _cells(new)
-    for about in (_key, _rows_of, lambda key, rows: (_rows_of(key, rows), rows[0].get("evaluations"))):
-        old, young = _by(before, about), _by(after, about)
+    cells: list[dict[Any, list[dict[str, Any]]]] = [{}, {}]
+    for side, rows in zip(cells, (base, new), strict=True):
+        for row in rows:
+            side.setdefault(row.get("key"), []).append(row)
+    about = of_cells(base), of_cells(new)
+
+    def keys_by(told: Callable[[Any, frozenset[Key], dict[str, Any]], Any], side: int) -> dict[Any, list[Any]]:
+        out: dict[Any, list[Any]] = {}
+        for key, rows in cells[side].items():
+            out.setdefault(told(key, about[side][key], rows[0]), []).append(key)
+        return out
+
+    for told in (
+        lambda key, about, row: key, lambda key, about, row: about,
+        lambda key, about, row: (about, row.get("evaluations")),
+    ):  # fmt: skip
+        old, young = keys_by(told, 0), keys_by(told, 1)
         for same, keys in old.items():
             if len(keys) == len(young.get(same, ())) == 1:
-                yield before.pop(keys[0]), after.pop(young[same][0])
-    yield [row for rows in before.values() for row in rows], [row for rows in after.values() for row in rows]
-
-
-def _cells(rows: Rows) -> dict[Any, Rows]:
-    """Rows by the key of their cell; those without a key are of one."""
-    out: dict[Any, list[dict[str, Any]]] = {}
-    for row in rows:
-        out.setdefault(row.get("key"), []).append(row)
-    return {**out}
-
-
-def _key(key: Any, rows: Rows) -> Any:
-    return key
-
-
-def _rows_of(key: Any, rows: Rows) -> frozenset[tuple[Any, ...]]:
-    return frozenset(map(identity, rows))
-
-
-def _by(cells: Mapping[Any, Rows], about: Callable[[Any, Rows], Any]) -> dict[Any, list[Any]]:
-    """Keys of cells by what they are about."""
-    out: dict[Any, list[Any]] = {}
-    for key, rows in cells.items():
-        out.setdefault(about(key, rows), []).append(key)
-    return out
+                yield cells[0].pop(keys[0]), cells[1].pop(young[same][0])
+    yield [row for rows in cells[0].values() for row in rows], [row for rows in cells[1].values() for row in rows]
 
 
 def _compare_cells(base: Rows, new: Rows, verdict: dict[str, Any]) -> None:

@@ -101,6 +101,23 @@ def test_a_distance_from_a_reference_counts_and_not_the_value():
     assert changes(series) == [(2, "worse")]
 
 
+def test_a_series_keeps_to_cells_of_the_same_recordings_whatever_their_version():
+    def two(version):
+        cells = (("easy", 10.0, f"{'ab'[version]}1"), ("hard", 50.0, f"{'ba'[version]}2"))
+        return [
+            one
+            for name, value, key in cells
+            for one in (total(value, key=key) | {"recording": name}, total(value, key=key))
+        ]
+
+    single = [r for r in two(0) if r["key"] == "a1"]
+    for entries in ([two(0), two(1)], [two(0), single, two(1)], [two(0)[::-1], two(1), single], [two(0)[::-1], two(1)]):
+        (mean,) = (
+            s for s in all_series([entry(k, *rows) for k, rows in enumerate(entries)]) if not s.about["recording"]
+        )
+        assert len({p.value for p in mean.points}) == 1
+
+
 def test_a_series_keeps_to_the_cell_that_most_entries_have():
     """Others about the same, with another budget, do not take its place in entries that have both."""
     once, short, long = total(9.0, key="b"), total(10.0, key="a"), total(5.0, key="b")
