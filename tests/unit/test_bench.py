@@ -277,7 +277,10 @@ def test_the_table_has_a_line_for_each_measurement(install, one_core, capsys):
         console().print(shown)
     out = capsys.readouterr().out
     assert "node-steps/s" in out
-    assert "× toys" in out
+    assert "× │" in out or "× ┃" in out
+    assert "toys ┃" in out
+    assert "…" not in out  # where it is narrow, words give way to numbers
+    assert all(len(line) <= 120 for line in out.splitlines())
     assert sum("toy " in line and "│" in line for line in out.splitlines()) == 4
     assert "0.97, share of two processes" in out
 

@@ -51,12 +51,12 @@ def speed_tables(rows: Sequence[Row]) -> list[Any]:
     """A line for each measurement, with its ratio to each peer; then the share of separate processes."""
     equal, rows = [r for r in rows if r["error_m"] is not None], [r for r in rows if r["error_m"] is None]
     peers = list(dict.fromkeys(r["peer"] for r in rows if r["peer"] not in NO_PEERS))
-    table = Table(title="speed; × a peer: per core", title_justify="left", title_style="bold")
-    for name in ("model", "kind", "precision", "options", "step"):
-        table.add_column(name, no_wrap=True)
-    beside = [f"× {p}" for p in peers]
-    for name in ("nodes", "threads", "batch", "million node-steps/s", "× real time", *beside):
-        table.add_column(name, justify="right")
+    table = Table(title="speed, in million node-steps/s; × a peer: per core", title_justify="left", title_style="bold")
+    for name in ("model", "how"):
+        table.add_column(name, overflow="fold", min_width=9)  # where it is narrow, words give way to numbers
+    beside = [f"×\n{p}" for p in peers]
+    for name in ("nodes", "thr.", "batch", "million\nsteps/s", "× real\ntime", *beside):
+        table.add_column(name, justify="right", no_wrap=True)
     for cells in _lines([r for r in rows if r["peer"] not in ASIDE], peers):
         table.add_row(*map(escape, cells))
     out: list[Any] = [table]
@@ -87,7 +87,7 @@ def _lines(rows: Sequence[Row], peers: Sequence[str]) -> Iterator[list[str]]:
         together.setdefault(key, {})[row["peer"]] = f"{row['ratio']:.1f}" if row["ratio"] is not None else ""
     for key, row in about.items():
         step = PEER_STEP if of_peer(row) else row["note"]
-        texts = (row["model"], row["kind"], row["precision"], row["options"], step)
+        how = ", ".join(filter(None, (row["kind"], row["precision"], row["options"], step)))
         counts = (row["nodes"], row["threads"], row["batch"])
         speed = (f"{row['node_steps_per_s'] / 1e6:.1f}", f"{row['realtime_factor']:.3g}")
-        yield [*(str(t or "") for t in (*texts, *counts)), *speed, *(together[key].get(p, "") for p in peers)]
+        yield [row["model"], how, *(str(c or "") for c in counts), *speed, *(together[key].get(p, "") for p in peers)]
