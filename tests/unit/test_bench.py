@@ -331,4 +331,5 @@ def test_a_model_with_other_options_is_another_case(tmp_path, monkeypatch):
     found = {r["case"]: round(r["value"], 3) for r in Store(tmp_path).rows()}
     assert found == {f"{case}, own step": 0.02, f"{case}, integrator=implicit_euler, own step": 0.025}
     for shown in speed_tables(rows):
-        assert next(c for c in shown.columns if c.header == "options")._cells == ["", "integrator=implicit_euler"]
+        how = next(c for c in shown.columns if c.header == "how")._cells
+        assert how == ["double, own step", "double, integrator=implicit_euler, own step"]
