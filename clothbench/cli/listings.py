@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shlex
+from collections import Counter
 from pathlib import Path
 from typing import Any
 
@@ -104,7 +105,8 @@ def dataset_rows() -> list[dict[str, Any]]:
 
 def print_datasets(rows: list[dict[str, Any]]) -> None:
     table = Table(title="public data sets", title_justify="left", title_style="bold")
-    for name in ("name", "what it is", "licence", "files", "where", "at hand"):
+    table.add_column("name", no_wrap=True)  # `import` is given it
+    for name in ("what it is", "licence", "files", "where", "at hand"):
         table.add_column(name, overflow="fold")
     for r in rows:
         at_hand = r["local_copy"] or "no: give data_dir=, set CLOTHBENCH_DATA, or let it be fetched"
@@ -118,6 +120,7 @@ def print_import(folder: Path) -> None:
     """What came of each source file: frames in, kept, dropped and why."""
     report = json.loads((folder / REPORT).read_text())
     recordings = report["recordings"]
+    sources = Counter(r["source"] for r in recordings)
     table = Table(title="import", title_justify="left", title_style="bold")
     table.add_column("source", overflow="fold")
     for name in ("frames in", "kept", "clock offset"):
@@ -127,7 +130,8 @@ def print_import(folder: Path) -> None:
         offset = f"{r['clock_offset_s']:+.3f} s" if r["clock_offset_s"] is not None else ""
         dropped = ", ".join(f"{n} {why}" for why, n in {**r["dropped"], **r["nodes_masked"]}.items())
         why = f"skipped: {r['skipped']}" if r["skipped"] else dropped
-        table.add_row(escape(str(r["source"])), str(r["frames_in"]), str(r["frames_kept"]), offset, escape(why))
+        source = r["source"] if sources[r["source"]] == 1 else f"{r['source']}: {r['output'] or 'nothing'}"
+        table.add_row(escape(str(source)), str(r["frames_in"]), str(r["frames_kept"]), offset, escape(why))
     console().print(table)
     kept, came = (sum(r[n] for r in recordings) for n in ("frames_kept", "frames_in"))
     made = sum(not r["skipped"] for r in recordings)
