@@ -112,8 +112,8 @@ def improved(out: Path, name: str) -> Path:
 
 
 def find_cell(out: Path, name: str) -> Path:
-    """The cell folder of `out` with that key, or the best cell of a case or recording of that name, or the one whose key
-    begins so: a recording that is called 6 must not lose its name to whichever key happens to begin with 6.
+    """The cell folder of `out` with that key, else the best cell of a case or recording of that name, else the one cell
+    whose key begins so: a recording that is called 6 must not lose its name to a key that happens to begin with 6.
     """
     cells = sorted(p for p in (out / "cells").glob("[0-9a-f]*") if p.is_dir())
     if not cells:

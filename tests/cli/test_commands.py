@@ -15,7 +15,7 @@ from rich.console import Console
 from clothbench import ClothbenchError, write_recording
 from clothbench.cli.commands import COMMANDS, main, parsed
 from clothbench.cli.own_suites import require_harmless
-from clothbench.cli.run import composed, say_idle
+from clothbench.cli.run import composed, either_way, jobs_of, require_known, say_idle, swept
 from clothbench.engine.store import ROW
 from clothbench.studies.calibration.tables import error_table
 
@@ -61,6 +61,7 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
         ),
         (("import", "none.mp4", "template=x.png", "width=0.3"), "none.mp4: no such file or folder, and no data set"),
         (("export", "denim", "--to", "mujoco", "--out", "-"), "--out -: an export is a file, which others name"),
+        (("run", "-m", "recording=good.nc", "--cfg", "job"), "found several of --run, -m, --cfg, --info and"),
         (("run", "--config-dir", "none", "+suite=mine"), "none: no such folder; --config-dir names one"),
         (("import", "iri_wam_cloth_swing", "data_dir=/nowhere"), "/nowhere is not a folder"),
         (("import", "good.nc"), "good.nc: found a recording, expected a video; see it with clothbench validate good"),
@@ -233,6 +234,11 @@ def test_a_setting_is_set_with_a_sign_or_without():
         ("recordings=[a b,k(1)]", ["a b", "k(1)"]),
         ("recordings=builtin:shake/*", "builtin:shake/*"),
         ("recording=null", None),
+        ("out=multirun/seed=1", "multirun/seed=1"),
+        ("recordings=[a,x=y.nc]", ["a", "x=y.nc"]),
+        ("recording=it's.nc", "it's.nc"),
+        ('recordings=[it\'s.nc,"b, c.nc"]', ["it's.nc", "b, c.nc"]),
+        ("recording=a[1].nc", "a[1].nc"),
     ],
 )
 def test_paths_are_no_words_of_a_grammar(word, value):
@@ -240,8 +246,43 @@ def test_paths_are_no_words_of_a_grammar(word, value):
 
 
 @pytest.mark.parametrize(
+    ("words", "key", "values"),
+    [
+        (["recording=[a,b],[c]"], "recording", ["[a,b]", "[c]"]),
+        (["recording=[josé,b],[c]"], "recording", ["['josé',b]", "[c]"]),
+        (["recording='a,b',josé"], "recording", ["'a,b'", "'josé'"]),
+        (["out=x=1,it's"], "out", ["'x=1'", '"it\'s"']),
+        (["--config-dir", "my-suites", "seed=0,1"], "seed", ["0", "1"]),
+        (["--config-dir", "a=b,c", "bounds={k1:[1,2]},{k1:[2,3]}"], "bounds", ["{k1:[1,2]}", "{k1:[2,3]}"]),
+    ],
+)
+def test_a_sweep_goes_over_what_hydra_makes_of_it(words, key, values):
+    assert swept(either_way(words)) == [(key, values)]
+    assert jobs_of(either_way(words)) == 2
+
+
+def test_a_folder_of_suites_hides_no_unknown_plugin():
+    with pytest.raises(ClothbenchError, match="mass_sprung"):
+        require_known(["-m", "--config-dir", "my-suites", "model=mass_spring,mass_sprung"])
+
+
+def test_settings_may_be_given_as_one_mapping():
+    """They are added to what the suite has, as each by itself would be, and leave the rest of a budget alone."""
+    suite = ["suite=static_dynamic", "budget=paper"]
+    for word, same in (
+        ("bounds={k1:[10,500]}", ["bounds.k1=[10,500]"]),
+        ("options={ga:{generations:3},mass_spring:{resolution:5}}",
+         ["options.ga.generations=3", "options.mass_spring.resolution=5"]),
+    ):  # fmt: skip
+        assert composed([*suite, word]) == composed([*suite, *same])
+
+
+@pytest.mark.parametrize(
     ("setting", "found"),
     [
+        ("scene.start=a=b", "Hydra cannot read (mismatched input '=' expecting <EOF>); a value with signs like ="),
+        ("scene.thickness=it's", 'found "++scene.thickness=it\'s", which Hydra cannot read; a value with signs like'),
+        ("bounds={k9:[1,2]}", "setting 'bounds': no parameter 'k9'"),
         ("+options.ga.nonsense=1", "nonsense"),
         ("bugdet=3", "setting 'bugdet' is not known; `clothbench run --cfg job` shows all"),
         ("model.dt=0.1", "setting 'model.dt' is not known"),
