@@ -30,6 +30,7 @@ from hydra.types import RunMode
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from clothbench.cli.idle import refuse_idle, say_idle
 from clothbench.cli.own_suites import require_harmless, settings_among
 from clothbench.cli.results import print_results
 from clothbench.core.errors import ClothbenchError, known_names
@@ -41,7 +42,6 @@ from clothbench.engine.pool import failed, run_cells
 from clothbench.engine.progress import CellBar, Sweep, counting
 from clothbench.engine.settings import KNOWN, flat, last_word
 from clothbench.engine.store import Store
-from clothbench.engine.study import Cell
 from clothbench.engine.suite import plan, suites_folder
 from clothbench.plugins.discovery import PluginBroken, catalogue, config_groups
 
@@ -90,7 +90,8 @@ def run(arguments: Sequence[str]) -> int:
     notes = Path(tempfile.mkdtemp(prefix="clothbench-"))
     os.environ.update({NOTES: str(notes), "HYDRA_FULL_ERROR": "1"})
     os.environ.setdefault("CLOTHBENCH_SWEEP_DIR", str(notes / "sweep"))
-    arguments = either_way(arguments)
+    words = settings_among(arguments)  # first: Hydra takes no settings on both sides of a flag
+    arguments = either_way([*words, *(word for word in arguments if word not in words)])
     os.environ[JOBS] = str(jobs_of(arguments) if sweep else 0)
     sweep_so_far.cache_clear()
     sys.argv = ["clothbench run", *arguments]
@@ -240,6 +241,7 @@ def _run(config: Any, sweep: Sweep | None, words: Sequence[str] = ()) -> dict[st
     with counting("files") as told:
         cells = plan(config, catalogue(), told)
     if sweep is None:  # a sweep may mean them for other jobs
+        refuse_idle(words, config, cells)
         say_idle(words, cells)
     out = Path(config["out"])
     with CellBar(cells, sweep) as bar:
@@ -249,16 +251,6 @@ def _run(config: Any, sweep: Sweep | None, words: Sequence[str] = ()) -> dict[st
             limits=limits,
         )  # fmt: skip
     return {"out": str(out.absolute()), "cells": [c.key for c in cells]}
-
-
-def say_idle(words: Sequence[str], cells: Sequence[Cell]) -> None:
-    """A line for each plugin that words (KEY=VALUE) give options and no cell uses; those of a suite are for its other
-    models.
-    """
-    named = {found[1] for word in words if (found := re.match(r"\+{0,2}options\.([^.=]+)[.=]", word))}
-    used = {plugin.partition("/")[2] for cell in cells for plugin in cell.versions}
-    for name in sorted(named - used):
-        print(f"clothbench: options.{name}: {name} is not in use here, so this changes nothing", file=sys.stderr)
 
 
 def _conclude(notes: Path, sweep: bool) -> int:
