@@ -14,7 +14,7 @@ from clothbench.core.protocols import Score
 from clothbench.display.answer import Card
 from clothbench.display.templates import rendered
 from clothbench.estimation.intervals import error_interval
-from clothbench.studies.calibration.answer import HERE, lead
+from clothbench.studies.calibration.answer import HERE, lead, leading_metric
 from clothbench.studies.calibration.budget import late_fall, settled
 from clothbench.studies.calibration.estimates import contained, estimates
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
@@ -161,6 +161,20 @@ def test_a_case_with_nothing_held_out_is_named_and_the_others_are_ranked():
     *_, (case, _, (square, _)) = several_ways("s", "fold", some, lambda *_: "").lines
     assert case == "wool"
     assert (square.text, square.below) == ("–", "nothing held out")
+
+
+def test_single_runs_on_other_recordings_are_no_seeds_that_failed():
+    """One that held nothing out, beside one of the same model that did, and beside one of another model."""
+    held = [row("a", "linen", "x", 1.5, split="fit"), row("a", "linen", "y", 1.0)]
+    single = row("a", "linen", "x", 1.2, split="fit", key="single")
+    found = standings([*held, single], "fold")
+    assert (found["linen"]["a"].value, found["linen"]["a"].whole) == (1.0, "")
+    assert "Only a was tried." in told([*held, single], "fold")
+    said = told([*held, {**single, "model": "b"}], "fold")
+    assert "Only a is ranked." in said
+    assert "Not ranked, since nothing was held out of what they were fitted to: b." in said
+    assert "There is no answer" not in said
+    assert leading_metric([row("a", "linen", None, None, objective="bare", metric="bare"), *held]) == "fold"
 
 
 def test_of_few_recordings_the_answer_tells_ways_apart_where_the_table_does():
