@@ -145,6 +145,8 @@ def settings_of(words: Sequence[str]) -> dict[str, Any]:
 
 def models_of(value: str) -> list[str]:
     """The models that "mass_spring" or "[mass_spring,inextensible]" names."""
+    if value.startswith("[") != value.endswith("]"):
+        raise ClothbenchError(f"found model={value}, expected NAME or [NAME,NAME]; write both brackets, or none")
     return [name.strip() for name in value.removeprefix("[").removesuffix("]").split(",") if name.strip()]
 
 
