@@ -280,7 +280,7 @@ def _view(sub: argparse.ArgumentParser) -> None:
     sub.add_argument(
         "name", metavar="CELL|CASE|RECORDING",
         help="the name of a case or recording, as page and leaderboard show them, or the key of a cell, or its "
-        "beginning, as clothbench leaderboard --json has it; of `improve`, a recording's name",
+        "beginning (a name goes first), as clothbench leaderboard --json has it; of `improve`, a recording's name",
     )  # fmt: skip
     sub.add_argument("--web", action="store_true", help="in a browser; so it is where there is no display, too")
     _store(sub)

@@ -175,7 +175,7 @@ def import_data(options: argparse.Namespace) -> int:
     from clothbench.cli.listings import print_import
     from clothbench.datasets.convert import converted
     from clothbench.datasets.registry import DATASETS
-    from clothbench.datasets.video_file import SETTINGS, is_video, video_recording
+    from clothbench.datasets.video_file import SETTINGS, is_video, stated_rate, video_recording
     from clothbench.engine.progress import counting
 
     given, known = Path(options.name), options.name in DATASETS
@@ -187,6 +187,9 @@ def import_data(options: argparse.Namespace) -> int:
         settings = key_values(options.settings, SETTINGS)
         with counting("frames") as told:
             path = video_recording(given, settings, told)
+        if "rate" in settings and given.is_file() and abs((own := stated_rate(given)) - float(settings["rate"])) > 0.01:
+            says = f"rate={settings['rate']} is taken in place of the {own:g} frames a second that {given} states"
+            print(f"clothbench: {says}", file=sys.stderr)
         named = shlex.quote(str(path))
         print(f"{path}: one recording of kind 'video'; next: clothbench run recording={named} tracker=sift_graph …")
         return 0

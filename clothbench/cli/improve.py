@@ -15,7 +15,8 @@ from typing import Any
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
-from clothbench.cli.run import composed, say_idle
+from clothbench.cli.idle import say_idle
+from clothbench.cli.run import composed
 from clothbench.core.create_only import require_create_only
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import json_text
@@ -144,6 +145,8 @@ def settings_of(words: Sequence[str]) -> dict[str, Any]:
 
 def models_of(value: str) -> list[str]:
     """The models that "mass_spring" or "[mass_spring,inextensible]" names."""
+    if value.startswith("[") != value.endswith("]"):
+        raise ClothbenchError(f"found model={value}, expected NAME or [NAME,NAME]; write both brackets, or none")
     return [name.strip() for name in value.removeprefix("[").removesuffix("]").split(",") if name.strip()]
 
 

@@ -41,7 +41,7 @@ def require_harmless(arguments: Sequence[str]) -> None:
     for word in arguments:
         if whole := _cut_short(word.partition("=")[0]):
             raise ClothbenchError(f"found {word!r}, which would be taken for {whole}; write that flag in full")
-    for word in _settings(arguments):
+    for word in settings_among(arguments):
         _values(word)
     for folder in _folders(arguments):
         if not folder.is_dir():
@@ -71,7 +71,7 @@ def require_all_plain(folder: Path, arguments: Sequence[str]) -> None:
     asked = list(dict.fromkeys(_asked_for(folder, arguments)))
     brings = any([require_plain(file) for file in asked])
     for file in asked:
-        if file.parent.name == "suite" and not any("@" in word.partition("=")[0] for word in _settings(arguments)):
+        if file.parent.name == "suite" and not any("@" in word.partition("=")[0] for word in settings_among(arguments)):
             require_global(file)
     if brings:
         for file in sorted({*folder.rglob("*.yaml"), *folder.rglob("*.yml")} - set(asked)):
@@ -80,7 +80,7 @@ def require_all_plain(folder: Path, arguments: Sequence[str]) -> None:
 
 def _asked_for(folder: Path, arguments: Sequence[str]) -> Iterator[Path]:
     """The files GROUP/NAME.yaml of a folder that settings GROUP=NAME choose."""
-    for word in _settings(arguments):
+    for word in settings_among(arguments):
         for one in _values(word):
             group, _, names = one.lstrip("+").partition("=")
             for name in names.strip("[]").split(","):
@@ -133,7 +133,7 @@ def _size(node: yaml.Node, known: dict[int, int]) -> int:
 
 def each_choice(arguments: Sequence[str]) -> Iterator[list[str]]:
     """The settings of the run without Hydra's own, as one job has them: of a sweep, once with every value."""
-    words = [word for word in _settings(arguments) if not word.lstrip("+~").startswith("hydra")]
+    words = [word for word in settings_among(arguments) if not word.lstrip("+~").startswith("hydra")]
     values = [_values(word) for word in words]
     for n in range(max(map(len, values), default=1)):
         yield [several[min(n, len(several) - 1)] for several in values]
@@ -144,7 +144,7 @@ def _after(arguments: Sequence[str]) -> list[str]:
     return [after for word, after in itertools.pairwise(arguments) if word in FLAGS]
 
 
-def _settings(arguments: Sequence[str]) -> list[str]:
+def settings_among(arguments: Sequence[str]) -> list[str]:
     """KEY=VALUE and ~KEY; a word that is neither belongs to one of Hydra's flags."""
     words = [word for word in arguments if not word.startswith("-") and word not in _after(arguments)]
     return [word for word in words if "=" in word or word.startswith("~")]

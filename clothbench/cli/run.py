@@ -24,13 +24,14 @@ from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.core.plugins import Plugins
-from hydra.errors import HydraException
+from hydra.errors import HydraException, OverrideParseException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
 from hydra.types import RunMode
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from clothbench.cli.own_suites import require_harmless
+from clothbench.cli.idle import refuse_idle, say_idle
+from clothbench.cli.own_suites import require_harmless, settings_among
 from clothbench.cli.results import print_results
 from clothbench.core.errors import ClothbenchError, known_names
 from clothbench.engine.bucket import is_address
@@ -39,9 +40,8 @@ from clothbench.engine.limits import Limits
 from clothbench.engine.mirror import results_folder, up_to_date
 from clothbench.engine.pool import failed, run_cells
 from clothbench.engine.progress import CellBar, Sweep, counting
-from clothbench.engine.settings import KNOWN, last_word
+from clothbench.engine.settings import KNOWN, flat, last_word
 from clothbench.engine.store import Store
-from clothbench.engine.study import Cell
 from clothbench.engine.suite import plan, suites_folder
 from clothbench.plugins.discovery import PluginBroken, catalogue, config_groups
 
@@ -51,14 +51,18 @@ MAIN_SUITE = "static_dynamic"  # what a sweep is over if it names no recordings
 RECORDINGS = ("suite=", "recording=", "recordings=")  # how a command line names some
 # A setting below one that holds any number of them. Hydra would take it only with a sign that says whether the suite
 # has it; what is not known is refused once all is put together.
-OPEN = re.compile(r"(options|bounds|finer|scene|analysis|suite|limits)\.[^=]*=")
+OPEN = re.compile(r"(options|bounds|finer|scene|analysis|suite|limits)\.[^=]*=|(options|bounds|finer|analysis)=\{")
 KINDS = {
     "study": "studies", "model": "models", "optimizer": "optimizers", "metric": "metrics", "report": "metrics",
     "effects": "effects", "tracker": "trackers",
 }  # fmt: skip
+TOGETHER = (
+    "found several of --run, -m, --cfg, --info and --shell_completion, expected one of them; to see the settings of a "
+    "sweep's jobs, leave -m out and give each setting one value"
+)
 PATHS = re.compile(r"\+{0,2}(recording|recordings|out|data_dir)=")
-# What Hydra reads by itself: plain words, sweeps, interpolations, what somebody has quoted.
-READ = re.compile(r"[\w/.:*?@%|+~=-]*|.*(['\"\\]|\$\{).*|(choice|range|interval|glob|sort|shuffle|tag)\(.*\)", re.ASCII)
+# What commas part: each in quotes, or with commas of its own in brackets.
+PARTS = re.compile(r"""\s*'(?:[^'\\]|\\.)*'\s*(?=,|$)|\s*"(?:[^"\\]|\\.)*"\s*(?=,|$)|(?:\[[^\]]*\]|[^,\[]|\[)+""")
 
 
 class PluginSearchPath(SearchPathPlugin):
@@ -86,7 +90,8 @@ def run(arguments: Sequence[str]) -> int:
     notes = Path(tempfile.mkdtemp(prefix="clothbench-"))
     os.environ.update({NOTES: str(notes), "HYDRA_FULL_ERROR": "1"})
     os.environ.setdefault("CLOTHBENCH_SWEEP_DIR", str(notes / "sweep"))
-    arguments = either_way(arguments)
+    words = settings_among(arguments)  # first: Hydra takes no settings on both sides of a flag
+    arguments = either_way([*words, *(word for word in arguments if word not in words)])
     os.environ[JOBS] = str(jobs_of(arguments) if sweep else 0)
     sweep_so_far.cache_clear()
     sys.argv = ["clothbench run", *arguments]
@@ -101,6 +106,8 @@ def run(arguments: Sequence[str]) -> int:
     except ValueError as fault:
         if _of_a_job(fault):
             raise
+        if str(fault).startswith("Only one of --run"):
+            raise ClothbenchError(TOGETHER) from fault
         raise ClothbenchError(f"found a setting without a place ({fault}), expected KEY=VALUE of a run") from fault
     finally:
         shutil.rmtree(notes, ignore_errors=True)
@@ -122,13 +129,41 @@ def either_way(words: Sequence[str]) -> list[str]:
 
 
 def _quoted(word: str) -> str:
-    """KEY=PATH with every path in quotes that needs them, also in a list or a sweep of several; others as they are."""
+    """KEY=PATH as Hydra reads it: what is no word of its grammar in quotes, also in a list or a sweep of several."""
     key, sign, value = word.partition("=")
-    if not PATHS.match(word) or READ.fullmatch(value):
+    if not PATHS.match(word) or _is_read(word):
         return word
-    start, end = ("[", "]") if value.startswith("[") and value.endswith("]") else ("", "")
-    paths = [path.strip() for path in value.removeprefix(start).removesuffix(end).split(",")]
-    return key + sign + start + ",".join(path if READ.fullmatch(path) else f"'{path}'" for path in paths) + end
+    return key + sign + ",".join(_quoted_list(part.strip()) for part in PARTS.findall(value))
+
+
+def _quoted_list(text: str) -> str:
+    if text.startswith("[") and text.endswith("]"):
+        return "[" + ",".join(_quoted_path(path.strip()) for path in PARTS.findall(text[1:-1])) + "]"
+    return _quoted_path(text)
+
+
+def _quoted_path(path: str) -> str:
+    if _is_read(f"out={path}"):
+        return path
+    return f'"{path}"' if "'" in path and '"' not in path else "'" + path.replace("'", "\\'") + "'"
+
+
+def _is_read(word: str) -> bool:
+    """Whether Hydra can make something of KEY=VALUE."""
+    with suppress(HydraException, ValueError, RecursionError):
+        OverridesParser.create().parse_overrides([word])
+        return True
+    return False
+
+
+def leaves(words: Sequence[str]) -> list[str]:
+    """Hydra's words, KEY={NAME:VALUE,…} as one KEY.NAME= for each, so that it is known what was spoken of."""
+    out = []
+    for word in words:
+        key, _, value = word.partition("=")
+        inside = OverridesParser.create().parse_override(word).value() if value.startswith("{") else None
+        out += [f"{key}.{name}=" for name in (flat(inside) if isinstance(inside, dict) else ())] or [word]
+    return out
 
 
 def jobs_of(words: Sequence[str]) -> int:
@@ -141,7 +176,7 @@ def jobs_of(words: Sequence[str]) -> int:
 def swept(words: Sequence[str]) -> list[tuple[str, list[str]]]:
     """What a sweep goes over: each KEY and its values. Nothing where Hydra cannot read the words: it says so itself."""
     try:
-        given = OverridesParser.create().parse_overrides([word for word in words if not word.startswith("-")])
+        given = OverridesParser.create().parse_overrides(settings_among(words))
         return [(one.key_or_group, list(one.sweep_string_iterator())) for one in given if one.is_sweep_override()]
     except HydraException:
         return []
@@ -181,14 +216,14 @@ def composed(words: Sequence[str]) -> dict[str, Any]:
         settings = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
     except (HydraException, OmegaConfBaseException) as fault:
         raise ClothbenchError(_one_line(fault)) from fault
-    return last_word(settings, words)  # type: ignore[arg-type]
+    return last_word(settings, leaves(either_way(words)))  # type: ignore[arg-type]
 
 
 def job(config: Any) -> None:
     """One Hydra job. Leaves a note of its cells; a user's error is noted too, so that any launcher can carry it."""
     try:
         settings = OmegaConf.to_container(config, resolve=True, throw_on_missing=True)
-        words = HydraConfig.get().overrides.task
+        words = leaves(HydraConfig.get().overrides.task)
         note = _run(last_word(settings, words), sweep_now(), words)  # type: ignore[arg-type]
     except ClothbenchError as fault:
         note = {"error": str(fault)}
@@ -206,6 +241,7 @@ def _run(config: Any, sweep: Sweep | None, words: Sequence[str] = ()) -> dict[st
     with counting("files") as told:
         cells = plan(config, catalogue(), told)
     if sweep is None:  # a sweep may mean them for other jobs
+        refuse_idle(words, config, cells)
         say_idle(words, cells)
     out = Path(config["out"])
     with CellBar(cells, sweep) as bar:
@@ -215,16 +251,6 @@ def _run(config: Any, sweep: Sweep | None, words: Sequence[str] = ()) -> dict[st
             limits=limits,
         )  # fmt: skip
     return {"out": str(out.absolute()), "cells": [c.key for c in cells]}
-
-
-def say_idle(words: Sequence[str], cells: Sequence[Cell]) -> None:
-    """A line for each plugin that words (KEY=VALUE) give options and no cell uses; those of a suite are for its other
-    models.
-    """
-    named = {found[1] for word in words if (found := re.match(r"\+{0,2}options\.([^.=]+)[.=]", word))}
-    used = {plugin.partition("/")[2] for cell in cells for plugin in cell.versions}
-    for name in sorted(named - used):
-        print(f"clothbench: options.{name}: {name} is not in use here, so this changes nothing", file=sys.stderr)
 
 
 def _conclude(notes: Path, sweep: bool) -> int:
@@ -267,10 +293,16 @@ def _say_where(store: Store, keys: Sequence[str]) -> None:
 
 def _one_line(fault: Exception) -> str:
     """Hydra's message without its line breaks; what the choices are, where it lists them."""
-    text = str(fault).split("Config search path")[0]
+    text = str(fault).split("Config search path")[0].partition("See https://hydra.cc")[0]
     if unknown := re.match(r"Could not override '(.*)'\.\s+To append to your config", text):
         return f"setting {unknown[1]!r} is not known; `clothbench run --cfg job` shows all that are"
     lines = [line.strip() for line in text.splitlines() if line.strip()]
+    if isinstance(fault, OverrideParseException):
+        why = "" if lines[0].startswith("Lexer") else f" ({' '.join(lines)})"  # that one only points at a letter
+        return (
+            f"found {fault.override!r}, which Hydra cannot read{why}; a value with signs like = or ' in it stands in "
+            "quotes of its own: 'KEY=\"VALUE\"'"
+        )
     if missing := re.match(r"In 'run': Could not find '(.*)/(.*)'\s+Available options in '.*':\s", text):
         return f"found no {missing[1]}/{missing[2]}; {known_names(missing[2], lines[2:])}"
     return " ".join(lines) or type(fault).__name__

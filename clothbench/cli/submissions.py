@@ -63,8 +63,9 @@ def submit(options: argparse.Namespace, results: Store | None) -> int:
         found = pack(folder, known, options.metric or ["node_error"], plugins, **about)
     several = f" by {len(found.cells)} fits" if found.cells else f" of {len(known)} recordings"
     table = Table(title=f"{escape(found.name)}: {len(found.entries)} simulations{several}", title_justify="left")
-    for name in ("recording", *found.metrics):
-        table.add_column(name, justify="left" if name == "recording" else "right")
+    table.add_column("recording")
+    for name in found.metrics:
+        table.add_column(escape(f"{name} [{plugins.make('metrics', name).unit}]"), justify="right")
     for entry in found.entries:
         table.add_row(
             escape(entry.recording), *(f"{entry.scores[m]:.4g}" if m in entry.scores else "" for m in found.metrics)

@@ -112,16 +112,20 @@ def improved(out: Path, name: str) -> Path:
 
 
 def find_cell(out: Path, name: str) -> Path:
-    """The one cell folder of `out` whose key begins so, or the best cell of a case or recording of that name."""
+    """The cell folder of `out` with that key, else the best cell of a case or recording of that name, else the one cell
+    whose key begins so: a recording that is called 6 must not lose its name to a key that happens to begin with 6.
+    """
     cells = sorted(p for p in (out / "cells").glob("[0-9a-f]*") if p.is_dir())
-    found = [p for p in cells if p.name.startswith(name)]
-    if len(found) == 1:
-        return found[0]
     if not cells:
         there = "" if str(out) == DEFAULT_OUT else f" out={out}"
         raise ClothbenchError(f"{out}: found no cells; make some with: clothbench run +suite=static_dynamic{there}")
-    if not found and (key := best_cell_of(out, name)):
+    found = [p for p in cells if p.name.startswith(name)]
+    if (whole := out / "cells" / name) in found:
+        return whole
+    if key := best_cell_of(out, name):
         return out / "cells" / key
+    if len(found) == 1:
+        return found[0]
     if found:
         raise ClothbenchError(
             f"{out}: found several cells whose key begins with {name!r}; there are: {_listed([p.name for p in found])}"

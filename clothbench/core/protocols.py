@@ -185,8 +185,9 @@ class Optimizer(Protocol):
     """A search. Made by `factory(space, seed=…, budget=…, **settings)`; it never owns the loop.
 
     The caller alternates `ask` and `tell` until `done`; `stopped` then says why. All points asked lie within the
-    space's bounds. `needs_residual` says that `Evaluation.residual` is wanted. Optional: `HasStart`, `Renewable`, and
-    the option `start="defaults"`, which repeated fits need.
+    space's bounds, and all together they are no more than the budget: there the caller stops, too. `needs_residual`
+    says that `Evaluation.residual` is wanted. Optional: `HasStart`, `Renewable`, and the option `start="defaults"`,
+    which repeated fits need.
     """
 
     name: ClassVar[str]

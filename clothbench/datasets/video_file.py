@@ -1,7 +1,8 @@
 """A video file, or a folder of pictures, as one recording of kind "video".
 
 What the frames do not say comes as settings: `template`, a picture of the flat cloth from hem to hem; `width` and
-`height` of the cloth [m]; and if they are known `rate` [1/s] (a folder of pictures needs it; a video states its own),
+`height` of the cloth [m], in the picture's proportions; and if they are known `rate` [1/s] (a folder of pictures needs
+it; a video states its own, in whose place it is taken),
 `camera`, a JSON file with `size` [width, height] px and `matrix`, or `fx`, `fy`, `cx`, `cy`, and `distortion`, and
 where the camera stands, `rotation` and `translation`; `marks`, the held points in the first frame, as `x,y;x,y` px of
 the upper left and the upper right corner, or of all four corners, clockwise; `name`, `fabric`, `motion`, `split`,
@@ -31,6 +32,7 @@ SETTINGS = ("template", "width", "height", "rate", "camera", "marks", "name", "f
 PICTURES = (".png", ".jpg", ".jpeg")
 MARKERS = (".csv", ".trc", ".c3d")
 LEAST_FRAMES = 5
+ASKEW = 0.05  # share by which the proportions of a template may differ from those of the cloth: hems are cut by hand
 
 
 def is_video(source: Path) -> bool:
@@ -64,6 +66,7 @@ def read_source(source: Path, settings: Mapping[str, str], progress: FileProgres
     else:
         stream, time = _film(source, _rate(settings), progress)
         ends = None
+    _require_proportions(template, width, height, settings["template"])
     camera, placed = _camera(settings)
     video = ColourVideo(
         name=settings.get("name", source.stem), time=time, stream=stream, ends=ends, template=template,
@@ -89,6 +92,18 @@ def _template(settings: Mapping[str, str]) -> np.ndarray:
     if picture is None:
         raise ClothbenchError(f"{file}: found no picture that can be read, expected the template")
     return picture
+
+
+def _require_proportions(template: np.ndarray, width: float, height: float, file: str) -> None:
+    """Refuse a cloth of another shape than its picture, as of swapped width and height: every place on it would be
+    wrong, and the tracker none the wiser.
+    """
+    down, across = template.shape[:2]
+    if not 1 / (1 + ASKEW) <= (across / down) / (width / height) <= 1 + ASKEW:
+        raise ClothbenchError(
+            f"{file}: found {across} × {down} px for a cloth of width={width:g} and height={height:g} m, expected the "
+            "same proportions; swap width and height, or crop the picture at the hems"
+        )
 
 
 def _number(settings: Mapping[str, str], name: str, otherwise: float) -> float:
@@ -143,6 +158,18 @@ def _film(file: Path, rate: float | None, progress: FileProgress | None) -> tupl
             "grow; if the frames are evenly apart, state rate=FRAMES_PER_SECOND"
         )
     return stream, time - time[0]
+
+
+def stated_rate(file: Path) -> float:
+    """Frames a second that a video file states; 0 where it states none."""
+    import cv2
+
+    with silenced():
+        film = cv2.VideoCapture(str(file))
+    try:
+        return float(film.get(cv2.CAP_PROP_FPS))
+    finally:
+        film.release()
 
 
 def _stamps(film: Any, file: Path, progress: FileProgress | None) -> tuple[list[float], float]:

@@ -26,7 +26,7 @@ class Fit:
     """What a calibration found. P parameters, E evaluations.
 
     best: (P,); low, high: (P,), 95 % intervals (NaN where there are none); at_bound: (P,); theta: (E, P) and value:
-    (E,), the history; condition: of the scaled Jacobian; status: ok, diverged (nothing could be simulated) or timeout
+    (E,), the history; condition: of the scaled Jacobian; status: ok, diverged (nothing came to a number) or timeout
     (stopped by the clock, best so far); wall_s: s, with that of stopped runs, without compiling; start: (P,), where the
     search set out from after its first look around, if it says so; looked: evaluations that this look took; objectives:
     (E, M), in units of their spread, of a metric with several, or None; temperature: (E,), in the score's unit, of a
@@ -94,13 +94,15 @@ def calibrate(
     checkpoint: Checkpoint | None = None,
     bounded: bool = True,
     choice: str = "nearest",
+    budget: int | None = None,
 ) -> Fit:
     """Run the search to its end (or to `timeout` seconds) on the fit recordings together.
 
     `progress(evaluations, best value)` is called after every batch. A member that diverges is told to the optimizer
     as NaN and spoils no other. choice: which of the front is best, where the metric has several objectives. What
     `checkpoint` holds of a run that was stopped is not simulated again. Without `bounded` the parameters get no
-    intervals, which cost 2 P + 1 evaluations, and one more of drapes.
+    intervals, which cost 2 P + 1 evaluations, and one more of drapes. budget: of evaluations, at which a search is
+    stopped that would go on.
     """
     checkpoint = checkpoint or Checkpoint()
     compiled = compiled_for()
@@ -120,7 +122,7 @@ def calibrate(
             warmth.append(np.full(len(theta), temperature))
         return remembered(trials, theta, checkpoint)
 
-    for theta, evaluation in drive(optimizer, answer):
+    for theta, evaluation in drive(optimizer, answer, budget):
         thetas.append(theta)
         values.append(evaluation.value)
         if evaluation.objectives is not None:
@@ -133,6 +135,7 @@ def calibrate(
             stopped = f"stopped after {timeout:g} s, as asked"
             break
     theta, value = np.concatenate(thetas), np.concatenate(values)
+    beyond = "" if optimizer.done else f"stopped at its budget of {budget} evaluations; it would have gone on"
     simulated = bool(np.isfinite(value).any())
     nothing = np.full(len(space), np.nan)  # no member ran to its end: there is no best
     objectives = np.concatenate(several) if several else None
@@ -149,7 +152,7 @@ def calibrate(
         value=value,
         condition=condition,
         status="diverged" if not simulated else "timeout" if stopped else "ok",
-        stopped=stopped or optimizer.stopped,
+        stopped=stopped or beyond or optimizer.stopped,
         wall_s=seconds(),
         start=start_of(optimizer),
         looked=looked,

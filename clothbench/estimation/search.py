@@ -10,11 +10,20 @@ from clothbench.core.protocols import Evaluation, Optimizer
 
 
 def drive(
-    optimizer: Optimizer, evaluate: Callable[[np.ndarray], Evaluation]
+    optimizer: Optimizer, evaluate: Callable[[np.ndarray], Evaluation], budget: int | None = None
 ) -> Iterator[tuple[np.ndarray, Evaluation]]:
-    """Every batch (B, P) that the optimizer asks for with what came of it, after it was told so, until it is done."""
-    while not optimizer.done:
+    """Every batch (B, P) that the optimizer asks for with what came of it, after it was told so, until it is done; or
+    until the budget of evaluations is spent: results are compared at equal budgets, and a search that minds none may
+    have no end. Of a batch that goes beyond it the rest is not evaluated, and nothing of it told.
+    """
+    left = float("inf") if budget is None else budget
+    while not optimizer.done and left > 0:
         theta = np.asarray(optimizer.ask(), dtype=float)
+        if len(theta) > left:
+            theta = theta[: int(left)]
+            yield theta, evaluate(theta)
+            return
         evaluation = evaluate(theta)
         optimizer.tell(theta, evaluation)
+        left -= len(theta)
         yield theta, evaluation

@@ -57,7 +57,7 @@ def scene_of(
     start: "rest", the sheet settles in its grips' first pose, or "measured", it goes on from where it was first seen,
     as it moved then.
     """
-    density = _density(recording, areal_density)
+    density = areal_density_of(recording, areal_density)
     if start == "measured" and recording.sight is not None:
         raise ClothbenchError(
             f"{recording.path or recording.name}: found points in a picture, which says nothing of their depth; "
@@ -116,7 +116,7 @@ def drapes_of(
     stated = recording.thickness if math.isfinite(recording.thickness) else 0.0
     return [
         Scene(
-            width=2 * disc, height=2 * disc, areal_density=_density(recording, areal_density),
+            width=2 * disc, height=2 * disc, areal_density=areal_density_of(recording, areal_density),
             grip_time=np.array([0.0, 1.0]), grip_material=np.zeros((0, 2)), grip_position=np.zeros((2, 0, 3)),
             times=np.array([0.0]), points=points, air_density=air_density,
             resolution=_spaced(2 * disc, 2 * disc, spacing) if spacing is not None else resolution,
@@ -138,10 +138,12 @@ def _laid(from_middle: np.ndarray, plate: float, perturbation: float, k: int) ->
     return np.column_stack([from_middle[:, 0], -from_middle[:, 1], height])
 
 
-def _density(recording: Recording | Silhouettes, assumed: float | None) -> float:
-    """The areal density that a recording states, or else what is assumed [kg/m²]."""
+def areal_density_of(recording: Any, assumed: float | None) -> float:
+    """The areal density that a recording of any kind of sheet states, or else what is assumed [kg/m²]; refused where
+    there is neither.
+    """
     if math.isfinite(recording.areal_density):
-        return recording.areal_density
+        return float(recording.areal_density)
     if assumed is None:
         raise ClothbenchError(
             f"{recording.path or recording.name}: attribute 'areal_density' is not known; "

@@ -46,7 +46,7 @@ def again(job: Path, out: Path) -> None:
     fits = searched(stages, plugins, Checkpoint(), bench.space, cell.budget, cell.stream("optimizer"), bounded=False)
     bench, fit = stages[len(fits) - 1], fits[-1]
     if fit.status == "diverged":
-        raise ClothbenchError("no parameter set that was tried could be simulated")
+        raise ClothbenchError("no parameter set that was tried came to a number")
     for path in asked["simulate"]:
         recording = read_recording(path)
         position = best_rollout(bench.remake(recording, None), fit).position[0][:, : len(recording.material)]

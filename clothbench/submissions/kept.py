@@ -48,7 +48,7 @@ def keep(
             "study": "calibration", "suite": submission.suite, "case": case, "model": submission.name,
             "effects": ",".join(cell.effects) if cell else "", "seed": cell.seed if cell else 0,
             "optimizer": f"{cell.optimizer}, submitted, {grade}" if cell else f"submitted, {grade}",
-            "key": key, "status": "ok", "reason": None, "evaluations": 0, "wall_s": 0.0, "reference": None,
+            "key": key, "status": "ok", "reason": None, "evaluations": None, "wall_s": None, "reference": None,
             "budget": None, "settings": None, "plugins": listed(versions), "threads": None,
             "finished": now(), **system_info(),
         }  # fmt: skip

@@ -14,9 +14,12 @@ from rich.console import Console
 
 from clothbench import ClothbenchError, write_recording
 from clothbench.cli.commands import COMMANDS, main, parsed
+from clothbench.cli.idle import say_idle
 from clothbench.cli.own_suites import require_harmless
-from clothbench.cli.run import composed, say_idle
+from clothbench.cli.run import composed, either_way, jobs_of, require_known, swept
 from clothbench.engine.store import ROW
+from clothbench.engine.suite import plan
+from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration.tables import error_table
 
 CELL = ("model=mass_spring", "optimizer=ga", "metric=node_error", "+options.mass_spring.resolution=5", "budget=25")
@@ -61,6 +64,7 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
         ),
         (("import", "none.mp4", "template=x.png", "width=0.3"), "none.mp4: no such file or folder, and no data set"),
         (("export", "denim", "--to", "mujoco", "--out", "-"), "--out -: an export is a file, which others name"),
+        (("run", "-m", "recording=good.nc", "--cfg", "job"), "found several of --run, -m, --cfg, --info and"),
         (("run", "--config-dir", "none", "+suite=mine"), "none: no such folder; --config-dir names one"),
         (("import", "iri_wam_cloth_swing", "data_dir=/nowhere"), "/nowhere is not a folder"),
         (("import", "good.nc"), "good.nc: found a recording, expected a video; see it with clothbench validate good"),
@@ -100,6 +104,9 @@ def test_hydra_s_own_questions_are_answered(clothbench, tmp_path):
     out = clothbench("run", "--cfg", "job", "+suite=static_dynamic")
     assert out.returncode == 0, out.stderr
     assert "budget: 40" in out.stdout
+    assert clothbench("run", "seed=7", "--cfg", "job", "+suite=static_dynamic").stdout == out.stdout.replace(
+        "seed: 0", "seed: 7"
+    )
     assert clothbench("run", "--help").returncode == 0
     assert not list(tmp_path.iterdir())
 
@@ -233,6 +240,11 @@ def test_a_setting_is_set_with_a_sign_or_without():
         ("recordings=[a b,k(1)]", ["a b", "k(1)"]),
         ("recordings=builtin:shake/*", "builtin:shake/*"),
         ("recording=null", None),
+        ("out=multirun/seed=1", "multirun/seed=1"),
+        ("recordings=[a,x=y.nc]", ["a", "x=y.nc"]),
+        ("recording=it's.nc", "it's.nc"),
+        ('recordings=[it\'s.nc,"b, c.nc"]', ["it's.nc", "b, c.nc"]),
+        ("recording=a[1].nc", "a[1].nc"),
     ],
 )
 def test_paths_are_no_words_of_a_grammar(word, value):
@@ -240,8 +252,45 @@ def test_paths_are_no_words_of_a_grammar(word, value):
 
 
 @pytest.mark.parametrize(
+    ("words", "key", "values"),
+    [
+        (["recording=[a,b],[c]"], "recording", ["[a,b]", "[c]"]),
+        (["recording=[josé,b],[c]"], "recording", ["['josé',b]", "[c]"]),
+        (["recording='a,b',josé"], "recording", ["'a,b'", "'josé'"]),
+        (["out=x=1,it's"], "out", ["'x=1'", '"it\'s"']),
+        (["--config-dir", "my-suites", "seed=0,1"], "seed", ["0", "1"]),
+        (["--config-dir", "a=b,c", "bounds={k1:[1,2]},{k1:[2,3]}"], "bounds", ["{k1:[1,2]}", "{k1:[2,3]}"]),
+    ],
+)
+def test_a_sweep_goes_over_what_hydra_makes_of_it(words, key, values):
+    assert swept(either_way(words)) == [(key, values)]
+    assert jobs_of(either_way(words)) == 2
+
+
+def test_a_folder_of_suites_hides_no_unknown_plugin():
+    with pytest.raises(ClothbenchError, match="mass_sprung"):
+        require_known(["-m", "--config-dir", "my-suites", "model=mass_spring,mass_sprung"])
+
+
+def test_settings_may_be_given_as_one_mapping():
+    """They are added to what the suite has, as each by itself would be, and leave the rest of a budget alone."""
+    suite = ["suite=static_dynamic", "budget=paper"]
+    for word, same in (
+        ("bounds={k1:[10,500]}", ["bounds.k1=[10,500]"]),
+        ("options={ga:{generations:3},mass_spring:{resolution:5}}",
+         ["options.ga.generations=3", "options.mass_spring.resolution=5"]),
+    ):  # fmt: skip
+        assert composed([*suite, word]) == composed([*suite, *same])
+
+
+@pytest.mark.parametrize(
     ("setting", "found"),
     [
+        ("scene.start=a=b", "Hydra cannot read (mismatched input '=' expecting <EOF>); a value with signs like ="),
+        ("scene.thickness=it's", 'found "++scene.thickness=it\'s", which Hydra cannot read; a value with signs like'),
+        ("analysis.sobol.cases=[nope]", "'analysis.sobol.cases' is ['nope'], which matches none of the cases"),
+        ("analysis={sobol:{cases:nope}}", "'analysis.sobol.cases' is nope, which matches none of the cases"),
+        ("bounds={k9:[1,2]}", "setting 'bounds': no parameter 'k9'"),
         ("+options.ga.nonsense=1", "nonsense"),
         ("bugdet=3", "setting 'bugdet' is not known; `clothbench run --cfg job` shows all"),
         ("model.dt=0.1", "setting 'model.dt' is not known"),
@@ -293,6 +342,25 @@ def test_options_of_a_plugin_that_is_not_in_use_are_told(capsys):
     cell = SimpleNamespace(versions={"models/mass_spring": "1", "optimizers/cma_es": "1"})
     say_idle(["options.ga.generations=9", "++options.cma_es.sigma=1", "budget=3"], [cell])
     assert capsys.readouterr().err == "clothbench: options.ga: ga is not in use here, so this changes nothing\n"
+
+
+def test_a_mesh_that_the_scene_rules_and_a_choice_without_a_front_are_told(recordings_folder, capsys):
+    words = [f"recordings={recordings_folder}", "model=mass_spring", "optimizer=ga", "options.mass_spring.resolution=5"]
+    for more, told in (
+        (["metric=node_error"], ""),
+        (["metric=node_error", "scene.spacing=0.05"], "clothbench: options.mass_spring.resolution: the scene says how"),
+        (["metric=[node_error,fold]", "choice=knee"], "clothbench: choice: fold, node_error has one objective, and no"),
+    ):
+        say_idle([*words, *more], plan(composed([*words, *more]), catalogue()))
+        said = capsys.readouterr().err
+        assert said.startswith(told)
+        assert said.count("so this changes nothing\n") == said.count("\n") == bool(told)
+    drape = SimpleNamespace(versions={}, metric="drape", choice="knee", options={"drape": {"quantities": ["folds"]}})
+    say_idle(["choice=knee"], [drape])
+    assert "choice: drape has one objective" in capsys.readouterr().err
+    drape.options = {}
+    say_idle(["choice=knee"], [drape])
+    assert capsys.readouterr().err == ""
 
 
 def test_a_reader_that_goes_away_is_no_failure(clothbench, tmp_path):

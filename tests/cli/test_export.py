@@ -155,6 +155,19 @@ def test_a_recording_goes_by_its_last_name_where_that_is_enough(fitted, monkeypa
         find_cell(fitted / "runs", "swing")
 
 
+def test_a_name_goes_before_the_beginning_of_a_key(fitted, monkeypatch):
+    (key,) = {r["key"] for r in Store(fitted / "runs").rows()}
+    other = ("0" if key[0] != "0" else "1") * 16
+    (fitted / "runs" / "cells" / other).mkdir()
+    assert find_cell(fitted / "runs", other[:3]).name == other
+    rows = [{**r, "recording": r["recording"] and f"paper/{other[0]}"} for r in Store(fitted / "runs").rows(every=True)]
+    monkeypatch.setattr(Store, "rows", lambda self: rows)
+    assert find_cell(fitted / "runs", other[0]).name == key
+    assert find_cell(fitted / "runs", other[:2]).name == other
+    monkeypatch.setattr(Store, "rows", lambda self: [{**r, "case": other} for r in rows])
+    assert find_cell(fitted / "runs", other).name == other
+
+
 def test_a_cell_and_a_class_of_fabrics_of_one_name_are_told_apart(tmp_path, monkeypatch, capsys):
     """The cell is taken, as ever, and the line says how the class is named."""
     monkeypatch.chdir(tmp_path)

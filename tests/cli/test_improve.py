@@ -311,6 +311,10 @@ def test_a_fault_of_the_model_is_one_line_and_exit_1(place, tmp_path):
         (("recordings=nowhere", *SMALL), "nowhere: no such file or folder"),
         (("recordings=.", *SMALL), "found no recordings, expected files ending in .nc"),
         (("recordings=rec", "model=mass_sping"), "did you mean 'mass_spring'"),
+        (
+            ("recordings=rec", "model=[mass_spring"),
+            "found model=[mass_spring, expected NAME or [NAME,NAME]; write both",
+        ),
         (("recordings=rec", *SMALL, "candidates=clock_ofset"), "did you mean 'clock_offset'"),
         (("recordings=rec", *SMALL, "seed=x"), "'seed' is 'x', expected a whole number, at least 0"),
         (("recordings=rec", *SMALL, "resolution=2"), "'resolution' is 2, expected a whole number, at least 5"),

@@ -162,6 +162,36 @@ def test_a_broken_one_in_a_product_costs_its_own_cells_only(clothbench, installe
     assert "has no attribute 'Missing'" in row["reason"]
 
 
+@pytest.mark.parametrize(("options", "status", "said"), [
+    ([], "error", "metric 'endless' gave no finite number for any parameter set, also where the cloth was simulated"),
+    (["+options.mass_spring.dt=0.05"], "diverged", "step is too long"),
+])  # fmt: skip
+def test_a_metric_without_a_number_is_not_told_as_a_model_that_diverged(
+    clothbench, installed, recordings_folder, options, status, said
+):
+    endless = """
+        import dataclasses
+        import numpy as np
+        from clothbench_metrics.node_error import NodeError
+
+        class Endless(NodeError):
+            name = "endless"
+
+            def __call__(self, observation, rollout):
+                score = super().__call__(observation, rollout)
+                return dataclasses.replace(score, value=np.full_like(score.value, np.inf))
+        """
+    path = installed(endless=HOOK.format(kind="metrics", name="endless", target="limitless:Endless"), limitless=endless)
+    done = clothbench(
+        "run", f"recordings={recordings_folder}", "model=mass_spring", "optimizer=ga", "metric=endless", "budget=6",
+        "options.mass_spring.resolution=5", "rerun=false", *options, PYTHONPATH=path,
+    )  # fmt: skip
+    assert done.returncode == 1, done.stderr
+    (row,) = json.loads(clothbench("leaderboard", "--json").stdout)
+    assert (row["status"], row["value"]) == (status, None)
+    assert said in row["reason"]
+
+
 def test_a_broken_study_stands_in_the_way_of_its_own_rows_only(clothbench, installed):
     path = installed(lost=HOOK.format(kind="studies", name="lost", target="gone.study"))
     quick = ("+suite=physical_validation", "model=[mass_spring]", "suite.meshes=[5]", "suite.tests=[free_fall]")

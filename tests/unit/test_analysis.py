@@ -14,9 +14,9 @@ from clothbench.estimation.calibrate import calibrate, remembered
 from clothbench.estimation.fixed import Fixed, holding
 from clothbench.estimation.trials import Trial
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.calibration.analysis import truth_of
+from clothbench.studies.calibration.analysis import ANALYSES, truth_of
 from clothbench.studies.calibration.analysis_page import analysis_section
-from clothbench.studies.calibration.analysis_tables import spread
+from clothbench.studies.calibration.analysis_tables import missing, spread
 from clothbench.studies.calibration.schema import ANALYSIS_TABLES
 from clothbench.studies.calibration.sensitivity import error_map, morris, sobol
 from clothbench.studies.calibration.settings import analysis_settings, suite_settings
@@ -205,6 +205,14 @@ def test_the_page_says_why_an_analysis_has_no_figure():
     html = analysis_section([about], tables).html
     assert "no variability: ValueError: boom" in html
     assert "no sensitivity of a: the error is constant" in html
+
+
+def test_a_fit_without_other_fabrics_says_so():
+    cell = SimpleNamespace(rivals=())
+    (row,) = ANALYSES["confusion"](SimpleNamespace(cell=cell), None, {}, None, None)["confusion"]
+    (line,) = missing({"map": [], "confusion": [{**row, "key": "k"}]}, {"k": "silk"})
+    assert line == f"silk: not held against other fabrics: {row['reason']}"
+    assert "found no other fabric" in line
 
 
 def test_a_fabric_of_fewer_trials_is_not_the_nearest_for_that():

@@ -225,6 +225,29 @@ def test_compiling_is_no_part_of_a_search():
     assert 0.0 < fit.wall_s < time.perf_counter() - began - 0.5 * compiling[0]
 
 
+class Endless:
+    """Asks for as many as it likes, and is never done."""
+
+    done, stopped = False, ""
+
+    def __init__(self, batch):
+        self.batch, self.told = batch, []
+
+    def ask(self):
+        return np.tile(TRUTH, (self.batch, 1))
+
+    def tell(self, theta, evaluation):
+        self.told.append(len(theta))
+
+
+@pytest.mark.parametrize(("batch", "told"), [(4, [4, 4]), (5, [5, 5]), (30, [])])
+def test_a_search_that_minds_no_budget_is_stopped_there(batch, told):
+    search = Endless(batch)
+    fit = calibrate([trial(np.random.default_rng(0))], search, SPACE, budget=10)
+    assert (fit.evaluations, fit.status, search.told) == (10, "ok", told)
+    assert fit.stopped == "stopped at its budget of 10 evaluations; it would have gone on"
+
+
 def test_every_recording_has_the_same_say():
     one, other = trial(np.random.default_rng(0), 0.01), trial(np.random.default_rng(1), 0.5)
     together, _ = evaluate([one, other], TRUTH[None])

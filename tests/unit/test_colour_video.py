@@ -93,7 +93,7 @@ def files(tmp_path_factory):
     film.release()
     cv2.imwrite(str(folder / "template.png"), flat.template()[..., ::-1])
     cv2.imwrite(str(folder / "plain.png"), flat.template(plain=True)[..., ::-1])
-    cv2.imwrite(str(folder / "other.png"), np.random.default_rng(1).integers(0, 255, (300, 300, 3)).astype(np.uint8))
+    cv2.imwrite(str(folder / "other.png"), np.random.default_rng(1).integers(0, 255, (300, 600, 3)).astype(np.uint8))
     matrix = flat.CAMERA.matrix.tolist()
     (folder / "camera.json").write_text(json.dumps({"size": flat.PIXELS, "matrix": matrix}))
     turned = {"size": flat.PIXELS, "matrix": matrix, "rotation": np.eye(3).tolist()}
@@ -132,6 +132,15 @@ def test_a_stamp_that_comes_twice_is_no_reason_to_take_the_files_rate(files, tmp
     assert np.allclose(film.time, np.arange(6) / 30)
 
 
+def test_a_rate_in_place_of_the_files_own_is_told(files, tmp_path, capsys):
+    """A slow-motion film states how fast it is to be shown, so that it may well be meant."""
+    known = [f"{name}={value}" for name, value in settings(files, out=str(tmp_path), width="0.41").items()]
+    for rate, told in ((["rate=240"], "rate=240 is taken in place of the 30 frames a second that"), (["rate=30"], "")):
+        assert main(["import", str(files / "run.mp4"), *known, f"name=at {rate}", *rate]) == 0
+        lines = [line for line in capsys.readouterr().err.splitlines() if "clothbench: " in line]
+        assert [told in line for line in lines] == [True] * bool(told)
+
+
 def test_threads_that_want_silence_together_give_the_terminal_back():
     before, one, other = os.fstat(2), silenced(), silenced()
     one.__enter__()
@@ -155,6 +164,8 @@ def test_pictures_come_in_the_order_of_their_numbers(files, tmp_path):
         ("run.mp4", {"template": None}, "template=PICTURE is missing"),
         ("run.mp4", {"width": None}, "width=METRES is missing"),
         ("run.mp4", {"height": "20"}, "expected metres, 0.01 to 10"),
+        ("run.mp4", {"width": "0.2", "height": "0.4"}, "found 640 × 320 px for a cloth of width=0.2 and height=0.4 m"),
+        ("run.mp4", {"width": "0.43"}, "crop the picture at the hems"),
         ("run.mp4", {"template": "{}/text.mp4"}, "found no picture that can be read, expected the template"),
         ("run.mp4", {"template": "{}/plain.png"}, "a plain cloth shows nothing to go by"),
         ("run.mp4", {"template": "{}/other.png"}, "found no cloth in the first frame"),

@@ -169,6 +169,20 @@ def test_a_case_with_nothing_held_out_is_named_and_the_others_are_ranked():
     assert (square.text, square.below) == ("–", "nothing held out")
 
 
+def test_single_runs_on_other_recordings_are_no_seeds_that_failed():
+    """One that held nothing out, beside one of the same model that did, and beside one of another model."""
+    held = [row("a", "linen", "x", 1.5, split="fit"), row("a", "linen", "y", 1.0)]
+    single = row("a", "linen", "x", 1.2, split="fit", key="single")
+    found = standings([*held, single], "fold")
+    assert (found["linen"]["a"].value, found["linen"]["a"].whole) == (1.0, "")
+    assert "Only a was tried." in told([*held, single], "fold")
+    said = told([*held, {**single, "model": "b"}], "fold")
+    assert "Only a is ranked." in said
+    assert "Not ranked, since nothing was held out of what they were fitted to: b." in said
+    assert "There is no answer" not in said
+    assert leading_metric([row("a", "linen", None, None, objective="bare", metric="bare"), *held]) == "fold"
+
+
 def test_of_few_recordings_the_answer_tells_ways_apart_where_the_table_does():
     far = [row("a", "linen", "x", 5.0, low=4.5, high=5.5), row("b", "linen", "x", 500.0, low=450.0, high=550.0)]
     found = standings(far, "fold")
@@ -461,6 +475,6 @@ def test_a_model_that_is_called_as_a_peer_is_a_model():
     said = shown(paced(rows))
     assert "Beside mujoco 0.4 × … 3 × per core, over 2 measurements" in said
     assert "Beside mujoco, at equal error 60 × per core, over 1 measurement" in said
-    steps = [[line[0], line[4]] for line in _lines(rows[:3], ["mujoco"])]
-    assert steps == [["mujoco", "step 0.2 ms"], ["a", "own step"], ["mujoco", "own step"]]
+    steps = [line[:2] for line in _lines(rows[:3], ["mujoco"])]
+    assert steps == [["mujoco", "explicit, step 0.2 ms"], ["a", "explicit, own step"], ["mujoco", "explicit, own step"]]
     assert paced([peer]) == ""  # beside it no model was measured

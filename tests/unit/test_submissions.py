@@ -89,6 +89,7 @@ def test_scores_are_computed_again_and_stand_on_the_leaderboard(folder, tmp_path
     assert (row["model"], row["split"], row["unit"]) == ("my-simulator", "held_out", "mm")
     assert "recomputed" in row["optimizer"]
     assert row["floor"] > 0
+    assert (row["evaluations"], row["wall_s"]) == (None, None)  # nobody knows what it took
     assert len([row for row in rows if not row["recording"]]) == 2  # a mean for each split
 
 
@@ -197,6 +198,7 @@ def test_as_a_user_hands_in_and_checks(folder, recordings_folder, clothbench):
     given = ["--recordings", str(recordings_folder)]
     done = clothbench("submit", folder, "--name", "my-simulator", *given)
     assert done.returncode == 0, done.stderr
+    assert "node_error [mm]" in done.stdout
     assert read_submission(folder).suite == "recordings"  # as the folder is called
     _, check, _ = done.stdout.rsplit("`", 2)
     done = clothbench(*shlex.split(check)[1:], "--out", "runs")
@@ -204,7 +206,9 @@ def test_as_a_user_hands_in_and_checks(folder, recordings_folder, clothbench):
     assert done.stdout.count("recomputed") == 3  # of the whole, and of each row
     rows = json.loads(clothbench("leaderboard", "--json", "--out", "runs").stdout)
     assert {row["model"] for row in rows} == {"my-simulator"}
-    assert "my-simulator" in clothbench("leaderboard", "--out", "runs").stdout
+    table = clothbench("leaderboard", "--out", "runs").stdout
+    assert "my-simulator" in table
+    assert "evaluations" not in table
     assert clothbench("report", "out=runs").returncode == 0
     edit(folder, lambda stated: stated["entries"][0]["scores"].update(node_error=1.0))
     done = clothbench("verify", folder, *given, "--out", "other")

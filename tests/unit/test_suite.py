@@ -1,13 +1,15 @@
 """Suites become cells: splits, keys, and settings that are refused."""
 
 import dataclasses
+import math
 from importlib.resources import files
 
+import flat_video
 import pytest
 import yaml
 from conftest import swinging_recording
 
-from clothbench import ClothbenchError, write_recording
+from clothbench import ClothbenchError, write_recording, write_video
 from clothbench.engine.run import run_cell
 from clothbench.engine.settings import OF_SEARCHES, last_word
 from clothbench.engine.store import Store
@@ -115,6 +117,18 @@ def test_recordings_of_one_name_are_told_apart_by_their_cases(tmp_path):
 def test_wrong_settings_are_one_line(recordings_folder, change, found):
     with pytest.raises(ClothbenchError, match=found):
         plan({**BASE, "recordings": str(recordings_folder), **change}, catalogue())
+
+
+def test_a_weight_that_nobody_knows_is_asked_for_before_anything_is_tracked(tmp_path):
+    """Of pictures as of nodes, by both studies."""
+    write_video(flat_video.video(), tmp_path / "run.nc")
+    assert math.isnan(flat_video.video().areal_density)
+    searched = {"tracker": "sift_graph", "recordings": str(tmp_path)}
+    improved = {"study": "improve", "optimizer": "least_squares", "metric": None, "budget": 400} | searched
+    for settings in (searched, improved):
+        with pytest.raises(ClothbenchError, match=r"run\.nc: attribute 'areal_density' is not known; state what to"):
+            plan({**BASE, **settings}, catalogue())
+        assert plan({**BASE, **settings, "scene": {"areal_density": 0.1}}, catalogue())
 
 
 @pytest.mark.parametrize(

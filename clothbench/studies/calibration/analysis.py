@@ -109,6 +109,8 @@ def _map(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, checkpoin
 
 def _confusion(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, checkpoint: Checkpoint) -> Tables:
     """The same parameters, and the mass of their own fabric, in the other fabrics' trials; and in its own."""
+    if not bench.cell.rivals:
+        return {"confusion": [{"reason": "found no other fabric in the same trial, expected one that is fitted, too"}]}
     mine = bench.recordings[0]
     density = bench.cell.scene.get("areal_density") if np.isnan(mine.areal_density) else mine.areal_density
     fabric, rows = mine.fabric, []

@@ -17,6 +17,7 @@ from clothbench.engine.study import Results
 from clothbench.studies.calibration.budget import Histories, settled
 from clothbench.studies.calibration.estimates import Estimate, estimates
 from clothbench.studies.calibration.ranking import (
+    NOTHING_HELD_OUT,
     Overall,
     Standing,
     best_cell,
@@ -71,10 +72,12 @@ def lead(
     out = {way for case in cases.values() for way in case} - {one.way for one in ranked}
     lacks = {way: [case[way] for case in cases.values() if way in case and case[way].value is None] for way in out}
     unjudged = {way for way, some in lacks.items() if some and all(s.unjudged for s in some)}
+    unseen = {way for way in unjudged if any(s.unjudged == NOTHING_HELD_OUT for s in lacks[way])}
     return {
         "ways": [one.way for one in ranked], "ties": ties, "cases": len(cases), "wins": wins, "metric": metric,
         "behind": [(one.way, times(one)) for one in ranked[1:] if not one.tied],
-        "left": sorted(out - unjudged), "unjudged": sorted(unjudged), "unheld": sorted(found.keys() - cases.keys()),
+        "left": sorted(out - unjudged), "unjudged": sorted(unjudged - unseen), "unseen": sorted(unseen),
+        "unheld": sorted(found.keys() - cases.keys()),
         "reasons": any(s.status != "ok" for case in found.values() for s in case.values()),
         "near": [(one.way, times(one)) for one in ranked[1:] if one.tied],
         "only_fitted": any(s.split == "fit" for case in found.values() for s in case.values()),

@@ -27,7 +27,7 @@ from clothbench.modelling.joined import JoinedParameters
 from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
-from clothbench.recordings.scenes import scenes_of
+from clothbench.recordings.scenes import areal_density_of, scenes_of
 from clothbench.recordings.silhouette import Silhouettes
 from clothbench.studies.calibration.schema import PARAMETER, QUESTION
 
@@ -232,6 +232,7 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
             require_comparable(recording, name, plugins)
         for images in (r for r in mine if not isinstance(r, Recording)):
             require_readable(images, cell.tracker, plugins)
+            areal_density_of(images, cell.scene.get("areal_density"))
         simulated = [r for r in mine if isinstance(r, Recording | Silhouettes)]  # other images have to be tracked first
         scenes = [scene for recording in simulated for scene in scenes_of(recording, **cell.scene)]
         if any(plugins.find(kind, name).distribution != OWN for kind, name in uses(cell)):

@@ -32,7 +32,7 @@ def leaderboard(rows: Rows) -> str:
         ("floor", lambda c: floor(next((r for r in c if r["floor"] is not None), None)), True),
         ("unit", lambda c: text(c[0]["unit"]), False),
         ("evaluations", lambda c: text(c[0]["evaluations"]), True),
-        ("time [s]", lambda c: f"{c[0]['wall_s'] or 0.0:.1f}", True),
+        ("time [s]", lambda c: "" if c[0]["wall_s"] is None else f"{c[0]['wall_s']:.1f}", True),
         ("status", lambda c: _status(next((r for r in c if r["status"] != "ok"), c[0])), False),
         ("cell", lambda c: f"<code>{text(c[0]['key'][:8])}</code>", False),
     ]

@@ -114,8 +114,12 @@ def _unjudged(split: str, metric: str, rows: Rows) -> str:
 
 
 def ranked_cases(found: Mapping[str, Mapping[str, Standing]]) -> dict[str, Mapping[str, Standing]]:
-    """The cases that ways are ranked over: those without a recording of the split that counts are left out."""
-    return {n: case for n, case in found.items() if all(s.unjudged != NOTHING_HELD_OUT for s in case.values())}
+    """The cases that ways are ranked over: those in which every way has a recording of the split that counts; where
+    there are none, as of single runs on other recordings each, those in which some way has.
+    """
+    held = {n: [s.unjudged != NOTHING_HELD_OUT for s in case.values()] for n, case in found.items()}
+    whole = {n: case for n, case in found.items() if all(held[n])}
+    return whole or {n: case for n, case in found.items() if any(held[n])}
 
 
 def seeds_told(rows: Rows, metric: str, split: str | None = None) -> str:
@@ -126,7 +130,7 @@ def seeds_told(rows: Rows, metric: str, split: str | None = None) -> str:
     for fit in group(rows, lambda r: r["key"]).values():
         judged = [r for r in fit if r["recording"] and split in (None, r["split"])]
         values = [r["value"] for r in judged if r["metric"] == metric]
-        if values or not judged:  # else it was not judged by this metric
+        if values or not any(r["recording"] for r in fit):  # else it was not judged by this metric, or in this split
             asked += 1
             done += bool(values) and None not in values
     return f"{done} of {asked} seeds" if 0 < done < asked else ""

@@ -45,7 +45,8 @@ def run(cell: CalibrationCell, context: Context) -> Result:
     bench = dataclasses.replace(stages[len(fits) - 1], cell=cell)
     fit, spent = fits[-1], sum(fit.evaluations for fit in fits)
     if fit.status == "diverged":
-        return failure(cell, "diverged", _why_lost(bench), evaluations=spent, wall_s=fit.wall_s)
+        status, reason = _why_lost(bench, fit)
+        return failure(cell, status, reason, evaluations=spent, wall_s=fit.wall_s)
     if len(fits) > 1:
         fit = with_mesh(fits[0], fit, cell)
     return _scored(bench, fit, fits[:-1], context)
@@ -111,13 +112,26 @@ def write_pictures(
         cv2.imwrite(str(folder / f"{number} {name}.png"), cv2.cvtColor(at_most(picture), cv2.COLOR_RGB2BGR))
 
 
-def _why_lost(bench: Bench) -> str:
-    """What the model says of its own default parameters, where no parameters that were tried could be simulated."""
-    for trial in bench.of_split("fit"):
-        rollout = trial.simulation.run(bench.space.defaults[None])
+LOOKED_AT = 8  # parameter sets that are simulated again, where none came to a number
+
+
+def _why_lost(bench: Bench, fit: Fit) -> tuple[str, str]:
+    """Status and reason of a cell in which no parameters that were tried came to a number: what the model says of its
+    own default parameters, unless some of those that were tried can be simulated, so that it was the metric.
+    """
+    some = fit.theta[:: -(-len(fit.theta) // LOOKED_AT)]
+    runs = [trial.simulation.run(np.vstack([bench.space.defaults, some])) for trial in bench.of_split("fit")]
+    for number in range(1, len(some) + 1):
+        if all(rollout.status[number] == "ok" for rollout in runs):
+            metric = bench.trials[0].metric.name
+            return "error", (
+                f"metric {metric!r} gave no finite number for any parameter set, also where the cloth was simulated to "
+                "the end; choose another, or mend it"
+            )
+    for rollout in runs:
         if rollout.status[0] != "ok":
-            return rollout.reasons[0] if rollout.reasons else rollout.status[0]
-    return "no parameter set that was tried could be simulated"
+            return "diverged", rollout.reasons[0] if rollout.reasons else rollout.status[0]
+    return "diverged", "no parameter set that was tried could be simulated"
 
 
 def _rows_of(

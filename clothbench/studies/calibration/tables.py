@@ -49,8 +49,9 @@ def error_table(suite: str, rows: Rows) -> Table:
     cells = list(group(rows, lambda r: r["key"]).values())
     crowded = max((sum(bool(r["recording"]) for r in mine) for mine in cells), default=0) > MANY
     for mine in cells[:MOST]:
-        effort = f"{mine[0]['evaluations']} evaluations, {mine[0]['wall_s'] or 0.0:.1f} s"
-        table.add_row(f"[bold]{escape(cell_name(mine[0]))}[/] [dim]({effort})[/]")
+        effort = f" [dim]({mine[0]['evaluations']} evaluations, {mine[0]['wall_s'] or 0.0:.1f} s)[/]"
+        known = mine[0]["evaluations"] is not None  # of what others handed in it is not
+        table.add_row(f"[bold]{escape(cell_name(mine[0]))}[/]{effort if known else ''}")
         for row in mine:
             # Single recordings by the metric that was minimised; by the others the totals say enough.
             single = row["metric"] == row["objective"] and not (crowded and row["split"] == "fit")

@@ -91,7 +91,7 @@ def searched(
         "optimizers", problem.optimizer, begin, seed=problem.seed, budget=budget, **settings
     )
     tell = None if account is None else lambda count: account.stage(account.now, min(count, planned), planned)
-    trace = search(trials, optimizer, begin, tell, given_up, known=start is not None)
+    trace = search(trials, optimizer, begin, tell, given_up, known=start is not None, budget=budget)
     problem.checkpoint.keep(key, goal=np.array(goal), **vars(trace))
     return trace
 
@@ -209,8 +209,10 @@ def search(
     tell: Callable[[int], None] | None = None,
     given_up: Callable[[Trace], bool] = lambda trace: False,
     known: bool = False,
+    budget: int | None = None,
 ) -> Trace:
-    """All that the optimizer asks for until it ends or is `given_up`; `tell` hears how many points that is so far.
+    """All that the optimizer asks for until it ends, its budget is spent or it is `given_up`; `tell` hears how many
+    points that is so far.
 
     known: the space's defaults are a known point, which is simulated too where the optimizer does not begin there.
     """
@@ -218,7 +220,7 @@ def search(
     counts: list[int] = []
     squares, points = [], []
     trace = Trace(np.zeros(1, int), np.array([square]), theta[None])
-    for asked, evaluation in drive(optimizer, lambda theta: evaluate(trials, theta)[0]):
+    for asked, evaluation in drive(optimizer, lambda theta: evaluate(trials, theta)[0], budget):
         count += len(asked)
         best = int(np.argmin(np.where(np.isfinite(evaluation.value), evaluation.value, np.inf)))
         if known and not counts:

@@ -23,7 +23,7 @@ from clothbench.recordings.codec import kind_of
 from clothbench.recordings.curve import LAYOUT as CURVES
 from clothbench.recordings.curve import read_curve
 from clothbench.recordings.kinds import read_sheet
-from clothbench.recordings.scenes import refuse_stated_weight
+from clothbench.recordings.scenes import areal_density_of, refuse_stated_weight
 from clothbench.recordings.silhouette import LAYOUT as DRAPES
 from clothbench.reference.presets import Preset, preset
 from clothbench.studies.improve.candidates import candidates_of, names
@@ -56,9 +56,14 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     recordings = [read_kind(path, kind) for path in paths]
     if kind != CURVES.kind:
         refuse_stated_weight(recordings, settings["scene"].get("areal_density"))
+    cases = cases_of(recordings, settings)
+    if kind == "nodes" and not settings.get("prior"):  # a class of fabrics knows its weight
+        chosen = {source.path for sources in cases.values() for source in sources}
+        for recording in (r for r in recordings if r.path in chosen):
+            areal_density_of(recording, settings["scene"].get("areal_density"))
     return [
         cell_of(case, model, optimizer, kind, sources, settings, plugins)
-        for case, sources in cases_of(recordings, settings).items()
+        for case, sources in cases.items()
         for model in dict.fromkeys(settings["model"])
         for optimizer in dict.fromkeys(settings["optimizer"])
     ]
