@@ -11,6 +11,7 @@ import pytest
 from clothbench import Outlines, Silhouettes
 from clothbench.core.drape import outlines_of_points
 from clothbench.core.parameters import Parameter, ParameterSpace
+from clothbench.estimation.trials import Trial
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.scenes import drapes_of
 from clothbench.studies.improve.attribution import Probe
@@ -25,10 +26,19 @@ from clothbench.studies.improve.drape_quantities import (
     specimens_of,
     spread_of,
 )
-from clothbench.studies.improve.drapes import DrapeCase, DrapeEvidence, Drapemeter, quartered, turned
+from clothbench.studies.improve.drapes import (
+    DrapeCase,
+    DrapeError,
+    DrapeEvidence,
+    Drapemeter,
+    DrapeRollout,
+    quartered,
+    turned,
+)
 from clothbench.studies.improve.fitted import Fitted, jackknife_interval
 from clothbench.studies.improve.permutation import permutation_test
 from clothbench.studies.improve.problem import Problem, residuals
+from clothbench.studies.improve.refits import by_chance
 from clothbench.studies.improve.selection import Candidate, assess, choose, told_from_nothing
 from clothbench.studies.improve.settings import LOOP
 
@@ -116,6 +126,59 @@ def test_captures_of_one_drape_are_told_from_those_laid_on_anew():
     anew = alike([seen], [side], seed=0)
     assert [r["pairs"] for r in anew] == ["the two sides of a specimen", "different specimens"]
     assert all(r["p_value"] > 0.05 for r in anew)
+
+
+# --- chance -----------------------------------------------------------------------------------------------------------
+
+
+class Fixed:
+    """A simulation that always comes to the same quantities (S, Q)."""
+
+    def __init__(self, quantity):
+        self.quantity = quantity
+
+    def run(self, theta):
+        return DrapeRollout(self.quantity[None], ("ok",))
+
+
+def test_a_name_has_to_hold_from_every_other_first_shape():
+    found = evidence(up=0.003)
+    fitted = [case for case in found.cases if case.split == "fit"]
+    told = np.mean([case.specimen.mean for case in fitted], axis=0)
+    alike = np.repeat(told.mean(axis=0, keepdims=True), 2, axis=0)
+
+    def leaves(quantity):
+        return [
+            Trial(case.name, case.specimen, Fixed(quantity), DrapeError(case.specimen)) for case in fitted
+        ]  # fmt: skip
+
+    def why(*others):
+        problem = SimpleNamespace(
+            evidence=found, relaid=lambda: [SimpleNamespace(trials=lambda *_, o=one: leaves(o)) for one in others]
+        )
+        before = SimpleNamespace(residual=[residuals(t, np.zeros((1, 1)))[0] for t in leaves(alike)])
+        after = SimpleNamespace(effects=("curl",), theta=np.zeros(1))
+        return by_chance(problem, before, after, SimpleNamespace(count=lambda number: None))
+
+    assert why() == why(told, told) == ""
+    assert why(told, alike).startswith("does not hold from other first shapes: faces and threads stay as unlike")
+    assert why(told, np.full((2, 2), np.nan)) == "cannot be simulated from other first shapes"
+
+
+def test_other_first_shapes_are_simulated_anew():
+    found = evidence()
+    meter = found.cases[0].meter
+    other = (dataclasses.replace(meter.scenes[0], start=1.5 * meter.scenes[0].start),)
+    laid = DrapeEvidence(
+        tuple(dataclasses.replace(c, meter=dataclasses.replace(meter, others=(other,))) for c in found.cases)
+    )
+    model = catalogue().make("models", "mass_spring")
+    first = laid.cases[0].trial(model, (), None).simulation
+    (again,) = laid.relaid()
+    assert {c.meter.scenes for c in again.cases} == {other}
+    assert again.relaid() == []
+    assert again.cases[0].trial(model, (), None).simulation is not first
+    assert found.relaid() == []
 
 
 # --- symmetry --------------------------------------------------------------------------------------------------------

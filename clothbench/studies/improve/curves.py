@@ -112,6 +112,10 @@ class CurveEvidence:
         """A curve has no mesh."""
         return
 
+    def relaid(self) -> tuple[()]:
+        """Nothing is left to chance."""
+        return ()
+
     def noise(self) -> float:
         """σ of one step [N]: the spread between the fit recordings."""
         sigma = [case.observation.sigma for case in self.cases if case.split == "fit"]

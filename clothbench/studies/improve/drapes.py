@@ -127,8 +127,8 @@ class DrapeError:
 @dataclass(frozen=True, eq=False)
 class Drapemeter:
     """What all specimens of a fabric share. scenes: one for each first shape, face up; sides: which were up, of
-    `SIDES`; plate, disc: m; held: values of parameters that are not searched for; made: the simulation that was
-    prepared last.
+    `SIDES`; plate, disc: m; held: values of parameters that are not searched for; others: scenes of other first shapes,
+    which nothing is fitted with; made: the simulation that was prepared last.
     """
 
     scenes: tuple[Scene, ...]
@@ -136,6 +136,7 @@ class Drapemeter:
     plate: float
     disc: float
     held: Mapping[str, float] = field(default_factory=dict)
+    others: tuple[tuple[Scene, ...], ...] = ()
     made: dict[tuple[Any, ...], tuple[Any, DrapeSimulation]] = field(default_factory=dict)
 
     def simulation(self, model: Model, effects: Sequence[Effect]) -> DrapeSimulation:
@@ -243,6 +244,14 @@ class DrapeEvidence:
         the cloth is depends on it, and so do amounts: they are those of this mesh.)
         """
         return
+
+    def relaid(self) -> list[DrapeEvidence]:
+        """The same with each of the meter's other first shapes. What looks like two faces may be the folds of one: a
+        sheet next to instability falls from mirrored shapes into drapes that are no mirrored ones.
+        """
+        meter = self.cases[0].meter
+        meters = [dataclasses.replace(meter, scenes=scenes, others=(), made={}) for scenes in meter.others]
+        return [self.restricted([dataclasses.replace(c, meter=other) for c in self.cases]) for other in meters]
 
     def noise(self) -> float:
         """1: the spread between specimens is the unit."""

@@ -142,6 +142,12 @@ class Evidence(Protocol):
         """The same with cells of half the size; None where nothing is discretised."""
         ...
 
+    def relaid(self) -> Sequence[Self]:
+        """The same with other choices of what chance decides in a simulation, as of first shapes; none where nothing
+        is left to chance.
+        """
+        ...
+
     def noise(self) -> float:
         """σ of one element of a residual, base unit, over the fit recordings."""
         ...

@@ -25,7 +25,7 @@ from clothbench.studies.improve.jumps import in_another_valley, jump_along_valle
 from clothbench.studies.improve.problem import Problem
 from clothbench.studies.improve.profile import profile_intervals
 from clothbench.studies.improve.refinement import corrected, with_errors_of_mesh_and_model
-from clothbench.studies.improve.refits import as_a_limit, beside_tied
+from clothbench.studies.improve.refits import as_a_limit, beside_tied, by_chance
 from clothbench.studies.improve.rounds import one_round, withdrawn, witnessed_round
 from clothbench.studies.improve.selection import faulty, least_fall
 from clothbench.studies.improve.settings import LOOP
@@ -165,7 +165,7 @@ def confirmed(state: State, found: Round, account: Account) -> tuple[State, bool
     if why := beside_tied(state, found, account):
         return with_round(state, withdrawn(found, state.floor, why)), False
     fitted = continued(state.problem, found.after, account)
-    if why := as_a_limit(state.problem, fitted, account):
+    if why := as_a_limit(state.problem, fitted, account) or by_chance(state.problem, found.before, fitted, account):
         return with_round(state, withdrawn(found, state.floor, why)), False
     end, stands = with_errors_allowed_for(state, found, fitted, account)
     if not stands and (better := in_best_valley(state.problem, fitted, account)) is not fitted:

@@ -91,10 +91,12 @@ def evidence_of_drapes(
     nodes = cell.scene["resolution"]
     scenes = drapes_of(
         recordings[0], areal_density=cell.scene["areal_density"], air_density=cell.scene["air_density"],
-        resolution=(nodes, nodes), starts=FIRST_SHAPES,
+        resolution=(nodes, nodes), starts=FIRST_SHAPES + OTHER_SHAPES,
     )  # fmt: skip
-    scenes += [quartered(scene) for scene in scenes]
-    meter = Drapemeter(tuple(scenes), sides, recordings[0].plate_radius, recordings[0].disc_radius, cell.fixed)
+    first, *others = ((scene, quartered(scene)) for scene in scenes)
+    meter = Drapemeter(
+        first, sides, recordings[0].plate_radius, recordings[0].disc_radius, cell.fixed, tuple(others)
+    )  # fmt: skip
     return DrapeEvidence(
         tuple(
             DrapeCase(f"{source.name}, specimen {number}", source.split, specimen, meter)
@@ -138,6 +140,7 @@ def shape_of(recording: Recording, nodes: int) -> tuple[int, int]:
 # Beside it the same turned by a quarter, of each side: neither a drape coefficient nor an elongation hangs much on
 # which folds there are.
 FIRST_SHAPES = 1
+OTHER_SHAPES = 3  # each of which has to say the same of what is named
 EVIDENCE: Mapping[str, Callable[..., Evidence]] = {
     "nodes": evidence_of_sheets, "curve": evidence_of_curves, DRAPES.kind: evidence_of_drapes,
 }  # fmt: skip

@@ -85,6 +85,10 @@ class Problem:
             self, evidence=evidence, step_scale=scale, refinement=self.refinement + 1, corrections={}
         )
 
+    def relaid(self) -> list[Problem]:
+        """The same with each other choice of what chance decides in a simulation."""
+        return [dataclasses.replace(self, evidence=evidence) for evidence in self.evidence.relaid()]
+
     def _takes(self, option: str) -> bool:
         return takes_option(self.plugins.load("models", self.model), option)
 

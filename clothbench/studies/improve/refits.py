@@ -10,13 +10,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from clothbench.core.optional import limits_of
-from clothbench.estimation.trials import evaluate
+from clothbench.estimation.trials import evaluate, over
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.attribution import Probe, ridge_solution, shifted
 from clothbench.studies.improve.fitted import Fitted, solve_damped
 from clothbench.studies.improve.fitting import better_of, fit, multistart, polish
 from clothbench.studies.improve.jumps import jump_along_valley, off_bounds
-from clothbench.studies.improve.problem import Problem
+from clothbench.studies.improve.problem import Problem, residuals
 from clothbench.studies.improve.selection import Candidate, allowance, faulty, least_fall, parameters_of
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round, State
@@ -206,6 +206,21 @@ def as_a_limit(problem: Problem, fitted: Fitted, account: Account) -> str:
             if not np.isfinite(residual).all():
                 break
             where[others] += solve_damped(columns.T @ columns, -columns.T @ residual[0])
+    return ""
+
+
+def by_chance(problem: Problem, before: Fitted, fitted: Fitted, account: Account) -> str:
+    """Why the last effect of a fit is not to be named, or "": what it explains is not what simulations have in common
+    that chance has begun otherwise.
+    """
+    for other in problem.relaid():
+        trials = other.trials(fitted.effects, "fit")
+        residual = over(trials, lambda trial: residuals(trial, fitted.theta[None])[0])
+        account.count(1)
+        if not all(np.isfinite(r).all() for r in residual):
+            return "cannot be simulated from other first shapes"
+        if why := problem.evidence.objection(before.residual, residual):
+            return f"does not hold from other first shapes: {why}"
     return ""
 
 

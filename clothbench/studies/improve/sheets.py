@@ -168,6 +168,10 @@ class SheetEvidence:
         cases = [dataclasses.replace(case, scene=refined(case.scene)) for case in self.cases]
         return self.restricted(cases)
 
+    def relaid(self) -> tuple[()]:
+        """Nothing is left to chance."""
+        return ()
+
     def _fitted(self) -> list[SheetCase]:
         return [case for case in self.cases if case.split == "fit"]
 
