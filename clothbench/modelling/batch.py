@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.parallel import for_each
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.resting import RestShapes, rest_shapes
@@ -86,6 +87,12 @@ class GridSimulation:
         if self.cover is not None:
             area, (triangles, share) = self.cover.area.ravel(), self.cover.triangles(triangles)
         held = _nearest(self.uv, scene.grip_material)
+        if (area[held] == 0).any():
+            off = int(np.argmin(area[held]))
+            raise ClothbenchError(
+                f"grip_material {off} is at {tuple(scene.grip_material[off].tolist())} m, where the outline leaves "
+                "next to no cloth on this grid, expected some to hold; move the grip inwards, or change the resolution"
+            )
         still = np.setdiff1d(np.flatnonzero((area == 0) | self.clamped), held)
         return sheet_of(
             self.uv, scene.areal_density * area, area, triangles, scene.gravity, scene.air_density, held, still, share

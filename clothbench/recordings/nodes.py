@@ -212,7 +212,7 @@ def _check(r: Recording, where: str) -> None:
     for name in ("material", "grip_material"):
         check_points(arrays[name], name, size, where)
     check_overlap(r.time, r.grip_time, where)
-    check_supports(r.outline, r.thickness, size, where)
+    check_supports(r.outline, r.thickness, r.grip_material, size, where)
 
 
 def _check_video(r: Recording, where: str) -> None:
