@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import Observation
-from clothbench.core.optional import absent, takes_option, why_skipped
+from clothbench.core.optional import absent, options_of, takes_option, why_skipped
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Metric
 from clothbench.engine.cells import Skipped, Source, digest, seed_of
@@ -197,6 +197,19 @@ def uses(cell: CalibrationCell) -> list[tuple[str, str]]:
     return single + metrics + [("effects", name) for name in cell.effects]
 
 
+def options_for(cell: CalibrationCell, plugins: Catalogue, kind: str, name: str) -> dict[str, Any]:
+    """What the settings say to one plugin of a cell. Two of different kinds may bear one name, as the metric and the
+    tracker `drape` do: each gets what it knows. What neither knows goes to both, which refuse it.
+    """
+    given = cell.option(name)
+    others = {k for k, n in uses(cell) if n == name and k != kind}
+    if not given or not others:
+        return given
+    own = options_of(plugins.load(kind, name))
+    theirs = {option for other in others for option in options_of(plugins.load(other, name))}
+    return {option: value for option, value in given.items() if option in own or option not in theirs}
+
+
 @dataclass(frozen=True, eq=False)
 class Bench:
     """A cell with its plugins made and its recordings read: all that is needed to calibrate and to score."""
@@ -236,11 +249,11 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
         scenes = [scene for recording in simulated for scene in scenes_of(recording, **cell.scene)]
         if any(plugins.find(kind, name).distribution != OWN for kind, name in uses(cell)):
             return None
-        tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
+        tracker = plugins.make("trackers", cell.tracker, **options_for(cell, plugins, "trackers", cell.tracker))
         if isinstance(mine[0], Recording):  # images are tracked when the cell is run
             tracker.track(mine[0])
         for name in (cell.metric, *cell.report):
-            plugins.make("metrics", name, **cell.option(name))
+            plugins.make("metrics", name, **options_for(cell, plugins, "metrics", name))
         effects = [plugins.make("effects", name) for name in cell.effects]
         model = plugins.make("models", cell.model, **cell.option(cell.model))
         try:
@@ -289,8 +302,8 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
         raise Skipped(reason)
     model = plugins.make("models", cell.model, **cell.option(cell.model))
     effects: list[Effect] = [plugins.make("effects", name) for name in cell.effects]
-    metric = plugins.make("metrics", cell.metric, **cell.option(cell.metric))
-    tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
+    metric = plugins.make("metrics", cell.metric, **options_for(cell, plugins, "metrics", cell.metric))
+    tracker = plugins.make("trackers", cell.tracker, **options_for(cell, plugins, "trackers", cell.tracker))
     names = {source.hash: source.name for source in cell.recordings}
 
     def make(recording: Recording | Silhouettes, areal_density: float | None = None) -> Trial:
@@ -323,5 +336,9 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
         recordings.append(recording := looked_at(raw))
         trials.append(make(recording))
     space = begun(bounded(trials[0].simulation.parameters, cell.bounds), cell.start)
-    others = tuple(plugins.make("metrics", name, **cell.option(name)) for name in cell.report if name != cell.metric)
+    others = tuple(
+        plugins.make("metrics", name, **options_for(cell, plugins, "metrics", name))
+        for name in cell.report
+        if name != cell.metric
+    )
     return Bench(cell, space, tuple(recordings), tuple(trials), others, make)
