@@ -102,6 +102,26 @@ def test_a_sheet_cut_to_all_of_itself_is_the_sheet(factory):
     assert polygon == pytest.approx(plain, abs=5e-5)
 
 
+def test_cloth_without_a_middle_keeps_its_right_angles():
+    """A U of cloth, shaken by its upper corners: the node in the middle of the grid, which is none of it, weighs 0."""
+    lines = np.linspace(0, 0.3, 16)
+    outline = np.array([[0, 0], [0.3, 0], [0.3, 0.3], [0.22, 0.3], [0.22, 0.08], [0.08, 0.08], [0.08, 0.3], [0, 0.3]])
+    points = np.stack(np.meshgrid(lines[:5], lines), axis=-1).reshape(-1, 2)  # nodes of the left leg
+    grips, stamps = np.array([[0.0, 0.0], [0.3, 0.0]]), np.linspace(0, 0.4, 17)
+    at = np.stack([grips[:, 0], [0, 0], [1, 1]], axis=1)
+    shaken = at + 0.04 * np.sin(4 * np.pi * stamps)[:, None, None] * [1, 0, 0]
+    scene = Scene(
+        0.3, 0.3, DENSITY, stamps, grips, shaken, np.linspace(0, 0.4, 5), points, outline=outline, resolution=(16, 16)
+    )
+    model = Inextensible()
+    rollout = model.prepare(scene).run(model.parameters.defaults)
+    assert rollout.status == ("ok",)
+    x = rollout.position[0].reshape(5, 16, 5, 3)
+    along_u = (x[:, 1:, 1:] + x[:, :-1, 1:] - x[:, 1:, :-1] - x[:, :-1, :-1]) / 2
+    along_v = (x[:, 1:, 1:] + x[:, 1:, :-1] - x[:, :-1, 1:] - x[:, :-1, :-1]) / 2
+    assert np.abs((along_u * along_v).sum(axis=-1)).max() < 2e-3 * 0.02**2
+
+
 # --- falls and supports -----------------------------------------------------------------------------------------------
 
 
