@@ -201,3 +201,19 @@ def test_a_model_without_outlines_is_skipped_with_the_reason():
     scene = cut(disc_outline(0.15), 13, points=ring(0.15))
     assert why_skipped(MassSpring(), scene) is None
     assert "cut or a clamped cloth" in why_skipped(Whole(), scene)
+
+
+@pytest.mark.parametrize(
+    ("lacks", "change", "says"),
+    [
+        ("contact", {"obstacles": (Obstacle("plane"),)}, "knows no contact"),
+        ("self_contact", {"thickness": 1e-3}, "pass through each other"),
+    ],
+)
+def test_a_model_without_contact_is_skipped_with_the_reason(lacks, change, says):
+    class Bare(MassSpring):
+        capabilities = MassSpring.capabilities - {lacks}
+
+    scene = dataclasses.replace(cut(disc_outline(0.15), 13, points=ring(0.15)), **change)
+    assert why_skipped(MassSpring(), scene) is None
+    assert says in why_skipped(Bare(), scene)

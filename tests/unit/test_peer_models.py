@@ -173,6 +173,13 @@ def test_contact_is_a_reason_to_skip_a_scene(name):
         MODELS[name]().prepare(scene)
 
 
+def test_a_cut_sheet_is_refused(name):
+    scene = scenes.hanging()
+    scene = dataclasses.replace(scene, outline=np.array([[0, 0], [scene.width, 0], [0, scene.height]]))
+    with pytest.raises(ClothbenchError, match="whole rectangles"):
+        MODELS[name]().prepare(scene)
+
+
 def test_a_material_with_a_shear_of_its_own_is_refused():
     for make in MODELS.values():
         with pytest.raises(ClothbenchError, match="no parameter for 20 N/m beside 100 N/m"):

@@ -42,6 +42,8 @@ def reason_to_skip(module: str, scene: Scene) -> str | None:
     """What to install, or why a simulator without contact cannot do a scene; None if nothing is in the way."""
     if reason := missing(module, module):
         return reason
+    if scene.outline is not None:
+        return f"{module}: is set up for whole rectangles here, and this scene's cloth is cut"
     if scene.obstacles or scene.thickness > 0:
         return f"{module}: is set up without contacts here, and this scene has some"
     return None
