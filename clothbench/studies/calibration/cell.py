@@ -23,6 +23,7 @@ from clothbench.estimation.placements import joined
 from clothbench.estimation.prior import begun
 from clothbench.estimation.trials import Trial
 from clothbench.estimation.watched import require_comparable, require_readable, watched
+from clothbench.modelling.curves import needs_a_picture
 from clothbench.modelling.joined import JoinedParameters
 from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
 from clothbench.recordings.kinds import read_sheet
@@ -255,6 +256,8 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
         for name in (cell.metric, *cell.report):
             plugins.make("metrics", name, **options_for(cell, plugins, "metrics", name))
         effects = [plugins.make("effects", name) for name in cell.effects]
+        if simulated:
+            refuse_unseen(effects, [scene.camera is not None for scene in scenes])
         model = plugins.make("models", cell.model, **cell.option(cell.model))
         try:
             simulation: Any = (
@@ -273,6 +276,18 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
         raise
     except Exception:
         return None
+
+
+def refuse_unseen(effects: Sequence[Effect], pictures: Sequence[bool]) -> None:
+    """An effect of a camera's picture where no recording was seen in one: whatever is found for it means nothing.
+
+    pictures: of each scene, whether its points were seen in a picture.
+    """
+    if not any(pictures) and (blind := next((e.name for e in effects if needs_a_picture(e)), None)):
+        raise ClothbenchError(
+            f"setting 'effects': {blind!r} acts on points that were seen in a camera's picture, and these recordings "
+            "have places in space; take it out"
+        )
 
 
 def refuse_without_start(cell: CalibrationCell, plugins: Catalogue) -> None:
@@ -310,6 +325,7 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
         if recording.hash not in seen:  # of another case, which the fit is held against
             recording = looked_at(recording)
         scenes = scenes_of(recording, **cell.judged)
+        pictures.extend(scene.camera is not None for scene in scenes)
         if areal_density is not None:
             scenes = [dataclasses.replace(scene, areal_density=areal_density) for scene in scenes]
         if reason := next(filter(None, (why_skipped(model, scene) for scene in scenes)), None):
@@ -327,6 +343,7 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
         return recording
 
     recordings: list[Recording | Silhouettes] = []
+    pictures: list[bool] = []
     seen: dict[str, Observation] = {}
     trials = []
     for source in cell.recordings:
@@ -335,6 +352,7 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
             raise ClothbenchError(f"{source.path}: changed on disk since the suite was planned; run it again")
         recordings.append(recording := looked_at(raw))
         trials.append(make(recording))
+    refuse_unseen(effects, pictures)
     space = begun(bounded(trials[0].simulation.parameters, cell.bounds), cell.start)
     others = tuple(
         plugins.make("metrics", name, **options_for(cell, plugins, "metrics", name))
