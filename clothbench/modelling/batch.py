@@ -202,8 +202,14 @@ class GridSimulation:
 
     @property
     def slowest(self) -> float:
-        """ω₁ of the hanging sheet, (2.4048/2)√(g/L) [rad/s]; where nothing pulls it down, that of a gentle pull."""
-        length = self.scene.height
+        """ω₁ of the hanging sheet, (2.4048/2)√(g/L) [rad/s]; where nothing pulls it down, that of a gentle pull.
+
+        L is the height of the sheet; or how far it reaches beside its grips, if that is more and nobody saw how it
+        hangs: a strip clamped at its side turns all the way down from its first guess.
+        """
+        length, held = self.scene.height, self.scene.grip_material[:, 0]
+        if self.scene.start is None and len(held):
+            length = max(length, float(held.min()), self.scene.width - float(held.max()))
         if self.clamped.any():  # only what hangs over the rim swings
             length = min(length, -float(_beyond_rims(self.scene, self._first_shape).min()))
         return 1.2024 * math.sqrt(max(float(np.linalg.norm(self.scene.gravity)), 1.0) / length)
