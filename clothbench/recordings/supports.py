@@ -103,8 +103,8 @@ SUPPORTS = {
 def check_supports(
     outline: np.ndarray | None, thickness: float | None, grips: np.ndarray, size: np.ndarray, where: str
 ) -> None:
-    """The outline lies within the sheet of that size (2,) m, encloses something, and has the grips (G, 2) m on it; the
-    thickness is a length.
+    """The outline lies within the sheet of that size (2,) m, encloses something, and has the grips (G, 2) m that hold
+    cloth on it; the thickness is a length.
     """
     if outline is not None:
         try:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import swinging_recording
 
-from clothbench import ClothbenchError, Scene
+from clothbench import ClothbenchError, Obstacle, Scene
 from clothbench.core.scene import initial_shape
 from clothbench.recordings.scenes import scene_of
 
@@ -97,6 +97,13 @@ def test_clamps_may_stand_a_little_over_the_hem():
     over = np.array([[0.103, 0.103], [-0.003, 0.0]])  # of the notch's corner, of the sheet's
     made = Scene(0.2, 0.2, 0.2, time, over, np.zeros((2, 2, 3)), time, points, outline=CUT)
     assert len(made.grip_material) == 2
+
+
+def test_grips_that_carry_something_need_not_hold_cloth():
+    time, points, off = np.array([0.0, 1.0]), np.zeros((1, 2)), np.array([[0.2, 0.2]])
+    body = Obstacle("plane", carried=True)
+    made = Scene(0.2, 0.2, 0.2, time, off, np.zeros((2, 1, 3)), time, points, outline=CUT, obstacles=(body,))
+    assert len(made.grip_material) == 1
 
 
 def test_slack_between_grips_bends_the_first_guess_into_an_arc():
