@@ -245,7 +245,13 @@ def why_skipped(model: Any, scene: Scene) -> str | None:
         return "the model simulates whole rectangles held by grips, and the scene has a cut or a clamped cloth"
     if any(o.carried for o in scene.obstacles) and "carried_contact" not in model.capabilities:
         return "the model knows no obstacle that moves, and the grips of the scene carry one"
-    return model.skip(scene) if isinstance(model, RefusesScenes) else None
+    if isinstance(model, RefusesScenes) and (reason := model.skip(scene)):
+        return reason
+    if any(not o.clamps for o in scene.obstacles) and "contact" not in model.capabilities:
+        return "the model knows no contact, and the scene has an obstacle that the cloth cannot enter"
+    if scene.thickness > 0 and "self_contact" not in model.capabilities:
+        return "the model's layers pass through each other, and the scene gives them a thickness"
+    return None
 
 
 def textile_of(model: Any, textile: str | None) -> tuple[dict[str, tuple[float, float]], dict[str, float]]:

@@ -47,14 +47,29 @@ def checked_outline(outline: np.ndarray, width: float, height: float) -> np.ndar
     return outline if area > 0 else outline[::-1].copy()
 
 
+def first_off(outline: np.ndarray, points: np.ndarray, slack: np.ndarray) -> int | None:
+    """Number of the first of some points (N, 2) m that lies outside the outline (M, 2) m and farther from it than
+    `slack` (2,) m along u and v; None if there is none.
+    """
+    for k in np.flatnonzero(~within(outline, points)):
+        if _apart(outline / slack, points[k : k + 1] / slack).min() > 1:
+            return int(k)
+    return None
+
+
+def _apart(outline: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """How far points (N, 2) m are from each side of an outline (M, 2) m, (M, N) m."""
+    side = np.roll(outline, -1, axis=0) - outline
+    to = points[None] - outline[:, None]  # from the begin of each side to each point, (side, point, 2)
+    along = (to * side[:, None]).sum(axis=-1) / np.maximum((side**2).sum(axis=-1), 1e-300)[:, None]
+    return np.linalg.norm(to - np.clip(along, 0.0, 1.0)[..., None] * side[:, None], axis=-1)
+
+
 def _touching(outline: np.ndarray, slack: float) -> tuple[int, int] | None:
     """The first corner that lies within `slack` m of a side that does not end in it, and that side; None of a simple
     polygon.
     """
-    side = np.roll(outline, -1, axis=0) - outline
-    to = outline[:, None] - outline[None]  # from the begin of each side to each corner, (corner, side, 2)
-    share = np.clip((to * side).sum(axis=-1) / np.maximum((side**2).sum(axis=-1), 1e-300), 0.0, 1.0)
-    away = np.linalg.norm(to - share[..., None] * side, axis=-1)
+    away = _apart(outline, outline).T
     corner = np.arange(len(outline))
     away[corner, corner] = away[corner, corner - 1] = np.inf
     found = np.argwhere(away <= slack)

@@ -12,6 +12,17 @@ import numpy as np
 from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.outline import checked_outline
+from clothbench.core.scene_rules import (
+    as_array,
+    check_gravity,
+    check_grips,
+    check_number,
+    check_points,
+    check_resolution,
+    check_stamps,
+    grip_off,
+    is_triple,
+)
 
 AIR_DENSITY = 1.2  # kg/m³, dry air at 20 °C
 HEAVIEST = 5.0  # kg/m², of any cloth
@@ -48,7 +59,7 @@ class Obstacle:
         if not (math.isfinite(self.friction) and self.friction >= 0):
             raise ClothbenchError(f"obstacle: friction is {self.friction}, expected 0 or above")
         for name in ("centre", "normal"):
-            if not _is_triple(getattr(self, name)):
+            if not is_triple(getattr(self, name)):
                 raise ClothbenchError(f"obstacle: {name} is {getattr(self, name)!r}, expected three finite numbers")
         for name in ("clamps", "carried"):  # any text would be taken for yes
             if not isinstance(getattr(self, name), bool):
@@ -61,15 +72,6 @@ class Obstacle:
         if self.clamps and self.carried:
             raise ClothbenchError("obstacle: a disc that clamps the cloth stands still and cannot be carried by grips")
         object.__setattr__(self, "normal", tuple(c / length for c in self.normal))
-
-
-def _is_triple(value: Any) -> bool:
-    """Whether it is three finite numbers."""
-    try:
-        numbers = np.array(value)
-    except ValueError:  # lists of unequal lengths
-        return False
-    return numbers.shape == (3,) and numbers.dtype.kind in "iuf" and bool(np.isfinite(numbers).all())
 
 
 def obstacles_of(stated: Sequence[Obstacle | Mapping[str, Any]]) -> tuple[Obstacle, ...]:
@@ -119,25 +121,34 @@ class Scene:
     def __post_init__(self) -> None:
         for name in ("grip_time", "grip_material", "grip_position", "times", "points", "start", "velocity"):
             if (value := getattr(self, name)) is not None:
-                array = np.array(value, dtype=float)
-                array.flags.writeable = False
-                object.__setattr__(self, name, array)
+                object.__setattr__(self, name, as_array(name, value))
         for name in ("width", "height", "areal_density"):
-            value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
-                raise ClothbenchError(f"scene: {name} is {value}, expected a number above 0")
-        if self.times.ndim != 1 or self.times.size == 0 or (np.diff(self.times) <= 0).any():
-            raise ClothbenchError("scene: times must be a strictly increasing list of seconds")
-        if not (math.isfinite(self.thickness) and self.thickness >= 0):
-            raise ClothbenchError(f"scene: thickness is {self.thickness}, expected metres, 0 or above")
-        if any(o.carried for o in self.obstacles) and not self.grip_material.size:
-            raise ClothbenchError("scene: an obstacle is carried by the grips, and the scene has none")
+            check_number(name, getattr(self, name), above_zero=True)
+        for name in ("thickness", "air_density"):
+            check_number(name, getattr(self, name))
+        check_gravity(self.gravity)
+        check_resolution(self.resolution)
+        check_stamps("times", self.times)
+        check_points(self.points, [("start", self.start), ("velocity", self.velocity)])
+        size = np.array([self.width, self.height])
+        check_grips(self.grip_time, self.grip_material, self.grip_position, size)
+        self._check_surroundings()
         if self.outline is not None:
             outline = checked_outline(self.outline, self.width, self.height)
             outline.flags.writeable = False
             object.__setattr__(self, "outline", outline)
-        if self.resolution is not None and min(self.resolution) < 3:
-            raise ClothbenchError(f"scene: resolution is {self.resolution}, expected at least 3 nodes each way")
+            carry = any(o.carried for o in self.obstacles)  # then grips need not hold any cloth
+            if not carry and (fault := grip_off(outline, self.grip_material, size)):
+                raise ClothbenchError(f"scene: {fault}")
+
+    def _check_surroundings(self) -> None:
+        for obstacle in self.obstacles:
+            if not isinstance(obstacle, Obstacle):
+                raise ClothbenchError(
+                    f"scene: obstacles hold a {type(obstacle).__name__}, expected clothbench.Obstacle"
+                )
+        if any(o.carried for o in self.obstacles) and not self.grip_material.size:
+            raise ClothbenchError("scene: an obstacle is carried by the grips, and the scene has none")
 
     @property
     def start_time(self) -> float:

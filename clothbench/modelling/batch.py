@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.parallel import for_each
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.resting import RestShapes, rest_shapes
@@ -39,6 +40,7 @@ from clothbench.modelling.time_loop import (
 
 MAX_STEPS = 20_000_000
 NEAR_DISC = 0.1  # radii over or under a disc at which a sheet still counts as lying on it
+DENT = 1e-3  # of the sheet's size, by which a flat first guess is bent
 LOST = 20.0  # cloth sizes from the start at which a sheet has blown up
 
 
@@ -86,6 +88,12 @@ class GridSimulation:
         if self.cover is not None:
             area, (triangles, share) = self.cover.area.ravel(), self.cover.triangles(triangles)
         held = _nearest(self.uv, scene.grip_material)
+        if (area[held] == 0).any() and not any(o.carried for o in scene.obstacles):
+            off = int(np.argmin(area[held]))
+            raise ClothbenchError(
+                f"grip_material {off} is at {tuple(scene.grip_material[off].tolist())} m, where the outline leaves "
+                "next to no cloth on this grid, expected some to hold; move the grip inwards, or change the resolution"
+            )
         still = np.setdiff1d(np.flatnonzero((area == 0) | self.clamped), held)
         return sheet_of(
             self.uv, scene.areal_density * area, area, triangles, scene.gravity, scene.air_density, held, still, share
@@ -109,7 +117,23 @@ class GridSimulation:
 
     @cached_property
     def _first_shape(self) -> np.ndarray:
-        return initial_shape(self.scene, self.uv)
+        shape = initial_shape(self.scene, self.uv)
+        few = 2 <= len(self.scene.grip_material) < min(self.shape)
+        return self._dented(shape) if few and self.scene.start is None else shape
+
+    def _dented(self, shape: np.ndarray) -> np.ndarray:
+        """A first guess (n, 3) m that is exactly flat, a little out of its plane by a pattern without symmetry.
+
+        Held by a few points as far apart as they are on the cloth, it would stay in its plane on an unstable balance,
+        and rounding, which is another wherever the room stands, would say whether and where it leaves it.
+        """
+        normal = np.cross(shape[1] - shape[0], shape[self.shape[0]] - shape[0])
+        normal /= np.linalg.norm(normal)
+        if np.ptp(shape @ normal) > 1e-9 * max(self.scene.width, self.scene.height):
+            return shape
+        u, v = (self.uv / [self.scene.width, self.scene.height]).T
+        pattern = np.sin(1 + 2.3 * u) * np.cos(0.7 + 3.1 * v)
+        return shape + DENT * min(self.scene.width, self.scene.height) * pattern[:, None] * normal
 
     @cached_property
     def start(self) -> tuple[np.ndarray, np.ndarray]:
@@ -195,8 +219,14 @@ class GridSimulation:
 
     @property
     def slowest(self) -> float:
-        """ω₁ of the hanging sheet, (2.4048/2)√(g/L) [rad/s]; where nothing pulls it down, that of a gentle pull."""
-        length = self.scene.height
+        """ω₁ of the hanging sheet, (2.4048/2)√(g/L) [rad/s]; where nothing pulls it down, that of a gentle pull.
+
+        L is the height of the sheet; or how far it reaches beside its grips, if that is more and nobody saw how it
+        hangs: a strip clamped at its side turns all the way down from its first guess.
+        """
+        length, held = self.scene.height, self.scene.grip_material[:, 0]
+        if self.scene.start is None and len(held):
+            length = max(length, float(held.min()), self.scene.width - float(held.max()))
         if self.clamped.any():  # only what hangs over the rim swings
             length = min(length, -float(_beyond_rims(self.scene, self._first_shape).min()))
         return 1.2024 * math.sqrt(max(float(np.linalg.norm(self.scene.gravity)), 1.0) / length)

@@ -198,14 +198,15 @@ def put_grips(out, points, of_points, knots, curve, t):
 def write_frames(x0, v0, x1, v1, t0, t1, done, sampling, grips):
     """Write the frames due up to t1, on the cubic through positions and velocities at t0 and t1 (Hermite).
 
-    Points that lie on a grip are put where the grip is, exactly. Returns how many frames are written.
+    Frames before a run begins, t0 = t1, look back along v1: a sheet that was seen to move came from somewhere. Points
+    that lie on a grip are put where the grip is, exactly. Returns how many frames are written.
     """
     index, weight, times, out = sampling.index, sampling.weight, sampling.times, sampling.out
     while done < times.shape[0] and times[done] <= t1:
         h = t1 - t0
         s = min(max((times[done] - t0) / h, 0.0), 1.0) if h > 0.0 else 1.0
         a, b = (1.0 + 2.0 * s) * (1.0 - s) ** 2, s * s * (3.0 - 2.0 * s)
-        p, q = s * (1.0 - s) ** 2 * h, s * s * (s - 1.0) * h
+        p, q = s * (1.0 - s) ** 2 * h, s * s * (s - 1.0) * h if h > 0.0 else times[done] - t1
         for n in range(index.shape[0]):
             for c in range(3):
                 total = 0.0

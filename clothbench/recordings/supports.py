@@ -20,6 +20,7 @@ import numpy as np
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.outline import checked_outline
 from clothbench.core.scene import Obstacle
+from clothbench.core.scene_rules import grip_off
 from clothbench.recordings.codec import number
 from clothbench.recordings.layout import Arrays, Part, Stated, Variable
 from clothbench.recordings.nodes_rules import check_near, check_shapes
@@ -99,12 +100,18 @@ SUPPORTS = {
 }  # fmt: skip
 
 
-def check_supports(outline: np.ndarray | None, thickness: float | None, size: np.ndarray, where: str) -> None:
-    """The outline lies within the sheet of that size (2,) m and encloses something; the thickness is a length."""
+def check_supports(
+    outline: np.ndarray | None, thickness: float | None, grips: np.ndarray, size: np.ndarray, where: str
+) -> None:
+    """The outline lies within the sheet of that size (2,) m, encloses something, and has the grips (G, 2) m that hold
+    cloth on it; the thickness is a length.
+    """
     if outline is not None:
         try:
             checked_outline(outline, float(size[0]), float(size[1]))
         except ClothbenchError as fault:
             raise ClothbenchError(f"{where}: variable 'outline': {fault}") from None
+        if off := grip_off(outline, grips, size):
+            raise ClothbenchError(f"{where}: variable 'outline': {off}")
     if thickness is not None and not (np.isfinite(thickness) and thickness >= 0):
         raise ClothbenchError(f"{where}: attribute 'thickness': found {thickness}, expected metres, 0 or above")

@@ -59,6 +59,10 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
         (("run", "recording=good.nc", "optimizer=ga", "metric=node_error"), "setting 'model' is empty"),
         (("run", "recording=good.nc", *CELL, "effects=[quadratic_drag,quadratic_drag]"), "given twice"),
         (
+            ("run", "recording=good.nc", *CELL, "effects=[rolling_shutter]"),
+            "'rolling_shutter' acts on points that were",
+        ),
+        (
             ("import", "unknown_set"),
             "unknown_set: no such file or folder, and no data set 'unknown_set'; known: cusick",
         ),

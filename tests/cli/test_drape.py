@@ -82,6 +82,9 @@ def test_another_choice_is_another_cell(clothbench, drapes):
         (("metric=node_error",), "take metric=drape"),
         (("choice=best",), "expected one of nearest, knee"),
         (("scene.start=measured",), "says nothing to recordings of kind 'silhouette'"),
+        (("+options.drape.center=[89,89]",), "no option 'center'"),
+        (("+options.drape.starts=0",), "starts is 0"),
+        (("+options.drape.centre=left",), "centre is 'left'"),
     ],
 )
 def test_what_does_not_fit_together_is_one_line(clothbench, drapes, settings, says):
@@ -89,6 +92,14 @@ def test_what_does_not_fit_together_is_one_line(clothbench, drapes, settings, sa
     assert done.returncode == 2, done.stdout + done.stderr
     assert says in done.stderr
     assert "Traceback" not in done.stderr
+
+
+def test_metric_and_tracker_of_one_name_get_their_own_options(clothbench, drapes):
+    own = ("+options.drape.starts=2", "+options.drape.quantities=[folds,depth]", "+options.drape.centre=[89.5,89.5]")
+    done = clothbench("run", *RUN, "optimizer=simple_ea", "recordings=drapes", *own, "rerun=false")
+    assert done.returncode == 0, done.stdout + done.stderr
+    (front,) = (pd.read_parquet(path) for path in drapes.parent.glob("**/front.parquet"))
+    assert set(front["objective"]) == {"folds", "depth"}
 
 
 def test_the_metric_refuses_sheets(clothbench, recording, tmp_path):

@@ -176,6 +176,38 @@ def test_slack_cloth_hangs_in_an_arc_and_is_not_squeezed_in_its_plane(slack):
     assert apart[2] < 0.004  # two models of one material
 
 
+@pytest.mark.parametrize("make", [MassSpring, MassSpringVerlet], ids=lambda make: make.name)
+def test_a_strip_clamped_at_its_side_comes_to_rest_as_one_clamped_at_its_top(make):
+    """Level at its end it turns down by its whole length, whichever of its sides is called the height."""
+    length, width = 0.6, 0.1
+    held = np.array([[0.0, 0.0], [0.0, width], [0.05, 0.0], [0.05, width]])
+    place, time = np.pad(held, ((0, 0), (0, 1))), np.array([0.0, 1.0])
+    tips = []
+    for across in (False, True):
+        way = slice(None, None, -1) if across else slice(None)
+        strip = Scene(
+            *(length, width)[way], 0.2, time, held[:, way], np.stack([place, place]), np.array([0.0]),
+            np.array([[length, width / 2]])[:, way], resolution=(25, 5)[way],
+        )  # fmt: skip
+        simulation = make().prepare(strip)
+        tips.append(finished(simulation, simulation.parameters.defaults)[0, 0, 0])
+    assert np.linalg.norm(tips[0] - tips[1]) < 2e-3
+
+
+@each_model
+def test_where_the_room_stands_does_not_say_how_a_taut_sheet_buckles(make):
+    """Held by two corners exactly as far apart as it is wide, it balances in its plane; rounding must not decide."""
+    here, moved = scene(), np.array([0.1, 0.2, 0.3])
+    still = dataclasses.replace(here, grip_position=np.repeat(here.grip_position[:1], 11, axis=0))
+    there = dataclasses.replace(still, grip_position=still.grip_position + moved)
+    rest = []
+    for one in (still, there):
+        simulation = prepared(make, where=one)
+        rest.append(finished(simulation, simulation.parameters.defaults)[0, 0])
+    assert np.abs(rest[0][:, 1]).max() > 1e-4  # it has left the plane
+    np.testing.assert_allclose(rest[1], rest[0] + moved, atol=1e-5)
+
+
 def test_a_sheet_that_a_wind_keeps_moving_is_lost_and_says_so():
     """It would else begin anywhere, as if that were rest; in a light wind it hangs still."""
     hanging = scenes.hanging()

@@ -102,6 +102,26 @@ def test_a_sheet_cut_to_all_of_itself_is_the_sheet(factory):
     assert polygon == pytest.approx(plain, abs=5e-5)
 
 
+def test_cloth_without_a_middle_keeps_its_right_angles():
+    """A U of cloth, shaken by its upper corners: the node in the middle of the grid, which is none of it, weighs 0."""
+    lines = np.linspace(0, 0.3, 16)
+    outline = np.array([[0, 0], [0.3, 0], [0.3, 0.3], [0.22, 0.3], [0.22, 0.08], [0.08, 0.08], [0.08, 0.3], [0, 0.3]])
+    points = np.stack(np.meshgrid(lines[:5], lines), axis=-1).reshape(-1, 2)  # nodes of the left leg
+    grips, stamps = np.array([[0.0, 0.0], [0.3, 0.0]]), np.linspace(0, 0.4, 17)
+    at = np.stack([grips[:, 0], [0, 0], [1, 1]], axis=1)
+    shaken = at + 0.04 * np.sin(4 * np.pi * stamps)[:, None, None] * [1, 0, 0]
+    scene = Scene(
+        0.3, 0.3, DENSITY, stamps, grips, shaken, np.linspace(0, 0.4, 5), points, outline=outline, resolution=(16, 16)
+    )
+    model = Inextensible()
+    rollout = model.prepare(scene).run(model.parameters.defaults)
+    assert rollout.status == ("ok",)
+    x = rollout.position[0].reshape(5, 16, 5, 3)
+    along_u = (x[:, 1:, 1:] + x[:, :-1, 1:] - x[:, 1:, :-1] - x[:, :-1, :-1]) / 2
+    along_v = (x[:, 1:, 1:] + x[:, 1:, :-1] - x[:, :-1, 1:] - x[:, :-1, :-1]) / 2
+    assert np.abs((along_u * along_v).sum(axis=-1)).max() < 2e-3 * 0.02**2
+
+
 # --- falls and supports -----------------------------------------------------------------------------------------------
 
 
@@ -181,3 +201,19 @@ def test_a_model_without_outlines_is_skipped_with_the_reason():
     scene = cut(disc_outline(0.15), 13, points=ring(0.15))
     assert why_skipped(MassSpring(), scene) is None
     assert "cut or a clamped cloth" in why_skipped(Whole(), scene)
+
+
+@pytest.mark.parametrize(
+    ("lacks", "change", "says"),
+    [
+        ("contact", {"obstacles": (Obstacle("plane"),)}, "knows no contact"),
+        ("self_contact", {"thickness": 1e-3}, "pass through each other"),
+    ],
+)
+def test_a_model_without_contact_is_skipped_with_the_reason(lacks, change, says):
+    class Bare(MassSpring):
+        capabilities = MassSpring.capabilities - {lacks}
+
+    scene = dataclasses.replace(cut(disc_outline(0.15), 13, points=ring(0.15)), **change)
+    assert why_skipped(MassSpring(), scene) is None
+    assert says in why_skipped(Bare(), scene)

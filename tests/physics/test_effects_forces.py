@@ -272,6 +272,16 @@ def test_what_hangs_on_cut_cloth_hangs_on_cloth():
     assert np.linalg.norm(sheet.uv[button > 0] - radius, axis=1).max() < 1.1 * radius
 
 
+def test_a_hem_runs_along_the_end_of_a_sheet_that_was_cut_shorter():
+    cut, shorter = scenes.cut_and_short()
+    for scene in (cut, shorter):
+        sheet = catalogue().make("models", "baraff_witkin").prepare(scene).sheet
+        x = np.ascontiguousarray(np.column_stack([sheet.uv, np.zeros(len(sheet.uv))]).T)
+        hem = push(effect_named("heavy_hem"), (0.5, 0.02), sheet, x, 0 * x)[2] / -9.81
+        assert hem.sum() == pytest.approx(0.5 * 0.02 * shorter.width, rel=0.015)
+        assert hem @ sheet.uv[:, 1] / hem.sum() == pytest.approx(shorter.height - 0.01, rel=0.02)
+
+
 def test_gravity_turns_about_x_then_y(crumpled):
     sheet, x, v = crumpled
     added = push(effect_named("gravity_tilt"), (0.1, -0.05), sheet, x, v) / sheet.mass

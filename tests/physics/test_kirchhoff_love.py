@@ -273,6 +273,8 @@ def test_bad_options_and_scenes_are_one_line():
     on_a_ball = dataclasses.replace(scenes.hanging(), obstacles=(Obstacle("sphere", radius=0.1),))
     with pytest.raises(ClothbenchError, match="on no disc or sphere"):
         KirchhoffLove().prepare(on_a_ball)
+    with pytest.raises(ClothbenchError, match="its sheet is a whole rectangle"):
+        KirchhoffLove().prepare(scenes.cut_and_short()[0])
     with pytest.raises(ClothbenchError, match="lets a folded sheet roll open on smooth ground"):
         KirchhoffLove().prepare(strips.folded(1e-5, 33))
     with pytest.raises(ClothbenchError, match="loop is 'bow'"):

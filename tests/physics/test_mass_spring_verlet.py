@@ -170,4 +170,4 @@ def test_a_strip_of_a_material_stretches_by_its_own_weight():
 
 def test_it_has_no_bending_rigidity_to_offer():
     with pytest.raises(ClothbenchError, match="no small-strain bending"):
-        MassSpringVerlet().of_material(Material(1e-6, 300.0, 80.0), hung(0.1, 0.1, np.array([0.0]), (5, 5)))
+        MassSpringVerlet().of_material(Material(1e-6, 300.0, 80.0), hung(0.1, 0.1, np.array([0.0, 0.1]), (5, 5)))

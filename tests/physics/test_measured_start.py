@@ -36,6 +36,26 @@ def swung(times: np.ndarray) -> Scene:
 
 
 @pytest.mark.parametrize(("name", "options"), MODELS, ids=lambda case: str(case))
+def test_before_it_was_seen_a_sheet_came_from_where_it_flies_to(name, options):
+    """What a clock that runs behind looks at is earlier than the first stamp, from which the run goes on."""
+    if name in ("mujoco", "newton"):
+        pytest.importorskip(name)
+    model, late = catalogue().make("models", name, **options), catalogue().make("effects", "clock_offset")
+    times, flying = np.array([0.0, 0.02, 0.04, 0.06]), np.tile([0.0, 1.0, 0.0], (len(UV), 1))
+    start = np.stack([UV[:, 0], 0 * UV[:, 0], -UV[:, 1]], axis=1)
+    free = Scene(
+        *SIZE, 0.2, np.array([0.0, 1.0]), np.zeros((0, 2)), np.zeros((2, 0, 3)), times, UV, (0.0, 0.0, 0.0),
+        resolution=SHAPE, start=start, velocity=flying, air_density=0.0,
+    )  # fmt: skip
+    simulation = model.prepare(free, (late,))
+    theta = simulation.parameters.defaults.copy()
+    theta[[k for k, one in enumerate(simulation.parameters.names) if "drag" in one or "air" in one]] = 0.0
+    theta[-1] = 0.04
+    seen = simulation.run(theta).position[0, :, :, 1].mean(axis=1)
+    assert seen == pytest.approx(times - 0.04, abs=2e-3)
+
+
+@pytest.mark.parametrize(("name", "options"), MODELS, ids=lambda case: str(case))
 def test_a_run_goes_on_where_it_was_cut(name, options):
     if name in ("mujoco", "newton"):
         pytest.importorskip(name)

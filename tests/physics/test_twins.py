@@ -259,7 +259,7 @@ def test_a_cut_sheet_leaves_whole_with_what_clamps_it(tmp_path):
 
 def test_what_is_around_the_cloth_is_written_or_a_line(held):
     around = (Obstacle("plane"), Obstacle("sphere", radius=0.1, carried=True))
-    outline = np.array([[0.0, 0.0], [0.2, 0.0], [0.0, 0.2]])
+    outline = np.array([[0.0, 0.0], [held[0].scene.width, 0.0], [0.0, 0.2]])  # with both grips
     scene = dataclasses.replace(held[0].scene, obstacles=around, thickness=1e-3, outline=outline)
     twin = dataclasses.replace(held[0], scene=scene)
     lines = twin.unheld("a reader")

@@ -120,6 +120,12 @@ def test_a_search_that_begins_at_the_defaults_has_not_looked_around(name):
         assert (calibrate([bowl_trial()], search, SPACE, bounded=False).looked == 0) == (start == "defaults")
 
 
+@pytest.mark.parametrize(("option", "says"), [({"levels": None}, "levels is None"), ({"gridded": 0}, "gridded is 0")])
+def test_a_grid_that_is_none_is_refused(option, says):
+    with pytest.raises(ClothbenchError, match=f"annealing: {says}, expected a whole number"):
+        catalogue().make("optimizers", "annealing", SPACE, seed=0, budget=80, **option)
+
+
 def test_a_start_of_zero_is_moved_by_a_share_of_its_range():
     at_zero = dataclasses.replace(
         calibrate([bowl_trial()], catalogue().make("optimizers", "nelder_mead", SPACE, seed=1, budget=9), SPACE),

@@ -73,6 +73,14 @@ def test_speckle_alone_is_no_line(images):
         LaserProfile().track(dataclasses.replace(images, image=dark))
 
 
+def test_of_a_line_too_short_to_judge_nobody_knows_the_noise(images):
+    short = np.zeros_like(images.image)
+    short[0, 699:702, 600:620] = [[120], [250], [120]]
+    seen = LaserProfile().track(dataclasses.replace(images, image=short))
+    assert seen.visible.any()
+    assert np.isnan(seen.sigma)
+
+
 def test_a_file_gives_what_the_images_gave(images, tmp_path):
     path = write_laser(images, tmp_path / "hook.nc")
     again = read_laser(path)
@@ -104,5 +112,9 @@ def test_bad_options_are_refused():
         LaserProfile(width=-1)
     with pytest.raises(ClothbenchError, match="width is inf, expected a number above 0"):
         LaserProfile(width=float("inf"))
+    with pytest.raises(ClothbenchError, match=r"width is 1000\.0, expected 100 pixels at most"):
+        LaserProfile(width=1e3)
+    with pytest.raises(ClothbenchError, match=r"shortest is 0\.5, expected a whole number ≥ 1"):
+        LaserProfile(shortest=0.5)
     with pytest.raises(ClothbenchError, match="no option 'blur'; there are: width, contrast, shortest"):
         discovery.catalogue().make("trackers", "laser_profile", blur=2)

@@ -288,6 +288,8 @@ def test_a_bad_trc_file_is_refused(tmp_path, break_it, match):
         ({"material": MATERIAL, "up": "w"}, "setting 'up': found 'w'"),
         ({"material": MATERIAL, "sigma": -1}, "setting 'sigma': found -1"),
         ({"material": MATERIAL, "fill_gaps_up_to": "long"}, "setting 'fill_gaps_up_to': found 'long'"),
+        ({"material": MATERIAL, "fill_gaps_up_to": None}, "setting 'fill_gaps_up_to': found None"),
+        ({"material": MATERIAL, "frame_tolerance": None}, "setting 'frame_tolerance': found None"),
     ],
 )
 def test_a_bad_setting_is_refused(good, settings, match):

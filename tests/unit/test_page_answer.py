@@ -56,6 +56,28 @@ def test_a_model_that_is_better_on_every_recording_wins_however_much_they_differ
     assert second.ratio == pytest.approx(np.exp(np.mean(np.log([2.0, 1.02, 1.15, 1.04]))))
 
 
+@pytest.mark.parametrize(
+    ("better", "worse", "ratio"),
+    [
+        ([0.0, 0.9, 0.9, 0.9], [0.01, 1.0, 1.0, 1.0], 4 / 2.7),
+        ([0.0, 0.0, 5.0], [3.0, 3.0, 4.0], 2.8),
+        ([0.0, 0.0, 0.0], [0.0, 0.0, 1.0], np.inf),
+        ([0.0, 0.0, 0.0], [0.0, 0.0, 0.0], 1.0),
+    ],
+)
+def test_an_error_of_nothing_counts_for_a_way_and_not_against_it(better, worse, ratio):
+    first, second = overall(standings(rows_of({"b": better, "c": worse}), "fold"))
+    assert (first.way, first.ratio, second.way) == ("b", 1.0, "c")
+    assert second.ratio == pytest.approx(ratio)
+    assert second.recordings == len(worse)
+
+
+def test_a_way_that_errs_by_nothing_anywhere_has_an_answer():
+    assert told(rows_of({"a": [0.0, 0.0, 0.0]}), "fold").startswith("Only a was tried.")
+    said = told(rows_of({"a": [0.0, 0.0, 0.0], "b": [0.1, 0.11, 0.09]}), "fold")
+    assert said.startswith("Take a. b is off where the other errs by 0 throughout (3 recordings).")
+
+
 def test_models_that_take_turns_are_tied():
     found = standings(rows_of({"a": [1.0, 5.0, 3.0], "b": [1.2, 4.8, 3.1]}), "fold")
     assert best_of(found["linen"]) == ["a", "b"]

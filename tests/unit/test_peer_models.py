@@ -143,7 +143,7 @@ def test_a_step_that_is_given_is_scaled_too(name):
     assert model.prepare(scene).engine(model.parameters.defaults).dt == 5e-5
 
 
-@pytest.mark.parametrize("option", [{"dt": 0.0}, {"step_scale": 2.0}, {"resolution": 2}], ids=str)
+@pytest.mark.parametrize("option", [{"dt": 0.0}, {"step_scale": 2.0}, {"step_scale": None}, {"resolution": 2}], ids=str)
 def test_a_wrong_option_is_refused_in_one_line(option):
     for make in MODELS.values():
         with pytest.raises(ClothbenchError, match=next(iter(option))):
@@ -155,6 +155,14 @@ def test_an_unknown_way_of_stepping_is_refused_with_the_known_ones():
         Mujoco(integrator="RK4")
     with pytest.raises(ClothbenchError, match="'pbd', expected one of semi_implicit, vbd"):
         Newton(solver="pbd")
+    with pytest.raises(ClothbenchError, match=r"\['vbd'\], expected one of semi_implicit, vbd"):
+        Newton(solver=["vbd"])
+
+
+@pytest.mark.parametrize("iterations", [None, 0.5, 2.7, 0])
+def test_sweeps_are_whole(iterations):
+    with pytest.raises(ClothbenchError, match=f"iterations is {iterations}, expected a"):
+        Newton(iterations=iterations)
 
 
 def test_contact_is_a_reason_to_skip_a_scene(name):
@@ -165,10 +173,24 @@ def test_contact_is_a_reason_to_skip_a_scene(name):
         MODELS[name]().prepare(scene)
 
 
+def test_a_cut_sheet_is_refused(name):
+    scene = scenes.hanging()
+    scene = dataclasses.replace(scene, outline=np.array([[0, 0], [scene.width, 0], [0, scene.height]]))
+    with pytest.raises(ClothbenchError, match="whole rectangles"):
+        MODELS[name]().prepare(scene)
+
+
 def test_a_material_with_a_shear_of_its_own_is_refused():
     for make in MODELS.values():
         with pytest.raises(ClothbenchError, match="no parameter for 20 N/m beside 100 N/m"):
             make().of_material(Material(1e-6, 100.0, 20.0), scenes.hanging())
+
+
+def test_a_limp_material_is_refused_where_no_parameter_makes_it():
+    limp = Material(0.0, 100.0, 50.0, bending_damping=1e-8)
+    for make in MODELS.values():
+        with pytest.raises(ClothbenchError, match=r"no parameter for a bending.* of .*; state a bending"):
+            make().of_material(limp, scenes.hanging())
 
 
 def test_the_shell_has_the_rigidities_that_it_was_asked_for():

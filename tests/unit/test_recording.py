@@ -198,6 +198,10 @@ def test_cloth_that_only_an_obstacle_holds_needs_no_grips(tmp_path):
     ("change", "says"),
     [
         ({"outline": np.array([[0.0, 0.0], [9.0, 0.0], [0.0, 9.0]])}, "variable 'outline': .* expected them within"),
+        (
+            {"outline": np.array([[0.0, 0.0], [0.1, 0.0], [0.1, 0.1], [0.2, 0.1], [0.2, 0.2], [0.0, 0.2]])},
+            r"variable 'outline': grip_material 1 is at \(0.2, 0\) m, off the outline, expected it on the cloth",
+        ),
         ({"thickness": -1.0}, "attribute 'thickness': found -1.0"),
         (
             {"confidence": np.full((11, 25), -3.0)},

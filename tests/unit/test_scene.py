@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from conftest import swinging_recording
 
-from clothbench import ClothbenchError, Scene
+from clothbench import ClothbenchError, Obstacle, Scene
 from clothbench.core.scene import initial_shape
 from clothbench.recordings.scenes import scene_of
 
@@ -48,17 +48,62 @@ def test_the_first_guess_hangs_from_the_grips_and_bends_to_what_was_seen():
     assert np.abs(initial_shape(bent, uv) - seen).max() < 2e-3
 
 
+CUT = np.array([[0, 0], [0.2, 0], [0.2, 0.1], [0.1, 0.1], [0.1, 0.2], [0, 0.2]])  # without the corner (0.2, 0.2)
+
+
 @pytest.mark.parametrize(
-    "change", [{"width": 0.0}, {"areal_density": float("nan")}, {"times": np.array([0.0, 0.0])}, {"resolution": (2, 5)}]
-)
-def test_impossible_scenes_are_refused(change):
+    ("change", "says"),
+    [
+        ({"width": 0.0}, "width is 0.0, expected a number above 0"),
+        ({"width": "wide"}, "width is 'wide', expected a number above 0"),
+        ({"areal_density": float("nan")}, "areal_density is nan"),
+        ({"areal_density": None}, "areal_density is None"),
+        ({"air_density": float("nan")}, "air_density is nan, expected a finite number, 0 or above"),
+        ({"thickness": -1.0}, "thickness is -1.0"),
+        ({"gravity": (0.0, -9.81)}, "gravity is .* expected three finite numbers"),
+        ({"gravity": (0.0, 0.0, float("nan"))}, "gravity is .* expected three finite numbers"),
+        ({"times": np.array([0.0, 0.0])}, "times must be a strictly increasing list"),
+        ({"times": np.array([0.0, np.nan])}, "times holds a stamp that is not finite"),
+        ({"times": "now"}, "times is a str, expected an array of numbers"),
+        ({"resolution": (2, 5)}, "resolution is .* at least 3 nodes each way"),
+        ({"resolution": (9.5, 9)}, "resolution is .* at least 3 nodes each way"),
+        ({"resolution": "ab"}, "resolution is 'ab', expected at least 3 nodes each way"),
+        ({"points": np.zeros((0, 2))}, "points are none"),
+        ({"points": np.array([[0.0, np.nan]])}, "points holds a value that is not finite"),
+        ({"start": np.zeros((3, 3))}, r"start has shape \(3, 3\), expected \(1, 3\)"),
+        ({"velocity": np.zeros((1, 2))}, r"velocity has shape \(1, 2\), expected \(1, 3\)"),
+        ({"grip_time": np.array([1.0, 0.0])}, "grip_time must be a strictly increasing list"),
+        ({"grip_time": np.zeros(1), "grip_position": np.zeros((1, 1, 3))}, r"grip_time has shape \(1,\)"),
+        ({"grip_position": np.zeros((2, 2, 3))}, r"grip_position has shape \(2, 2, 3\), expected \(2, 1, 3\)"),
+        ({"grip_position": np.full((2, 1, 3), np.nan)}, "grip_position holds a value that is not finite"),
+        ({"grip_material": np.array([[0.5, 0.0]])}, r"grip_material 0 is at \(0.5, 0\) m, expected it on the sheet"),
+        ({"grip_material": np.array([[0.2, 0.2]]), "outline": CUT}, r"grip_material 0 is at .* m, off the outline"),
+        ({"obstacles": ({"shape": "plane"},)}, "obstacles hold a dict"),
+    ],
+)  # fmt: skip
+def test_impossible_scenes_are_refused(change, says):
     good = {
         "width": 0.2, "height": 0.2, "areal_density": 0.2, "grip_time": np.array([0.0, 1.0]),
         "grip_material": np.zeros((1, 2)), "grip_position": np.zeros((2, 1, 3)), "times": np.array([0.0, 1.0]),
         "points": np.zeros((1, 2)),
     }  # fmt: skip
-    with pytest.raises(ClothbenchError, match="scene:"):
+    Scene(**good)
+    with pytest.raises(ClothbenchError, match=f"^scene: {says}"):
         Scene(**{**good, **change})
+
+
+def test_clamps_may_stand_a_little_over_the_hem():
+    time, points = np.array([0.0, 1.0]), np.zeros((1, 2))
+    over = np.array([[0.103, 0.103], [-0.003, 0.0]])  # of the notch's corner, of the sheet's
+    made = Scene(0.2, 0.2, 0.2, time, over, np.zeros((2, 2, 3)), time, points, outline=CUT)
+    assert len(made.grip_material) == 2
+
+
+def test_grips_that_carry_something_need_not_hold_cloth():
+    time, points, off = np.array([0.0, 1.0]), np.zeros((1, 2)), np.array([[0.2, 0.2]])
+    body = Obstacle("plane", carried=True)
+    made = Scene(0.2, 0.2, 0.2, time, off, np.zeros((2, 1, 3)), time, points, outline=CUT, obstacles=(body,))
+    assert len(made.grip_material) == 1
 
 
 def test_slack_between_grips_bends_the_first_guess_into_an_arc():

@@ -145,7 +145,7 @@ def test_angles_are_compared_modulo_pi(observation):
     """Level stripes stand at ±90°: were differences not wrapped, a flat sheet would be far from itself."""
     flat = catalogue().make("trackers", "stripes").track(recording(0.0))
     everywhere = dataclasses.replace(flat.view, fold=flat.view.silhouette)
-    metric = catalogue().make("metrics", "fold", alpha=0.0)
+    metric = catalogue().make("metrics", "fold", alpha=1e-9)
     score = metric(dataclasses.replace(flat, view=everywhere), rollout(draped(0.0)))
     assert score.value[0] / flat.view.silhouette[0].sum() < 0.05
 
@@ -153,10 +153,10 @@ def test_angles_are_compared_modulo_pi(observation):
 def test_the_silhouette_has_its_weight(observation):
     """A sheet of the right folds that sags by 3 %: the outline's share of the error is α pixels each."""
     sagging = rollout(draped(0.02, sag=0.03))
-    value = {a: catalogue().make("metrics", "fold", alpha=a)(observation, sagging).value[0] for a in (0.0, 0.1, 1.0)}
+    value = {a: catalogue().make("metrics", "fold", alpha=a)(observation, sagging).value[0] for a in (1e-9, 0.1, 1.0)}
     mismatch = catalogue().make("metrics", "silhouette")(observation, sagging).value[0]
-    assert value[0.1] - value[0.0] == pytest.approx(0.1 * mismatch)
-    assert value[1.0] - value[0.0] == pytest.approx(mismatch)
+    assert value[0.1] - value[1e-9] == pytest.approx(0.1 * mismatch)
+    assert value[1.0] - value[1e-9] == pytest.approx(mismatch)
     share = catalogue().make("metrics", "silhouette", quantity="iou")(observation, sagging).value[0]
     assert 100 * mismatch / observation.view.silhouette[0].sum() == pytest.approx(share, rel=0.1)
 
@@ -168,6 +168,28 @@ def test_a_diverged_member_has_no_number_and_spoils_no_other(observation):
     together = metric(observation, rollout(lost, draped(0.03)))
     assert np.isnan(together.value[0])
     assert together.value[1] == metric(observation, rollout(draped(0.03))).value[0]
+
+
+def test_cloth_out_of_the_picture_has_no_count_of_folds(observation):
+    """As many as a flat sheet: none; not even where it is out in one frame only."""
+    gone, once = draped(0.02) + 5.0, draped(0.02)
+    once[2] += 5.0
+    score = catalogue().make("metrics", "fold_count")(observation, rollout(draped(0.02), gone, once))
+    assert np.isfinite(score.value).tolist() == [True, False, False]
+    assert np.isnan(score.per_frame[2]).tolist() == [False, False, True, False, False, False]
+
+
+@pytest.mark.parametrize("name", ["node_error", "relative_error", "fold", "fold_count", "silhouette", "profile"])
+def test_of_no_member_there_are_no_values(observation, name):
+    empty = Rollout(TIME, np.zeros((0, len(TIME), 81, 3)), (), np.ones(0, int), 81)
+    assert catalogue().make("metrics", name)(observation, empty).value.shape == (0,)
+
+
+@pytest.mark.parametrize("name", ["node_error", "fold", "profile"])
+def test_a_rollout_of_other_frames_is_refused(observation, name):
+    short = Rollout(TIME[:2], draped(0.02)[None, :2], ("ok",), np.ones(1, int), 81)
+    with pytest.raises(ClothbenchError, match="found a rollout of"):
+        catalogue().make("metrics", name)(observation, short)
 
 
 def test_nodes_without_a_video_are_drawn_as_a_camera_would_see_them():
@@ -280,6 +302,7 @@ def test_folds_are_counted_wherever_they_are():
     [
         ("fold_count", {"least": 2}, "least is 2"),
         ("fold", {"alpha": -1}, "alpha is -1"),
+        ("fold", {"alpha": 0.0}, "alpha is 0, expected a number above 0"),
         ("fold", {"alpha": float("inf")}, "alpha is inf"),
         ("fold", {"pixels": 3}, "pixels is 3"),
         ("fold", {"blur": "abc"}, "blur is 'abc'"),

@@ -13,7 +13,7 @@ from typing import Any, ClassVar, NamedTuple
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import Observation
-from clothbench.core.optional import absent, takes_option, why_skipped
+from clothbench.core.optional import absent, options_of, takes_option, why_skipped
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Metric
 from clothbench.engine.cells import Skipped, Source, digest, seed_of
@@ -23,6 +23,7 @@ from clothbench.estimation.placements import joined
 from clothbench.estimation.prior import begun
 from clothbench.estimation.trials import Trial
 from clothbench.estimation.watched import require_comparable, require_readable, watched
+from clothbench.modelling.curves import needs_a_picture
 from clothbench.modelling.joined import JoinedParameters
 from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
 from clothbench.recordings.kinds import read_sheet
@@ -197,6 +198,19 @@ def uses(cell: CalibrationCell) -> list[tuple[str, str]]:
     return single + metrics + [("effects", name) for name in cell.effects]
 
 
+def options_for(cell: CalibrationCell, plugins: Catalogue, kind: str, name: str) -> dict[str, Any]:
+    """What the settings say to one plugin of a cell. Two of different kinds may bear one name, as the metric and the
+    tracker `drape` do: each gets what it knows. What neither knows goes to both, which refuse it.
+    """
+    given = cell.option(name)
+    others = {k for k, n in uses(cell) if n == name and k != kind}
+    if not given or not others:
+        return given
+    own = options_of(plugins.load(kind, name))
+    theirs = {option for other in others for option in options_of(plugins.load(other, name))}
+    return {option: value for option, value in given.items() if option in own or option not in theirs}
+
+
 @dataclass(frozen=True, eq=False)
 class Bench:
     """A cell with its plugins made and its recordings read: all that is needed to calibrate and to score."""
@@ -237,12 +251,14 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
         scenes = [scene for recording in simulated for scene in scenes_of(recording, **cell.scene)]
         if any(plugins.find(kind, name).distribution != OWN for kind, name in uses(cell)):
             return None
-        tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
+        tracker = plugins.make("trackers", cell.tracker, **options_for(cell, plugins, "trackers", cell.tracker))
         if isinstance(mine[0], Recording):  # images are tracked when the cell is run
             tracker.track(mine[0])
         for name in (cell.metric, *cell.report):
-            plugins.make("metrics", name, **cell.option(name))
+            plugins.make("metrics", name, **options_for(cell, plugins, "metrics", name))
         effects = [plugins.make("effects", name) for name in cell.effects]
+        if simulated:
+            refuse_unseen(effects, [scene.camera is not None for scene in scenes])
         model = plugins.make("models", cell.model, **cell.option(cell.model))
         try:
             simulation: Any = (
@@ -261,6 +277,18 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
         raise
     except Exception:
         return None
+
+
+def refuse_unseen(effects: Sequence[Effect], pictures: Sequence[bool]) -> None:
+    """An effect of a camera's picture where no recording was seen in one: whatever is found for it means nothing.
+
+    pictures: of each scene, whether its points were seen in a picture.
+    """
+    if not any(pictures) and (blind := next((e.name for e in effects if needs_a_picture(e)), None)):
+        raise ClothbenchError(
+            f"setting 'effects': {blind!r} acts on points that were seen in a camera's picture, and these recordings "
+            "have places in space; take it out"
+        )
 
 
 def refuse_without_start(cell: CalibrationCell, plugins: Catalogue) -> None:
@@ -290,14 +318,15 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
         raise Skipped(reason)
     model = plugins.make("models", cell.model, **cell.option(cell.model))
     effects: list[Effect] = [plugins.make("effects", name) for name in cell.effects]
-    metric = plugins.make("metrics", cell.metric, **cell.option(cell.metric))
-    tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
+    metric = plugins.make("metrics", cell.metric, **options_for(cell, plugins, "metrics", cell.metric))
+    tracker = plugins.make("trackers", cell.tracker, **options_for(cell, plugins, "trackers", cell.tracker))
     names = {source.hash: source.name for source in cell.recordings}
 
     def make(recording: Recording | Silhouettes, areal_density: float | None = None) -> Trial:
         if recording.hash not in seen:  # of another case, which the fit is held against
             recording = looked_at(recording)
         scenes = scenes_of(recording, **cell.judged)
+        pictures.extend(scene.camera is not None for scene in scenes)
         if areal_density is not None:
             scenes = [dataclasses.replace(scene, areal_density=areal_density) for scene in scenes]
         if reason := next(filter(None, (why_skipped(model, scene) for scene in scenes)), None):
@@ -315,6 +344,7 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
         return recording
 
     recordings: list[Recording | Silhouettes] = []
+    pictures: list[bool] = []
     seen: dict[str, Observation] = {}
     trials = []
     for source in cell.recordings:
@@ -323,6 +353,11 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
             raise ClothbenchError(f"{source.path}: changed on disk since the suite was planned; run it again")
         recordings.append(recording := looked_at(raw))
         trials.append(make(recording))
+    refuse_unseen(effects, pictures)
     space = begun(bounded(trials[0].simulation.parameters, cell.bounds), cell.start)
-    others = tuple(plugins.make("metrics", name, **cell.option(name)) for name in cell.report if name != cell.metric)
+    others = tuple(
+        plugins.make("metrics", name, **options_for(cell, plugins, "metrics", name))
+        for name in cell.report
+        if name != cell.metric
+    )
     return Bench(cell, space, tuple(recordings), tuple(trials), others, make)

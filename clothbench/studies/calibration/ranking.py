@@ -223,13 +223,37 @@ def overall(found: Mapping[str, Mapping[str, Standing]]) -> list[Overall]:
     cases = list(ranked_cases(found).values())
     ways = {way for case in cases for way in case}
     whole = [w for w in sorted(ways) if all(w in case and case[w].value is not None for case in cases)]
-    logs = {way: log_errors(case[way] for case in cases) for way in whole}
-    if not logs or not all(logs.values()):
+    errors = {way: errors_of(case[way] for case in cases) for way in whole}
+    if not errors or not all(errors.values()):
         return []
+    if any(min(mine.values()) <= 0 for mine in errors.values()):
+        return _of_zeros(errors, cases)
+    logs = {way: {n: float(np.log(e)) for n, e in mine.items()} for way, mine in errors.items()}
     mean = {way: float(np.mean(list(values.values()))) for way, values in logs.items()}
     order = sorted(whole, key=lambda w: mean[w])
     pairs = {way: [(case[order[0]], case[way]) for case in cases] for way in order}
     return [_overall(way, logs[way], logs[order[0]], pairs[way]) for way in order]
+
+
+def _of_zeros(errors: Mapping[str, Mapping[str, float]], cases: Sequence[Mapping[str, Standing]]) -> list[Overall]:
+    """The same where some error is 0, as counts often are: it has no ratio to any other, and to leave its recording out
+    would keep from a way what it did best. So errors are taken in shares of the largest of any way, recording by
+    recording, and their means are compared; infinite where the best way errs by nothing at all.
+    """
+    top = {n: max(abs(mine.get(n, 0.0)) for mine in errors.values()) for mine in errors.values() for n in mine}
+    share = {w: float(np.mean([e / top[n] if top[n] else 0.0 for n, e in mine.items()])) for w, mine in errors.items()}
+    first, *others = sorted(share, key=lambda w: (share[w], w))
+    out = [Overall(first, 1.0, None, None, False, len(errors[first]))]
+    for way in others:
+        ratio = share[way] / share[first] if share[first] else (math.inf if share[way] else 1.0)
+        pairs = [(case[first], case[way]) for case in cases]
+        out.append(Overall(way, ratio, None, None, not _apart(pairs), len(errors[way].keys() & errors[first].keys())))
+    return out
+
+
+def _apart(cases: Sequence[tuple[Standing, Standing]]) -> bool:
+    """Whether the first of two ways is better in each of several cases, by more than noise decides."""
+    return all((a.value or 0.0) < (b.value or 0.0) and not tied(a, b) for a, b in cases)
 
 
 def _overall(
@@ -240,17 +264,24 @@ def _overall(
     difference = np.array([mine[n] - best[n] for n in mine if n in best])
     ratio = float(np.exp(difference.mean())) if len(difference) else math.nan
     if first or len(difference) < FEW:
-        apart = first or all((a.value or 0.0) < (b.value or 0.0) and not tied(a, b) for a, b in cases)
-        return Overall(way, ratio, None, None, not apart, len(difference))
+        return Overall(way, ratio, None, None, not (first or _apart(cases)), len(difference))
     low, high = t_interval(difference)
     return Overall(way, ratio, math.exp(low), math.exp(high), low <= 0 <= high, len(difference))
 
 
-def log_errors(standing: Iterable[Standing]) -> dict[str, float]:
-    """Logarithm of the mean error of each recording; one that was held out in several cases counts once."""
+def errors_of(standing: Iterable[Standing]) -> dict[str, float]:
+    """The mean error of each recording; one that was held out in several cases counts once, with their geometric mean
+    where none is 0.
+    """
     values: dict[str, list[float]] = {}
     for one in standing:
         for name, mean in one.means.items():
-            if mean > 0:
-                values.setdefault(name, []).append(math.log(mean))
-    return {name: float(np.mean(some)) for name, some in values.items()}
+            values.setdefault(name, []).append(mean)
+    return {name: _middle(np.array(some)) for name, some in values.items()}
+
+
+def _middle(values: np.ndarray) -> float:
+    """The geometric mean of some values (n,), or their mean where one is not above 0."""
+    if len(values) == 1:
+        return float(values[0])
+    return float(np.exp(np.log(values).mean()) if (values > 0).all() else values.mean())

@@ -25,7 +25,7 @@ from clothbench.recordings.nodes import Recording
 from clothbench.recordings.silhouette import Silhouettes
 from clothbench.recordings.tracked import Images
 from clothbench.studies.calibration.analysis import analyse, starts_of, truth_of
-from clothbench.studies.calibration.cell import Bench, CalibrationCell, asked, set_up
+from clothbench.studies.calibration.cell import Bench, CalibrationCell, asked, options_for, set_up
 from clothbench.studies.calibration.cloth import films_of, write_films
 from clothbench.studies.calibration.drapes import write_drapes
 from clothbench.studies.calibration.frames import at_most, write_frames
@@ -103,7 +103,8 @@ def write_pictures(
     """What the tracker's steps make of the middle frame of a recording of images, where it shows them."""
     import cv2
 
-    tracker = context.plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
+    options = options_for(cell, context.plugins, "trackers", cell.tracker)
+    tracker = context.plugins.make("trackers", cell.tracker, **options)
     if not isinstance(tracker, ShowsSteps):
         return
     folder.mkdir()

@@ -24,10 +24,12 @@ def counted(count: int, word: str) -> str:
 
 
 def times(one: Overall) -> str:
-    """ "1.8 times as far off (95 % interval 1.4 … 2.2, 15 recordings)"."""
+    """ "1.8 times as far off (95 % interval 1.4 … 2.2, 15 recordings)", of a way beside the best."""
     sure = (
         f"95\u00a0% interval {one.low:.2f} … {one.high:.2f}, " if one.low is not None and one.high is not None else ""
     )
+    if math.isinf(one.ratio):
+        return f"off where the other errs by 0 throughout ({counted(one.recordings, 'recording')})"
     return f"{one.ratio:.2f} times as far off ({sure}{counted(one.recordings, 'recording')})"
 
 

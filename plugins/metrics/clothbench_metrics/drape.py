@@ -63,6 +63,8 @@ class Drape:
 
     def __call__(self, observation: Observation, rollout: Rollout) -> Score:
         seen, captured = self._captured(observation)
+        if (count := rollout.position.shape[2]) != (wanted := len(observation.material)):
+            raise ClothbenchError(f"drape: found a rollout of {count} points, expected the {wanted} of a drape")
         simulated = self.simulated(seen, rollout)  # (B, S, 4)
         away = _distances(simulated, captured)
         spread = _spread(captured)
@@ -126,6 +128,8 @@ class Drape:
         seen = observation.outlines
         if seen is None:
             raise ClothbenchError("drape: the recording shows no drapes; give recordings of kind 'silhouette'")
+        if not len(seen.radius):
+            raise ClothbenchError("drape: the recording holds no capture, expected at least one")
         if seen not in self._known:
             self._known[seen] = drape_quantities(seen.radius, seen.plate_radius, seen.disc_radius, self.least)
         return seen, self._known[seen]

@@ -8,7 +8,7 @@ import numpy as np
 
 from clothbench import ClothbenchError, Observation, Rollout, Score, turned
 from clothbench.modelling import kernel
-from clothbench_metrics.node_error import check_shape
+from clothbench_metrics.node_error import check_shape, flat_rows
 from clothbench_metrics.sight import Sights, compared, require_number
 
 BLOCK = 8  # px; residuals are pooled over squares of this side, or they would be a million
@@ -31,6 +31,8 @@ class Fold:
 
     def __init__(self, alpha: float = 0.1, pixels: int = 96, blur: float = 2.0, threshold: float = 0.006):
         require_number(self.name, "alpha", alpha)
+        if alpha == 0:  # a rollout out of the picture shares no pixel with the film, and would be perfect
+            raise ClothbenchError("fold: alpha is 0, expected a number above 0; the silhouettes have to count")
         self.alpha, self.sights = float(alpha), Sights(self.name, pixels, blur, threshold)
 
     def __call__(self, observation: Observation, rollout: Rollout) -> Score:
@@ -60,7 +62,7 @@ class Fold:
         lost = compared(sight, rollout, compare)
         residual[lost] = np.nan
         mean = per_frame[:, sight.frames].mean(axis=1)
-        counted = residual[:, sight.frames].reshape(members, -1)
+        counted = flat_rows(residual[:, sight.frames])
         return Score(np.where(lost, np.nan, mean), self.unit, per_frame, None, counted)
 
     def floor(self, observation: Observation) -> float:

@@ -18,7 +18,8 @@ class FoldCount:
     Hills and valleys count alike: each is a connected part of the picture, of at least `least` of the silhouette, in
     which the stripes turn (Bhat et al., eq. 4) one way from left to right, as fast as the view's threshold says, with
     which the film was looked at. pixels, blur, threshold: as of `fold`, of a view that states none. Per frame it gives
-    by how many folds there are too many (below 0: too few); the value is the size of their mean.
+    by how many folds there are too many (below 0: too few); the value is the size of their mean. Where a rollout is
+    out of the picture in a frame that was filmed there is none: it would be as good as a flat sheet.
     """
 
     name = "fold_count"
@@ -46,7 +47,7 @@ class FoldCount:
 
         def compare(b: int, some: slice) -> None:
             for t, (angle, shape) in enumerate(zip(*sight.stripes(rollout.position[b], some), strict=True), some.start):
-                if frames[t]:
+                if frames[t] and (shape.any() or not view.silhouette[t].any()):  # cloth out of sight has no count
                     count[b, t] = self._count(angle, fold_mask(angle, shape, threshold), shape)
 
         lost = compared(sight, rollout, compare)

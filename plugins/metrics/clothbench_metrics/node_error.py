@@ -41,7 +41,7 @@ class NodeError:
             unit=self.unit,
             per_frame=mean_over(distance, seen, axis=2),
             per_node=per_node,
-            residual=residual.reshape(len(residual), -1),
+            residual=flat_rows(residual),
         )
 
     def floor(self, observation: Observation) -> float:
@@ -80,6 +80,11 @@ def check_shape(observation: Observation, rollout: Rollout) -> None:
             f"metric: found a rollout of {rollout.position.shape[1:]}, "
             f"expected {observation.position.shape} as observed"
         )
+
+
+def flat_rows(values: np.ndarray) -> np.ndarray:
+    """Values (B, …) with one row for each member (B, R), of no member, too."""
+    return values.reshape(len(values), math.prod(values.shape[1:]))
 
 
 def mean_over(values: np.ndarray, seen: np.ndarray, axis: int) -> np.ndarray:

@@ -33,6 +33,10 @@ class Profile:
         if observation.sight is not None:
             raise ClothbenchError("profile: the points were seen in a picture, which has no depth; take node_error")
         members, frames, seen = len(rollout), len(observation.time), observation.visible
+        if rollout.position.shape[1] != frames:
+            raise ClothbenchError(
+                f"profile: found a rollout of {rollout.position.shape[1]} frames, expected {frames} as observed"
+            )
         watched = np.flatnonzero(seen.any(axis=1))
         per_frame = np.full((members, frames), np.nan)
         away = []
@@ -41,7 +45,7 @@ class Profile:
             per_frame[b, watched] = [float((d**2).sum()) / 2 for d in found]
             away.append(np.concatenate(found).ravel() if found else np.zeros(0))
         value = per_frame[:, watched].mean(axis=1) if watched.size else np.full(members, np.nan)
-        return Score(value, self.unit, per_frame, None, np.array(away))
+        return Score(value, self.unit, per_frame, None, np.array(away).reshape(members, -1 if members else 0))
 
     def floor(self, observation: Observation) -> float:
         """Not known: noise along the surface does not count, and which way the surface lies is the rollout's affair."""

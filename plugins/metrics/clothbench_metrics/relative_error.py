@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from clothbench import ClothbenchError, Observation, Rollout, Score
-from clothbench_metrics.node_error import differences
+from clothbench_metrics.node_error import differences, flat_rows
 
 ORIGINS = ("centre", "camera")
 
@@ -49,7 +49,7 @@ class RelativeError:
             per_frame = np.where(frames, 100 * np.sqrt(square) / size, np.nan)
         residual = away[:, seen]
         value = per_frame[:, frames].mean(axis=1) if frames.any() else np.full(len(away), np.nan)
-        return Score(value, self.unit, per_frame, None, residual.reshape(len(residual), -1))
+        return Score(value, self.unit, per_frame, None, flat_rows(residual))
 
     def floor(self, observation: Observation) -> float:
         """√(C n σ²)/‖ϕ‖ of a frame with n nodes seen in C coordinates, averaged over the frames."""

@@ -199,10 +199,18 @@ def solve_lines(nu, diagonal, off, waves_u, waves_v, damped, plane, r, z):
 
 @kernel
 def damp_waves(mass, give, square, nu, damped):
-    """Inverse eigenvalues (nv − 1, nu − 1) of the flat sheet's cells, for a typical inner mass and compliance."""
+    """Inverse eigenvalues (nv − 1, nu − 1) of the flat sheet's cells, for a typical inner mass and compliance.
+
+    They are the middle's; where an outline leaves that out, it weighs nothing and would let no cell resist shear: then
+    the heaviest node's and the softest cell's.
+    """
     nv = damped.shape[0] + 1
     pad, middle = nu + 1, (nv // 2) * nu + nu // 2
-    typical, softness = 1.0 / mass[middle], give[2, pad + middle - nu - 1] / square
+    heaviest = mass.max()
+    if mass[middle] > 0.1 * heaviest:
+        typical, softness = 1.0 / mass[middle], give[2, pad + middle - nu - 1] / square
+    else:
+        typical, softness = 1.0 / heaviest, give[2].max() / square
     for j in range(nv - 1):
         for i in range(nu - 1):
             wave = np.cos(np.pi * (i + 1) / nu) * np.cos(np.pi * (j + 1) / nv)

@@ -62,6 +62,8 @@ class KirchhoffLove:
         """Why it cannot simulate a scene: what does not rest in it, or is not known to it."""
         if not len(scene.grip_material):
             return "finds rest only, and nothing holds this sheet"
+        if scene.outline is not None:
+            return "its sheet is a whole rectangle, and this scene's is cut"
         if len(scene.obstacles) > 1 or any(o.shape != "plane" for o in scene.obstacles):
             return "rests on one plane at most, and on no disc or sphere"
         if scene.obstacles and turned_over(scene):

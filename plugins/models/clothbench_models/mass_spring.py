@@ -47,8 +47,11 @@ class MassSpring:
     dt: time step [s], or None for the largest stable one of each parameter set times 0.9; step_scale: multiplies
     that step (0.5 halves it, to see what the step costs in accuracy); precision: "double", or "single", which is
     twice as fast, a quarter faster with effects, which stay in double (a smoothly moving sheet differs by micrometres;
-    one that folds without damping is chaotic, and then any rounding grows); strain_limit: strain that no structural or
-    shear spring may exceed (Provot 1995, section 5: 0.1), or None for springs that stay linear.
+    one that folds without damping is chaotic, and then any rounding grows); strain_limit: strain beyond which
+    structural and shear springs are drawn together again after each step (Provot 1995, section 5: 0.1), or None for
+    springs that stay linear. Thirty sweeps a step leave something: a sheet of 0.3 m and 0.3 kg/m² on 13 to 25
+    nodes a side, with limits from 0.02 to 0.1, is over them by 0.004 at most with k₁ = 60 N/m, where it would stretch
+    by 0.1 to 0.2 without one, by 0.02 with 10 N/m (0.6 to 0.9), by 0.03 to 0.08 with 2 N/m (2 to 4).
     """
 
     name = "mass_spring"

@@ -47,9 +47,9 @@ class Annealing(GeneratorSearch):
         size: float = 0.2,
     ):  # fmt: skip
         check_start(self.name, start)
-        for name, value, least in (("levels", levels, 2), ("gridded", gridded, 1)):
-            if value is not None:
-                check_whole(self.name, name, value, least)
+        check_whole(self.name, "levels", levels, 2)
+        if gridded is not None:
+            check_whole(self.name, "gridded", gridded, 1)
         for name, number, low, high in (
             ("share", share, 0.0, 1.0), ("temperature", temperature, 0.0, 100.0), ("final", final, 0.0, 1.0),
             ("size", size, 0.0, 1.0),

@@ -6,14 +6,16 @@ unbiased detector of curvilinear structures); a point is where its line of sight
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 import numpy as np
 
 from clothbench import Camera, ClothbenchError, LaserImages, Observation, Recording, read_laser
-from clothbench_trackers.options import check_number
+from clothbench_trackers.options import check_number, check_whole
 
 FADED = 0.5  # of the line's usual height, below which it is not judged
+WIDEST = 100  # px of the filters, which would take minutes for what is no line any more
 NEIGHBOURS = 45  # points of the line by which its noise is judged
 
 
@@ -26,9 +28,12 @@ class LaserProfile:
     version = 2
 
     def __init__(self, width: float = 2.0, contrast: float = 25.0, shortest: int = 12):
-        for word, value in (("width", width), ("contrast", contrast), ("shortest", shortest)):
+        for word, value in (("width", width), ("contrast", contrast)):
             check_number(self.name, word, value)
-        self.width, self.contrast, self.shortest = float(width), float(contrast), int(shortest)
+        if width > WIDEST:
+            raise ClothbenchError(f"{self.name}: width is {width!r}, expected {WIDEST} pixels at most")
+        check_whole(self.name, "shortest", shortest, 1)
+        self.width, self.contrast, self.shortest = float(width), float(contrast), shortest
 
     def track(self, source: Any) -> Observation:
         """`source`: a recording of kind "laser", or its file. Points have no identity: `material` only numbers them, by
@@ -46,7 +51,8 @@ class LaserProfile:
             frame[: len(line)] = line
         steps = np.linalg.norm(np.diff(max(lines, key=len), axis=0), axis=1)
         number = np.concatenate([[0.0], np.cumsum(steps)])
-        sigma = float(np.sqrt(np.nanmean([scatter(line) ** 2 for line in lines if len(line)])))
+        noise = [scatter(line) ** 2 for line in lines if len(line)]
+        sigma = float(np.sqrt(np.nanmean(noise))) if np.isfinite(noise).any() else math.nan  # no line is long enough
         return Observation(
             images.time, position, np.isfinite(position).all(axis=-1), sigma, np.stack([number, 0 * number], axis=1)
         )

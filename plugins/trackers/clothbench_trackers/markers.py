@@ -63,7 +63,8 @@ class Markers:
             raise refusal(self.name, "setting 'unit'", repr(self.unit), ", ".join(UNITS))
         for name in ("rate", "frame_tolerance", "fill_gaps_up_to", "sigma"):
             value = getattr(self, name)
-            if value is not None and not (is_number(value) and value >= 0):
+            open_too = name in ("rate", "sigma")  # null: the file says it, or nobody knows it
+            if not (value is None and open_too) and not (is_number(value) and value >= 0):
                 raise refusal(self.name, f"setting '{name}'", repr(value), "a number, 0 or above")
 
     def track(self, source: Recording | Path) -> Observation:

@@ -42,6 +42,8 @@ def reason_to_skip(module: str, scene: Scene) -> str | None:
     """What to install, or why a simulator without contact cannot do a scene; None if nothing is in the way."""
     if reason := missing(module, module):
         return reason
+    if scene.outline is not None:
+        return f"{module}: is set up for whole rectangles here, and this scene's cloth is cut"
     if scene.obstacles or scene.thickness > 0:
         return f"{module}: is set up without contacts here, and this scene has some"
     return None
@@ -121,7 +123,8 @@ class _Batch(GridBatch):
         """Settle one member, then move it past the times at which it is looked at."""
         march = _March(self, b)
         # Positions at a time between two steps lie on the line between them.
-        late = np.maximum(self.times[b] - self.simulation.scene.start_time, 0.0) / self.dt[b]
+        since = self.times[b] - self.simulation.scene.start_time
+        late = np.maximum(since, 0.0) / self.dt[b]
         before = np.floor(late).astype(int)
         stops = np.union1d(before, before + 1)
         seen = np.full((len(stops), *self.position.shape[2:]), np.nan)
@@ -134,6 +137,8 @@ class _Batch(GridBatch):
             seen[k] = self.interpolator(march.position)
         first, part = np.searchsorted(stops, before), (late - before)[:, None, None]
         self.position[b] = (1 - part) * seen[first] + part * seen[first + 1]
+        if since[0] < 0:  # before a run begins a sheet that was seen to move came from somewhere
+            self.position[b] += np.minimum(since, 0.0)[:, None, None] * self.interpolator(self.velocity)
         lost = np.isnan(self.position[b]).any(axis=(1, 2))
         at = march.grips(self.times[b])[:, self.pins_of_points]
         self.position[b][:, self.held_points] = np.where(lost[:, None, None], np.nan, at)

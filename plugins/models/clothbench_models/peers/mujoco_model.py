@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene, Stated
+from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene, Stated, check_choice
 from clothbench.modelling import BoundEffects, bear_inertia, check_number, check_resolution, grid_shape
 from clothbench_models.orthotropy import refuse_ratios
 from clothbench_models.peers import missing
@@ -99,11 +99,10 @@ class Mujoco:
         self, integrator: str = "Euler", resolution: int | Sequence[int] = 13, dt: float | None = None,
         step_scale: float = 1.0,
     ):  # fmt: skip
-        if integrator not in INTEGRATORS:
-            raise ClothbenchError(f"mujoco: integrator is {integrator!r}, expected one of {', '.join(INTEGRATORS)}")
+        check_choice("mujoco", "integrator", integrator, INTEGRATORS)
         check_resolution("mujoco", resolution)
         check_number("mujoco", "dt", dt, 0.0)
-        check_number("mujoco", "step_scale", step_scale, 0.0, 1.2)
+        check_number("mujoco", "step_scale", step_scale, 0.0, 1.2, optional=False)
         self.integrator, self.resolution, self.dt, self.step_scale = integrator, resolution, dt, step_scale
         self.kind = "explicit" if integrator == "Euler" else "implicit"
 
@@ -122,6 +121,10 @@ class Mujoco:
         held back more than it should be; where one of them is not held back at all, the least that a search takes.
         """
         refuse_ratios("mujoco", material)
+        if material.bending == 0:
+            raise ClothbenchError(
+                "mujoco: a shell bends as its thickness says, it has no parameter for a bending of 0; state a bending"
+            )
         thickness = math.sqrt(12 * material.bending / material.stretch)
         if not math.isclose(material.shear, material.stretch / 2, rel_tol=1e-3):
             raise ClothbenchError(

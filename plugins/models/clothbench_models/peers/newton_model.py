@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene, Sheet, Stated
+from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene, Sheet, Stated, check_choice
 from clothbench.modelling import BoundEffects, GridSimulation, check_number, check_resolution, grid_shape
 from clothbench_models.orthotropy import refuse_ratios
 from clothbench_models.peers import missing
@@ -103,12 +103,13 @@ class Newton:
         self, solver: str = "semi_implicit", resolution: int | Sequence[int] = 13, dt: float | None = None,
         step_scale: float = 1.0, iterations: int = 20,
     ):  # fmt: skip
-        if solver not in PARAMETERS:
-            raise ClothbenchError(f"newton: solver is {solver!r}, expected one of {', '.join(PARAMETERS)}")
+        check_choice("newton", "solver", solver, PARAMETERS)
         check_resolution("newton", resolution)
         check_number("newton", "dt", dt, 0.0)
-        check_number("newton", "step_scale", step_scale, 0.0, 1.2)
-        check_number("newton", "iterations", iterations, 0.0)
+        check_number("newton", "step_scale", step_scale, 0.0, 1.2, optional=False)
+        check_number("newton", "iterations", iterations, 0.0, optional=False)
+        if iterations != int(iterations):  # half a sweep would be none, of which the sheet falls apart
+            raise ClothbenchError(f"newton: iterations is {iterations!r}, expected a whole number above 0")
         self.solver, self.resolution, self.dt, self.step_scale = solver, resolution, dt, step_scale
         self.iterations = int(iterations)
         self.parameters = PARAMETERS[solver]
@@ -136,6 +137,11 @@ class Newton:
         hinge = material.bending / unit_bending(sheet, self.solver)
         area, edge_kd = shear if self.solver == "semi_implicit" else 0.0, space["edge_kd"].bounds[0]
         if material.bending_damping > 0:
+            if material.bending == 0:
+                raise ClothbenchError(
+                    "newton: a hinge is damped in proportion to its stiffness, it has no parameter for a "
+                    f"bending_damping of {material.bending_damping:g} N·m·s beside a bending of 0; state a bending"
+                )
             edge_kd = material.bending_damping / material.bending * hinge / self._brake(sheet)
         tri_kd = material.stretch_damping / VISCOSITY[self.solver]
         return np.array([shear, area, max(space["tri_kd"].bounds[0], tri_kd), hinge, edge_kd])
