@@ -141,7 +141,7 @@ class Fixed:
         return DrapeRollout(self.quantity[None], ("ok",))
 
 
-def test_a_name_has_to_hold_from_every_other_first_shape():
+def test_a_name_has_to_hold_from_other_first_shapes():
     found = evidence(up=0.003)
     fitted = [case for case in found.cases if case.split == "fit"]
     told = np.mean([case.specimen.mean for case in fitted], axis=0)
@@ -161,7 +161,10 @@ def test_a_name_has_to_hold_from_every_other_first_shape():
         return by_chance(problem, before, after, SimpleNamespace(count=lambda number: None))
 
     assert why() == why(told, told) == ""
-    assert why(told, alike).startswith("does not hold from other first shapes: faces and threads stay as unlike")
+    assert why(told, alike) == ""  # on average, three quarters of the squares
+    assert why(told, alike, alike, alike).startswith(
+        "does not hold from other first shapes: faces and threads stay as unlike"
+    )
     assert why(told, np.full((2, 2), np.nan)) == "cannot be simulated from other first shapes"
 
 

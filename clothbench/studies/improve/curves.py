@@ -125,7 +125,7 @@ class CurveEvidence:
         """It is the noise already."""
         return 0.0
 
-    def objection(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
+    def objection(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray], least: float = 0.0) -> str:
         """No identity is known of such recordings."""
         return ""
 

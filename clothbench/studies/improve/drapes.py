@@ -275,7 +275,7 @@ class DrapeEvidence:
         each = (f"{r['contrast']}: {r['mean']:.1f} ({r['low']:.1f} … {r['high']:.1f}) {r['unit']}" for r in sure)
         return "without any model, faces or threads are not alike: " + "; ".join(each) if sure else ""
 
-    def objection(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
+    def objection(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray], least: float = 0.0) -> str:
         """A contrast between faces or threads that the fit gets wrong and the one before did not; or that there is none
         to be explained, or that it is not explained: the rest, stiffness or weight would do as well.
         """
@@ -293,7 +293,8 @@ class DrapeEvidence:
             return (
                 "faces and threads are as alike as chance leaves them; the rest, stiffness or weight would do as well"
             )
-        if np.sum((now.mean / was.error) ** 2) > (1 - LOOP.least_explained) * np.sum((was.mean / was.error) ** 2):
+        left = np.sum((now.mean / was.error) ** 2) / np.sum((was.mean / was.error) ** 2)
+        if left > 1 - max(LOOP.least_explained, least):
             return "faces and threads stay as unlike as they were; the rest, stiffness or weight would do as well"
         return ""
 

@@ -158,9 +158,10 @@ class Evidence(Protocol):
         """
         ...
 
-    def objection(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
+    def objection(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray], least: float = 0.0) -> str:
         """Why no effect can be concluded from what a fit with it leaves of the fit recordings (M,) beside what the fit
-        before left, by identities that no model's fault can touch; "" if there is nothing against it.
+        before left, by identities that no model's fault can touch; "" if there is nothing against it. least: share of
+        their squares that it has to explain, if more than usual.
         """
         ...
 

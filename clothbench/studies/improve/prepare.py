@@ -140,7 +140,7 @@ def shape_of(recording: Recording, nodes: int) -> tuple[int, int]:
 # Beside it the same turned by a quarter, of each side: neither a drape coefficient nor an elongation hangs much on
 # which folds there are.
 FIRST_SHAPES = 1
-OTHER_SHAPES = 3  # each of which has to say the same of what is named
+OTHER_SHAPES = 4  # from which, on average, what is named has to explain the same
 EVIDENCE: Mapping[str, Callable[..., Evidence]] = {
     "nodes": evidence_of_sheets, "curve": evidence_of_curves, DRAPES.kind: evidence_of_drapes,
 }  # fmt: skip

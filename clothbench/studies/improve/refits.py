@@ -213,15 +213,18 @@ def by_chance(problem: Problem, before: Fitted, fitted: Fitted, account: Account
     """Why the last effect of a fit is not to be named, or "": what it explains is not what simulations have in common
     that chance has begun otherwise.
     """
+    found = []
     for other in problem.relaid():
         trials = other.trials(fitted.effects, "fit")
-        residual = over(trials, lambda trial: residuals(trial, fitted.theta[None])[0])
+        found.append(over(trials, lambda trial: residuals(trial, fitted.theta[None])[0]))
         account.count(1)
-        if not all(np.isfinite(r).all() for r in residual):
-            return "cannot be simulated from other first shapes"
-        if why := problem.evidence.objection(before.residual, residual):
-            return f"does not hold from other first shapes: {why}"
-    return ""
+    if not found:
+        return ""
+    mean = [np.mean(each, axis=0) for each in zip(*found, strict=True)]
+    if not all(np.isfinite(r).all() for r in mean):
+        return "cannot be simulated from other first shapes"
+    why = problem.evidence.objection(before.residual, mean, LOOP.least_explained_otherwise)
+    return f"does not hold from other first shapes: {why}" if why else ""
 
 
 def starts_as(problem: Problem, effects: tuple[str, ...], *fits: Fitted) -> np.ndarray:

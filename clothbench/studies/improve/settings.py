@@ -66,6 +66,7 @@ class LoopSettings:
     # Selection.
     floor_factor: float = 1.15  # times the floor: a residual this small is not worth a name
     least_explained: float = 0.25  # share of the mean square above the floor that an effect has to explain
+    least_explained_otherwise: float = 0.5  # in drapes, from first shapes that nothing was fitted with
     least_explained_at_floor: float = 0.45  # the same above the noise, where the mesh alone may stand for the residual
     tie_margin: float = 0.1  # share of what two candidates leave (mean square) by which they cannot be told apart
     alike_correlation: float = 0.8  # of what two candidates correct, from which on they may be the same

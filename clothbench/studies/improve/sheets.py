@@ -187,7 +187,7 @@ class SheetEvidence:
             ]
         )
 
-    def objection(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray]) -> str:
+    def objection(self, before: Sequence[np.ndarray], after: Sequence[np.ndarray], least: float = 0.0) -> str:
         """No identity is known of such recordings."""
         return ""
 
