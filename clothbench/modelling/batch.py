@@ -40,7 +40,6 @@ from clothbench.modelling.time_loop import (
 
 MAX_STEPS = 20_000_000
 NEAR_DISC = 0.1  # radii over or under a disc at which a sheet still counts as lying on it
-DENT = 1e-3  # of the sheet's size, by which a flat first guess is bent
 LOST = 20.0  # cloth sizes from the start at which a sheet has blown up
 
 
@@ -117,23 +116,7 @@ class GridSimulation:
 
     @cached_property
     def _first_shape(self) -> np.ndarray:
-        shape = initial_shape(self.scene, self.uv)
-        few = 2 <= len(self.scene.grip_material) < min(self.shape)
-        return self._dented(shape) if few and self.scene.start is None else shape
-
-    def _dented(self, shape: np.ndarray) -> np.ndarray:
-        """A first guess (n, 3) m that is exactly flat, a little out of its plane by a pattern without symmetry.
-
-        Held by a few points as far apart as they are on the cloth, it would stay in its plane on an unstable balance,
-        and rounding, which is another wherever the room stands, would say whether and where it leaves it.
-        """
-        normal = np.cross(shape[1] - shape[0], shape[self.shape[0]] - shape[0])
-        normal /= np.linalg.norm(normal)
-        if np.ptp(shape @ normal) > 1e-9 * max(self.scene.width, self.scene.height):
-            return shape
-        u, v = (self.uv / [self.scene.width, self.scene.height]).T
-        pattern = np.sin(1 + 2.3 * u) * np.cos(0.7 + 3.1 * v)
-        return shape + DENT * min(self.scene.width, self.scene.height) * pattern[:, None] * normal
+        return initial_shape(self.scene, self.uv)
 
     @cached_property
     def start(self) -> tuple[np.ndarray, np.ndarray]:

@@ -123,7 +123,7 @@ def two_layers(gap, closing, thickness, dt):
     mass = np.random.default_rng(2).uniform(0.5, 2.0, 98)
     triangles, rest = grid_triangles((7, 7)), np.vstack([uv, uv + 1.0])
     sheet = sheet_of(rest, mass, mass, np.vstack([triangles, triangles + 49]), (0, 0, 0), 1.2)
-    scene = loose(x.T, uv, np.array([0.0]), thickness=thickness, shape=(7, 7))
+    scene = loose(lower, uv, np.array([0.0]), thickness=thickness, shape=(7, 7))
     return x + dt * v, v, mass, layers_of(scene, sheet)
 
 
