@@ -67,7 +67,8 @@ def test_a_name_in_doubt_is_fitted_in_another_valley_before_it_is_withdrawn(monk
     evidence = SimpleNamespace(unit=SheetEvidence.unit)
     problem = SimpleNamespace(evidence=evidence)
     for name, value in {
-        "beside_tied": lambda *_: "", "as_a_limit": lambda *_: "", "continued": lambda *_: named,
+        "beside_tied": lambda *_: "", "as_a_limit": lambda *_: "", "by_chance": lambda *_: "",
+        "continued": lambda *_: named,
         "in_another_valley": lambda *_: (better, 5),
         "corrected": lambda problem, fit, noise, account: (problem, fit, 1e-4),
         "profile_intervals": lambda problem, fit: (fit, fit, 3),
