@@ -243,7 +243,7 @@ def why_skipped(model: Any, scene: Scene) -> str | None:
     clamped = any(o.clamps for o in scene.obstacles)
     if (scene.outline is not None or clamped) and "outline" not in model.capabilities:
         return "the model simulates whole rectangles held by grips, and the scene has a cut or a clamped cloth"
-    if any(o.carried for o in scene.obstacles) and "carried_contact" not in model.capabilities:
+    if scene.grips_carry and "carried_contact" not in model.capabilities:
         return "the model knows no obstacle that moves, and the grips of the scene carry one"
     if isinstance(model, RefusesScenes) and (reason := model.skip(scene)):
         return reason

@@ -137,8 +137,7 @@ class Scene:
             outline = checked_outline(self.outline, self.width, self.height)
             outline.flags.writeable = False
             object.__setattr__(self, "outline", outline)
-            carry = any(o.carried for o in self.obstacles)  # then grips need not hold any cloth
-            if not carry and (fault := grip_off(outline, self.grip_material, size)):
+            if not self.grips_carry and (fault := grip_off(outline, self.grip_material, size)):
                 raise ClothbenchError(f"scene: {fault}")
 
     def _check_surroundings(self) -> None:
@@ -147,8 +146,13 @@ class Scene:
                 raise ClothbenchError(
                     f"scene: obstacles hold a {type(obstacle).__name__}, expected clothbench.Obstacle"
                 )
-        if any(o.carried for o in self.obstacles) and not self.grip_material.size:
+        if self.grips_carry and not self.grip_material.size:
             raise ClothbenchError("scene: an obstacle is carried by the grips, and the scene has none")
+
+    @property
+    def grips_carry(self) -> bool:
+        """Whether the grips carry an obstacle: they need not hold any cloth then."""
+        return any(o.carried for o in self.obstacles)
 
     @property
     def start_time(self) -> float:

@@ -99,14 +99,18 @@ def check_grips(time: np.ndarray, material: np.ndarray, position: np.ndarray, si
         return
     check_stamps("grip_time", time, least=2)
     check_shape("grip_position", position, len(time), len(material), 3)
-    slack = OVER_HEM * size
-    off = ((material < -slack) | (material > size + slack)).any(axis=1)
-    if off.any():
-        u, v = material[off][0]
+    if len(off := off_sheet(material, size)):
+        u, v = material[off[0]]
         raise ClothbenchError(
-            f"scene: grip_material {int(np.argmax(off))} is at ({u:g}, {v:g}) m, expected it on the sheet of "
+            f"scene: grip_material {off[0]} is at ({u:g}, {v:g}) m, expected it on the sheet of "
             f"{size[0]:g} × {size[1]:g} m; a grip holds a point of the cloth"
         )
+
+
+def off_sheet(points: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """Numbers of the points (N, 2) m that are farther over the hems of a sheet of `size` (2,) m than clamps may be."""
+    slack = OVER_HEM * size
+    return np.flatnonzero(((points < -slack) | (points > size + slack)).any(axis=1))
 
 
 def grip_off(outline: np.ndarray | None, material: np.ndarray, size: np.ndarray) -> str | None:

@@ -15,7 +15,6 @@ Of results in a bucket the folder is a mirror (`clothbench.engine.mirror`): what
 from __future__ import annotations
 
 import functools
-import itertools
 import json
 import math
 import os
@@ -291,6 +290,9 @@ class Store:
             return []
 
 
+NOWHERE: frozenset[Any] = frozenset()  # the recordings of a cell that failed as a whole
+
+
 def superseded(rows: Iterable[Mapping[str, Any]]) -> set[str]:
     """Keys of cells of which the store has the same question with the same plugins in other versions: of those the
     ones that are not installed, or of several such those that were not finished last.
@@ -311,10 +313,15 @@ def superseded(rows: Iterable[Mapping[str, Any]]) -> set[str]:
         if len(set(versions.values())) < 2:
             continue
         rank = {key: (is_installed(versions[key]), cells[key][0].get("finished") or "") for key in keys}
-        places = {key: {(r["recording"], r["split"]) for r in cells[key] if r["recording"]} for key in keys}
-        for key, other in itertools.permutations(keys, 2):
-            same = places[key] == places[other] or not (places[key] and places[other])
-            if same and versions[key] != versions[other] and rank[key] < rank[other]:
+        places = {key: frozenset((r["recording"], r["split"]) for r in cells[key] if r["recording"]) for key in keys}
+        first: dict[frozenset[Any] | None, dict[str, tuple[bool, str]]] = {}  # of each version; None: wherever
+        for key in keys:
+            for place in (places[key], None):
+                known = first.setdefault(place, {})
+                known[versions[key]] = max(rank[key], known.get(versions[key], rank[key]))
+        for key in keys:
+            beside = (first[places[key]], first.get(NOWHERE, {})) if places[key] else (first[None],)
+            if any(v != versions[key] and rank[key] < best for some in beside for v, best in some.items()):
                 out.add(key)
     return out
 

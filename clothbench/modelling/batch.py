@@ -87,7 +87,7 @@ class GridSimulation:
         if self.cover is not None:
             area, (triangles, share) = self.cover.area.ravel(), self.cover.triangles(triangles)
         held = _nearest(self.uv, scene.grip_material)
-        if (area[held] == 0).any() and not any(o.carried for o in scene.obstacles):
+        if (area[held] == 0).any() and not scene.grips_carry:
             off = int(np.argmin(area[held]))
             raise ClothbenchError(
                 f"grip_material {off} is at {tuple(scene.grip_material[off].tolist())} m, where the outline leaves "

@@ -9,7 +9,7 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.scene import HEAVIEST
-from clothbench.core.scene_rules import OVER_HEM
+from clothbench.core.scene_rules import off_sheet
 from clothbench.recordings.layout import Arrays, Layout, Part
 
 COVERED = 0.9  # of the frames, while which somebody has to know where the grips are
@@ -113,8 +113,7 @@ def check_near(places: np.ndarray, name: str, where: str) -> None:
 
 def check_points(points: np.ndarray, name: str, size: np.ndarray, where: str) -> None:
     """Material points (N, 2) m lie on a cloth of `size` (2,) m, each of them once."""
-    slack = OVER_HEM * size  # markers, too, may stand a little over the hem
-    outside = np.flatnonzero(((points < -slack) | (points > size + slack)).any(axis=1))
+    outside = off_sheet(points, size)  # markers, too, may stand a little over the hem
     if outside.size:
         u, v = points[outside[0]]
         raise ClothbenchError(

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
 
 from clothbench.display.terminal import console
-from clothbench.engine.judgement import IDENTITY, Key, Row, identity, judge, of_cells, other_unit, spread
+from clothbench.engine.judgement import IDENTITY, Key, Row, identity, judge, other_unit, spread
 from clothbench.engine.store import finite
 
 Rows = Sequence[dict[str, Any]]
@@ -38,38 +38,55 @@ def _pairs(base: Rows, new: Rows) -> Iterator[tuple[Rows, Rows]]:
     The same is what has the same key; else, since a plugin of another version changes that, the only cell on either
     side with rows about the same, or of several such (of other budgets) the only one with as many evaluations.
     """
-    cells: list[dict[Any, list[dict[str, Any]]]] = [{}, {}]
-    for side, rows in zip(cells, (base, new), strict=True):
-        for row in rows:
-            side.setdefault(row.get("key"), []).append(row)
-    about = of_cells(base), of_cells(new)
-
-    def keys_by(told: Callable[[Any, frozenset[Key], dict[str, Any]], Any], side: int) -> dict[Any, list[Any]]:
-        out: dict[Any, list[Any]] = {}
-        for key, rows in cells[side].items():
-            out.setdefault(told(key, about[side][key], rows[0]), []).append(key)
-        return out
-
-    for told in (
-        lambda key, about, row: key, lambda key, about, row: about,
-        lambda key, about, row: (about, row.get("evaluations")),
-    ):  # fmt: skip
-        old, young = keys_by(told, 0), keys_by(told, 1)
+    before, after = _by_cell(base), _by_cell(new)
+    for names in _key, _about, _effort:
+        old, young = _alike(before, names), _alike(after, names)
         for same, keys in old.items():
             if len(keys) == len(young.get(same, ())) == 1:
-                yield cells[0].pop(keys[0]), cells[1].pop(young[same][0])
-    yield [row for rows in cells[0].values() for row in rows], [row for rows in cells[1].values() for row in rows]
+                yield before.pop(keys[0]), after.pop(young[same][0])
+    yield [row for rows in before.values() for row in rows], [row for rows in after.values() for row in rows]
+
+
+def _by_cell(rows: Rows) -> dict[Any, Rows]:
+    """Rows by the key of their cell; those without one are of one."""
+    out: dict[Any, list[dict[str, Any]]] = {}
+    for row in rows:
+        out.setdefault(row.get("key"), []).append(row)
+    return {**out}
+
+
+def _alike(cells: Mapping[Any, Rows], names: Callable[[Rows], Any]) -> dict[Any, list[Any]]:
+    """Keys of cells by what they are told by."""
+    out: dict[Any, list[Any]] = {}
+    for key, rows in cells.items():
+        out.setdefault(names(rows), []).append(key)
+    return out
+
+
+def _key(rows: Rows) -> Any:
+    return rows[0].get("key")
+
+
+def _about(rows: Rows) -> frozenset[Key]:
+    return frozenset(map(identity, rows))
+
+
+def _effort(rows: Rows) -> tuple[frozenset[Key], Any]:
+    return _about(rows), rows[0].get("evaluations")
 
 
 def _compare_cells(base: Rows, new: Rows, verdict: dict[str, Any]) -> None:
     """Add to the verdict what comes of rows of BASE and those of NEW that may be about the same."""
     counts = [Counter(map(identity, rows)) for rows in (base, new)]
-    several = [about for about, times in counts[0].items() if times > 1 or counts[1][about] > 1]
-    for about in several:
-        lost = next(r for r in base if identity(r) == about)
-        why = f"several cells are about this ({counts[0][about]} of BASE, {counts[1][about]} of NEW), none with one key"
-        verdict["missing"].append(_change(lost, None, why if counts[1][about] else MISSING))
-    after, before = ({identity(r): r for r in rows if identity(r) not in several} for rows in (new, base))
+    before, after = dict[Key, Row](), dict[Key, Row]()
+    for found, rows in ((before, base), (after, new)):
+        for one in rows:
+            found.setdefault(identity(one), one)
+    for about, times in counts[0].items():
+        if times == 1 and counts[1][about] <= 1:
+            continue
+        why = f"several cells are about this ({times} of BASE, {counts[1][about]} of NEW), none with one key"
+        verdict["missing"].append(_change(before.pop(about), None, why if after.pop(about, None) else MISSING))
     theirs = spread(after, before.items())
     for row in spread(before, after.items()).values():
         other = theirs.pop(identity(row), None)

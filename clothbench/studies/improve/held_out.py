@@ -7,13 +7,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from clothbench.estimation.trials import over
 from clothbench.studies.improve.attribution import null_point
 from clothbench.studies.improve.evidence import Comparison
 from clothbench.studies.improve.finding import Placebo
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import fit
-from clothbench.studies.improve.problem import Problem, residuals
+from clothbench.studies.improve.problem import Problem, residuals_of_fit
 from clothbench.studies.improve.refinement import discretisation_error
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round
@@ -36,7 +35,7 @@ def held_out_residuals(problem: Problem, fitted: Fitted) -> list[np.ndarray]:
         changes = discretisation_error(plain, fitted, "held_out")
         names = [case.name for case in plain.of_split("held_out")]
         corrected = dataclasses.replace(plain, corrections=dict(zip(names, changes, strict=True)))
-    found = over(corrected.trials(fitted.effects, "held_out"), lambda trial: residuals(trial, fitted.theta[None])[0])
+    found = residuals_of_fit(corrected, fitted, "held_out")
     problem.checkpoint.keep(key, **{str(k): residual for k, residual in enumerate(found)})
     return found
 

@@ -19,7 +19,7 @@ from clothbench.engine.checkpoint import Checkpoint
 from clothbench.engine.study import Elsewhere
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.prior import begun
-from clothbench.estimation.trials import Trial, score_of
+from clothbench.estimation.trials import Trial, over, score_of
 from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.improve.evidence import Case, Evidence, of_split
 
@@ -144,6 +144,11 @@ class Problem:
         ]  # fmt: skip
         own = sorted((name, sorted(values.items())) for name, values in self.own.items())
         return digest([*question, *([made] if made else []), *([own] if own else [])])
+
+
+def residuals_of_fit(problem: Problem, fitted: Any, split: str) -> list[np.ndarray]:
+    """Simulated minus measured (M,) of each recording of a split, at the parameters of a fit."""
+    return over(problem.trials(fitted.effects, split), lambda trial: residuals(trial, fitted.theta[None])[0])
 
 
 def residuals(trial: Trial, theta: np.ndarray) -> np.ndarray:

@@ -7,12 +7,11 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from clothbench.estimation.trials import over
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.attribution import projected_out, shifted
 from clothbench.studies.improve.fitted import Fitted, with_discrepancy
 from clothbench.studies.improve.fitting import fit
-from clothbench.studies.improve.problem import Problem, residuals
+from clothbench.studies.improve.problem import Problem, residuals_of_fit
 from clothbench.studies.improve.settings import LOOP
 
 STAGE = "mesh and step refined"
@@ -72,13 +71,13 @@ def refinements(
     square of the cell's size; a third of the second is what may be left (`numerical_doubt`). A recording that cannot be
     simulated on the finer mesh is not corrected by it, and what the halving changes of it is not finite.
     """
-    known = over(problem.trials(fitted.effects, split), lambda trial: residuals(trial, fitted.theta[None])[0])
+    known = residuals_of_fit(problem, fitted, split)
     so_far = [0 * r for r in known]
     for _ in range(halvings):
         if (finer := problem.refined()) is None:
             return
         problem = finer
-        found = over(problem.trials(fitted.effects, split), lambda trial: residuals(trial, fitted.theta[None])[0])
+        found = residuals_of_fit(problem, fitted, split)
         steps = [b - a for a, b in zip(known, found, strict=True)]
         last = [LOOP.richardson * step for step in steps]
         yield [a + where_known(b) for a, b in zip(so_far, last, strict=True)], last

@@ -10,13 +10,13 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 
 from clothbench.core.optional import limits_of
-from clothbench.estimation.trials import evaluate, over
+from clothbench.estimation.trials import evaluate
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.attribution import Probe, ridge_solution, shifted
 from clothbench.studies.improve.fitted import Fitted, solve_damped
 from clothbench.studies.improve.fitting import better_of, fit, multistart, polish
 from clothbench.studies.improve.jumps import jump_along_valley, off_bounds
-from clothbench.studies.improve.problem import Problem, residuals
+from clothbench.studies.improve.problem import Problem, residuals_of_fit
 from clothbench.studies.improve.selection import Candidate, allowance, faulty, least_fall, parameters_of
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round, State
@@ -215,8 +215,7 @@ def by_chance(problem: Problem, before: Fitted, fitted: Fitted, account: Account
     """
     found = []
     for other in problem.relaid():
-        trials = other.trials(fitted.effects, "fit")
-        found.append(over(trials, lambda trial: residuals(trial, fitted.theta[None])[0]))
+        found.append(residuals_of_fit(other, fitted, "fit"))
         account.count(1)
     if not found:
         return ""
