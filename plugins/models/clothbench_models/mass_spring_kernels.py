@@ -51,6 +51,7 @@ __all__ = ["DIVERGED", "OK", "SLOTS", "Settling", "Springs", "run_block"]
 
 TINY = 1e-30  # m²; keeps the length of a masked spring between two coinciding nodes above 0
 CHECK_EVERY = 64  # steps between two looks for rest and for divergence
+EDGE = 3.0  # of `chebyshev`: what is fast keeps at most half of its speed in a step
 SWEEPS = 30  # at most, over all limited springs after one step
 SLACK = 0.001  # of a spring's length; strain beyond the limit that needs no further sweep
 
@@ -96,6 +97,59 @@ def elastic_forces(x, stride, rest, stiffness, g, begin):
 
 
 @apart_kernel
+def elastic_forces_and_axes(x, stride, rest, stiffness, root, g, axis, begin):
+    """`elastic_forces`, and √c d/l of the dashpots beside the springs, from place `begin` of axis (3, begin + n) on.
+
+    root: √c of each, (N·s/m)^½.
+    """
+    n = x.shape[1] - stride
+    ax, ay, az = x[0, :n], x[1, :n], x[2, :n]
+    bx, by, bz = x[0, stride : stride + n], x[1, stride : stride + n], x[2, stride : stride + n]
+    gx, gy, gz = g[0, begin : begin + n], g[1, begin : begin + n], g[2, begin : begin + n]
+    ex, ey, ez = axis[0, begin : begin + n], axis[1, begin : begin + n], axis[2, begin : begin + n]
+    one, tiny = x.dtype.type(1.0), x.dtype.type(TINY)
+    for e in range(np.uint64(n)):
+        dx, dy, dz = bx[e] - ax[e], by[e] - ay[e], bz[e] - az[e]
+        inverse = one / np.sqrt(dx * dx + dy * dy + dz * dz + tiny)
+        q = stiffness[e] * (one - rest[e] * inverse)
+        gx[e], gy[e], gz[e] = q * dx, q * dy, q * dz
+        inverse *= root[e]
+        ex[e], ey[e], ez[e] = inverse * dx, inverse * dy, inverse * dz
+
+
+@apart_kernel
+def add_dashpots(f, v, stride, axis, begin):
+    """f += a (Δv·a) of one family of dashpots at their first nodes, − that at their second; a = √c d/l from `axis`.
+
+    f: (3, n) N. v has `begin` zeros before its n nodes and behind them, axis before them: each node adds up the one
+    that begins and the one that ends in it, at twice the arithmetic but with nothing written between.
+    """
+    n, back, on = f.shape[1], begin - stride, begin + stride
+    u, vv, w = v[0, begin : begin + n], v[1, begin : begin + n], v[2, begin : begin + n]
+    bu, bv, bw = v[0, on : on + n], v[1, on : on + n], v[2, on : on + n]
+    au, av, aw = v[0, back : back + n], v[1, back : back + n], v[2, back : back + n]
+    px, py, pz = axis[0, begin : begin + n], axis[1, begin : begin + n], axis[2, begin : begin + n]
+    qx, qy, qz = axis[0, back : back + n], axis[1, back : back + n], axis[2, back : back + n]
+    fx, fy, fz = f[0], f[1], f[2]
+    for e in range(np.uint64(n)):
+        p = (bu[e] - u[e]) * px[e] + (bv[e] - vv[e]) * py[e] + (bw[e] - w[e]) * pz[e]
+        q = (u[e] - au[e]) * qx[e] + (vv[e] - av[e]) * qy[e] + (w[e] - aw[e]) * qz[e]
+        fx[e] += p * px[e] - q * qx[e]
+        fy[e] += p * py[e] - q * qy[e]
+        fz[e] += p * pz[e] - q * qz[e]
+
+
+@apart_kernel
+def next_stage(now, before, f, inverse_mass, kick, centre, slope, less):
+    """before ← centre·now + slope·kick·f/m − less·before, then f ← 0: T_{j+1}(y) = 2 y T_j(y) − T_{j−1}(y)."""
+    for c in range(3):
+        yc, bc, fc = now[c], before[c], f[c]
+        for e in range(np.uint64(yc.shape[0])):
+            bc[e] = centre * yc[e] + slope * kick[e] * (fc[e] * inverse_mass[e]) - less * bc[e]
+            fc[e] = 0.0
+
+
+@apart_kernel
 def add_pairwise(f, g, begin, stride):
     """f += what springs do at their first nodes, − what they do at their second: f (3, n) N, g (3, begin + n) N.
 
@@ -120,6 +174,72 @@ def kick_and_drift(x, v, f, inverse_mass, weight, kick, dt, keep):
             w = vc[e] * keep[e] + kick[e] * (fc[e] * inverse_mass[e])
             vc[e] = w
             xc[e] += dt[e] * w
+            fc[e] = wc[e]
+
+
+@kernel
+def chebyshev(stages):
+    """Centre w₀ and slope w₁ of P(z) = (1 + T_s(w₀ + w₁ z))/(1 + T_s(w₀)), with T_s(w₀) = EDGE and P′(0) = 1.
+
+    0 ≤ P ≤ 2/(1 + EDGE) where −1 ≤ w₀ + w₁ z ≤ 1: for z from −(1 + w₀)/w₁ up, about −0.8 s², to where P grows to 1.
+    """
+    angle = np.arccosh(EDGE) / stages
+    return np.cosh(angle), (1.0 + EDGE) * np.sinh(angle) / (stages * np.sinh(stages * angle))
+
+
+def damped_up_to(stages: int) -> float:
+    """The fastest rate of damping, times the step, for which that many stages are stable."""
+    centre, slope = chebyshev(stages)
+    return (1.0 + centre) / slope
+
+
+@kernel
+def relax(v, f, strides, axes, inverse_mass, kick, stages, work, begin):
+    """v ← P(A) v, A = −kick C/m the dashpots along `axes`, P of `chebyshev`: in s stages what s² steps of Euler's do.
+
+    P(z) = 1 + z + O(z²), as exp(z), and never below 0: behind a kick by springs a factor below it lets grow what
+    oscillates, which is why it is not the polynomial of van der Houwen and Sommeijer (1980, On the internal stability
+    of explicit, m-stage Runge–Kutta methods), damped like theirs. f (3, n) has to be 0 and is left so. work:
+    (2, 3, begin + n + begin), 0 at both ends; axes: as `add_dashpots` reads them.
+    """
+    real, nodes = v.dtype.type, slice(begin, begin + v.shape[1])
+    centre, slope = chebyshev(stages)
+    now, before = work[0], work[1]
+    now[:, nodes] = v
+    before[:] = 0.0
+    for stage in range(stages):
+        for family in range(strides.shape[0]):
+            add_dashpots(f, now, strides[family], axes[family], begin)
+        twice = 1.0 if stage == 0 else 2.0
+        next_stage(
+            now[:, nodes], before[:, nodes], f, inverse_mass, kick, real(twice * centre), real(twice * slope),
+            real(twice - 1.0),
+        )  # fmt: skip
+        now, before = before, now
+    share = real(1.0 / (1.0 + EDGE))
+    for c in range(3):
+        own, found = v[c], now[c, nodes]
+        for e in range(np.uint64(own.shape[0])):
+            own[e] = (own[e] + found[e]) * share
+
+
+@apart_kernel
+def kick_by(v, f, inverse_mass, kick, keep):
+    """`kick_and_drift` without the drift; then f ← 0."""
+    for c in range(3):
+        vc, fc = v[c], f[c]
+        for e in range(np.uint64(vc.shape[0])):
+            vc[e] = vc[e] * keep[e] + kick[e] * (fc[e] * inverse_mass[e])
+            fc[e] = 0.0
+
+
+@apart_kernel
+def drift(x, v, f, weight, dt):
+    """x ← x + dt·v, then f ← weight for the next step."""
+    for c in range(3):
+        xc, vc, fc, wc = x[c], v[c], f[c], weight[c]
+        for e in range(np.uint64(xc.shape[0])):
+            xc[e] += dt[e] * vc[e]
             fc[e] = wc[e]
 
 
@@ -215,12 +335,12 @@ def begin(v, settled, keep, kick, step, dashpots, damping, lane, lanes, dt, loss
             dashpots[family, e] = damping[family, e]
 
 
-Springs = namedtuple("Springs", "strides rest stiffness damping settle_damping loss strain_limit limited")
+Springs = namedtuple("Springs", "strides rest stiffness damping settle_damping stages loss strain_limit limited")
 Springs.__doc__ = """The springs of `lanes` interleaved sheets of n nodes, S families.
 
 strides: (S,), from a spring's first node to its second, in entries; rest: (S, n·lanes) m; stiffness: (S, n·lanes) N/m;
 damping: (S, n·lanes) N·s/m, or (0, 0) where springs have none, and settle_damping, the same for the time in which the
-sheet settles; loss: (lanes,) 1/s, share of the velocity lost; strain_limit: of the first `limited` families, infinite
+sheet settles; stages: of `relax`, or 1 for dashpots in the springs' own forces; loss: (lanes,) 1/s, share of the velocity lost; strain_limit: of the first `limited` families, infinite
 for none.
 """
 Settling = namedtuple("Settling", "time rate at_rest dt")
@@ -232,7 +352,7 @@ artificial damping; at_rest: m/s, the speed that ends it; dt: (lanes,) s.
 def _signature(real):
     """Types of `run_block`'s arguments; `real` is the precision of all that is touched for every node and step."""
     double, r2, d1, i1 = types.float64, real[:, ::1], types.float64[::1], types.int64[::1]
-    springs = bundle_type(Springs, i1, r2, r2, r2, r2, d1, double, types.int64)
+    springs = bundle_type(Springs, i1, r2, r2, r2, r2, types.int64, d1, double, types.int64)
     settling = bundle_type(Settling, d1, double, double, d1)
     return types.void(
         types.int64, bundle_type(Start, r2, r2, types.int64), springs, SHEET, *(EFFECT,) * SLOTS, TERMS_OF_MANY,
@@ -265,6 +385,9 @@ def _run_block(
     inverse_mass, step = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
     kick, keep = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
     held = pins.shape[0] > 0
+    stages = springs.stages
+    axes, roots = np.zeros((strides.shape[0] if stages > 1 else 0, 3, longest + entries), x.dtype), np.sqrt(damping)
+    work = np.zeros((2, 3, longest + entries + longest if stages > 1 else 0), x.dtype)
     settles = held and begins.settles == SETTLES
     dt_now = settle_dt.copy() if settles else dt.copy()
     dashpots = springs.settle_damping.copy() if settles else damping
@@ -305,7 +428,11 @@ def _run_block(
                 for e in range(lane, entries, lanes):
                     kick[e] = dt[lane]
         for family in range(strides.shape[0]):
-            if damping.shape[0] > 0:
+            if stages > 1:
+                elastic_forces_and_axes(
+                    x, strides[family], rest[family], stiffness[family], roots[family], g[family], axes[family], longest
+                )
+            elif damping.shape[0] > 0:
                 spring_forces(
                     x, v, strides[family], rest[family], stiffness[family], dashpots[family], g[family], longest
                 )
@@ -325,7 +452,12 @@ def _run_block(
             if heavier:
                 bear_inertia(fd, mass, extra)
             put_back(f, fd)
-        kick_and_drift(x, v, f, inverse_mass, weights, kick, step, keep)
+        if stages > 1:
+            kick_by(v, f, inverse_mass, kick, keep)
+            relax(v, f, strides, axes, inverse_mass, kick, stages, work, longest)
+            drift(x, v, f, weights, step)
+        else:
+            kick_and_drift(x, v, f, inverse_mass, weights, kick, step, keep)
         count += 1
         for lane in range(lanes):
             curve = curves[lane % curves.shape[0]]

@@ -94,7 +94,11 @@ class SpringSimulation(GridSimulation, ABC):
 
     @abstractmethod
     def stable_step(self, theta: np.ndarray) -> np.ndarray:
-        """The largest stable step of each parameter set (B,) s."""
+        """The largest step of each parameter set (B,) s that is stable with damping of one stage, as sheets settle."""
+
+    def stages_and_step(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """In how many stages damping is taken (B,), and the largest step (B,) s that is stable with them."""
+        return np.ones(len(theta), np.int64), self.stable_step(theta)
 
     def fastest_square(self, theta: np.ndarray) -> np.ndarray:
         """A bound on ω² (B,) 1/s²: that of the flat sheet, whose springs all pull in one plane, and of the effects, for
@@ -116,28 +120,32 @@ class _Batch(GridBatch):
         self.calmed = simulation.effects.resting(simulation.calmed(theta))
         if options.dt is not None:
             dt = self.settle_dt = np.full(len(theta), options.dt * options.step_scale)
+            self.damping_stages = np.ones(len(theta), np.int64)
         else:
             scale = simulation.safety * options.step_scale
-            dt, self.settle_dt = (scale * simulation.stable_step(values) for values in (theta, self.calmed))
+            self.damping_stages, step = simulation.stages_and_step(theta)
+            dt, self.settle_dt = scale * step, scale * simulation.stable_step(self.calmed)
         super().__init__(simulation, theta, dt, SETTLE[1] / simulation.slowest)
         self.strain_limit = math.inf if options.strain_limit is None else options.strain_limit
 
-    @property
-    def rests_first(self) -> bool:
+    def rests_first(self, members: np.ndarray) -> bool:
         """Whether sheets come to rest in a loop of their own before that of the run: without the effects that act in
-        motion only, and in double precision, since in single rounding alone keeps soft modes moving.
+        motion only; without stages, which the little damping of that time does not need; and in double precision,
+        since in single rounding alone keeps soft modes moving.
         """
-        here = self.hung is None and self.simulation.settles
-        return here and (self.terms > 0 or self.simulation.options.precision == "single")
+        apart = self.terms > 0 or self.damping_stages[members[0]] > 1 or self.simulation.options.precision == "single"
+        return apart and self.hung is None and self.simulation.settles
 
     @property
     def blocks(self) -> list[np.ndarray]:
-        """Members that run together, similar steps side by side; one by one on a large grid."""
-        many = self.simulation.nodes >= SMALL or self.simulation.scene.thickness > 0
-        if many or self.terms > 0 or self.rests_first:
-            return [self.members[k : k + 1] for k in range(len(self.members))]
-        order = self.members[np.argsort(self.dt[self.members], kind="stable")]
-        return [order[k : k + LANES] for k in range(0, len(order), LANES)]
+        """Members that run together, as many stages and similar steps side by side; one by one on a large grid."""
+        alone = self.simulation.nodes >= SMALL or self.simulation.scene.thickness > 0 or self.terms > 0
+        order = self.members[np.lexsort((self.dt[self.members], self.damping_stages[self.members]))]
+        out = []
+        for alike in np.split(order, np.flatnonzero(np.diff(self.damping_stages[order])) + 1):
+            lanes = 1 if alone or (len(alike) and self.rests_first(alike)) else LANES
+            out += [alike[k : k + lanes] for k in range(0, len(alike), lanes)]
+        return out
 
     def start(self, members: np.ndarray) -> Start:
         """Where interleaved members begin."""
@@ -148,7 +156,7 @@ class _Batch(GridBatch):
 
         return Start(interleaved([s.x for s in each]), interleaved([s.v for s in each]), each[0].settles)
 
-    def springs(self, members: np.ndarray, real: type) -> kernels.Springs:
+    def springs(self, members: np.ndarray, stages: int, real: type) -> kernels.Springs:
         """The springs of members that run together, in the precision in which they run."""
         simulation, lanes, theta = self.simulation, len(members), self.theta[members]
         grid = simulation.grid
@@ -159,7 +167,7 @@ class _Batch(GridBatch):
         return kernels.Springs(
             grid.strides * lanes, np.repeat(grid.rest, lanes, axis=1).astype(real),
             of_each(simulation.stiffness(theta)), of_each(simulation.dashpots(theta)),
-            of_each(simulation.dashpots(self.calmed[members])),
+            of_each(simulation.dashpots(self.calmed[members])), stages,
             simulation.loss(theta), self.strain_limit, simulation.limited,
         )  # fmt: skip
 
@@ -176,21 +184,23 @@ class _Batch(GridBatch):
         begins, grips, layers = self.start(members), self.grips_of(members), layers_of(scene, sheet)
         sampling = Sampling(self.interpolator.index, self.interpolator.weight, self.times[members], out)
 
-        def march(precision: str, begins: Start, effects: tuple[Callable, ...], sampling: Sampling) -> Start:
+        def march(
+            precision: str, begins: Start, effects: tuple[Callable, ...], sampling: Sampling, stages: int
+        ) -> Start:
             real = REAL[precision]
             begins = begins._replace(x=begins.x.astype(real), v=begins.v.astype(real))
             kernels.run_block(precision)(
-                lanes, begins, self.springs(members, real), self.sheet(), *effects, terms, grips, obstacle_table(scene),
+                lanes, begins, self.springs(members, stages, real), self.sheet(), *effects, terms, grips, obstacle_table(scene),
                 layers, self.bounds(), scene.start_time, self.dt[members], settling, sampling, status, steps,
             )  # fmt: skip
             return begins
 
-        if self.rests_first:
-            hung = march("double", begins, self.settling_kernels, sampling._replace(times=np.zeros((lanes, 0))))
+        if self.rests_first(members):
+            hung = march("double", begins, self.settling_kernels, sampling._replace(times=np.zeros((lanes, 0))), 1)
             self.steps[members] += steps
             begins, steps[:] = Start(hung.x, np.zeros_like(hung.v), RESTS), 0
         if not status.any():
-            march(simulation.options.precision, begins, self.kernels, sampling)
+            march(simulation.options.precision, begins, self.kernels, sampling, int(self.damping_stages[members[0]]))
         self.position[members], self.status[members] = out, status
         self.steps[members] += steps
 
