@@ -208,6 +208,23 @@ def step_of(*effects: str) -> float:
     return seconds / float(rollout.steps[0])
 
 
+# --- what damping costs: the same motion, for as many seconds ------------------------------------------------
+
+
+@pytest.mark.bench
+def test_strong_damping_is_taken_in_stages_where_an_effect_makes_each_step_dear():
+    """Beside a damping that lags by a step, which is stable for a quarter of the springs' own step."""
+    made = [catalogue().make("effects", "bending_hysteresis")]
+    scene = timing.hanging_sheet(13, 0.5)
+    simulation = model().prepare(scene, made)
+    theta = simulation.parameters.defaults[None].copy()
+    theta[0, simulation.parameters.names.index("zeta")] = 0.7
+    lagging = model(dt=simulation.safety * simulation.stable_step(theta)[0]).prepare(scene, made)
+    (staged, _), (short, _) = (shortest(lambda s=s: s.run(theta), 5) for s in (simulation, lagging))
+    assert simulation.stages_and_step(theta)[0][0] > 1
+    assert short >= 1.4 * staged
+
+
 # --- the first run of a new installation --------------------------------------------------------------------
 
 

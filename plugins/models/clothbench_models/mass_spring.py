@@ -153,7 +153,7 @@ class MassSpringSimulation(SpringSimulation):
         return (2 / omega) * (np.sqrt(1 + half**2) - half)
 
     def stages_and_step(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Those of least work: in stages, damping allows leapfrog its own step, 2/ω, or one as long as they hold for."""
+        """Those of least work: several stages allow leapfrog its own step, 2/ω, or one as long as they hold for."""
         omega, rate = self.fastest(theta)
         longest = np.minimum(2 / omega[:, None], REACH / np.maximum(rate, 1e-300)[:, None])
         steps = np.column_stack([self.stable_step(theta), longest])

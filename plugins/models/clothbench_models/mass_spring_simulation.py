@@ -190,8 +190,9 @@ class _Batch(GridBatch):
             real = REAL[precision]
             begins = begins._replace(x=begins.x.astype(real), v=begins.v.astype(real))
             kernels.run_block(precision)(
-                lanes, begins, self.springs(members, stages, real), self.sheet(), *effects, terms, grips, obstacle_table(scene),
-                layers, self.bounds(), scene.start_time, self.dt[members], settling, sampling, status, steps,
+                lanes, begins, self.springs(members, stages, real), self.sheet(), *effects, terms, grips,
+                obstacle_table(scene), layers, self.bounds(), scene.start_time, self.dt[members], settling, sampling,
+                status, steps,
             )  # fmt: skip
             return begins
 
