@@ -51,7 +51,7 @@ __all__ = ["DIVERGED", "OK", "SLOTS", "Settling", "Springs", "run_block"]
 
 TINY = 1e-30  # m²; keeps the length of a masked spring between two coinciding nodes above 0
 CHECK_EVERY = 64  # steps between two looks for rest and for divergence
-EDGE = 3.0  # of `chebyshev`: what is fast keeps at most half of its speed in a step
+FASTEST_KEEPS = 1 / 2  # of its speed in a step, at most, whatever is damped fast (`relax`)
 SWEEPS = 30  # at most, over all limited springs after one step
 SLACK = 0.001  # of a spring's length; strain beyond the limit that needs no further sweep
 
@@ -179,35 +179,36 @@ def kick_and_drift(x, v, f, inverse_mass, weight, kick, dt, keep):
 
 @kernel
 def chebyshev(stages):
-    """Centre w₀ and slope w₁ of P(z) = (1 + T_s(w₀ + w₁ z))/(1 + T_s(w₀)), with T_s(w₀) = EDGE and P′(0) = 1.
+    """Centre w₀ and slope w₁ of P(z) = (1 + T_s(w₀ + w₁ z))/(1 + T_s(w₀)), with P′(0) = 1 and T_s(w₀) such that
 
-    0 ≤ P ≤ 2/(1 + EDGE) where −1 ≤ w₀ + w₁ z ≤ 1: for z from −(1 + w₀)/w₁ up, about −0.8 s², to where P grows to 1.
+    0 ≤ P ≤ FASTEST_KEEPS where −1 ≤ w₀ + w₁ z ≤ 1: for z from −(1 + w₀)/w₁ up, about −0.8 s², to where P grows to 1.
     """
-    angle = np.arccosh(EDGE) / stages
-    return np.cosh(angle), (1.0 + EDGE) * np.sinh(angle) / (stages * np.sinh(stages * angle))
+    whole = 2.0 / FASTEST_KEEPS  # 1 + T_s(w₀)
+    angle = np.arccosh(whole - 1.0) / stages
+    return np.cosh(angle), whole * np.sinh(angle) / (stages * np.sinh(stages * angle))
 
 
 def damped_up_to(stages: int) -> float:
     """The fastest rate of damping, times the step, for which that many stages are stable."""
-    centre, slope = chebyshev(stages)
+    centre, slope = chebyshev.py_func(stages)
     return (1.0 + centre) / slope
 
 
 @kernel
-def relax(v, f, strides, axes, inverse_mass, heavier, mass, extra, kick, stages, work, begin):
+def relax(v, f, strides, axes, inverse_mass, heavier, mass, extra, kick, stages, centre, slope, work, begin):
     """v ← P(A) v, A = −kick C/m the dashpots along `axes`, P of `chebyshev`: in s stages what s² steps of Euler's do.
 
-    P(z) = 1 + z + O(z²), as exp(z), and never below 0: between kicks by springs a factor below it lets grow what
-    oscillates, which is why it is not the polynomial of van der Houwen and Sommeijer (1980, On the internal stability
-    of explicit, m-stage Runge–Kutta methods), damped like theirs. f (3, n) has to be 0 and is left so. work:
+    P(z) = 1 + z + O(z²), halfway between 1 and the polynomial of van der Houwen and Sommeijer (1980, On the internal
+    stability of explicit, m-stage Runge–Kutta methods), damped like theirs: nearer to exp(z), and it turns nothing
+    around. Theirs would take three stages for four of these. f (3, n) has to be 0 and is left so. work:
     (2, 3, begin + n + begin), 0 at both ends; axes: as `add_dashpots` reads them; heavier: whether effects added the
     mass `extra` to each node's own, as `bear_inertia` takes them.
     """
     real, nodes = v.dtype.type, slice(begin, begin + v.shape[1])
-    centre, slope = chebyshev(stages)
     now, before = work[0], work[1]
     now[:, nodes] = v
     before[:] = 0.0
+    value, earlier = real(1.0), real(0.0)  # of T_j(w₀), rounded as all else: what is not damped keeps its speed
     for stage in range(stages):
         for family in range(strides.shape[0]):
             add_dashpots(f, now, strides[family], axes[family], begin)
@@ -216,12 +217,11 @@ def relax(v, f, strides, axes, inverse_mass, heavier, mass, extra, kick, stages,
             bear_inertia(fd, mass, extra)
             put_back(f, fd)
         twice = 1.0 if stage == 0 else 2.0
-        next_stage(
-            now[:, nodes], before[:, nodes], f, inverse_mass, kick, real(twice * centre), real(twice * slope),
-            real(twice - 1.0),
-        )  # fmt: skip
+        grow, less = real(twice * centre), real(twice - 1.0)
+        next_stage(now[:, nodes], before[:, nodes], f, inverse_mass, kick, grow, real(twice * slope), less)
         now, before = before, now
-    share = real(1.0 / (1.0 + EDGE))
+        value, earlier = grow * value - less * earlier, value
+    share = real(1.0) / (real(1.0) + value)
     for c in range(3):
         own, found = v[c], now[c, nodes]
         for e in range(np.uint64(own.shape[0])):
@@ -229,30 +229,28 @@ def relax(v, f, strides, axes, inverse_mass, heavier, mass, extra, kick, stages,
 
 
 @apart_kernel
-def half_kick(v, f, inverse_mass, kick, keep, a):
-    """v ← keep·v + a with a = kick/2·f/m (3, n) m/s, for once more behind `relax`; then f ← 0.
+def half_kick(v, f, inverse_mass, kick, half):
+    """v ← v + kick/2·f/m, the other half of which (3, n) m/s is for behind `relax`; then f ← 0.
 
-    One half before and one behind: the step is symmetric, which makes its error one of second order; and what damping
-    stops at once still creeps. With all of the kick before it, sheets stood still that ought to have come to rest:
-    1.5 mm on one that swung by 150.
+    Half before and half behind, so that what damping stops at once still creeps. With all of the kick before it, sheets
+    stood still that ought to have come to rest: 1.5 mm on one that swung by 150.
     """
-    half = v.dtype.type(0.5)
+    by_two = v.dtype.type(0.5)
     for c in range(3):
-        vc, fc, ac = v[c], f[c], a[c]
+        vc, fc, hc = v[c], f[c], half[c]
         for e in range(np.uint64(vc.shape[0])):
-            w = half * kick[e] * (fc[e] * inverse_mass[e])
-            vc[e] = vc[e] * keep[e] + w
-            ac[e] = w
+            hc[e] = by_two * kick[e] * (fc[e] * inverse_mass[e])
+            vc[e] += hc[e]
             fc[e] = 0.0
 
 
 @apart_kernel
-def half_kick_and_drift(x, v, f, a, weight, dt):
-    """v ← v + a, x ← x + dt·v, then f ← weight for the next step."""
+def half_kick_and_drift(x, v, f, half, weight, dt):
+    """v ← v + half, x ← x + dt·v, then f ← weight for the next step."""
     for c in range(3):
-        xc, vc, fc, ac, wc = x[c], v[c], f[c], a[c], weight[c]
+        xc, vc, fc, hc, wc = x[c], v[c], f[c], half[c], weight[c]
         for e in range(np.uint64(xc.shape[0])):
-            w = vc[e] + ac[e]
+            w = vc[e] + hc[e]
             vc[e] = w
             xc[e] += dt[e] * w
             fc[e] = wc[e]
@@ -350,13 +348,15 @@ def begin(v, settled, keep, kick, step, dashpots, damping, lane, lanes, dt, loss
             dashpots[family, e] = damping[family, e]
 
 
-Springs = namedtuple("Springs", "strides rest stiffness damping settle_damping stages loss strain_limit limited")
+Springs = namedtuple(
+    "Springs", "strides rest stiffness damping settle_damping damping_stages loss strain_limit limited"
+)
 Springs.__doc__ = """The springs of `lanes` interleaved sheets of n nodes, S families.
 
 strides: (S,), from a spring's first node to its second, in entries; rest: (S, n·lanes) m; stiffness: (S, n·lanes) N/m;
 damping: (S, n·lanes) N·s/m, or (0, 0) where springs have none, and settle_damping, the same for the time in which the
-sheet settles; stages: of `relax` in each step, or 1 for dashpots among the springs' own forces; loss: (lanes,) 1/s,
-share of the velocity lost; strain_limit: of the first `limited` families, infinite for none.
+sheet settles; damping_stages: of `relax` in each step, or 1 for dashpots among the springs' own forces;
+loss: (lanes,) 1/s, share of the velocity lost; strain_limit: of the first `limited` families, infinite for none.
 """
 Settling = namedtuple("Settling", "time rate at_rest dt")
 Settling.__doc__ = """How a sheet comes to rest in its grips. time: (2,) s, the least and the most; rate: 1/s, of its
@@ -400,10 +400,11 @@ def _run_block(
     inverse_mass, step = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
     kick, keep = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
     held = pins.shape[0] > 0
-    stages = springs.stages
+    stages = springs.damping_stages
+    centre, slope = chebyshev(stages)
     axes, roots = np.zeros((strides.shape[0] if stages > 1 else 0, 3, longest + entries), x.dtype), np.sqrt(damping)
     work = np.zeros((2, 3, longest + entries + longest if stages > 1 else 0), x.dtype)
-    halves = np.empty((3, entries if stages > 1 else 0), x.dtype)
+    half = np.empty((3, entries if stages > 1 else 0), x.dtype)
     settles = held and begins.settles == SETTLES
     dt_now = settle_dt.copy() if settles else dt.copy()
     dashpots = springs.settle_damping.copy() if settles else damping
@@ -470,9 +471,11 @@ def _run_block(
                 bear_inertia(fd, mass, extra)
             put_back(f, fd)
         if stages > 1:
-            half_kick(v, f, inverse_mass, kick, keep, halves)
-            relax(v, f, strides, axes, inverse_mass, heavier, mass, extra, kick, stages, work, longest)
-            half_kick_and_drift(x, v, f, halves, weights, step)
+            half_kick(v, f, inverse_mass, kick, half)
+            relax(
+                v, f, strides, axes, inverse_mass, heavier, mass, extra, kick, stages, centre, slope, work, longest
+            )  # fmt: skip
+            half_kick_and_drift(x, v, f, half, weights, step)
         else:
             kick_and_drift(x, v, f, inverse_mass, weights, kick, step, keep)
         count += 1

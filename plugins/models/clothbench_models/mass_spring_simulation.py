@@ -100,6 +100,10 @@ class SpringSimulation(GridSimulation, ABC):
         """In how many stages damping is taken (B,), and the largest step (B,) s that is stable with them."""
         return np.ones(len(theta), np.int64), self.stable_step(theta)
 
+    def stages_for(self, theta: np.ndarray, step: float) -> np.ndarray:
+        """In how many stages damping is taken (B,) if a step [s] is given."""
+        return np.ones(len(theta), np.int64)
+
     def fastest_square(self, theta: np.ndarray) -> np.ndarray:
         """A bound on ω² (B,) 1/s²: that of the flat sheet, whose springs all pull in one plane, and of the effects, for
         the least mass that these leave.
@@ -118,13 +122,15 @@ class _Batch(GridBatch):
     def __init__(self, simulation: SpringSimulation, theta: np.ndarray):
         options = simulation.options
         self.calmed = simulation.effects.resting(simulation.calmed(theta))
-        if options.dt is not None:
-            dt = self.settle_dt = np.full(len(theta), options.dt * options.step_scale)
-            self.damping_stages = np.ones(len(theta), np.int64)
-        else:
-            scale = simulation.safety * options.step_scale
+        scale = simulation.safety * options.step_scale
+        settling = scale * simulation.stable_step(self.calmed)
+        if options.dt is None:
             self.damping_stages, step = simulation.stages_and_step(theta)
-            dt, self.settle_dt = scale * step, scale * simulation.stable_step(self.calmed)
+            dt, self.settle_dt = scale * step, settling
+        else:
+            self.damping_stages = simulation.stages_for(theta, options.dt)
+            dt = np.full(len(theta), options.dt * options.step_scale)
+            self.settle_dt = np.where(self.damping_stages > 1, np.minimum(dt, settling), dt)
         super().__init__(simulation, theta, dt, SETTLE[1] / simulation.slowest)
         self.strain_limit = math.inf if options.strain_limit is None else options.strain_limit
 
