@@ -8,8 +8,8 @@
 # itself; BASE: the commit before where it is empty or zeros; RESULTS: folder for environments, results and comment.md,
 # of which those of an earlier use are removed;
 # HISTORY: folder of `clothbench history` that gets an entry for the checked-out commit, and a page (index.html).
-# Exits with 0 whatever the comparison says, which stands in comment.md; in a job of GitHub Actions also in the
-# summary and in the output `passed`. Exits with another code if one of the two could not be run.
+# Exits with 1 if something got worse, which stands in comment.md; but with 0 in a job of GitHub Actions, where it stands
+# in the summary and in the output `passed` for a later step. Exits with another code if one of the two could not be run.
 set -euo pipefail
 
 results=$(realpath -m "${RESULTS:-$(mktemp -d)}")
@@ -66,3 +66,5 @@ if [[ -n ${HISTORY:-} ]]; then
     alone "$results/env-head/bin/pip" install --quiet --disable-pip-version-check 'clothbench[history]'
     alone "$results/env-head/bin/clothbench" history "$HISTORY" --add "$results/head/runs" --page "$HISTORY/index.html"
 fi
+echo "results: $results" >&2
+if [[ -z ${GITHUB_OUTPUT:-} ]]; then $passed; fi

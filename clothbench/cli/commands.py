@@ -17,6 +17,10 @@ from clothbench.core.errors import ClothbenchError, one_line
 from clothbench.core.output import kept_on
 
 KEEP = {"run", "improve", "suggest"}  # commands that go on where they were stopped
+FIT_OF_VIDEO = "tracker=sift_graph model=mass_spring optimizer=ga metric=node_error options.node_error.unit=cm"
+FIT_OF_DEPTH = (
+    "tracker=depth_mesh model=inextensible optimizer=least_squares metric=relative_error scene.start=measured"
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -191,7 +195,7 @@ def import_data(options: argparse.Namespace) -> int:
             says = f"rate={settings['rate']} is taken in place of the {own:g} frames a second that {given} states"
             print(f"clothbench: {says}", file=sys.stderr)
         named = shlex.quote(str(path))
-        print(f"{path}: one recording of kind 'video'; next: clothbench run recording={named} tracker=sift_graph …")
+        print(f"{path}: one recording of kind 'video'; next: clothbench run recording={named} {FIT_OF_VIDEO}")
         return 0
     settings = key_values(options.settings, ("data_dir", "out"))
     if not known and given.is_dir():
@@ -199,7 +203,8 @@ def import_data(options: argparse.Namespace) -> int:
 
         with counting("frames") as told:
             path = depth_recording(given, Path(settings.get("out", "recordings")), told)
-        print(f"{path}: one recording of kind 'depth'; next: clothbench validate {shlex.quote(str(path))}")
+        named = shlex.quote(str(path))
+        print(f"{path}: one recording of kind 'depth'; next: clothbench run recording={named} {FIT_OF_DEPTH}")
         return 0
     with counting("files") as told:
         folder = converted(options.name, **settings, again=True, progress=told)

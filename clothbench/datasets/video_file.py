@@ -42,7 +42,8 @@ def is_video(source: Path) -> bool:
     if source.is_file() and source.suffix.lower() in (".nc", *MARKERS):
         found, expected = "a recording", f"a video; see it with clothbench validate {shlex.quote(str(source))}"
         if source.suffix.lower() != ".nc":
-            found, expected = "motion capture", "a video; use clothbench_trackers.markers.recording_from_markers"
+            found = "motion capture"
+            expected = "a video; docs/recordings.md tells under Motion capture how it becomes a recording"
         raise ClothbenchError(f"{source}: found {found}, expected {expected}")
     return source.is_file() or (
         source.is_dir() and not (source / "recording.json").is_file() and bool(_pictures_in(source))

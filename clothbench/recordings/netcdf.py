@@ -107,7 +107,8 @@ def opened(path: Path) -> Iterator[NetCDF]:
         raise ClothbenchError(f"{path}: cannot be read ({fault.strerror or fault}); give a file of yours") from fault
     if start != MAGIC:
         raise ClothbenchError(
-            f"{path}: found a file that starts with {start!r}, expected NetCDF-4 (HDF5); convert it first"
+            f"{path}: found a file that starts with {start!r}, expected NetCDF-4 (HDF5); docs/recordings.md tells how "
+            "other files become recordings"
         )
     _require_walkable(path)
     try:
