@@ -178,7 +178,7 @@ def number(stated: Stated, name: str, path: Path) -> float:
 
 def _vector(text: Any, name: str, expected: str, path: Path) -> tuple[float, float, float]:
     try:
-        x, y, z = (float(part) for part in (text.split() if isinstance(text, str) else np.ravel(text)))
-    except (TypeError, ValueError):
+        x, y, z = (float(part) for part in str(text).split())
+    except ValueError:
         raise ClothbenchError(f"{path}: attribute '{name}': found {text!r}, expected {expected}") from None
     return x, y, z

@@ -159,7 +159,7 @@ def require_possible(shape: tuple[int, ...], dtype: np.dtype, name: str, path: P
 
 
 def _plain(attributes: Any, name: str, path: Path) -> Any:
-    """An attribute as a text or a number; an empty one is the empty text, several numbers are a text in brackets."""
+    """An attribute as a text or a number; an empty one is the empty text, several numbers are a text of them, apart by blanks."""
     import h5py
 
     stored = attributes.get_id(name)
@@ -173,7 +173,7 @@ def _plain(attributes: Any, name: str, path: Path) -> Any:
         )
     value = attributes[name]
     if count > 1:
-        return str(value)
+        return " ".join(map(str, np.ravel(value).tolist()))
     value = np.ravel(value)[0] if isinstance(value, np.ndarray) else value
     if not text:
         return value

@@ -244,6 +244,16 @@ def test_a_base_that_is_not_fetched_is_one_line(job):
     assert said.strip().splitlines()[-1].startswith(f"compare_commits.sh: BASE: found no commit {'a' * 40}")
 
 
+@pytest.mark.parametrize(("value", "code"), [(10.0, 0), (20.0, 1)])
+def test_outside_of_actions_the_script_itself_says_whether_something_got_worse(job, value, code):
+    found = job("push", (10.0, value))
+    for name, about in ACTION["inputs"].items():
+        found.inputs.setdefault(name, found.filled(about["default"]))
+    script = next(step for step in ACTION["runs"]["steps"] if step.get("id") == "compare")
+    found.step({**script, "run": f"unset GITHUB_OUTPUT\n{script['run']}"})
+    assert (found.steps[-1][1], found.outputs) == (code, {}), found.steps[-1][2]
+
+
 def test_a_token_left_by_the_checkout_is_refused(job):
     found = job("pull_request")
     git(found.place / "repository", "config", "http.https://github.com/.extraheader", "AUTHORIZATION: basic x")

@@ -131,7 +131,7 @@ def test_a_folder_of_frames_becomes_a_recording(clothbench, tmp_path):
     assert (made.split, made.notes) == ("fit", {"weather": "fair"})
     assert clothbench("validate", "made").returncode == 0
     ran = clothbench("import", "session", "out=made here")
-    assert "next: clothbench validate 'made here/bench_run_1.nc'" in ran.stdout
+    assert "next: clothbench run recording='made here/bench_run_1.nc' tracker=depth_mesh" in ran.stdout
 
 
 @pytest.mark.parametrize("form", ["npy", "ascii", "binary", "carriage returns"])

@@ -61,6 +61,11 @@ def _with(tmp_path: Path, change) -> Path:
     return path
 
 
+def test_gravity_may_be_three_numbers_as_other_programs_write_it(tmp_path):
+    path = _with(tmp_path, lambda f: setattr(f, "gravity", np.array([0.0, 1.0, -9.5])))
+    assert read_recording(path).gravity == (0.0, 1.0, -9.5)
+
+
 @pytest.mark.parametrize(
     ("change", "found"),
     [
@@ -73,6 +78,7 @@ def _with(tmp_path: Path, change) -> Path:
         (lambda f: setattr(f, "cloth_width", -1.0), "expected metres above 0"),
         (lambda f: setattr(f, "areal_density", 0.0), "attribute 'areal_density': found 0.0"),
         (lambda f: setattr(f, "gravity", "0 0 nan"), "attribute 'gravity': found"),
+        (lambda f: setattr(f, "gravity", np.array([0.0, -9.8])), "attribute 'gravity': found"),
         (lambda f: setattr(f, "name", ""), "attribute 'name': found nothing"),
         (lambda f: f["position"].__setitem__((slice(None), slice(None), 0), np.nan), "no node with all of x, y and z"),
         (lambda f: setattr(f, "split", "train"), "attribute 'split': found 'train'"),
