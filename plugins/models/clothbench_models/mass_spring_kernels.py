@@ -198,7 +198,7 @@ def damped_up_to(stages: int) -> float:
 def relax(v, f, strides, axes, inverse_mass, heavier, mass, extra, kick, stages, centre, slope, work, begin):
     """v ← P(A) v, A = −kick C/m the dashpots along `axes`, P of `chebyshev`: in s stages what s² steps of Euler's do.
 
-    P(z) = 1 + z + O(z²), halfway between 1 and the polynomial of van der Houwen and Sommeijer (1980, On the internal
+    P(z) = 1 + z + O(z²), a mean of 1 and of the polynomial of van der Houwen and Sommeijer (1980, On the internal
     stability of explicit, m-stage Runge–Kutta methods), damped like theirs: nearer to exp(z), and it turns nothing
     around. Theirs would take three stages for four of these. f (3, n) has to be 0 and is left so. work:
     (2, 3, begin + n + begin), 0 at both ends; axes: as `add_dashpots` reads them; heavier: whether effects added the
