@@ -159,7 +159,7 @@ def require_possible(shape: tuple[int, ...], dtype: np.dtype, name: str, path: P
 
 
 def _plain(attributes: Any, name: str, path: Path) -> Any:
-    """An attribute as a text or a number; an empty one is the empty text, several numbers are a text of them, apart by blanks."""
+    """An attribute as a text or a number; an empty one is the empty text, several numbers are a text with blanks."""
     import h5py
 
     stored = attributes.get_id(name)
