@@ -97,7 +97,7 @@ def test_a_folder_hides_no_data_set_and_motion_capture_is_no_video(clothbench, t
     (tmp_path / "m.csv").write_text("frame,time\n")
     for words, found in (
         (("phi_sft_r1", "data_dir=/nowhere"), "/nowhere is not a folder"),
-        (("m.csv",), "m.csv: found motion capture, expected a video; use clothbench_trackers.markers.recording_from_"),
+        (("m.csv",), "m.csv: found motion capture, expected a video; docs/recordings.md tells under Motion capture"),
     ):
         out = clothbench("import", *words)
         assert out.returncode == 2
