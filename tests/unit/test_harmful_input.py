@@ -69,7 +69,7 @@ HARM = {
     "a group": (a_group, "variable 'time': found a link, a group"),
     "a claim of 10⁹": (claimed, "variable 'time'"),
     "a reference": (lambda f: f.attrs.__setitem__("fabric", f.ref), "attribute 'fabric': found 1 values of object"),
-    "an array for a text": (lambda f: f.attrs.__setitem__("format", np.arange(3.0)), "'format': found '[0. 1. 2.]'"),
+    "an array for a text": (lambda f: f.attrs.__setitem__("format", np.arange(3.0)), "'format': found '0.0 1.0 2.0'"),
     "two marks for nothing": (lambda f: f["time"].attrs.__setitem__("_FillValue", [0.0, 1.0]), "'_FillValue'"),
     "coordinates of none": (lambda f: f["time"].attrs.__setitem__("coordinates", h5py.Empty("f")), None),
     "places beyond": (lambda f: f["position"].write_direct(np.full(f["position"].shape, 1e308)), "found 1e+308 m at"),
