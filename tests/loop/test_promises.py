@@ -49,5 +49,7 @@ def test_the_picture_of_one_camera(tmp_path):
     assert promised / 2 < came < 2 * promised
     assert best / 2 < before / tells < 2 * best
     assert best > 1.3 * promised
-    assert tells < worst  # by 1.2: a half-width of so few recordings is itself known to a fifth or so
+    assert (
+        tells < worst / 1.1
+    )  # 1.17 with springs of version 5, 1.40 with those of 4: the worst told more than promised
     assert all(inside for one in found for _, inside in one.inside.values())

@@ -139,8 +139,10 @@ class _Batch(GridBatch):
         motion only; without stages, which the little damping of that time does not need; and in double precision,
         since in single rounding alone keeps soft modes moving.
         """
-        apart = self.terms > 0 or self.damping_stages[members[0]] > 1 or self.simulation.options.precision == "single"
-        return apart and self.hung is None and self.simulation.settles
+        apart = (
+            self.terms > 0 or self.simulation.options.precision == "single" or (self.damping_stages[members] > 1).any()
+        )
+        return bool(apart) and self.hung is None and self.simulation.settles
 
     @property
     def blocks(self) -> list[np.ndarray]:
@@ -149,7 +151,7 @@ class _Batch(GridBatch):
         order = self.members[np.lexsort((self.dt[self.members], self.damping_stages[self.members]))]
         out = []
         for alike in np.split(order, np.flatnonzero(np.diff(self.damping_stages[order])) + 1):
-            lanes = 1 if alone or (len(alike) and self.rests_first(alike)) else LANES
+            lanes = 1 if alone or self.rests_first(alike) else LANES
             out += [alike[k : k + lanes] for k in range(0, len(alike), lanes)]
         return out
 
