@@ -22,24 +22,32 @@ from typing import Any
 from numba import njit, types
 from numba.core import event
 from numba.core.caching import IndexDataCacheFile
-from numba.core.compiler import Compiler
 from numba.core.errors import NumbaExperimentalFeatureWarning
+
+from clothbench.core.counting import CheckedCompiler
 
 OTHERS = {*sys.stdlib_module_names, "numpy", "scipy", "numba", "llvmlite"}  # numba's own key knows their versions
 
 
-def kernel(function: Callable | None = None, /, *, signature: Any = None, **options: Any) -> Any:
+def kernel(
+    function: Callable | None = None, /, *, signature: Any = None, allocates: bool = True, **options: Any
+) -> Any:
     """Compile a function with numba: `@kernel`, or `@kernel(signature=…, fastmath=True, …)` with options of `njit`.
 
     No branch for divisions by zero, no lock of the interpreter. With a signature it is compiled where it is defined,
     else when it is first called; either way the machine code lies on disk afterwards, until a source of it changes.
+
+    allocates: whether it makes arrays, or calls what returns some. One that does not need not count who refers to them
+    (every view of a row counts twice, a tenth to a quarter of the time of loops over small sheets), and is held to it:
+    see `counting`.
     """
 
     def decorate(function: Callable) -> Callable:
         with warnings.catch_warnings():
             # Functions as values let one time loop call any effect; that numba marks them experimental is no news.
             warnings.simplefilter("ignore", NumbaExperimentalFeatureWarning)
-            compiled = njit(error_model="numpy", nogil=True, **options)(function)
+            settings = {"pipeline_class": CheckedCompiler, "_nrt": allocates, **options}
+            compiled = njit(error_model="numpy", nogil=True, **settings)(function)
             keep_on_disk(compiled)
             if signature is not None:
                 compiled.compile(signature)
@@ -49,11 +57,14 @@ def kernel(function: Callable | None = None, /, *, signature: Any = None, **opti
     return decorate if function is None else decorate(function)
 
 
+# For functions that make no arrays.
+lean_kernel = functools.partial(kernel, allocates=False)
+
 # For sums that may be taken in any order; no numbers that are not finite are expected away.
 fast_kernel = functools.partial(kernel, fastmath={"contract", "reassoc", "nsz", "arcp"})
 
 
-class _Apart(Compiler):
+class _Apart(CheckedCompiler):
     """numba's compiler, told that no argument that a function writes to overlaps another."""
 
     def define_pipelines(self) -> Any:
@@ -123,7 +134,7 @@ def keep_on_disk(compiled: Any) -> None:
     compiled.enable_caching()
     cache = compiled._cache
     try:
-        base = cache._impl.filename_base
+        base = cache._impl.filename_base + ("" if compiled.targetoptions["_nrt"] else "-lean")
         assert isinstance(cache._cache_file, IndexDataCacheFile)
         cache._cache_file = _Index(cache_path=cache.cache_path, filename_base=base, source_stamp=stamp)
     except (AttributeError, AssertionError, TypeError):

@@ -1,8 +1,9 @@
 """For authors of models and effects: what the built-in ones share, public and documented.
 
-compiled code, cached by the content of its sources: kernel, fast_kernel, apart_kernel, effect_kernel, bundle_type
+compiled code, cached by the content of its sources: kernel, lean_kernel, fast_kernel, apart_kernel,
+    effect_kernel, bundle_type
 the sheet as compiled code sees it: Sheet, SHEET (its numba type), sheet_of, own_sheet, grid_normals, sheet_normals,
-    wants_normals, bear_inertia
+    wants_normals, bear_inertia, invert_inertia, bear_inverted
 meshes: grid_triangles, gradient_weights, curvature_weights, triangle_slots
 a grid over a scene, cut to its outline, and a batch of parameter sets on it: Cover, spaces, grid_shape, grid_lines,
     even_count, tributary, GridSimulation, GridBatch, check_resolution, check_number
@@ -18,7 +19,7 @@ force-extension curves: curve_of, CurveSimulation
 threads over members, and the shape to settle from: for_each, initial_shape
 """
 
-from clothbench.core.kernels import apart_kernel, bundle_type, fast_kernel, kernel
+from clothbench.core.kernels import apart_kernel, bundle_type, fast_kernel, kernel, lean_kernel
 from clothbench.core.parallel import for_each
 from clothbench.core.scene import initial_shape
 from clothbench.modelling.batch import GridBatch, GridSimulation
@@ -55,7 +56,9 @@ from clothbench.modelling.sheet import (
     SHEET,
     Sheet,
     bear_inertia,
+    bear_inverted,
     grid_normals,
+    invert_inertia,
     own_sheet,
     sheet_normals,
     sheet_of,
@@ -150,6 +153,7 @@ __all__ = [
     "apply_effects",
     "as_double",
     "bear_inertia",
+    "bear_inverted",
     "bundle_type",
     "carry",
     "check_number",
@@ -171,11 +175,13 @@ __all__ = [
     "hold_grips",
     "initial_shape",
     "inside",
+    "invert_inertia",
     "is_lost",
     "keep_apart",
     "keep_out",
     "kernel",
     "layers_of",
+    "lean_kernel",
     "no_effect",
     "obstacle_table",
     "own_sheet",

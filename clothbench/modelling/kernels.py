@@ -16,14 +16,14 @@ SIGNATURE = types.void(types.float64, types.float64, ROWS, ROWS, ROWS, SHEET, VE
 EFFECT = types.FunctionType(SIGNATURE)
 
 
-def effect_kernel(function: Callable) -> Callable:
+def effect_kernel(function: Callable | None = None, /, *, allocates: bool = True) -> Callable:
     """Compile an effect's `force` or `inertia` for the time loops of all models (see `clothbench.Effect`).
 
     `function(t, dt, x, v, f, sheet, p, state)` adds to f in place: forces (3, n), or for `inertia` masses (6, n).
     Compiled when a model first takes it (`ready`), so that nobody waits for effects that he does not use, and cached
-    on disk.
+    on disk. allocates: as of `kernel`; one that makes no arrays and says so is faster.
     """
-    return kernel(function)
+    return kernel(function, allocates=allocates)
 
 
 def ready(kernel: Callable, name: str) -> Callable:
@@ -32,10 +32,12 @@ def ready(kernel: Callable, name: str) -> Callable:
         kernel.compile(SIGNATURE)  # type: ignore[attr-defined]
     except NumbaError as error:
         reason = textwrap.shorten(str(error).partition("\n")[2] or str(error), 300)
+        if not getattr(kernel, "targetoptions", {}).get("_nrt", True):
+            reason += " (it says allocates=False: that is for kernels that make no arrays, nor have numba make any)"
         raise ClothbenchError(f"{name} cannot be compiled by numba: {reason}") from error
     return kernel
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def no_effect(t, dt, x, v, f, sheet, p, state):
     """Fills the slots of a time loop that has no effect there."""

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 from clothbench_models import peers
 
+from clothbench.modelling import kernel, lean_kernel
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.speed import bench, timing
 from clothbench.studies.speed.roofline import Work, measured_core
@@ -223,6 +224,30 @@ def test_strong_damping_is_taken_in_stages_where_an_effect_makes_each_step_dear(
     (staged, _), (short, _) = (shortest(lambda s=s: s.run(theta), 5) for s in (simulation, lagging))
     assert simulation.stages_and_step(theta)[0][0] > 1
     assert short >= 1.4 * staged
+
+
+# --- what counting references costs ---------------------------------------------------------------------------
+
+
+@pytest.mark.bench
+def test_views_cost_little_in_kernels_that_make_no_arrays():
+    """Columns' lengths by way of views of rows, as loops over a small sheet have them."""
+
+    def seconds(make) -> float:
+        @make
+        def lengths(x, y, z, out):
+            for e in range(out.shape[0]):
+                out[e] = np.sqrt(x[e] * x[e] + y[e] * y[e] + z[e] * z[e])
+
+        @make
+        def again_and_again(rows, out, times):
+            for k in range(times):
+                lengths(rows[0, k % 2 :], rows[1, k % 2 :], rows[2, k % 2 :], out)
+
+        rows, out = np.ones((3, 26)), np.empty(24)
+        return shortest(lambda: again_and_again(rows, out, 300_000), 5)[0]
+
+    assert seconds(kernel) >= 1.3 * seconds(lean_kernel)
 
 
 # --- the first run of a new installation --------------------------------------------------------------------
