@@ -16,7 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from clothbench.core.kernels import kernel
+from clothbench.core.kernels import lean_kernel
 from clothbench.core.scene import SHAPES, Scene
 from clothbench.modelling.time_loop import grip_point
 
@@ -57,13 +57,13 @@ def obstacle_table(scene: Scene) -> np.ndarray:
     return np.array(rows, dtype=float).reshape(-1, OBSTACLE.end)
 
 
-@kernel
+@lean_kernel
 def vector_of(obstacles, k, column):
     """The vector (3,) of obstacle k that begins in a column."""
     return obstacles[k, column], obstacles[k, column + 1], obstacles[k, column + 2]
 
 
-@kernel
+@lean_kernel
 def carry(obstacles, knots, curve, start, t, dt):
     """Bring the obstacles that the grips carry to where they are at time t, in a run that began at `start` [s].
 
@@ -83,7 +83,7 @@ def carry(obstacles, knots, curve, start, t, dt):
                 obstacles[k, OBSTACLE.velocity_before + c] = (before - earlier) / dt
 
 
-@kernel
+@lean_kernel
 def _mean_grip(knots, curve, grips, t, c):
     """Coordinate c of the mean of the first `grips` curves at time t [m]."""
     segment, total = min(max(np.searchsorted(knots, t, side="right") - 1, 0), knots.shape[0] - 2), 0.0
@@ -92,7 +92,7 @@ def _mean_grip(knots, curve, grips, t, c):
     return total / grips
 
 
-@kernel
+@lean_kernel
 def keep_out(x, v, obstacles, free, lane, lanes):
     """Put the nodes of one lane that are inside an obstacle on its surface; see the module for the scheme.
 
@@ -111,7 +111,7 @@ def keep_out(x, v, obstacles, free, lane, lanes):
                 _put_on(x, v, e, depth, nx, ny, nz, friction, drift)
 
 
-@kernel
+@lean_kernel
 def inside(kind, obstacles, k, px, py, pz):
     """How deep the point is in obstacle k [m], ≤ 0 outside, and the way out: a unit normal."""
     cx, cy, cz = vector_of(obstacles, k, OBSTACLE.centre)
@@ -137,7 +137,7 @@ def inside(kind, obstacles, k, px, py, pz):
     return radius - away, dx / away, dy / away, dz / away
 
 
-@kernel
+@lean_kernel
 def _put_on(x, v, e, depth, nx, ny, nz, friction, drift):
     """Move node e out by `depth` m along the normal, and take what impact and friction take from its velocity against
     the obstacle, which itself moves at `drift` (3,) m/s.

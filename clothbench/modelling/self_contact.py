@@ -22,7 +22,7 @@ from collections import namedtuple
 import numpy as np
 from numba import types
 
-from clothbench.core.kernels import bundle_type, kernel
+from clothbench.core.kernels import bundle_type, lean_kernel
 from clothbench.core.scene import Scene
 from clothbench.modelling.sheet import Sheet
 
@@ -75,7 +75,7 @@ def layers_of(scene: Scene, sheet: Sheet) -> Layers:
     )  # fmt: skip
 
 
-@kernel
+@lean_kernel
 def keep_apart(x, v, dt, free, layers):
     """Keep the layers of one sheet apart after a step of dt s; see the module for the scheme.
 
@@ -104,7 +104,7 @@ def keep_apart(x, v, dt, free, layers):
             break
 
 
-@kernel
+@lean_kernel
 def _work_off(x, v, dt, free, layers, before, awake):
     """Look at every listed pair that wakes up to `awake`; `before`: the travel when the step began [m]."""
     pairs, wake, size = layers.pairs[NODE_TRIANGLE], layers.wake[NODE_TRIANGLE], layers.size
@@ -124,27 +124,27 @@ def _work_off(x, v, dt, free, layers, before, awake):
             layers.travel[PUSH] = max(layers.travel[PUSH], push)
 
 
-@kernel
+@lean_kernel
 def _wake(before, gap, thickness):
     """At which travel [m] a pair that was `gap` apart at travel `before` has to be looked at again."""
     return before + 0.5 * (gap - (1.0 - TOLERANCE) * thickness)
 
 
-@kernel
+@lean_kernel
 def _part_node(x, v, dt, free, p, a, b, c, thickness):
     """Node p against triangle abc; returns how far apart they were [m] and the largest push [m]."""
     s, t = _closest_on_triangle(_old(x, v, dt, p), _old(x, v, dt, a), _old(x, v, dt, b), _old(x, v, dt, c))
     return _part(x, v, dt, free, p, p, a, b, c, 0.0, 1.0 - s - t, s, t, thickness)
 
 
-@kernel
+@lean_kernel
 def _part_edges(x, v, dt, free, a, b, c, d, thickness):
     """Edge ab against edge cd; returns how far apart they were [m] and the largest push [m]."""
     s, t = _closest_on_segments(_old(x, v, dt, a), _old(x, v, dt, b), _old(x, v, dt, c), _old(x, v, dt, d))
     return _part(x, v, dt, free, a, b, c, d, d, s, 1.0 - t, t, 0.0, thickness)
 
 
-@kernel
+@lean_kernel
 def _part(x, v, dt, free, i, j, k, m, n, s, wk, wm, wn, thickness):
     """Take apart the points P = (1−s) i + s j and Q = wk k + wm m + wn n; a weight of 0 marks a node not in it.
 
@@ -182,7 +182,7 @@ def _part(x, v, dt, free, i, j, k, m, n, s, wk, wm, wn, thickness):
     return distance, largest
 
 
-@kernel
+@lean_kernel
 def _apart(x, v, back, i, j, k, m, n, wi, wj, wk, wm, wn):
     """P − Q of `_part`, `back` s ago."""
     dx = _mixed(x, v, back, 0, i, j, k, m, n, wi, wj, wk, wm, wn)
@@ -190,7 +190,7 @@ def _apart(x, v, back, i, j, k, m, n, wi, wj, wk, wm, wn):
     return dx, dy, _mixed(x, v, back, 2, i, j, k, m, n, wi, wj, wk, wm, wn)
 
 
-@kernel
+@lean_kernel
 def _mixed(x, v, back, c, i, j, k, m, n, wi, wj, wk, wm, wn):
     p = wi * (x[c, i] - back * v[c, i]) + wj * (x[c, j] - back * v[c, j])
     return p - (
@@ -198,7 +198,7 @@ def _mixed(x, v, back, c, i, j, k, m, n, wi, wj, wk, wm, wn):
     )  # fmt: skip
 
 
-@kernel
+@lean_kernel
 def _old(x, v, dt, i):
     """Where node i was when the step began."""
     return x[0, i] - dt * v[0, i], x[1, i] - dt * v[1, i], x[2, i] - dt * v[2, i]
@@ -207,7 +207,7 @@ def _old(x, v, dt, i):
 # --- lists ------------------------------------------------------------------------------------------------------------
 
 
-@kernel
+@lean_kernel
 def _make_lists(x, v, dt, free, layers, step, before):
     """List the pairs that were within thickness + reach when the step began; each may move by half the reach."""
     layers.travel[REACH] = max(layers.size[1], 2 * step)
@@ -220,7 +220,7 @@ def _make_lists(x, v, dt, free, layers, step, before):
     _list_edges(x, v, dt, free, layers, limit, before)
 
 
-@kernel
+@lean_kernel
 def _list_nodes(x, v, dt, free, layers, limit, before):
     triangles, r, centre, half = layers.triangles, layers.reference, layers.centre, layers.half
     for f in range(triangles.shape[0]):
@@ -246,7 +246,7 @@ def _list_nodes(x, v, dt, free, layers, limit, before):
                         _append(x, v, dt, free, layers, before, NODE_TRIANGLE, p, f, gap)
 
 
-@kernel
+@lean_kernel
 def _list_edges(x, v, dt, free, layers, limit, before):
     edges, r, centre, half = layers.edges, layers.reference, layers.centre, layers.half
     for e in range(edges.shape[0]):
@@ -274,20 +274,20 @@ def _list_edges(x, v, dt, free, layers, limit, before):
                         _append(x, v, dt, free, layers, before, EDGE_EDGE, e, g, gap)
 
 
-@kernel
+@lean_kernel
 def _has(features, k, node):
     """Whether a node belongs to a triangle."""
     return features[k, 0] == node or features[k, 1] == node or features[k, 2] == node
 
 
-@kernel
+@lean_kernel
 def _meet(edges, e, g):
     """Whether two edges have a node in common."""
     c, d = edges[g, 0], edges[g, 1]
     return edges[e, 0] in (c, d) or edges[e, 1] in (c, d)
 
 
-@kernel
+@lean_kernel
 def _append(x, v, dt, free, layers, before, kind, one, other, gap):
     """Add a pair to its list; a full list is worked off at once and begun anew, and made again at the next step."""
     if layers.count[kind] == layers.pairs.shape[1]:
@@ -300,7 +300,7 @@ def _append(x, v, dt, free, layers, before, kind, one, other, gap):
     layers.count[kind] = k + 1
 
 
-@kernel
+@lean_kernel
 def _fill_grid(layers, items, size):
     """Sort the centres of `items` features into cells of `size` m and those into hashed buckets (a counting sort)."""
     head, order, cell = layers.head, layers.order, layers.cell
@@ -319,7 +319,7 @@ def _fill_grid(layers, items, size):
         order[head[b]] = k
 
 
-@kernel
+@lean_kernel
 def _cell_of(points, k, size):
     return (
         np.int64(np.floor(points[0, k] / size)),
@@ -328,7 +328,7 @@ def _cell_of(points, k, size):
     )
 
 
-@kernel
+@lean_kernel
 def _bucket(ix, iy, iz, buckets):
     """Hash of a cell (Teschner et al. 2003); `buckets` is a power of two."""
     return ((ix * 73856093) ^ (iy * 19349663) ^ (iz * 83492791)) & (buckets - 1)
@@ -337,7 +337,7 @@ def _bucket(ix, iy, iz, buckets):
 # --- distances --------------------------------------------------------------------------------------------------------
 
 
-@kernel
+@lean_kernel
 def _largest(v):
     """Largest speed of a node; not a number if any is not."""
     top = 0.0
@@ -348,7 +348,7 @@ def _largest(v):
     return np.sqrt(top)
 
 
-@kernel
+@lean_kernel
 def _farthest(x, reference):
     """How far a node is at most from where it was."""
     top = 0.0
@@ -357,12 +357,12 @@ def _farthest(x, reference):
     return np.sqrt(top)
 
 
-@kernel
+@lean_kernel
 def _square(a, i, b, j):
     return (a[0, i] - b[0, j]) ** 2 + (a[1, i] - b[1, j]) ** 2 + (a[2, i] - b[2, j]) ** 2
 
 
-@kernel
+@lean_kernel
 def _largest_of(values, count):
     top = 0.0
     for k in range(count):
@@ -370,7 +370,7 @@ def _largest_of(values, count):
     return top
 
 
-@kernel
+@lean_kernel
 def _node_gap(r, triangles, p, f):
     """Distance of node p from triangle f [m]."""
     a, b, c = triangles[f, 0], triangles[f, 1], triangles[f, 2]
@@ -379,7 +379,7 @@ def _node_gap(r, triangles, p, f):
     return np.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@kernel
+@lean_kernel
 def _edge_gap(r, edges, e, g):
     """Distance between two edges [m]."""
     a, b, c, d = edges[e, 0], edges[e, 1], edges[g, 0], edges[g, 1]
@@ -388,22 +388,22 @@ def _edge_gap(r, edges, e, g):
     return np.sqrt(dx * dx + dy * dy + dz * dz)
 
 
-@kernel
+@lean_kernel
 def _at(r, i):
     return r[0, i], r[1, i], r[2, i]
 
 
-@kernel
+@lean_kernel
 def _less(p, q):
     return p[0] - q[0], p[1] - q[1], p[2] - q[2]
 
 
-@kernel
+@lean_kernel
 def _dot(p, q):
     return p[0] * q[0] + p[1] * q[1] + p[2] * q[2]
 
 
-@kernel
+@lean_kernel
 def _closest_on_triangle(p, a, b, c):
     """Weights (s, t) of b and c of the point of triangle abc that is closest to p (Ericson 2005, section 5.1.5)."""
     ab, ac, ap = _less(b, a), _less(c, a), _less(p, a)
@@ -432,7 +432,7 @@ def _closest_on_triangle(p, a, b, c):
     return vb * total, vc * total
 
 
-@kernel
+@lean_kernel
 def _closest_on_segments(a, b, c, d):
     """Where on ab (0…1) and on cd (0…1) the two segments are closest (Ericson 2005, section 5.1.9)."""
     ab, cd, ca = _less(b, a), _less(d, c), _less(a, c)

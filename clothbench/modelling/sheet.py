@@ -7,7 +7,7 @@ from collections import namedtuple
 import numpy as np
 from numba import types
 
-from clothbench.core.kernels import bundle_type, kernel
+from clothbench.core.kernels import bundle_type, lean_kernel
 from clothbench.modelling.mesh import curvature_weights, gradient_weights, triangle_slots
 
 Sheet = namedtuple(
@@ -85,7 +85,7 @@ def own_sheet(sheet: Sheet, normals: bool = True) -> Sheet:
     return sheet._replace(normal=np.full_like(sheet.normal, 0.0 if normals else np.nan), grip=np.zeros_like(sheet.grip))
 
 
-@kernel
+@lean_kernel
 def grid_normals(x, nu, normal):
     """Unit normals (3, n) of a regular grid x (3, n) m, nu nodes a row: cross product of the central differences.
 
@@ -107,7 +107,7 @@ def grid_normals(x, nu, normal):
         _border_normal(x, nu, j * nu + nu - 1, nu - 1, normal)
 
 
-@kernel
+@lean_kernel
 def _row_normals(x, nu, first, count, normal):
     """Normals of `count` nodes from place `first` of the second row on, central differences all along."""
     e, left, right, above, below = first + nu, first + nu - 1, first + nu + 1, first, first + 2 * nu
@@ -122,7 +122,7 @@ def _row_normals(x, nu, first, count, normal):
         ox[k], oy[k], oz[k] = _unit_cross(px, py, pz, qx, qy, qz)
 
 
-@kernel
+@lean_kernel
 def sheet_normals(x, nu, sheet):
     """Fill `sheet.normal` for the shape x (3, n) m of a grid with nu nodes a row: `grid_normals` of a whole one; of one
     cut along an outline the mean over the triangles around a node, weighed by their area.
@@ -147,13 +147,13 @@ def sheet_normals(x, nu, sheet):
             normal[c, i] *= size
 
 
-@kernel
+@lean_kernel
 def wants_normals(sheet):
     """Whether a loop has to fill `sheet.normal` (see `own_sheet`)."""
     return sheet.normal[0, 0] == sheet.normal[0, 0]  # NaN is not
 
 
-@kernel
+@lean_kernel
 def _unit_cross(px, py, pz, qx, qy, qz):
     """p × q, normalised; the zero vector where they are parallel."""
     nx, ny, nz = py * qz - pz * qy, pz * qx - px * qz, px * qy - py * qx
@@ -161,7 +161,7 @@ def _unit_cross(px, py, pz, qx, qy, qz):
     return nx * size, ny * size, nz * size
 
 
-@kernel
+@lean_kernel
 def _border_normal(x, nu, e, i, normal):
     """The same at one node e of the border, the i-th of its row, with one-sided differences."""
     n = x.shape[1]
@@ -172,26 +172,65 @@ def _border_normal(x, nu, e, i, normal):
     normal[0, e], normal[1, e], normal[2, e] = _unit_cross(px, py, pz, qx, qy, qz)
 
 
-@kernel
+@lean_kernel
 def bear_inertia(f, mass, extra):
     """Turn the total force f (3, n) N into what the bare masses (n,) kg must feel: f ← m (m I + ΔM)⁻¹ f.
 
     extra (6, n) kg: ΔM of each node as xx, yy, zz, yz, xz, xy. A node without any is not touched, to the bit.
     """
     for i in range(f.shape[1]):
-        if (
-            extra[0, i] == 0.0 and extra[1, i] == 0.0 and extra[2, i] == 0.0
-            and extra[3, i] == 0.0 and extra[4, i] == 0.0 and extra[5, i] == 0.0
-        ):  # fmt: skip
-            continue
-        m = mass[i]
-        xx, yy, zz = 1.0 + extra[0, i] / m, 1.0 + extra[1, i] / m, 1.0 + extra[2, i] / m
-        yz, xz, xy = extra[3, i] / m, extra[4, i] / m, extra[5, i] / m
-        # Cofactors of the symmetric 3 × 3 matrix.
-        axx, axy, axz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
-        ayy, ayz, azz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
-        scale = 1.0 / (xx * axx + xy * axy + xz * axz)
-        fx, fy, fz = f[0, i] * scale, f[1, i] * scale, f[2, i] * scale
-        f[0, i] = axx * fx + axy * fy + axz * fz
-        f[1, i] = axy * fx + ayy * fy + ayz * fz
-        f[2, i] = axz * fx + ayz * fy + azz * fz
+        if _any(extra, i):
+            scale, xx, yy, zz, yz, xz, xy = _inverse_inertia(mass, extra, i)
+            fx, fy, fz = f[0, i] * scale, f[1, i] * scale, f[2, i] * scale
+            f[0, i] = xx * fx + xy * fy + xz * fz
+            f[1, i] = xy * fx + yy * fy + yz * fz
+            f[2, i] = xz * fx + yz * fy + zz * fz
+
+
+@lean_kernel
+def invert_inertia(mass, extra, inverse):
+    """What `bear_inertia` multiplies forces by, for loops that need it several times in a step, into inverse (8, n):
+    whether there is any ΔM, and of nodes that have some one over the determinant of I + ΔM/m, and its cofactors as xx,
+    yy, zz, yz, xz, xy.
+    """
+    some = inverse[0]
+    for i in range(some.shape[0]):
+        some[i] = 1.0 if _any(extra, i) else 0.0
+    for i in range(some.shape[0]):
+        if some[i] != 0.0:
+            (
+                inverse[1, i], inverse[2, i], inverse[3, i], inverse[4, i], inverse[5, i], inverse[6, i], inverse[7, i]
+            ) = _inverse_inertia(mass, extra, i)  # fmt: skip
+
+
+@lean_kernel
+def bear_inverted(f, inverse):
+    """`bear_inertia` with what `invert_inertia` made, to the bit."""
+    x, y, z, some, scale = f[0], f[1], f[2], inverse[0], inverse[1]
+    xx, yy, zz, yz, xz, xy = inverse[2], inverse[3], inverse[4], inverse[5], inverse[6], inverse[7]
+    for i in range(x.shape[0]):
+        fx, fy, fz = x[i] * scale[i], y[i] * scale[i], z[i] * scale[i]
+        gx = xx[i] * fx + xy[i] * fy + xz[i] * fz
+        gy = xy[i] * fx + yy[i] * fy + yz[i] * fz
+        gz = xz[i] * fx + yz[i] * fy + zz[i] * fz
+        x[i] = gx if some[i] != 0.0 else x[i]
+        y[i] = gy if some[i] != 0.0 else y[i]
+        z[i] = gz if some[i] != 0.0 else z[i]
+
+
+@lean_kernel
+def _any(extra, i):
+    """Whether node i has any ΔM; without branches, so that loops over it use the vector unit."""
+    upper = (extra[0, i] != 0.0) | (extra[1, i] != 0.0) | (extra[2, i] != 0.0)
+    return upper | (extra[3, i] != 0.0) | (extra[4, i] != 0.0) | (extra[5, i] != 0.0)
+
+
+@lean_kernel
+def _inverse_inertia(mass, extra, i):
+    """Of node i: 1/det of I + ΔM/m, and its cofactors xx, yy, zz, yz, xz, xy."""
+    m = mass[i]
+    xx, yy, zz = 1.0 + extra[0, i] / m, 1.0 + extra[1, i] / m, 1.0 + extra[2, i] / m
+    yz, xz, xy = extra[3, i] / m, extra[4, i] / m, extra[5, i] / m
+    axx, axy, axz = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    ayy, ayz, azz = xx * zz - xz * xz, xy * xz - xx * yz, xx * yy - xy * xy
+    return 1.0 / (xx * axx + xy * axy + xz * axz), axx, ayy, azz, ayz, axz, axy

@@ -8,7 +8,7 @@ import numpy as np
 from numba import types
 from numba.extending import overload
 
-from clothbench.core.kernels import bundle_type, kernel
+from clothbench.core.kernels import bundle_type, lean_kernel
 from clothbench.modelling.bound_effects import FORCE
 from clothbench.modelling.sheet import sheet_normals, wants_normals
 
@@ -59,7 +59,7 @@ GRIPS_OF_MANY = bundle_type(Grips, _d1, _d5, _i1, _i1)
 SAMPLING_OF_MANY = bundle_type(Sampling, types.int64[:, ::1], _d2, _d2, _d4)
 
 
-@kernel
+@lean_kernel
 def grip_point(knots, curve, t, segment, g, c):
     """Coordinate c of grip g at time t on a piecewise cubic (4, K−1, G, 3), constant beyond its ends."""
     s = min(max(t, knots[0]), knots[-1]) - knots[segment]
@@ -68,7 +68,7 @@ def grip_point(knots, curve, t, segment, g, c):
     ]
 
 
-@kernel
+@lean_kernel
 def grip_speed(knots, curve, t, segment, g, c):
     """The derivative of `grip_point`, 0 beyond the ends of the curve."""
     if t < knots[0] or t > knots[-1]:
@@ -77,7 +77,7 @@ def grip_speed(knots, curve, t, segment, g, c):
     return (3.0 * curve[0, segment, g, c] * s + 2.0 * curve[1, segment, g, c]) * s + curve[2, segment, g, c]
 
 
-@kernel
+@lean_kernel
 def advance_segment(knots, t, segment):
     """The piece of the curve in which t lies, searched forwards from `segment`."""
     while segment < knots.shape[0] - 2 and t >= knots[segment + 1]:
@@ -85,7 +85,7 @@ def advance_segment(knots, t, segment):
     return segment
 
 
-@kernel
+@lean_kernel
 def apply_effects(effects, stages, count, t, dt, x, v, f, extra, sheet, parameters, state):
     """Add the forces of all effects to f (3, n) N and what they add to each node's mass to extra (6, n) kg.
 
@@ -104,7 +104,7 @@ def apply_effects(effects, stages, count, t, dt, x, v, f, extra, sheet, paramete
     return heavier
 
 
-@kernel
+@lean_kernel
 def fastest(v, lane, lanes):
     """Largest speed of a node of one lane [m/s]."""
     top = 0.0
@@ -113,7 +113,7 @@ def fastest(v, lane, lanes):
     return np.sqrt(top)
 
 
-@kernel
+@lean_kernel
 def is_lost(x, lane, lanes, limit):
     """Whether a coordinate of this lane has left ±limit or is not a number."""
     for c in range(3):
@@ -123,7 +123,7 @@ def is_lost(x, lane, lanes, limit):
     return False
 
 
-@kernel
+@lean_kernel
 def add_effects(t, dt, x, v, f, nu, sheet, effects, terms, grips, segment, extra):
     """Let all effects of a grid, nu nodes a row, add to the forces f (3, n) N at time t, and to the mass.
 
@@ -151,24 +151,26 @@ def _as_double(array):
     return lambda array: array.astype(np.float64)
 
 
-def put_back(array, copy):
-    """Take the numbers of a copy that `as_double` made into the array; nothing where that was no copy."""
+def put_back(into, of):
+    """Take the numbers of a copy that `as_double` made into the array, or the array's into the copy; nothing where that
+    was no copy.
+    """
 
 
 @overload(put_back)
-def _put_back(array, copy):
-    if array.dtype == types.float64:
-        return lambda array, copy: None
+def _put_back(into, of):
+    if into.dtype == of.dtype:
+        return lambda into, of: None
 
-    def narrow(array, copy):
-        for c in range(array.shape[0]):
-            for e in range(array.shape[1]):
-                array[c, e] = copy[c, e]
+    def converted(into, of):
+        for c in range(into.shape[0]):
+            for e in range(into.shape[1]):
+                into[c, e] = of[c, e]
 
-    return narrow
+    return converted
 
 
-@kernel
+@lean_kernel
 def show_grips(sheet, knots, curve, t, segment):
     """Tell the effects where the grips are at time t: fills `sheet.grip` (3, G) m."""
     for g in range(sheet.held.shape[0]):
@@ -176,7 +178,7 @@ def show_grips(sheet, knots, curve, t, segment):
             sheet.grip[c, g] = grip_point(knots, curve, t, segment, g, c)
 
 
-@kernel
+@lean_kernel
 def hold_grips(x, pins, grips, t, segment):
     """Put the held nodes `pins` (G,) of shape x (3, n) m where their grips are at time t, exactly."""
     for g in range(pins.shape[0]):
@@ -184,7 +186,7 @@ def hold_grips(x, pins, grips, t, segment):
             x[c, pins[g]] = grip_point(grips.knots, grips.curve, t, segment, g, c)
 
 
-@kernel
+@lean_kernel
 def put_grips(out, points, of_points, knots, curve, t):
     """Points of a frame (N, 3) that lie on a grip are put where the grip is, exactly."""
     if points.shape[0]:
@@ -194,7 +196,7 @@ def put_grips(out, points, of_points, knots, curve, t):
                 out[points[n], c] = grip_point(knots, curve, t, segment, of_points[n], c)
 
 
-@kernel
+@lean_kernel
 def write_frames(x0, v0, x1, v1, t0, t1, done, sampling, grips):
     """Write the frames due up to t1, on the cubic through positions and velocities at t0 and t1 (Hermite).
 

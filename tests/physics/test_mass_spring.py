@@ -138,8 +138,8 @@ def test_damping_in_stages_is_a_polynomial_of_the_matrix_of_dashpots(crumpled, s
     for f in range(6):
         damping = np.sqrt(c * grid.share[f])
         elastic_forces_and_axes(x, grid.strides[f], grid.rest[f], grid.share[f], damping, g[f], axes[f], begin)
-    bare, kick = (False, grid.mass, np.zeros((6, 0))), np.full(n, step)
-    relax(found, np.zeros((3, n)), grid.strides, axes, inverse, *bare, kick, stages, centre, slope, work, begin)
+    force, bare, kick = np.zeros((3, n)), (False, np.zeros((8, 0))), np.full(n, step)
+    relax(found, force, force, grid.strides, axes, inverse, *bare, kick, stages, centre, slope, work, begin)
     np.testing.assert_allclose(found.ravel(), expected, atol=1e-9 * np.abs(v).max())
     np.testing.assert_allclose(found[:, 4], v[:, 4], rtol=1e-12)
     slow, fast = np.array([-1e-4, -1e-3]) / step, np.linspace(-2.5, -damped_up_to(stages), 1000) / step

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
-from clothbench.modelling import kernel
+from clothbench.modelling import lean_kernel
 from clothbench.studies.improve.law import Law
 
 NAME = "described"
@@ -23,7 +23,7 @@ MASSES = (4, 8, 9)  # numbers of those that have inertia
 FURTHEST = 3.0  # times the coefficient that the balance gave, within which the model's own fit looks for it
 
 
-@kernel
+@lean_kernel
 def lower_edge(uv):
     """v of the lowest row [m], u of its last node [m], and how many nodes it has."""
     lowest, widest, row = 0.0, 0.0, 0
@@ -34,7 +34,7 @@ def lower_edge(uv):
     return lowest, widest, row
 
 
-@kernel
+@lean_kernel
 def edge_of(uv, i, edge):
     """How much of the lower edge [m] node i stands for."""
     lowest, widest, row = edge
@@ -44,7 +44,7 @@ def edge_of(uv, i, edge):
     return widest / (row - 1) * (0.5 if end else 1.0)
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def missing_force(t, dt, x, v, f, sheet, p, state):
     """Forces per area, against the unit normal n and the normal velocity v_n: p[0] v_n, p[1] |v_n|^(p[2] − 1) v_n,
     p[3] |v| v, p[5] w with ẇ = v̇_n − w/p[6] (as `air_memory`), p[7] (s/H) v_n; the weight of the masses p[8] (along the
@@ -77,7 +77,7 @@ def missing_force(t, dt, x, v, f, sheet, p, state):
             f[c, i] += area * pull + mass * sheet.gravity[c]
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def missing_mass(t, dt, x, v, mass, sheet, p, state):
     """p[4] kg/m² along the normal, p[8] kg/m along the lower edge, p[9] kg/m² growing towards it."""
     edge = lower_edge(sheet.uv)

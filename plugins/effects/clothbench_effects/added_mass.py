@@ -3,7 +3,7 @@
 from clothbench import Parameter, ParameterSpace, effect_kernel
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def carry_air(t, dt, x, v, mass, sheet, p, state):
     """ΔM = m_a A n nᵀ: a thin plate's added mass resists acceleration along its normal n only.
 

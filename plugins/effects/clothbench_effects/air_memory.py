@@ -10,7 +10,7 @@ import numpy as np
 from clothbench import Parameter, ParameterSpace, effect_kernel
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def hold_back(t, dt, x, v, f, sheet, p, state):
     """f −= A (h (v_n − w) + b v_n) n, τ ẇ = v_n − w.
 

@@ -10,7 +10,7 @@ from clothbench import Parameter, ParameterSpace, effect_kernel
 from clothbench_effects.deformation import add_linear_bending
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def straighten(t, dt, x, v, f, sheet, p, state):
     """f −= A (D_u W_uu c_uu + D_v W_vv c_vv): energy per area ½ (D_u |∂²x/∂u²|² + D_v |∂²x/∂v²|²), linear in x.
 

@@ -3,14 +3,14 @@
 import numpy as np
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
-from clothbench.modelling import kernel
+from clothbench.modelling import lean_kernel
 from clothbench_effects.deformation import add_couples, bent
 
 FAR = 1e4  # times the curvature at which yarns slip: beyond any that cloth has
 VANISHED = 32.0  # exponent y from which exp(−y), 1e-14, may stand for 0
 
 
-@kernel
+@lean_kernel
 def decay(y):
     """exp(−y) − 1 for y ≥ 0, within 2e-12 of its value; without branches, so that loops over it use the vector unit.
 
@@ -25,7 +25,7 @@ def decay(y):
     return e * (2.0 + e)
 
 
-@kernel
+@lean_kernel
 def follow(couple, before, now, limit, scale):
     """Take couples (S,) from curvatures `before` to `now`, and `before` along."""
     rate = 1.0 / scale
@@ -33,7 +33,8 @@ def follow(couple, before, now, limit, scale):
         change = now[e] - before[e]
         aim = limit if change > 0.0 else -limit
         couple[e] = couple[e] + (couple[e] - aim) * decay(abs(change) * rate)
-    before[:] = now
+    for e in range(now.shape[0]):
+        before[e] = now[e]
 
 
 @effect_kernel

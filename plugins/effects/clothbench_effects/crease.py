@@ -8,13 +8,13 @@ Left to itself a strip bent to κ_m and let go keeps R (κ_m − κ_y)/(R + D) o
 import numpy as np
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
-from clothbench.modelling import kernel
+from clothbench.modelling import lean_kernel
 from clothbench_effects.deformation import add_couples, bent
 
 FAR = 1e6  # 1/m, a curvature beyond any that cloth has
 
 
-@kernel
+@lean_kernel
 def give_way(couple, set_, now, rigidity, limit):
     """Couples (S,) R (κ − κ_p) at curvatures `now`; what is bent beyond ± limit goes into κ_p, in `set_`, for good."""
     for e in range(now.shape[0]):

@@ -5,6 +5,8 @@ the compiler use the vector unit. On a regular grid neighbours share what they a
 belongs to an edge, each second derivative is a difference of two fibres, and all triangles of a kind find theirs at
 constant distances in the rows (`_part`). On any other mesh each triangle has its own. Only the functions that go from
 nodes to these rows and back know what mesh it is.
+
+What is public makes room and leaves the work to a function that makes none.
 """
 
 from __future__ import annotations
@@ -14,16 +16,17 @@ from collections import namedtuple
 
 import numpy as np
 
-from clothbench.modelling import kernel
+from clothbench.modelling import lean_kernel
 
-_fast = functools.partial(kernel, forceinline=True)
+_fast = functools.partial(lean_kernel, forceinline=True)
+_views = functools.partial(lean_kernel, inline="always")  # becomes a part of who calls it, as it must not return arrays
 
 COLLAPSED = 1e-9  # area over rest area below which a triangle has no normal that could be trusted
 
 Bent = namedtuple("Bent", "fibre second normal curvature")
 Bent.__doc__ = """What `bent` finds out about a sheet, S slots of triangles (see `clothbench.Sheet`).
 
-fibre: (2, 3R), from `fibres`; second: (3, 3R), from `_second_derivatives`; normal: (4, S), from `_find_normals`;
+fibre: (2, 3R), from `fibres`; second: (3, 3R), from `_find_second_derivatives`; normal: (4, S), from `_find_normals`;
 curvature: (3, S) 1/m, κ_uu, κ_vv and κ_uv: second derivatives along the normal; above 0 it curls towards warp × weft.
 """
 
@@ -31,20 +34,27 @@ curvature: (3, S) 1/m, κ_uu, κ_vv and κ_uv: second derivatives along the norm
 # --- bending ----------------------------------------------------------------------------------------------------------
 
 
-@_fast
+@_fast(allocates=True)
 def bent(x, sheet):
     """Fibres, normals and curvatures of a sheet at x (3, n) m: a `Bent`."""
+    width, slots = _width(x, sheet), sheet.slots.shape[1]
+    shape = Bent(np.empty((2, width)), np.empty((3, width)), np.empty((4, slots)), np.empty((3, slots)))
+    _bend(x, sheet, shape)
+    return shape
+
+
+@_fast
+def _bend(x, sheet, shape):
     slots, columns = sheet.slots, sheet.columns
-    fibre = fibres(x, sheet)
-    second = _second_derivatives(x, sheet, fibre)
-    normal, curvature = np.empty((4, slots.shape[1])), np.empty((3, slots.shape[1]))
+    fibre, second, normal, curvature = shape.fibre, shape.second, shape.normal, shape.curvature
+    _find_fibres(x, sheet, fibre)
+    _find_second_derivatives(x, sheet, fibre, second)
     for kind in range(_kinds(columns)):
         first, count, places = _part(columns, kind, slots.shape[1])
         _find_normals(fibre, places, normal, first, count)
         _find_curvatures(second[0], places[2], slots[1], normal, curvature[0], first, count)
         _find_curvatures(second[1], places[3], slots[2], normal, curvature[1], first, count)
         _find_curvatures(second[2], places[4], slots[3], normal, curvature[2], first, count)
-    return Bent(fibre, second, normal, curvature)
 
 
 @_fast
@@ -74,16 +84,21 @@ def _find_curvatures(second, place, weight, normal, curvature, first, count):
         out[e] = share[e] * (cx[e] * nx[e] + cy[e] * ny[e] + cz[e] * nz[e])
 
 
-@_fast
+@_fast(allocates=True)
 def add_couples(f, sheet, shape, couples):
     """f −= A (M_uu ∂κ_uu + M_vv ∂κ_vv + 2 M_uv ∂κ_uv)/∂x: couples per width (3, S) N, which do work on the curvatures.
 
     shape: from `bent`. κ = c·n, so ∂κ = ∂c·n + c·∂n: the second term vanishes on a sheet that only bends; with it the
     forces carry no net torque on any sheet.
     """
+    on_fibre, on_second = np.empty(shape.fibre.shape), np.empty(shape.second.shape)
+    _load(f, sheet, shape, couples, np.empty(couples.shape), np.empty(couples.shape), on_fibre, on_second)
+
+
+@_fast
+def _load(f, sheet, shape, couples, work, across, on_fibre, on_second):
     slots, columns = sheet.slots, sheet.columns
-    on_second, on_fibre = np.zeros(shape.second.shape), np.zeros(shape.fibre.shape)
-    work, across = np.empty(couples.shape), np.empty(couples.shape)
+    on_fibre[:], on_second[:] = 0.0, 0.0
     _weigh(couples[0], slots[0], slots[1], 1.0, work[0])
     _weigh(couples[1], slots[0], slots[2], 1.0, work[1])
     _weigh(couples[2], slots[0], slots[3], 2.0, work[2])
@@ -145,26 +160,37 @@ def _turn(fibre, places, across, on_fibre, first, count):
 # --- stretch ----------------------------------------------------------------------------------------------------------
 
 
-@_fast
+@_fast(allocates=True)
 def strains(fibre, sheet):
     """Strains ε = |w| − 1 of the warp and weft fibres w of all triangles, (2, S); fibre: from `fibres`."""
-    slots, rows = sheet.slots.shape[1], fibre.shape[1] // 3
-    out, strain = np.empty((2, slots)), np.empty(rows)
+    out = np.empty((2, sheet.slots.shape[1]))
+    _find_strains(fibre, sheet, np.empty(fibre.shape[1] // 3), out)
+    return out
+
+
+@_fast
+def _find_strains(fibre, sheet, strain, out):
+    rows, slots = strain.shape[0], out.shape[1]
     for c in range(2):
         wx, wy, wz = _axes(fibre[c], 0, rows)
         for e in range(rows):
             strain[e] = np.sqrt(wx[e] * wx[e] + wy[e] * wy[e] + wz[e] * wz[e]) - 1.0
         for kind in range(_kinds(sheet.columns)):
             first, count, places = _part(sheet.columns, kind, slots)
-            out[c, first : first + count] = strain[places[c] : places[c] + count]
-    return out
+            here, own = out[c, first:], strain[places[c] :]
+            for e in range(count):
+                here[e] = own[e]
+
+
+@_fast(allocates=True)
+def add_tensions(f, sheet, fibre, tension):
+    """f −= A T ∂ε/∂x: tensions T (2, S) N/m along warp and weft of all triangles."""
+    _pull(f, sheet, fibre, tension, np.empty(fibre.shape[1] // 3), np.empty(fibre.shape))
 
 
 @_fast
-def add_tensions(f, sheet, fibre, tension):
-    """f −= A T ∂ε/∂x: tensions T (2, S) N/m along warp and weft of all triangles."""
-    rows, area = fibre.shape[1] // 3, sheet.slots[0]
-    load, pull = np.empty(fibre.shape), np.empty(rows)
+def _pull(f, sheet, fibre, tension, pull, load):
+    rows, area = pull.shape[0], sheet.slots[0]
     for c in range(2):
         pull[:] = 0.0
         for kind in range(_kinds(sheet.columns)):
@@ -186,14 +212,19 @@ def add_tensions(f, sheet, fibre, tension):
 # --- linear bending ---------------------------------------------------------------------------------------------------
 
 
-@_fast
+@_fast(allocates=True)
 def add_linear_bending(f, x, sheet, warp, weft):
     """f −= A (D_u W_uu c_uu + D_v W_vv c_vv): of the energy ½ (D_u |∂²x/∂u²|² + D_v |∂²x/∂v²|²) per area, D in N·m."""
-    fibre, slots = fibres(x, sheet), sheet.slots
-    second = _second_derivatives(x, sheet, fibre)
-    rows = second.shape[1] // 3
+    width = _width(x, sheet)
+    _bend_linearly(f, x, sheet, warp, weft, np.empty((2, width)), np.empty((3, width)), np.empty(width // 3))
+
+
+@_fast
+def _bend_linearly(f, x, sheet, warp, weft, fibre, second, rigidity):
+    slots, rows = sheet.slots, rigidity.shape[0]
+    _find_fibres(x, sheet, fibre)
+    _find_second_derivatives(x, sheet, fibre, second)
     fibre[:], second[2] = 0.0, 0.0
-    rigidity = np.empty(rows)
     for c in range(2):
         rigidity[:] = 0.0
         for kind in range(_kinds(sheet.columns)):
@@ -232,7 +263,7 @@ def _part(columns, kind, slots):
     return slots // 2, slots // 2, (columns, 0, 0, columns + 1, 0)
 
 
-@_fast
+@_views
 def _axes(plane, start, count):
     """x, y and z of `count` vectors of a plane (3R,), from place `start` on."""
     rows = plane.shape[0] // 3
@@ -240,7 +271,7 @@ def _axes(plane, start, count):
     return x[:count], y[:count], z[:count]
 
 
-@_fast
+@_views
 def _at(rows, first, count):
     """The first three rows of some slots."""
     return rows[0, first : first + count], rows[1, first : first + count], rows[2, first : first + count]
@@ -260,36 +291,45 @@ def _add_cross(a, b, out):
 
 
 @_fast
+def _width(x, sheet):
+    """3R, of rows that hold x, y and z of what the triangles are made of."""
+    return x.size if sheet.columns > 0 else 3 * sheet.triangles.shape[0]
+
+
+@_fast(allocates=True)
 def fibres(x, sheet):
     """∂x/∂u (warp) and ∂x/∂v (weft), (2, 3R): x, y, z one after the other; their length is 1 at rest."""
+    out = np.empty((2, _width(x, sheet)))
+    _find_fibres(x, sheet, out)
+    return out
+
+
+@_fast
+def _find_fibres(x, sheet, out):
     if sheet.columns == 0:
         faces = sheet.triangles.shape[0]
-        out = np.empty((2, 3 * faces))
         for face in range(faces):
             a, b, d = sheet.triangles[face, 0], sheet.triangles[face, 1], sheet.triangles[face, 2]
             for c in range(2):
                 g = sheet.gradient[face, c]
                 for k in range(3):
                     out[c, k * faces + face] = g[0] * x[k, a] + g[1] * x[k, b] + g[2] * x[k, d]
-        return out
+        return
     nu, flat = sheet.columns, x.reshape(x.size)
     n = flat.shape[0]
-    out = np.empty((2, n))
     warp, weft = out[0], out[1]
     _difference(flat[1:], flat, sheet.spacing[0], warp[: n - 1])
     _difference(flat[nu:], flat, sheet.spacing[1], weft[: n - nu])
     warp[n - 1] = 0.0
     weft[n - nu :] = 0.0
-    return out
 
 
 @_fast
-def _second_derivatives(x, sheet, fibre):
+def _find_second_derivatives(x, sheet, fibre, out):
     """∂²x/∂u², ∂²x/∂v² and ∂²x/∂u∂v, (3, 3R), which the weights of the slots make those of `curvature_weights`.
 
     On a grid they are differences of fibres, over all axes at once: where a row ends the weights are 0.
     """
-    out = np.empty((3, fibre.shape[1]))
     if sheet.columns == 0:
         out[:] = 0.0
         faces = sheet.triangles.shape[0]
@@ -301,7 +341,7 @@ def _second_derivatives(x, sheet, fibre):
                     out[c, face] += weight * x[0, e]
                     out[c, faces + face] += weight * x[1, e]
                     out[c, 2 * faces + face] += weight * x[2, e]
-        return out
+        return
     nu, n = sheet.columns, fibre.shape[1]
     warp, weft, uu, vv, uv = fibre[0], fibre[1], out[0], out[1], out[2]
     uu[0] = 0.0
@@ -311,7 +351,6 @@ def _second_derivatives(x, sheet, fibre):
     _subtract(warp[1:], warp, uu[1:])
     _subtract(weft[nu:], weft, vv[nu:])
     _subtract(warp[nu:], warp, uv[: n - nu])
-    return out
 
 
 @_fast

@@ -7,7 +7,7 @@ which it is at low speed. In still air: a wind that is named beside it has a dra
 from clothbench import Parameter, ParameterSpace, effect_kernel
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def level_off(t, dt, x, v, f, sheet, p, state):
     """f −= ½ ρ_air A C_N |v_n| v_n / (1 + k_f v_n²)."""
     if p[0] == 0.0:

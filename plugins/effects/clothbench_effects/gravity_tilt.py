@@ -5,7 +5,7 @@ import numpy as np
 from clothbench import Parameter, ParameterSpace, effect_kernel
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def tilt(t, dt, x, v, f, sheet, p, state):
     """f += m (R g − g), R = R_y(β) R_x(α): gravity turned about x, then about y.
 

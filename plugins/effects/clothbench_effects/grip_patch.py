@@ -11,7 +11,7 @@ from clothbench_effects.sheet_kernels import add_overlap, helper, nodal_cloth
 OMEGA = 150.0  # rad/s: far above what a swinging sheet does, slow enough for the steps of an explicit model
 
 
-@helper
+@helper(allocates=True)
 def take_hold(x, sheet, size, state):
     """Remember how much of each node its grip covers, which grip that is, and where the node is seen from it.
 
@@ -33,7 +33,7 @@ def take_hold(x, sheet, size, state):
     state[0] = 1.0
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def clasp(t, dt, x, v, f, sheet, p, state):
     """f −= m k [ω² (x − x_g − d) + (2ω + ω² Δt)(v − v_g)] / (1 + k (2ω Δt + ω² Δt²)), k the share that is covered.
 

@@ -6,7 +6,7 @@ from clothbench import Parameter, ParameterSpace, effect_kernel
 from clothbench_effects.sheet_kernels import add_overlap, helper, nodal_cloth
 
 
-@helper
+@helper(allocates=True)
 def find_hem(sheet, density, width, state):
     """What each node carries of the strip [kg], into state[1:]; state[0] says that it is known.
 
@@ -14,8 +14,6 @@ def find_hem(sheet, density, width, state):
     total within 1.5 % of a disc cut from one of 13 nodes. Where an outline ends between two
     mesh lines the strip begins at the last line with cloth.
     """
-    if state[0] != 0.0:
-        return
     state[0] = 1.0
     foot = -np.inf
     for i in range(sheet.uv.shape[0]):
@@ -32,25 +30,27 @@ def find_hem(sheet, density, width, state):
     state[1:] *= density
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def weigh(t, dt, x, v, f, sheet, p, state):
     """f += m g, m = ρ_h ∫ N dA over the strip of width w along the lower edge."""
     if p[0] == 0.0:
         return
-    find_hem(sheet, p[0], p[1], state)
-    for i in range(x.shape[1]):
-        for c in range(3):
+    if state[0] == 0.0:
+        find_hem(sheet, p[0], p[1], state)
+    for c in range(3):
+        for i in range(x.shape[1]):
             f[c, i] += state[1 + i] * sheet.gravity[c]
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def bear(t, dt, x, v, mass, sheet, p, state):
     """ΔM = m I with the same m."""
     if p[0] == 0.0:
         return
-    find_hem(sheet, p[0], p[1], state)
-    for i in range(x.shape[1]):
-        for c in range(3):
+    if state[0] == 0.0:
+        find_hem(sheet, p[0], p[1], state)
+    for c in range(3):
+        for i in range(x.shape[1]):
             mass[c, i] += state[1 + i]
 
 

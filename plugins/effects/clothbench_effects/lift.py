@@ -5,7 +5,7 @@ import numpy as np
 from clothbench import Parameter, ParameterSpace, effect_kernel
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def deflect(t, dt, x, v, f, sheet, p, state):
     """f −= ½ ρ_air A C_L (v·n) (|v| n − (v·n) v/|v|): ½ ρ_air A C_L v² sin α cos α at an angle of attack α.
 

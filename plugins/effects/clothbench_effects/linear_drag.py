@@ -6,7 +6,7 @@ In still air: a wind that is named beside it has a drag of its own.
 from clothbench import Parameter, ParameterSpace, effect_kernel
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def push_back(t, dt, x, v, f, sheet, p, state):
     """f −= b A v."""
     if p[0] == 0.0:

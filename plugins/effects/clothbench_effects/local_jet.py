@@ -10,7 +10,7 @@ from clothbench import Parameter, ParameterSpace, effect_kernel
 from clothbench_effects.sheet_kernels import add_drag
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def blow(t, dt, x, v, f, sheet, p, state):
     """f −= ½ ρ_air A C_N |u_n| u_n with u = v − w, w = s exp(−r²/R²) (cos a, sin a, 0)."""
     if p[0] == 0.0:

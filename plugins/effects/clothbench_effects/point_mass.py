@@ -4,13 +4,11 @@ from clothbench import Parameter, ParameterSpace, effect_kernel
 from clothbench_effects.sheet_kernels import helper
 
 
-@helper
+@helper(allocates=True)
 def find_place(sheet, u, v, state):
     """The triangle that holds the point and its barycentric weights there; of a point off a sheet that has been cut, of
     the place in the nearest triangle with no weight below 0. state: 0 or 1 if known, nodes, weights.
     """
-    if state[0] != 0.0:
-        return
     state[0] = 1.0
     u, v = u * sheet.uv[:, 0].max(), v * sheet.uv[:, 1].max()
     deepest, place = -1e300, 0
@@ -36,23 +34,25 @@ def weight(sheet, face, k, u, v):
     return 1.0 + sheet.gradient[face, 0, k] * (u - corner[0]) + sheet.gradient[face, 1, k] * (v - corner[1])
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def weigh(t, dt, x, v, f, sheet, p, state):
     """f += m λ_k g on the three nodes around the mass, λ_k its barycentric coordinates."""
     if p[0] == 0.0:
         return
-    find_place(sheet, p[1], p[2], state)
+    if state[0] == 0.0:
+        find_place(sheet, p[1], p[2], state)
     for k in range(3):
         for c in range(3):
             f[c, int(state[1 + k])] += p[0] * state[4 + k] * sheet.gravity[c]
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def bear(t, dt, x, v, mass, sheet, p, state):
     """ΔM = m λ_k I on the same nodes: it moves continuously as the mass does, and its total is m on every mesh."""
     if p[0] == 0.0:
         return
-    find_place(sheet, p[1], p[2], state)
+    if state[0] == 0.0:
+        find_place(sheet, p[1], p[2], state)
     for k in range(3):
         for c in range(3):
             mass[c, int(state[1 + k])] += p[0] * state[4 + k]

@@ -4,7 +4,7 @@ from clothbench import Parameter, ParameterSpace, effect_kernel
 from clothbench_effects.sheet_kernels import add_drag
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def push_back(t, dt, x, v, f, sheet, p, state):
     """f −= ½ ρ_air A (C_N |v_n| v_n + C_T |v_t| v_t), v_n and v_t the velocity along and across the normal n."""
     if p[0] == 0.0 and p[1] == 0.0:

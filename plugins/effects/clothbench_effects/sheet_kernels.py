@@ -6,9 +6,9 @@ import functools
 
 import numpy as np
 
-from clothbench.modelling import kernel
+from clothbench.modelling import lean_kernel
 
-helper = functools.partial(kernel, forceinline=True)
+helper = functools.partial(lean_kernel, forceinline=True)
 
 
 @helper
@@ -25,7 +25,7 @@ def add_drag(f, i, sheet, vx, vy, vz, normal, tangential):
     f[2, i] -= across * nz + friction * tz
 
 
-@helper
+@helper(allocates=True)
 def nodal_cloth(sheet):
     """∫ N dA of the cloth in the triangles around each node, (n,) m²."""
     whole = np.zeros(sheet.area.shape[0])
@@ -35,7 +35,7 @@ def nodal_cloth(sheet):
     return whole
 
 
-@helper
+@helper(allocates=True)
 def cut(polygon, count, axis, side, limit, out):
     """Keep the part of a convex polygon (count, 2) in which side·(coordinate − limit) ≥ 0; returns its corner count.
 
@@ -54,7 +54,7 @@ def cut(polygon, count, axis, side, limit, out):
     return kept
 
 
-@helper
+@helper(allocates=True)
 def add_overlap(sheet, face, low, high, share):
     """share_k += ∫ N_k over the part of a triangle between low (2,) and high (2,) m, N_k linear, 1 at corner k; where
     an outline cuts a triangle, as if its cloth were spread evenly over it.

@@ -7,7 +7,7 @@ from clothbench import Parameter, ParameterSpace, effect_kernel
 from clothbench_effects.sheet_kernels import add_drag
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def blow(t, dt, x, v, f, sheet, p, state):
     """f −= ½ ρ_air A (C_N |u_n| u_n + C_T |u_t| u_t) with u = v − w, the velocity against the air."""
     if p[0] == 0.0 and p[1] == 0.0:

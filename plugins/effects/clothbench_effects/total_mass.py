@@ -3,7 +3,7 @@
 from clothbench import Parameter, ParameterSpace, effect_kernel
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def weigh(t, dt, x, v, f, sheet, p, state):
     """f += (r − 1) m g."""
     if p[0] == 1.0:
@@ -13,7 +13,7 @@ def weigh(t, dt, x, v, f, sheet, p, state):
             f[c, i] += (p[0] - 1.0) * sheet.mass[i] * sheet.gravity[c]
 
 
-@effect_kernel
+@effect_kernel(allocates=False)
 def bear(t, dt, x, v, mass, sheet, p, state):
     """ΔM = (r − 1) m I."""
     if p[0] == 1.0:

@@ -3,18 +3,18 @@
 import numpy as np
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
-from clothbench.modelling import kernel
+from clothbench.modelling import lean_kernel
 from clothbench_effects.deformation import add_couples, add_tensions, bent, fibres, strains
 
 
-@kernel
+@lean_kernel
 def follow(stress, before, now, kept, share):
     """Take s of all triangles, (k, S), from deformations `before` to `now`, and `before` along."""
     for c in range(now.shape[0]):
         s, was, e = stress[c], before[c], now[c]
         for slot in range(e.shape[0]):
             s[slot] = kept * s[slot] + share * (e[slot] - was[slot])
-        was[:] = e
+            was[slot] = e[slot]
 
 
 @effect_kernel

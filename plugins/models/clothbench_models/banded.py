@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from clothbench.modelling import fast_kernel, kernel
+from clothbench.modelling import fast_kernel, lean_kernel
 
 
-@kernel
+@lean_kernel
 def keep_out(band, held):
     """Put ones on the diagonal and zeros beside it for unknowns that are `held` (N,)."""
     count, wide = band.shape
@@ -21,7 +21,7 @@ def keep_out(band, held):
                     band[j, k] = 0.0
 
 
-@fast_kernel
+@fast_kernel(allocates=False)
 def factor(band):
     """In place; false where the matrix is not positive definite."""
     count, wide = band.shape
@@ -42,7 +42,7 @@ def factor(band):
     return True
 
 
-@fast_kernel
+@fast_kernel(allocates=False)
 def substitute(band, x):
     """Solve with the factor, in place."""
     count, wide = band.shape
@@ -60,7 +60,7 @@ def substitute(band, x):
         x[j] = (x[j] - s) / band[j, 0]
 
 
-@fast_kernel
+@fast_kernel(allocates=False)
 def times(band, x, out):
     """out = A x."""
     count, wide = band.shape

@@ -33,6 +33,7 @@ from clothbench.modelling import (
     is_lost,
     keep_out,
     kernel,
+    lean_kernel,
     sheet_normals,
     show_grips,
     wants_normals,
@@ -88,7 +89,7 @@ AT_REST = 2e-8  # m that a node still moves in a settling step as long as a seco
 VISIBLE = 1e-4  # m of it, above which what the last round left is no rest
 
 
-@kernel
+@lean_kernel
 def elastic(x, v, f, nu, membrane, plate, stiffer, k_scale, c_scale, edges, shear, work):
     """Add all inner forces to f (3, n) N and keep the matrix k_scale·K + c_scale·C for `assemble`.
 
@@ -123,7 +124,7 @@ def elastic(x, v, f, nu, membrane, plate, stiffer, k_scale, c_scale, edges, shea
         add_diagonals(plate.offsets, plate.values, v, -plate.damping, f)
 
 
-@kernel
+@lean_kernel
 def add_air(v, f, normal, area, quadratic, tangential, falloff):
     """f −= a (k_N |v_N|²/(1 + k_f |v_N|²) v_N/|v_N| + k_T v_T) (Bhat et al. 2003, section 3, eq. 4)."""
     for i in range(v.shape[1]):
@@ -136,7 +137,7 @@ def add_air(v, f, normal, area, quadratic, tangential, falloff):
         f[2, i] -= push * nz + rub * (v[2, i] - along * nz)
 
 
-@kernel
+@lean_kernel
 def add_outer(t, dt, x, v, f, nu, air, sheet, effects, terms, state, extra, grips, segment):
     """Weight, air and effects, whose memory is `state`; returns whether effects have added mass to `extra`."""
     for c in range(3):
@@ -154,7 +155,7 @@ def add_outer(t, dt, x, v, f, nu, air, sheet, effects, terms, state, extra, grip
     return apply_effects(effects, terms.stages, terms.count, t, dt, x, v, f, extra, sheet, terms.parameters, state)
 
 
-@kernel
+@lean_kernel
 def largest(delta):
     """Largest length of a column of delta (3, n)."""
     top = 0.0
@@ -163,7 +164,7 @@ def largest(delta):
     return np.sqrt(top)
 
 
-@kernel
+@lean_kernel
 def direction(a, b):
     """The cosine between two steps of all nodes, a and b (3, n); 1 where either is none."""
     onwards, one, other = 0.0, 0.0, 0.0

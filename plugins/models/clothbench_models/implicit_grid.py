@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clothbench.modelling import apart_kernel, fast_kernel, kernel
+from clothbench.modelling import apart_kernel, fast_kernel, kernel, lean_kernel
 from clothbench_models.resting_contact import SLIDES, STICKS
 from clothbench_models.sheet_forces import CELLS
 
@@ -24,7 +24,7 @@ NEXT, ACROSS, DIAGONAL, SECOND_NEXT, BESIDE, SECOND_ACROSS, ANTIDIAGONAL = 6, 15
 OWN = (0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)
 
 
-@kernel
+@lean_kernel
 def margin_of(nu):
     """How many places a matrix and what it is multiplied by have before the first node, and after the last."""
     return 2 * nu + 2
@@ -36,7 +36,7 @@ def empty_matrix(nu, n, shear_rows):
     return np.empty((ANTIDIAGONAL + (9 if shear_rows == CELLS else 0), n + 2 * margin_of(nu)))
 
 
-@kernel
+@lean_kernel
 def row_of(offset, nu):
     """The first row that couples nodes so far apart; -1 if there is none."""
     if offset == 0:
@@ -54,7 +54,7 @@ def row_of(offset, nu):
     return SECOND_ACROSS if offset == 2 * nu else -1
 
 
-@kernel
+@lean_kernel
 def hold_back(r, touch, normal):
     """Remove from r (3, n) what a node cannot follow: all of it where it sticks, the normal part where it slides."""
     for i in range(r.shape[1]):
@@ -66,7 +66,7 @@ def hold_back(r, touch, normal):
                 r[c, i] -= s * normal[c, i]
 
 
-@fast_kernel
+@fast_kernel(allocates=False)
 def mass_times(mass, extra, heavier, p, out):
     """out = M p with scalar masses (n,) kg, plus the tensors `extra` (6, n) if there are any."""
     for c in range(3):
@@ -80,7 +80,7 @@ def mass_times(mass, extra, heavier, p, out):
             out[2, e] += extra[4, e] * p[0, e] + extra[3, e] * p[1, e] + extra[2, e] * p[2, e]
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def _add_products(block, weight, a, b, scale, before, nu):
     """block (9, margin + n + margin) += scale · weight · a bᵀ, of the edge or cell so many places `before` the node.
 
@@ -95,7 +95,7 @@ def _add_products(block, weight, a, b, scale, before, nu):
                 block[3 * i + j, to + e] += scale * weight[start + e] * a[i, start + e] * b[j, start + e]
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def _add_scalars(rows, weight, scale, start, step, nu):
     """rows[0], rows[step], rows[2 step] += scale · weight (P,), from its place `start` on."""
     n = rows.shape[1] - 2 * margin_of(nu)
@@ -106,7 +106,7 @@ def _add_scalars(rows, weight, scale, start, step, nu):
             rows[step * i, to + e] += scale * weight[first + e]
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def _add_own(own, block, distance, nu):
     """Take a coupling's blocks (9, …) from the nodes' own (6, …) on either side: what holds nodes together resists no
     motion of all of them.
@@ -120,7 +120,7 @@ def _add_own(own, block, distance, nu):
             own[row, to + e] -= block[3 * i + j, to + e] + block[3 * j + i, behind + e]
 
 
-@kernel
+@lean_kernel
 def assemble(nu, mass, extra, heavier, edges, shear, offsets, bending, bend_scale, matrix, work):
     """Fill matrix (`empty_matrix`) with M + C + K, from what the force routines kept.
 
@@ -179,7 +179,7 @@ def assemble(nu, mass, extra, heavier, edges, shear, offsets, bending, bend_scal
             _add_scalars(matrix[row : row + 9], bending[s], bend_scale, 0, 4, nu)
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def _inverses(own, nu, xx, yy, zz, yz, xz, xy):
     """The symmetric blocks (6, margin + n + margin), inverted, row by row (n,)."""
     start = np.uint64(margin_of(nu))
@@ -192,7 +192,7 @@ def _inverses(own, nu, xx, yy, zz, yz, xz, xy):
         yz[k], xz[k], xy[k] = (g * f - a * d) * scale, gd * scale, fd * scale
 
 
-@kernel
+@lean_kernel
 def invert_blocks(nu, matrix, touch, normal, inverse):
     """The nodes' own blocks inverted: inverse (6, n) as xx, yy, zz, yz, xz, xy, within what each node can follow; and
     whether any of them slides.
@@ -218,7 +218,7 @@ def invert_blocks(nu, matrix, touch, normal, inverse):
     return slides
 
 
-@fast_kernel(forceinline=True)
+@fast_kernel(forceinline=True, allocates=False)
 def _coupled(a, row, p, e, distance, x, y, z):
     """x, y, z and what the blocks from this row on couple place e with, so far after it and before it."""
     i = e + distance
@@ -234,7 +234,7 @@ def _coupled(a, row, p, e, distance, x, y, z):
     return x, y, z
 
 
-@fast_kernel(forceinline=True)
+@fast_kernel(forceinline=True, allocates=False)
 def _alike(a, row, p, e, distance, x, y, z):
     """The same for numbers that couple each coordinate with itself."""
     i, j = e + distance, e - distance
@@ -242,7 +242,7 @@ def _alike(a, row, p, e, distance, x, y, z):
     return x + s * p[0, i] + t * p[0, j], y + s * p[1, i] + t * p[1, j], z + s * p[2, i] + t * p[2, j]
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def _times(a, nu, p, qx, qy, qz):
     """q = A p for the rows of a matrix, p (3, margin + n + margin) with zeros around it; returns p·q."""
     start, one, across = np.uint64(margin_of(nu)), np.uint64(1), np.uint64(nu)
@@ -264,7 +264,7 @@ def _times(a, nu, p, qx, qy, qz):
     return total
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def _add_antidiagonal(a, nu, p, qx, qy, qz):
     """q += what the blocks of whole cells couple with the node nu − 1 after; returns what that adds to p·q."""
     start, distance = np.uint64(margin_of(nu)), np.uint64(nu - 1)
@@ -279,7 +279,7 @@ def _add_antidiagonal(a, nu, p, qx, qy, qz):
     return total
 
 
-@kernel
+@lean_kernel
 def multiply(matrix, nu, offsets, bending, bend_scale, p, q):
     """q (3, n) = (M + C + K) p, for p (3, margin + n + margin) with zeros around it; returns p·q."""
     total, margin, n = _times(matrix, nu, p, q[0], q[1], q[2]), margin_of(nu), q.shape[1]
@@ -299,7 +299,7 @@ def multiply(matrix, nu, offsets, bending, bend_scale, p, q):
     return total
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def _precondition(inverse, r, zx, zy, zz):
     """z = blocks · r; returns r·z."""
     total = 0.0
@@ -313,7 +313,7 @@ def _precondition(inverse, r, zx, zy, zz):
     return total
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def _advance(delta, r, p, q, alpha, nu):
     """δ += α p, r −= α q."""
     start = np.uint64(margin_of(nu))
@@ -325,7 +325,7 @@ def _advance(delta, r, p, q, alpha, nu):
             r[c, k] -= alpha * q[c, k]
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def _turn(p, z, beta, nu):
     """p ← z + β p."""
     start = np.uint64(margin_of(nu))
@@ -335,7 +335,7 @@ def _turn(p, z, beta, nu):
             p[c, start + e] = z[c, e] + beta * p[c, start + e]
 
 
-@kernel
+@lean_kernel
 def solve(delta, r, nu, matrix, offsets, bending, bend_scale, touch, normal, tolerance, most, inverse, z, p, q):
     """Conjugate gradients for (M + C + K) δ = r within what the nodes can follow; r becomes what is left of it, and
     forces of what holds them.

@@ -6,7 +6,7 @@ v' = v̄ + γ M⁻¹ f(x̄ + γ v', v'), with γ = dt, x̄ = x, v̄ = v for Eule
 
 from __future__ import annotations
 
-from clothbench.modelling import OBSTACLE, grip_point, keep_out, kernel
+from clothbench.modelling import OBSTACLE, grip_point, keep_out, kernel, lean_kernel
 from clothbench_models.implicit_grid import hold_back
 from clothbench_models.resting_contact import FREE, part_layers, touching
 
@@ -31,7 +31,7 @@ def extrapolate(scheme, dt, x, v, x_old, v_old, stiffer, x_bar, v_bar, guess):
     return 2.0 * dt / 3.0
 
 
-@kernel
+@lean_kernel
 def follow_grips(guess, x_bar, gamma, pins, grips, t, segment):
     """The velocity that brings each held node from x̄ to where its grip is at time t."""
     for g in range(pins.shape[0]):
@@ -59,7 +59,7 @@ def rest_on(guess, x, x_bar, gamma, dt, obstacles, free, touch, normal, friction
     guess += q - z
 
 
-@kernel
+@lean_kernel
 def slip(scheme, v, obstacles, on, out):
     """out (3, n) = the velocity v of nodes against the obstacle that they touch, whose own is that of the scheme: over
     the step of Euler; of BDF2, whose velocities are those at the end of the step, (3 V − V₋)/2.
@@ -74,7 +74,7 @@ def slip(scheme, v, obstacles, on, out):
                 out[c, e] -= now + ahead * (now - before)
 
 
-@kernel
+@lean_kernel
 def moved_on(x_bar, gamma, guess, q):
     """q = x̄ + γ v', where the forces of a step are taken."""
     for c in range(3):
@@ -82,7 +82,7 @@ def moved_on(x_bar, gamma, guess, q):
             q[c, e] = x_bar[c, e] + gamma * guess[c, e]
 
 
-@kernel
+@lean_kernel
 def step_before(x, v, dt, gravity, mass, pins, x_old, v_old):
     """The step before the first of a sheet that does not begin at rest in its grips: held, it moved as it does now; let
     go, on the parabola of its free fall.

@@ -12,7 +12,7 @@ from collections import namedtuple
 import numpy as np
 from numba import types
 
-from clothbench.modelling import apart_kernel, bear_inertia, bundle_type, fast_kernel, kernel
+from clothbench.modelling import apart_kernel, bear_inverted, bundle_type, fast_kernel, kernel, lean_kernel
 from clothbench_models.implicit_grid import hold_back
 from clothbench_models.sheet_forces import add_fluxes, edge_differences
 
@@ -26,7 +26,7 @@ CRUMPLED = 0.1  # strain that is left when projecting has failed
 SOLVED = 0.01  # of the residual is left by each round's solver; the next round deals with it
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def violations(nu, du, dv, lengths, share, c):
     """C (3, P) m from the edge differences du, dv (3, P) m; share (3, P): 1/L, 1/L and 1/√(h_u h_v), 0 outside."""
     one, across = np.uint64(1), np.uint64(nu)
@@ -45,14 +45,14 @@ def violations(nu, du, dv, lengths, share, c):
         c[2, e] = 0.25 * share[2, e] * total
 
 
-@kernel
+@lean_kernel
 def pull(nu, du, dv, share, tension, fu, fv):
     """Fluxes (3, P) N of the constraint forces −∂Cᵀλ, tension λ (3, P) N; zero where there are no edges, as before."""
     _pull_along(nu, du, dv, share[0], share[2], tension[0], tension[2], 1, nu, fu)
     _pull_along(nu, dv, du, share[1], share[2], tension[1], tension[2], nu, 1, fv)
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def _pull_along(nu, d, cross, share, cells, tension, shear, along, aside, flux):
     """The same of one family of edges d (3, P) m: `along` places from one to the next, and `aside` to those beside."""
     step, before = np.uint64(along), np.uint64(aside)
@@ -65,7 +65,7 @@ def _pull_along(nu, d, cross, share, cells, tension, shear, along, aside, flux):
             flux[c, e] = tension[e] * share[e] * d[c, e] + 0.25 * slide
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def rates(nu, du, dv, share, pu, pv, out):
     """∂C·p (3, P) for the edge differences pu, pv of p."""
     one, across = np.uint64(1), np.uint64(nu)
@@ -82,19 +82,19 @@ def rates(nu, du, dv, share, pu, pv, out):
         out[2, e] = 0.25 * share[2, e] * total
 
 
-@kernel
-def yield_to(f, mass, extra, heavier, touch, normal):
-    """f (3, n) N becomes accelerations of what can move, in place."""
+@lean_kernel
+def yield_to(f, mass, inertia, heavier, touch, normal):
+    """f (3, n) N becomes accelerations of what can move, in place; inertia: from `invert_inertia`, if heavier."""
     hold_back(f, touch, normal)
     if heavier:
-        bear_inertia(f, mass, extra)
+        bear_inverted(f, inertia)
     for c in range(3):
         for e in range(mass.shape[0]):
             f[c, e] /= mass[e]
     hold_back(f, touch, normal)
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def schur_diagonal(nu, du, dv, share, weight, give, square, out):
     """The diagonal (3, P) of c/γ² + ∂C W ∂Cᵀ for inverse masses `weight` (P,) padded like the edges, 0 where held."""
     for e in range(share.shape[1] - 1 - nu):
@@ -119,7 +119,7 @@ def schur_diagonal(nu, du, dv, share, weight, give, square, out):
                 out[k, e] = 1.0
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def factor_lines(nu, du, dv, share, weight, diagonal, off):
     """Turn the diagonal (3, P) into the pivots D of L D Lᵀ for all mesh lines' own blocks; off (2, P): their L.
 
@@ -138,7 +138,7 @@ def factor_lines(nu, du, dv, share, weight, diagonal, off):
         diagonal[1, e] -= off[1, e] * off[1, e] * diagonal[1, f]
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def times(a, b, out):
     """out = a b for small matrices (l, m), (m, n), four rows of b at once."""
     inner = a.shape[1]
@@ -155,7 +155,7 @@ def times(a, b, out):
                 out[i, j] += w * b[k, j]
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def solve_lines(nu, diagonal, off, waves_u, waves_v, damped, plane, r, z):
     """The preconditioner: z = (L D Lᵀ)⁻¹ r for the mesh lines, and the flat sheet's inverse for the cells.
 
@@ -227,7 +227,7 @@ def sines(count):
     return out
 
 
-@fast_kernel
+@fast_kernel(allocates=False)
 def _sum(a, b):
     total = 0.0
     for k in range(3):
@@ -237,14 +237,14 @@ def _sum(a, b):
     return total
 
 
-@kernel
-def schur_times(nu, du, dv, share, give, square, p, mass, extra, heavier, touch, normal, f, out, work):
+@lean_kernel
+def schur_times(nu, du, dv, share, give, square, p, mass, inertia, heavier, touch, normal, f, out, work):
     """out = (c/γ² + ∂C W ∂Cᵀ) p for multipliers p (3, P); work[6:12] and work[12:18] are overwritten."""
     fu, fv, pu, pv = work[6:9], work[9:12], work[12:15], work[15:18]
     pull(nu, du, dv, share, p, fu, fv)
     f[:] = 0.0
     add_fluxes(fu, fv, nu, f, 1.0)
-    yield_to(f, mass, extra, heavier, touch, normal)
+    yield_to(f, mass, inertia, heavier, touch, normal)
     edge_differences(f, nu, pu, pv)
     rates(nu, du, dv, share, pu, pv, out)
     for k in range(3):
@@ -254,8 +254,8 @@ def schur_times(nu, du, dv, share, give, square, p, mass, extra, heavier, touch,
 
 @kernel
 def tighten(
-    x, gamma, tension, nu, lengths, share, give, mass, extra, heavier, touch, normal, weight, tolerance, rows, work, f,
-    waves_u, waves_v, damped, plane,
+    x, gamma, tension, nu, lengths, share, give, mass, inertia, heavier, touch, normal, weight, tolerance, rows, work,
+    f, waves_u, waves_v, damped, plane,
 ):  # fmt: skip
     """Fast projection (Goldenthal et al. 2007, section 4.1) of x (3, n) m onto C(x) = cλ, in the metric of the masses.
 
@@ -291,7 +291,7 @@ def tighten(
         for _ in range(500):
             if rz <= goal:
                 break
-            schur_times(nu, du, dv, share, give, square, p, mass, extra, heavier, touch, normal, f, q, work)
+            schur_times(nu, du, dv, share, give, square, p, mass, inertia, heavier, touch, normal, f, q, work)
             pq = _sum(p, q)
             if not pq > 0.0:
                 break
@@ -310,7 +310,7 @@ def tighten(
         pull(nu, du, dv, share, step, fu, fv)
         f[:] = 0.0
         add_fluxes(fu, fv, nu, f, 1.0)
-        yield_to(f, mass, extra, heavier, touch, normal)
+        yield_to(f, mass, inertia, heavier, touch, normal)
         for k in range(3):
             for e in range(x.shape[1]):
                 x[k, e] += square * f[k, e]

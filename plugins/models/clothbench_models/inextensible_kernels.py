@@ -22,6 +22,7 @@ from clothbench.modelling import (
     advance_segment,
     carry,
     hold_grips,
+    invert_inertia,
     is_lost,
     kernel,
     write_frames,
@@ -71,7 +72,7 @@ def _march(
     f, r, delta, inverse = np.empty((3, n)), np.empty((3, n)), np.empty((3, n)), np.ones((6, n))
     z, p, q = np.empty((3, n)), np.empty((3, n)), np.empty((3, n))
     matrix, swept = empty_matrix(nu, n, TRIANGLES), np.empty((3, n + 2 * margin_of(nu)))
-    extra, normal, free = np.zeros((6, n)), np.zeros((3, n)), 1.0 / mass
+    extra, inertia, normal, free = np.zeros((6, n)), np.zeros((8, n)), np.zeros((3, n)), 1.0 / mass
     x, v, guess, x_bar, v_bar = begins.x, begins.v, np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     x_old, v_old, x_before, v_before = np.empty((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     touch, friction, rub, on = np.zeros(n, np.int64), np.zeros(n), np.zeros((3, n)), np.full(n, -1)
@@ -94,7 +95,7 @@ def _march(
         x_old[:] = x
     else:  # a start that fits, and the step before it
         used = tighten(
-            x, 1.0, tension, nu, lengths, share, give, mass, extra, False, touch, normal, lightness, tolerance,
+            x, 1.0, tension, nu, lengths, share, give, mass, inertia, False, touch, normal, lightness, tolerance,
             rows, work, r, waves_u, waves_v, damped, plane,
         )  # fmt: skip
         if used < 0:
@@ -133,6 +134,8 @@ def _march(
         for c in range(3):
             for e in range(n):
                 z[c, e] = guess[c, e] - v_bar[c, e]
+        if heavier:
+            invert_inertia(mass, extra, inertia)
         mass_times(mass, extra, heavier, z, r)
         for c in range(3):
             for e in range(n):
@@ -150,7 +153,7 @@ def _march(
                 x[c, e] = x_bar[c, e] + gamma * (guess[c, e] + delta[c, e])
         hold_grips(x, pins, grips, t, segment)
         used = tighten(
-            x, gamma, tension, nu, lengths, share, give, mass, extra, heavier, touch, normal, lightness, tolerance,
+            x, gamma, tension, nu, lengths, share, give, mass, inertia, heavier, touch, normal, lightness, tolerance,
             rows, work, r, waves_u, waves_v, damped, plane,
         )  # fmt: skip
         if used < 0:

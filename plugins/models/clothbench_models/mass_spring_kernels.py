@@ -31,15 +31,17 @@ from clothbench.modelling import (
     apart_kernel,
     apply_effects,
     as_double,
-    bear_inertia,
+    bear_inverted,
     bundle_type,
     carry,
     fastest,
     grip_point,
+    invert_inertia,
     is_lost,
     keep_apart,
     keep_out,
     kernel,
+    lean_kernel,
     put_back,
     put_grips,
     sheet_normals,
@@ -56,7 +58,7 @@ SWEEPS = 30  # at most, over all limited springs after one step
 SLACK = 0.001  # of a spring's length; strain beyond the limit that needs no further sweep
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def spring_forces(x, v, stride, rest, stiffness, damping, g, begin):
     """Force of one family of springs on its first nodes, from place `begin` of g (3, begin + n) N on:
 
@@ -80,7 +82,7 @@ def spring_forces(x, v, stride, rest, stiffness, damping, g, begin):
         gz[e] = q * dz
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def elastic_forces(x, stride, rest, stiffness, g, begin):
     """`spring_forces` without dashpots: g = k (1 − L/l) d."""
     n = x.shape[1] - stride
@@ -96,7 +98,7 @@ def elastic_forces(x, stride, rest, stiffness, g, begin):
         gz[e] = q * dz
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def elastic_forces_and_axes(x, stride, rest, stiffness, root, g, axis, begin):
     """`elastic_forces`, and √c d/l of the dashpots beside the springs, from place `begin` of axis (3, begin + n) on.
 
@@ -117,7 +119,7 @@ def elastic_forces_and_axes(x, stride, rest, stiffness, root, g, axis, begin):
         ex[e], ey[e], ez[e] = inverse * dx, inverse * dy, inverse * dz
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def add_dashpots(f, v, stride, axis, begin):
     """f += a (Δv·a) of one family of dashpots at their first nodes, − that at their second; a = √c d/l from `axis`.
 
@@ -139,7 +141,7 @@ def add_dashpots(f, v, stride, axis, begin):
         fz[e] += p * pz[e] - q * qz[e]
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def next_stage(now, before, f, inverse_mass, kick, centre, slope, less):
     """before ← centre·now + slope·kick·f/m − less·before, then f ← 0: T_{j+1}(y) = 2 y T_j(y) − T_{j−1}(y)."""
     for c in range(3):
@@ -149,7 +151,7 @@ def next_stage(now, before, f, inverse_mass, kick, centre, slope, less):
             fc[e] = 0.0
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def add_pairwise(f, g, begin, stride):
     """f += what springs do at their first nodes, − what they do at their second: f (3, n) N, g (3, begin + n) N.
 
@@ -162,7 +164,7 @@ def add_pairwise(f, g, begin, stride):
             own[e] += forward[e] - back[e]
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def kick_and_drift(x, v, f, inverse_mass, weight, kick, dt, keep):
     """v ← keep·v + kick·f/m, x ← x + dt·v, then f ← weight for the next step (symplectic Euler).
 
@@ -177,7 +179,7 @@ def kick_and_drift(x, v, f, inverse_mass, weight, kick, dt, keep):
             fc[e] = wc[e]
 
 
-@kernel
+@lean_kernel
 def chebyshev(stages):
     """Centre w₀ and slope w₁ of P(z) = (1 + T_s(w₀ + w₁ z))/(1 + T_s(w₀)), with P′(0) = 1 and T_s(w₀) such that
 
@@ -194,27 +196,30 @@ def damped_up_to(stages: int) -> float:
     return (1.0 + centre) / slope
 
 
-@kernel
-def relax(v, f, strides, axes, inverse_mass, heavier, mass, extra, kick, stages, centre, slope, work, begin):
+@lean_kernel
+def relax(v, f, fd, strides, axes, inverse_mass, heavier, inertia, kick, stages, centre, slope, work, begin):
     """v ← P(A) v, A = −kick C/m the dashpots along `axes`, P of `chebyshev`: in s stages what s² steps of Euler's do.
 
     P(z) = 1 + z + O(z²), a mean of 1 and of the polynomial of van der Houwen and Sommeijer (1980, On the internal
     stability of explicit, m-stage Runge–Kutta methods), damped like theirs: nearer to exp(z), and it turns nothing
-    around. Theirs would take three stages for four of these. f (3, n) has to be 0 and is left so. work:
-    (2, 3, begin + n + begin), 0 at both ends; axes: as `add_dashpots` reads them; heavier: whether effects added the
-    mass `extra` to each node's own, as `bear_inertia` takes them.
+    around. Theirs would take three stages for four of these. f (3, n) has to be 0 and is left so, and fd is it, or room
+    for it, in double precision. work: (2, 3, begin + n + begin), 0 at both ends; axes: as `add_dashpots` reads them;
+    heavier: whether effects added mass to the nodes' own, and inertia: from `invert_inertia`.
     """
     real, nodes = v.dtype.type, slice(begin, begin + v.shape[1])
     now, before = work[0], work[1]
-    now[:, nodes] = v
+    for c in range(3):
+        own = v[c]
+        for e in range(np.uint64(own.shape[0])):
+            now[c, begin + e] = own[e]
     before[:] = 0.0
     value, earlier = real(1.0), real(0.0)  # of T_j(w₀), rounded as all else: what is not damped keeps its speed
     for stage in range(stages):
         for family in range(strides.shape[0]):
             add_dashpots(f, now, strides[family], axes[family], begin)
         if heavier:
-            fd = as_double(f)
-            bear_inertia(fd, mass, extra)
+            put_back(fd, f)
+            bear_inverted(fd, inertia)
             put_back(f, fd)
         twice = 1.0 if stage == 0 else 2.0
         grow, less = real(twice * centre), real(twice - 1.0)
@@ -228,7 +233,7 @@ def relax(v, f, strides, axes, inverse_mass, heavier, mass, extra, kick, stages,
             own[e] = (own[e] + found[e]) * share
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def half_kick(v, f, inverse_mass, kick, half):
     """v ← v + kick/2·f/m, the other half of which (3, n) m/s is for behind `relax`; then f ← 0.
 
@@ -244,7 +249,7 @@ def half_kick(v, f, inverse_mass, kick, half):
             fc[e] = 0.0
 
 
-@apart_kernel
+@apart_kernel(allocates=False)
 def half_kick_and_drift(x, v, f, half, weight, dt):
     """v ← v + half, x ← x + dt·v, then f ← weight for the next step."""
     for c in range(3):
@@ -256,7 +261,7 @@ def half_kick_and_drift(x, v, f, half, weight, dt):
             fc[e] = wc[e]
 
 
-@kernel
+@lean_kernel
 def hold(x, v, pins, lane, lanes, knots, curve, t, segment, dt):
     """Put the held nodes of one lane where the grips are at time t; their velocity is what brought them there."""
     for g in range(pins.shape[0]):
@@ -267,7 +272,7 @@ def hold(x, v, pins, lane, lanes, knots, curve, t, segment, dt):
             x[c, e] = p
 
 
-@kernel
+@lean_kernel
 def limit_strain(x, v, limited, strides, rest, stiffness, free, lane, lanes, limit, dt):
     """Shorten springs of the first `limited` families of one lane that are longer than (1 + limit) L to that length.
 
@@ -290,7 +295,7 @@ def limit_strain(x, v, limited, strides, rest, stiffness, free, lane, lanes, lim
             break
 
 
-@kernel
+@lean_kernel
 def _shorten(x, v, a, b, rest, free, limit, dt):
     """Bring the ends of one spring back to (1 + limit) rest; returns by how much of its rest length it was too long."""
     dx, dy, dz = x[0, b] - x[0, a], x[1, b] - x[1, a], x[2, b] - x[2, a]
@@ -309,7 +314,7 @@ def _shorten(x, v, a, b, rest, free, limit, dt):
     return (length - longest) / rest
 
 
-@kernel
+@lean_kernel
 def write_due(x, v, lane, lanes, now, done, sampling, grips):
     """Write the frames that fall due up to `now`; returns how many of this lane are written.
 
@@ -332,7 +337,7 @@ def write_due(x, v, lane, lanes, now, done, sampling, grips):
     return done
 
 
-@kernel
+@lean_kernel
 def begin(v, settled, keep, kick, step, dashpots, damping, lane, lanes, dt, loss):
     """Begin the run proper of one lane: no velocity if it has settled, no artificial damping but the springs' own, and
     half a kick to start the leapfrog.
@@ -364,6 +369,23 @@ artificial damping; at_rest: m/s, the speed that ends it; dt: (lanes,) s.
 """
 
 
+Room = namedtuple(
+    "Room",
+    "f xd vd fd springs weights inverse_mass step kick keep dt dashpots extra inertia axes roots stages half counts",
+)
+Room.__doc__ = """What a loop writes to beside its results, of entries, S families and `longest`, the longest stride.
+
+f: (3, n·lanes) N; xd, vd, fd: x, v and f themselves, or room for them in double precision, which effects are shown;
+springs: (S, 3, longest + n·lanes) N, of each at its first node; weights: (3, n·lanes) N;
+inverse_mass 1/kg, step s, kick s and keep: (n·lanes,), see `kick_and_drift`; dt: (lanes,) s, at this time;
+dashpots: (S, n·lanes) N·s/m, at this time; extra: (6, n) kg, see `apply_effects`; inertia: (8, n), from
+`invert_inertia`;
+axes, stages, half and roots: for `relax` and what stands around it, empty where damping takes one stage only;
+counts: (3, lanes), the step at which the run proper began, −1 while a lane settles in its grips; the piece of the
+grips' curves; how many frames are written.
+"""
+
+
 def _signature(real):
     """Types of `run_block`'s arguments; `real` is the precision of all that is touched for every node and step."""
     double, r2, d1, i1 = types.float64, real[:, ::1], types.float64[::1], types.int64[::1]
@@ -387,37 +409,56 @@ def _run_block(
     obstacles and layers: for `keep_out` and `keep_apart`, the latter with one lane only; limit: m, how far a
     sheet may get; start: s; dt: (lanes,) s; terms, grips, sampling: of that many members; status, steps: (lanes,).
     """
+    strides, damping, stages = springs.strides, springs.damping, springs.damping_stages
+    x, v = begins.x, begins.v
+    entries, longest, settle_dt = x.shape[1], strides.max(), settling.dt
+    f = np.empty((3, entries), x.dtype)
+    effected = sheet.mass.shape[0] if terms.count > 0 else 0  # empty what nobody asks for
+    staged, chained, padded = (entries, longest + entries, entries + 2 * longest) if stages > 1 else (0, 0, 0)
+    settles = sheet.held.shape[0] > 0 and begins.settles == SETTLES
+    room = Room(
+        f, as_double(x), as_double(v), as_double(f),
+        np.zeros((strides.shape[0], 3, longest + entries), x.dtype), np.empty((3, entries), x.dtype),
+        np.empty(entries, x.dtype), np.empty(entries, x.dtype), np.empty(entries, x.dtype), np.empty(entries, x.dtype),
+        settle_dt.copy() if settles else dt.copy(),
+        springs.settle_damping.copy() if settles else damping,
+        np.zeros((6, effected)), np.zeros((8, effected)),
+        np.zeros((strides.shape[0], 3, chained), x.dtype), np.sqrt(damping),
+        np.zeros((2, 3, padded), x.dtype), np.empty((3, staged), x.dtype),
+        np.zeros((3, lanes), np.int64),
+    )  # fmt: skip
+    effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
+    march(
+        lanes, begins, springs, sheet, effects, terms, grips, obstacles, layers, limit, start, dt, settling, settles,
+        sampling, status, steps, room, longest,
+    )  # fmt: skip
+
+
+@lean_kernel
+def march(
+    lanes, begins, springs, sheet, effects, terms, grips, obstacles, layers, limit, start, dt, settling, settles,
+    sampling, status, steps, room, longest,
+):  # fmt: skip
+    """The loop of `run_block`, which makes room for it. longest: of the strides."""
     strides, rest, stiffness, damping = springs.strides, springs.rest, springs.stiffness, springs.damping
     loss, settle_dt, knots, curves = springs.loss, settling.dt, grips.knots, grips.curve
-    effects = (effect_0, effect_1, effect_2, effect_3, effect_4, effect_5, effect_6, effect_7)
     mass, pins, normals, n_effects = sheet.mass, sheet.held, wants_normals(sheet), terms.count
-    n, frames = mass.shape[0], sampling.times.shape[1]
-    entries = n * lanes
-    x, v = begins.x, begins.v
-    f = np.empty((3, entries), x.dtype)
-    longest = strides.max()
-    g, weights = np.zeros((strides.shape[0], 3, longest + entries), x.dtype), np.empty((3, entries), x.dtype)
-    inverse_mass, step = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
-    kick, keep = np.empty(entries, x.dtype), np.empty(entries, x.dtype)
-    held = pins.shape[0] > 0
+    x, v, f, xd, vd, fd = begins.x, begins.v, room.f, room.xd, room.vd, room.fd
+    g, weights, inverse_mass, step, kick, keep = (
+        room.springs, room.weights, room.inverse_mass, room.step, room.kick, room.keep
+    )  # fmt: skip
+    dt_now, dashpots, axes, roots = room.dt, room.dashpots, room.axes, room.roots
+    extra, inertia = room.extra, room.inertia
+    began, segment, done = room.counts[0], room.counts[1], room.counts[2]
+    entries, frames, held = x.shape[1], sampling.times.shape[1], pins.shape[0] > 0
     stages = springs.damping_stages
     centre, slope = chebyshev(stages)
-    axes, roots = np.zeros((strides.shape[0] if stages > 1 else 0, 3, longest + entries), x.dtype), np.sqrt(damping)
-    work = np.zeros((2, 3, longest + entries + longest if stages > 1 else 0), x.dtype)
-    half = np.empty((3, entries if stages > 1 else 0), x.dtype)
-    settles = held and begins.settles == SETTLES
-    dt_now = settle_dt.copy() if settles else dt.copy()
-    dashpots = springs.settle_damping.copy() if settles else damping
     for e in range(entries):
         inverse_mass[e] = 1.0 / mass[e // lanes]
         step[e] = kick[e] = dt_now[e % lanes]
         keep[e] = 1.0 - loss[e % lanes] * dt_now[e % lanes]
         for c in range(3):
-            weights[c, e] = mass[e // lanes] * sheet.gravity[c]
-    f[:] = weights
-    extra = np.zeros((6, n if n_effects > 0 else 0))
-
-    began = np.zeros(lanes, np.int64)  # step at which the run proper began, −1 while a lane settles in its grips
+            f[c, e] = weights[c, e] = mass[e // lanes] * sheet.gravity[c]
     for lane in range(lanes):
         for k in range(pins.shape[0]):
             inverse_mass[pins[k] * lanes + lane] = 0.0
@@ -425,7 +466,7 @@ def _run_block(
             began[lane] = -1
             for e in range(lane, entries, lanes):
                 keep[e] = max(0.0, 1.0 - settling.rate * dt_now[lane])
-    segment, done, running, count = np.zeros(lanes, np.int64), np.zeros(lanes, np.int64), lanes, 0
+    running, count = lanes, 0
     while running > 0:
         for lane in range(lanes):
             settled_for = count * settle_dt[lane]
@@ -459,7 +500,9 @@ def _run_block(
         heavier = False
         if n_effects > 0:
             t = start + max(0, count - began[0]) * dt[0] if began[0] >= 0 else start
-            xd, vd, fd = as_double(x), as_double(v), as_double(f)
+            put_back(xd, x)
+            put_back(vd, v)
+            put_back(fd, f)
             show_grips(sheet, knots, curves[0], t, segment[0])
             if normals:
                 sheet_normals(xd, strides[1] // lanes, sheet)
@@ -468,14 +511,16 @@ def _run_block(
                 terms.parameters[0], terms.state[0],
             )  # fmt: skip
             if heavier:
-                bear_inertia(fd, mass, extra)
+                invert_inertia(mass, extra, inertia)
+                bear_inverted(fd, inertia)
             put_back(f, fd)
         if stages > 1:
-            half_kick(v, f, inverse_mass, kick, half)
+            half_kick(v, f, inverse_mass, kick, room.half)
             relax(
-                v, f, strides, axes, inverse_mass, heavier, mass, extra, kick, stages, centre, slope, work, longest
+                v, f, fd, strides, axes, inverse_mass, heavier, inertia, kick, stages, centre, slope, room.stages,
+                longest,
             )  # fmt: skip
-            half_kick_and_drift(x, v, f, half, weights, step)
+            half_kick_and_drift(x, v, f, room.half, weights, step)
         else:
             kick_and_drift(x, v, f, inverse_mass, weights, kick, step, keep)
         count += 1

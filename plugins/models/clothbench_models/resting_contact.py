@@ -12,14 +12,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from clothbench.modelling import DISC, OBSTACLE, SPHERE, inside, keep_apart, kernel, vector_of
+from clothbench.modelling import DISC, OBSTACLE, SPHERE, inside, keep_apart, lean_kernel, vector_of
 
 FREE, SLIDES, STICKS = 0, 1, 2  # what a node may do where it touches an obstacle; held nodes stick
 LEAVES = 3  # it was let go and lies on the surface still: it is free for one step, in which it leaves or falls back
 SKIN = 2e-9  # m; as near as this is touching
 
 
-@kernel
+@lean_kernel
 def touching(x, dt, obstacles, free, touch, normal, friction, on):
     """Find the nodes of x (3, n) m that lay on an obstacle before it moved on for dt [s] to where it is: their outward
     normal (3, n), the friction (n,) there, and on (n,), the number of the obstacle, −1 of nodes that touch none.
@@ -61,7 +61,7 @@ def touching(x, dt, obstacles, free, touch, normal, friction, on):
             touch[i] = STICKS if friction[i] > 0.0 else SLIDES
 
 
-@kernel
+@lean_kernel
 def judge(reaction, moved, free, touch, normal, friction, rub):
     """What touching nodes do next, from the obstacle's reaction (3, n) N and how they moved (3, n), in any unit.
 
@@ -98,7 +98,7 @@ def judge(reaction, moved, free, touch, normal, friction, rub):
         rub[0, i], rub[1, i], rub[2, i] = most * tx / size, most * ty / size, most * tz / size
 
 
-@kernel
+@lean_kernel
 def stop_reversed(moved, touch, rub):
     """A sliding node that friction has turned round has come to a stop: it sticks in the next step."""
     for i in range(moved.shape[1]):
@@ -106,7 +106,7 @@ def stop_reversed(moved, touch, rub):
             touch[i] = STICKS
 
 
-@kernel
+@lean_kernel
 def part_layers(x, v, before, dt, free, layers, path, kept):
     """`keep_apart` after a step of any scheme from `before` to x: its way in a straight line, v changed by as much."""
     for c in range(3):

@@ -10,13 +10,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from clothbench.modelling import kernel
+from clothbench.modelling import lean_kernel
 
 TINY = 1e-30  # m²
 TRIANGLES, CELLS = 13, 7  # rows that shear keeps: two triangles a cell, or whole cells
 
 
-@kernel
+@lean_kernel
 def edge_differences(x, nu, du, dv):
     """Differences along u-edges and v-edges into du, dv (3, pad + n + pad)."""
     n, pad = x.shape[1], nu + 1
@@ -30,7 +30,7 @@ def edge_differences(x, nu, du, dv):
             out[e] = b[e] - a[e]
 
 
-@kernel
+@lean_kernel
 def add_fluxes(fu, fv, nu, out, sign):
     """out_a += sign·flux, out_b −= sign·flux for every edge a → b."""
     n, pad = out.shape[1], nu + 1
@@ -42,7 +42,7 @@ def add_fluxes(fu, fv, nu, out, sign):
             oc[e] += sign * ((here[e] - left[e]) + (down[e] - up[e]))
 
 
-@kernel
+@lean_kernel
 def stretch_fluxes(d, rate, rest, stiffness, damping, flux, unit, along, across, k_scale, c_scale):
     """Stretch of one family of edges: E = ½ k (|d| − L)², and its dashpot (Baraff and Witkin 1998, eq. 10 and 11).
 
@@ -67,7 +67,7 @@ def stretch_fluxes(d, rate, rest, stiffness, damping, flux, unit, along, across,
         along[e] = k_scale * stiffness[e] + c_scale * damping[e] - tension
 
 
-@kernel
+@lean_kernel
 def shear_fluxes(nu, du, dv, ru, rv, over_u, over_v, stiffness, damping, fu, fv, pl, ql, pu, qu):
     """Shear C = w_u·w_v of both triangles of every cell, E = ½ k A C² and −c A Ċ ∂C (Baraff and Witkin 1998, 4.3).
 
@@ -99,7 +99,7 @@ def shear_fluxes(nu, du, dv, ru, rv, over_u, over_v, stiffness, damping, fu, fv,
             fv[k, e] += tu * qu[k, e]
 
 
-@kernel
+@lean_kernel
 def add_diagonals(offsets, values, x, scale, out):
     """out += scale · (K x) for the symmetric K given by its diagonals, row by row of x (3, n)."""
     n = x.shape[1]
@@ -116,7 +116,7 @@ def add_diagonals(offsets, values, x, scale, out):
                     high[e] += scale * w[e] * first[e]
 
 
-@kernel
+@lean_kernel
 def cell_shear_fluxes(nu, du, dv, ru, rv, over_u, over_v, stiffness, damping, fu, fv, p, q):
     """Shear of whole cells, C = w_u·w_v from the means of a cell's opposite edges, E = ½ k A C²: as `shear_fluxes`, for
     quadrilaterals. stiffness, damping (P,): k A and c A of a cell; keeps ∂C by either u-edge in p, either v-edge in q.

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clothbench.modelling import kernel
+from clothbench.modelling import kernel, lean_kernel
 from clothbench_models.banded import times
 from clothbench_models.strip_kernels import CONVERGED, ENDLESS, LOST, advance, farthest, touches
 
@@ -21,12 +21,12 @@ SUPPORT = 16  # functions that do not vanish on an element
 VECTORS = 5
 
 
-@kernel
+@lean_kernel
 def cross(a, b, out):
     out[0], out[1], out[2] = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@kernel
+@lean_kernel
 def turned(g, vector, which, out):
     """out (3,) = Pᵀ vector, with P the derivative of x,_1 × x,_2 by x,_1 (which = 0) or x,_2 (1)."""
     if which == 0:
@@ -35,7 +35,7 @@ def turned(g, vector, which, out):
         cross(vector, g[0], out)
 
 
-@kernel
+@lean_kernel
 def vectors(c, nodes, shape, g):
     """The five vectors g (5, 3) at a quadrature point from its functions' derivatives shape (5, 16)."""
     for p in range(VECTORS):
@@ -132,7 +132,7 @@ def geometric(g, normal, area, stress, out):
                 out[1, j, 0, i] = out[0, i, 1, j]
 
 
-@kernel
+@lean_kernel
 def stresses(strain, soft, bend, poisson, roots, out):
     """C ε/η_m and C κ/η_b, (6,)."""
     for half, ratio, root in ((0, soft, roots[0]), (3, bend, roots[1])):
@@ -298,7 +298,7 @@ def equilibrium(
     return ENDLESS, most
 
 
-@kernel
+@lean_kernel
 def hold(c, lines, grips, goal, holding, stiff, force, band):
     """Add the grips' forces and stiffness."""
     for h in range(lines.shape[0]):
@@ -316,7 +316,7 @@ def hold(c, lines, grips, goal, holding, stiff, force, band):
                         band[3 * lines[h, k] + i, down] += stiff * grips[h, k] * grips[h, m]
 
 
-@kernel
+@lean_kernel
 def pulled(c, lines, grips, goal, holding, stiff):
     """Renew the grips' forces; returns how far a held point is from its place [m]."""
     most = 0.0

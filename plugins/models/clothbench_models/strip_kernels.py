@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from clothbench.modelling import kernel
+from clothbench.modelling import kernel, lean_kernel
 from clothbench_models.banded import factor, keep_out, substitute, times
 
 SUPPORT = 4
@@ -19,7 +19,7 @@ BAND = 2 * SUPPORT  # of the stiffness, lower half with the diagonal
 CONVERGED, LOST, ENDLESS = 0, 1, 2
 
 
-@kernel
+@lean_kernel
 def strains(c, first, d1, d2, a, b):
     """x′ and x″ at one quadrature point into a, b (2,); returns ε and κ [1, 1/m]."""
     a[0] = a[1] = b[0] = b[1] = 0.0
@@ -31,7 +31,7 @@ def strains(c, first, d1, d2, a, b):
     return 0.5 * (square - 1.0), (a[0] * b[1] - a[1] * b[0]) / np.sqrt(square)
 
 
-@kernel
+@lean_kernel
 def slopes(a, b, gradient, curvature):
     """Derivatives of κ by (x′, x″): gradient (4,) and Hessian (4, 4)."""
     square = a[0] * a[0] + a[1] * a[1]
@@ -162,7 +162,7 @@ def advance(band, force, fixed, step, product, shift):
     return shift
 
 
-@kernel
+@lean_kernel
 def farthest(step, dimensions):
     """How far a control point goes, at most [m]; steps (n · dimensions,)."""
     most = 0.0
@@ -176,7 +176,7 @@ def farthest(step, dimensions):
     return np.sqrt(most)
 
 
-@kernel
+@lean_kernel
 def touches(height, step, reaction, floor, springs, held, touching):
     """Renew which points touch, all (n,); returns how many changed.
 
