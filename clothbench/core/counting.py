@@ -21,13 +21,13 @@ class CheckedCompiler(Compiler):
     """numba's compiler, which holds functions that do not count references to what that takes."""
 
     def define_pipelines(self) -> Any:
+        pipelines = super().define_pipelines()
         if not self.state.flags.nrt:
             # What numba builds in is compiled once for all that have a context in common, as the first of them is.
             self.state.targetctx.cached_internal_func = {}
-        pipelines = super().define_pipelines()
-        for pipeline in pipelines:
-            pipeline.add_pass_after(_HandedOver, NopythonTypeInference)
-            pipeline.finalize()
+            for pipeline in pipelines:
+                pipeline.add_pass_after(_HandedOver, NopythonTypeInference)
+                pipeline.finalize()
         return pipelines
 
 
@@ -39,7 +39,7 @@ class _HandedOver(AnalysisPass):
         super().__init__()
 
     def run_pass(self, state: Any) -> bool:
-        for fault in () if state.flags.nrt else _faults(state):
+        if (fault := next(_faults(state), None)) is not None:
             raise NumbaTypeError(
                 f"{state.func_id.func_name}: {fault}, which a function that counts no references must not; take "
                 "allocates=False away, or have it fill arrays that it is given"
