@@ -427,8 +427,8 @@ def run(case: int, folder: Path, model: str, size: Size = FULL, seed: int = SEED
     if not planted_file.is_file():
         planted_file.write_text(json.dumps(make(case, recordings, size, seed)))
     planted = json.loads(planted_file.read_text())
-    # A case that was judged before is kept by the command itself.
-    return {"case": case, "model": model} | judged(
+    # A case that was judged before is kept by the command itself, until the stages have another version.
+    return {"case": case, "model": model, "stages": LOOP.stages} | judged(
         planted, verdict_on(f"case {case}", recordings, model, out, *size.words)
     )
 
@@ -497,14 +497,29 @@ def by_kind(rows: Sequence[dict]) -> list[str]:
     return lines
 
 
+def with_kept(rows: Sequence[dict]) -> list[dict]:
+    """The rows in order, and those that were kept before of cases that were not asked now."""
+    kept = json.loads(RESULTS.read_text())["cases"] if RESULTS.is_file() else []
+    return sorted({row["case"]: row for row in (*kept, *rows)}.values(), key=lambda row: row["case"])
+
+
+def versions(rows: Sequence[dict]) -> str:
+    """Which version of the stages judged the cases, and which cases an earlier one, if not all are of the same."""
+    newest = max(row["stages"] for row in rows)
+    earlier = [
+        f"{', '.join(str(row['case']) for row in rows if row['stages'] == version)} of version {version}"
+        for version in sorted({row["stages"] for row in rows} - {newest}, reverse=True)
+    ]
+    return f"version {newest}" + (f" (cases {'; '.join(earlier)})" if earlier else "")
+
+
 def keep(rows: Sequence[dict]) -> None:
     """The rows for programs, and a table for people beside them."""
-    table = {"summary": summary(rows), "stages": LOOP.stages, "cases": rows}
-    RESULTS.write_text(json.dumps(table, indent=1, ensure_ascii=False) + "\n")
+    RESULTS.write_text(json.dumps({"summary": summary(rows), "cases": rows}, indent=1, ensure_ascii=False) + "\n")
     lines = [
         "# The blind test of `improve`\n",
         f"`python tools/blind_test.py --out FOLDER --keep`, {len(rows)} of {OTHER_MODELS[-1] + 1} cases, stages of "
-        f"version {LOOP.stages}, judged with springs where nothing else is said: {summary(rows)}.\n",
+        f"{versions(rows)}, judged with springs where nothing else is said: {summary(rows)}.\n",
         *by_kind(rows),
         "",
         "Each case. Nothing is missing in those marked *open* and *false alarm*; where it is open, the loop says that "
@@ -543,7 +558,7 @@ def main() -> None:
     parser.add_argument("--cases", default=f"0-{OTHER_MODELS[-1]}", help="FIRST-LAST or N, several of them with commas")
     parser.add_argument("--model", help="in place of what a case is judged with: springs, or as it says itself")
     parser.add_argument("--seed", type=int, default=SEED, help="other cloths, motions and amounts for the same cases")
-    parser.add_argument("--keep", action="store_true", help=f"write the table to results/{RESULTS.stem}")
+    parser.add_argument("--keep", action="store_true", help=f"put them into the table results/{RESULTS.stem}")
     options = parser.parse_args()
     if options.keep and options.seed != SEED:
         parser.error(f"--keep is for the cases of seed {SEED}")
@@ -555,7 +570,7 @@ def main() -> None:
         print(line(rows[-1]), flush=True)
     print(summary(rows))
     if options.keep:
-        keep(sorted(rows, key=lambda row: row["case"]))
+        keep(with_kept(rows))
 
 
 if __name__ == "__main__":

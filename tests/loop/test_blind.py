@@ -3,6 +3,8 @@
 All of it (64 cases of full size, hours): `python tools/blind_test.py --out FOLDER --keep`.
 """
 
+import json
+
 import blind_test
 import pytest
 
@@ -40,6 +42,17 @@ def test_what_a_verdict_is_worth(planted, verdict, named, mesh, worth):
     assert blind_test.mark(row) == worth
     (cells,) = (line.split("|")[1:-1] for line in blind_test.by_kind([row])[2:])
     assert [cell.strip() for cell in cells][5:] == ["3.00 mm", "– mm", "1 s"]
+
+
+def test_cases_asked_anew_take_the_place_of_those_that_were_kept(tmp_path, monkeypatch):
+    kept = [{"case": case, "stages": 12} for case in (0, 1, 2, 3)]
+    monkeypatch.setattr(blind_test, "RESULTS", tmp_path / "kept.json")
+    assert blind_test.with_kept(kept) == kept  # there is no table yet
+    blind_test.RESULTS.write_text(json.dumps({"cases": kept}))
+    rows = blind_test.with_kept([{"case": 2, "stages": 14}, {"case": 0, "stages": 14}])
+    assert [row["case"] for row in rows] == [0, 1, 2, 3]
+    assert blind_test.versions(rows) == "version 14 (cases 1, 3 of version 12)"
+    assert blind_test.versions(rows[:1]) == "version 14"
 
 
 @pytest.mark.slow
