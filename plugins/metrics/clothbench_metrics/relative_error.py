@@ -14,8 +14,12 @@ ORIGINS = ("centre", "camera")
 
 
 class RelativeError:
-    """e_i = 100 ‖φ_i − ϕ_i‖ / ‖ϕ_i‖ per frame i, averaged over the frames; fitted through L = Σ ‖φ − ϕ‖²
-    (Coltraro, Experimental Validation of an Inextensible Cloth Model, equations 2 and 3).
+    """e_i = 100 ‖φ_i − ϕ_i‖ / ‖ϕ_i‖ per frame i, averaged over the frames, the first included
+    (Coltraro, Experimental Validation of an Inextensible Cloth Model, equation 3).
+
+    Searches by residuals (`least_squares`) minimise L = Σ ‖φ − ϕ‖² (equation 2); those by values, which the paper's is
+    one of, the mean of e_i. A frame has the same weight and its own size ‖ϕ_i‖ however few nodes were seen in it: of a
+    few neighbours that is small, and their e_i large.
 
     The paper's norm of the positions depends on where the origin lies, which it does not say. origin: "centre", of what
     was seen in each frame, so that moving the camera does not change the error; "camera", from which the same error is

@@ -2,6 +2,9 @@
 
 Where the papers behind the models give every node the same mass, nodes here carry the mass, and border springs
 the stiffness, of the area they stand for: only then do period and sag converge as the mesh is refined.
+
+Flexion springs join every second node along rows and columns, as Provot (1995) has them. "Cloth mechanical parameter
+estimation …", section 5.2, has [i, j] with [i, j+2] and with [i+2, j+2], by which nothing would resist bending along i.
 """
 
 from __future__ import annotations

@@ -17,12 +17,13 @@ class GeneticAlgorithm(GeneratorSearch):
     """Chromosomes of 16 bits per parameter; population 20, 50 generations.
 
     Each generation keeps the best unchanged, adds one mutant of it, and fills up with the children of pairs chosen by
-    tournament: single-point crossover (one pair in ten passes unchanged), then bit mutation. The paper leaves open the
-    tournament's size (here 3) and the mutation rate (here one bit per chromosome on average). The kept best is not
-    simulated again.
+    tournament: single-point crossover, but for one pair in ten, then bit mutation of all. (The paper says both that
+    pairs which are not crossed pass without any further change and that all 18 strings go through all three operators;
+    this is the latter.) It leaves open the tournament's size (here 3), the mutation rate (here one bit per chromosome
+    on average), and how bits are mapped between the bounds. The kept best is not simulated again.
 
     decoding: "own", bits count on each parameter's own scale, which for stiffnesses is logarithmic; "linear", from
-    bound to bound as the paper's do.
+    bound to bound.
     """
 
     name = "ga"

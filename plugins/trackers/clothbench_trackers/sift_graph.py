@@ -1,8 +1,10 @@
 """`sift_graph`: a printed cloth before one colour camera, followed by SIFT keypoints, cell by cell.
 
 The method of "Cloth mechanical parameter estimation and simulation for optimized robotic manipulation", section 4.
-Each cell of the template looks for its keypoints in a window around where its node was last; the best correspondence
-says where the node is now; without one it stays where it was, and does not count.
+Each cell of the template looks for its keypoints in a window around where its node was last, from the first frame on,
+which the homography alone would do in the paper. There (`place="literal"`) the best correspondence says where the node
+is now, and without one it stays where it was, and does not count. Here it is where those correspondences that agree
+have it; a node without goes with its neighbours, and does not count either.
 """
 
 from __future__ import annotations
