@@ -79,6 +79,33 @@ def test_a_new_measurement_begins_at_the_best_of_the_last_one(budget):
 
 
 @pytest.mark.parametrize("name", ["least_squares", "iterative_least_squares"])
+@pytest.mark.parametrize("lost", [np.nan, np.inf])
+def test_beside_runs_that_are_lost_differences_go_to_the_other_side(name, lost):
+    """Else a parameter would stay where it began, and the search would say that it converged."""
+
+    def evaluate(theta: np.ndarray) -> Evaluation:
+        residual = np.where(theta[:, :1] > 0.2001, lost, theta - 0.1)
+        return Evaluation(np.square(residual).sum(axis=1), residual)
+
+    search = catalogue().make("optimizers", name, SPACE, seed=0, budget=200)
+    values = np.concatenate([found.value for _, found in drive(search, evaluate)])
+    assert np.nanmin(values) < 1e-9
+    assert search.stopped == "converged"
+
+
+@pytest.mark.parametrize("name", ["least_squares", "iterative_least_squares"])
+def test_a_parameter_that_no_run_lets_move_is_told(name):
+    def evaluate(theta: np.ndarray) -> Evaluation:
+        residual = np.where(np.abs(theta[:, :1] - 0.2) > 1e-9, np.nan, theta - 0.1)
+        return Evaluation(np.square(residual).sum(axis=1), residual)
+
+    search = catalogue().make("optimizers", name, SPACE, seed=0, budget=200)
+    values = np.concatenate([found.value for _, found in drive(search, evaluate)])
+    assert np.nanmin(values) == pytest.approx(0.01)
+    assert search.stopped == "converged, but runs are lost to either side of a"
+
+
+@pytest.mark.parametrize("name", ["least_squares", "iterative_least_squares"])
 def test_what_has_a_residual_and_no_value_is_lost(name):
     """However small its residual: it would else be walked to."""
 

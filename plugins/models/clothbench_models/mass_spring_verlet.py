@@ -7,10 +7,10 @@ direction; position Verlet moves it, with a share of the last displacement lost 
     x_i = x_{i−1} + (1 − c Δt)(x_{i−1} − x_{i−2}) + a_i Δt²
 
 The text at hand breaks off where it comes to that loss; here c is one per second, and stiffnesses are per width of
-cloth as `spring_grid` has it, so that neither depends on step or mesh. The membrane does not either: a sheet has C11 = Σ k² (H_k + D_k),
-C22 = Σ k² (V_k + D_k), C12 = C66 = Σ k² D_k. What does depend on the mesh is the reach of the long springs. They resist
-bending only as chords that shorten, an energy of about (k h κ)⁴ per area for cells of h: bending fades on finer grids.
-And within k cells of a border, fewer of them pass.
+cloth as `spring_grid` has it, so that neither depends on step or mesh. The membrane does not either: a sheet has C11 =
+Σ k² (H_k + D_k), C22 = Σ k² (V_k + D_k), C12 = C66 = Σ k² D_k. What does depend on the mesh is the reach of the long
+springs. They resist bending only as chords that shorten, an energy of about (k h κ)⁴ per area for cells of h: bending
+fades on finer grids. And within k cells of a border, fewer of them pass.
 """
 
 from __future__ import annotations

@@ -10,7 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from clothbench import Evaluation, ParameterSpace
-from clothbench_optimizers.least_squares import LONGEST, proposals, sums_of_squares
+from clothbench_optimizers.least_squares import LONGEST, differences, ended, proposals, sums_of_squares
 from clothbench_optimizers.search import GeneratorSearch, Steps, check_between, check_whole, worst_last
 
 
@@ -73,9 +73,7 @@ class IterativeLeastSquares(GeneratorSearch):
         self.here, residual, self.least = starts[first], evaluation.residual[first], cost[first]
         damping, idle = 1e-3, 0
         while idle < 2:
-            away = np.where(self.here + self.difference <= 1.0, self.difference, -self.difference)
-            shifted = yield self.here + np.diag(away)
-            jacobian = np.nan_to_num((shifted.residual - residual) / away[:, None]).T
+            jacobian, held = yield from differences(self.name, self.here, residual, self.difference)
             trials, used = proposals(self.here, jacobian, residual, damping)
             evaluation = yield trials
             cost = sums_of_squares(self.name, evaluation)
@@ -88,4 +86,4 @@ class IterativeLeastSquares(GeneratorSearch):
             else:
                 damping *= 100.0
             idle = idle + 1 if gain < self.tolerance else 0
-        return "converged"
+        return ended(self.space, held)

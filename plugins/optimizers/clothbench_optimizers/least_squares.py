@@ -9,7 +9,8 @@ import numpy as np
 from clothbench import ClothbenchError, Evaluation, ParameterSpace
 from clothbench_optimizers.search import GeneratorSearch, Steps, check_between, check_whole, spread
 
-Walk = Generator[np.ndarray, Evaluation, None]
+Walk = Generator[np.ndarray, Evaluation, np.ndarray]  # returns which parameters (P,) could not be moved at its end
+Differences = Generator[np.ndarray, Evaluation, tuple[np.ndarray, np.ndarray]]
 LONGEST = 0.5  # of the scaled range that a difference may reach, since there is room for it to one side or the other
 DAMPINGS = np.array([0.1, 1.0, 10.0, 100.0])  # tried at once, in units of the current damping
 
@@ -49,19 +50,18 @@ class LeastSquares(GeneratorSearch):
         if not np.isfinite(cost).any():
             return "no start could be simulated"
         self.start = self.space.from_unit(points[int(np.argmin(cost))])
+        held = np.zeros(len(self.space), dtype=bool)
         for best in np.argsort(cost)[: self.walks]:
             if np.isfinite(cost[best]):
-                yield from self._walk(points[best], evaluation.residual[best], cost[best])
-        return "converged"
+                held |= yield from self._walk(points[best], evaluation.residual[best], cost[best])
+        return ended(self.space, held)
 
     def _walk(self, here: np.ndarray, residual: np.ndarray, cost_here: float) -> Walk:
         """Descend from one point until `patience` rounds in a row gain next to nothing."""
-        damping, idle, jacobian = 0.01, 0, None
+        damping, idle, jacobian, held = 0.01, 0, None, np.zeros(len(here), dtype=bool)
         while idle < self.patience:
             if jacobian is None:
-                away = np.where(here + self.difference <= 1.0, self.difference, -self.difference)
-                shifted = yield here + np.diag(away)
-                jacobian = np.nan_to_num((shifted.residual - residual) / away[:, None]).T
+                jacobian, held = yield from differences(self.name, here, residual, self.difference)
             trials, used = proposals(here, jacobian, residual, damping)
             evaluation = yield trials
             cost = sums_of_squares(self.name, evaluation)
@@ -73,6 +73,30 @@ class LeastSquares(GeneratorSearch):
             else:
                 damping *= DAMPINGS[-1]
             idle = idle + 1 if gain < self.tolerance else 0
+        return held
+
+
+def differences(name: str, here: np.ndarray, residual: np.ndarray, difference: float) -> Differences:
+    """Jacobian (M, P) at a point of the unit cube (P,), by one-sided differences; and which parameters (P,) could not
+    be moved, since runs are lost to either side: their columns are 0. What is lost to one side is tried to the other.
+    """
+    way = np.where(here + difference <= 1.0, difference, -difference)
+    rows, held = np.zeros((len(here), len(residual))), np.ones(len(here), dtype=bool)
+    for away in (way, np.clip(here - way, 0.0, 1.0) - here):
+        which = np.flatnonzero(held & (np.abs(away) >= difference / 2))
+        if not len(which):
+            break
+        shifted = yield here + np.diag(away)[which]
+        good = np.isfinite(sums_of_squares(name, shifted))
+        rows[which[good]] = (shifted.residual[good] - residual) / away[which[good], None]
+        held[which[good]] = False
+    return rows.T, held
+
+
+def ended(space: ParameterSpace, held: np.ndarray) -> str:
+    """What is said of a walk that came to its end: that it converged, but for parameters (P,) that could not move."""
+    names = ", ".join(name for name, stays in zip(space.names, held, strict=True) if stays)
+    return f"converged, but runs are lost to either side of {names}" if names else "converged"
 
 
 def sums_of_squares(name: str, evaluation: Evaluation) -> np.ndarray:
