@@ -1,6 +1,7 @@
 """How well a fit determines each parameter: perturbations at the solution, and fits repeated from other starts.
 
-Bhat et al. 2003, section 5 (figure 4) and table 2.
+Bhat et al. 2003, section 5 (figure 4) and table 2. Its text perturbs by "up to ±0.20%", which is read as a fraction: a
+fifth of the value.
 """
 
 from __future__ import annotations

@@ -6,7 +6,8 @@ so that parameters do not depend on the mesh (Bhat et al., section 3): C_stretch
 C_shear = √a w_u·w_v, and C_bend = √a (x_uu, x_vv, √2 x_uv), the curvatures over the patch of a triangle and its three
 neighbours (`bending`), in place of the single hinge's angle, whose stiffness depends on mesh and direction.
 With `orthotropic`, warp and weft differ: k_stretch and k_bend are the geometric means of both.
-The air takes f = −a (k_N |v_N|²/(1 + k_f |v_N|²) v̂_N + k_T v_T) (Bhat et al., eq. 4).
+The air takes f = −a (k_N |v_N|²/(1 + k_f |v_N|²) v̂_N + k_T v_T), the drag of Bhat et al., section 3, here node by
+node with its own velocity, normal and area, there triangle by triangle with the mean velocity of each.
 """
 
 from __future__ import annotations

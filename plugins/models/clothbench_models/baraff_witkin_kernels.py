@@ -126,7 +126,7 @@ def elastic(x, v, f, nu, membrane, plate, stiffer, k_scale, c_scale, edges, shea
 
 @lean_kernel
 def add_air(v, f, normal, area, quadratic, tangential, falloff):
-    """f −= a (k_N |v_N|²/(1 + k_f |v_N|²) v_N/|v_N| + k_T v_T) (Bhat et al. 2003, section 3, eq. 4)."""
+    """f −= a (k_N |v_N|²/(1 + k_f |v_N|²) v_N/|v_N| + k_T v_T) (Bhat et al. 2003, section 3), of nodes."""
     for i in range(v.shape[1]):
         nx, ny, nz = normal[0, i], normal[1, i], normal[2, i]
         along = v[0, i] * nx + v[1, i] * ny + v[2, i] * nz
