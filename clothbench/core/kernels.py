@@ -142,6 +142,12 @@ def keep_on_disk(compiled: Any) -> None:
         warnings.warn("this numba keeps its cache otherwise; kernels are compiled anew in every process", stacklevel=4)
 
 
+def lies_on_disk(compiled: Any) -> bool:
+    """Whether machine code of a function, from its sources as they are, is kept; so is what is never kept taken."""
+    cache = compiled._cache
+    return not isinstance(getattr(cache, "_cache_file", None), _Index) or bool(cache._cache_file._load_index())
+
+
 @functools.cache
 def digest_of(module: str) -> str | None:
     """SHA-256 over the texts of a module and of all that it imports, and they in turn; None if it is no file."""

@@ -8,6 +8,7 @@ from clothbench.engine.rows import about_cell, no_value
 from clothbench.engine.store import finite
 from clothbench.engine.study import Context, Result, Rows
 from clothbench.studies.improve.cell import ImproveCell
+from clothbench.studies.improve.compiling import compiled_ahead
 from clothbench.studies.improve.files import write_files
 from clothbench.studies.improve.finding import Finding
 from clothbench.studies.improve.loop import improve
@@ -22,7 +23,8 @@ def run(cell: ImproveCell, context: Context) -> Result:
         context.progress(done, planned)
 
     problem = prepare(cell, context.plugins, context.checkpoint, context.kept, context.elsewhere)
-    finding = improve(problem, cell.candidates, told, cell.timeout)
+    with compiled_ahead(problem, cell.candidates):
+        finding = improve(problem, cell.candidates, told, cell.timeout)
     stated = {"bounds": {n: list(ends) for n, ends in cell.bounds.items()}, "resolution": cell.scene.get("resolution")}
     finding = dataclasses.replace(finding, settings=stated)
     told("page, tables and Rerun files", 0, 1)
