@@ -31,6 +31,17 @@ def say_idle(words: Sequence[str], cells: Sequence[Cell]) -> None:
         _say("choice", f"{metric} has one objective, and no front to choose from")
 
 
+def say_alone(config: Mapping[str, Any], cells: Sequence[Cell]) -> None:
+    """A line where recordings that state no fabric are cases of their own, so that nothing is held out of any."""
+    alone = {c.case for c in cells if [s.name for s in getattr(c, "recordings", ())] == [c.case]}
+    if len(alone) > 1 and not (config.get("suite") or {}).get("case"):
+        print(
+            f"clothbench: {len(alone)} recordings state no fabric, so each is a case of its own with nothing held out; "
+            "suite.case=all takes them together",
+            file=sys.stderr,
+        )
+
+
 def _say(setting: str, why: str) -> None:
     print(f"clothbench: {setting}: {why}, so this changes nothing", file=sys.stderr)
 

@@ -30,7 +30,7 @@ from hydra.types import RunMode
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from clothbench.cli.idle import refuse_idle, say_idle
+from clothbench.cli.idle import refuse_idle, say_alone, say_idle
 from clothbench.cli.own_suites import require_harmless, settings_among
 from clothbench.cli.results import print_results
 from clothbench.core.errors import ClothbenchError, known_names
@@ -243,6 +243,7 @@ def _run(config: Any, sweep: Sweep | None, words: Sequence[str] = ()) -> dict[st
     if sweep is None:  # a sweep may mean them for other jobs
         refuse_idle(words, config, cells)
         say_idle(words, cells)
+        say_alone(config, cells)
     out = Path(config["out"])
     with CellBar(cells, sweep) as bar:
         run_cells(

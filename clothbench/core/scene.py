@@ -25,6 +25,7 @@ from clothbench.core.scene_rules import (
 )
 
 AIR_DENSITY = 1.2  # kg/m³, dry air at 20 °C
+ALIGNED = 1e-6  # of a sheet's size, by which points may lie beside a line that they are all on
 HEAVIEST = 5.0  # kg/m², of any cloth
 
 
@@ -199,15 +200,18 @@ def initial_shape(scene: Scene, uv: np.ndarray) -> np.ndarray:
     if scene.start is None:
         return _hung_free(scene, uv)
     seen = np.isfinite(scene.start).all(axis=1)
-    if seen.sum() < 6:  # too few to say more about the shape than the grips do
-        return _hung_free(scene, uv)
+    at = scene.points[seen] / [scene.width, scene.height]
+    if seen.sum() < 6 or np.linalg.matrix_rank(at - at[0], ALIGNED) < 2:  # too few, or all on one line, to say more
+        return _hung_free(scene, uv)  # about the shape than the grips do
     hung = _hung_flat(scene, uv)
     from scipy.interpolate import RBFInterpolator
 
     size = np.array([scene.width, scene.height])
     away = scene.start[seen] - _hung_flat(scene, scene.points[seen])
-    bend = RBFInterpolator(scene.points[seen] / size, away, smoothing=1e-3, neighbors=min(50, int(seen.sum())))
-    return hung + bend(uv / size)
+    try:
+        return hung + RBFInterpolator(at, away, smoothing=1e-3, neighbors=min(50, len(at)))(uv / size)
+    except np.linalg.LinAlgError:  # the nearest of a narrow lattice may all lie on one line
+        return hung + RBFInterpolator(at, away, smoothing=1e-3)(uv / size)
 
 
 def initial_velocity(scene: Scene, uv: np.ndarray) -> np.ndarray:

@@ -14,6 +14,7 @@ there too; what else there is becomes a note.
 
 from __future__ import annotations
 
+import difflib
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -38,6 +39,7 @@ MILLIMETRE = 1e-3
 FARTHEST = 65535  # steps that a depth frame of 16 bit can tell; what is farther counts as not measured
 SUGGESTED = {"name", "kind", "field_of_view_deg", "position_m", "target_m", "up"}  # what `suggest` writes beside them
 OF_CAMERAS = {"size", "matrix", "fx", "fy", "cx", "cy", "distortion", "rotation", "translation"} | SUGGESTED
+NEAR = 0.85  # alikeness of two words from which on one is the other misspelled
 OWN = {"camera", "time", "rate", "colour_time", "grips", "gravity", "depth_step"}
 
 
@@ -333,4 +335,8 @@ def _header(about: Mapping[str, Any], where: Path) -> dict[str, Any]:
     strays = {k: seen(str(v)) for k, v in about.items() if k not in known | OWN}
     if wrong := [name for name in strays if not re.fullmatch(r"\w[\w .-]*", name)]:
         raise ClothbenchError(f"{where}: {wrong[0]!r}: found a name that is none, expected letters, digits and _")
+    absent = LAYOUT.known.union(OWN) - set(about)
+    for name in strays.keys() - LAYOUT.known:
+        if near := difflib.get_close_matches(name, absent, n=1, cutoff=NEAR):
+            raise ClothbenchError(f"{where}: found {name!r}, expected {near[0]!r}; a note needs a name less like it")
     return out | {"notes": {k: v for k, v in strays.items() if k not in LAYOUT.known}}

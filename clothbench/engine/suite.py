@@ -8,7 +8,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, known_names
 from clothbench.core.progress import FileProgress
 from clothbench.engine.settings import checked, words
 from clothbench.engine.study import Cell, Study
@@ -46,7 +46,11 @@ def where(config: Mapping[str, Any], progress: FileProgress | None = None) -> li
 def resolve(path: str, config: Mapping[str, Any], progress: FileProgress | None = None) -> list[Path]:
     """ "builtin:NAME", "dataset:NAME" and "pkg://package/folder" become folders; everything else is a path."""
     if path.startswith("builtin:"):
-        return [suites_folder() / "embedded" / path.removeprefix("builtin:")]
+        embedded, name = suites_folder() / "embedded", path.removeprefix("builtin:")
+        there = sorted(folder.name for folder in embedded.iterdir())
+        if name.partition("/")[0] not in there:
+            raise ClothbenchError(f"recordings {path!r}: found nothing of that name; {known_names(name, there)}")
+        return [embedded / name]
     if path.startswith("pkg://"):
         return [_in_package(path)]
     if path.startswith("dataset:"):

@@ -21,14 +21,15 @@ from clothbench.recordings.silhouette import Silhouettes
 from clothbench.recordings.tracked import Images, nodes_of, seen_in
 
 
-def require_readable(images: Images | Silhouettes, tracker: str, plugins: Catalogue) -> None:
-    """Refuse images that a tracker does not read, and name those that do."""
-    if images.kind in kinds_read(plugins.load("trackers", tracker)):
+def require_readable(recording: Recording | Images | Silhouettes, tracker: str, plugins: Catalogue) -> None:
+    """Refuse recordings that a tracker does not read, and name those that do."""
+    if recording.kind in kinds_read(plugins.load("trackers", tracker)):
         return
     able = [p.name for p in plugins.plugins if p.kind == "trackers" and p.distribution == OWN]
-    able = [name for name in able if images.kind in kinds_read(plugins.load("trackers", name))]
+    able = [name for name in able if recording.kind in kinds_read(plugins.load("trackers", name))]
+    where = recording.path or recording.name
     raise ClothbenchError(
-        f"{images.path}: found kind {images.kind!r}, which the tracker {tracker!r} does not read; "
+        f"{where}: found kind {recording.kind!r}, which the tracker {tracker!r} does not read; "
         f"take tracker={' or '.join(able)}"
     )
 
@@ -52,9 +53,9 @@ def watched(
     Nodes are tracked each time; images once, and what came of them is kept in the folder `kept` as a recording of its
     own, under a key of the images, the tracker, its options and its version.
     """
+    require_readable(recording, tracker.name, plugins)
     if isinstance(recording, Recording):
         return as_seen(recording, seen := tracker.track(recording), tracker.name), seen
-    require_readable(recording, tracker.name, plugins)
     key = digest([recording.hash, dict(options), plugin_versions([("trackers", tracker.name)], plugins)])
     path = kept / f"{key}.nc" if kept is not None else None
     if path is not None and path.is_file():

@@ -77,7 +77,8 @@ class GridSimulation:
     @cached_property
     def cover(self) -> Cover | None:
         """How much of the grid is cloth; None where all of it is."""
-        return None if self.scene.outline is None else Cover.of(self.scene.outline, self.lines)
+        scene = self.scene
+        return None if scene.outline is None else Cover.of(scene.outline, self.lines, (scene.width, scene.height))
 
     @cached_property
     def sheet(self) -> Sheet:
@@ -107,7 +108,14 @@ class GridSimulation:
         A ring that bends little under its weight then sags as it should within 8 % from 13 nodes on.
         """
         reach = 0.75 * math.sqrt(np.prod([lines[-1] / (len(lines) - 1) for lines in self.lines]))
-        return _beyond_rims(self.scene, self._first_shape) > -reach
+        held = _beyond_rims(self.scene, self._first_shape) > -reach
+        if held[slice(None) if self.cover is None else self.cover.nodes.ravel()].all():
+            size = f"{self.scene.width:g} m by {self.scene.height:g} m"
+            raise ClothbenchError(
+                f"obstacles: a disc clamps all of the cloth, {size}, so that nothing can move; expected a smaller "
+                "radius, in m"
+            )
+        return held
 
     @cached_property
     def anchored(self) -> bool:

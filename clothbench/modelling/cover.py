@@ -24,16 +24,27 @@ class Cover:
     """An outline over grid lines u (nu,) and v (nv,) m.
 
     quarter: (2 nv − 2, 2 nu − 2) m², cloth in each quarter of the cells: what any box of the grid holds is a sum of
-    them.
+    them; carried: the same with what lies between the outermost lines and the hems, which their nodes carry.
     """
 
     u: np.ndarray
     v: np.ndarray
     quarter: np.ndarray
+    carried: np.ndarray
 
     @classmethod
-    def of(cls, outline: np.ndarray, lines: tuple[np.ndarray, np.ndarray]) -> Cover:
-        return cls(*lines, covered(outline, _halved(lines[0]), _halved(lines[1])))
+    def of(
+        cls, outline: np.ndarray, lines: tuple[np.ndarray, np.ndarray], size: tuple[float, float] | None = None
+    ) -> Cover:
+        """size: of the flat sheet [m], which lines need not reach, or may overstep, where grips lie beside its hems;
+        None: as far as the lines go.
+        """
+        size = size or (float(lines[0][-1]), float(lines[1][-1]))
+        quarter = covered(outline, _halved(lines[0]), _halved(lines[1]))
+        halves = [_halved(np.clip(of_one, 0.0, length)) for of_one, length in zip(lines, size, strict=True)]
+        for half, length in zip(halves, size, strict=True):
+            half[[0, -1]] = 0.0, length
+        return cls(*lines, quarter, covered(outline, *halves))
 
     @cached_property
     def share(self) -> np.ndarray:
@@ -48,6 +59,11 @@ class Cover:
             raise ClothbenchError(
                 f"outline: {found.sum()} nodes of a grid of {len(self.u)} × {len(self.v)} lie in it, expected at least "
                 "9; raise the resolution"
+            )
+        if not (found[:-1, :-1] & found[:-1, 1:] & found[1:, :-1] & found[1:, 1:]).any():
+            raise ClothbenchError(
+                f"outline: no whole cell of a grid of {len(self.u)} × {len(self.v)} nodes lies in it, expected some; "
+                "raise the resolution"
             )
         return found
 
@@ -112,15 +128,18 @@ class Cover:
         """Which share of its box is cloth, for all that spans di ≥ 0 cells to the right and dj ≥ 0 down: between lines
         where it spans any, else half-way to the lines beside it, (nv − dj, nu − di).
         """
+        return self._held(self.quarter, di, dj)
+
+    def _held(self, quarter: np.ndarray, di: int, dj: int) -> np.ndarray:
         rows, high = _spans(self.v, dj)
         columns, wide = _spans(self.u, di)
-        total = np.pad(self.quarter.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+        total = np.pad(quarter.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
         held = np.diff(np.diff(total[rows][:, :, columns], axis=1)[:, 0], axis=-1)[..., 0]
         return held / np.outer(high, wide)
 
     @cached_property
     def _node_area(self) -> np.ndarray:
-        return self.boxes(0, 0) * np.outer(spaces(self.v), spaces(self.u))
+        return self._held(self.carried, 0, 0) * np.outer(spaces(self.v), spaces(self.u))
 
 
 def _halved(lines: np.ndarray) -> np.ndarray:

@@ -79,7 +79,10 @@ def grid_lines(length: float, count: int, held: np.ndarray) -> np.ndarray:
 
 
 def tributary(lines: np.ndarray, length: float) -> np.ndarray:
-    """The length of cloth that each grid line stands for [m]."""
+    """The length of cloth that each grid line stands for [m]; one over the hem, where a grip is, stands for what is
+    nearest to it.
+    """
+    lines = np.clip(lines, 0.0, length)
     edges = np.concatenate([[0.0], (lines[1:] + lines[:-1]) / 2, [length]])
     return np.diff(edges)
 

@@ -19,10 +19,13 @@ def grid_triangles(shape: tuple[int, int]) -> np.ndarray:
     return np.ascontiguousarray(cells.reshape(-1, 3).astype(np.int64))
 
 
-def triangle_slots(uv: np.ndarray, triangles: np.ndarray, face_area: np.ndarray) -> tuple[int, np.ndarray, np.ndarray]:
+def triangle_slots(
+    uv: np.ndarray, triangles: np.ndarray, face_area: np.ndarray, whole: bool = True
+) -> tuple[int, np.ndarray, np.ndarray]:
     """How compiled loops go over all triangles at once: `columns`, `spacing` and `slots` of a sheet.
 
-    columns: nodes in a row if the mesh is `grid_triangles` between straight lines, else 0. Such a grid has a slot per
+    columns: nodes in a row if the mesh is `grid_triangles` between straight lines, all of which is cloth (`whole`),
+    else 0. Such a grid has a slot per
     kind of triangle for each node e = j·nu + i up to the last cell, first all (e, e+1, e+nu+1), then all (e, e+nu+1,
     e+nu): nodes and neighbours of all triangles of a kind lie at constant distances, and no loop needs their numbers.
     Any other mesh has a slot per triangle.
@@ -31,7 +34,7 @@ def triangle_slots(uv: np.ndarray, triangles: np.ndarray, face_area: np.ndarray)
     slots: (4, S), area m², 0 where a row ends; and weights. Of a grid they are what makes ∂²/∂u², ∂²/∂v² and ∂²/∂u∂v
     as `curvature_weights` sees them of differences of first derivatives, 1/m, 0 where nothing holds the slope; else 1.
     """
-    columns = _grid_columns(uv, triangles)
+    columns = _grid_columns(uv, triangles) if whole else 0
     if columns == 0:
         return 0, np.zeros((2, 0)), np.vstack([face_area[None], np.ones((3, len(face_area)))])
     u, v = uv[:columns, 0], uv[::columns, 1]

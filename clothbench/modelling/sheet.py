@@ -27,6 +27,7 @@ or clamped; gripped: G; grip: (3, G + S) m, where they are;
 columns, spacing, slots: for loops over all triangles at once, see `triangle_slots`.
 """
 
+WHOLE = 1e-9  # share of a triangle that may be missing from one that is all cloth: rounding
 WIDE = 8  # nodes at a time: doubles in one vector register of AVX-512
 VECTOR = types.float64[::1]
 ROWS = types.float64[:, ::1]
@@ -67,7 +68,9 @@ def sheet_of(
     gradient, face_area = gradient_weights(uv, triangles)
     patch, curvature = curvature_weights(uv, triangles, gradient, face_area)
     cloth = face_area if share is None else face_area * share
-    columns, spacing, slots = triangle_slots(uv, triangles, cloth)
+    # Loops over a grid take all of its cells for whole.
+    whole = share is None or bool((share > 1 - WHOLE).all())
+    columns, spacing, slots = triangle_slots(uv, triangles, cloth, whole)
     never = np.concatenate([np.array(held, dtype=np.int64), np.array(still, dtype=np.int64)])
     return Sheet(
         np.ascontiguousarray(uv, dtype=float), np.array(mass, dtype=float), np.array(area, dtype=float),

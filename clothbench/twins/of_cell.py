@@ -135,8 +135,8 @@ def _theta(model: Any, values: Mapping[str, float]) -> np.ndarray:
     for parameter, value in zip(model.parameters, theta, strict=True):
         if parameter.scale == "log" and not value > 0:
             raise ClothbenchError(
-                f"parameter {parameter.name}: found {value:g}, expected more than 0 {parameter.unit}, which no search "
-                "leaves; run the cell again"
+                f"parameter {parameter.name}: found {value:g}, expected more than 0 {parameter.unit}, as a material "
+                "has it; this fit holds it there, or its bounds begin there: run it with others"
             )
     return theta
 

@@ -14,7 +14,7 @@ from rich.console import Console
 
 from clothbench import ClothbenchError, write_recording
 from clothbench.cli.commands import COMMANDS, main, parsed
-from clothbench.cli.idle import say_idle
+from clothbench.cli.idle import say_alone, say_idle
 from clothbench.cli.own_suites import require_harmless
 from clothbench.cli.run import composed, either_way, jobs_of, require_known, swept
 from clothbench.engine.store import ROW
@@ -346,6 +346,18 @@ def test_options_of_a_plugin_that_is_not_in_use_are_told(capsys):
     cell = SimpleNamespace(versions={"models/mass_spring": "1", "optimizers/cma_es": "1"})
     say_idle(["options.ga.generations=9", "++options.cma_es.sigma=1", "budget=3"], [cell])
     assert capsys.readouterr().err == "clothbench: options.ga: ga is not in use here, so this changes nothing\n"
+
+
+@pytest.mark.parametrize(("fabric", "case", "told"), [("", "", True), ("", "recording", False), ("silk", "", False)])
+def test_recordings_that_state_no_fabric_are_told_to_be_cases_of_their_own(tmp_path, capsys, fabric, case, told):
+    for name in ("swing-1", "swing-2", "swing-3"):
+        write_recording(swinging_recording(name, fabric=fabric), tmp_path / f"{name}.nc")
+    words = [f"recordings={tmp_path}", "model=mass_spring", "optimizer=ga", "metric=node_error"]
+    config = composed([*words, *([f"suite.case={case}"] if case else [])])
+    say_alone(config, plan(config, catalogue()))
+    said = capsys.readouterr().err
+    assert ("3 recordings state no fabric" in said and "suite.case=all takes them together" in said) == told
+    assert bool(said) == told
 
 
 def test_a_mesh_that_the_scene_rules_and_a_choice_without_a_front_are_told(recordings_folder, capsys):

@@ -173,6 +173,14 @@ def test_a_drape_hangs_from_its_plate(factory):
     assert np.linalg.norm(rim, axis=1).max() < 0.155
 
 
+@pytest.mark.parametrize("factory", MODELS, ids=lambda m: m.name)
+def test_a_disc_that_clamps_all_of_the_cloth_is_refused(factory):
+    plate = Obstacle("disc", (0.2, -0.1, 0.4), radius=1.0, clamps=True)
+    scene = cut(disc_outline(0.15), 17, points=ring(0.06), obstacles=(plate,))
+    with pytest.raises(ClothbenchError, match="clamps all of the cloth"):
+        factory().prepare(scene).run(parameters(factory()))
+
+
 def test_air_drags_a_cut_sheet_by_its_area():
     """A disc that falls flat through air of quadratic drag alone gains √(…)tanh as a body of that mass and area."""
     model = BaraffWitkin()

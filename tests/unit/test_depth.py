@@ -10,6 +10,7 @@ import pytest
 
 from clothbench import Camera, ClothbenchError, DepthImages, read_depth, write_depth
 from clothbench.core.observation import GripPath
+from clothbench.datasets.depth_folder import read_folder
 from clothbench.recordings.depth import Colour
 from clothbench.recordings.kinds import read_any, read_sheet
 
@@ -118,6 +119,14 @@ def folder_of(tmp_path, about=ABOUT, colour=True):
             cv2.imwrite(str(folder / "colour" / f"{k:03d}.png"), np.full((40, 48, 3), (200, 10, 30), np.uint8))
     (folder / "recording.json").write_text(json.dumps(about))
     return folder
+
+
+@pytest.mark.parametrize(("word", "meant"), [("grip", "grips"), ("splitt", "split"), ("arealdensity", "areal_density")])
+def test_a_word_that_is_nearly_one_is_refused(tmp_path, word, meant):
+    """As a note it would vanish: a sheet without its grips, or of no known weight."""
+    about = {k: v for k, v in ABOUT.items() if k != meant}
+    with pytest.raises(ClothbenchError, match=f"recording.json: found '{word}', expected '{meant}'"):
+        read_folder(folder_of(tmp_path, {**about, word: "x"}))
 
 
 def test_a_folder_of_frames_becomes_a_recording(clothbench, tmp_path):

@@ -6,7 +6,7 @@ import pytest
 from clothbench import ClothbenchError
 from clothbench.core.outline import checked_outline, covered, disc_outline, signed_area, within
 from clothbench.core.rollout import Interpolator
-from clothbench.modelling import Cover, grid_triangles, tributary
+from clothbench.modelling import Cover, grid_triangles, sheet_of, tributary
 
 ELL = np.array([[0, 0], [2, 0], [2, 1], [1, 1], [1, 2], [0, 2.0]])
 
@@ -72,6 +72,43 @@ def test_no_cloth_is_lost_between_nodes(outline, nodes):
     assert cover.nodes.ravel()[triangles].all()
     assert (share > 0).all()
     assert (share <= 1 + 1e-9).all()
+
+
+@pytest.mark.parametrize("nodes", [13, 25, 31, 49])
+@pytest.mark.parametrize("beside", [-0.02, -0.01, 0.008])
+def test_grips_beside_a_hem_neither_add_nor_lose_cloth(nodes, beside):
+    """Mesh lines go through grips, which may lie over a hem by 2 % of the sheet, or within it by a part of a cell."""
+    u, v = np.linspace(0, 1, nodes), np.linspace(0, 1, nodes)
+    u[0] = beside
+    length = tributary(u, 1.0)
+    assert length.sum() == pytest.approx(1.0)
+    assert (length > 0).all()
+    if beside < 0:
+        assert length[0] == pytest.approx(0.5 / (nodes - 1))
+    for outline in (rectangle(1, 1), np.array([[0, 0], [1, 0], [1, 1], [0.5, 1], [0, 0.5]])):
+        assert Cover.of(outline, (u, v), (1.0, 1.0)).area.sum() == pytest.approx(signed_area(outline))
+
+
+def test_cells_that_an_outline_cuts_are_not_taken_for_whole():
+    """However little it cuts: loops over a grid would else weigh its border as if it were all cloth."""
+    lines = np.linspace(0, 1, 11)
+    for inset, columns in ((0.0, 11), (0.01, 0), (0.02, 0)):
+        outline = inset + (1 - 2 * inset) * rectangle(1, 1)
+        cover = Cover.of(outline, (lines, lines))
+        triangles, share = cover.triangles(grid_triangles((11, 11)))
+        assert len(triangles) == 200
+        uv = np.stack(np.meshgrid(lines, lines), axis=-1).reshape(-1, 2)
+        area = cover.area.ravel()
+        sheet = sheet_of(uv, area, area, triangles, (0, 0, -9.81), 1.2, share=share)
+        assert sheet.columns == columns
+        assert sheet.slots[0].sum() == pytest.approx(sheet.face_area.sum())
+
+
+def test_a_strip_that_holds_no_whole_cell_is_refused():
+    lines = np.linspace(0, 1, 13)
+    along = np.array([[0.02, 0], [1, 0.98], [0.98, 1], [0, 0.02]])
+    with pytest.raises(ClothbenchError, match="no whole cell"):
+        Cover.of(along, (lines, lines)).nodes  # noqa: B018
 
 
 def test_points_of_a_cut_sheet_are_read_from_its_own_nodes():

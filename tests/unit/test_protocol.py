@@ -57,9 +57,16 @@ def test_fixed_parameters_and_effects_follow_case_and_model(tmp_path):
     assert cells[0].effects == ("added_mass",)
 
 
+def test_a_parameter_with_a_number_is_held_in_all_cases(tmp_path):
+    suite = {"fixed": {"zeta": 0.2, "silk/*": {"k2": 1.0}}}
+    cells = plan(config(stand_ins(tmp_path), suite=suite), catalogue())
+    assert [dict(c.fixed) for c in cells] == [{"zeta": 0.2, "k2": 1.0}] * 2 + [{"zeta": 0.2}] * 2
+
+
 @pytest.mark.parametrize(
     ("suite", "found"),
     [
+        ({"fixed": {"zta": 0.2}}, "'suite.fixed': no parameter 'zta'; there are: k1, k2, zeta"),
         (
             {"fixed": {"silkk/*": {"zeta": 0.2}}},
             r"'suite.fixed': 'silkk/\*' matches none of the cases silk/sway-1, .*~suite",

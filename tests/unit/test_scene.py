@@ -48,6 +48,19 @@ def test_the_first_guess_hangs_from_the_grips_and_bends_to_what_was_seen():
     assert np.abs(initial_shape(bent, uv) - seen).max() < 2e-3
 
 
+@pytest.mark.parametrize(("across", "down", "rows"), [(9, 3, 1), (121, 3, 3)])
+def test_points_on_a_line_are_no_fault_of_the_first_guess(across, down, rows):
+    """All that were seen, or all that are nearest to one another on a narrow lattice."""
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, 0.2, across), np.linspace(0, 0.2, down)))
+    uv, held = np.stack([u, v], axis=1), np.array([[0.0, 0.0], [0.2, 0.0]])
+    at = np.array([[0.0, 0.0, 1.0], [0.2, 0.0, 1.0]])
+    shape = np.stack([u, 0.05 * v, 1 - v], axis=1)
+    seen = np.where((np.arange(len(u)) < rows * across)[:, None], shape, np.nan)
+    scene = Scene(0.2, 0.2, 0.2, np.array([0.0, 1.0]), held, np.stack([at, at]), np.array([0.0]), uv, start=seen)
+    found = initial_shape(scene, uv)
+    np.testing.assert_allclose(found, shape if rows == down else np.stack([u, 0 * u, 1 - v], axis=1), atol=1e-3)
+
+
 CUT = np.array([[0, 0], [0.2, 0], [0.2, 0.1], [0.1, 0.1], [0.1, 0.2], [0, 0.2]])  # without the corner (0.2, 0.2)
 
 

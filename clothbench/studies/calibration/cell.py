@@ -244,9 +244,10 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
         mine = [recordings[s.path] for s in cell.recordings]
         for recording, name in itertools.product(mine, (cell.metric, *cell.report)):
             require_comparable(recording, name, plugins)
-        for images in (r for r in mine if not isinstance(r, Recording)):
-            require_readable(images, cell.tracker, plugins)
-            areal_density_of(images, cell.scene.get("areal_density"))
+        for recording in mine:
+            require_readable(recording, cell.tracker, plugins)
+            if not isinstance(recording, Recording):
+                areal_density_of(recording, cell.scene.get("areal_density"))
         simulated = [r for r in mine if isinstance(r, Recording | Silhouettes)]  # other images have to be tracked first
         scenes = [scene for recording in simulated for scene in scenes_of(recording, **cell.scene)]
         if any(plugins.find(kind, name).distribution != OWN for kind, name in uses(cell)):

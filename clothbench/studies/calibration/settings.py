@@ -29,10 +29,7 @@ def suite_settings(suite: Mapping[str, Any]) -> dict[str, Any]:
     for key in ("fixed", "effects"):
         out[key] = mapping(f"suite.{key}", out.get(key))
     out["effects"] = {model: words(f"suite.effects.{model}", names) for model, names in out["effects"].items()}
-    out["fixed"] = {
-        pattern: {n: number(f"suite.fixed.{n}", v) for n, v in mapping("suite.fixed", values).items()}
-        for pattern, values in out["fixed"].items()
-    }
+    out["fixed"] = _fixed(out["fixed"])
     out["published"] = {
         metric: {
             str(n): number(f"suite.published.{metric}.{n}", v) for n, v in mapping("suite.published", values).items()
@@ -49,6 +46,17 @@ def suite_settings(suite: Mapping[str, Any]) -> dict[str, Any]:
         raise ClothbenchError(
             "settings 'suite.each' and 'suite.together' both say what is fitted; empty one of them, as in suite.each=[]"
         )
+    return out
+
+
+def _fixed(stated: Mapping[str, Any]) -> dict[str, dict[str, float]]:
+    """What is held, by pattern of cases; a parameter with a number, as in suite.fixed.k1=100, is held in all cases."""
+    out: dict[str, dict[str, float]] = {}
+    for name, values in stated.items():
+        if isinstance(values, Mapping):
+            out[name] = {str(n): number(f"suite.fixed.{n}", v) for n, v in values.items()}
+        else:
+            out.setdefault("*", {})[name] = number(f"suite.fixed.{name}", values)
     return out
 
 

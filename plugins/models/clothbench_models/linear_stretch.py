@@ -7,7 +7,7 @@ import numpy as np
 
 from clothbench import ClothbenchError, Effect, Parameter, ParameterSpace, Scene, Simulation
 
-WHAT_TO_DO = "answers force-extension curves only; take another model, or recordings of kind 'curve'"
+WHAT_TO_DO = "answers force-extension curves only, for `clothbench improve`; take another model"
 
 
 class LinearStretch:

@@ -128,8 +128,12 @@ class CloudTemplate:
             nodes = whole.steps(images, [frame])[0].nodes
             seen = np.isfinite(nodes).all(axis=1)
             if seen.mean() > WHOLE:
-                fill = RBFInterpolator(template.material[seen], nodes[seen], neighbors=min(40, int(seen.sum())))
-                return frame, np.where(seen[:, None], nodes, fill(template.material))
+                at = template.material
+                try:
+                    filled = RBFInterpolator(at[seen], nodes[seen], neighbors=min(40, int(seen.sum())))(at)
+                except np.linalg.LinAlgError:  # the nearest of a narrow lattice may all lie on one line
+                    filled = RBFInterpolator(at[seen], nodes[seen])(at)
+                return frame, np.where(seen[:, None], nodes, filled)
         raise ClothbenchError(
             f"{images.path or images.name}: {self.name} found no frame that shows {WHOLE:.0%} of the sheet, from which "
             "its template could start; look at the steps of depth_mesh: near, far, colour"
