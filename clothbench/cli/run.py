@@ -100,7 +100,6 @@ def run(arguments: Sequence[str]) -> int:
         if sweep:
             require_known(arguments)
         hydra.main(version_base="1.3", config_path="pkg://clothbench.conf", config_name="run")(job)()
-        return _conclude(notes, sweep)
     except (HydraException, OmegaConfBaseException) as fault:
         raise ClothbenchError(_one_line(fault)) from fault
     except ValueError as fault:
@@ -109,6 +108,8 @@ def run(arguments: Sequence[str]) -> int:
         if str(fault).startswith("Only one of --run"):
             raise ClothbenchError(TOGETHER) from fault
         raise ClothbenchError(f"found a setting without a place ({fault}), expected KEY=VALUE of a run") from fault
+    else:
+        return _conclude(notes, sweep)
     finally:
         shutil.rmtree(notes, ignore_errors=True)
 

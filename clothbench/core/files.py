@@ -15,6 +15,7 @@ import warnings
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -33,6 +34,15 @@ _ODD = re.compile(r"\\u[dD]|[eE]\+?\d{3}")  # in JSON: what may be half a letter
 def file_name(recording: str) -> str:
     """ "case/swing 3" → "case_swing_3" """
     return re.sub(r"[^\w.-]+", "_", recording).lstrip(".") or "recording"
+
+
+def file_names(recordings: Sequence[str]) -> list[str]:
+    """The recordings' names as file names, each once."""
+    out: list[str] = []
+    for name in map(file_name, recordings):
+        numbered = (f"{name}-{number}" for number in count(len(out) + 1))
+        out.append(next(free for free in chain([name], numbered) if free not in out))
+    return out
 
 
 def require_folder(name: str) -> None:

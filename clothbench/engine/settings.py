@@ -261,7 +261,7 @@ def writable(value: Any) -> Path:
         raise ClothbenchError(
             f"setting 'out' is {value!r}, expected a folder (`run` and `improve` alone take a bucket)"
         )
-    if any(unicodedata.category(letter) == "Cc" for letter in value):
+    if any(unicodedata.category(letter) in ("Cc", "Cs") for letter in value):
         raise ClothbenchError(f"setting 'out' is {value!r}, expected a folder whose name a terminal can show")
     folder = Path(value)
     above = next(p for p in (folder.absolute(), *folder.absolute().parents) if os.path.exists(p))

@@ -38,7 +38,8 @@ def speeds(entries: Sequence[Entry]) -> list[tuple[Mapping[str, Any], list[Speed
     for number, entry in enumerate(entries):
         if entry.machine is None:
             continue
-        for row in {row.get("key"): row for row in entry.rows}.values():
+        # A cell ended well if any row says so: a further metric may have had nothing to say.
+        for row in {row.get("key"): row for row in sorted(entry.rows, key=lambda r: r["status"] == "ok")}.values():
             if (value := _speed(row)) is not None:
                 group = (row["suite"], row.get("model"), row.get("effects") or "", entry.machine)
                 cell = tuple(row.get(name) for name in CELL)

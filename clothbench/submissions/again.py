@@ -16,7 +16,6 @@ from pathlib import Path
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import file_name
 from clothbench.engine.checkpoint import Checkpoint
 from clothbench.estimation.calibrate import best_rollout
 from clothbench.plugins.discovery import catalogue, one_line
@@ -50,7 +49,7 @@ def again(job: Path, out: Path) -> None:
     for path in asked["simulate"]:
         recording = read_recording(path)
         position = best_rollout(bench.remake(recording, None), fit).position[0][:, : len(recording.material)]
-        write_recording(simulation_of(recording, position, cell.model), out / f"{file_name(recording.name)}.nc")
+        write_recording(simulation_of(recording, position, cell.model), out / Path(path).name)
 
 
 if __name__ == "__main__":

@@ -13,7 +13,7 @@ import numpy as np
 
 import clothbench
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import file_name, placing, sha256
+from clothbench.core.files import file_names, placing, sha256
 from clothbench.engine.cells import Source, plugin_versions
 from clothbench.engine.store import Store
 from clothbench.plugins.discovery import Catalogue
@@ -134,11 +134,12 @@ def _simulated(
     best = np.array([[values[name] for name in bench.space.names]])
     moving = [name for name in cell.effects if plugins.load("effects", name).place in ("boundary", "sensor")]
     entries = []
-    for source, trial in zip(cell.recordings, bench.trials, strict=True):
+    names = file_names([source.name for source in cell.recordings])
+    for name, source, trial in zip(names, cell.recordings, bench.trials, strict=True):
         if source.hash not in measured:
             raise ClothbenchError(f"cell {key}: recording {source.name!r} is not among those of --recordings; name it")
         of = read_recording(source.path)
-        path = folder / ROLLOUTS / key / f"{file_name(source.name)}.nc"
+        path = folder / ROLLOUTS / key / f"{name}.nc"
         position = trial.simulation.run(best).position[0][:, : len(of.material)]
         simulated = simulation_of(of, position, cell.model)
         if moving:

@@ -24,7 +24,7 @@ from functools import cached_property
 from pathlib import Path
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import file_name
+from clothbench.core.files import file_names
 from clothbench.recordings.nodes import Recording, read_recording, write_recording
 from clothbench.studies.calibration.cell import CalibrationCell, asked
 from clothbench.submissions.again import blank
@@ -97,18 +97,22 @@ class Sandbox:
         """
         place = Path(tempfile.mkdtemp(dir=self.folder))
         sources = []
-        for source in cell.recordings:
+        for name, source in zip(file_names([s.name for s in cell.recordings]), cell.recordings, strict=True):
             path = ""
             if source.split == "fit":
-                path = str(write_recording(shown[source.hash], place / "fit" / f"{file_name(source.name)}.nc"))
+                path = str(write_recording(shown[source.hash], place / "fit" / f"{name}.nc"))
             sources.append(dataclasses.replace(source, path=path))
-        paths = [str(write_recording(blank(r), place / "simulate" / f"{file_name(r.name)}.nc")) for r in simulate]
+        names = file_names([r.name for r in simulate])
+        paths = [
+            str(write_recording(blank(r), place / "simulate" / f"{name}.nc"))
+            for name, r in zip(names, simulate, strict=True)
+        ]
         job = {"question": asked(dataclasses.replace(cell, recordings=tuple(sources))), "simulate": paths}
         (place / "job.json").write_text(json.dumps(job), encoding="utf-8")
         self._run(place)
         found = {}
-        for recording in simulate:
-            left = place / "out" / f"{file_name(recording.name)}.nc"
+        for name, recording in zip(names, simulate, strict=True):
+            left = place / "out" / f"{name}.nc"
             if not left.is_file() or left.is_symlink():
                 raise ClothbenchError(f"{cell.label}: the plugin left no simulation of {recording.name!r}")
             found[recording.name] = (left, read_recording(left))

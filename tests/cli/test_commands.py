@@ -336,6 +336,14 @@ def test_a_wrong_setting_is_refused_before_anything_is_run(clothbench, recording
     assert [p.name for p in tmp_path.iterdir()] == ["recordings"]
 
 
+def test_a_terminal_that_cannot_write_every_letter_shows_another(clothbench):
+    out = clothbench("presets", PYTHONIOENCODING="ascii", PYTHONUTF8="0")
+    assert out.returncode == 0, out.stderr
+    assert "?" in out.stdout
+    assert out.stdout.isascii()
+    assert out.stderr == ""
+
+
 def test_a_gate_says_it_one_way_only(capsys):
     with pytest.raises(SystemExit, match="2"):
         main(["compare", "a.json", "b.json", "--json", "--markdown"])

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from test_curves import problem_of, runs
 
+from clothbench.core.files import file_names
 from clothbench.core.observation import Observation
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.engine.cells import Source
@@ -20,7 +21,7 @@ from clothbench.plugins.discovery import catalogue
 from clothbench.studies import improve as room
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.document import document_in, verdict_document
-from clothbench.studies.improve.files import file_names, write_files
+from clothbench.studies.improve.files import write_files
 from clothbench.studies.improve.fitting import fit, search_settings
 from clothbench.studies.improve.loop import improve
 from clothbench.studies.improve.page import page_html
@@ -113,7 +114,7 @@ def test_a_run_that_did_not_come_to_its_end_has_no_residual_whatever_it_left():
 
 def test_recordings_are_filed_under_a_name_each():
     for names in (("a b", "a b-3", "a_b"), ("x", "x-3", "x"), ("x", "x-2", "x-3", "x", "x-2")):
-        found = file_names([SimpleNamespace(case=SimpleNamespace(name=name)) for name in names])
+        found = file_names(names)
         assert len(set(found)) == len(names)
 
 

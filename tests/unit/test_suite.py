@@ -178,9 +178,10 @@ def test_a_list_of_one_resolution_is_that_number(recordings_folder):
     assert grid_shape(scene, [5]) == grid_shape(scene, 5)
 
 
-def test_only_held_out_recordings_cannot_be_fitted(tmp_path):
-    write_recording(swinging_recording(split="held_out"), tmp_path / "a.nc")
-    with pytest.raises(ClothbenchError, match=r"found only held-out recordings.*states no fabric.*suite\.case=all"):
+@pytest.mark.parametrize(("fabric", "remedy"), [("paper", "suite.select"), ("", r"states no fabric.*suite\.case=all")])
+def test_only_held_out_recordings_cannot_be_fitted(tmp_path, fabric, remedy):
+    write_recording(swinging_recording(split="held_out", fabric=fabric), tmp_path / "a.nc")
+    with pytest.raises(ClothbenchError, match=f"found only held-out recordings.*{remedy}"):
         cells(tmp_path)
 
 

@@ -115,13 +115,15 @@ def _confusion(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, che
     density = bench.cell.scene.get("areal_density") if np.isnan(mine.areal_density) else mine.areal_density
     fabric, rows = mine.fabric, []
     wanted = {s.name.partition("/")[2] for s in bench.cell.rivals}
-    own = [(t, r) for t, r in zip(bench.trials, bench.recordings, strict=True) if t.name.partition("/")[2] in wanted]
-    others = [read_recording(s.file) for s in bench.cell.rivals]
-    for trial, recording in own + [(bench.remake(r, density), r) for r in others]:
+    # Of a trial the cell's own names tell, in which recordings of one name in several cases have the case before it.
+    both = zip(bench.trials, bench.recordings, strict=True)
+    own = [(t.name, t, r) for t, r in both if t.name.partition("/")[2] in wanted]
+    others = [(s.name, read_recording(s.file)) for s in bench.cell.rivals]
+    for name, trial, recording in own + [(name, bench.remake(r, density), r) for name, r in others]:
         value = evaluate([trial], fit.best[None])[0].value[0]
         rows.append({
-            "fabric": fabric, "recording": recording.name, "recorded_fabric": recording.fabric,
-            "trial": recording.name.partition("/")[2], "value": finite(value),
+            "fabric": fabric, "recording": name, "recorded_fabric": recording.fabric,
+            "trial": name.partition("/")[2], "value": finite(value),
         })  # fmt: skip
     return {"confusion": rows}
 

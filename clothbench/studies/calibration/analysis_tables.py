@@ -9,6 +9,7 @@ from typing import Any
 from rich.markup import escape as escaped
 from rich.table import Table
 
+from clothbench.display.html import group
 from clothbench.display.names import cell_name
 from clothbench.studies.calibration.transfer import Confusion, Transfer, confusions, transfers
 
@@ -181,8 +182,9 @@ def _table(title: str, first: str) -> Table:
 
 
 def _by_key(rows: Rows) -> list[tuple[str, list[dict[str, Any]]]]:
-    keys = dict.fromkeys(r["key"] for r in sorted(rows, key=lambda r: r["case"] or ""))
-    return [(key, [r for r in rows if r["key"] == key]) for key in keys]
+    order = dict.fromkeys(r["key"] for r in sorted(rows, key=lambda r: r["case"] or ""))
+    found = group(rows, lambda r: r["key"])
+    return [(key, found[key]) for key in order]
 
 
 def _number(value: float | None) -> str:

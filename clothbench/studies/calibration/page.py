@@ -132,8 +132,7 @@ def figures(results: Results) -> Section | None:
 def steps(results: Results) -> Section | None:
     """What the trackers made of images, step by step: once for all cells that saw the same."""
     shown: dict[tuple[str, ...], str] = {}
-    for key in sorted({r["key"] for r in results.rows}):
-        row = next(r for r in results.rows if r["key"] == key)
+    for key, row in sorted({r["key"]: r for r in reversed(results.rows)}.items()):
         pictures = sorted((results.store.cell(key) / PICTURES).glob("*.png"))
         if pictures:
             shown.setdefault((row["suite"], row["case"], *(p.name for p in pictures)), strip(pictures))
@@ -158,8 +157,7 @@ def pictures_of_drapes(results: Results) -> Section | None:
 def _pictures(results: Results, folder: str, pattern: str, title: str, about: str) -> Section | None:
     """The pictures that cells have in a folder, cell by cell."""
     parts = []
-    for key in sorted({r["key"] for r in results.rows}):
-        row = next(r for r in results.rows if r["key"] == key)
+    for key, row in sorted({r["key"]: r for r in reversed(results.rows)}.items()):
         if pictures := sorted((results.store.cell(key) / folder).glob(pattern)):
             name = f"{text(row['case'])} · {model_name(row)} · {text(row['optimizer'])}"
             parts.append(f"<h3>{name}</h3>{strip(pictures)}")

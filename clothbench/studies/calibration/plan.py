@@ -218,7 +218,7 @@ def rivals(sources: Sequence[Source], cases: Mapping[str, Sequence[Source]]) -> 
     """The recordings of other fabrics ("FABRIC/TRIAL") whose trial is one that this case could have fitted."""
     known = {s.name: s for mine in cases.values() for s in mine}
     fitted = {s.name for mine in cases.values() for s in mine if s.split == "fit"}
-    trials = {s.name.partition("/")[2] for s in sources if s.name in fitted}
+    trials = {s.name.partition("/")[2] for s in sources if s.name in fitted} - {""}
     mine = {s.name for s in sources}
     return [s for name, s in sorted(known.items()) if name.partition("/")[2] in trials and name in fitted - mine]
 

@@ -16,9 +16,10 @@ paper says. Its recordings are not these: read it as the size to be expected.</p
 def published_section(results: Results) -> Section | None:
     """A table per metric that a paper has figures of; None if there is none."""
     about = {r["key"]: r for r in results.rows}
-    traces = {key: results.store.table("trace", [key]) for key in about}
+    published = results.table("published")
+    traces = {key: results.store.table("trace", [key]) for key in {p["key"] for p in published}}
     parts = []
-    for metric, said in group(results.table("published"), lambda p: p["metric"]).items():
+    for metric, said in group(published, lambda p: p["metric"]).items():
         body = []
         for key in sorted({p["key"] for p in said} & set(about), key=lambda k: (about[k]["case"], k)):
             mine = [t for t in traces[key] if t["metric"] == metric]

@@ -10,14 +10,13 @@ The tables (`improve.schema`) lie beside them in a cell, and in FOLDER/tables wh
 from __future__ import annotations
 
 import shutil
-from collections.abc import Mapping, Sequence
-from itertools import chain, count
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from clothbench.core.files import file_name, json_text, whole_files
+from clothbench.core.files import file_names, json_text, whole_files
 from clothbench.studies.improve.document import VERDICT, verdict_document
-from clothbench.studies.improve.evidence import Comparison, Rows
+from clothbench.studies.improve.evidence import Rows
 from clothbench.studies.improve.finding import Finding
 from clothbench.studies.improve.page import common_html, page_html
 from clothbench.studies.improve.schema import IMPROVE_TABLES
@@ -35,7 +34,7 @@ def write_files(folder: Path, finding: Finding, tables: Mapping[str, Rows], reru
     from clothbench.studies.improve.rerun_file import write_recording_file
 
     (folder / "rerun").mkdir()
-    for name, one in zip(file_names(finding.comparisons), finding.comparisons, strict=True):
+    for name, one in zip(file_names([c.case.name for c in finding.comparisons]), finding.comparisons, strict=True):
         path = folder / "rerun" / f"{name}.rrd"
         write_recording_file(path, one, label(finding), finding.floor, finding.evidence.unit)
 
@@ -62,13 +61,3 @@ def label(finding: Finding) -> str:
     """ "mass_spring, after: + clock_offset" """
     added = "".join(f" + {name}" for name in finding.final.effects)
     return finding.model + (f", after:{added}" if added else "")
-
-
-def file_names(comparisons: Sequence[Comparison]) -> list[str]:
-    """The recordings' names as file names, each once."""
-    out: list[str] = []
-    for one in comparisons:
-        name = file_name(one.case.name)
-        numbered = (f"{name}-{number}" for number in count(len(out) + 1))
-        out.append(next(free for free in chain([name], numbered) if free not in out))
-    return out
