@@ -26,9 +26,8 @@ FIT_OF_DEPTH = (
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command; returns the exit code. Errors a user can cause are one line on standard error."""
-    for stream in (sys.stdout, sys.stderr):  # one that cannot write every letter shows another in its place
-        if isinstance(stream, TextIOWrapper):
-            stream.reconfigure(errors="backslashreplace" if stream is sys.stderr else "replace")
+    if isinstance(sys.stdout, TextIOWrapper):  # where not every letter can be written, another stands in its place
+        sys.stdout.reconfigure(errors="replace")
     with kept_on():
         return _main(argv)
 

@@ -200,13 +200,13 @@ def initial_shape(scene: Scene, uv: np.ndarray) -> np.ndarray:
     if scene.start is None:
         return _hung_free(scene, uv)
     seen = np.isfinite(scene.start).all(axis=1)
-    at = scene.points[seen] / [scene.width, scene.height]
+    size = np.array([scene.width, scene.height])
+    at = scene.points[seen] / size
     if seen.sum() < 6 or np.linalg.matrix_rank(at - at[0], ALIGNED) < 2:  # too few, or all on one line, to say more
         return _hung_free(scene, uv)  # about the shape than the grips do
     hung = _hung_flat(scene, uv)
     from scipy.interpolate import RBFInterpolator
 
-    size = np.array([scene.width, scene.height])
     away = scene.start[seen] - _hung_flat(scene, scene.points[seen])
     try:
         return hung + RBFInterpolator(at, away, smoothing=1e-3, neighbors=min(50, len(at)))(uv / size)

@@ -40,11 +40,13 @@ class Cover:
         None: as far as the lines go.
         """
         size = size or (float(lines[0][-1]), float(lines[1][-1]))
-        quarter = covered(outline, _halved(lines[0]), _halved(lines[1]))
-        halves = [_halved(np.clip(of_one, 0.0, length)) for of_one, length in zip(lines, size, strict=True)]
-        for half, length in zip(halves, size, strict=True):
+        halves = [_halved(of_one) for of_one in lines]
+        to_hems = [_halved(np.clip(of_one, 0.0, length)) for of_one, length in zip(lines, size, strict=True)]
+        for half, length in zip(to_hems, size, strict=True):
             half[[0, -1]] = 0.0, length
-        return cls(*lines, quarter, covered(outline, *halves))
+        quarter = covered(outline, *halves)
+        same = all(map(np.array_equal, halves, to_hems))  # as nearly always; it is dear
+        return cls(*lines, quarter, quarter if same else covered(outline, *to_hems))
 
     @cached_property
     def share(self) -> np.ndarray:
@@ -60,7 +62,7 @@ class Cover:
                 f"outline: {found.sum()} nodes of a grid of {len(self.u)} × {len(self.v)} lie in it, expected at least "
                 "9; raise the resolution"
             )
-        if not (found[:-1, :-1] & found[:-1, 1:] & found[1:, :-1] & found[1:, 1:]).any():
+        if not _whole_cells(found).any():
             raise ClothbenchError(
                 f"outline: no whole cell of a grid of {len(self.u)} × {len(self.v)} nodes lies in it, expected some; "
                 "raise the resolution"
@@ -81,8 +83,7 @@ class Cover:
     @cached_property
     def cells(self) -> np.ndarray:
         """Which share of each cell is cloth (nv − 1, nu − 1), 0 where a corner is off it."""
-        whole = self.nodes[:-1, :-1] & self.nodes[:-1, 1:] & self.nodes[1:, :-1] & self.nodes[1:, 1:]
-        return np.where(whole, self.boxes(1, 1), 0.0)
+        return np.where(_whole_cells(self.nodes), self.boxes(1, 1), 0.0)
 
     def triangles(self, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Those of a grid's triangles (F, 3), `grid_triangles`, whose corners are all of the cloth, and which share of
@@ -140,6 +141,11 @@ class Cover:
     @cached_property
     def _node_area(self) -> np.ndarray:
         return self._held(self.carried, 0, 0) * np.outer(spaces(self.v), spaces(self.u))
+
+
+def _whole_cells(nodes: np.ndarray) -> np.ndarray:
+    """Which cells (nv − 1, nu − 1) have all four corners among the nodes (nv, nu)."""
+    return nodes[:-1, :-1] & nodes[:-1, 1:] & nodes[1:, :-1] & nodes[1:, 1:]
 
 
 def _halved(lines: np.ndarray) -> np.ndarray:

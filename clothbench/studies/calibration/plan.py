@@ -254,14 +254,11 @@ def group(
     out = {case: resplit(sources, seed=0) for case, sources in sorted(cases.items())}
     for case, sources in out.items():
         if fitted and not any(s.split == "fit" for s in sources):
-            alone = by not in ("all", "recording") and len(sources) == 1 and case == sources[0].name
+            remedy = "see suite.select"
+            if by not in ("all", "recording") and [s.name for s in sources] == [case]:
+                remedy = f"it states no {by}, so that it is a case of its own: suite.case=all"
             raise ClothbenchError(
-                f"case {case!r}: found only held-out recordings, expected at least one to fit; "
-                + (
-                    f"it states no {by}, so that it is a case of its own: suite.case=all"
-                    if alone
-                    else "see suite.select"
-                )
+                f"case {case!r}: found only held-out recordings, expected at least one to fit; {remedy}"
             )
     require_own_names([s for sources in out.values() for s in sources])
     return out

@@ -23,7 +23,8 @@ def run(cell: ImproveCell, context: Context) -> Result:
         context.progress(done, planned)
 
     problem = prepare(cell, context.plugins, context.checkpoint, context.kept, context.elsewhere)
-    with compiled_ahead(problem, cell.candidates):
+    in_loops = () if cell.kind == "curve" else cell.candidates  # a curve is no run in time
+    with compiled_ahead(problem, in_loops):
         finding = improve(problem, cell.candidates, told, cell.timeout)
     stated = {"bounds": {n: list(ends) for n, ends in cell.bounds.items()}, "resolution": cell.scene.get("resolution")}
     finding = dataclasses.replace(finding, settings=stated)
