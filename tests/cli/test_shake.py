@@ -55,7 +55,7 @@ def test_improve_asks_about_each_fabric_by_itself(clothbench, tmp_path):
         (("+suite=shake_alpha", "+options.depth_mesh.method=conformal"), "expected one of isometric, harmonic"),
         (("+suite=shake_alpha", "tracker=markers"), "does not read; take tracker=cloud_template or depth_mesh"),
         (("+suite=shake_improve", "tracker=markers"), "does not read; take tracker=cloud_template or depth_mesh"),
-        (("+suite=shake_alpha", "recordings=builtin:shake_nodes"), "kind 'nodes', which the tracker 'depth_mesh' does not read"),
+        (("+suite=shake_alpha", "recordings=builtin:shake_nodes"), "found kind 'nodes', which the tracker"),
         (("+suite=shake_improve", "suite.select=[silk/*]"), "matches none of 20 recordings"),
         (("+suite=shake_improve", "suite.case=weather"), "setting 'suite.case' is 'weather', expected fabric"),
         (("+suite=shake_improve", "model=[kirchhoff_love]", "scene.start=measured"), "model 'kirchhoff_love'"),
