@@ -35,7 +35,7 @@ from clothbench.studies.improve.candidates import unusable
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.common import common_document
 from clothbench.studies.improve.document import document_in
-from clothbench.studies.improve.files import publish
+from clothbench.studies.improve.files import publish, require_own_page
 from clothbench.studies.improve.plan import NOT_ASKED
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.terminal import verdict_lines
@@ -69,6 +69,7 @@ def command(words: Sequence[str], as_json: bool = False) -> int:
             "found several optimizers or fabrics, expected one; for more: clothbench run +suite=improve …"
         )
     out = Path(settings["out"])
+    require_own_page(out)
     store = Store(out)
     say_idle(words, cells)
     for remark in remarks(cells[0], plugins, all_tried=settings["suite"]["candidates"] is None):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shlex
 import signal
 import socket
 import subprocess
@@ -23,7 +24,7 @@ def open_viewer(out: Path, name: str, web: bool = False) -> int:
     viewer's exit code. web: in a browser, served on the loopback address; so it is where there is no display, too.
     """
     with tempfile.TemporaryDirectory(prefix="clothbench-") as made:
-        file = improved(out, name) if (out / "verdict.json").is_file() else fitted(out, name, Path(made))
+        file = file_of(out, name, Path(made))
         command = [sys.executable, "-m", "rerun", str(file)]
         if not web and has_display():
             return subprocess.run(command, check=False).returncode
@@ -82,6 +83,33 @@ def free_ports(count: int) -> list[int]:
             door.close()
 
 
+def file_of(out: Path, name: str, made: Path) -> Path:
+    """The Rerun file that `name` means in `out`, where a run and a verdict of `improve` may both lie: then it is said
+    which of them it is of. A name that both know is the verdict's; what the run left goes by the key of its cell.
+    made: a folder for a file that has to be made.
+    """
+    from clothbench.core.files import file_name
+    from clothbench.studies.improve.document import VERDICT
+    from clothbench.studies.improve.files import rerun_files
+
+    if not (out / VERDICT).is_file():
+        return fitted(out, name, made)
+    judged, run = rerun_files(out), fit_rows(out)
+    file = judged.get(name) or next((f for f in judged.values() if f.stem == file_name(name)), None)
+    if not run and file is None:
+        raise ClothbenchError(f"{out}: found no recording {name!r}; there are: {', '.join(judged) or 'none'}")
+    if file is None:
+        try:
+            file = fitted(out, name, made)
+        except ClothbenchError as fault:
+            raise ClothbenchError(f"{fault}; of improve: {', '.join(judged) or 'none'}") from None
+        print(f"view:   a fit of clothbench run; the verdict of improve here is on: {', '.join(judged) or 'none'}")
+    elif key := next(iter(cells_of(run, name)), None):
+        other = f"clothbench view {key} --out {shlex.quote(str(out))}"
+        print(f"view:   {name} as improve judged it; as clothbench run fitted it: {other}")
+    return file
+
+
 def fitted(out: Path, name: str, made: Path) -> Path:
     """The Rerun file of a cell, or of the best fit of a case; where its run wrote none, one of its films, below the
     folder `made`.
@@ -96,19 +124,11 @@ def fitted(out: Path, name: str, made: Path) -> Path:
         return best
     if films := sorted((folder / "films").glob("*.npz")):
         return write_film_rerun(made / "films.rrd", Store(out), folder.name, films)
+    if (folder / "verdict.json").is_file():
+        raise ClothbenchError(f"cell {folder.name} is of improve: view one of its recordings with --out {folder}")
     raise ClothbenchError(
         f"cell {folder.name} has neither fit.rrd nor films: it failed, or an older version ran it; see the leaderboard"
     )
-
-
-def improved(out: Path, name: str) -> Path:
-    """The Rerun file of one recording in a folder of `clothbench improve`."""
-    from clothbench.core.files import file_name
-
-    names = sorted(p.stem for p in (out / "rerun").glob("*.rrd"))
-    if file_name(name) not in names:
-        raise ClothbenchError(f"{out}: found no recording {name!r}; there are: {', '.join(names) or 'none'}")
-    return out / "rerun" / f"{file_name(name)}.rrd"
 
 
 def find_cell(out: Path, name: str) -> Path:
@@ -136,11 +156,18 @@ def find_cell(out: Path, name: str) -> Path:
     )
 
 
-def names_in(out: Path) -> list[str]:
-    """Cases of a run, then its recordings, as `find_cell` takes them; those that were fitted come first."""
+def fit_rows(out: Path) -> list[dict[str, Any]]:
+    """Rows with the error that a fit minimised; those of `improve` are of a verdict, which has files of its own."""
     from clothbench.engine.store import Store
+    from clothbench.studies.improve.cell import ImproveCell
 
     rows = [r for r in Store(out).rows() if r["value"] is not None and r["metric"] == r["objective"]]
+    return [r for r in rows if r["study"] != ImproveCell.study]
+
+
+def names_in(out: Path) -> list[str]:
+    """Cases of a run, then its recordings, as `find_cell` takes them; those that were fitted come first."""
+    rows = fit_rows(out)
     recordings = sorted((r["split"] != "fit", r["recording"]) for r in rows if r["recording"])
     return list(dict.fromkeys([*sorted({r["case"] for r in rows}), *(name for _, name in recordings)]))
 
@@ -150,26 +177,31 @@ def _listed(names: list[str]) -> str:
 
 
 def best_cell_of(out: Path, name: str) -> str | None:
-    """Key of the cell that comes nearest to what it was fitted to, of those whose case or recording is called so; those
-    that were fitted to it come first. Only cells that minimised the same metric are compared: the one that most of them
-    have, of several the first by name. Of a recording "CASE/NAME" that is the only one the last part will do, as tables
-    call it. Says which it is where there are several.
-    """
-    from clothbench.engine.store import Store
+    """Key of the best of `cells_of` the rows of a folder. Says which it is where there are several."""
+    found = cells_of(fit_rows(out), name)
+    if len(found) > 1:
+        key, row = next(iter(found.items()))
+        print(f"view:   cell {key[:8]} ({_about(row)}); further: {', '.join(k[:8] for k in list(found)[1:9])}")
+    return next(iter(found), None)
 
-    rows = [r for r in Store(out).rows() if r["value"] is not None and r["metric"] == r["objective"]]
+
+def cells_of(rows: list[dict[str, Any]], name: str) -> dict[str, dict[str, Any]]:
+    """Keys of the cells whose case or recording is called so, with a row of each: first the one that comes nearest to
+    what it was fitted to; those that were fitted to it come before others. Only cells that minimised the same metric
+    are compared: the one that most of them have comes first, of several the first by name. Of a recording "CASE/NAME"
+    that is the only one the last part will do, as tables call it.
+    """
     mine = [r for r in rows if name in (r["case"], f"{r['suite']} · {r['case']}", r["recording"])]
     if not mine:  # as the table of a run calls a recording below its case
         mine = [r for r in rows if (r["recording"] or "").rpartition("/")[2] == name]
         if len({r["recording"] for r in mine}) != 1:
-            return None
+            return {}
     cells = {metric: len({r["key"] for r in mine if r["metric"] == metric}) for metric in {r["metric"] for r in mine}}
     metrics = sorted(cells, key=lambda metric: (-cells[metric], metric))
-    order = sorted(mine, key=lambda r: (metrics.index(r["metric"]), r["split"] != "fit", r["value"], r["key"]))
-    keys = list(dict.fromkeys(r["key"] for r in order))
-    if len(keys) > 1:
-        print(f"view:   cell {keys[0][:8]} ({_about(order[0])}); further: {', '.join(k[:8] for k in keys[1:9])}")
-    return keys[0]
+    out: dict[str, dict[str, Any]] = {}
+    for row in sorted(mine, key=lambda r: (metrics.index(r["metric"]), r["split"] != "fit", r["value"], r["key"])):
+        out.setdefault(row["key"], row)
+    return out
 
 
 def _about(row: dict[str, Any]) -> str:

@@ -76,7 +76,9 @@ def done(place) -> tuple[Path, subprocess.CompletedProcess[str]]:
     """The folder that the command filled, and what it said."""
     (place / "found" / "tables").mkdir(parents=True)
     (place / "found" / "notes.txt").write_text("mine")
-    (place / "found" / "tables" / "old.parquet").write_text("of an earlier run")
+    (place / "found" / "tables" / "own.parquet").write_text("mine")
+    (place / "found" / "rerun").mkdir()
+    (place / "found" / "rerun" / "static_dynamic_fleece-0123abcd.rrd").write_text("of a run")
     ran = improve(place, "recordings=rec", *SMALL, "candidates=clock_offset,gravity_tilt", "out=found")
     assert ran.returncode == 0, ran.stderr
     return place / "found", ran
@@ -137,9 +139,10 @@ def test_the_page_is_self_contained_and_says_what_was_found(done):
         assert f'id="{name}-0"' in own
 
 
-def test_rerun_files_lie_beside_and_nothing_of_an_older_run(done):
+def test_rerun_files_lie_beside_what_others_left(done):
     folder, ran = done
-    assert sorted(p.name for p in (folder / "rerun").iterdir()) == [f"sway-{n}.rrd" for n in range(4)]
+    files = [*(f"sway-{n}.rrd" for n in range(4)), "static_dynamic_fleece-0123abcd.rrd"]
+    assert sorted(p.name for p in (folder / "rerun").iterdir()) == sorted(files)
     assert all((folder / "rerun" / f"sway-{n}.rrd").read_bytes()[:4] == b"RRF2" for n in range(4))
     assert sorted(p.name for p in folder.iterdir()) == [
         "cells",
@@ -150,7 +153,7 @@ def test_rerun_files_lie_beside_and_nothing_of_an_older_run(done):
         "tables",
         "verdict.json",
     ]
-    assert sorted(p.stem for p in (folder / "tables").iterdir()) == sorted(IMPROVE_TABLES)
+    assert sorted(p.stem for p in (folder / "tables").iterdir()) == sorted([*IMPROVE_TABLES, "own"])
     for word in ("verdict: attributed", "index.html", "tables", "rerun", "clothbench view sway-3 --out found"):
         assert word in ran.stdout
     assert "calibrate" in ran.stderr

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from test_curves import problem_of, runs
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import file_names
 from clothbench.core.observation import Observation
 from clothbench.core.parameters import Parameter, ParameterSpace
@@ -21,11 +22,12 @@ from clothbench.plugins.discovery import catalogue
 from clothbench.studies import improve as room
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.document import document_in, verdict_document
-from clothbench.studies.improve.files import write_files
+from clothbench.studies.improve.files import publish, require_own_page, rerun_files, write_files
 from clothbench.studies.improve.fitting import fit, search_settings
 from clothbench.studies.improve.loop import improve
 from clothbench.studies.improve.page import page_html
 from clothbench.studies.improve.problem import residuals
+from clothbench.studies.improve.schema import IMPROVE_TABLES
 from clothbench.studies.improve.sheet_tables import summary
 from clothbench.studies.improve.sheets import SheetCase
 from clothbench.studies.improve.tables import drift_rows, finding_tables
@@ -116,6 +118,53 @@ def test_recordings_are_filed_under_a_name_each():
     for names in (("a b", "a b-3", "a_b"), ("x", "x-3", "x"), ("x", "x-2", "x-3", "x", "x-2")):
         found = file_names(names)
         assert len(set(found)) == len(names)
+
+
+def verdict_cell(store: Path, key: str, *recordings: str) -> Path:
+    """The folder of a finished cell, as far as it is published."""
+    cell = store / "cells" / key
+    (cell / "rerun").mkdir(parents=True)
+    said = {"key": key, "model": key, "recordings": {"fit": recordings, "held_out": []}}
+    (cell / "verdict.json").write_text(json.dumps(said))
+    for name in ("index.html", "rows.parquet", *(f"{table}.parquet" for table in IMPROVE_TABLES)):
+        (cell / name).write_text(key)
+    for name in file_names(recordings):
+        (cell / "rerun" / f"{name}.rrd").write_text(key)
+    return cell
+
+
+def test_only_what_an_earlier_verdict_left_makes_way_for_a_new_one(tmp_path):
+    others = ("rerun/static_dynamic_fleece-0123abcd.rrd", "tables/mine.parquet", "tables/rows.parquet", "notes.txt")
+    for name in others:
+        (tmp_path / name).parent.mkdir(exist_ok=True)
+        (tmp_path / name).write_text("not of improve")
+    one = verdict_cell(tmp_path, "aa", "case/a [1]", "case/a_1_", "b")
+    (one / "gone.parquet").write_text("a table that later versions do not have")
+    publish(one, tmp_path)
+    (tmp_path / "tables" / "gone.parquet").write_text("as an earlier version published it")
+    found = rerun_files(tmp_path)
+    assert list(found) == ["case/a [1]", "case/a_1_", "b"]
+    assert len(set(found.values())) == 3
+    publish(verdict_cell(tmp_path, "bb", "b", "c"), tmp_path)
+    assert {name: path.read_text() for name, path in rerun_files(tmp_path).items()} == {"b": "bb", "c": "bb"}
+    expected = {*others, "rerun/b.rrd", "rerun/c.rrd", *(f"tables/{name}.parquet" for name in IMPROVE_TABLES)}
+    assert {f"{p.parent.name}/{p.name}" for folder in ("rerun", "tables") for p in (tmp_path / folder).iterdir()} == (
+        expected - {"notes.txt"}
+    )
+    assert all((tmp_path / name).read_text() == "not of improve" for name in others)
+    common = {"key": "cc", "model": "aa", "models": [{"key": "aa"}, {"key": "bb"}]}
+    (tmp_path / "verdict.json").write_text(json.dumps(common))
+    publish(verdict_cell(tmp_path, "dd", "d"), tmp_path)
+    assert sorted(p.name for p in (tmp_path / "rerun").iterdir()) == ["d.rrd", "static_dynamic_fleece-0123abcd.rrd"]
+
+
+def test_a_page_of_another_command_is_not_replaced(tmp_path):
+    require_own_page(tmp_path)
+    (tmp_path / "index.html").write_text("<title>clothbench: submissions</title>")
+    with pytest.raises(ClothbenchError, match=r"index.html: found a page that improve did not make, .* another out="):
+        require_own_page(tmp_path)
+    (tmp_path / "index.html").write_text("<title>clothbench: improve mass_spring</title>")  # without its verdict yet
+    require_own_page(tmp_path)
 
 
 def test_options_and_bounds_reach_the_search():

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import shutil
 import signal
 import subprocess
@@ -285,6 +286,33 @@ def test_view_takes_the_names_that_the_page_shows(run_without_rerun, name, monke
     data, page = (command[command.index(word) + 1] for word in ("--port", "--web-viewer-port"))
     assert f"http://127.0.0.1:{page}?url=rerun%2Bhttp%3A%2F%2F127.0.0.1%3A{data}%2Fproxy" in said
     assert not Path(command[3]).exists()
+
+
+def test_view_finds_what_run_and_improve_left_in_one_folder(run_without_rerun, tmp_path, capsys):
+    """A name that both know is the verdict's, and the cell of the run stands beside it; other names are the run's."""
+    folder, made = tmp_path / "runs", tmp_path / "made"
+    shutil.copytree(run_without_rerun, folder)
+    made.mkdir()
+    (key,) = (path.name for path in (folder / "cells").iterdir())
+    (best,) = write_best(Store(folder), [key])
+    (folder / "rerun" / "swing-1.rrd").touch()
+    document = {"key": "e" * 16, "recordings": {"fit": ["swing-1"], "held_out": ["swing-9"]}}
+    (folder / "verdict.json").write_text(json.dumps(document))
+    row = Store(folder).rows()[0] | {
+        "study": "improve", "case": "cotton <b>", "metric": "rms_error", "objective": "rms_error", "value": 0.0,
+        "recording": None, "key": "e" * 16,
+    }  # fmt: skip
+    Store(folder).put("e" * 16, {"rows": [row]})
+    (folder / "cells" / ("e" * 16) / "verdict.json").write_text("{}")
+    assert view.file_of(folder, "swing-1", made) == folder / "rerun" / "swing-1.rrd"
+    assert f"as improve judged it; as clothbench run fitted it: clothbench view {key}" in capsys.readouterr().out
+    for name in (key, "swing-22", "cotton <b>"):
+        assert view.file_of(folder, name, made) == best
+        assert "a fit of clothbench run; the verdict of improve here is on: swing-1" in capsys.readouterr().out
+    with pytest.raises(ClothbenchError, match=r"found no case, .* swing-1, swing-22; of improve: swing-1"):
+        view.file_of(folder, "swing-9", made)
+    with pytest.raises(ClothbenchError, match="is of improve: view one of its recordings with --out"):
+        view.file_of(folder, "eeee", made)
 
 
 def test_the_web_viewer_answers_on_the_loopback_address(run_without_rerun):
