@@ -240,7 +240,7 @@ def _suggest(sub: argparse.ArgumentParser) -> None:
         help="model=NAME [out=DIR] [effects=NAME,…] [tied=ONE,OTHER] [verdict=FOLDER of improve] "
         "[rank=information|tie|PARAMETER] [max_speed=M/S] [max_acceleration=M/S²] [reach=M] [durations=S,…] "
         "[grips=NAME,…] [cameras=all|NAME,…] [camera.kind=colour|depth] [draws=N] [best=N], "
-        "and what improve takes of recordings and models",
+        "and what improve takes of recordings and models; of a cell, recordings=PATH if they were moved",
     )  # fmt: skip
     sub.add_argument("--runs", default=DEFAULT_OUT, metavar="FOLDER", help="results folder of a cell (default: runs)")
 
@@ -295,6 +295,13 @@ def _export(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--to", required=True, metavar="TARGET", help="mujoco, newton, usd, ppf, json, or a plugin's")
     sub.add_argument("--out", type=Path, metavar="FILE", help="the file to write (default: named after the cell, here)")
     sub.add_argument("--runs", default=DEFAULT_OUT, metavar="FOLDER", help="results folder (default: runs)")
+    sub.add_argument(
+        "--recordings",
+        nargs="+",
+        default=[],
+        metavar="PATH",
+        help="where the cell's recordings lie, if they were moved",
+    )
 
 
 def _units(sub: argparse.ArgumentParser) -> None:

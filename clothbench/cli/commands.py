@@ -321,7 +321,7 @@ def view(options: argparse.Namespace) -> int:
 def export(options: argparse.Namespace) -> int:
     from clothbench.cli.export import export as command
 
-    return command(options.name, options.to, _folder_of(options.runs), options.out)
+    return command(options.name, options.to, _folder_of(options.runs), options.out, options.recordings)
 
 
 def submit(options: argparse.Namespace) -> int:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 from clothbench.cli.view import find_cell
@@ -11,15 +12,16 @@ from clothbench.core.files import file_name, whole_file
 from clothbench.core.protocols import Material
 from clothbench.plugins.discovery import catalogue
 from clothbench.reference.presets import presets
+from clothbench.studies.calibration.whereabouts import hashes
 from clothbench.twins.of_cell import FittedCell, brought, twin_of_cell
 from clothbench.twins.of_preset import twin_of_preset
 
 PRESET = "preset:"  # before the name of a class of fabrics, where a cell is called so, too
 
 
-def fitted(name: str, results: Path) -> FittedCell | None:
+def fitted(name: str, results: Path, recordings: Sequence[str] = ()) -> FittedCell | None:
     """The cell that is meant; None for a preset that no cell, case or recording is called like, or that is asked for as
-    preset:NAME. Says which it is where both are there.
+    preset:NAME. Says which it is where both are there. recordings: where those of the cell lie now.
     """
     if name.startswith(PRESET):
         return None
@@ -35,17 +37,19 @@ def fitted(name: str, results: Path) -> FittedCell | None:
             f"clothbench: {name}: taken for the cell {key} of {results}; the class of fabrics is {PRESET}{name}",
             file=sys.stderr,
         )
-    return FittedCell.of(results, key)
+    return FittedCell.of(results, key, hashes(recordings))
 
 
-def export(name: str, target: str, results: Path, out: Path | None) -> int:
+def export(name: str, target: str, results: Path, out: Path | None, recordings: Sequence[str] = ()) -> int:
     """Write the twin of what `name` means in `results` for `target`; says where, and what the target cannot hold."""
     exporter = catalogue().load("exporters", target)
     if reason := exporter.skip_reason():
         raise ClothbenchError(f"--to {target}: {reason}")
     if out is not None and str(out) == "-":
         raise ClothbenchError("--out -: an export is a file, which others name; give one, as --out cloth.xml")
-    fit, named = fitted(name, results), name.removeprefix(PRESET)
+    fit, named = fitted(name, results, recordings), name.removeprefix(PRESET)
+    if fit is None and recordings:
+        raise ClothbenchError(f"found --recordings beside the class of fabrics {named!r}, which has none; leave it out")
     path = out or Path(f"{file_name(named)}{exporter.suffix}")
     if path.is_dir():
         raise ClothbenchError(f"--out {path} is a folder; give a file, for example {path / 'cloth'}{exporter.suffix}")

@@ -16,6 +16,7 @@ from clothbench.core.files import json_text
 from clothbench.core.parallel import set_thread_count
 from clothbench.display.terminal import console
 from clothbench.plugins.discovery import Catalogue, catalogue
+from clothbench.studies.calibration.whereabouts import hashes
 from clothbench.studies.improve.document import VERDICT
 from clothbench.studies.improve.plan import NOT_ASKED as REFUSED
 from clothbench.studies.improve.problem import Problem
@@ -27,7 +28,8 @@ from clothbench.suggest.source import problem_of_cell, problem_of_settings, requ
 from clothbench.suggest.subject import first_case, rate_of, sensor_of, subject_of
 
 OUT = "suggest"
-OWN = (*WORDS, "effects", "tied", "verdict")
+MOVED = "recordings"  # beside a cell: where its recordings lie, if they were moved
+OWN = (*WORDS, "effects", "tied", "verdict", MOVED)
 NOT_ASKED = ("recordings", "candidates", "rerun", "executor", "jobs")  # words of improve that mean nothing here
 OF_RECORDINGS = tuple(word for word in RECORDING_WORDS if word not in NOT_ASKED)
 SHOWN = 10  # lines of the table
@@ -94,6 +96,8 @@ def asked(name: str, given: Mapping[str, str], runs: Path, out: Path, plugins: C
         raise ClothbenchError(f"{name}: found a verdict of improve; give RECORDINGS model=NAME verdict={name}")
     if not (place.exists() or ":" in name):
         return of_cell(name, given, runs, plugins)
+    if MOVED in given:
+        raise ClothbenchError(f"found {MOVED}={given[MOVED]} beside {name}, which names them; leave one of them out")
     if place.is_dir() and out.resolve().is_relative_to(place.resolve()):
         raise ClothbenchError(
             f"out={out} lies in {name}, where what is only expected would be taken for recordings; give another out="
@@ -134,9 +138,9 @@ def of_cell(name: str, given: Mapping[str, str], runs: Path, plugins: Catalogue)
         key = find_cell(runs, name).name
     except ClothbenchError as fault:
         raise ClothbenchError(f"{name}: no such file or folder, and {fault}") from None
-    if strays := [key for key in given if key.partition(".")[0] not in (*WORDS, "out")]:
+    if strays := [key for key in given if key.partition(".")[0] not in (*WORDS, "out", MOVED)]:
         raise ClothbenchError(f"{name}: of a cell of {runs} everything is known: leave {strays[0]}= out")
-    problem, values = problem_of_cell(runs, key, plugins)
+    problem, values = problem_of_cell(runs, key, plugins, hashes([given[MOVED]] if MOVED in given else []))
     return problem, (), (), values
 
 

@@ -130,14 +130,15 @@ def _simulated(
     plugins: Catalogue,
 ) -> list[Entry]:
     """What the parameters that were found make of every recording of a cell, in FOLDER/rollouts/KEY."""
-    bench = set_up(cell, plugins)
+    if unknown := next((source.name for source in cell.recordings if source.hash not in measured), None):
+        raise ClothbenchError(f"cell {key}: recording {unknown!r} is not among those of --recordings; name it")
+    here = tuple(dataclasses.replace(source, path=measured[source.hash].path) for source in cell.recordings)
+    bench = set_up(dataclasses.replace(cell, recordings=here), plugins)
     best = np.array([[values[name] for name in bench.space.names]])
     moving = [name for name in cell.effects if plugins.load("effects", name).place in ("boundary", "sensor")]
     entries = []
     names = file_names([source.name for source in cell.recordings])
-    for name, source, trial in zip(names, cell.recordings, bench.trials, strict=True):
-        if source.hash not in measured:
-            raise ClothbenchError(f"cell {key}: recording {source.name!r} is not among those of --recordings; name it")
+    for name, source, trial in zip(names, here, bench.trials, strict=True):
         of = read_recording(source.path)
         path = folder / ROLLOUTS / key / f"{name}.nc"
         position = trial.simulation.run(best).position[0][:, : len(of.material)]

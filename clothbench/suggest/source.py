@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -14,7 +15,8 @@ from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording
 from clothbench.recordings.scenes import scenes_of
-from clothbench.studies.calibration.cell import asked_and_fitted, set_up, with_recordings
+from clothbench.studies.calibration.cell import asked_and_fitted, set_up
+from clothbench.studies.calibration.whereabouts import found_again
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.document import VERDICT, document_in
 from clothbench.studies.improve.prepare import prepare
@@ -83,11 +85,16 @@ def require_same(problem: Problem, document: Mapping[str, Any], folder: Path) ->
         )
 
 
-def problem_of_cell(runs: Path, key: str, plugins: Catalogue) -> tuple[Problem, dict[str, float]]:
-    """The fitted recordings of a calibration with its model, and the values that were found."""
+def problem_of_cell(
+    runs: Path, key: str, plugins: Catalogue, named: Mapping[str, str]
+) -> tuple[Problem, dict[str, float]]:
+    """The fitted recordings of a calibration with its model, and the values that were found. named: where recordings
+    lie that have moved, by hash.
+    """
     cell, fitted = asked_and_fitted(Store(runs), key)
-    mine = tuple(source for source in cell.recordings if source.split == "fit")
-    bench = set_up(with_recordings(cell, key, mine), plugins, runs / TRACKED)
+    fitted_to = [source for source in cell.recordings if source.split == "fit"]
+    mine = found_again(fitted_to, key, runs, named, "recordings=PATH")
+    bench = set_up(dataclasses.replace(cell, recordings=mine, rivals=()), plugins, runs / TRACKED)
     cases = []
     for source, recording, trial in zip(mine, bench.recordings, bench.trials, strict=True):
         if not isinstance(recording, Recording):

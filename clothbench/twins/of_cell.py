@@ -7,6 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -20,8 +21,9 @@ from clothbench.engine.run import TRACKED
 from clothbench.engine.store import Store
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.scenes import scenes_of
-from clothbench.studies.calibration.cell import Bench, CalibrationCell, asked_and_fitted, set_up, with_recordings
+from clothbench.studies.calibration.cell import Bench, CalibrationCell, asked_and_fitted, set_up
 from clothbench.studies.calibration.estimates import FAR, WIDE, Estimate, estimates
+from clothbench.studies.calibration.whereabouts import found_again
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +38,9 @@ class FittedCell:
     scene: Scene
 
     @classmethod
-    def of(cls, out: Path, key: str) -> FittedCell:
+    def of(cls, out: Path, key: str, named: Mapping[str, str] = MappingProxyType({})) -> FittedCell:
         """Raises a ClothbenchError, one line, where there is no fit, or its recording has gone, or the model does not
-        say which material its parameters make.
+        say which material its parameters make. named: where recordings lie that have moved, by hash.
         """
         store, plugins = Store(out), catalogue()
         cell, fitted = asked_and_fitted(store, key)
@@ -49,7 +51,8 @@ class FittedCell:
                 "so that no other simulator can be told; fit a model that does"
             )
         first = next(s for s in cell.recordings if s.split == "fit")
-        bench = set_up(with_recordings(cell, key, [first]), plugins, out / TRACKED)
+        here = found_again([first], key, out, named, "--recordings PATH")
+        bench = set_up(dataclasses.replace(cell, recordings=here, rivals=()), plugins, out / TRACKED)
         return cls(store, cell, model, fitted, bench, scenes_of(bench.recordings[0], **cell.judged)[0])
 
     @property

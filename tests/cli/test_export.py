@@ -76,10 +76,20 @@ def test_a_fit_leaves_with_units_intervals_and_provenance(clothbench, fitted):
     assert "found no rows of this cell" in done.stderr
     rows.write_bytes(whole)
 
-    (fitted / "swing.nc").unlink()
-    done = clothbench("export", "paper", "--to", "json")
+    elsewhere = fitted / "elsewhere"
+    elsewhere.mkdir()
+    runs = ("--to", "json", "--runs", str(fitted / "runs"))
+    done = clothbench("export", "paper", *runs, cwd=elsewhere)
+    assert (done.returncode, done.stderr) == (0, "")
+    (fitted / "swing.nc").rename(elsewhere / "moved.nc")
+    done = clothbench("export", "paper", *runs)
     assert done.returncode == 2
-    assert "swing.nc: the recording of cell" in done.stderr
+    assert "swing.nc: cell " in done.stderr
+    assert "it is not there any more; say where it lies with --recordings PATH" in done.stderr
+    done = clothbench("export", "paper", *runs, "--recordings", "elsewhere")
+    assert (done.returncode, done.stderr) == (0, "")
+    done = clothbench("export", "denim", *runs, "--recordings", "elsewhere")
+    assert (done.returncode, len(done.stderr.strip().splitlines())) == (2, 1)
 
 
 def test_a_quantity_that_the_recordings_leave_open_is_called_so(fitted, monkeypatch):
@@ -172,7 +182,7 @@ def test_a_cell_and_a_class_of_fabrics_of_one_name_are_told_apart(tmp_path, monk
     """The cell is taken, as ever, and the line says how the class is named."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(command, "find_cell", lambda results, name: results / "cells" / "0123456789abcdef")
-    monkeypatch.setattr(command.FittedCell, "of", lambda results, key: key)
+    monkeypatch.setattr(command.FittedCell, "of", lambda results, key, named: key)
     assert command.fitted("linen", tmp_path) == "0123456789abcdef"
     said = capsys.readouterr().err
     assert said.count("\n") == 1

@@ -270,6 +270,19 @@ def test_a_cell_of_a_run(place, monkeypatch, capsys):
     assert set(found["parameters"]) == {"k1", "k2", "zeta"}
     assert found == json.loads((place / "of_cell" / "suggest.json").read_text())
     assert not (place / "of_cell" / "fits").exists()
+    (place / "elsewhere").mkdir()
+    monkeypatch.chdir(place / "elsewhere")
+    asked = ["suggest", key[:8], f"--runs={place / 'runs'}", "durations=0.4", "draws=0", "best=1", "grips=as recorded"]
+    assert main([*asked, "out=again", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["experiments"] == found["experiments"]
+    away = (place / "rec" / "sway-1.nc").rename(place / "elsewhere" / "moved.nc")
+    try:
+        assert main(asked) == 2
+        assert "is not there any more; say where it lies with recordings=PATH" in capsys.readouterr().err
+        assert main([*asked, "recordings=moved.nc", "out=moved", "--json"]) == 0
+        assert json.loads(capsys.readouterr().out)["experiments"] == found["experiments"]
+    finally:
+        away.rename(place / "rec" / "sway-1.nc")
 
 
 def test_a_cell_keeps_all_that_was_fitted(place, monkeypatch, capsys):

@@ -184,13 +184,6 @@ def asked_and_fitted(store: Store, key: str) -> tuple[CalibrationCell, list[dict
     return asked_again(questions[0]["question"]), fitted
 
 
-def with_recordings(cell: CalibrationCell, key: str, sources: Sequence[Source]) -> CalibrationCell:
-    """The cell of these recordings only; a ClothbenchError, one line, if one of them is not there any more."""
-    if gone := next((source.path for source in sources if not Path(source.path).is_file()), None):
-        raise ClothbenchError(f"{gone}: the recording of cell {key} is not there any more; {AGAIN}")
-    return dataclasses.replace(cell, recordings=tuple(sources), rivals=())
-
-
 def uses(cell: CalibrationCell) -> list[tuple[str, str]]:
     """Every plugin a cell uses, as (kind, name)."""
     single = [("models", cell.model), ("optimizers", cell.optimizer), ("trackers", cell.tracker)]

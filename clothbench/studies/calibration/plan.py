@@ -27,6 +27,7 @@ from clothbench.recordings.scenes import refuse_stated_weight, scenes_of
 from clothbench.reference.presets import Preset, preset
 from clothbench.studies.calibration.cell import CalibrationCell, Names, rehearse, uses
 from clothbench.studies.calibration.settings import analysis_settings, suite_settings
+from clothbench.studies.calibration.whereabouts import lasting
 
 PRODUCT = ("model", "optimizer", "metric")
 
@@ -86,7 +87,10 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
         refuse_strays(settings, {name for names in searched if names for name in names.free}, plugins)
     refuse_unmatched(suite, cases, {r.name for r in recordings} | {_case_of(r, by) for r in recordings})
     refuse_unknown(suite, searched, plugins)
-    return list(cells.values())
+    return [
+        dataclasses.replace(cell, recordings=lasting(cell.recordings), rivals=lasting(cell.rivals))
+        for cell in cells.values()
+    ]
 
 
 def gene_set(
