@@ -26,21 +26,24 @@ def keep(
     reproduced: Collection[str] = (),
     named: bool = True,
 ) -> list[str]:
-    """A cell of the store for each fit, or for each fabric where the fits are not known, with a row for each score and
-    for the mean of each split; gives their keys. Rows show the grade beside the optimizer, or in its place. A cell that
-    is there already makes way for one of the same grade or a better one, so that a submission is there once.
+    """A cell of the store for each fit, or for each fabric where the fits are not known or never saw it, with a row for
+    each score and for the mean of each split; gives their keys. Rows show the grade beside the optimizer, or in its
+    place. A cell that is there already makes way for one of the same grade or a better one, so that a submission is
+    there once.
 
     reproduced: keys of the fits that were run again; named: whether rows may say of which recordings they are; else
     these were never published, and there are means only.
     """
     cells = {asked.key: asked_again(asked.question) for asked in submission.cells}
     versions = plugin_versions([("metrics", metric) for metric in submission.metrics], plugins)
-    groups: dict[tuple[str, str], list[Compared]] = {}
-    for one in found:
-        groups.setdefault((one.cell, one.measured.fabric), []).append(one)
+    groups: dict[tuple[str, str | None], list[Compared]] = {}
+    for one in found:  # a fit that is known is one cell, as in the run, also where it is of several fabrics
+        of_fit = named and one.cell in cells
+        groups.setdefault((one.cell, None if of_fit else one.measured.fabric), []).append(one)
     keys = []
-    for (of, fabric), mine in groups.items():
-        cell = cells.get(of)
+    for (of, _), mine in groups.items():
+        cell, fabrics = cells.get(of), sorted({one.measured.fabric for one in mine})
+        fabric = ", ".join(fabrics)
         grade = VERIFIED if not named else REPRODUCED if of in reproduced else GRADE
         key = content_of(submission) + digest([of, fabric, named], 8)
         case = cell.case if cell is not None and named else fabric
@@ -56,6 +59,8 @@ def keep(
         if _makes_way(store, key, grade):
             store.put(key, {"rows": rows})
         keys.append(key)
+        if len(fabrics) > 1:
+            _remove_parts(store, [content_of(submission) + digest([of, part, named], 8) for part in fabrics])
     return keys
 
 
@@ -73,6 +78,13 @@ def _makes_way(store: Store, key: str, grade: str) -> bool:
     if store.cell(key).exists():
         remove_folder(store.cell(key))
     return True
+
+
+def _remove_parts(store: Store, keys: Sequence[str]) -> None:
+    """Remove the cells by fabric that an older version made of one fit, each with the mean of a part under its name."""
+    for key in keys:
+        if store.cell(key).exists():
+            remove_folder(store.cell(key))
 
 
 def drop(submission: Submission, store: Store) -> None:

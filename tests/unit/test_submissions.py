@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import shlex
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -11,12 +12,14 @@ from conftest import swinging_recording
 
 from clothbench import ClothbenchError, read_recording, write_recording
 from clothbench.cli import main
+from clothbench.cli.run import composed
 from clothbench.cli.submissions import suite_of
+from clothbench.engine.cells import digest
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store
 from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import catalogue
-from clothbench.submissions.kept import keep
+from clothbench.submissions.kept import content_of, keep
 from clothbench.submissions.packing import pack_results
 from clothbench.submissions.reading import read_submission
 from clothbench.submissions.submission import FILE, pack
@@ -156,6 +159,46 @@ def test_what_no_simulation_of_the_recording_can_be_is_refused(folder, changes, 
     with pytest.raises(ClothbenchError, match=found):
         packed(folder)
     assert not (folder / FILE).exists()
+
+
+def handed_in(folder, recordings, case):
+    """A run with `suite.case=CASE` handed in, verified and kept: its own rows, and those of the leaderboard."""
+    settings = composed([
+        f"recordings={recordings}", "model=mass_spring", "optimizer=ga", "metric=node_error", "budget=8",
+        "options.mass_spring.resolution=5", f"suite.case={case}",
+    ])  # fmt: skip
+    for cell in plan(settings, catalogue()):
+        assert run_cell(cell, folder / "runs", rerun=False) == "ok"
+    (wheel := folder / "plugin.whl").write_bytes(b"")
+    known = [read_recording(path) for path in sorted(recordings.glob("*.nc"))]
+    pack_results(folder / "mine", Store(folder / "runs"), [wheel], known, catalogue(), **ABOUT)
+    found = verify(folder / "mine", known, catalogue())
+    assert found.faults == ()
+    kept = Store(folder / "kept")
+    if case == "all":  # a part of it, as older versions kept it
+        part = digest([found.submission.cells[0].key, "satin", True], 8)
+        kept.put(content_of(found.submission) + part, {"rows": Store(folder / "runs").rows()})
+    keys = keep(found.submission, found.found, kept, catalogue())
+    assert keep(found.submission, found.found, kept, catalogue()) == keys
+    return Store(folder / "runs").rows(), kept.rows()
+
+
+@pytest.mark.parametrize(("case", "cases"), [("all", ["all"]), ("fabric", ["linen", "satin"])])
+def test_a_fit_is_kept_whole_whatever_fabrics_it_is_of(tmp_path, case, cases):
+    """One cell for each fit, with the means that the run itself had."""
+    for number, (fabric, split) in enumerate(product(("satin", "linen"), ("fit", "held_out"))):
+        moved = swinging_recording(f"sway-{number}", fabric=fabric, split=split)
+        moved = dataclasses.replace(moved, position=moved.position + 1e-4 * number)
+        write_recording(moved, tmp_path / "recordings" / f"sway-{number}.nc")
+    ran, kept = handed_in(tmp_path, tmp_path / "recordings", case)
+    assert len({row["key"] for row in kept}) == len(cases)
+
+    def values(rows):
+        return {(r["case"], r["split"], r["recording"]): pytest.approx(r["value"], rel=1e-5) for r in rows}
+
+    assert sorted({row["case"] for row in kept}) == cases
+    assert len(kept) == len(values(kept)) == len(ran)
+    assert {at: value.expected for at, value in values(kept).items()} == values(ran)
 
 
 def test_effects_that_move_what_is_held_are_named_and_nothing_is_packed(recordings_folder, tmp_path):
