@@ -277,7 +277,7 @@ def report(options: argparse.Namespace) -> int:
     place = key_values(options.settings, ("out",)).get("out", DEFAULT_OUT)
     if options.watch:
         return watched(place)
-    print(f"page: {write_page(results_in(place).folder)}")
+    print(f"page: {write_page(results_in(place, default='').folder)}")
     return 0
 
 

@@ -81,6 +81,7 @@ def test_help_answers_at_once_and_names_every_command(clothbench):
         (("validate", "nowhere"), "nowhere: no such file or folder"),
         (("leaderboard", "--out", "nowhere"), "nowhere: found no results"),
         (("report", "out=nowhere"), "nowhere: found no results"),
+        (("report",), "runs: found no results (no folder 'cells'); make some with clothbench run … out=runs"),
     ],
 )
 def test_wrong_use_is_one_line_and_exit_2(clothbench, tmp_path, arguments, found):
