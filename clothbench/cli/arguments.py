@@ -8,6 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from clothbench.cli.spelling import Reader
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import require_folder
 
@@ -26,9 +27,9 @@ examples:
 exit codes: 0 done; 1 some cells failed or the gate is broken; 2 wrong use or bad input; 130 stopped with Ctrl+C"""
 
 
-def parser() -> argparse.ArgumentParser:
-    """Of all commands; what is parsed says in `command` which one it is."""
-    out = argparse.ArgumentParser(
+def parser() -> Reader:
+    """Of all commands; what is parsed says in `command` which one it is, and has its own parser as `reader`."""
+    out = Reader(
         prog="clothbench", epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter,
         description="Which cloth model to trust, with which parameters, and what it still gets wrong.",
     )  # fmt: skip
@@ -66,7 +67,7 @@ def parser() -> argparse.ArgumentParser:
 
 def _add(commands: Any, name: str, text: str, *extras: Callable) -> None:
     sub = commands.add_parser(name, help=text, description=f"{text[0].upper()}{text[1:]}.")
-    sub.set_defaults(command=name)
+    sub.set_defaults(command=name, reader=sub)
     for extra in extras:
         extra(sub)
 

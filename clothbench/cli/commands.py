@@ -74,12 +74,12 @@ def parsed(arguments: Sequence[str]) -> argparse.Namespace:
     """The arguments as their command takes them. argparse takes KEY=VALUE words in one go only: those that come after
     an option it leaves over.
     """
-    reader = parser()
-    options, over = reader.parse_known_args(arguments)
+    options, over = parser().parse_known_args(arguments)
     if over and (not hasattr(options, "settings") or any(word.startswith("-") for word in over)):
-        reader.error(f"unrecognized arguments: {' '.join(over)}")
-    if over:
+        options.reader.error(f"unrecognized arguments: {' '.join(over)}")
+    if hasattr(options, "settings"):
         options.settings = [*options.settings, *over]
+        options.reader.require_spelled(options.settings)
     return options
 
 

@@ -20,6 +20,7 @@ from typing import Any
 
 import hydra
 from hydra import compose, initialize_config_module
+from hydra._internal.utils import get_args_parser
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
@@ -33,6 +34,7 @@ from omegaconf.errors import OmegaConfBaseException
 from clothbench.cli.idle import refuse_idle, say_alone, say_idle
 from clothbench.cli.own_suites import require_harmless, settings_among
 from clothbench.cli.results import print_results
+from clothbench.cli.spelling import as_setting
 from clothbench.core.errors import ClothbenchError, known_names
 from clothbench.engine.bucket import is_address
 from clothbench.engine.executors.settings import executor_settings
@@ -82,6 +84,7 @@ class PluginSearchPath(SearchPathPlugin):
 
 def run(arguments: Sequence[str]) -> int:
     """Run `clothbench run ARGUMENTS` and return the exit code."""
+    require_settings(arguments)
     sweep = bool({"-m", "--multirun"} & set(arguments))
     if sweep and not any(word.lstrip("+").startswith(RECORDINGS) for word in arguments):
         print(f"clothbench: the sweep names no recordings; it takes +suite={MAIN_SUITE}", file=sys.stderr)
@@ -112,6 +115,18 @@ def run(arguments: Sequence[str]) -> int:
         return _conclude(notes, sweep)
     finally:
         shutil.rmtree(notes, ignore_errors=True)
+
+
+def require_settings(arguments: Sequence[str]) -> None:
+    """Refuse an option that is none of Hydra's, and say how a setting is written."""
+    over = get_args_parser().parse_known_args(arguments)[1]
+    for word in (word for word in over if word.startswith("-")):
+        name = word.lstrip("-").partition("=")[0].replace("-", "_")
+        known = name.partition(".")[0] in KNOWN
+        remedy = (
+            f"is written {as_setting(word, arguments)} here" if known else "is no option; see clothbench run --help"
+        )
+        raise ClothbenchError(f"run: {word.partition('=')[0]} {remedy}")
 
 
 def _of_a_job(fault: Exception) -> bool:

@@ -1,0 +1,56 @@
+"""Words in the spelling of another command: some are told KEY=VALUE, some --KEY VALUE, and people mix both."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from typing import Any, NoReturn
+
+from clothbench.core.errors import ClothbenchError
+
+
+def as_setting(word: str, given: Sequence[str]) -> str:
+    """ "--out", of ["--out", "X"], or "--out=X" → "out=X"."""
+    name, sign, value = word.lstrip("-").partition("=")
+    after = [*given[list(given).index(word) + 1 :], ""][0]
+    if not sign:
+        value = after if after and "=" not in after and not after.startswith("-") else "VALUE"
+    return f"{name.replace('-', '_')}={value}"
+
+
+class Reader(argparse.ArgumentParser):
+    """Says in one line what is wrong with a command's words, and how one is written that is spelled as another command
+    has it.
+    """
+
+    given: Sequence[str] = ()
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        self.given = list(args or ())
+        return super().parse_known_args(args, namespace)
+
+    def error(self, message: str) -> NoReturn:
+        command = self.prog.partition(" ")[2]
+        remedy = self.respelled(self.given) or f"see {self.prog} --help"
+        raise ClothbenchError(f"{command}: {message}; {remedy}" if command else f"{message}; {remedy}")
+
+    def require_spelled(self, settings: Sequence[str]) -> None:
+        """Refuse a KEY=VALUE of these that is an option of the command: whatever else is said of it would mislead."""
+        if remedy := self.respelled([word for word in settings if not word.startswith("-")]):
+            raise ClothbenchError(f"{self.prog.partition(' ')[2]}: {remedy}")
+
+    def respelled(self, words: Sequence[str]) -> str:
+        """How the first of these words is written that another command writes so; "" if there is none."""
+        settings = next((action.help or "" for action in self._actions if action.dest == "settings"), "")
+        for word in words:
+            name, sign, value = word.partition("=")
+            option = self._option_string_actions.get(f"--{name}")
+            own = any(one.startswith(name) for one in self._option_string_actions)  # which may be cut short
+            if word.startswith("-") and settings and not own:
+                setting = as_setting(word, words)
+                if f"{setting.partition('=')[0]}=" in settings:
+                    return f"{name} is written {setting} here"
+                return f"settings are written KEY=VALUE here; see {self.prog} --help"
+            if sign and option is not None:
+                return f"{word} is written --{name}{'' if option.nargs == 0 else f' {value}'} here"
+        return ""
