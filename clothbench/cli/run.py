@@ -34,6 +34,7 @@ from omegaconf.errors import OmegaConfBaseException
 from clothbench.cli.idle import refuse_idle, say_alone, say_idle
 from clothbench.cli.own_suites import require_harmless, settings_among
 from clothbench.cli.results import print_results
+from clothbench.cli.settings_help import settings_help
 from clothbench.cli.spelling import as_setting
 from clothbench.core.errors import ClothbenchError, known_names
 from clothbench.engine.bucket import is_address
@@ -85,6 +86,8 @@ class PluginSearchPath(SearchPathPlugin):
 def run(arguments: Sequence[str]) -> int:
     """Run `clothbench run ARGUMENTS` and return the exit code."""
     require_settings(arguments)
+    if {"--help", "-h"} & set(arguments):
+        print(settings_help())
     sweep = bool({"-m", "--multirun"} & set(arguments))
     if sweep and not any(word.lstrip("+").startswith(RECORDINGS) for word in arguments):
         print(f"clothbench: the sweep names no recordings; it takes +suite={MAIN_SUITE}", file=sys.stderr)

@@ -3,12 +3,15 @@
 import io
 import json
 import os
+import re
 import subprocess
 import sys
 import time
+from importlib.resources import files
 from types import SimpleNamespace
 
 import pytest
+import yaml
 from conftest import swinging_recording
 from rich.console import Console
 
@@ -17,6 +20,8 @@ from clothbench.cli.commands import COMMANDS, main, parsed
 from clothbench.cli.idle import say_alone, say_idle
 from clothbench.cli.own_suites import require_harmless
 from clothbench.cli.run import composed, either_way, jobs_of, require_known, run, swept
+from clothbench.cli.settings_help import settings_help, settings_meanings
+from clothbench.engine.settings import KNOWN
 from clothbench.engine.store import ROW
 from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import catalogue
@@ -112,8 +117,27 @@ def test_hydra_s_own_questions_are_answered(clothbench, tmp_path):
     assert clothbench("run", "seed=7", "--cfg", "job", "+suite=static_dynamic").stdout == out.stdout.replace(
         "seed: 0", "seed: 7"
     )
-    assert clothbench("run", "--help").returncode == 0
+    out = clothbench("run", "--help", "budget=7")
+    assert out.returncode == 0
+    assert out.stdout.startswith("usage: clothbench run +suite=NAME")
+    for said in ("evaluations per cell, or the name of a budget", "static_dynamic", "\nbudget: 7\n"):
+        assert said in out.stdout
     assert not list(tmp_path.iterdir())
+
+
+def test_the_help_of_run_has_every_setting_with_its_usual_value_and_a_meaning():
+    """From the comments of the file that the settings are read from, each of which has one."""
+    settings = yaml.safe_load(files("clothbench.conf").joinpath("run.yaml").read_text(encoding="utf-8"))
+    told = {name: (usual, meaning) for name, usual, meaning in settings_meanings()}
+    assert list(told) == [name for name in settings if name not in ("defaults", "hydra")]
+    assert set(told) == KNOWN - {"suite", "executor"}  # of which Hydra lists the choices
+    for name, (usual, meaning) in told.items():
+        assert len(meaning) > 10, name
+        if not isinstance(settings[name], dict) or not settings[name]:
+            assert yaml.safe_load(usual or "null") == settings[name]
+        assert f"\n  {name} " in settings_help()
+    assert all(re.search(rf"\b{study}\b", told["study"][1]) for study in catalogue().names("studies"))
+    assert max(map(len, settings_help().splitlines())) <= 120
 
 
 def test_words_may_stand_behind_options():
