@@ -95,7 +95,8 @@ def _compare_cells(base: Rows, new: Rows, verdict: dict[str, Any]) -> None:
             continue
         verdict["compared"] += 1
         if side := judge(row, other):
-            verdict[side].append(_change(row, other, other_unit(row, other) or other.get("reason") or ""))
+            own = "" if other["status"] == "ok" else other.get("reason")  # how a search ended well is no reason
+            verdict[side].append(_change(row, other, other_unit(row, other) or own or ""))
     verdict["added"] += len(theirs)
 
 

@@ -102,6 +102,13 @@ def failed_and_well():
     return failed, well
 
 
+def test_how_a_search_ended_well_is_no_reason_why_a_row_is_worse():
+    for status, why in (("ok", ""), ("timeout", "stopped after 9 s, as asked")):
+        told = {"status": status, "reason": why or "budget spent"}
+        (change,) = compare_rows([row(1.0)], [row(2.0, **told)])["worse"]
+        assert change["reason"] == why
+
+
 def test_a_cell_that_failed_as_a_whole_lost_each_of_its_rows():
     failed, well = failed_and_well()
     verdict = compare_rows(well, [failed])

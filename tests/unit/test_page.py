@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import re
 from html.parser import HTMLParser
@@ -11,14 +12,18 @@ from urllib.parse import unquote
 
 import numpy as np
 import pytest
+from rich.console import Console
 from test_rerun_file import small_cell
 
 from clothbench.display.html import table
 from clothbench.display.parameters import parameters
 from clothbench.display.plotly import thinned
 from clothbench.engine.run import run_cell
+from clothbench.engine.store import Store
 from clothbench.report.page import write_page
 from clothbench.studies.calibration.figure_data import best_so_far
+from clothbench.studies.calibration.leaderboard import leaderboard
+from clothbench.studies.calibration.tables import error_table
 
 VOID = {"meta", "br", "input"}
 
@@ -83,6 +88,23 @@ def test_page_shows_what_was_run(results):
         assert word in text
     assert page.stat().st_size < 6_000_000
     assert not list(results.glob(".report*"))
+
+
+def test_why_a_search_ended_stands_in_rows_table_and_page(results):
+    """A search at its budget might have gone on, one that converged not; failed cells keep their own reason."""
+    store = Store(results)
+    said = {row["optimizer"]: row["reason"] for row in store.rows() if row["status"] == "ok"}
+    assert said["ga"] == "budget spent"
+    assert set(said) == {"ga", "least_squares"}
+    assert all(said.values())
+    rows = [row for row in store.rows() if row["status"] == "ok"]
+    shown = Console(width=120, record=True, file=io.StringIO())
+    shown.print(error_table("s", rows))
+    assert " s; budget spent)" in shown.export_text()
+    page = leaderboard(rows)
+    assert "search ended" in page
+    assert "<td>budget spent</td>" in page
+    assert "search ended" not in leaderboard([{**row, "reason": ""} for row in rows])  # as older versions left them
 
 
 def test_failed_cells_are_visible_with_their_reason(results):

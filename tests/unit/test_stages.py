@@ -174,3 +174,9 @@ def test_a_further_metric_without_a_number_leaves_the_cell_finished(searched_by,
     found, reason = _status(SimpleNamespace(status="ok", stopped=""), nothing, whole, searched_by)
     assert (found, found in FINISHED) == (status, not searched_by)
     assert "could not be computed" in reason
+
+
+def test_whatever_an_optimizer_says_of_its_end_is_one_line_of_a_row():
+    whole, found = SimpleNamespace(status=("ok",), reasons=()), Score(np.array([1.0]), "m")
+    for said, kept in (("converged", "converged"), ("two\nlines", "two lines"), (3, "3")):
+        assert _status(SimpleNamespace(status="ok", stopped=said), found, whole, True) == ("ok", kept)

@@ -32,12 +32,15 @@ def leaderboard(rows: Rows) -> str:
         ("floor", lambda c: floor(next((r for r in c if r["floor"] is not None), None)), True),
         ("unit", lambda c: text(c[0]["unit"]), False),
         ("evaluations", lambda c: text(c[0]["evaluations"]), True),
+        ("search ended", lambda c: text(ended(c)), False),
         ("time [s]", lambda c: "" if c[0]["wall_s"] is None else f"{c[0]['wall_s']:.1f}", True),
         ("status", lambda c: _status(next((r for r in c if r["status"] != "ok"), c[0])), False),
         ("cell", lambda c: f"<code>{text(c[0]['key'][:8])}</code>", False),
     ]
     if all(r["status"] == "ok" for r in rows):
         columns = [c for c in columns if c[0] != "status"]
+    if not any(map(ended, lines)):
+        columns = [c for c in columns if c[0] != "search ended"]
     return later(_filled(columns, lines)) + single_recordings([r for r in rows if r["recording"]])
 
 
@@ -90,6 +93,11 @@ def spread(cell: Rows, split: str) -> str:
 def interval(row: dict[str, Any]) -> str:
     low, high = contained(row["value"], row["low"], row["high"])
     return "" if low is None or high is None else f"{size(low)} … {size(high)}"
+
+
+def ended(cell: Rows) -> str:
+    """Why the search of a cell ended that went well; "" where that is not known, as of what others handed in."""
+    return next((r["reason"] for r in cell if r["status"] == "ok" and r["value"] is not None and r["reason"]), "")
 
 
 def _status(row: dict[str, Any]) -> str:

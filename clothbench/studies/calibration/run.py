@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.core.errors import one_line
 from clothbench.core.observation import Observation
 from clothbench.core.optional import HasInterval, ShowsSteps, objectives_of
 from clothbench.core.protocols import Metric, Score
@@ -174,14 +175,15 @@ def _interval(metric: Metric, score: Score, seen: Observation, rollout: Rollout,
 
 
 def _status(fit: Fit, score: Score, rollout: Rollout, searched: bool) -> tuple[str, str]:
-    """What came of one recording, and why. searched: by this metric; another that has nothing to say of a recording,
-    as fold lines of cloth that no camera saw, is no fault for which the cell would have to be run again.
+    """What came of one recording, and why; where all went well, why the search ended: at its budget it might have gone
+    on. searched: by this metric; another that has nothing to say of a recording, as fold lines of cloth that no camera
+    saw, is no fault for which the cell would have to be run again.
     """
     if rollout.status[0] != "ok":
         return rollout.status[0], rollout.reasons[0] if rollout.reasons else ""
     if not np.isfinite(score.value[0]):
         return "error" if searched else "skipped", "the metric could not be computed on this recording"
-    return fit.status, fit.stopped if fit.status != "ok" else ""
+    return fit.status, one_line(str(fit.stopped))  # of anybody's optimizer
 
 
 def _total(about: dict[str, Any], rows: list[dict[str, Any]]) -> dict[str, Any]:

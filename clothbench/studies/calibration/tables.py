@@ -12,6 +12,7 @@ from clothbench.display.html import group
 from clothbench.display.names import cell_name
 from clothbench.engine.study import Results
 from clothbench.studies.calibration.analysis_tables import analyses
+from clothbench.studies.calibration.leaderboard import ended
 from clothbench.studies.calibration.ranking import differ, way_of
 from clothbench.studies.calibration.schema import ANALYSIS_TABLES
 from clothbench.studies.calibration.searches_page import contest_tables
@@ -49,7 +50,8 @@ def error_table(suite: str, rows: Rows) -> Table:
     cells = list(group(rows, lambda r: r["key"]).values())
     crowded = max((sum(bool(r["recording"]) for r in mine) for mine in cells), default=0) > MANY
     for mine in cells[:MOST]:
-        effort = f" [dim]({mine[0]['evaluations']} evaluations, {mine[0]['wall_s'] or 0.0:.1f} s)[/]"
+        how = "".join(f"; {escape(why)}" for why in filter(None, [ended(mine)]))
+        effort = f" [dim]({mine[0]['evaluations']} evaluations, {mine[0]['wall_s'] or 0.0:.1f} s{how})[/]"
         known = mine[0]["evaluations"] is not None  # of what others handed in it is not
         table.add_row(f"[bold]{escape(cell_name(mine[0]))}[/]{effort if known else ''}")
         for row in mine:
