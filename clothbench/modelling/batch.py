@@ -96,8 +96,9 @@ class GridSimulation:
             )
         still = np.setdiff1d(np.flatnonzero((area == 0) | self.clamped), held)
         return sheet_of(
-            self.uv, scene.areal_density * area, area, triangles, scene.gravity, scene.air_density, held, still, share
-        )
+            self.uv, scene.areal_density * area, area, triangles, scene.gravity, scene.air_density, held, still, share,
+            scene.outline,
+        )  # fmt: skip
 
     @cached_property
     def clamped(self) -> np.ndarray:

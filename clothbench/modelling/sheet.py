@@ -13,7 +13,7 @@ from clothbench.modelling.mesh import curvature_weights, gradient_weights, trian
 Sheet = namedtuple(
     "Sheet",
     "uv mass area normal triangles gradient face_area patch curvature gravity air_density held gripped grip columns "
-    "spacing slots",
+    "spacing slots outline",
 )
 Sheet.__doc__ = """The cloth as an effect sees it; `sheet_of` makes one from any mesh of triangles.
 
@@ -24,7 +24,9 @@ patch: (F, 6), the corners, then the node beyond the edge opposite to each corne
 curvature: (F, 3, 6) 1/m², ∂²/∂u², ∂²/∂v² and ∂²/∂u∂v as weights of the patch (see `curvature_weights`);
 gravity: (3,) m/s²; air_density: kg/m³; held: (G + S,), the node on each grip, then those that never move, off the cloth
 or clamped; gripped: G; grip: (3, G + S) m, where they are;
-columns, spacing, slots: for loops over all triangles at once, see `triangle_slots`.
+columns, spacing, slots: for loops over all triangles at once, see `triangle_slots`;
+outline: (M, 2) m, corners of the cloth, counter-clockwise, where it is cut from a grid (nodes j·nu + i on straight
+lines); (0, 2) of any other.
 """
 
 WHOLE = 1e-9  # share of a triangle that may be missing from one that is all cloth: rounding
@@ -52,18 +54,20 @@ SHEET = bundle_type(
     types.int64,
     ROWS,
     ROWS,
+    ROWS,
 )
 
 
 def sheet_of(
     uv: np.ndarray, mass: np.ndarray, area: np.ndarray, triangles: np.ndarray, gravity, air_density: float, held=(),
-    still=(), share: np.ndarray | None = None,
+    still=(), share: np.ndarray | None = None, outline: np.ndarray | None = None,
 ) -> Sheet:  # fmt: skip
     """The `Sheet` of a mesh of triangles, for compiled loops; normals are zero until a loop fills them.
 
     uv: (n, 2) m; mass: (n,) kg; area: (n,) m²; triangles: (F, 3); held: (G,) nodes on the grips; still: (S,) nodes that
-    never move; share: (F,), of each triangle that is cloth, None for all. A loop on another
-    thread needs a copy with arrays of its own where it writes: `own_sheet(sheet)`.
+    never move; share: (F,), of each triangle that is cloth, None for all; outline: (M, 2) m, along which the grid was
+    cut, None if it was not. A loop on another thread needs a copy with arrays of its own where it writes:
+    `own_sheet(sheet)`.
     """
     gradient, face_area = gradient_weights(uv, triangles)
     patch, curvature = curvature_weights(uv, triangles, gradient, face_area)
@@ -76,7 +80,7 @@ def sheet_of(
         np.ascontiguousarray(uv, dtype=float), np.array(mass, dtype=float), np.array(area, dtype=float),
         np.zeros((3, len(uv))), np.ascontiguousarray(triangles, dtype=np.int64), gradient, cloth, patch, curvature,
         np.array(gravity, dtype=float), float(air_density), never, len(held), np.zeros((3, len(never))),
-        columns, spacing, slots,
+        columns, spacing, slots, np.array(np.zeros((0, 2)) if outline is None else outline, dtype=float, order="C"),
     )  # fmt: skip
 
 

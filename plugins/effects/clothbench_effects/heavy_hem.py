@@ -3,6 +3,7 @@
 import numpy as np
 
 from clothbench import Parameter, ParameterSpace, effect_kernel
+from clothbench_effects.cut_strip import add_strip
 from clothbench_effects.sheet_kernels import add_overlap, helper, nodal_cloth
 
 
@@ -10,24 +11,35 @@ from clothbench_effects.sheet_kernels import add_overlap, helper, nodal_cloth
 def find_hem(sheet, density, width, state):
     """What each node carries of the strip [kg], into state[1:]; state[0] says that it is known.
 
-    By the part of each triangle that lies in the strip: total and first moment are right on every whole mesh, and the
-    total within 1.5 % of a disc cut from one of 13 nodes. Where an outline ends between two
-    mesh lines the strip begins at the last line with cloth.
+    The strip is all cloth that lies lower than its own width above the lowest point of the cloth, on a sheet that is
+    cut along an outline as on a whole one: of a disc a segment. Its total is right on every mesh, its first moment
+    wherever the strip lies between nodes of the cloth.
     """
     state[0] = 1.0
+    if sheet.columns == 0 and sheet.outline.shape[0] > 0:
+        add_strip(sheet, sheet.outline[:, 1].max() - width, state[1:])
+    else:
+        add_lowest(sheet, width, state[1:])
+    state[1:] *= density
+
+
+@helper(allocates=True)
+def add_lowest(sheet, width, share):
+    """share_k += ∫ N_k over what lies lower than `width` m above the lowest node of the cloth, (n,) m²: by the part of
+    each triangle that does; of one that is not all cloth, as if it were spread evenly.
+    """
     foot = -np.inf
     for i in range(sheet.uv.shape[0]):
-        if sheet.area[i] > 0.0:  # an outline may end above the lower edge of the grid
+        if sheet.area[i] > 0.0:
             foot = max(foot, sheet.uv[i, 1])
     low, high = np.array([-np.inf, foot - width]), np.array([np.inf, np.inf])
     for face in range(sheet.triangles.shape[0]):
-        add_overlap(sheet, face, low, high, state[1:])
+        add_overlap(sheet, face, low, high, share)
     if sheet.columns == 0:
         whole = nodal_cloth(sheet)
         for i in range(whole.shape[0]):
             if whole[i] > 0.0:  # slivers of cloth beside an outline lie in no triangle, but their nodes carry them
-                state[1 + i] *= sheet.area[i] / whole[i]
-    state[1:] *= density
+                share[i] *= sheet.area[i] / whole[i]
 
 
 @effect_kernel(allocates=False)
@@ -59,7 +71,7 @@ SOURCE = "how the sheet was sewn: each further layer adds the cloth's own areal 
 
 class HeavyHem:
     name = "heavy_hem"
-    version = 2
+    version = 3
     place = "dynamics"
     family = "mass"
     law = "mass along the lower edge"

@@ -37,7 +37,8 @@ def nodal_cloth(sheet):
 
 @helper(allocates=True)
 def cut(polygon, count, axis, side, limit, out):
-    """Keep the part of a convex polygon (count, 2) in which side·(coordinate − limit) ≥ 0; returns its corner count.
+    """Keep the part of a polygon (count, 2) in which side·(coordinate − limit) ≥ 0; returns its corner count, at most
+    half as many more.
 
     Sutherland and Hodgman 1974, one edge of their window.
     """

@@ -21,7 +21,7 @@ def sheet_of_twin(twin: Twin) -> tuple[Sheet, np.ndarray]:
     number = np.cumsum(cloth) - 1
     return sheet._replace(
         uv=sheet.uv[cloth], mass=sheet.mass[cloth], area=sheet.area[cloth], triangles=number[sheet.triangles],
-        held=number[sheet.held[cloth[sheet.held]]],
+        held=number[sheet.held[cloth[sheet.held]]], outline=sheet.outline[:0],
     ), start[cloth]  # fmt: skip
 
 
