@@ -254,6 +254,28 @@ def test_errors_of_several_metrics_are_not_compared(tmp_path, monkeypatch, capsy
     assert sorted(path.name[-12:] for path in (tmp_path / "rerun").iterdir()) == ["cccccccc.rrd", "dddddddd.rrd"]
 
 
+def test_cases_of_one_file_name_leave_each_other_their_files(tmp_path, monkeypatch):
+    def kept(key, case, value):
+        row = {**dict.fromkeys({**ROW, **SYSTEM}), "study": "calibration", "suite": "s", "case": case, "seed": 0,
+               "model": "m", "optimizer": "o", "metric": "node_error", "objective": "node_error", "split": "fit",
+               "key": key, "value": value, "status": "ok", "effects": ""}  # fmt: skip
+        Store(tmp_path).put(key, {"rows": [row]})
+        films = tmp_path / "cells" / key / "films"
+        films.mkdir(exist_ok=True)
+        (films / "0.npz").touch()
+
+    monkeypatch.setattr(film_rerun, "write_film_rerun", lambda path, *_: path.touch())
+    for key, case in (("a" * 16, "raw silk"), ("b" * 16, "raw_silk"), ("c" * 16, "raw/silk")):
+        kept(key, case, 2.0)
+    (tmp_path / "rerun").mkdir()
+    (tmp_path / "rerun" / f"s_raw_silk-{'e' * 8}.rrd").touch()  # of a cell that is no longer there
+    made = write_best(Store(tmp_path), [letter * 16 for letter in "abc"])
+    assert sorted((tmp_path / "rerun").iterdir()) == sorted(made)
+    kept("d" * 16, "raw_silk", 1.0)
+    write_best(Store(tmp_path), ["d" * 16])
+    assert sorted(path.name[-12:-4] for path in (tmp_path / "rerun").iterdir()) == [8 * k for k in "acd"]
+
+
 def test_what_a_cell_came_to_stands_beside_it_in_words(run_without_rerun):
     store = Store(run_without_rerun)
     said = about(store.rows(), store.table("parameters"))

@@ -32,7 +32,7 @@ def write_best(store: Store, keys: Sequence[str]) -> list[Path]:
     has a file for each of them. Returns the files.
     """
     rows, out = store.rows(), []
-    metrics = {(row["key"][:8], row["objective"]) for row in rows}
+    known = {(row["key"][:8], (row["suite"], row["case"], row["objective"])) for row in rows}
     for (suite, case, metric), row in best_rows(rows, keys).items():
         films = sorted((store.cell(row["key"]) / FILMS).glob("*.npz"))
         if not films:
@@ -43,8 +43,8 @@ def write_best(store: Store, keys: Sequence[str]) -> list[Path]:
             with whole_file(path) as part:
                 write_film_rerun(part, store, row["key"], films)
             for old in path.parent.glob(f"{name[:-12]}????????.rrd"):  # of another fit, which was the best until now
-                by = {objective for key, objective in metrics if key == old.stem[-8:]}
-                if old != path and (not by or metric in by):
+                fits = {what for key, what in known if key == old.stem[-8:]}  # other cases may have the same file name
+                if old != path and (not fits or (suite, case, metric) in fits):
                     old.unlink()
         out.append(path)
     return out
