@@ -12,7 +12,7 @@ import sys
 import tempfile
 import traceback
 import uuid
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
@@ -287,11 +287,24 @@ def _conclude(notes: Path, sweep: bool) -> int:
         mine = [n for n in ran if n["out"] == out]
         store, keys = up_to_date(Store(out)), list(dict.fromkeys(k for n in mine for k in n["cells"]))
         rows = print_results(store, keys)
+        say_all_skipped(rows)
         _say_where(store, keys)
         code = max(code, int(failed(r["status"] for r in rows)))
     if errors:  # of some of a sweep's jobs; what the others did is told all the same
         raise ClothbenchError(errors[0] + (f" (and {len(errors) - 1} more jobs)" if len(errors) > 1 else ""))
     return code
+
+
+def say_all_skipped(rows: Sequence[Mapping[str, Any]]) -> None:
+    """A line where a run has come to nothing though no cell of it failed: every one was skipped for its reason."""
+    skipped = {row["key"] for row in rows}
+    if rows and all(row["status"] == "skipped" for row in rows):
+        cells = f"all {len(skipped)} cells were" if len(skipped) > 1 else "the one cell was"
+        print(
+            f"clothbench: nothing was computed: {cells} skipped, for what stands above; take a model that can do this "
+            "(`clothbench plugins`, docs/models.md), or other recordings",
+            file=sys.stderr,
+        )
 
 
 def _say_where(store: Store, keys: Sequence[str]) -> None:

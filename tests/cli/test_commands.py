@@ -19,7 +19,7 @@ from clothbench import ClothbenchError, write_recording
 from clothbench.cli.commands import COMMANDS, main, parsed
 from clothbench.cli.idle import say_alone, say_idle
 from clothbench.cli.own_suites import require_harmless
-from clothbench.cli.run import composed, either_way, jobs_of, require_known, run, swept
+from clothbench.cli.run import composed, either_way, jobs_of, require_known, run, say_all_skipped, swept
 from clothbench.cli.settings_help import settings_help, settings_meanings
 from clothbench.engine.settings import KNOWN
 from clothbench.engine.store import ROW
@@ -35,6 +35,26 @@ def only_line(text: str) -> str:
     lines = text.strip().splitlines()
     assert len(lines) == 1, text
     return lines[0]
+
+
+def test_a_run_whose_cells_are_all_skipped_says_so_and_what_to_do(clothbench, recordings_folder):
+    out = clothbench("run", f"recordings={recordings_folder}", *CELL[1:3], "model=linear_stretch", "rerun=false")
+    assert out.returncode == 0  # a cell that was skipped for a stated reason is no failure
+    assert "answers force-extension curves only" in out.stdout
+    said = [line for line in out.stderr.splitlines() if "nothing was computed" in line]
+    assert said == [
+        "clothbench: nothing was computed: the one cell was skipped, for what stands above; take a model that can do "
+        "this (`clothbench plugins`, docs/models.md), or other recordings"
+    ]
+
+
+def test_where_one_cell_was_computed_nothing_is_said_of_those_skipped(capsys):
+    skipped, done = {"key": "a", "status": "skipped"}, {"key": "b", "status": "ok"}
+    say_all_skipped([skipped, done])
+    say_all_skipped([])
+    assert capsys.readouterr().err == ""
+    say_all_skipped([skipped, skipped, {**skipped, "key": "c"}])
+    assert "all 2 cells were skipped" in capsys.readouterr().err
 
 
 def test_help_answers_at_once_and_names_every_command(clothbench):
