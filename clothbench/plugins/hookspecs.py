@@ -66,7 +66,8 @@ def clothbench_peers() -> Iterable[Registration]:
     """Other simulators for `clothbench bench` to measure beside the models.
 
     The target is a module with `skip_reason() -> str | None` and
-    `step_sheet(side, dt, steps) -> run`, where run has `nodes`, `node_steps_per_s`, `finite` and `version`.
+    `step_sheet(side, dt, steps) -> run`, where run has `nodes`, `node_steps_per_s`, `finite` and `version`; and with
+    `built_on` where it is built on a library (`clothbench.BuiltOn`), so that another version of that is measured anew.
     """
     return ()
 

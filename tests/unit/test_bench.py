@@ -10,6 +10,7 @@ import pytest
 
 from clothbench import ClothbenchError
 from clothbench.display.terminal import console
+from clothbench.engine.store import system_info
 from clothbench.plugins.discovery import Catalogue, Plugin
 from clothbench.studies.speed import bench, timing
 from clothbench.studies.speed.answer import answer_of
@@ -315,6 +316,52 @@ def test_speeds_are_kept_and_shown_as_a_study(tmp_path, monkeypatch):
         plan({**settings, "timeout": 9.0}, catalogue())
     with pytest.raises(ClothbenchError, match="setting 'budget': speed is measured"):
         plan({**settings, "budget": 3}, catalogue())
+
+
+def test_speed_is_asked_anew_on_another_machine_or_beside_other_peers(install, monkeypatch):
+    from clothbench.studies.speed import cell as of_speed
+
+    settings = {**dict.fromkeys(of_speed.NOT_TIMED, ()), "scene": {}, "suite": {"sides": [9]}, "model": ["toy"]}
+
+    def key(*peers):
+        (cell,) = of_speed.plan(settings, Catalogue(tuple(install("Toy", peers=peers))))
+        return cell.key
+
+    alone, beside = key(), key("toys")
+    assert len({alone, beside}) == 2
+    assert key("toys", "absent") == beside  # one that cannot run here is no peer
+    assert key("toys") == beside
+    import toys
+
+    monkeypatch.setattr(toys, "built_on", ("numpy",), raising=False)
+    assert key("toys") not in (alone, beside)
+    monkeypatch.setattr(toys, "built_on", (), raising=False)
+    monkeypatch.setenv("CLOTHBENCH_THREADS", "63")
+    assert key() != alone
+    monkeypatch.delenv("CLOTHBENCH_THREADS")
+    assert key() == alone
+    monkeypatch.setattr(of_speed, "system_info", lambda: {"cpu": "another", "cores": 2})
+    assert key() != alone
+
+
+def test_measurements_of_several_runs_are_kept_apart(tmp_path, monkeypatch):
+    from clothbench.cli.results import print_results
+    from clothbench.engine.run import run_cell
+    from clothbench.engine.store import Store
+    from clothbench.report.page import write_page
+    from clothbench.studies.speed.cell import SpeedCell
+
+    blank = dict.fromkeys(bench.KEYS)
+    for cpu, rate in (("slow", 1e7), ("fast", 5e7)):
+        measured = {**blank, "model": "mass_spring", "nodes": 81, "threads": 1, "batch": 1, "node_steps_per_s": rate,
+                    "realtime_factor": 9.0, "peer": "one", "ratio": 2.0}  # fmt: skip
+        monkeypatch.setattr("clothbench.studies.speed.run.run_bench", lambda *_, rows=(measured,), **__: list(rows))
+        monkeypatch.setattr("clothbench.engine.rows.system_info", lambda cpu=cpu: {**system_info(), "cpu": cpu})
+        assert run_cell(SpeedCell("speed", ("mass_spring",), (9,), machine={"cpu": cpu}), tmp_path) == "ok"
+    assert len(print_results(Store(tmp_path))) == 2
+    page = write_page(tmp_path).read_text()
+    assert ">Speed: slow, " in page
+    assert ">Speed: fast, " in page
 
 
 def test_a_model_with_other_options_is_another_case(tmp_path, monkeypatch):

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar
 
+from clothbench.core.parallel import thread_count
 from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import digest, plugin_versions
 from clothbench.engine.settings import refuse, refuse_of_searches, whole
+from clothbench.engine.store import system_info
 from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.speed.bench import SIDES
 
@@ -20,12 +23,17 @@ NOT_TIMED = ("optimizer", "metric", "effects", "report", "recording", "recording
 
 @dataclass(frozen=True)
 class SpeedCell:
-    """These models, or all if there are none, beside all installed peers, on sheets of so many nodes a side."""
+    """These models, or all if there are none, beside all installed peers, on sheets of so many nodes a side.
+
+    peers: those that can run here; machine: what all of it is measured on, since speeds of another one are no answer.
+    """
 
     suite: str
     models: tuple[str, ...]
     sides: tuple[int, ...]
     versions: Mapping[str, str] = field(default_factory=dict)
+    peers: tuple[str, ...] = ()
+    machine: Mapping[str, str | int] = field(default_factory=dict)
 
     study: ClassVar[str] = "speed"
     case: ClassVar[str] = "swaying sheet"
@@ -63,5 +71,22 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     given = settings["suite"].get("sides") or SIDES
     sides = tuple(whole("suite.sides", n, 5) for n in (given if isinstance(given, list | tuple) else [given]))
     models = tuple(dict.fromkeys(settings["model"]))
-    versions = plugin_versions([("models", name) for name in models or plugins.names("models")], plugins)
-    return [SpeedCell(settings["suite"].get("name") or "speed", models, sides, versions)]
+    peers = peers_here(plugins)
+    used = [("models", name) for name in models or plugins.names("models")] + [("peers", name) for name in peers]
+    versions = plugin_versions(used, plugins)
+    return [SpeedCell(settings["suite"].get("name") or "speed", models, sides, versions, peers, this_machine())]
+
+
+def peers_here(plugins: Catalogue) -> tuple[str, ...]:
+    """The peers that can run here, as the bench finds them; whatever a stranger's trips over, it is none then."""
+    found = []
+    for name in plugins.names("peers"):
+        with contextlib.suppress(Exception):
+            found += [name] if plugins.load("peers", name).skip_reason() is None else []
+    return tuple(found)
+
+
+def this_machine() -> dict[str, str | int]:
+    """What speed depends on beside versions: processor, cores, and how many threads a batch may use."""
+    system = system_info()
+    return {"cpu": system["cpu"], "cores": system["cores"], "threads": thread_count()}

@@ -8,8 +8,8 @@ from typing import Any
 from rich.markup import escape
 from rich.table import Table
 
+from clothbench.display.html import group, text
 from clothbench.display.html import table as html_table
-from clothbench.display.html import text
 from clothbench.display.section import Section
 from clothbench.engine.study import Results
 from clothbench.studies.speed.answer import answer_of
@@ -18,18 +18,37 @@ from clothbench.studies.speed.timing import TOLERABLE
 
 
 def show(results: Results) -> list[Any]:
-    return speed_tables(results.table("speeds"))
+    """The tables of each run below its name."""
+    out: list[Any] = []
+    for name, rows in runs(results):
+        out += [*([escape(name)] if name else []), *speed_tables(rows)]
+    return out
+
+
+def runs(results: Results) -> list[tuple[str, list[Row]]]:
+    """Measurements by the run that they are of, since they can be compared within it only. Its name says where and when
+    it was, "" of a single one.
+    """
+    found = group(results.table("speeds"), lambda row: row.get("key"))
+    if len(found) < 2:
+        return [("", rows) for rows in found.values()] or [("", [])]
+    about = {row["key"]: f"{row['cpu']}, {row['threads']} threads, {row['finished']}" for row in results.rows}
+    return [(about[key], rows) for key, rows in found.items()]
 
 
 def sections(results: Results) -> list[Section]:
-    """What `show` prints, as one table of the page."""
+    """What `show` prints, as one table of the page for each run."""
+    return [_section(name, rows) for name, rows in runs(results)]
+
+
+def _section(name: str, rows: Sequence[Row]) -> Section:
     head = ["model", "kind", "precision", "options", "step", "nodes", "threads", "batch", "million node-steps/s",
             "× real time", "peer", "× peer, per core", "error [mm]"]  # fmt: skip
-    rows = results.table("speeds")
     body = [[text(cell) for cell in _page_line(row)] for row in rows if row["peer"] != ROOFLINE]
     note = '<p class="soft">All in one run, after warm-up. With an error: at the longest step that keeps to it.</p>'
     note += "".join(f"<p>{text(line)}</p>" for line in _rooflines(rows))
-    return [Section(f"{answer_of(rows)}<h2>Speed</h2>{note}" + html_table(head, body, numeric={5, 6, 7, 8, 9, 11, 12}))]
+    heading = f"<h2>Speed{text(f': {name}' if name else '')}</h2>"
+    return Section(f"{answer_of(rows)}{heading}{note}" + html_table(head, body, numeric={5, 6, 7, 8, 9, 11, 12}))
 
 
 def _page_line(row: Row) -> list[str]:

@@ -22,6 +22,8 @@ from clothbench_models.peers import SheetRun, missing, node_mass, stable_stiffne
 if TYPE_CHECKING:
     import mujoco
 
+built_on = ("mujoco", "mujoco-core")
+
 WARM_UP_STEPS = 100
 DAMPING_RATE = 2.0  # mass-proportional [1/s]: lets the sheet come to rest within seconds
 THICKNESS = 1e-3  # [m]; only its product with Young's modulus enters a membrane

@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 
     Build = Callable[[newton.ModelBuilder, int, float, float, float], None]
 
+built_on = ("newton",)
+
 GRAPH_STEPS = 50  # even, so that a graph ends in the state it began with
 DAMPING_FRACTION = 0.01  # damping along the sheet as a fraction of m/dt, far inside the stable range
 BENDING_FRACTION = 0.02  # how much a cell resists bending, as a fraction of how much it resists stretching

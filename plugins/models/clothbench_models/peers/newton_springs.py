@@ -11,12 +11,12 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 from clothbench_models.peers import SheetRun, stable_stiffness
-from clothbench_models.peers.newton_cloth import DAMPING_FRACTION, skip_reason, time_sheet
+from clothbench_models.peers.newton_cloth import DAMPING_FRACTION, built_on, skip_reason, time_sheet
 
 if TYPE_CHECKING:
     import newton
 
-__all__ = ["skip_reason", "step_sheet"]
+__all__ = ["built_on", "skip_reason", "step_sheet"]
 
 # Neighbours a node is tied to (rows down, columns right).
 SPRINGS = ((0, 1), (1, 0), (1, 1), (1, -1), (0, 2), (2, 0))
