@@ -26,6 +26,12 @@ def digest(question: Any, digits: int = 16) -> str:
     return hashlib.sha256(json.dumps(question, sort_keys=True).encode()).hexdigest()[:digits]
 
 
+def options_in_use(options: Mapping[str, Mapping[str, Any]], names: Iterable[str]) -> dict[str, dict[str, Any]]:
+    """The options of plugins of these names: what others are told makes no other question, and stays out of a key."""
+    used = set(names)
+    return {name: dict(told) for name, told in options.items() if name in used}
+
+
 def seed_of(*problem: Any) -> int:
     """A seed hashed from what it is for: no generator is shared between purposes."""
     return int.from_bytes(hashlib.sha256(json.dumps(problem, sort_keys=True).encode()).digest()[:8], "big")

@@ -32,6 +32,13 @@ def cell(steps: int = 3, **changes) -> FoldingCell:
     return FoldingCell(**{**content, **changes})
 
 
+def test_options_of_what_is_not_in_use_ask_nothing_else():
+    assert cell(options={"ga": {"generations": 3}, "mass_spring": {"resolution": 9}}).key == cell().key
+    for name in ("kirchhoff_love", "iterative_least_squares", "profile", "laser_profile", "grip_offset"):
+        assert cell(options={name: {"word": 3}, "ga": {"generations": 3}}).key == cell(options={name: {"word": 3}}).key
+        assert cell(options={name: {"word": 3}}).key != cell().key
+
+
 def test_the_table_of_fabrics_is_in_order():
     assert len(FABRICS) == 10
     for fabric in FABRICS:

@@ -99,6 +99,13 @@ def test_cloth_too_stiff_to_be_folded_is_told(tmp_path):
     assert "too stiff" in Store(tmp_path).rows()[0]["reason"] or "no fold" in Store(tmp_path).rows()[0]["reason"]
 
 
+def test_options_of_what_is_not_in_use_ask_nothing_else():
+    plain, planner = cell(model="baraff_witkin"), {"kirchhoff_love": {"poisson": 0.2}}
+    assert cell(model="baraff_witkin", options={"mass_spring": {"resolution": 9}}).key == plain.key
+    assert cell(model="baraff_witkin", options={"baraff_witkin": {"integrator": "rk45"}}).key != plain.key
+    assert cell(model="baraff_witkin", options=planner).key != plain.key  # which plans its path
+
+
 def test_a_model_that_folds_nothing_over_is_left_out(tmp_path):
     assert run_cell(cell(model="linear_stretch"), tmp_path) == "skipped"
     assert "contact" in Store(tmp_path).rows()[0]["reason"]

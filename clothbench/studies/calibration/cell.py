@@ -16,7 +16,7 @@ from clothbench.core.observation import Observation
 from clothbench.core.optional import absent, options_of, takes_option, why_skipped
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Metric
-from clothbench.engine.cells import Skipped, Source, digest, seed_of
+from clothbench.engine.cells import Skipped, Source, digest, options_in_use, seed_of
 from clothbench.engine.store import Store
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.placements import joined
@@ -78,7 +78,7 @@ class CalibrationCell:
         """16 hexadecimal digits, the same on every machine for the same question."""
         question = asdict(self)
         question["recordings"] = sorted((s["hash"], s["split"]) for s in question["recordings"])
-        question["options"] = {k: v for k, v in question["options"].items() if k in self._plugins()}
+        question["options"] = options_in_use(question["options"], self._plugins())
         question["rivals"] = sorted(s["hash"] for s in question["rivals"])
         if question["choice"] == "nearest":
             del question["choice"]
@@ -98,7 +98,7 @@ class CalibrationCell:
     def settings(self) -> str:
         """6 hexadecimal digits of how it is run, whatever it is run on and with whatever versions."""
         how = {name: getattr(self, name) for name in ("bounds", "scene", "budget", "tracker")}
-        how["options"] = {k: dict(v) for k, v in self.options.items() if k in self._plugins()}
+        how["options"] = options_in_use(self.options, self._plugins())
         later: dict[str, Any] = {name: dict(getattr(self, name)) for name in ("fixed", "start", "finer")}
         later["timeout"] = self.timeout
         how |= {name: value for name, value in later.items() if value}  # digests without them are as they were

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import FileProgress
-from clothbench.engine.cells import digest, plugin_versions
+from clothbench.engine.cells import digest, options_in_use, plugin_versions
 from clothbench.engine.settings import (
     known_words,
     mapping,
@@ -94,7 +94,8 @@ class FoldPathCell:
 
     @cached_property
     def key(self) -> str:
-        return digest([self.study, asdict(self)])
+        options = options_in_use(self.options, (name for _, name in self.uses))
+        return digest([self.study, {**asdict(self), "options": options}])
 
     @property
     def label(self) -> str:

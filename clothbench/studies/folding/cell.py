@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.progress import FileProgress
-from clothbench.engine.cells import digest, plugin_versions, seed_of
+from clothbench.engine.cells import digest, options_in_use, plugin_versions, seed_of
 from clothbench.engine.settings import (
     known_words,
     mapping,
@@ -90,7 +90,7 @@ class FoldingCell:
     @cached_property
     def key(self) -> str:
         """16 hexadecimal digits, the same on every machine for the same question."""
-        return digest(asdict(self))
+        return digest({**asdict(self), "options": options_in_use(self.options, (name for _, name in self.uses))})
 
     @property
     def label(self) -> str:

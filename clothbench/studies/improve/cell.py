@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 from clothbench import __version__
-from clothbench.engine.cells import Source, digest
+from clothbench.engine.cells import Source, digest, options_in_use
 from clothbench.studies.improve.settings import LOOP
 
 
@@ -68,8 +68,7 @@ class ImproveCell:
         """16 hexadecimal digits, the same on every machine for the same question."""
         question = asdict(self)
         question["recordings"] = [(s.name, s.hash, s.split) for s in self.recordings]
-        used = {name for _, name in self.plugins}
-        question["options"] = {name: options for name, options in question["options"].items() if name in used}
+        question["options"] = options_in_use(question["options"], (name for _, name in self.plugins))
         for name in ("split_by_seed", "suite", "case"):  # the splits say it; a name changes no answer
             del question[name]
         for name in ("begins", "fixed"):
