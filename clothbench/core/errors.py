@@ -47,6 +47,20 @@ def known_names(name: str, known: Iterable[str]) -> str:
     return f"{hint}there are: {', '.join(there) or 'none'}"
 
 
+NEAR = 0.85  # alikeness of two words from which on one is the other misspelled
+
+
+def misspelled(names: Iterable[str], absent: Iterable[str]) -> tuple[str, str] | None:
+    """The first name that is nearly a word which somebody may state and did not, and that word; None if none is. What
+    takes any other name for a note of its own would lose what was meant by it.
+    """
+    words = sorted(absent)
+    for name in sorted(names):
+        if near := difflib.get_close_matches(name.lower(), words, n=1, cutoff=NEAR):
+            return name, near[0]
+    return None
+
+
 def check_choice(plugin: str, option: str, value: object, choices: Iterable[str]) -> None:
     """Refuse an option of a plugin that is not one of some words, whatever type it has."""
     known = tuple(choices)

@@ -14,7 +14,6 @@ there too; what else there is becomes a note.
 
 from __future__ import annotations
 
-import difflib
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -25,7 +24,7 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.camera import Camera, distorted
-from clothbench.core.errors import ClothbenchError, seen
+from clothbench.core.errors import ClothbenchError, misspelled, seen
 from clothbench.core.files import file_name, in_order, read_arrays, read_json
 from clothbench.core.observation import GripPath
 from clothbench.core.pictures import picture_of
@@ -39,7 +38,6 @@ MILLIMETRE = 1e-3
 FARTHEST = 65535  # steps that a depth frame of 16 bit can tell; what is farther counts as not measured
 SUGGESTED = {"name", "kind", "field_of_view_deg", "position_m", "target_m", "up"}  # what `suggest` writes beside them
 OF_CAMERAS = {"size", "matrix", "fx", "fy", "cx", "cy", "distortion", "rotation", "translation"} | SUGGESTED
-NEAR = 0.85  # alikeness of two words from which on one is the other misspelled
 OWN = {"camera", "time", "rate", "colour_time", "grips", "gravity", "depth_step"}
 
 
@@ -336,7 +334,6 @@ def _header(about: Mapping[str, Any], where: Path) -> dict[str, Any]:
     if wrong := [name for name in strays if not re.fullmatch(r"\w[\w .-]*", name)]:
         raise ClothbenchError(f"{where}: {wrong[0]!r}: found a name that is none, expected letters, digits and _")
     absent = LAYOUT.known.union(OWN) - set(about)
-    for name in strays.keys() - LAYOUT.known:
-        if near := difflib.get_close_matches(name, absent, n=1, cutoff=NEAR):
-            raise ClothbenchError(f"{where}: found {name!r}, expected {near[0]!r}; a note needs a name less like it")
+    if found := misspelled(strays.keys() - LAYOUT.known, absent):
+        raise ClothbenchError(f"{where}: found {found[0]!r}, expected {found[1]!r}; a note needs a name less like it")
     return out | {"notes": {k: v for k, v in strays.items() if k not in LAYOUT.known}}

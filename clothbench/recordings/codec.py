@@ -2,7 +2,8 @@
 
 A file is NetCDF-4 (HDF5). Its header, the same for all kinds, are the global attributes `format`
 ("clothbench-recording"), `format_version` (1) and `kind`; the other attributes and the variables are the kind's own.
-Each variable states its unit in an attribute `units`. An attribute that a kind does not know is kept as a note.
+Each variable states its unit in an attribute `units`. An attribute that a kind does not know is kept as a note, unless
+it is nearly one that the file lacks.
 """
 
 from __future__ import annotations
@@ -10,13 +11,13 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar
 
 import numpy as np
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, misspelled
 from clothbench.core.files import whole_file
 from clothbench.recordings.layout import Layout, Stated, Variable
 from clothbench.recordings.netcdf import NetCDF, opened
@@ -53,7 +54,7 @@ def read(path: str | os.PathLike[str], layout: Layout, make: Callable[..., Recor
     path = Path(path)
     with opened(path) as file:
         stated = file.attributes
-        check_header(stated, path, layout.kind, layout.needed)
+        check_header(stated, path, layout)
         content: dict[str, Any] = {name: variable(file, name, of) for name, of in layout.variables.items()}
         there = {
             name: {n: variable(file, n, of) for n, of in part.variables.items() if n in file}
@@ -74,6 +75,7 @@ def write(record: Any, path: str | os.PathLike[str], layout: Layout) -> Path:
 
     path = Path(path)
     arrays, stated = _content(record, layout)
+    require_no_misspelling(stated, path, layout)  # it could not be read again
     tables = {**layout.variables, **{name: of for part in layout.parts.values() for name, of in part.variables.items()}}
     variables = {n: xr.Variable(tables[n].dims, array, attrs={"units": tables[n].unit}) for n, array in arrays.items()}
     encoding = {
@@ -112,8 +114,10 @@ def stated_in(path: Path, name: str) -> str:
         return str(file.attributes.get(name, ""))
 
 
-def check_header(stated: Stated, path: Path, kind: str, needed: Sequence[str]) -> None:
-    """Format, version and kind are as expected, and no attribute in `needed` is missing."""
+def check_header(stated: Stated, path: Path, layout: Layout) -> None:
+    """Format, version and kind are as expected, no attribute is one that is missing, misspelled, and none that a file
+    must state is missing.
+    """
     if stated.get("format") != FORMAT:
         raise ClothbenchError(f"{path}: attribute 'format': found {stated.get('format')!r}, expected {FORMAT!r}")
     version = stated.get("format_version")
@@ -125,12 +129,22 @@ def check_header(stated: Stated, path: Path, kind: str, needed: Sequence[str]) -
         raise ClothbenchError(
             f"{path}: attribute 'format_version': found {found}, expected the number {VERSION}; {remedy}"
         )
-    if stated.get("kind") != kind:
+    if stated.get("kind") != layout.kind:
         hint = "; curves go to `clothbench improve`, in a folder of their own" if stated.get("kind") == "curve" else ""
-        raise ClothbenchError(f"{path}: attribute 'kind': found {stated.get('kind')!r}, expected {kind!r}{hint}")
-    for name in needed:
+        raise ClothbenchError(f"{path}: attribute 'kind': found {stated.get('kind')!r}, expected {layout.kind!r}{hint}")
+    require_no_misspelling(stated, path, layout)
+    for name in layout.needed:
         if name not in stated:
             raise ClothbenchError(f"{path}: attribute {name!r} is missing; add it to the file's header")
+
+
+def require_no_misspelling(stated: Stated, path: Path, layout: Layout) -> None:
+    """Refuse what would be a note though it is nearly an attribute that is not stated."""
+    if found := misspelled(stated.keys() - layout.known, layout.attributes - stated.keys()):
+        raise ClothbenchError(
+            f"{path}: attribute {found[0]!r}: expected {found[1]!r}, which the file lacks; rename it (a note needs a "
+            "name less like it)"
+        )
 
 
 def variable(file: NetCDF, name: str, of: Variable) -> np.ndarray:

@@ -66,5 +66,10 @@ class Layout:
     @property
     def known(self) -> set[str]:
         """Attributes that are no notes: the header's, the record's fields, and those of its parts."""
-        fields = {*self.variables, *self.texts, *self.numbers, *self.vectors, *self.parts, "notes", "path"}
-        return fields | {"format", "format_version", "kind"} | {a for p in self.parts.values() for a in p.attributes}
+        return {*self.attributes, *self.variables, *self.parts, "notes", "path"}
+
+    @property
+    def attributes(self) -> set[str]:
+        """Attributes that a file may state and that are no notes."""
+        header = {"format", "format_version", "kind", *self.texts, *self.numbers, *self.vectors}
+        return header | {name for part in self.parts.values() for name in part.attributes}

@@ -43,6 +43,30 @@ def test_what_the_format_does_not_know_is_kept_as_notes(tmp_path):
     assert read_recording(path).notes == {"clock_offset_removed_s": "0.25"}
 
 
+@pytest.mark.parametrize(
+    ("word", "meant"),
+    [
+        ("areal_densty", "areal_density"), ("cloth_widht", "cloth_width"), ("Fabric", "fabric"), ("splitt", "split"),
+        ("obstacle_shapes", "obstacle_shape"),
+    ],
+)  # fmt: skip
+def test_an_attribute_that_is_nearly_one_that_is_missing_is_refused(tmp_path, word, meant):
+    """As a note it would vanish: a cloth of no known weight, a recording that is fitted though it was held out."""
+
+    def misspell(stream):
+        if meant in stream.ncattrs():
+            del stream.attrs[meant]
+        stream.attrs[word] = "0.2"
+
+    with pytest.raises(ClothbenchError, match=rf"bad.nc: attribute '{word}': expected '{meant}', which the file lacks"):
+        read_recording(_with(tmp_path, misspell))
+    with pytest.raises(ClothbenchError, match="expected 'obstacle_shape', which the file lacks"):
+        write_recording(swinging_recording(notes={"obstacle_shapes": "disc"}), tmp_path / "unwritten.nc")
+    assert not (tmp_path / "unwritten.nc").exists()
+    stated = _with(tmp_path, lambda f: f.attrs.update({"areal_densty": "0.2", "cloth_with_hems": "yes", "room": "4"}))
+    assert set(read_recording(stated).notes) == {"areal_densty", "cloth_with_hems", "room"}
+
+
 def test_a_failed_write_leaves_the_old_file(recording, tmp_path, monkeypatch):
     path = write_recording(recording, tmp_path / "a.nc")
     before = path.read_bytes()
