@@ -12,7 +12,7 @@ from clothbench.core.files import file_name, whole_file
 from clothbench.core.protocols import Material
 from clothbench.plugins.discovery import catalogue
 from clothbench.reference.presets import presets
-from clothbench.studies.calibration.whereabouts import hashes
+from clothbench.studies.calibration.moved import hashes
 from clothbench.twins.of_cell import FittedCell, brought, twin_of_cell
 from clothbench.twins.of_preset import twin_of_preset
 

@@ -16,7 +16,7 @@ from clothbench.core.files import json_text
 from clothbench.core.parallel import set_thread_count
 from clothbench.display.terminal import console
 from clothbench.plugins.discovery import Catalogue, catalogue
-from clothbench.studies.calibration.whereabouts import hashes
+from clothbench.studies.calibration.moved import hashes
 from clothbench.studies.improve.document import VERDICT
 from clothbench.studies.improve.plan import NOT_ASKED as REFUSED
 from clothbench.studies.improve.problem import Problem

@@ -16,7 +16,7 @@ from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording
 from clothbench.recordings.scenes import scenes_of
 from clothbench.studies.calibration.cell import asked_and_fitted, set_up
-from clothbench.studies.calibration.whereabouts import found_again
+from clothbench.studies.calibration.moved import found_again
 from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.document import VERDICT, document_in
 from clothbench.studies.improve.prepare import prepare

@@ -23,7 +23,7 @@ from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.scenes import scenes_of
 from clothbench.studies.calibration.cell import Bench, CalibrationCell, asked_and_fitted, set_up
 from clothbench.studies.calibration.estimates import FAR, WIDE, Estimate, estimates
-from clothbench.studies.calibration.whereabouts import found_again
+from clothbench.studies.calibration.moved import found_again
 
 
 @dataclass(frozen=True, eq=False)

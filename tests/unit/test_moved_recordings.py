@@ -15,7 +15,7 @@ from clothbench.engine.cells import Source
 from clothbench.engine.suite import plan, suites_folder
 from clothbench.plugins.discovery import catalogue
 from clothbench.recordings.nodes import find_recordings, read_recording
-from clothbench.studies.calibration.whereabouts import found_again, hashes
+from clothbench.studies.calibration.moved import found_again, hashes
 
 OTHER = swinging_recording(cloth_width=0.3)
 

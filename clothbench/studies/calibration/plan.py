@@ -26,8 +26,8 @@ from clothbench.recordings.nodes import Recording
 from clothbench.recordings.scenes import refuse_stated_weight, scenes_of
 from clothbench.reference.presets import Preset, preset
 from clothbench.studies.calibration.cell import CalibrationCell, Names, rehearse, uses
+from clothbench.studies.calibration.moved import lasting
 from clothbench.studies.calibration.settings import analysis_settings, suite_settings
-from clothbench.studies.calibration.whereabouts import lasting
 
 PRODUCT = ("model", "optimizer", "metric")
 
