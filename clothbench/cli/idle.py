@@ -14,9 +14,9 @@ from clothbench.engine.study import Cell
 from clothbench.plugins.discovery import OWN, catalogue
 
 
-def say_idle(words: Sequence[str], cells: Sequence[Cell]) -> None:
-    """A line for each setting of words (KEY=VALUE) that changes nothing in any of the cells; what a suite says is for
-    its other models.
+def say_idle(words: Sequence[str], cells: Sequence[Cell], config: Mapping[str, Any]) -> None:
+    """A line for each setting of words (KEY=VALUE) that changes nothing in any of the cells, which are those of the
+    settings `config`; what a suite says is for its other models.
     """
     used = {plugin.partition("/")[2] for cell in cells for plugin in cell.versions}
     named = {found[1] for word in words if (found := re.match(r"\+{0,2}options\.([^.=]+)[.=]", word))}
@@ -29,6 +29,9 @@ def say_idle(words: Sequence[str], cells: Sequence[Cell]) -> None:
         )
     if any(word.startswith("choice=") for word in words) and (metric := _of_one_objective(cells)):
         _say("choice", f"{metric} has one objective, and no front to choose from")
+    recordings = config.get("recording") or config.get("recordings") or (config.get("suite") or {}).get("recordings")
+    if any(word.startswith("data_dir=") for word in words) and "dataset:" not in str(recordings):
+        _say("data_dir", "no recordings of a data set are named (recordings=dataset:NAME)")
 
 
 def say_alone(config: Mapping[str, Any], cells: Sequence[Cell]) -> None:

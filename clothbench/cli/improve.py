@@ -71,7 +71,7 @@ def command(words: Sequence[str], as_json: bool = False) -> int:
     out = Path(settings["out"])
     require_own_page(out)
     store = Store(out)
-    say_idle(words, cells)
+    say_idle(words, cells, settings)
     for remark in remarks(cells[0], plugins, all_tried=settings["suite"]["candidates"] is None):
         print(f"clothbench: {remark}", file=sys.stderr)
     with workers_of(executor, settings["jobs"], out, [cell for cell in cells if not store.has(cell.key)]) as elsewhere:

@@ -261,7 +261,7 @@ def _run(config: Any, sweep: Sweep | None, words: Sequence[str] = ()) -> dict[st
         cells = plan(config, catalogue(), told)
     if sweep is None:  # a sweep may mean them for other jobs
         refuse_idle(words, config, cells)
-        say_idle(words, cells)
+        say_idle(words, cells, config)
         say_alone(config, cells)
     out = Path(config["out"])
     with CellBar(cells, sweep) as bar:

@@ -435,7 +435,7 @@ def test_a_gate_says_it_one_way_only(capsys):
 
 def test_options_of_a_plugin_that_is_not_in_use_are_told(capsys):
     cell = SimpleNamespace(versions={"models/mass_spring": "1", "optimizers/cma_es": "1"})
-    say_idle(["options.ga.generations=9", "++options.cma_es.sigma=1", "budget=3"], [cell])
+    say_idle(["options.ga.generations=9", "++options.cma_es.sigma=1", "budget=3"], [cell], {})
     assert capsys.readouterr().err == "clothbench: options.ga: ga is not in use here, so this changes nothing\n"
 
 
@@ -451,22 +451,25 @@ def test_recordings_that_state_no_fabric_are_told_to_be_cases_of_their_own(tmp_p
     assert bool(said) == told
 
 
-def test_a_mesh_that_the_scene_rules_and_a_choice_without_a_front_are_told(recordings_folder, capsys):
+def test_what_changes_nothing_is_told(recordings_folder, capsys):
     words = [f"recordings={recordings_folder}", "model=mass_spring", "optimizer=ga", "options.mass_spring.resolution=5"]
     for more, told in (
         (["metric=node_error"], ""),
         (["metric=node_error", "scene.spacing=0.05"], "clothbench: options.mass_spring.resolution: the scene says how"),
         (["metric=[node_error,fold]", "choice=knee"], "clothbench: choice: fold, node_error has one objective, and no"),
+        (["metric=node_error", "data_dir=originals"], "clothbench: data_dir: no recordings of a data set are named"),
     ):
-        say_idle([*words, *more], plan(composed([*words, *more]), catalogue()))
+        config = composed([*words, *more])
+        say_idle([*words, *more], plan(config, catalogue()), config)
         said = capsys.readouterr().err
         assert said.startswith(told)
         assert said.count("so this changes nothing\n") == said.count("\n") == bool(told)
     drape = SimpleNamespace(versions={}, metric="drape", choice="knee", options={"drape": {"quantities": ["folds"]}})
-    say_idle(["choice=knee"], [drape])
+    say_idle(["choice=knee"], [drape], {})
     assert "choice: drape has one objective" in capsys.readouterr().err
     drape.options = {}
-    say_idle(["choice=knee"], [drape])
+    say_idle(["data_dir=originals"], [drape], {"suite": {"recordings": ["dataset:cusick_drape_bdp"]}})
+    say_idle(["choice=knee"], [drape], {})
     assert capsys.readouterr().err == ""
 
 
