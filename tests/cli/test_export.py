@@ -142,7 +142,7 @@ def test_what_cannot_be_reckoned_is_said_so_and_nothing_is_written_before_it(fit
 
 
 def test_a_fit_with_a_fault_is_no_class_of_fabrics(monkeypatch, tmp_path):
-    def gone(out, key):
+    def gone(out, key, named):
         raise ClothbenchError("its recording has gone")
 
     monkeypatch.setattr(command, "find_cell", lambda results, name: tmp_path)

@@ -71,7 +71,7 @@ def test_a_row_says_where_it_is_documented(clothbench):
     assert rows[1].source == ""  # of mass nothing need be documented
     done = clothbench("units")
     assert done.returncode == 2
-    assert done.stderr.strip().endswith("the following arguments are required: MODEL")
+    assert "the following arguments are required: MODEL" in done.stderr
 
 
 def test_mujocos_units_hold_but_for_bending_at_the_margins():
