@@ -116,6 +116,7 @@ def fitted(out: Path, name: str, made: Path) -> Path:
     """
     from clothbench.engine.store import Store
     from clothbench.studies.calibration.film_rerun import BEST, write_film_rerun
+    from clothbench.studies.improve.document import VERDICT
 
     folder = find_cell(out, name)
     if (file := folder / "fit.rrd").is_file():
@@ -124,7 +125,7 @@ def fitted(out: Path, name: str, made: Path) -> Path:
         return best
     if films := sorted((folder / "films").glob("*.npz")):
         return write_film_rerun(made / "films.rrd", Store(out), folder.name, films)
-    if (folder / "verdict.json").is_file():
+    if (folder / VERDICT).is_file():
         raise ClothbenchError(f"cell {folder.name} is of improve: view one of its recordings with --out {folder}")
     raise ClothbenchError(
         f"cell {folder.name} has neither fit.rrd nor films: it failed, or an older version ran it; see the leaderboard"

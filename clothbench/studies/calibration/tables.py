@@ -50,7 +50,7 @@ def error_table(suite: str, rows: Rows) -> Table:
     cells = list(group(rows, lambda r: r["key"]).values())
     crowded = max((sum(bool(r["recording"]) for r in mine) for mine in cells), default=0) > MANY
     for mine in cells[:MOST]:
-        how = "".join(f"; {escape(why)}" for why in filter(None, [ended(mine)]))
+        how = f"; {escape(why)}" if (why := ended(mine)) else ""
         effort = f" [dim]({mine[0]['evaluations']} evaluations, {mine[0]['wall_s'] or 0.0:.1f} s{how})[/]"
         known = mine[0]["evaluations"] is not None  # of what others handed in it is not
         table.add_row(f"[bold]{escape(cell_name(mine[0]))}[/]{effort if known else ''}")

@@ -24,7 +24,7 @@ from clothbench.core.optional import (
     work_of,
 )
 from clothbench.core.parallel import thread_count
-from clothbench.plugins.discovery import Plugin, catalogue, library_version, one_line
+from clothbench.plugins.discovery import Catalogue, Plugin, catalogue, library_version, one_line
 from clothbench.studies.speed.roofline import Work, measured_core, told
 from clothbench.studies.speed.timing import (
     STEP,
@@ -263,13 +263,26 @@ def _with_ratios(row: Row, beside: list[Row]) -> list[Row]:
 def _peers() -> list[Plugin]:
     """The peers that are installed; a line on standard error for each that is not."""
     found = []
-    for plugin in (p for p in catalogue().plugins if p.kind == "peers"):
-        with _or_skipped(plugin.name):
-            reason = plugin.reason or catalogue().load("peers", plugin.name).skip_reason()
-            found += [plugin] if reason is None else []
-            if reason is not None:
-                _skipped(plugin.name, reason)
+    for plugin, reason in peers_in(catalogue()):
+        if reason is None:
+            found.append(plugin)
+        else:
+            _skipped(plugin.name, reason)
     return found
+
+
+def peers_in(plugins: Catalogue) -> list[tuple[Plugin, str | None]]:
+    """Every peer, with why it cannot run here; None where it can. Whatever a stranger's trips over is its reason."""
+    return [(plugin, _why_absent(plugin, plugins)) for plugin in plugins.plugins if plugin.kind == "peers"]
+
+
+def _why_absent(peer: Plugin, plugins: Catalogue) -> str | None:
+    try:
+        return peer.reason or plugins.load("peers", peer.name).skip_reason()
+    except ClothbenchError as fault:
+        return str(fault)
+    except Exception as fault:
+        return one_line(fault)
 
 
 def _peer_rows(plugin: Plugin, side: int, say: Say) -> list[Row]:

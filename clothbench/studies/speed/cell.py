@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -14,7 +13,7 @@ from clothbench.engine.cells import digest, plugin_versions
 from clothbench.engine.settings import refuse, refuse_of_searches, whole
 from clothbench.engine.store import system_info
 from clothbench.plugins.discovery import Catalogue
-from clothbench.studies.speed.bench import SIDES
+from clothbench.studies.speed.bench import SIDES, peers_in
 
 SUITE_WORDS = frozenset({"sides"})
 NOT_TIMED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis", "prior",
@@ -71,19 +70,10 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     given = settings["suite"].get("sides") or SIDES
     sides = tuple(whole("suite.sides", n, 5) for n in (given if isinstance(given, list | tuple) else [given]))
     models = tuple(dict.fromkeys(settings["model"]))
-    peers = peers_here(plugins)
+    peers = tuple(peer.name for peer, reason in peers_in(plugins) if reason is None)
     used = [("models", name) for name in models or plugins.names("models")] + [("peers", name) for name in peers]
     versions = plugin_versions(used, plugins)
     return [SpeedCell(settings["suite"].get("name") or "speed", models, sides, versions, peers, this_machine())]
-
-
-def peers_here(plugins: Catalogue) -> tuple[str, ...]:
-    """The peers that can run here, as the bench finds them; whatever a stranger's trips over, it is none then."""
-    found = []
-    for name in plugins.names("peers"):
-        with contextlib.suppress(Exception):
-            found += [name] if plugins.load("peers", name).skip_reason() is None else []
-    return tuple(found)
 
 
 def this_machine() -> dict[str, str | int]:
