@@ -79,16 +79,16 @@ def unroll(frames: np.ndarray, side: float, steps: int = 60) -> tuple[np.ndarray
     unrolls, noise does not.
     """
     count, n = frames.shape[:2]
-    pairs = _springs(n)
-    x = frames.reshape(count, n * n, 3)
-    length = np.linalg.norm(x[:, pairs[:, 0]] - x[:, pairs[:, 1]], axis=-1)
+    first, second = _springs(n).T
+    x = np.moveaxis(frames.reshape(count, n * n, 3), 0, -1)  # frames last: one product serves them all
+    length = np.linalg.norm(x[first] - x[second], axis=1)
     solve = _majoriser(n)
-    flat = np.broadcast_to(nominal(n, side) - side / 2, (count, n * n, 2)).copy()
+    flat = np.repeat((nominal(n, side) - side / 2)[..., None], count, axis=-1)
     for _ in range(steps):
-        apart = flat[:, pairs[:, 0]] - flat[:, pairs[:, 1]]
-        distance = np.maximum(np.hypot(apart[..., 0], apart[..., 1]), 1e-9)
-        flat = solve @ (apart * (length / distance)[..., None])
-    return flat, np.sqrt(np.mean((distance - length) ** 2, axis=-1))
+        apart = flat[first] - flat[second]
+        distance = np.maximum(np.sqrt(apart[:, 0] ** 2 + apart[:, 1] ** 2), 1e-9)
+        flat = (solve @ (apart * (length / distance)[:, None]).reshape(len(first), -1)).reshape(n * n, 2, count)
+    return np.moveaxis(flat, -1, 0).copy(), np.sqrt(np.mean((distance - length) ** 2, axis=0))
 
 
 def place(flat: np.ndarray, side: float, hem: float = 0.006) -> np.ndarray:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from scipy.interpolate import Akima1DInterpolator
@@ -23,13 +24,14 @@ class PosePath:
     position: np.ndarray
     quaternion: np.ndarray
 
-    def at(self, time: np.ndarray) -> tuple[np.ndarray, Rotation]:
-        """Position (T, 3) in m and rotation at `time` (T,) in s; held at the ends.
+    @cached_property
+    def _smooth(self) -> Akima1DInterpolator:
+        """Akima's local cubic: smooth where the body moves, without the overshoot of a spline where it stops."""
+        return Akima1DInterpolator(self.time, np.hstack([self.position, self.quaternion]))
 
-        Akima's local cubic: smooth where the body moves, without the overshoot of a spline where it stops.
-        """
-        inside = np.clip(time, self.time[0], self.time[-1])
-        values = Akima1DInterpolator(self.time, np.hstack([self.position, self.quaternion]))(inside)
+    def at(self, time: np.ndarray) -> tuple[np.ndarray, Rotation]:
+        """Position (T, 3) in m and rotation at `time` (T,) in s; held at the ends."""
+        values = self._smooth(np.clip(time, self.time[0], self.time[-1]))
         return values[:, :3], Rotation.from_quat(values[:, 3:])
 
     def velocity(self, time: np.ndarray, over: float = 0.05) -> np.ndarray:
