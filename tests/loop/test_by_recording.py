@@ -35,7 +35,7 @@ def fitted_to(residual: list[np.ndarray], random: np.random.Generator) -> Fitted
     return Fitted((), space, np.array([1.0]), residual, jacobian, np.array([0.9]), np.array([1.1]), 5)
 
 
-def shifted(residual: np.ndarray):
+def shifted(residual: np.ndarray, spread: bool = False):
     """Surrogates: the residual moved round in time."""
     return lambda random: np.roll(residual, random.integers(len(residual)))
 

@@ -164,6 +164,23 @@ def test_surrogates_keep_what_a_residual_is_made_of(cases):
     assert (mirror(MATERIAL)[mirror(MATERIAL)] == np.arange(len(MATERIAL))).all()
 
 
+def test_of_amounts_by_recording_chance_does_not_keep_what_stays_in_its_place(cases):
+    """A sheet that hangs off by the same everywhere is, turned, one that hangs off another way: what stays has to be
+    shared out anew for chance to be anything else.
+    """
+    case, random = cases[0], np.random.default_rng(3)
+    seen = case.observation.visible
+    off = np.broadcast_to([3e-3, -4e-3, 2e-3], (*seen.shape, 3))[seen].ravel()
+    way = np.stack([np.broadcast_to(axis, (*seen.shape, 3))[seen].ravel() for axis in np.eye(3)])
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    for spread, least, most in ((False, 0.999, 1.001), (True, 0.0, 0.6)):
+        draw = case.surrogates(off, spread=spread)
+        drawn = np.array([draw(random) for _ in range(60)])
+        share = np.square(drawn @ way.T).sum(axis=1) / np.square(drawn).sum(axis=1)
+        assert least <= np.quantile(share, 0.95) <= most
+        assert np.square(drawn).sum(axis=1) == pytest.approx(np.sum(off**2), rel=0.2)
+
+
 def test_later_rounds_try_those_anew_that_may_explain_what_is_left_now(candidates):
     random, names = np.random.default_rng(17), [probe.effect for probe in candidates]
     residual = left(random)

@@ -196,7 +196,7 @@ def screen(problem: Problem, current: Fitted, names: Sequence[str]) -> list[Cand
     if not spans:
         return []
     random = np.random.default_rng(problem.seed)
-    draws = [case.surrogates(residual) for case, residual in zip(cases, current.residual, strict=True)]
+    draws = [case.surrogates(residual, spread=True) for case, residual in zip(cases, current.residual, strict=True)]
     seen = [(len(r) ** -0.5 * r)[None] for r in current.residual]
     parts, left = explained(bases, spans, seen)
     share = parts.sum(axis=0)[0] / left.sum(axis=0)[0]

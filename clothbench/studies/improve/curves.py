@@ -83,7 +83,7 @@ class CurveCase:
         """Nothing moves it."""
         return None
 
-    def surrogates(self, residual: np.ndarray) -> Surrogate:
+    def surrogates(self, residual: np.ndarray, spread: bool = False) -> Surrogate:
         """Moved round a circle of the curve and its reverse, and turned over or not."""
         return lambda random: moved_round(residual, random) * random.choice([-1.0, 1.0])
 

@@ -198,7 +198,7 @@ class DrapeCase:
         """Nothing moves it."""
         return None
 
-    def surrogates(self, residual: np.ndarray) -> Surrogate:
+    def surrogates(self, residual: np.ndarray, spread: bool = False) -> Surrogate:
         """Turned over or not, and turned by a quarter or not: where faces and threads are alike, a specimen might as
         well have been laid on so.
         """

@@ -93,8 +93,12 @@ class Case(Protocol):
         """The same with its motion so many times as far and as fast; None where nothing moves it."""
         ...
 
-    def surrogates(self, residual: np.ndarray) -> Surrogate:
-        """Draws of the residual (M,) out of step with the model but with its own correlation (surrogate data)."""
+    def surrogates(self, residual: np.ndarray, spread: bool = False) -> Surrogate:
+        """Draws of the residual (M,) out of step with the model but with its own correlation (surrogate data).
+
+        spread: for effects whose amounts are each recording's own; what stays then has no say in where on the cloth it
+        is.
+        """
         ...
 
     def peak(self, residual: np.ndarray) -> str:

@@ -111,10 +111,13 @@ class SheetCase:
         """The residual (M,) m back on its frames and nodes (T, N, 3), 0 where nothing was seen."""
         return field_of(self.observation, residual)
 
-    def surrogates(self, residual: np.ndarray) -> Surrogate:
+    def surrogates(self, residual: np.ndarray, spread: bool = False) -> Surrogate:
         """What stays of it at each node is turned about the vertical, what moves is moved round in time and along its
         main directions reversed or not, so that it keeps them; both mirrored left to right or not. A picture has no
         vertical to turn about: there what stays is reversed along its rows and columns or not, too.
+
+        spread: what stays lies otherwise over the cloth, too, as smoothly (`shared_out_anew`). Where every recording
+        has amounts of its own, a sheet that is set off another way is as well explained as before.
         """
         observation = self.observation
         field, seen = self.field(residual), observation.visible
@@ -123,12 +126,14 @@ class SheetCase:
         staying = field.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)[:, None]
         moving = np.where(seen[..., None], field - staying, 0.0)
         axes, image, in_space = main_directions(moving), mirror(observation.material), field.shape[-1] == 3
+        smooth = np.linalg.qr(quadratics(observation.material))[0] if spread else np.zeros((len(image), 0))
 
         def draw(random: np.random.Generator) -> np.ndarray:
             angle = random.uniform(0, 2 * np.pi)
             c, s = np.cos(angle), np.sin(angle)
             turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, random.choice([-1.0, 1.0])]])
             stays = staying @ (turn if in_space else np.diag(random.choice([-1.0, 1.0], 2)))
+            stays = shared_out_anew(stays, smooth, random)
             reverse = (axes * random.choice([-1.0, 1.0], len(axes))) @ axes.T
             drawn = stays + moved_round(moving, random) @ reverse
             return (drawn[:, image] if random.random() < 0.5 else drawn)[seen].ravel()
@@ -257,6 +262,22 @@ def main_directions(field: np.ndarray) -> np.ndarray:
         level = field[..., :2].reshape(-1, 2)
         axes[:2, :2] = np.linalg.eigh(level.T @ level)[1]
     return axes
+
+
+def quadratics(material: np.ndarray) -> np.ndarray:
+    """1, u, v, u², uv and v² of material points (N, 2), one in each column (N, 6), u and v from −1 to 1."""
+    low, high = material.min(axis=0), material.max(axis=0)
+    u, v = (2 * (material - low) / np.maximum(high - low, 1e-300) - 1).T
+    return np.stack([np.ones_like(u), u, v, u * u, u * v, v * v], axis=1)
+
+
+def shared_out_anew(field: np.ndarray, modes: np.ndarray, random: np.random.Generator) -> np.ndarray:
+    """A field (N, D) whose part in these orthonormal modes (N, K) is shared out among them anew, by a rotation of all
+    K (Haar); each coordinate keeps its size.
+    """
+    turn, sign = np.linalg.qr(random.normal(size=(modes.shape[1], modes.shape[1])))
+    known = modes.T @ field
+    return field + modes @ ((turn * np.sign(np.diag(sign))) @ known - known)
 
 
 def mirror(material: np.ndarray) -> np.ndarray:
