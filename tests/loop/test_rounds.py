@@ -13,8 +13,8 @@ from clothbench.plugins.discovery import catalogue
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.attribution import Probe
 from clothbench.studies.improve.fitted import Fitted
-from clothbench.studies.improve.fitting import multistart
-from clothbench.studies.improve.loop import all_rounds, confirmed
+from clothbench.studies.improve.fitting import calibrated_anew, multistart
+from clothbench.studies.improve.loop import all_rounds, confirmed, recalibrated
 from clothbench.studies.improve.refits import (
     as_a_limit,
     beside_tied,
@@ -31,6 +31,13 @@ from clothbench.studies.improve.sheets import SheetEvidence
 from clothbench.studies.improve.state import Round, State
 
 SPACE = ParameterSpace((Parameter("k", "k", "N/m", (1.0, 9.0), "linear", 2.0, "a stiffness", "a test"),))
+
+
+@dataclasses.dataclass(frozen=True)
+class Held:
+    """Of a problem, what is held in each recording."""
+
+    own: dict[str, dict[str, float]]
 
 
 def fitted(rms: float) -> Fitted:
@@ -206,6 +213,65 @@ def test_an_effect_with_several_shape_parameters_is_sought_in_other_valleys(monk
     assert found.theta[0] == 2.0
     assert count == (0 if one_valley else LOOP.multistart_points + 10 * LOOP.multistart_fits)
     assert goals == ([] if one_valley else pytest.approx([1.6e-5, 1e-6]))
+
+
+def test_the_model_is_sought_anew_beside_what_was_named(monkeypatch):
+    """Made-up: a fit ends at 4 mm where it starts with a soft sheet, at 1 mm with a stiff one; the wind stays."""
+    effect = wind(1)
+    space = ParameterSpace((*SPACE, *effect))
+    problem = SimpleNamespace(
+        seed=0, space=lambda names: SPACE, trials=lambda names, split: None, evidence=SimpleNamespace()
+    )  # fmt: skip
+
+    def fit(problem, names, start, rounds, goal, unless, tolerance):
+        rms = 1e-3 if start[0] > 5 else 4e-3
+        return Fitted(("wind",), space, start, [np.full(9, rms)] * 2, [np.ones((9, 3))] * 2, start, start, 10)
+
+    monkeypatch.setattr("clothbench.studies.improve.fitting.fit", fit)
+    value = lambda theta: -theta[:, 0] + 9 * (theta[:, 1] != 0.3)  # noqa: E731
+    monkeypatch.setattr(
+        "clothbench.studies.improve.fitting.evaluate", lambda _, t: (SimpleNamespace(value=value(t)), [])
+    )
+    found, count = calibrated_anew(problem, fit(problem, (), np.array([2.0, 0.3, -0.5]), 8, np.inf, None, 0.0))
+    assert found.rms == pytest.approx(1e-3)
+    assert found.theta[0] > 5
+    assert found.theta[1:].tolist() == [0.3, -0.5]
+    assert count == LOOP.calibration_points + 10 * LOOP.calibration_fits
+
+
+@pytest.mark.parametrize(("elsewhere", "own"), [(1e-3, True), (1e-3, False), (1.99e-3, False)])
+def test_a_further_round_sets_out_from_the_better_valley(monkeypatch, elsewhere, own):
+    """Made-up: a wind leaves 2 mm; with the model sought anew beside it 1 mm, or hardly less than before."""
+    first = dataclasses.replace(fitted(2e-3), effects=("wind",))
+    better = dataclasses.replace(fitted(elsewhere), effects=("wind",))
+    anew, asked = {"one": fitted(elsewhere)}, []
+
+    def by_recording(problem, current, name, goal, known):
+        asked.append((problem.own, current, name, known))
+        return current, anew, 7
+
+    for name, value in {
+        "calibrated_anew": lambda *_: (better, 50), "fitted_by_recording": by_recording,
+        "corrected": lambda problem, fit, noise, account: (problem, fit, 4e-4),
+        "profile_intervals": lambda problem, fit: (fit, fit, 3),
+    }.items():  # fmt: skip
+        monkeypatch.setattr(f"clothbench.studies.improve.loop.{name}", value)
+    known = {"one": fitted(2e-3)}
+    problem = Held({"one": {"k": 2.0}} if own else {})
+    last = Round(fitted(6e-3), 1e-3, (), ("a probe",), ("wind",), first, own={"wind": known} if own else {})
+    state, account = State(problem, fitted(6e-3), first, 1e-3, 9e-4, (last,)), Account(lambda *_: None)
+    account.stage("round 1", 0, 1)
+    found = recalibrated(state, account)
+    if elsewhere > 1.9e-3:
+        assert found is state
+        return
+    assert found.final is better
+    assert found.mesh == 4e-4
+    assert found.rounds[-1].probes == ()
+    assert account.evaluations == (57 if own else 53)
+    assert asked == ([({}, better, "wind", known)] if own else [])
+    assert found.own == ({"wind": anew} if own else {})
+    assert found.problem.own == ({"one": {"k": 2.0}} if own else {})
 
 
 def with_wind(name: str, shapes: int, rms: float) -> Fitted:

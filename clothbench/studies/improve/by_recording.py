@@ -245,16 +245,20 @@ def explained(
     return np.array(parts).transpose(0, 2, 1), np.array(left)
 
 
-def fitted_by_recording(problem: Problem, current: Fitted, name: str, goal: float) -> tuple[Fitted, Own, int]:
+def fitted_by_recording(
+    problem: Problem, current: Fitted, name: str, goal: float, known: Own | None = None
+) -> tuple[Fitted, Own, int]:
     """Everything refitted with what is each recording's own: in turn that, with all that is shared held, and what is
     shared with that held, as long as it pays; and how many parameter sets that took. What is shared is given up where
     it will not come below the goal, above which the effect cannot stand.
+
+    known: what is each recording's own in `current`, if that has the effect already.
     """
-    effects = (*current.effects, name)
-    shared = dict(zip(current.space.names, current.theta, strict=True))
-    shared |= {f"{name}.{p.name}": p.default for p in problem.space_of(name)}
+    effects = current.effects if known else (*current.effects, name)
+    shared = {f"{name}.{p.name}": p.default for p in problem.space_of(name)}
+    shared |= dict(zip(current.space.names, current.theta, strict=True))
     cases, count = problem.of_split("fit"), 0
-    fitted, own = current, None
+    fitted, own = current, known
     for _ in range(LOOP.turns_by_recording):
         before = fitted.rms**2
         own = own_amounts(problem, effects, name, shared, cases, own)

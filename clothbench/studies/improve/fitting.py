@@ -173,18 +173,42 @@ def multistart(problem: Problem, base: Fitted, fitted: Fitted, rounds: int, goal
     how many sets that took.
 
     An effect with several shape parameters has several valleys (little drag in much wind, much drag in little), and
-    what is left in a wrong one looks like another effect. A fit is given up where it will not come below the best, and
-    below the goal.
+    what is left in a wrong one looks like another effect.
     """
     effect, count = problem.space_of(fitted.effects[-1]), LOOP.multistart_points
     if sum(p.null is None for p in effect) < LOOP.multistart_shapes:
         return fitted, 0
     points = sobol(len(effect), np.random.default_rng(problem.seed), count)
     starts = np.hstack([np.tile(base.theta, (count, 1)), effect.from_unit(points)])
-    value = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value
-    for k in np.argsort(value)[: LOOP.multistart_fits]:  # what could not be simulated comes last
+    tolerance = problem.evidence.search.contest_tolerance
+    return from_best_of(problem, fitted, starts, LOOP.multistart_fits, rounds, goal, tolerance)
+
+
+def calibrated_anew(problem: Problem, fitted: Fitted) -> tuple[Fitted, int]:
+    """The fit, or a better one from places spread over all that the model's own parameters can be, the effects' from
+    where they are; and how many sets that took.
+    """
+    model, count = problem.space(()), LOOP.calibration_points
+    points = sobol(len(model), np.random.default_rng(problem.seed), count)
+    starts = np.hstack([model.from_unit(points), np.tile(fitted.theta[len(model) :], (count, 1))])
+    return from_best_of(problem, fitted, starts, LOOP.calibration_fits, LOOP.final_rounds)
+
+
+def from_best_of(
+    problem: Problem,
+    fitted: Fitted,
+    starts: np.ndarray,
+    fits: int,
+    rounds: int,
+    goal: float = np.inf,
+    tolerance: float = 0.0,
+) -> tuple[Fitted, int]:
+    """The fit, or a better one from so many of `starts` (S, P), those that leave least; and how many sets that took. A
+    fit is given up where it will not come below the best, and below the goal.
+    """
+    value, count = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value, len(starts)
+    for k in np.argsort(value)[:fits]:  # what could not be simulated comes last
         if np.isfinite(value[k]):
-            tolerance = problem.evidence.search.contest_tolerance
             fitted, spent = better_of(problem, fitted, starts[k], rounds, min(fitted.rms**2, goal), tolerance)
             count += spent
     return fitted, count

@@ -15,11 +15,11 @@ from clothbench.core.optional import family_of
 from clothbench.core.progress import StageProgress
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.ahead import ahead
-from clothbench.studies.improve.by_recording import on_held_out, with_own_amounts
+from clothbench.studies.improve.by_recording import fitted_by_recording, on_held_out, with_own, with_own_amounts
 from clothbench.studies.improve.description import description_of
 from clothbench.studies.improve.finding import Finding, Note
 from clothbench.studies.improve.fitted import Fitted
-from clothbench.studies.improve.fitting import better_of, fit, planned_evaluations
+from clothbench.studies.improve.fitting import better_of, calibrated_anew, fit, planned_evaluations
 from clothbench.studies.improve.held_out import comparisons_of, held_out_errors, placebo_of
 from clothbench.studies.improve.jumps import in_another_valley, jump_along_valley, off_bounds
 from clothbench.studies.improve.problem import Problem
@@ -125,6 +125,8 @@ def each_alone(problem: Problem, base: Fitted, account: Account) -> dict[str, Fi
 
 def next_round(state: State, candidates: Sequence[str], account: Account) -> tuple[State, bool]:
     """One round more, and whether it named an effect that stands, so that another may follow."""
+    if state.rounds:
+        state = recalibrated(state, account)
     current, problem = state.final, state.problem
     rest = [c for c in candidates if c not in current.effects]
     earlier = state.rounds[-1].probes if state.rounds else ()
@@ -144,6 +146,31 @@ def next_round(state: State, candidates: Sequence[str], account: Account) -> tup
     if found.after is None:
         return with_round(state, found), False
     return confirmed(state, found, account)
+
+
+def recalibrated(state: State, account: Account) -> State:
+    """The state with the model's own parameters sought anew beside what was named, if there is a better valley of the
+    error: what was missing may have led the calibration astray, and what a wrong valley leaves looks like one thing
+    more that is missing.
+    """
+    problem, fitted, rounds = state.problem, state.final, state.rounds
+    account.stage(f"round {len(rounds) + 1}: calibrated anew", 0, 1)
+    better, count = calibrated_anew(problem, fitted)
+    account.count(count)
+    if better.rms**2 > (1 - LOOP.least_valley) * fitted.rms**2:
+        return state
+    for name, known in state.own.items():
+        better, own, count = fitted_by_recording(dataclasses.replace(problem, own={}), better, name, np.inf, known)
+        account.count(count)
+        problem = with_own(problem, own)
+        rounds = tuple(dataclasses.replace(r, own={**r.own, name: own}) if name in r.own else r for r in rounds)
+    problem, after, mesh = corrected(problem, better, state.noise, account)
+    if not state.own:
+        _, after, count = profile_intervals(problem, after)
+        account.count(count)
+    # What the probes of the last round change was seen in the valley that was left.
+    rounds = (*rounds[:-1], dataclasses.replace(rounds[-1], probes=()))
+    return dataclasses.replace(state, problem=problem, final=after, mesh=mesh, rounds=rounds)
 
 
 def from_better(state: State, found: Round, better: Fitted) -> tuple[State, Round]:
