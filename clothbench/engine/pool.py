@@ -8,6 +8,7 @@ import os
 import tempfile
 import threading
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, wait
 from pathlib import Path
@@ -72,13 +73,15 @@ def _run_missing(
             executor, cells, out, jobs=jobs, rerun=rerun, done=done, progress=progress, limits=limits, leases=leases
         )
         return
-    line = Line(cells, leases, lambda cell: cell.key, lambda cell: done(cell, KEPT))
+    one_by_one = here and (len(cells) == 1 or jobs == 1)
+    order = cells if one_by_one else by_turns(cells)
+    line = Line(order, leases, lambda cell: cell.key, lambda cell: done(cell, KEPT))
 
     def ended(cell: Cell, status: str) -> None:
         leases.give_back(cell.key)
         done(cell, status)
 
-    if here and (len(cells) == 1 or jobs == 1):
+    if one_by_one:
         while line:
             if (cell := line.begin()) is not None:
                 ended(cell, run_cell(cell, out, rerun=rerun, progress=progress))
@@ -86,6 +89,18 @@ def _run_missing(
                 time.sleep(WATCH)
     else:
         _run_in_processes(cells, line, out, workers, rerun, ended, progress, limits)
+
+
+def by_turns(cells: Sequence[Cell]) -> list[Cell]:
+    """The cells, their models taking turns: cells that begin together compile what they are made of, each a model of
+    its own then rather than all of them the same one.
+    """
+    before: Counter[str] = Counter()
+    turn = []
+    for cell in cells:
+        turn.append(before[cell.model])
+        before[cell.model] += 1
+    return [cells[number] for number in sorted(range(len(cells)), key=turn.__getitem__)]
 
 
 def _of_our_own(cell: Cell) -> bool:

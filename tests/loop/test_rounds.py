@@ -14,7 +14,7 @@ from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.attribution import Probe
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.fitting import calibrated_anew, multistart
-from clothbench.studies.improve.loop import all_rounds, confirmed, recalibrated
+from clothbench.studies.improve.loop import all_rounds, confirmed, next_round, recalibrated
 from clothbench.studies.improve.refits import (
     as_a_limit,
     beside_tied,
@@ -272,6 +272,23 @@ def test_a_further_round_sets_out_from_the_better_valley(monkeypatch, elsewhere,
     assert asked == ([({}, better, "wind", known)] if own else [])
     assert found.own == ({"wind": anew} if own else {})
     assert found.problem.own == ({"one": {"k": 2.0}} if own else {})
+
+
+@pytest.mark.parametrize(("turn", "valley"), [(0, True), (1, True), (1, False)])
+def test_a_second_name_has_to_hold_in_the_better_valley(monkeypatch, turn, valley):
+    """Made-up: whatever the state, a round names something, but for the state in a better valley; the first name is
+    given without one being sought.
+    """
+    state = SimpleNamespace(rounds=("named before",) * turn)
+    better, named, nothing = (SimpleNamespace(rounds=state.rounds) for _ in range(3))
+    monkeypatch.setattr(
+        "clothbench.studies.improve.loop.one_more",
+        lambda state, *_: (nothing, False) if state is better else (named, True),
+    )
+    monkeypatch.setattr(
+        "clothbench.studies.improve.loop.recalibrated", lambda state, account: better if valley else state
+    )
+    assert next_round(state, (), Account(lambda *_: None)) == ((nothing, False) if turn and valley else (named, True))
 
 
 def with_wind(name: str, shapes: int, rms: float) -> Fitted:

@@ -32,7 +32,7 @@ from clothbench.engine.executors.settings import executor_settings
 from clothbench.engine.executors.work import Answer, Died, Owner, attended, seldom
 from clothbench.engine.leases import KEPT
 from clothbench.engine.limits import Limits, Watch
-from clothbench.engine.pool import _first, _run_alone, _told, _told_file, run_cells
+from clothbench.engine.pool import _first, _run_alone, _told, _told_file, by_turns, run_cells
 from clothbench.engine.rows import failure
 from clothbench.engine.run import keep, run_cell
 from clothbench.engine.store import Store, outcome
@@ -44,6 +44,11 @@ BASE = {
     "report": [], "tracker": "markers", "scene": {}, "options": {"mass_spring": {"resolution": 5}}, "bounds": {},
     "budget": 12, "seed": 0, "jobs": 1, "timeout": None, "out": "runs", "rerun": False,
 }  # fmt: skip
+
+
+def test_cells_that_begin_together_are_of_different_models():
+    cells = [types.SimpleNamespace(model=model, key=n) for n, model in enumerate("aaabbc")]
+    assert [cell.key for cell in by_turns(cells)] == [0, 3, 5, 1, 4, 2]
 
 
 # --- settings -------------------------------------------------------------------------------------------------------

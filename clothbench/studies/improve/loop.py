@@ -124,9 +124,17 @@ def each_alone(problem: Problem, base: Fitted, account: Account) -> dict[str, Fi
 
 
 def next_round(state: State, candidates: Sequence[str], account: Account) -> tuple[State, bool]:
-    """One round more, and whether it named an effect that stands, so that another may follow."""
-    if state.rounds:
-        state = recalibrated(state, account)
+    """One round more, and whether it named an effect that stands, so that another may follow. What would be named beside
+    another effect is asked again from a better valley of the error, if there is one without it.
+    """
+    after, goes_on = one_more(state, candidates, account)
+    if goes_on and state.rounds and (better := recalibrated(state, account)) is not state:
+        return next_round(better, candidates, account)
+    return after, goes_on
+
+
+def one_more(state: State, candidates: Sequence[str], account: Account) -> tuple[State, bool]:
+    """`next_round`, from the valley of the error in which the state is."""
     current, problem = state.final, state.problem
     rest = [c for c in candidates if c not in current.effects]
     earlier = state.rounds[-1].probes if state.rounds else ()
