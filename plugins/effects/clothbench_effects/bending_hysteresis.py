@@ -52,7 +52,9 @@ def rub(t, dt, x, v, f, sheet, p, state):
     before = state[1 : 1 + 3 * slots].reshape((3, slots))
     couple = state[1 + 3 * slots : 1 + 6 * slots].reshape((3, slots))
     if state[0] == 0.0:
-        before[:] = shape.curvature
+        for c in range(3):
+            for e in range(slots):
+                before[c, e] = shape.curvature[c, e]
     state[0] = 1.0
     for c in range(3):
         follow(couple[c], before[c], shape.curvature[c], p[0], p[1])

@@ -20,7 +20,8 @@ def find_hem(sheet, density, width, state):
         add_strip(sheet, sheet.outline[:, 1].max() - width, state[1:])
     else:
         add_lowest(sheet, width, state[1:])
-    state[1:] *= density
+    for i in range(1, state.shape[0]):
+        state[i] *= density
 
 
 @helper(allocates=True)

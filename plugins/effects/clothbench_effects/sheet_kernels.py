@@ -47,10 +47,11 @@ def cut(polygon, count, axis, side, limit, out):
         j = i + 1 if i + 1 < count else 0
         here, there = side * (polygon[i, axis] - limit), side * (polygon[j, axis] - limit)
         if here >= 0.0:
-            out[kept] = polygon[i]
+            out[kept, 0], out[kept, 1] = polygon[i, 0], polygon[i, 1]
             kept += 1
         if (here > 0.0 and there < 0.0) or (here < 0.0 and there > 0.0):
-            out[kept] = polygon[i] + (polygon[j] - polygon[i]) * (here / (here - there))
+            for k in range(2):
+                out[kept, k] = polygon[i, k] + (polygon[j, k] - polygon[i, k]) * (here / (here - there))
             kept += 1
     return kept
 
@@ -64,7 +65,8 @@ def add_overlap(sheet, face, low, high, share):
     """
     one, two = np.zeros((8, 2)), np.zeros((8, 2))
     for k in range(3):
-        one[k] = sheet.uv[sheet.triangles[face, k]]
+        corner = sheet.triangles[face, k]
+        one[k, 0], one[k, 1] = sheet.uv[corner, 0], sheet.uv[corner, 1]
     count = cut(one, 3, 0, 1.0, low[0], two)
     count = cut(two, count, 0, -1.0, high[0], one)
     count = cut(one, count, 1, 1.0, low[1], two)

@@ -39,7 +39,7 @@ from clothbench.modelling import (
     wants_normals,
     write_frames,
 )
-from clothbench_models.implicit_grid import assemble, empty_matrix, margin_of, mass_times, multiply, solve
+from clothbench_models.implicit_grid import assemble, empty_matrix, margin_of, mass_times, multiply, put, solve
 from clothbench_models.implicit_step import (
     BDF2,
     EULER,
@@ -209,14 +209,14 @@ def _march_implicit(
     rounds, h, t, relax, moved_before, fine = 0, 0.01, start, 1.0, np.inf, False
     if not settling:
         if begins.settles == RESTS:
-            x_old[:] = x
+            put(x_old, x)
         else:
             step_before(x, v, dt, sheet.gravity, sheet.mass, pins, x_old, v_old)
         done = write_frames(x, v, x, v, start, start, done, sampling, grips)
     while settling or done < frames:
         if settling:
             gamma = h
-            x_bar[:] = x
+            put(x_bar, x)
             guess[:] = 0.0
         else:
             t = start + (count + 1) * dt
@@ -239,8 +239,10 @@ def _march_implicit(
             for e in range(n):
                 r[c, e] = gamma * f[c, e] - r[c, e]
         if solid:
-            r += gamma * rub
-            wanted[:] = r
+            for c in range(3):
+                for e in range(n):
+                    r[c, e] += gamma * rub[c, e]
+            put(wanted, r)
         bend_scale = gamma * gamma * (bend + stiffer[1]) + gamma * plate.damping
         assemble(
             nu, mass, extra, heavier, edges, shear, plate.offsets, plate.values, bend_scale, matrix, work[14:20]
@@ -250,7 +252,7 @@ def _march_implicit(
             (FINE if fine else ROUGH) if settling else tolerance, 2000, inverse, z, p, q,
         )  # fmt: skip
         if solid:
-            p[:, margin : margin + n] = delta
+            put(p[:, margin : margin + n], delta)
             multiply(matrix, nu, plate.offsets, plate.values, bend_scale, p, z)
             for c in range(3):
                 for e in range(n):
@@ -270,7 +272,7 @@ def _march_implicit(
             shorten = moved > 0.8 * moved_before if far else direction(delta, v_old) < STRAIGHT
             relax = max(0.1, 0.7 * relax) if shorten else min(1.0, 1.2 * relax)
             moved_before = moved
-            v_old[:] = delta  # nothing moves yet: there is room for the step before
+            put(v_old, delta)  # nothing moves yet: there is room for the step before
             for c in range(3):
                 for e in range(n):
                     x[c, e] = x_bar[c, e] + gamma * (guess[c, e] + relax * shrink * delta[c, e])
@@ -287,7 +289,7 @@ def _march_implicit(
             if rests or count == SETTLE_ROUNDS:
                 result[0] = RESTLESS if moved > VISIBLE else OK
                 settling, count = False, 0
-                x_old[:] = x
+                put(x_old, x)
                 v_old[:] = 0.0
                 v_bar[:] = 0.0
                 done = write_frames(x, v, x, v, start, start, 0, sampling, grips)
@@ -368,7 +370,8 @@ def _march_adaptive(
                 for c in range(3):
                     vs[c, pins[g]] = grip_speed(grips.knots, grips.curve, at, segment, g, c)
             f[:] = 0.0
-            memory[:] = remembered if stage == 0 else terms.state
+            for k in range(memory.shape[0]):
+                memory[k] = remembered[k] if stage == 0 else terms.state[k]
             heavier = add_outer(at, h, xs, vs, f, nu, air, sheet, effects, terms, memory, extra, grips, segment)
             elastic(xs, vs, f, nu, membrane, plate, 0.0, 0.0, 0.0, edges, shear, work)
             if heavier:
@@ -390,11 +393,13 @@ def _march_adaptive(
         tries += 1
         worst /= tolerance
         if worst <= 1.0:  # the last stage is the new state, and the first stage of the next step
-            before[:], speed_before[:] = x, v
-            x[:], v[:] = xs, vs
+            put(before, x)
+            put(speed_before, v)
+            put(x, xs)
+            put(v, vs)
             count += 1
-            speed[0] = speed[6]
-            push[0] = push[6]
+            put(speed[0], speed[6])
+            put(push[0], push[6])
             if obstacles.shape[0] > 0:
                 carry(obstacles, grips.knots, grips.curve, start, t + h, h)
                 keep_out(x, v, obstacles, free, 0, 1)
@@ -403,7 +408,9 @@ def _march_adaptive(
                 part_layers(x, v, before, h, free, layers, f, vs)
                 fresh = True
             if terms.count > 0:
-                f[:], remembered[:] = 0.0, terms.state
+                f[:] = 0.0
+                for k in range(memory.shape[0]):
+                    remembered[k] = terms.state[k]
                 add_outer(t + h, h, x, v, f, nu, air, sheet, effects, terms, terms.state, extra, grips, segment)
             done = write_frames(before, speed_before, x, v, t, t + h, done, sampling, grips)
             t += h

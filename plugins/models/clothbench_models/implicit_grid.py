@@ -25,6 +25,16 @@ OWN = (0, 0), (1, 1), (2, 2), (1, 2), (0, 2), (0, 1)
 
 
 @lean_kernel
+def put(into, of):
+    """into (C, n) = of, number by number: numba's assignment of a whole array takes seconds to compile, for what it has
+    to say of shapes that do not fit.
+    """
+    for c in range(into.shape[0]):
+        for e in range(into.shape[1]):
+            into[c, e] = of[c, e]
+
+
+@lean_kernel
 def margin_of(nu):
     """How many places a matrix and what it is multiplied by have before the first node, and after the last."""
     return 2 * nu + 2

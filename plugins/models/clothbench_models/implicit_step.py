@@ -7,27 +7,29 @@ v' = v̄ + γ M⁻¹ f(x̄ + γ v', v'), with γ = dt, x̄ = x, v̄ = v for Eule
 from __future__ import annotations
 
 from clothbench.modelling import OBSTACLE, grip_point, keep_out, kernel, lean_kernel
-from clothbench_models.implicit_grid import hold_back
+from clothbench_models.implicit_grid import hold_back, put
 from clothbench_models.resting_contact import FREE, part_layers, touching
 
 EULER, BDF2 = 0, 1
 
 
-@kernel
+@lean_kernel
 def extrapolate(scheme, dt, x, v, x_old, v_old, stiffer, x_bar, v_bar, guess):
     """Fill x̄, v̄ and the guess of v' (3, n); returns γ [s]. stiffer (2,): what effects add to the stiffness, which the
     matrix only bounds; then nothing is extrapolated.
     """
     if scheme == EULER:
-        x_bar[:] = x
-        v_bar[:] = v
-        guess[:] = v
+        put(x_bar, x)
+        put(v_bar, v)
+        put(guess, v)
         return dt
-    x_bar[:] = (4.0 * x - x_old) / 3.0
-    v_bar[:] = (4.0 * v - v_old) / 3.0
-    guess[:] = 2.0 * v - v_old
+    for c in range(3):
+        for e in range(x.shape[1]):
+            x_bar[c, e] = (4.0 * x[c, e] - x_old[c, e]) / 3.0
+            v_bar[c, e] = (4.0 * v[c, e] - v_old[c, e]) / 3.0
+            guess[c, e] = 2.0 * v[c, e] - v_old[c, e]
     if stiffer[0] > 0.0 or stiffer[1] > 0.0:
-        guess[:] = v
+        put(guess, v)
     return 2.0 * dt / 3.0
 
 
@@ -54,9 +56,11 @@ def rest_on(guess, x, x_bar, gamma, dt, obstacles, free, touch, normal, friction
                 z[c, e] = guess[c, e] - (x[c, e] + dt * drift - x_bar[c, e]) / gamma
         else:
             z[0, e] = z[1, e] = z[2, e] = 0.0
-    q[:] = z
+    put(q, z)
     hold_back(q, touch, normal)
-    guess += q - z
+    for c in range(3):
+        for e in range(x.shape[1]):
+            guess[c, e] += q[c, e] - z[c, e]
 
 
 @lean_kernel
@@ -100,8 +104,8 @@ def step_before(x, v, dt, gravity, mass, pins, x_old, v_old):
 @kernel
 def end_step(x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, layers, z, q):
     """What was now is before; then nodes are put out of obstacles, and layers apart; z, q are overwritten."""
-    x_old[:] = x_before
-    v_old[:] = v_before
+    put(x_old, x_before)
+    put(v_old, v_before)
     if obstacles.shape[0] > 0:
         keep_out(x, v, obstacles, free, 0, 1)
     if layers.size[0] > 0.0:

@@ -13,7 +13,7 @@ import numpy as np
 from numba import types
 
 from clothbench.modelling import apart_kernel, bear_inverted, bundle_type, fast_kernel, kernel, lean_kernel
-from clothbench_models.implicit_grid import hold_back
+from clothbench_models.implicit_grid import hold_back, put
 from clothbench_models.sheet_forces import add_fluxes, edge_differences
 
 Constraints = namedtuple("Constraints", "lengths share give")
@@ -287,7 +287,7 @@ def tighten(
         share_left = max(SOLVED, 0.3 * tolerance / worst)
         goal = share_left * share_left * _sum(r, z)
         rz = _sum(r, z)
-        p[:] = z
+        put(p, z)
         for _ in range(500):
             if rz <= goal:
                 break

@@ -28,7 +28,7 @@ from clothbench.modelling import (
     write_frames,
 )
 from clothbench_models.baraff_witkin_kernels import PLATE, add_outer
-from clothbench_models.implicit_grid import assemble, empty_matrix, margin_of, mass_times, solve
+from clothbench_models.implicit_grid import assemble, empty_matrix, margin_of, mass_times, put, solve
 from clothbench_models.implicit_step import (
     BDF2,
     EULER,
@@ -92,7 +92,7 @@ def _march(
         for k in range(3):
             for e in range(padded):
                 tension[k, e] = rows[0, k, e] / give[k, e] if share[k, e] > 0.0 else 0.0
-        x_old[:] = x
+        put(x_old, x)
     else:  # a start that fits, and the step before it
         used = tighten(
             x, 1.0, tension, nu, lengths, share, give, mass, inertia, False, touch, normal, lightness, tolerance,
@@ -126,7 +126,7 @@ def _march(
             f += rub
         edge_differences(q, nu, work[0:3], work[3:6])
         pull(nu, work[0:3], work[3:6], share, tension, work[6:9], work[9:12])
-        p[:] = f
+        put(p, f)
         add_fluxes(work[6:9], work[9:12], nu, p, 1.0)
         for e in range(padded):
             edges[4, e] = gamma * gamma * max(tension[0, e], 0.0) * share[0, e]

@@ -149,8 +149,9 @@ def advance(band, force, fixed, step, product, shift):
     shift = shift if shift > 1e-12 * scale else 0.0
     kept = np.empty_like(band)
     while True:
-        kept[:] = band
         for j in range(count):
+            for k in range(band.shape[1]):
+                kept[j, k] = band[j, k]
             kept[j, 0] += shift
         keep_out(kept, fixed)
         if factor(kept):
