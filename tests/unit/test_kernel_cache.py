@@ -9,7 +9,10 @@ import sys
 from pathlib import Path
 
 import pytest
+from clothbench_models.mass_spring import MassSpring
 from conftest import ROOT
+
+from clothbench.testing import scenes
 
 HELPER = """
 from clothbench.modelling import kernel
@@ -113,20 +116,39 @@ def test_there_is_one_decorator(folder):
             assert "njit" not in path.read_text(), f"{path.relative_to(ROOT)} compiles by itself"
 
 
-def test_kernels_of_all_models_follow_an_edit_of_their_time_loop(tmp_path):
-    """In a copy, where their machine code is looked up under another digest, and that of no kernel without a part in
-    it; what follows from another digest is seen above.
-    """
+@pytest.fixture
+def copy(tmp_path):
+    """The packages whose kernels the models move by, in a folder where they may be edited."""
     for package in ("clothbench", "plugins/models/clothbench_models"):
         ignored = shutil.ignore_patterns("__pycache__")
         shutil.copytree(ROOT / package, tmp_path / Path(package).name, ignore=ignored)
+    return tmp_path
+
+
+@pytest.mark.slow
+def test_a_models_motion_follows_an_edit_of_a_shared_kernel(copy):
+    """The grips of the shared time loop, moved by a centimetre in a copy: the sheet hangs a centimetre lower."""
+    code = (
+        "from clothbench_models.mass_spring import MassSpring\nfrom clothbench.testing import scenes\n"
+        "scene = scenes.hanging(); sheet = MassSpring(resolution=5).prepare(scene)\n"
+        "print(sheet.run(sheet.parameters.defaults[None]).position[0, -1, :, 2].max())"
+    )
+    sheet = MassSpring(resolution=5).prepare(scenes.hanging())
+    before = sheet.run(sheet.parameters.defaults[None]).position[0, -1, :, 2].max()  # of the original
+    loop = copy / "clothbench" / "modelling" / "time_loop.py"
+    edited(loop, "        3, segment, g, c\n    ]\n", "3,segment,g,c]-.01*(c==2)\n")
+    assert float(run(copy, code)) == pytest.approx(before - 0.01, abs=1e-6)
+
+
+def test_kernels_of_all_models_follow_an_edit_of_their_time_loop(copy):
+    """Their machine code is looked up under another digest; that of a kernel without a part in the time loop is not."""
     models = [f"clothbench_models.{name}_kernels" for name in ("mass_spring", "baraff_witkin", "inextensible", "shell")]
     names = [*models, "clothbench.modelling.self_contact"]
     code = (
         f"import importlib\nfrom clothbench.core.kernels import digest_of\nnames = {names}\n"
         "for name in names: importlib.import_module(name)\nprint(*map(digest_of, names))"
     )
-    before = run(tmp_path, code).split()
-    edited(tmp_path / "clothbench" / "modelling" / "time_loop.py", "        3, segment, g, c\n", "3,segment,g,c+0")
-    changed = [old != new for old, new in zip(before, run(tmp_path, code).split(), strict=True)]
+    before = run(copy, code).split()
+    edited(copy / "clothbench" / "modelling" / "time_loop.py", "        3, segment, g, c\n", "3,segment,g,c+0")
+    changed = [old != new for old, new in zip(before, run(copy, code).split(), strict=True)]
     assert dict(zip(names, changed, strict=True)) == {name: name in models for name in names}

@@ -124,8 +124,8 @@ def each_alone(problem: Problem, base: Fitted, account: Account) -> dict[str, Fi
 
 
 def next_round(state: State, candidates: Sequence[str], account: Account) -> tuple[State, bool]:
-    """One round more, and whether it named an effect that stands, so that another may follow. A second name is asked
-    again from a better valley of the error, if the first leaves less there.
+    """One round more, and whether it named an effect that stands, so that another may follow. A further name is asked
+    again from a better valley of the error, if what was named before leaves less there.
     """
     after, goes_on = one_more(state, candidates, account)
     if goes_on and state.rounds and (better := recalibrated(state, account)) is not state:

@@ -16,7 +16,7 @@ class LoopSettings:
     # Searches.
     sets_per_round: int = 4  # parameter sets that a round tries beside one for each parameter's difference
     calibration_rounds: int = 34  # rounds of the first fit, of all its walks together
-    calibration_points: int = 32  # places of the model's range that are looked at anew once something was named
+    calibration_points: int = 32  # places of the model's range that are looked at anew before a further name
     calibration_fits: int = 3  # of which so many are fitted from
     refit_rounds: int = 8  # rounds of a fit that begins where another ended
     single_rounds: int = 3  # rounds of a fit to one recording

@@ -126,14 +126,15 @@ class SheetCase:
         staying = field.sum(axis=0) / np.maximum(seen.sum(axis=0), 1)[:, None]
         moving = np.where(seen[..., None], field - staying, 0.0)
         axes, image, in_space = main_directions(moving), mirror(observation.material), field.shape[-1] == 3
-        smooth = np.linalg.qr(quadratics(observation.material))[0] if spread else np.zeros((len(image), 0))
+        smooth = np.linalg.qr(quadratics(observation.material))[0] if spread else None
 
         def draw(random: np.random.Generator) -> np.ndarray:
             angle = random.uniform(0, 2 * np.pi)
             c, s = np.cos(angle), np.sin(angle)
             turn = np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, random.choice([-1.0, 1.0])]])
             stays = staying @ (turn if in_space else np.diag(random.choice([-1.0, 1.0], 2)))
-            stays = shared_out_anew(stays, smooth, random)
+            if smooth is not None:
+                stays = shared_out_anew(stays, smooth, random)
             reverse = (axes * random.choice([-1.0, 1.0], len(axes))) @ axes.T
             drawn = stays + moved_round(moving, random) @ reverse
             return (drawn[:, image] if random.random() < 0.5 else drawn)[seen].ravel()
