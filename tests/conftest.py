@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 from collections.abc import Callable
@@ -15,6 +16,15 @@ from object_store import machine, s3, s3_server  # noqa: F401
 from clothbench import Recording, write_recording
 
 ROOT = Path(__file__).parents[1]
+PEERS = {"mujoco", "newton"}  # simulators of others, which take up to a hundred times as long for a step as our models
+
+
+@pytest.hookimpl(tryfirst=True)  # before tests are chosen by their marks
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Whatever is asked of a peer is slow."""
+    for item in items:
+        if isinstance(item, pytest.Function) and PEERS & set(re.findall(r"\w+", item.name.partition("[")[2])):
+            item.add_marker(pytest.mark.slow)
 
 
 @pytest.fixture(scope="session")

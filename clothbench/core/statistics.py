@@ -1,33 +1,33 @@
 """Student's t, as intervals and tests of several rooms want it, and points that fill a cube evenly.
 
-The quantiles are those of scipy.stats to the last bit, from scipy.special: scipy.stats takes half a second to import,
-which every command and every process of a run would wait for.
+The quantiles are those of scipy.stats to the last bit, from scipy.special, which scipy loads when the first is asked
+for: scipy.stats takes half a second to import and this a quarter, which every command would wait for.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import fdtri, stdtr, stdtrit
+import scipy
 
 
 def student(freedom: float) -> float:
     """Half-width of a two-sided 95 % interval in standard errors; NaN without a degree of freedom."""
-    return float(stdtrit(freedom, 0.975))
+    return float(scipy.special.stdtrit(freedom, 0.975))
 
 
 def student_quantile(level: float, freedom: np.ndarray) -> np.ndarray:
     """Where Student's t lies below with the probability `level`, for degrees of freedom (N,)."""
-    return np.asarray(stdtrit(freedom, level))
+    return np.asarray(scipy.special.stdtrit(freedom, level))
 
 
 def student_above(value: np.ndarray | float, freedom: np.ndarray | float) -> np.ndarray:
     """How often Student's t is above a value, (N,) or one (the survival function)."""
-    return np.asarray(stdtr(freedom, -np.asarray(value)))
+    return np.asarray(scipy.special.stdtr(freedom, -np.asarray(value)))
 
 
 def fisher_quantile(level: float, numerator: float, denominator: float) -> float:
     """Where Fisher's F lies below with the probability `level`."""
-    return float(fdtri(numerator, denominator, level))
+    return float(scipy.special.fdtri(numerator, denominator, level))
 
 
 def t_interval(values: np.ndarray) -> tuple[float, float]:

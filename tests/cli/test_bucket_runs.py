@@ -25,6 +25,7 @@ def rows_of(clothbench, out):
     return [{**row, "wall_s": None} for row in json.loads(told.stdout)]
 
 
+@pytest.mark.slow
 def test_runs_in_a_bucket_are_those_in_a_folder_and_are_found_from_elsewhere(clothbench, s3, recordings_folder):
     assert clothbench("run", *RUN, "out=folder").returncode == 0
     expected = rows_of(clothbench, "folder")

@@ -79,6 +79,7 @@ def here(place):
     return tables(place / "here")
 
 
+@pytest.mark.slow
 def test_dask_processes_one_of_which_a_plugin_kills(clothbench, place, here, tmp_path):
     needs("distributed")
     site = deadly_plugin(tmp_path)

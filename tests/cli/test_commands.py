@@ -286,7 +286,6 @@ def test_a_sweep_over_what_does_not_exist_is_refused_before_it_begins(clothbench
     assert not out.stdout
 
 
-@pytest.mark.slow
 def test_a_sweep_without_recordings_is_over_the_main_suite(clothbench):
     out = clothbench(
         "run", "-m", "model=mass_spring", "optimizer=ga,annealing", "metric=node_error",
@@ -300,7 +299,6 @@ def test_a_sweep_without_recordings_is_over_the_main_suite(clothbench):
     assert len({r["key"] for r in rows}) == 2
 
 
-@pytest.mark.slow
 def test_the_launcher_can_be_exchanged(clothbench, recordings_folder):
     pytest.importorskip("hydra_plugins.hydra_joblib_launcher")
     out = clothbench(
@@ -495,6 +493,7 @@ def unheard(words, folder):
         os.close(writing)
 
 
+@pytest.mark.slow
 def test_a_command_that_nobody_listens_to_goes_on_to_its_end(recordings_folder, tmp_path):
     """As of `… 2>&1 | head -1`: its page is there, and its exit code says what it found."""
     assert unheard(["run", f"recordings={recordings_folder}", *CELL, "seed=1", "jobs=1"], tmp_path) == 0

@@ -39,6 +39,7 @@ def drapes(tmp_path):
 RUN = ("model=mass_spring", "metric=drape", "tracker=drape", "scene.spacing=0.025", "scene.starts=2", "budget=24")
 
 
+@pytest.mark.slow
 def test_a_front_is_searched_shown_and_kept(clothbench, drapes, tmp_path):
     assert clothbench("validate", "drapes").returncode == 0
     done = clothbench("run", *RUN, "optimizer=hybrid_ea", "recordings=drapes")
@@ -67,6 +68,7 @@ def test_a_front_is_searched_shown_and_kept(clothbench, drapes, tmp_path):
     assert "What the tracker made of the images" in page
 
 
+@pytest.mark.slow
 def test_another_choice_is_another_cell(clothbench, drapes):
     for choice in ("nearest", "knee"):
         done = clothbench("run", *RUN, "optimizer=simple_ea", "recordings=drapes", f"choice={choice}", "rerun=false")
@@ -94,6 +96,7 @@ def test_what_does_not_fit_together_is_one_line(clothbench, drapes, settings, sa
     assert "Traceback" not in done.stderr
 
 
+@pytest.mark.slow
 def test_metric_and_tracker_of_one_name_get_their_own_options(clothbench, drapes):
     own = ("+options.drape.starts=2", "+options.drape.quantities=[folds,depth]", "+options.drape.centre=[89.5,89.5]")
     done = clothbench("run", *RUN, "optimizer=simple_ea", "recordings=drapes", *own, "rerun=false")

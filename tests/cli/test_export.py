@@ -28,6 +28,7 @@ def fitted(clothbench, tmp_path):
     return tmp_path
 
 
+@pytest.mark.slow
 def test_a_fit_leaves_with_units_intervals_and_provenance(clothbench, fitted):
     done = clothbench("export", "paper", "--to", "json")
     assert (done.returncode, done.stderr) == (0, "")

@@ -30,7 +30,6 @@ def test_the_protocol_end_to_end(clothbench, tmp_path):
     ]
 
 
-@pytest.mark.slow
 def test_improve_asks_effects_of_the_camera(clothbench, tmp_path):
     out = clothbench(
         "run", "+suite=hold_improve", "suite.select=[stiff/*]", "recordings=builtin:hold_nodes", "tracker=markers",

@@ -165,6 +165,7 @@ def test_view_knows_the_recordings_of_the_folder(done, clothbench):
     assert "no recording 'sway-9'; there are: sway-0, sway-1, sway-2, sway-3" in only_line(out.stderr)
 
 
+@pytest.mark.slow
 def test_a_killed_run_goes_on_and_ends_the_same(place, verdict):
     words = ["recordings=rec", *SMALL, "candidates=clock_offset,gravity_tilt", "out=again"]
     command = [sys.executable, "-m", "clothbench", "improve", *words]
@@ -355,6 +356,7 @@ def test_wrong_use_is_one_line_and_exit_2(place, tmp_path, settings, found):
     assert sorted(tmp_path.rglob("*")) == before
 
 
+@pytest.mark.slow
 def test_several_models_are_judged_by_what_they_have_in_common(place):
     """Both lack the planted clock offset, which is then common; each model's own page lies in its cell."""
     models = "model=[mass_spring, mass_spring_verlet]"

@@ -99,6 +99,7 @@ def test_improve_names_what_a_linear_sample_lacks(clothbench, curves, tmp_path):
     assert json.loads(again.stdout)["effects"] == found["effects"]
 
 
+@pytest.mark.slow
 def test_a_verdict_in_a_bucket_is_found_from_another_machine(clothbench, s3, curves):
     asked = ("improve", "recordings=rib", "model=linear_stretch", f"out={s3}", "--json")
     here, there = clothbench(*asked), clothbench(*asked, CLOTHBENCH_CACHE="elsewhere")
@@ -142,6 +143,7 @@ def test_wrong_use_is_one_line_and_exit_2(clothbench, curves, recordings_folder,
     assert not (tmp_path / "found" / "verdict.json").exists()
 
 
+@pytest.mark.slow
 @pytest.mark.data
 def test_the_measured_knits_lock(clothbench, data_dir, tmp_path):
     out = clothbench("import", "knit_uniaxial_gatech", f"data_dir={data_dir}", "out=knits")

@@ -86,7 +86,6 @@ def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(clothbench, rec
     assert len(finished(tmp_path)) == 1
 
 
-@pytest.mark.slow
 def test_workers_do_not_outlive_the_command_that_was_killed(recordings_folder, tmp_path):
     command = ["run", f"recordings={recordings_folder}", *CELL, "budget=100000", "optimizer=[ga,annealing]"]
     running = started(command, tmp_path)

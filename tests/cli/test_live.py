@@ -45,7 +45,6 @@ def test_cells_in_processes_of_their_own_say_how_far_they_are(recordings_folder,
     assert "2/2" in said
 
 
-@pytest.mark.slow
 def test_a_sweep_says_which_job_it_is_at(recordings_folder, tmp_path):
     jobs = ("optimizer=ga", "budget=60", "seed=1,2,3")
     said = on_a_terminal(tmp_path, "run", "-m", f"recordings={recordings_folder}", *CELL, *jobs)
@@ -59,7 +58,6 @@ def stopped(process: subprocess.Popen) -> int:
     return process.wait(timeout=60)
 
 
-@pytest.mark.slow
 def test_a_watched_page_follows_the_run_and_ends_clean(clothbench, recordings_folder, tmp_path):
     page, beside = tmp_path / "runs" / "report.html", tmp_path / "runs" / "report.state.js"
     watching = subprocess.Popen(
@@ -84,7 +82,6 @@ def test_a_watched_page_follows_the_run_and_ends_clean(clothbench, recordings_fo
     assert "data-watched" not in page.read_text()
 
 
-@pytest.mark.slow
 def test_a_watched_bucket_shows_what_another_machine_publishes(clothbench, s3, recordings_folder, tmp_path):
     watching = subprocess.Popen(
         [sys.executable, "-m", "clothbench", "report", "--watch", f"out={s3}"], cwd=tmp_path, text=True,

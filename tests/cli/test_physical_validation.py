@@ -194,6 +194,7 @@ def test_the_table_of_fabrics_is_one_row_each(catalogue, tmp_path):
     assert next(r for r in rows if r["case"] == "fold_table:denim")["reference"] == 5200
 
 
+@pytest.mark.slow
 def test_page_and_table_show_every_model_and_test(catalogue, tmp_path, capsys):
     tests = ["free_fall", "cantilever_small", "cantilever", "convergence_sag"]
     store, _, _ = ran(catalogue, tmp_path, ["strip", "faller"], tests)

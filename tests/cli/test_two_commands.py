@@ -3,15 +3,12 @@
 import subprocess
 import sys
 
-import pytest
-
 from clothbench.engine.store import Store
 
 CELL = ("model=mass_spring", "+options.mass_spring.resolution=5", "rerun=false", "budget=60", "jobs=1")
 EIGHT = ("optimizer=[ga,annealing,nelder_mead,cma_es]", "metric=[node_error,relative_error]")
 
 
-@pytest.mark.slow
 def test_two_commands_in_one_folder_compute_every_cell_once(recordings_folder, tmp_path):
     command = [sys.executable, "-m", "clothbench", "run", f"recordings={recordings_folder}", *CELL, *EIGHT]
     both = [

@@ -247,6 +247,7 @@ def test_what_has_no_name_is_described_put_into_the_model_and_judged(tmp_path):
     assert described["formula"] in (tmp_path / "out" / "index.html").read_text()
 
 
+@pytest.mark.slow
 def test_chance_has_bursts_where_they_are():
     """Motion that comes and goes, and what no term goes with as large as the motion: seldom told from chance. Set
     elsewhere, a burst meets nothing that moves, and every third of these would be.

@@ -20,7 +20,6 @@ def asked(folder: Path, number: int, tied: bool, cameras: tuple[str, ...] | None
     return kept(cloth, lambda recordings: problem_of(recordings, base), wanted, POOR_TO_GOOD, poor, tied)
 
 
-@pytest.mark.slow
 def test_a_parameter_that_hanging_still_does_not_tell(tmp_path):
     (found,) = asked(tmp_path, 0, tied=False)
     promised, came, before, _ = found.factors["linear_drag.coefficient"]
@@ -30,7 +29,6 @@ def test_a_parameter_that_hanging_still_does_not_tell(tmp_path):
     assert promised / 2 < came < 2 * promised, found
 
 
-@pytest.mark.slow
 def test_a_tie_that_little_swings_leave(tmp_path):
     (found,) = asked(tmp_path, 3, tied=True)
     now, promised, came = found.sigma
@@ -38,7 +36,6 @@ def test_a_tie_that_little_swings_leave(tmp_path):
     assert promised / 2 < came < 2 * promised, found
 
 
-@pytest.mark.slow
 def test_the_picture_of_one_camera(tmp_path):
     """From the best place and from the front, which sees least of a swing across the sheet: each tells what it
     promises, and the best tells more.

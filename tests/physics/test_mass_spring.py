@@ -250,6 +250,7 @@ def test_damping_neither_moves_the_sheet_at_rest_nor_makes_it_settle_longer():
     assert strong.steps[0] <= gentle.steps[0] + 2 * stretched
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("effects", [(), (AddedMass(),)], ids=["alone", "heavier"])
 @pytest.mark.parametrize("zeta", [0.6, 1.0])
 def test_damping_in_stages_moves_the_sheet_as_one_that_lags_by_short_steps(zeta, effects):

@@ -316,7 +316,6 @@ def test_a_skirt_lies_on_the_hips_that_skip_with_it(fabric):
         assert np.nanmean(away < hip.radius + 2e-3) > 0.05
 
 
-@pytest.mark.slow
 def test_the_recordings_are_what_the_script_makes():
     """One static trial made anew; bit for bit on one machine, to the tracker's resolution on any."""
     stored = read_recording(maker.FOLDER / "linen-static-1.nc")
@@ -355,6 +354,7 @@ def test_a_sheet_that_curls_by_itself_costs_nothing_in_its_own_curvature():
     assert kernels.bending_energy(curled, rolled(mesh, 0, -0.05)) == pytest.approx(4 * flat_energy, rel=0.02)
 
 
+@pytest.mark.slow
 def test_a_ring_has_its_area_and_a_clamp_that_holds_the_slope():
     mesh, held = ring(0.09, 0.15, 0.006)
     assert mesh.area.min() > 0.5 * mesh.area.mean()

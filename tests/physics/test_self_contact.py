@@ -64,6 +64,7 @@ def folded(thickness, times, nodes, model, theta):
 CELL = 0.3 / 16
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("share", [0.1, 0.4])
 def test_the_folds_of_a_drape_do_not_cross(share):
     triangles, times = grid_triangles((17, 17)), np.linspace(0.1, 0.8, 8)
@@ -127,6 +128,7 @@ def two_layers(gap, closing, thickness, dt):
     return x + dt * v, v, mass, layers_of(scene, sheet)
 
 
+@pytest.mark.slow
 def test_layers_that_would_pass_each_other_in_one_step_are_kept_on_their_sides():
     """One step of four thicknesses; position and momentum go from one layer to the other, and none is lost."""
     x, v, mass, layers = two_layers(gap=2e-3, closing=4.0, thickness=1e-3, dt=1e-3)

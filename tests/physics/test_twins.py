@@ -155,7 +155,6 @@ def test_newton_reads_the_usd_stage(held, tmp_path):
     assert len(builder.attachment_particle_body_particle) == 2
 
 
-@pytest.mark.slow
 def test_newton_holds_what_the_usd_stage_attaches(held, tmp_path):
     pytest.importorskip("pxr")
     pytest.importorskip("newton_usd_schemas")
@@ -198,7 +197,6 @@ def dropped(obstacle: Obstacle) -> Scene:
     )  # fmt: skip
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(("obstacle", "depth"), [
     (Obstacle("plane", friction=0.3), lambda x: x[..., 2]),
     (Obstacle("sphere", centre=(0.0, 0.0, -0.06), radius=0.06, friction=0.3),
@@ -221,7 +219,6 @@ def test_cloth_lies_on_exported_obstacles_as_it_does_in_our_own_model(obstacle, 
     assert apart(moved[-1], moved[0]) > 0.008
 
 
-@pytest.mark.slow
 def test_what_grips_carry_pushes_the_cloth(tmp_path):
     mujoco = pytest.importorskip("mujoco")
     ball = Obstacle("sphere", centre=(0.15, 0.07, -0.15), radius=0.05, carried=True)

@@ -192,6 +192,7 @@ def test_a_metric_without_a_number_is_not_told_as_a_model_that_diverged(
     assert said in row["reason"]
 
 
+@pytest.mark.slow
 def test_a_broken_study_stands_in_the_way_of_its_own_rows_only(clothbench, installed):
     path = installed(lost=HOOK.format(kind="studies", name="lost", target="gone.study"))
     quick = ("+suite=physical_validation", "model=[mass_spring]", "suite.meshes=[5]", "suite.tests=[free_fall]")
@@ -213,6 +214,7 @@ def test_a_plugin_whose_module_is_broken_cannot_be_chosen(clothbench, installed,
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.slow
 def test_broken_effects_cost_an_improvement_themselves_only(clothbench, installed, recordings_folder, tmp_path):
     settings = [f"recordings={recordings_folder}", "model=mass_spring", "resolution=5", "base="]
     path = installed(strange=EFFECTS)

@@ -97,7 +97,6 @@ def test_each_has_its_own_row_and_nothing_else(clothbench, site, recordings_fold
     assert [p.pid for p in mine if p.status() != psutil.STATUS_ZOMBIE] == []
 
 
-@pytest.mark.slow
 def test_a_single_cell_of_a_stranger_cannot_take_the_command_with_it(clothbench, site, recordings_folder):
     done = clothbench("run", f"recordings={recordings_folder}", *CELL, "optimizer=vanishes", "jobs=1", PYTHONPATH=site)
     assert done.returncode == 1, done.stderr
@@ -105,7 +104,6 @@ def test_a_single_cell_of_a_stranger_cannot_take_the_command_with_it(clothbench,
     assert (row["status"], "the process that ran this cell died" in row["reason"]) == ("error", True)
 
 
-@pytest.mark.slow
 def test_a_print_in_a_worker_of_the_commands_own_is_no_part_of_its_output(clothbench, site, recordings_folder):
     pytest.importorskip("distributed")
     words = ("optimizer=prints", "executor=dask", "jobs=1")

@@ -47,7 +47,6 @@ def test_a_new_plugin_is_whole(made, kind):
     assert [p.name for p in folder.parent.iterdir() if p.name.startswith(".")] == []
 
 
-@pytest.mark.slow
 def test_new_plugins_are_listed_whole(installed):
     rows = installed.json("clothbench", "plugins", "--json")
     found = {r["kind"]: r for r in rows if r["distribution"] != rows[0]["distribution"]}
@@ -63,13 +62,11 @@ def test_the_templates_ship_with_the_package(installed):
     assert (installed.away / "clothbench-breeze/src/clothbench_breeze/breeze.py").is_file()
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("kind", NAMES)
 def test_a_new_plugin_passes_its_own_tests(made, installed, kind):
     assert " passed" in installed.pytest(made[kind] / "tests")
 
 
-@pytest.mark.slow
 def test_the_new_plugins_work_together(installed):
     chosen = [f"{kind}={NAMES[kind]}" for kind in ("model", "metric", "optimizer", "tracker")]
     installed.run(

@@ -11,7 +11,6 @@ from fresh_venv import make_venv, wheel_of
 
 EXAMPLE = ROOT / "examples" / "clothbench-xpbd"
 SIMULATORS = {name: ROOT / "examples" / f"clothbench-{name}" for name in ("taichi", "pybullet")}
-pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +29,7 @@ def test_its_plugins_are_listed_beside_the_built_in_ones(stranger):
     assert {p["name"]: p["unit"] for p in model["parameters"]} == {"k1": "N/m", "k2": "N/m", "tau": "s"}
 
 
+@pytest.mark.slow
 def test_its_own_tests_pass(stranger):
     away = stranger.away / "example"  # its tests and settings only: what is tested is the installed wheel
     shutil.copytree(EXAMPLE / "tests", away / "tests")
@@ -45,6 +45,7 @@ def test_a_simulator_keeps_the_rules_or_says_that_it_is_not_there(stranger, name
     assert (" passed" if importlib.util.find_spec(name) else " skipped") in stranger.pytest(away)
 
 
+@pytest.mark.slow
 def test_its_suite_runs_and_compares_its_model(stranger):
     said = stranger.run("clothbench", "run", "+suite=xpbd", "suite.select=satin/static-*", "budget=25", "rerun=false")
     assert "xpbd" in said

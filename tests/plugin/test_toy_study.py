@@ -69,6 +69,7 @@ def test_its_rows_are_refused_in_one_line_where_it_is_broken(toss, tmp_path):
     assert shown.stderr == "clothbench: study 'toss' (clothbench-toss) is broken: RuntimeError: no coins\n"
 
 
+@pytest.mark.slow
 def test_its_rows_are_left_out_where_it_is_not_there_and_others_are(toss, tmp_path):
     assert toss("run", "study=toss", "model=mass_spring").returncode == 0
     (tmp_path / "site" / "clothbench_toss" / "study.py").write_text("raise RuntimeError('no coins')\n")

@@ -56,7 +56,6 @@ def errors(trials: list[Trial], fit: Fit) -> tuple[float, float, float]:
     return *values.value, trials[0].metric.floor(trials[0].observation)
 
 
-@pytest.mark.slow
 def test_baraff_witkin_finds_bending_and_drag():
     trials, fit = refit("baraff_witkin", CLOTH, budget=110)
     found = dict(zip(fit.space.names, fit.best, strict=True))
@@ -70,7 +69,6 @@ def test_baraff_witkin_finds_bending_and_drag():
     assert best < 1.15 * floor < 0.3 * start
 
 
-@pytest.mark.slow
 def test_inextensible_finds_bending_and_damping_in_a_stiff_sheet_of_triangles():
     """Whose drag is linear in the velocity, as α is."""
     trials, fit = refit("inextensible", STIFF | {"linear_drag.coefficient": 0.8}, budget=60)

@@ -6,7 +6,6 @@ import dataclasses
 
 import make_hold as hold
 import numpy as np
-import pytest
 
 from clothbench import FirstView, Observation, Scene
 from clothbench.estimation.calibrate import calibrate
@@ -43,7 +42,6 @@ def twin(planted: np.ndarray = PLANTED, motion: hold.Motion = hold.MOVES[1]) -> 
     return dataclasses.replace(scene, resolution=MESH), Observation(TIMES, seen, visible, NOISE, points, sight=camera)
 
 
-@pytest.mark.slow
 def test_stretch_comes_back_from_a_picture():
     """k2 does not: flexion springs of twice the length resist otherwise. Nor does ζ, which this motion hardly asks."""
     scene, seen = twin()

@@ -57,7 +57,6 @@ def fitted(clothbench, tmp_path):
     return call
 
 
-@pytest.mark.slow
 def test_planted_denim_is_found_from_the_middle_of_denim(fitted):
     found, denim = fitted("denim"), preset("denim")
     bend = found["bend"]

@@ -79,7 +79,6 @@ def test_the_drag_s_interval_holds_a_value_near_the_truth_and_is_no_mere_point(f
     assert 0.001 < fit.high[i] - fit.low[i] < 1.0
 
 
-@pytest.mark.slow
 def test_bending_and_stretch_are_found_in_a_recording_of_the_reference_simulation():
     """A still swatch, truth from finite elements on another mesh; the parameters mean the same in both models."""
     config = {

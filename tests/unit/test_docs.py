@@ -55,6 +55,7 @@ def test_every_tool_answers_help_before_it_begins():
     assert silent == {"fuzz_child.py"}  # which the fuzzer starts
 
 
+@pytest.mark.slow
 def test_the_suite_of_ones_own_recordings_runs_as_the_page_says(clothbench, recordings_folder, tmp_path):
     text = (ROOT / "docs" / "recordings.md").read_text()
     (suite,) = re.findall(r"^```yaml\n(.*?)^```", text, re.MULTILINE | re.DOTALL)

@@ -51,6 +51,7 @@ def test_a_strip_is_as_stiff_as_its_fabric_within_its_spread(fabric):
     assert fabric.eta_low <= stiffness.min() < stiffness.max() <= fabric.eta_high
 
 
+@pytest.mark.slow
 def test_phase_one_lies_between_the_triangular_and_the_circular_path():
     """The stiffer the cloth, the nearer to the circle; to it, never beyond the triangle (figure 3 of the paper)."""
     strip, heights = KirchhoffLove().strip(1.0), (0.04, 0.2, 0.4)
@@ -131,7 +132,6 @@ def test_the_search_goes_on_from_where_it_stood():
     assert run() < first
 
 
-@pytest.mark.slow
 def test_a_fold_ends_near_its_fabric(tmp_path):
     """Three steps of denim: the rows, the steps, the table and the page; and the same again to the bit."""
     store = Store(tmp_path)
@@ -236,7 +236,6 @@ def test_a_strip_that_a_guess_far_off_has_bent_is_lifted_on():
     assert strip.state.pose[2] < np.pi / 2
 
 
-@pytest.mark.slow
 def test_first_guesses_far_apart_end_alike(tmp_path):
     """From 10² and from 10⁵ m⁻⁴ s², stiffer and limper than any fabric of the table, to the same estimate."""
     ends = []

@@ -76,6 +76,7 @@ def test_nothing_of_a_wheel_is_run_while_it_is_installed(tmp_path):
     assert (tmp_path / "ran").exists()
 
 
+@pytest.mark.slow
 def test_a_wheel_that_cannot_be_installed_is_a_fault_without_a_place(mine, stranger, clothbench, tmp_path):
     (wheel,) = (mine / "wheels").iterdir()
     wheel.write_bytes(b"no wheel")
@@ -260,6 +261,7 @@ def test_a_published_recording_is_known_by_what_was_measured(copy):
     require_unpublished(unpublished(), known())
 
 
+@pytest.mark.slow
 def test_held_out_faults_are_found_before_a_plugin_is_installed(stranger, mine, clothbench, tmp_path):
     words = ["verify", mine, "--recordings", str(stranger[0] / "recordings"), "--run-their-code", "--held-out"]
     write_recording(altered(known()[0]), tmp_path / "renamed" / "a.nc")
@@ -351,6 +353,7 @@ def test_a_fit_that_is_handed_in_twice_is_a_fault(mine):
     assert "is there twice, expected every fit once" in verify(mine, known(), catalogue()).faults[0]
 
 
+@pytest.mark.slow
 def test_as_a_verifier_does_it(stranger, mine, clothbench, tmp_path):
     put_aside(tmp_path)
     given = ["--recordings", str(stranger[0] / "recordings")]
@@ -386,6 +389,7 @@ def put_aside(folder):
         write_recording(recording, folder / "secret" / f"{recording.name}.nc")
 
 
+@pytest.mark.slow
 def test_forged_public_scores_get_no_grade_from_unpublished_recordings(stranger, mine, clothbench, tmp_path):
     put_aside(tmp_path)
     shutil.move(mine, tmp_path / "submissions" / "mine")
@@ -410,6 +414,7 @@ def test_forged_public_scores_get_no_grade_from_unpublished_recordings(stranger,
     assert list((tmp_path / "board" / "cells").iterdir()) == []
 
 
+@pytest.mark.slow
 def test_what_went_wrong_on_unpublished_recordings_is_told_to_the_verifier_only(stranger, mine, clothbench, tmp_path):
     put_aside(tmp_path)
 
