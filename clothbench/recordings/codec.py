@@ -2,8 +2,8 @@
 
 A file is NetCDF-4 (HDF5). Its header, the same for all kinds, are the global attributes `format`
 ("clothbench-recording"), `format_version` (1) and `kind`; the other attributes and the variables are the kind's own.
-Each variable states its unit in an attribute `units`. An attribute that a kind does not know is kept as a note, unless
-it is nearly one that the file lacks.
+Each variable states its unit in an attribute `units`. An attribute that a kind does not know is kept as a note, a
+variable is passed over, unless it is nearly one that the file lacks.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ from __future__ import annotations
 import hashlib
 import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -55,6 +55,7 @@ def read(path: str | os.PathLike[str], layout: Layout, make: Callable[..., Recor
     with opened(path) as file:
         stated = file.attributes
         check_header(stated, path, layout)
+        require_no_misspelling("variable", file.names, layout.arrays, path)
         content: dict[str, Any] = {name: variable(file, name, of) for name, of in layout.variables.items()}
         there = {
             name: {n: variable(file, n, of) for n, of in part.variables.items() if n in file}
@@ -75,7 +76,7 @@ def write(record: Any, path: str | os.PathLike[str], layout: Layout) -> Path:
 
     path = Path(path)
     arrays, stated = _content(record, layout)
-    require_no_misspelling(stated, path, layout)  # it could not be read again
+    require_no_misspelling("attribute", stated, layout.attributes, path, layout.known)  # it could not be read again
     tables = {**layout.variables, **{name: of for part in layout.parts.values() for name, of in part.variables.items()}}
     variables = {n: xr.Variable(tables[n].dims, array, attrs={"units": tables[n].unit}) for n, array in arrays.items()}
     encoding = {
@@ -132,18 +133,23 @@ def check_header(stated: Stated, path: Path, layout: Layout) -> None:
     if stated.get("kind") != layout.kind:
         hint = "; curves go to `clothbench improve`, in a folder of their own" if stated.get("kind") == "curve" else ""
         raise ClothbenchError(f"{path}: attribute 'kind': found {stated.get('kind')!r}, expected {layout.kind!r}{hint}")
-    require_no_misspelling(stated, path, layout)
+    require_no_misspelling("attribute", stated, layout.attributes, path, layout.known)
     for name in layout.needed:
         if name not in stated:
             raise ClothbenchError(f"{path}: attribute {name!r} is missing; add it to the file's header")
 
 
-def require_no_misspelling(stated: Stated, path: Path, layout: Layout) -> None:
-    """Refuse what would be a note though it is nearly an attribute that is not stated."""
-    if found := misspelled(stated.keys() - layout.known, layout.attributes - stated.keys()):
+def require_no_misspelling(
+    what: str, there: Iterable[str], stateable: Iterable[str], path: Path, known: Iterable[str] = ()
+) -> None:
+    """Refuse an attribute or a variable, which `what` says, that would be a note or nothing at all though it is nearly
+    one that may be stated and is not. known: other names that mean something.
+    """
+    found, may = set(there), set(stateable)
+    if near := misspelled(found - may - set(known), may - found):
         raise ClothbenchError(
-            f"{path}: attribute {found[0]!r}: expected {found[1]!r}, which the file lacks; rename it (a note needs a "
-            "name less like it)"
+            f"{path}: {what} {near[0]!r}: expected {near[1]!r}, which the file lacks; rename it (whatever else it is "
+            "needs a name less like that)"
         )
 
 

@@ -69,6 +69,11 @@ class Layout:
         return {*self.attributes, *self.variables, *self.parts, "notes", "path"}
 
     @property
+    def arrays(self) -> set[str]:
+        """Variables that a file must or may have."""
+        return {*self.variables, *(name for part in self.parts.values() for name in part.variables)}
+
+    @property
     def attributes(self) -> set[str]:
         """Attributes that a file may state and that are no notes."""
         header = {"format", "format_version", "kind", *self.texts, *self.numbers, *self.vectors}

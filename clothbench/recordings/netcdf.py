@@ -38,6 +38,11 @@ class NetCDF:
     def __contains__(self, name: str) -> bool:
         return name in self._file and not _only_a_dimension(self._file, name)
 
+    @property
+    def names(self) -> set[str]:
+        """Of all that is no mere dimension."""
+        return {name for name in self._file if name in self}
+
     def variable(self, name: str) -> Array:
         """What is said of an array of this name; its values are read when they are asked for."""
         import h5py

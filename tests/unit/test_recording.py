@@ -67,6 +67,15 @@ def test_an_attribute_that_is_nearly_one_that_is_missing_is_refused(tmp_path, wo
     assert set(read_recording(stated).notes) == {"areal_densty", "cloth_with_hems", "room"}
 
 
+@pytest.mark.parametrize(("word", "meant"), [("confidance", "confidence"), ("Outline", "outline"), ("frames", "frame")])
+def test_so_is_a_variable(tmp_path, word, meant):
+    """Passed over, it would be as if nobody had measured it."""
+    path = _with(tmp_path, lambda f: f.createVariable(word, float, f.variables["time"].dimensions))
+    with pytest.raises(ClothbenchError, match=rf"bad.nc: variable '{word}': expected '{meant}', which the file lacks"):
+        read_recording(path)
+    read_recording(_with(tmp_path, lambda f: f.createVariable("warmth", float, f.variables["time"].dimensions)))
+
+
 def test_a_failed_write_leaves_the_old_file(recording, tmp_path, monkeypatch):
     path = write_recording(recording, tmp_path / "a.nc")
     before = path.read_bytes()
