@@ -15,6 +15,7 @@ import warnings
 import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
+from decimal import Decimal
 from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
@@ -52,12 +53,20 @@ def require_folder(name: str) -> None:
 
 
 def in_order(paths: Iterable[Path]) -> list[Path]:
-    """Files by their names, numbers in them as numbers: frame 2 before frame 10."""
+    """Files by their names, numbers in them as numbers: frame 2 before frame 10, 0.175 s before 0.2 s.
 
-    def parts(path: Path) -> list[str | int]:
-        return [int(part) if k % 2 else part for k, part in enumerate(re.split(r"(\d+)", path.name))]
-
-    return sorted(sorted(paths), key=parts)
+    What follows a point is a fraction, unless two names would then mean the same number (frames 1 and 10 of take 1, as
+    1.1 and 1.10).
+    """
+    files = sorted(paths)
+    for number in (r"(\d+(?:\.\d+)?)", r"(\d+)"):
+        keys = {
+            path: [Decimal(part) if k % 2 else part for k, part in enumerate(re.split(number, path.name))]
+            for path in files
+        }
+        if len({tuple(key) for key in keys.values()}) == len(files):
+            break
+    return sorted(files, key=keys.__getitem__)
 
 
 def sha256(path: Path) -> str:

@@ -19,6 +19,12 @@ class GripPath:
     material: np.ndarray
     position: np.ndarray
 
+    @classmethod
+    def while_known(cls, time: np.ndarray, material: np.ndarray, position: np.ndarray) -> GripPath:
+        """The path over those of the stamps (T,) s at which all places (T, G, 3) m are numbers."""
+        known = np.isfinite(position).all(axis=(1, 2))
+        return cls(np.array(time)[known], material, position[known])
+
 
 def confidence_fault(confidence: np.ndarray, visible: np.ndarray) -> str | None:
     """What is wrong with confidences (T, N) of points of which these were seen; None if nothing is. Of one that was not

@@ -67,8 +67,9 @@ def read_folder(folder: Path, progress: FileProgress | None = None) -> DepthImag
     """The recording that a folder of frames amounts to."""
     about = _about(folder)
     where = folder / "recording.json"
-    clouds = _files(folder / "clouds", (".ply", ".npy"))
-    files = clouds or _files(folder / "depth", (".png",))
+    clouds, images = _files(folder / "clouds", (".ply", ".npy")), _files(folder / "depth", (".png",))
+    _check_parts(folder, clouds, images)
+    files = clouds or images
     if not files:
         raise ClothbenchError(f"{folder}: found no frames, expected depth/*.png (16 bit) or clouds/*.ply or *.npy")
     time = _stamps(about, len(files), where)
@@ -86,6 +87,20 @@ def read_folder(folder: Path, progress: FileProgress | None = None) -> DepthImag
         camera=camera, colour=_colour(folder, about, time, camera), grips=_grips(about, where), path=str(folder),
         **_header(about, where),
     )  # fmt: skip
+
+
+def _check_parts(folder: Path, clouds: Sequence[Path], images: Sequence[Path]) -> None:
+    """Each frame stands there once, and what would be passed over has a name that could not be meant."""
+    if clouds and images:
+        raise ClothbenchError(f"{folder}: found frames in both depth and clouds, expected one of them; move one away")
+    if len(endings := {file.suffix.lower() for file in clouds}) > 1:
+        raise ClothbenchError(
+            f"{folder / 'clouds'}: found frames that end in {' and '.join(sorted(endings))}, expected one of them; "
+            "move the others away"
+        )
+    there, parts = {path.name for path in folder.iterdir() if path.is_dir()}, {"depth", "clouds", "colour"}
+    if found := misspelled(there - parts, parts - there):
+        raise ClothbenchError(f"{folder}: found a folder {found[0]!r}, expected {found[1]!r}; rename it")
 
 
 def read_png(file: Path, camera: Camera) -> np.ndarray:

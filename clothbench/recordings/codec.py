@@ -159,8 +159,9 @@ def variable(file: NetCDF, name: str, of: Variable) -> np.ndarray:
     if name not in file:
         raise ClothbenchError(f"{path}: variable '{name}' is missing, expected {name}({dims}) in {of.unit}")
     found = file.variable(name)
-    fits = found.dtype == of.dtype if of.exact else found.dtype.kind in "iuf"
-    if of.exact and found.packed and found.stored == of.dtype:
+    native = found.dtype.newbyteorder("=")  # either order of bytes holds the same numbers
+    fits = native == of.dtype if of.exact else native.kind in "iuf"
+    if of.exact and found.packed and found.stored.newbyteorder("=") == of.dtype:
         raise ClothbenchError(
             f"{path}: variable '{name}': found an attribute {found.packed[0]!r}, expected none: its {found.stored} are "
             "taken as they stand; write them without it"

@@ -28,7 +28,7 @@ from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.codec import read, write
 from clothbench.recordings.layout import Arrays, Layout, Part, Stated, Variable
-from clothbench.recordings.nodes_rules import check_clock, check_gravity
+from clothbench.recordings.nodes_rules import check_clock, check_gravity, check_length, check_pace
 from clothbench.recordings.rig import (
     GRIPS,
     TEXTS,
@@ -140,7 +140,9 @@ def _check(r: DepthImages, where: str) -> None:
     """Every rule of the kind, in the order in which a reader would trip over it."""
     check_clock(r.time, "time", where)
     check_jumps(r.time, "time", where)
-    check_stated(r, where, ("cloth_width", "cloth_height", "depth_step"))
+    check_pace(r.time, where)
+    check_stated(r, where)
+    check_length("depth_step", r.depth_step, where)
     check_gravity(r.gravity, where)
     width, height = r.camera.size
     if r.depth.shape != (len(r.time), height, width):
@@ -178,3 +180,9 @@ def _check_colour(r: DepthImages, colour: Colour, where: str) -> None:
             "frame of colour"
         )
     check_clock(colour.time, "colour_time", where)
+    if all(r.picture(frame) is None for frame in range(len(r.time))):
+        raise ClothbenchError(
+            f"{where}: variable 'colour_time': found {colour.time[0]:g}..{colour.time[-1]:g} s, of which no stamp is "
+            f"within half a step of a frame of depth ({r.time[0]:g}..{r.time[-1]:g} s), expected one clock; put both "
+            "on one, or leave the colour out"
+        )

@@ -40,10 +40,13 @@ from clothbench.recordings.nodes_rules import (
     check_clock,
     check_density,
     check_gravity,
-    check_length,
+    check_noise,
     check_overlap,
+    check_pace,
     check_points,
+    check_scale,
     check_shapes,
+    check_side,
     check_values,
 )
 from clothbench.recordings.rig import TEXTS, camera_attributes, pack_camera, unpack_camera
@@ -198,6 +201,7 @@ def _check(r: Recording, where: str) -> None:
     alone = bool(r.obstacles) and not any(o.carried for o in r.obstacles or ())  # may bear the cloth without any grip
     check_shapes(arrays, LAYOUT, where, may_be_empty="grip" if alone else "")
     check_clock(r.time, "time", where)
+    check_pace(r.time, where)
     check_clock(r.grip_time, "grip_time", where)
     check_values(arrays, where)
     _check_video(r, where)
@@ -211,6 +215,9 @@ def _check(r: Recording, where: str) -> None:
     size = np.array([r.cloth_width, r.cloth_height])
     for name in ("material", "grip_material"):
         check_points(arrays[name], name, size, where)
+    check_noise(r.noise_sigma, size, where)
+    if r.sight is None:  # else along the line of sight nothing is known
+        check_scale(arrays, size, where)
     check_overlap(r.time, r.grip_time, where)
     carry = any(o.carried for o in r.obstacles or ())  # then grips need not hold any cloth
     check_supports(r.outline, r.thickness, r.grip_material[:0] if carry else r.grip_material, size, where)
@@ -233,7 +240,7 @@ def _check_stated(r: Recording, where: str) -> None:
         raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
     check_gravity(r.gravity, where)
     for name in ("cloth_width", "cloth_height"):
-        check_length(name, getattr(r, name), where)
+        check_side(name, getattr(r, name), where)
     check_density(r.areal_density, where)
     if r.noise_sigma < 0 or math.isinf(r.noise_sigma):
         raise ClothbenchError(f"{where}: attribute 'noise_sigma': found {r.noise_sigma}, expected metres, 0 or above")

@@ -15,6 +15,11 @@ from clothbench.recordings.layout import Arrays, Layout, Part
 COVERED = 0.9  # of the frames, while which somebody has to know where the grips are
 SIZES = {"uv": 2, "space": 3}
 LONGEST = 0.5  # s, for which a grip that a camera lost may be taken to go straight on: a hand swings at 1 Hz
+SIDES = 0.005, 20.0  # m: between a swatch and a sail
+SLOWEST, STAMPS = 2.0, 5  # s between frames, of so many and more: what moves so slowly is at rest
+STRONGEST = 50.0  # m/s², of gravity: five times the earth's
+APART, SHRUNK = 10.0, 0.01  # of its own size, as which a cloth may at most and must at least be seen in space
+TREMBLING = 0.25  # of the cloth's longer side, up to which positions may be wrong
 FARTHEST = 1e6  # m from the origin that cloth and grips may be; sums and squares of what is farther may overflow
 
 
@@ -79,6 +84,65 @@ def check_length(name: str, length: float, where: str) -> None:
         raise ClothbenchError(f"{where}: attribute '{name}': found {length}, expected metres above 0")
 
 
+def check_side(name: str, length: float, where: str) -> None:
+    """A side of the cloth is as long as sides of cloths are."""
+    check_length(name, length, where)
+    if not SIDES[0] <= length <= SIDES[1]:
+        raise ClothbenchError(
+            f"{where}: attribute '{name}': found {length:g} m, expected {SIDES[0]:g} to {SIDES[1]:g} m; is it in "
+            "another unit?"
+        )
+
+
+def check_pace(time: np.ndarray, where: str) -> None:
+    """Frames follow each other as those of something that moves."""
+    step = float(np.median(np.diff(time)))
+    if len(time) >= STAMPS and step > SLOWEST:
+        raise ClothbenchError(
+            f"{where}: variable 'time': found frames {step:g} s apart, expected {SLOWEST:g} s at most; are these "
+            "milliseconds?"
+        )
+
+
+def check_scale(arrays: Arrays, size: np.ndarray, where: str) -> None:
+    """Nodes and grips are about as far apart in space as on the cloth of `size` (2,) m, in the middle of all frames."""
+    grips, across = arrays["grip_position"], float(np.hypot(*size))
+    seen = [
+        (places[there], arrays["material"][there])
+        for places in arrays["position"]
+        if (there := np.isfinite(places).all(axis=1)).any()
+    ]
+    spread, flat = np.array([[np.linalg.norm(np.ptp(each, axis=0)) for each in both] for both in seen]).T
+    most = f"expected {APART * across:.2g} m at most of a cloth {across:.2g} m across; are these millimetres?"
+    if (middle := float(np.median(spread))) > APART * across:
+        raise ClothbenchError(
+            f"{where}: variable 'position': found nodes {middle:g} m apart in the middle of all frames, {most}"
+        )
+    if flat.max() > 0 and (spread <= SHRUNK * flat).all():
+        raise ClothbenchError(
+            f"{where}: variable 'position': found nodes {spread.max():g} m apart in space at most and {flat.max():.2g} "
+            "m on the cloth, expected metres; is it scaled twice?"
+        )
+    if grips.shape[1]:
+        centre = np.median([places.mean(axis=0) for places, _ in seen], axis=0)
+        away = float(np.linalg.norm(np.median(grips, axis=(0, 1)) - centre))
+        apart = float(np.median(np.linalg.norm(np.ptp(grips, axis=1), axis=-1)))
+        if max(away, apart) > APART * across:
+            raise ClothbenchError(
+                f"{where}: variable 'grip_position': found grips {apart:g} m apart, and {away:g} m from the nodes, in "
+                f"the middle of all frames, {most}"
+            )
+
+
+def check_noise(sigma: float, size: np.ndarray, where: str) -> None:
+    """Positions are not wrong by as much as the cloth is long; NaN where nobody knows."""
+    if sigma > TREMBLING * size.max():
+        raise ClothbenchError(
+            f"{where}: attribute 'noise_sigma': found {sigma:g} m on a cloth of {size[0]:g} m by {size[1]:g} m, "
+            f"expected {TREMBLING * size.max():.2g} m at most; are these millimetres?"
+        )
+
+
 def check_density(areal_density: float, where: str) -> None:
     if areal_density <= 0 or areal_density > HEAVIEST:
         raise ClothbenchError(
@@ -91,6 +155,10 @@ def check_gravity(gravity: Sequence[float], where: str) -> None:
     """Gravity is three finite numbers [m/s²]."""
     if len(gravity) != 3 or not all(map(math.isfinite, gravity)):
         raise ClothbenchError(f"{where}: attribute 'gravity': found {gravity}, expected three finite numbers [m/s²]")
+    if math.hypot(*gravity) > STRONGEST:
+        raise ClothbenchError(
+            f"{where}: attribute 'gravity': found {gravity}, expected m/s², {STRONGEST:g} at most; 9.81 on earth"
+        )
 
 
 def check_finite(values: np.ndarray, name: str, where: str) -> None:

@@ -21,12 +21,13 @@ def nodes_of(images: Images, seen: Observation) -> Recording:
     """The recording of nodes that a tracker's observation of some images amounts to, with all that the images state.
 
     Where nobody stated the grips, they are what the tracker found held, else the two upper corners, wherever they were
-    seen.
+    seen. Nothing counts as seen before or after anybody knows where the grips were.
     """
     grips = images.grips or seen.grips or corners_of(images, seen)
     camera = seen.sight or images.camera
+    counts = seen.visible & ((seen.time >= grips.time[0]) & (seen.time <= grips.time[-1]))[:, None]
     return Recording(
-        time=seen.time, material=seen.material, position=np.where(seen.visible[..., None], seen.position, np.nan),
+        time=seen.time, material=seen.material, position=np.where(counts[..., None], seen.position, np.nan),
         grip_time=grips.time, grip_material=grips.material, grip_position=grips.position, noise_sigma=seen.sigma,
         sight=seen.sight, confidence=seen.confidence, path=images.path,
         notes=images.notes | {"tracked_from": images.hash} | ({EYE: text_of(camera.place)} if camera else {}),
@@ -35,7 +36,7 @@ def nodes_of(images: Images, seen: Observation) -> Recording:
 
 
 def corners_of(images: Images, seen: Observation) -> GripPath:
-    """The two upper corners as grips, on straight lines where they were not seen in between."""
+    """The two upper corners as grips, while both are known: on straight lines where they were not seen in between."""
     corners = np.array([[0.0, 0.0], [images.cloth_width, 0.0]])
     which = [int(np.argmin(((seen.material - corner) ** 2).sum(axis=1))) for corner in corners]
     paths = []
@@ -56,9 +57,10 @@ def corners_of(images: Images, seen: Observation) -> GripPath:
         u, v = seen.material[n]
         what = f"the upper corner at u = {u:g} m, v = {v:g} m"
         check_grip_gap(seen.time, there, what, str(images.path or images.name))
-        path = [np.interp(seen.time, seen.time[there], seen.position[there, n, c]) for c in range(3)]
+        known = seen.position[there, n]
+        path = [np.interp(seen.time, seen.time[there], known[:, c], left=np.nan, right=np.nan) for c in range(3)]
         paths.append(np.stack(path, axis=-1))
-    return GripPath(np.array(seen.time), seen.material[which], np.stack(paths, axis=1))
+    return GripPath.while_known(seen.time, seen.material[which], np.stack(paths, axis=1))
 
 
 def seen_in(recording: Recording) -> Observation:

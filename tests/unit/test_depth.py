@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -148,6 +149,7 @@ def test_clouds_become_depth(tmp_path, form):
     from clothbench.datasets.depth_folder import read_folder
 
     folder = folder_of(tmp_path, colour=False)
+    shutil.rmtree(folder / "depth")
     (folder / "clouds").mkdir()
     x, y = np.meshgrid(np.linspace(-0.2, 0.2, 60), np.linspace(-0.15, 0.15, 60))
     points = np.stack([x.ravel(), y.ravel(), 1.0 + 0.1 * x.ravel()], axis=1)
@@ -255,6 +257,68 @@ def test_frames_come_in_the_order_of_their_numbers(tmp_path):
     assert np.array_equal(read_folder(folder).depth, images().depth)
 
 
+STAMPS = ["1305031102.15", "1305031102.175304", "1305031102.2", "1305031102.26", "1305031103", "1305031103.05"]
+TAKE = ["take1.1", "take1.2", "take1.9", "take1.10", "take1.11", "take1.20"]
+
+
+@pytest.mark.parametrize("names", [STAMPS, TAKE])
+def test_or_of_their_times(tmp_path, names):
+    """What a program writes of a time has as many digits as it takes."""
+    folder = folder_of(tmp_path)
+    for part in ("depth", "colour"):
+        for k, name in enumerate(names):
+            (folder / part / f"{k:03d}.png").rename(folder / part / f"{name}.png")
+    assert np.array_equal(read_folder(folder).depth, images().depth)
+
+
+def test_frames_that_stand_there_twice_are_refused(tmp_path):
+    """They would be seen at half the speed, or nobody would know which were taken."""
+    folder = folder_of(tmp_path)
+    (folder / "clouds").mkdir()
+    (folder / "clouds" / "0.ply").touch()
+    with pytest.raises(ClothbenchError, match="session: found frames in both depth and clouds, expected one of them"):
+        read_folder(folder)
+    shutil.rmtree(folder / "depth")
+    (folder / "clouds" / "0.npy").touch()
+    with pytest.raises(ClothbenchError, match=r"clouds: found frames that end in .npy and .ply, expected one of them"):
+        read_folder(folder)
+
+
+def test_so_is_a_folder_whose_name_is_nearly_one(tmp_path):
+    folder = folder_of(tmp_path)
+    (folder / "colour").rename(folder / "color")
+    with pytest.raises(ClothbenchError, match="session: found a folder 'color', expected 'colour'; rename it"):
+        read_folder(folder)
+
+
+def test_colour_on_another_clock_is_no_colour():
+    late = Colour(TIME + 1.7e9, images().colour.frame)
+    with pytest.raises(ClothbenchError, match=r"'colour_time': found 1.7e.* expected one clock"):
+        images(colour=late)
+
+
+def test_a_tracker_that_was_told_the_colour_needs_pictures():
+    from clothbench_trackers.depth_mesh import DepthMesh
+
+    with pytest.raises(ClothbenchError, match=r"run: found no variable 'colour', expected one: depth_mesh was given"):
+        DepthMesh(colour=[200, 0, 0]).track(images(colour=None))
+
+
+def test_numbers_may_have_either_order_of_bytes(tmp_path):
+    import h5py
+
+    path = write_depth(images(), tmp_path / "run.nc")
+    with h5py.File(path, "a") as file:
+        old = file["depth"]
+        new = file.create_dataset("turned", data=old[()].astype(">u2"))
+        for k, scale in enumerate(old.dims):
+            new.dims[k].attach_scale(scale[0])
+        new.attrs["units"] = old.attrs["units"]
+        del file["depth"]
+        file.move("turned", "depth")
+    assert read_depth(path).hash == images().hash
+
+
 def test_a_picture_of_depth_is_no_depth(tmp_path):
     import cv2
 
@@ -297,3 +361,23 @@ def test_what_a_tracker_made_of_images_is_a_recording_of_nodes():
     gone = dataclasses.replace(seen, position=position, visible=np.isfinite(position).all(axis=-1))
     with pytest.raises(ClothbenchError, match=r"upper corner at u = 0.3 m, v = 0 m from frame 0 to 3 of 6, expected"):
         nodes_of(images(grips=None), gone)
+
+
+def test_while_nobody_knows_where_the_grips_are_nothing_is_seen():
+    """Held still before they are first seen and after the last time they would move the cloth as nobody did."""
+    from clothbench import Observation
+    from clothbench.recordings.tracked import nodes_of
+
+    u, v = (a.ravel() for a in np.meshgrid([0.0, 0.15, 0.3], [0.0, 0.2, 0.4]))
+    time = np.arange(60) / 20.0
+    position = np.stack([u, 0 * u, 1 - v], axis=1) + 0.5 * time[:, None, None] * [0, 1, 0]
+    visible = np.ones((60, 9), bool)
+    visible[:3, 0] = visible[30:33, 0] = visible[-2:, 2] = False
+    depth, colour = np.full((60, 40, 48), 1000, np.uint16), None
+    seen = Observation(time, position, visible, 1e-3, np.stack([u, v], axis=1))
+    nodes = nodes_of(images(grips=None, time=time, depth=depth, colour=colour), seen)
+    assert np.array_equal(nodes.grip_time, time[3:-2])
+    assert np.allclose(nodes.grip_position[:, :, 1], 0.5 * time[3:-2, None])
+    assert np.array_equal(nodes.visible[3:-2], visible[3:-2])
+    assert not nodes.visible[:3].any()
+    assert not nodes.visible[-2:].any()

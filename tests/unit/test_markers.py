@@ -160,6 +160,25 @@ def test_csv_may_state_unit_and_rate_as_settings(tmp_path):
     refused("frames per second above 0", path, material=MATERIAL, unit="mm", rate=0)
 
 
+def test_csv_without_a_clock_counts_frames_in_which_nothing_was_seen(tmp_path):
+    time, position = run()
+    position[20:30] = np.nan
+    lines = [line.partition(",")[2] for line in csv_lines(time, position)[1:]]
+    seen = Markers(material=MATERIAL, unit="mm", rate=RATE).track(write(tmp_path / "run.csv", [*lines, ""]))
+    np.testing.assert_allclose(seen.time, time)
+    assert not seen.visible[20:30].any()
+    empty = "," * csv_lines(time, position)[1].count(",")  # as a table ends that once was longer
+    seen = Markers(material=MATERIAL).track(write(tmp_path / "run.csv", [*csv_lines(time, position), empty]))
+    np.testing.assert_allclose(seen.time, time)
+
+
+def test_csv_files_one_after_the_other_have_one_unit(tmp_path):
+    lines = csv_lines(*run())
+    assert Markers(material=MATERIAL).track(write(tmp_path / "run.csv", [*lines, "# unit: mm", "# unit: mm"])).time.size
+    path = write(tmp_path / "b.csv", [*lines, "# unit: m"])
+    refused("line '# unit:': found 'mm' and 'm', expected one of them", path, material=MATERIAL)
+
+
 def test_csv_frame_numbers_keep_dropped_frames_apart(tmp_path):
     lines = ["# unit: m,,", "# rate: 50", "frame,a:X,a:Y,a:Z", "10,1,2,3", "11,1,2,nan", "14,0,0,0"]
     path = write(tmp_path / "run.csv", lines)

@@ -86,6 +86,10 @@ def test_a_failed_write_leaves_the_old_file(recording, tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["a.nc"]
 
 
+def _times(stream, name: str, factor: float) -> None:
+    stream[name][...] = stream[name][...] * factor
+
+
 def _with(tmp_path: Path, change) -> Path:
     """A good file, spoilt by `change(open file)`."""
     path = write_recording(swinging_recording(), tmp_path / "bad.nc")
@@ -122,6 +126,22 @@ def test_gravity_may_be_three_numbers_as_other_programs_write_it(tmp_path):
         (lambda f: f["grip_position"].__setitem__((0, 0, 0), np.nan), "variable 'grip_position': found a value"),
         (lambda f: f["material"].__setitem__(4, [0.05, 0.0]), r"found row 1 2 times \(the same material point\)"),
         (lambda f: f["material"].__setitem__(4, [5.0, 0.0]), "expected inside the 0.2 m × 0.2 m cloth"),
+        (lambda f: setattr(f, "cloth_width", 200.0), "'cloth_width': found 200 m, expected 0.005 to 20 m; is it in"),
+        (lambda f: setattr(f, "gravity", "0 0 -9810"), "expected m/s², 50 at most"),
+        (lambda f: setattr(f, "noise_sigma", 1.0), r"'noise_sigma': found 1 m on a cloth .*; are these millimetres"),
+        (lambda f: _times(f, "position", 1000), r"'position': found nodes 286.* m apart .*; are these millimetres\?"),
+        (
+            lambda f: _times(f, "position", 1e-3),
+            r"'position': found nodes .* 0.28 m on the cloth.*; is it scaled twice",
+        ),
+        (
+            lambda f: _times(f, "grip_position", 1e3),
+            r"'grip_position': found grips 200 m apart, .*; are these millimet",
+        ),
+        (
+            lambda f: (_times(f, "time", 1e3), _times(f, "grip_time", 1e3)),
+            "frames 50 s apart, expected 2 s at most; ar",
+        ),
     ],
 )
 def test_every_fault_is_one_line_with_file_and_field(tmp_path, change, found):

@@ -175,8 +175,13 @@ class DepthMesh:
         """The cloth's own hue (2,): as stated, or that of most pixels that the first two steps leave, and the middle of
         what some frames say: one alone may show something else there. None where most of them say that it has none.
         """
-        if self.colour is False or images.colour is None:
+        if self.colour is False or (self.colour is None and images.colour is None):
             return None
+        if images.colour is None:
+            raise ClothbenchError(
+                f"{images.path or images.name}: found no variable 'colour', expected one: {self.name} was given the "
+                f"cloth's, colour={list(self.colour)}; leave that out, or record pictures registered to the depth"
+            )
         if self.colour is not None:
             return patches.hues(np.array([[self.colour]], dtype=np.uint8))[0, 0]
         said, asked = [], np.unique(np.linspace(0, len(images.time) - 1, HUE_FRAMES).round().astype(int))

@@ -114,7 +114,9 @@ def _read_csv(path: Path) -> _Raw:
     names = [cell.strip() for cell in lines[0][1]] if lines else []
     lead = [CLOCKS[name.lower()] for name in names[:2] if name.lower() in CLOCKS]
     labels = _csv_labels(names[len(lead) :], path)
-    table = _table(lines[1:], len(names), path)
+    # Without a clock frames are counted, also those in which no marker was seen.
+    frames = [(n, cells) for n, cells in lines[1:] if not lead or any(cell.strip() for cell in cells)]
+    table = _table(frames, len(names), path)
     clock = dict(zip(lead, table.T, strict=False))
     rate = _number(stated["rate"], "line '# rate:'", path) if "rate" in stated else None
     unit = stated.get("unit", "")
@@ -122,14 +124,19 @@ def _read_csv(path: Path) -> _Raw:
 
 
 def _csv_lines(path: Path) -> tuple[dict[str, str], list[tuple[int, list[str]]]]:
-    """The `# key: value` lines, and the others as (line number, cells)."""
+    """The `# key: value` lines, and the others from the header on as (line number, cells)."""
     stated: dict[str, str] = {}
-    lines = []
+    lines: list[tuple[int, list[str]]] = []
     for number, text in enumerate(_text(path), 1):
         if text.startswith("#"):
             key, _, value = text[1:].rstrip(", ").partition(":")
-            stated[key.strip().lower()] = value.strip()
-        elif text.strip(", "):
+            key, value = key.strip().lower(), value.strip()
+            if key in ("unit", "rate") and stated.get(key, value) != value:
+                raise refusal(
+                    path, f"line '# {key}:'", f"{stated[key]!r} and {value!r}", "one of them", "drop the other"
+                )
+            stated[key] = value
+        elif text.strip(", " if not lines else None):
             lines.append((number, next(csv.reader([text]))))
     return stated, lines
 

@@ -128,7 +128,7 @@ def observed(
     which are lifted to metres on the plane in which the first frame shows the cloth. sigma: m, or None: judged.
     """
     graph = with_distance(video, graph, held)
-    grips = None if held is None else GripPath(video.time, held_material(video), graph.view.lifted(held))
+    grips = None if held is None else GripPath.while_known(video.time, held_material(video), graph.view.lifted(held))
     position = graph.view.lifted(np.where(seen[..., None], pixel, np.nan))
     if sigma is None:  # across the line of sight alone: along it, all nodes lie on one plane
         flat = (position - graph.view.origin) @ np.stack([graph.view.along, graph.view.down], axis=1)
@@ -149,9 +149,9 @@ def held_material(video: ColourVideo) -> np.ndarray:
 def held_path(
     video: ColourVideo, graph: Graph, how: str, pixel: np.ndarray, seen: np.ndarray, followed: np.ndarray | None
 ) -> np.ndarray | None:
-    """Where the cloth is held (T, G, 2) px; None where a robot has told, or where nothing was seen. how: "corners",
-    where the graph (T, N, 2) px goes on to; "marks", points of the first frame `followed` (T, G, 2) px; or
-    "module:function", asked frame by frame.
+    """Where the cloth is held (T, G, 2) px, NaN before it was first seen and after the last time; None where a robot
+    has told, or where nothing was seen. how: "corners", where the graph (T, N, 2) px goes on to; "marks", points of the
+    first frame `followed` (T, G, 2) px; or "module:function", asked frame by frame.
     """
     if video.grips is not None or not seen.any():
         return None
@@ -182,21 +182,22 @@ def held_path(
         what = f"the point held at u = {u:g} m, v = {v:g} m"
         check_grip_gap(video.time, np.flatnonzero(there), what, str(video.path or video.name))
         for c in range(2):
-            path[:, g, c] = np.interp(video.time, video.time[there], path[there, g, c])
-    if len(path) >= SMOOTH:
-        from scipy.signal import savgol_filter
+            path[first : last + 1, g, c] = np.interp(video.time[first : last + 1], video.time[there], path[there, g, c])
+        if last + 1 - first >= SMOOTH:
+            from scipy.signal import savgol_filter
 
-        path = savgol_filter(path, SMOOTH, 2, axis=0)
+            path[first : last + 1, g] = savgol_filter(path[first : last + 1, g], SMOOTH, 2, axis=0)
     return path
 
 
 def with_distance(video: ColourVideo, graph: Graph, held: np.ndarray | None) -> Graph:
-    """The graph seen from where the two hands are as far apart in the first frame as the cloth between them is long:
-    it is held straight then and slightly stretched, while its middle hangs through and looks smaller than it is.
+    """The graph seen from where the two hands are as far apart in the first frame of both as the cloth between them is
+    long: it is held straight then and slightly stretched, while its middle hangs through and looks smaller than it is.
     """
     if held is None or video.world == "camera" or held.shape[1] != 2:
         return graph
-    apart, wide = (float(np.linalg.norm(b - a)) for a, b in (graph.view.lifted(held[0]), held_material(video)))
+    first = held[np.isfinite(held).all(axis=(1, 2))][0]
+    apart, wide = (float(np.linalg.norm(b - a)) for a, b in (graph.view.lifted(first), held_material(video)))
     if not abs(wide / apart - 1) < LOOSE:  # these are no hands that stretch it
         return graph
     camera = graph.view.camera
