@@ -112,7 +112,13 @@ def asked(name: str, given: Mapping[str, str], runs: Path, out: Path, plugins: C
         raise ClothbenchError("found effects= or tied= beside verdict=, which names them; leave one of them out")
     named = tuple(effect["name"] for effect in document["effects"])
     tied = [(effect["name"], other) for effect in document["effects"] for other in effect["tied_with"]]
-    return problem, named, tied, {n: p["value"] for n, p in document["parameters"].items()}
+    values = {n: p["value"] for n, p in document["parameters"].items()}
+    if document.get("models") and (more := sorted(set(values) - set(problem.space(named).names))):
+        raise ClothbenchError(
+            f"{given['verdict']}: found a verdict on several models, with parameters of a fit with more effects than "
+            f"it names ({more[0]}); give that of improve with model={document['model']} alone"
+        )
+    return problem, named, tied, values
 
 
 def of_recordings(

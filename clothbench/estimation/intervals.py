@@ -57,15 +57,13 @@ def jackknife(jacobian: np.ndarray, residual: np.ndarray, groups: Sequence[np.nd
     knows how far it would move. What is left of a group is held against all of the data, parameter by parameter.
     """
     hessian = jacobian.T @ jacobian
-    told = np.sqrt(np.diag(hessian))
-    told[told == 0.0] = 1.0
-    moved, nowhere = [], undetermined(hessian)
-    for rows in groups:
-        rest = hessian - jacobian[rows].T @ jacobian[rows]
-        moved.append(np.linalg.lstsq(rest, jacobian[rows].T @ residual[rows], rcond=1 / SINGULAR)[0])
-        nowhere |= undetermined(rest / np.outer(told, told))
+    rest = [hessian - jacobian[rows].T @ jacobian[rows] for rows in groups]
+    moved = [
+        np.linalg.lstsq(others, jacobian[rows].T @ residual[rows], rcond=1 / SINGULAR)[0]
+        for rows, others in zip(groups, rest, strict=True)
+    ]
     half = jackknife_half_width(np.array(moved))
-    half[nowhere] = np.inf
+    half[undetermined_by_some(hessian, rest)] = np.inf
     return half
 
 
@@ -129,6 +127,15 @@ def _without_each_frame(rollout: Rollout) -> Iterator[Rollout]:
     for frame in range(count) if count > 1 else ():
         rest = np.arange(count) != frame
         yield dataclasses.replace(rollout, time=rollout.time[rest], position=rollout.position[:, rest])
+
+
+def undetermined_by_some(hessian: np.ndarray, rest: Sequence[np.ndarray]) -> np.ndarray:
+    """Which parameters (P,) all data (P, P) say nothing about, or what is left of them without one group, `rest`: held
+    against all of the data, parameter by parameter.
+    """
+    told = np.sqrt(np.diag(hessian))
+    told[told == 0.0] = 1.0
+    return np.any([undetermined(hessian), *(undetermined(others / np.outer(told, told)) for others in rest)], axis=0)
 
 
 def undetermined(hessian: np.ndarray) -> np.ndarray:

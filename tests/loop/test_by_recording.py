@@ -81,9 +81,20 @@ def test_an_interval_of_one_recording_holds_the_truth():
         noise = 0.1 * random.normal(size=FRAMES)
         by = float(np.linalg.lstsq(column, noise, rcond=None)[0][0])  # what noise moves the fit by, of the range
         fit = Fitted(("late",), space, np.array([-by]), [noise - column[:, 0] * by], [column], *2 * [np.zeros(1)], 1)
-        low, high = by_recording.interval_over_time(fit)
-        inside += bool(low[0] <= 0.0 <= high[0])
+        found = by_recording.with_interval_over_time(fit, 0.1)
+        inside += bool(found.low[0] <= 0.0 <= found.high[0])
     assert 88 <= inside <= 100
+
+
+def test_a_moment_that_one_part_of_a_recording_tells_is_known_as_well_as_that():
+    """Without that part nothing is known of it, and nothing speaks against it: no interval of next to no width."""
+    random, space = np.random.default_rng(3), ParameterSpace((DELAY,))
+    column = np.where(np.arange(FRAMES) < FRAMES // 8, 1.0, 0.0)[:, None]
+    model = 0.1 * np.sin(np.linspace(0, 60, FRAMES))  # what the model has wrong
+    fit = Fitted(("late",), space, np.zeros(1), [model + 0.01 * random.normal(size=FRAMES)], [column],
+                 *2 * [np.zeros(1)], 1)  # fmt: skip
+    found = by_recording.with_interval_over_time(fit, 0.01)
+    assert 0.01 < found.high[0] - found.low[0] < 0.5 * np.ptp(DELAY.bounds)
 
 
 def candidate(name: str, rms: float, why_not: str = "") -> Candidate:
@@ -215,7 +226,7 @@ def test_amounts_that_do_not_hold_on_what_was_held_out_are_asked_by_recording(mo
         assert refuted.after is None
 
 
-@pytest.mark.parametrize("left", [5.0, 1.05])
+@pytest.mark.parametrize("left", [5.0, 3.5, 1.05])
 def test_what_the_shared_gain_in_another_valley_is_not_what_the_amounts_explain(monkeypatch, left):
     """left: rms that the fit without the effect leaves when it goes on from where that with it has led."""
     before = fitted_to([np.full(FRAMES, 5.0)] * 3, np.random.default_rng(0))
@@ -236,8 +247,9 @@ def test_what_the_shared_gain_in_another_valley_is_not_what_the_amounts_explain(
     found = Round(before, 1.0, (), (), ())
     state, better = by_recording.with_own_amounts(State(problem, before, before, 1.0, 0.5), found, ["a"], account)
     assert better is without
-    if left == 5.0:
+    if left > 3:
         assert state.final is with_it
+        assert state.base is without  # what the effect explains is told beside that
         assert state.rounds[-1].named == ("a",)
         assert state.own["a"] is amounts
     else:
@@ -247,7 +259,7 @@ def test_what_the_shared_gain_in_another_valley_is_not_what_the_amounts_explain(
 def test_of_a_drape_there_are_fewer_quantities_than_parts():
     space = ParameterSpace((DELAY,))
     fit = Fitted(("late",), space, np.zeros(1), [np.ones(4)], [np.ones((4, 1))], *2 * [np.zeros(1)], 1)
-    assert np.isfinite(by_recording.interval_over_time(fit)).all()
+    assert np.isfinite(by_recording.with_interval_over_time(fit, 0.1).low).all()
 
 
 def test_an_effect_that_nothing_can_be_simulated_with_is_passed_over(monkeypatch):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 import numpy as np
@@ -27,7 +27,7 @@ class Meshed:
     order: float = 2.0
     cell: float = 1.0
     halvings: int = 0
-    corrections: dict | None = None
+    corrections: dict = field(default_factory=dict)
     seed: int = 0
 
     def uncorrected(self):
@@ -85,6 +85,25 @@ def test_cells_are_halved_until_what_is_open_lies_below_the_noise(judged):
         np.testing.assert_allclose(discretisation_error(problem.uncorrected(), after, "held_out"), -PATTERN, atol=1e-12)
 
 
+def test_what_an_earlier_fit_was_corrected_by_is_not_taken_away_twice(judged):
+    """As after a name, or in another valley."""
+    first, fitted, doubt = judged(Meshed(0.1), 0.01)
+    problem, again, mesh = judged(first, 0.01)
+    assert problem.halvings == first.halvings
+    assert mesh == pytest.approx(doubt)
+    np.testing.assert_allclose(again.residual, fitted.residual, atol=1e-12)
+    np.testing.assert_allclose(problem.trials((), "fit")[0].metric().residual[0], again.residual[0], atol=1e-12)
+
+
+def test_a_fit_without_the_correction_is_one_of_the_problem_without(judged):
+    """Where a name has led to parameters with which the model does not converge."""
+    problem, after, _ = judged(
+        Meshed(0.1, order=-1.0, corrections=dict(zip(("first", "second"), -PATTERN, strict=True))), 0.01
+    )
+    assert not problem.corrections
+    np.testing.assert_allclose(after.residual, 0.1 + PATTERN)
+
+
 def test_a_model_that_does_not_converge_is_not_corrected(judged):
     """What finer cells change leads away from what was seen: all of it is doubt, and the residual stays."""
     problem, after, doubt = judged(Meshed(0.1, order=-1.0), 0.01)
@@ -122,3 +141,10 @@ def test_a_parameter_that_changes_nothing_may_be_anything():
     low, high = jackknife_interval(space, middle, residual, others)
     assert (high - low)[:2].max() < 0.1
     assert (low[2], high[2]) == (0.0, 2.0)
+    told_once = [np.hstack([c, random.normal(size=c.shape) * (k == 0)]) for k, c in enumerate(columns)]
+    two = ParameterSpace(space.parameters[:2])
+    low, high = jackknife_interval(two, middle[:2], residual, told_once)  # who knows what another recording would say
+    assert high[0] - low[0] < 0.1
+    assert (low[1], high[1]) == (0.0, 2.0)
+    low, high = jackknife_interval(two, middle[:2], residual, told_once, alone=True)
+    assert high[1] - low[1] < 0.1

@@ -14,13 +14,14 @@ MATERIAL = np.array([[0.0, 0.1], [0.0, 0.5], [0.0, 0.9]])
 SIGMA = 2e-3
 
 
-def swung(name: str, hertz: float, late: float, first: float = 0.0) -> SheetCase:
-    """A grip that starts to swing after `late` seconds; frames from `first` s on, at 25 Hz."""
+def swung(name: str, hertz: float, late: float, first: float = 0.0, sway: float = 0.0) -> SheetCase:
+    """A grip that starts to swing after `late` seconds; frames from `first` s on, at 25 Hz. sway: m, of the nodes."""
     grip_time = np.arange(0, 8, 0.01)
     path = 0.1 * np.sin(2 * np.pi * hertz * np.maximum(grip_time - late, 0.0))
     grips = np.stack([path, 0 * path, 0 * path], axis=-1)[:, None]
     time = np.arange(first, 7.5, 0.04)
-    observation = Observation(time, np.zeros((len(time), 3, 3)), np.ones((len(time), 3), bool), 1e-4, MATERIAL)
+    position = np.zeros((len(time), 3, 3)) + sway * np.sin(5 * time)[:, None, None]
+    observation = Observation(time, position, np.ones((len(time), 3), bool), 1e-4, MATERIAL)
     recording = SimpleNamespace(grip_time=grip_time, grip_position=grips, grip_material=np.zeros((1, 2)))
     return SheetCase(name, "fit", recording, observation, None)
 
@@ -40,6 +41,12 @@ def spread(*cases: SheetCase, late=(0.0, 0.0, 0.0)) -> float:
 def test_repeats_show_the_noise_below_the_error_that_they_share(first):
     one, other = swung("one", 0.8, 0.3), swung("other", 0.8, 0.7, 0.4 + first)
     assert spread(one, other, late=(0.0, 0.4)) == pytest.approx(SIGMA, rel=0.1)
+
+
+@pytest.mark.parametrize(("moved", "found"), [(0.0, SIGMA), (0.02, 0.0)])
+def test_in_grips_that_stand_still_a_repeat_is_a_sheet_that_does(moved, found):
+    """Begun at the same time, not at the longest delay that is looked at; what was let go swings as it was let go."""
+    assert spread(*(swung(name, 0.0, 0.0, sway=moved) for name in ("one", "other"))) == pytest.approx(found, rel=0.1)
 
 
 def test_other_motions_are_no_repeats():

@@ -20,7 +20,7 @@ from clothbench.core.statistics import sobol
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.ahead import ahead
 from clothbench.studies.improve.attribution import null_point, shapes_looked_at, tangents
-from clothbench.studies.improve.fitted import Fitted, jackknife_interval
+from clothbench.studies.improve.fitted import Fitted, jackknife_interval, with_discrepancy
 from clothbench.studies.improve.fitting import fit
 from clothbench.studies.improve.permutation import span_of
 from clothbench.studies.improve.problem import Problem
@@ -84,7 +84,10 @@ def with_own_amounts(
     last = Round(current, state.floor, (*tried, *others), found.probes, named, after, own=of_each)
     mine = with_own(problem, own[named[0]])
     after = with_errors_of_mesh_and_model(mine, after, state.noise)
-    return dataclasses.replace(state, problem=mine, final=after, rounds=(*state.rounds, last)), current
+    base = state.base
+    if current is not found.before and not state.rounds:
+        base = with_errors_of_mesh_and_model(problem, current, state.noise)
+    return dataclasses.replace(state, problem=mine, base=base, final=after, rounds=(*state.rounds, last)), current
 
 
 def judged(
@@ -295,8 +298,7 @@ def own_amounts(
     ahead(fit, questions)
     for case, question in zip(cases, questions, strict=True):
         fitted = fit(*question)
-        low, high = interval_over_time(fitted)
-        out[case.name] = dataclasses.replace(fitted, low=low, high=high)
+        out[case.name] = with_interval_over_time(fitted, problem.evidence.noise())
     return out
 
 
@@ -315,13 +317,15 @@ def places(space: ParameterSpace, seed: int) -> np.ndarray:
     return np.vstack([null_point(space), space.defaults, space.from_unit(spread)])
 
 
-def interval_over_time(fitted: Fitted) -> tuple[np.ndarray, np.ndarray]:
-    """95 % intervals (P,), (P,) of what one recording alone says: how far the fit moves when a part of its time is left
-    out. Frames near each other hang together; parts as long as these hardly do.
+def with_interval_over_time(fitted: Fitted, noise: float) -> Fitted:
+    """The fit with 95 % intervals of what one recording alone says: how far it moves when a part of its time is left
+    out, and what a part of all that is left above the noise may stand for. Frames near each other hang together; parts
+    as long as these hardly do. A moment is told by one of them; the others then say nothing against it.
     """
     parts = min(LOOP.parts_of_recording, len(fitted.residual[0]))  # a drape's residual is a few quantities
     residual, jacobian = (np.array_split(of[0], parts) for of in (fitted.residual, fitted.jacobian))
-    return jackknife_interval(fitted.space, fitted.theta, residual, jacobian)
+    low, high = jackknife_interval(fitted.space, fitted.theta, residual, jacobian, alone=True)
+    return with_discrepancy(dataclasses.replace(fitted, low=low, high=high), [0 * fitted.residual[0]], noise)
 
 
 def with_own(problem: Problem, own: Own) -> Problem:

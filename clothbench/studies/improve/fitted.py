@@ -11,7 +11,7 @@ import numpy as np
 
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.statistics import jackknife_half_width
-from clothbench.estimation.intervals import undetermined
+from clothbench.estimation.intervals import undetermined_by_some
 from clothbench.studies.improve.settings import LOOP
 
 Parts = Sequence[np.ndarray]  # one array for each recording
@@ -75,17 +75,20 @@ class Fitted:
 
 
 def jackknife_interval(
-    space: ParameterSpace, theta: np.ndarray, residual: Parts, jacobian: Parts
+    space: ParameterSpace, theta: np.ndarray, residual: Parts, jacobian: Parts, alone: bool = False
 ) -> tuple[np.ndarray, np.ndarray]:
     """95 % intervals (P,), (P,): how far the fit moves, to first order, when one recording is left out; the whole range
-    of a parameter that the recordings do not determine.
+    of a parameter that the recordings, or those without one of them, do not determine: nobody knows what another one
+    would say. alone: whether one of them alone may tell it.
     """
     unit = space.to_unit(theta)
     if len(residual) < LOOP.least_recordings:
         return np.full(len(space), np.nan), np.full(len(space), np.nan)
     moved = jackknife_moves(residual, jacobian)
     half = jackknife_half_width(moved - moved.mean(axis=0))
-    open_ = undetermined(normal_equations(residual, jacobian)[0])
+    whole = normal_equations(residual, jacobian)[0]
+    rest = [] if alone else [whole - part.T @ part / len(part) for part in jacobian]
+    open_ = undetermined_by_some(whole, rest)
     low, high = np.where(open_, 0.0, unit - half), np.where(open_, 1.0, unit + half)
     return space.from_unit(low), space.from_unit(high)
 

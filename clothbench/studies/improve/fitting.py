@@ -58,6 +58,8 @@ def fit(
     """
     trace = searched(problem, names, start, rounds, goal, search_settings(problem, start is None, tolerance), account)
     theta, count = trace.theta[-1], int(trace.count[-1])
+    if start is not None and np.ndim(start) > 1 and len(start) > 1:  # which of them is best was looked at first
+        count += len(start)
     if unless is not None and not trace.square[-1] < unless.rms**2:
         return dataclasses.replace(unless, evaluations=count)
     return fitted_at(problem, names, theta, count)

@@ -273,7 +273,7 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
     account.stop()
     return Finding(
         key=problem.question, model=problem.model, base=problem.base, seed=problem.seed, evidence=problem.evidence,
-        verdict=end.word, hint=end.hint, noise=state.noise, mesh=state.mesh_left, unexplained=end.unexplained,
+        verdict=end.word, hint=end.hint, noise=state.noise, mesh=state.mesh_left(end.fit), unexplained=end.unexplained,
         calibrated=base, final=end.fit, rounds=tuple(dataclasses.replace(r, probes=()) for r in state.rounds),
         dropped=end.dropped, notes=notes(problem, state.rounds), alone=state.alone,
         held_out=tuple(zip((c.name for c in problem.of_split("held_out")), before, after, strict=True)),

@@ -22,11 +22,14 @@ def corrected(problem: Problem, fitted: Fitted, noise: float, account: Account) 
     by (rms, base unit); all as they are, and 0, where nothing is discretised.
 
     Cells are halved until that lies below the noise, `LOOP.halvings` times at most, and no further where that leads
-    away from what was seen.
+    away from what was seen. What an earlier fit was corrected by is not built upon: it is found anew beside this one.
     """
     account.stage(STAGE, 0, LOOP.halvings)
     plain, mesh = dataclasses.replace(problem.uncorrected(), halvings=0), 0.0
-    changes = nothing = [0 * r for r in fitted.residual]
+    names = [case.name for case in problem.of_split("fit")]
+    residual = [r - problem.corrections.get(name, 0.0) for name, r in zip(names, fitted.residual, strict=True)]
+    fitted = dataclasses.replace(fitted, residual=residual)
+    changes = nothing = [0 * r for r in residual]
     for halvings, (error, step) in enumerate(refinements(plain, beside_fit(problem, fitted), "fit"), 1):
         account.stage(STAGE, halvings, LOOP.halvings)
         doubt = numerical_doubt(fitted, step)
@@ -34,18 +37,20 @@ def corrected(problem: Problem, fitted: Fitted, noise: float, account: Account) 
             # What a finer mesh changes is no step towards what was seen: the model does not converge to it. Where the
             # first halving shows that, all of the change is doubt; else what was known before stands.
             if halvings == 1:
-                return plain, with_discrepancy(fitted, error, noise), 2 * doubt
+                changes, mesh = error, 2 * doubt
             break
         plain, changes, mesh = dataclasses.replace(plain, halvings=halvings), error, doubt
         if mesh <= noise:
             break
-    if not plain.halvings:
+    if plain.halvings:
+        plain = dataclasses.replace(plain, corrections=dict(zip(names, changes, strict=True)))
+    elif not problem.corrections:
         return plain, with_discrepancy(fitted, changes, noise), mesh
-    names = [case.name for case in problem.of_split("fit")]
-    problem = dataclasses.replace(plain, corrections=dict(zip(names, changes, strict=True)))
-    again = fit(problem, fitted.effects, fitted.theta, LOOP.refit_rounds)
+    again = fit(plain, fitted.effects, fitted.theta, LOOP.refit_rounds)
     account.count(again.evaluations)
-    return problem, with_errors_of_mesh_and_model(problem, again, noise), mesh
+    if plain.halvings:
+        return plain, with_errors_of_mesh_and_model(plain, again, noise), mesh
+    return plain, with_discrepancy(again, changes, noise), mesh
 
 
 def with_errors_of_mesh_and_model(problem: Problem, fitted: Fitted, noise: float) -> Fitted:

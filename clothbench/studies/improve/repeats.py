@@ -45,13 +45,24 @@ def delay_of_repeat(a: Recording, b: Recording, seen_a: Observation, seen_b: Obs
     if not (held_alike and np.array_equal(seen_a.material, seen_b.material)):
         return None  # nor can a sheet that nobody holds be said to be moved alike
     step = float(np.median(np.diff(a.grip_time)))
+    if still(a.grip_position) and not all(still(s.position, float(np.nan_to_num(s.sigma))) for s in (seen_a, seen_b)):
+        return None  # what swings in grips that stand still was let go otherwise
     late = np.arange(0.0, (1 - LOOP.repeat_overlap) * min(np.ptp(a.grip_time), np.ptp(b.grip_time)), step)
-    shifts = np.concatenate([-late[:0:-1], late]) + b.grip_time[0] - a.grip_time[0]
+    shifts = (
+        np.array([0.0, *(sign * delay for delay in late[1:] for sign in (1, -1))]) + b.grip_time[0] - a.grip_time[0]
+    )
     every = slice(None, None, max(1, len(a.grip_time) // LOOP.repeat_samples))
     time, here = a.grip_time[every], a.grip_position[every]
     there = interp1d(b.grip_time, b.grip_position, axis=0, bounds_error=False)
     apart = [float(np.nanmean((here - there(time + shift)) ** 2)) ** 0.5 for shift in shifts]
     size = float(np.mean((here - here.mean(axis=0)) ** 2)) ** 0.5
-    least = int(np.argmin(apart))
+    least = int(np.argmin(apart))  # of equal ones the shortest delay
     near = max(LOOP.repeat_distance * size, LOOP.repeat_distance_floor)
     return float(shifts[least]) if apart[least] <= near else None
+
+
+def still(position: np.ndarray, sigma: float = 0.0) -> bool:
+    """Whether places (T, N, 3) m, NaN where unknown, stay where they are in the middle of all times, but for noise."""
+    known = position[:, np.isfinite(position).any(axis=0).all(axis=1)]
+    away = np.linalg.norm(known - np.nanmedian(known, axis=0), axis=2)
+    return bool(np.nanmedian(away) <= LOOP.repeat_distance_floor + 3 * sigma)

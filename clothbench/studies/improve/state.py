@@ -83,9 +83,8 @@ class State:
     @property
     def fine_enough(self) -> bool:
         """Whether what the mesh may be wrong by is less than the noise, so that a small residual says something."""
-        return self.mesh_left <= self.noise
+        return self.mesh_left(self.final) <= self.noise
 
-    @property
-    def mesh_left(self) -> float:
-        """What the mesh may be wrong by in the last fit, base unit: no more than is left of it above the noise."""
-        return min(self.mesh, float(np.sqrt(max(self.final.rms**2 - self.noise**2, 0.0))))
+    def mesh_left(self, fitted: Fitted) -> float:
+        """What the mesh may be wrong by in a fit, base unit: no more than is left of it above the noise."""
+        return min(self.mesh, float(np.sqrt(max(fitted.rms**2 - self.noise**2, 0.0))))

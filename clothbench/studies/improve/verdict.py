@@ -70,7 +70,7 @@ def concluded(
         )
     if timed_out:
         remark = "; ".join(filter(None, (remark, "time ran out before another round")))
-    unexplained = max(rms**2 - state.floor**2, 0.0) ** 0.5
+    unexplained = max(rms**2 - state.noise**2 - state.mesh_left(fit) ** 2, 0.0) ** 0.5
     return Conclusion(word, fit, unexplained, remark, why_dropped(state, worse) if state.final is not fit else "")
 
 
@@ -200,7 +200,7 @@ def below_mesh(state: State) -> str:
     """That a small residual says nothing on a mesh which may be wrong by more than the noise."""
     unit = state.problem.evidence.unit
     rms, mesh, noise = (
-        f"{unit.scale * e:.2g} {unit.reported}" for e in (state.final.rms, state.mesh_left, state.noise)
+        f"{unit.scale * e:.2g} {unit.reported}" for e in (state.final.rms, state.mesh_left(state.final), state.noise)
     )
     return (
         f"what is left, {rms}, is below what this mesh can tell: it may be wrong by {mesh}, beside a noise of {noise}; "
