@@ -170,10 +170,10 @@ def _verify(sub: argparse.ArgumentParser) -> None:
         "--run-their-code", action="store_true",
         help="needed by both: they run the submitter's plugin with your rights",
     )  # fmt: skip
-    sub.add_argument("--cells", type=_count, default=2, metavar="N", help="cells to run again (default: 2)")
+    sub.add_argument("--cells", type=_count, metavar="N", help="cells to run again (default: 2)")
     sub.add_argument("--seed", type=int, metavar="N", help="of their choice (default: drawn now, and told)")
     sub.add_argument(
-        "--time-limit", type=_span("verify: --time-limit", "seconds"), default=3600.0, metavar="S",
+        "--time-limit", type=_span("verify: --time-limit", "seconds"), metavar="S",
         help="s that one fit may take (default: 3600)",
     )  # fmt: skip
     sub.add_argument(

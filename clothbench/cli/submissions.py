@@ -20,7 +20,7 @@ from clothbench.plugins.discovery import Catalogue, catalogue
 from clothbench.recordings.nodes import Recording, find_recordings, read_recording
 from clothbench.submissions.grades import choose, held_out, reproduce, require_new
 from clothbench.submissions.kept import drop, keep, rows_of
-from clothbench.submissions.packing import pack_results
+from clothbench.submissions.packing import pack_results, require_wheel
 from clothbench.submissions.reading import require_submission
 from clothbench.submissions.sandbox import require_posix, sandbox
 from clothbench.submissions.site import write_site
@@ -33,6 +33,9 @@ WARNING = (
     "runs the submitter's plugin with your rights: it can read, change and send whatever you can; do it on a machine "
     "or in a container that holds nothing of value, and say so with --run-their-code"
 )
+
+
+CELLS, TIME_LIMIT = 2, 3600.0  # that are run again, and s that one fit of them may take, where nobody says
 
 
 def measured(paths: Sequence[str], option: str = "--recordings") -> list[Recording]:
@@ -50,6 +53,10 @@ def submit(options: argparse.Namespace, results: Store | None) -> int:
         raise ClothbenchError("submit: --wheel is for the fits of --runs; give --runs RUNS, or leave it out")
     if results is not None and options.metric:
         raise ClothbenchError("submit: --metric is for simulated files; the fits of --runs have theirs, leave it out")
+    if not options.name.strip():
+        raise ClothbenchError(f"submit: --name is {options.name!r}, expected what the model is called")
+    for wheel in options.wheel or ():
+        require_wheel(wheel)
     folder, known, plugins = options.folder, measured(options.recordings), catalogue()
     about = {name: seen(getattr(options, name)) for name in ("name", "by", "about")}
     about["suite"] = seen(options.suite or suite_of(options.recordings))
@@ -92,6 +99,18 @@ def verify_all(options: argparse.Namespace) -> int:
     """
     if (options.reproduce or options.held_out) and not options.run_their_code:
         raise ClothbenchError(f"verify: --reproduce and --held-out {WARNING}")
+    given = {
+        "run-their-code": options.run_their_code or None, "cells": options.cells, "seed": options.seed,
+        "time-limit": options.time_limit,
+    }  # fmt: skip
+    idle = [name for name, value in given.items() if value is not None]
+    if idle and not (options.reproduce or options.held_out):
+        raise ClothbenchError(
+            f"verify: --{idle[0]} is for --reproduce and --held-out, which run a plugin; give one of them, or leave it "
+            "out"
+        )
+    if options.verdicts is not None and not (options.reproduce or options.held_out or options.out):
+        raise ClothbenchError("verify: --verdicts is for --reproduce, --held-out and --out; give one, or leave it out")
     for folder in options.folders:
         require_submission(folder)
     known, plugins, bad = measured(options.recordings), catalogue(), 0
@@ -155,13 +174,13 @@ def _run(
     of, unpublished = found.submission, list[Compared]()
     require_posix()
     require_new(folder, of, fabrics, plugins)
-    what = WHEELS
+    what, limit = WHEELS, options.time_limit or TIME_LIMIT
     try:
-        with sandbox([folder / wheel.file for wheel in of.wheels], options.time_limit) as place:
+        with sandbox([folder / wheel.file for wheel in of.wheels], limit) as place:
             verdict = replace(verdict, network="cut off" if place.fence else "open")
-            print(f"running its plugin, network {verdict.network}, {options.time_limit:g} s at most for each fit")
+            print(f"running its plugin, network {verdict.network}, {limit:g} s at most for each fit")
             if options.reproduce:
-                chosen = choose(folder, of, options.cells, options.seed)
+                chosen = choose(folder, of, options.cells or CELLS, options.seed)
                 told = f"{len(chosen.keys)} of {len(of.cells)} cells by seed {chosen.seed}"
                 print(f"chosen: {told}: {', '.join(chosen.keys)}")
                 faults = reproduce(folder, of, found.found, chosen, place, plugins)

@@ -35,6 +35,10 @@ def unit_rows(name: str, settings: Sequence[str] = ()) -> list[dict[str, Any]]:
     if reason := absent(factory):
         raise ClothbenchError(f"model {name!r}: {reason}")
     options = dict(_option(word) for word in settings)
+    if "resolution" in options:
+        raise ClothbenchError(
+            f"found resolution={options['resolution']}, and `units` has meshes of its own; leave it out"
+        )
     rows = []
     for one in measured(lambda: plugins.make("models", name, **options)):
         row = dataclasses.asdict(one)

@@ -136,6 +136,8 @@ def find_cell(out: Path, name: str) -> Path:
     """The cell folder of `out` with that key, else the best cell of a case or recording of that name, else the one cell
     whose key begins so: a recording that is called 6 must not lose its name to a key that happens to begin with 6.
     """
+    if not name.strip():
+        raise ClothbenchError("found an empty name of a cell, expected a case, a recording or the beginning of a key")
     cells = sorted(p for p in (out / "cells").glob("[0-9a-f]*") if p.is_dir())
     if not cells:
         there = "" if str(out) == DEFAULT_OUT else f" out={out}"
@@ -188,21 +190,26 @@ def best_cell_of(out: Path, name: str) -> str | None:
 
 def cells_of(rows: list[dict[str, Any]], name: str) -> dict[str, dict[str, Any]]:
     """Keys of the cells whose case or recording is called so, with a row of each: first the one that comes nearest to
-    what it was fitted to; those that were fitted to it come before others. Only cells that minimised the same metric
-    are compared: the one that most of them have comes first, of several the first by name. Of a recording "CASE/NAME"
-    that is the only one the last part will do, as tables call it.
+    what it was fitted to; those that were fitted to it come before others. Only cells that minimised the same metric in
+    the same unit are compared: what most of them have comes first, of several the first by name. Of a recording
+    "CASE/NAME" that is the only one the last part will do, as tables call it.
     """
     mine = [r for r in rows if name in (r["case"], f"{r['suite']} · {r['case']}", r["recording"])]
     if not mine:  # as the table of a run calls a recording below its case
-        mine = [r for r in rows if (r["recording"] or "").rpartition("/")[2] == name]
+        mine = [r for r in rows if r["recording"] and r["recording"].rpartition("/")[2] == name]
         if len({r["recording"] for r in mine}) != 1:
             return {}
-    cells = {metric: len({r["key"] for r in mine if r["metric"] == metric}) for metric in {r["metric"] for r in mine}}
-    metrics = sorted(cells, key=lambda metric: (-cells[metric], metric))
+    cells = {measure: len({r["key"] for r in mine if measure_of(r) == measure}) for measure in map(measure_of, mine)}
+    measures = sorted(cells, key=lambda measure: (-cells[measure], measure))
     out: dict[str, dict[str, Any]] = {}
-    for row in sorted(mine, key=lambda r: (metrics.index(r["metric"]), r["split"] != "fit", r["value"], r["key"])):
+    for row in sorted(mine, key=lambda r: (measures.index(measure_of(r)), r["split"] != "fit", r["value"], r["key"])):
         out.setdefault(row["key"], row)
     return out
+
+
+def measure_of(row: dict[str, Any]) -> tuple[str, str]:
+    """By what an error is measured, and in what unit: only such numbers can be compared."""
+    return row["metric"], str(row["unit"])
 
 
 def _about(row: dict[str, Any]) -> str:

@@ -347,6 +347,14 @@ def _obstacles(given: Any) -> list[dict[str, Any]]:
 
 
 def option_settings(options: dict[str, Any], plugins: Catalogue) -> dict[str, dict[str, Any]]:
-    """Options by plugin; a name that no installed plugin has is refused, broken ones included."""
+    """Options by plugin; a name that no installed plugin has is refused, broken ones included, and so is that of an
+    effect: it has parameters, and no options.
+    """
     known_words("plugin in 'options'", options, {p.name for p in plugins.plugins})
+    for name, value in options.items():
+        if value and {p.kind for p in plugins.plugins if p.name == name} == {"effects"}:
+            raise ClothbenchError(
+                f"setting 'options.{name}': found an effect, which takes no options; bounds.{name}.PARAMETER says "
+                f"where one of its parameters is sought, suite.fixed.{name}.PARAMETER=VALUE holds it"
+            )
     return {name: mapping(f"options.{name}", value) for name, value in options.items()}

@@ -18,7 +18,7 @@ LONGEST = 0.5  # s, for which a grip that a camera lost may be taken to go strai
 SIDES = 0.005, 20.0  # m: between a swatch and a sail
 SLOWEST, STAMPS = 2.0, 5  # s between frames, of so many and more: what moves so slowly is at rest
 STRONGEST = 50.0  # m/s², of gravity: five times the earth's
-APART, SHRUNK = 10.0, 0.01  # of its own size, as which a cloth may at most and must at least be seen in space
+APART, SHRUNK = 50.0, 0.01  # of its own size, as which a cloth may at most and must at least be seen in space
 TREMBLING = 0.25  # of the cloth's longer side, up to which positions may be wrong
 FARTHEST = 1e6  # m from the origin that cloth and grips may be; sums and squares of what is farther may overflow
 
@@ -118,7 +118,7 @@ def check_scale(arrays: Arrays, size: np.ndarray, where: str) -> None:
         raise ClothbenchError(
             f"{where}: variable 'position': found nodes {middle:g} m apart in the middle of all frames, {most}"
         )
-    if flat.max() > 0 and (spread <= SHRUNK * flat).all():
+    if 0 < spread.max() <= SHRUNK * flat.max():
         raise ClothbenchError(
             f"{where}: variable 'position': found nodes {spread.max():g} m apart in space at most and {flat.max():.2g} "
             "m on the cloth, expected metres; is it scaled twice?"

@@ -162,9 +162,14 @@ def simulation_of(recording: Recording, position: np.ndarray, model: str) -> Rec
     return dataclasses.replace(recording, position=position, video=None, confidence=None, source=model, path="")
 
 
-def _packed(folder: Path, wheel: Path) -> Wheel:
+def require_wheel(wheel: Path) -> None:
+    """Refuse what is no file of a wheel."""
     if wheel.suffix != ".whl" or not wheel.is_file():
         raise ClothbenchError(f"{wheel}: found no wheel, expected a .whl file; make one with `python -m build --wheel`")
+
+
+def _packed(folder: Path, wheel: Path) -> Wheel:
+    require_wheel(wheel)
     place = folder / WHEELS / wheel.name
     with placing(place):
         place.parent.mkdir(parents=True, exist_ok=True)

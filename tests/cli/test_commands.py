@@ -386,6 +386,10 @@ def test_settings_may_be_given_as_one_mapping():
         ("+options.ga.population=1", "population is 1, expected a whole number, at least 3"),
         ("+options.mass_spring.dt=abc", "dt is 'abc'"),
         ("options=3", "setting 'options' is 3"),
+        (
+            "options.quadratic_drag.normal=5",
+            "'options.quadratic_drag': found an effect, which takes no options; bounds",
+        ),
         ("budget=abc", "setting 'budget' is 'abc', expected a whole number, at least 1"),
         ("budget=1.5", "setting 'budget' is 1.5"),
         ("seed=-1", "setting 'seed' is -1"),

@@ -110,6 +110,8 @@ def test_a_target_that_does_not_run_here_is_shown_as_documented(clothbench):
     assert "not measured: a schema moves nothing" in shown
     with pytest.raises(ClothbenchError, match="found 'a=b', and 'ppf' is a target of export without options"):
         unit_rows("ppf", ["a=b"])
+    with pytest.raises(ClothbenchError, match=r"found resolution=.*, and `units` has meshes of its own"):
+        unit_rows("mass_spring", ["resolution=[5,5]"])
     with pytest.raises(ClothbenchError, match="'json' has no units of its own"):
         unit_rows("json")
 

@@ -141,6 +141,7 @@ def test_the_terminal_says_of_how_many_cases_a_mean_is_and_mixes_no_budgets():
     assert told_overall(some) == ["held out, all 2 cases: 2.00 px over 2 recordings (a · ga · fold, seed 0)"]
     lost = row("a", "wool", None, None, split=None, key="a-wool", metric="fold")
     assert told_overall([*some, lost])[0].startswith("held out, 2 of 3 cases: 2.00 px over 2 recordings")
+    assert told_overall([some[0], {**some[1], "unit": "mm"}]) == []  # there is no mean of two units
     more = [row("a", case, f"{case}/x", 9.0, budget=99, key=f"{case}99") for case in ("linen", "satin")]
     assert told_overall([*some, *more]) == [
         "held out, all 2 cases: 2.00 px over 2 recordings (a · ga · fold · 9 evaluations, seed 0)",

@@ -150,6 +150,7 @@ def test_grips_are_shown_at_the_frames_times(fitted):
     ("cell", "expected"),
     [
         ("ab", "several cells .* ab12, ab34"),
+        ("", "found an empty name of a cell, expected a case, a recording or the beginning of a key"),
         ("ff", "no case, no recording and no cell .* ab12, ab34, cd56"),
         ("cd", "cell cd56 has neither fit.rrd nor films"),
     ],
@@ -160,6 +161,14 @@ def test_view_names_what_there_is(tmp_path, cell, expected):
     with pytest.raises(ClothbenchError, match=expected) as fault:
         view.open_viewer(tmp_path, cell)
     assert "\n" not in str(fault.value)
+
+
+def test_the_best_cell_is_one_of_those_in_the_same_unit():
+    about = {"suite": "s", "case": "linen", "recording": None, "metric": "node_error", "split": "fit"}
+    rows = [about | {"key": key, "value": value, "unit": unit} for key, value, unit in (
+        ("a", 9.0, "mm"), ("b", 1.1, "cm"), ("c", 8.0, "mm"))]  # fmt: skip
+    assert list(view.cells_of(rows, "linen")) == ["c", "a", "b"]
+    assert view.cells_of(rows, "") == {}
 
 
 def test_view_of_an_empty_folder_says_what_to_run(tmp_path):

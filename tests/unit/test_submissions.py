@@ -293,6 +293,26 @@ def test_options_that_do_not_apply_are_refused(folder, tmp_path, clothbench, wor
     assert len(done.stderr.splitlines()) == 1
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["submit", "mine", "--name", " "], "submit: --name is ' ', expected what the model is called"),
+        (["submit", "mine", "--name", "a", "--runs", "runs", "--wheel", "typo.whl"], "typo.whl: found no wheel"),
+        (["verify", "mine", "--run-their-code"], "verify: --run-their-code is for --reproduce and --held-out"),
+        (["verify", "mine", "--cells", "5"], "verify: --cells is for --reproduce and --held-out"),
+        (["verify", "mine", "--seed", "0"], "verify: --seed is for --reproduce and --held-out"),
+        (["verify", "mine", "--time-limit", "3"], "verify: --time-limit is for --reproduce and --held-out"),
+        (["verify", "mine", "--verdicts", "v"], "verify: --verdicts is for --reproduce, --held-out and --out"),
+    ],
+)
+def test_what_would_be_passed_over_is_refused_before_anything_is_done(tmp_path, monkeypatch, capsys, words, said):
+    """A check that was to run a plugin must not pass without having run it."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "runs" / "cells").mkdir(parents=True)
+    assert main([*words, "--recordings", "known"]) == 2
+    assert capsys.readouterr().err.startswith(f"clothbench: {said}")
+
+
 @pytest.mark.parametrize("limit", ["-1", "nan", "soon"])
 def test_a_time_limit_that_ends_nothing_is_refused(limit, capsys):
     assert main(["verify", "mine", "--recordings", "known", "--time-limit", limit]) == 2

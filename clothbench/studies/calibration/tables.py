@@ -78,8 +78,8 @@ def overall(rows: Rows) -> list[str]:
         for some in group(mine, lambda r: r["seed"]).values():
             held = [r for r in some if r["split"] == "held_out" and r["recording"] and r["metric"] == r["objective"]]
             known = {case: found for case, found in group(held, lambda r: r["case"]).items() if _numbers(found)}
-            if len(cases) < 2 or not known:
-                continue
+            if len(cases) < 2 or not known or len({r["unit"] for found in known.values() for r in found}) > 1:
+                continue  # nor is there a mean of millimetres and centimetres
             values = [r["value"] for found in known.values() for r in found]
             of = f"all {len(cases)} cases" if len(known) == len(cases) else f"{len(known)} of {len(cases)} cases"
             error = f"{sum(values) / len(values):.2f} {held[0]['unit']}"
