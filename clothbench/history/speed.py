@@ -18,7 +18,8 @@ import numpy as np
 from clothbench.core.statistics import student
 from clothbench.history.entries import Entry
 
-CELL = ("case", "optimizer", "seed")  # what tells the cells of a suite and a model apart, beside their metrics
+# What tells the cells of a suite and a model apart: another objective, or other options, take another time.
+CELL = ("case", "optimizer", "objective", "settings", "seed")
 
 
 @dataclass(frozen=True)

@@ -159,6 +159,14 @@ def test_speeds_of_other_cells_are_compared_over_those_they_share():
     assert speed_series(*slow_cell_came_late)[0].changes == ()
 
 
+def test_a_cell_that_minimises_something_else_is_another_cell():
+    """A suite that gains a slower metric has not become slower."""
+    slower = [{**row, "key": f"of {row['key']}"} for row in timed(5.0, objective="fold")]
+    (series,) = speed_series(*(entry(k, *timed(1.0), *(slower if k > 7 else ())) for k in range(16)))
+    assert series.changes == ()
+    assert series.points[-1].value == pytest.approx(series.points[0].value)
+
+
 def test_entries_that_share_cells_are_looked_for_once(monkeypatch):
     asked = []
     monkeypatch.setattr(speed, "_connected", lambda places: asked.append(len(places)) or {0, 1})
