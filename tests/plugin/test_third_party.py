@@ -45,9 +45,17 @@ def test_a_simulator_keeps_the_rules_or_says_that_it_is_not_there(stranger, name
     assert (" passed" if importlib.util.find_spec(name) else " skipped") in stranger.pytest(away)
 
 
+SUITE = ("clothbench", "run", "+suite=xpbd", "suite.select=satin/static-*", "budget=25", "rerun=false")
+
+
+@pytest.fixture(scope="module")
+def said(stranger):
+    """What a run of its suite says."""
+    return stranger.run(*SUITE)
+
+
 @pytest.mark.slow
-def test_its_suite_runs_and_compares_its_model(stranger):
-    said = stranger.run("clothbench", "run", "+suite=xpbd", "suite.select=satin/static-*", "budget=25", "rerun=false")
+def test_its_suite_runs_and_compares_its_model(stranger, said):
     assert "xpbd" in said
     rows = stranger.json("clothbench", "leaderboard", "--json")
     assert {r["suite"] for r in rows} == {"xpbd"}
@@ -59,7 +67,8 @@ def test_its_suite_runs_and_compares_its_model(stranger):
     assert all(0 < r["value"] < 30 and r["unit"] == "mm" for r in fits.values())
 
 
-def test_a_finished_cell_is_not_run_again(stranger):
+@pytest.mark.slow
+def test_a_finished_cell_is_not_run_again(stranger, said):
     before = stranger.json("clothbench", "leaderboard", "--json")
-    stranger.run("clothbench", "run", "+suite=xpbd", "suite.select=satin/static-*", "budget=25", "rerun=false")
+    stranger.run(*SUITE)
     assert stranger.json("clothbench", "leaderboard", "--json") == before
