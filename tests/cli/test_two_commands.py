@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 from clothbench.engine.store import Store
 
 CELL = ("model=mass_spring", "+options.mass_spring.resolution=5", "rerun=false", "budget=60", "jobs=1")
@@ -24,6 +26,7 @@ def test_two_commands_in_one_folder_compute_every_cell_once(recordings_folder, t
     assert not (tmp_path / "runs" / "leases").exists()
 
 
+@pytest.mark.slow
 def test_a_run_tells_of_a_cell_that_did_not_come_to_the_same(clothbench, recordings_folder, tmp_path):
     command = ["run", f"recordings={recordings_folder}", *CELL, "optimizer=nelder_mead", "metric=node_error"]
     assert "fault:" not in clothbench(*command).stdout

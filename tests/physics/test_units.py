@@ -32,6 +32,7 @@ def test_a_sound_model_is_worth_what_it_says(probe):
     np.testing.assert_allclose(factors(BaraffWitkin, probe, (9,)), 1.0, rtol=0.04 if brakes else 5e-3)
 
 
+@pytest.mark.slow
 def test_flexion_springs_and_their_dashpots_are_counted():
     """Of stiff ones, two along the border fewer than a whole sheet has, which a finer mesh makes less of."""
     for probe in (units.stretch, units.stretch_damping):
@@ -74,6 +75,7 @@ def test_a_row_says_where_it_is_documented(clothbench):
     assert "the following arguments are required: MODEL" in done.stderr
 
 
+@pytest.mark.slow
 def test_mujocos_units_hold_but_for_bending_at_the_margins():
     pytest.importorskip("mujoco")
     for probe in (units.stretch, units.shear, units.inertia):
@@ -93,6 +95,7 @@ def test_dampings_are_what_is_asked():
                 assert documented == pytest.approx(2.0, rel=0.1)
 
 
+@pytest.mark.slow
 def test_what_is_documented_as_infinite_is_null_with_a_reason(monkeypatch):
     one = units._measured(Inextensible(), units.stretch(9, 0.1), 9, 0.1)
     monkeypatch.setattr("clothbench.cli.units.measured", lambda make: [one])
@@ -116,6 +119,7 @@ def test_a_target_that_does_not_run_here_is_shown_as_documented(clothbench):
         unit_rows("json")
 
 
+@pytest.mark.slow
 def test_newtons_hinges_are_no_rigidity_and_its_area_stiffness_no_lame_constant():
     pytest.importorskip("newton")
     for probe in (units.shear, units.inertia):

@@ -61,6 +61,7 @@ def test_a_strip_on_a_path_that_needs_more_than_the_desk_gives_lands_beside(tmp_
     assert "slips by up to" in next(r["reason"] for r in store.rows() if r["metric"] == "friction")
 
 
+@pytest.mark.slow
 def test_a_sheet_folds_along_the_path_of_its_strip(tmp_path):
     store = Store(tmp_path)
     about = cell(model="baraff_witkin", options={"baraff_witkin": {"integrator": "rk45"}},
