@@ -33,8 +33,6 @@ WARNING = (
     "runs the submitter's plugin with your rights: it can read, change and send whatever you can; do it on a machine "
     "or in a container that holds nothing of value, and say so with --run-their-code"
 )
-
-
 CELLS, TIME_LIMIT = 2, 3600.0  # that are run again, and s that one fit of them may take, where nobody says
 
 

@@ -34,7 +34,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.pictures import picture_of, silenced
 from clothbench.recordings.codec import read, write
 from clothbench.recordings.layout import Arrays, Layout, Part, Stated, Variable
-from clothbench.recordings.nodes_rules import check_clock, check_gravity, check_pace, check_points
+from clothbench.recordings.nodes_rules import check_clock, check_gravity, check_pace, check_points, check_sides
 from clothbench.recordings.rig import (
     GRIPS,
     TEXTS,
@@ -186,6 +186,7 @@ def _check(r: ColourVideo, where: str) -> None:
     check_clock(r.time, "time", where)
     check_jumps(r.time, "time", where)
     check_pace(r.time, where)
+    check_sides(r.cloth_width, r.cloth_height, where)
     check_stated(r, where)
     check_gravity(r.gravity, where)
     if r.world not in WORLDS:

@@ -28,7 +28,7 @@ from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.codec import read, write
 from clothbench.recordings.layout import Arrays, Layout, Part, Stated, Variable
-from clothbench.recordings.nodes_rules import check_clock, check_gravity, check_length, check_pace
+from clothbench.recordings.nodes_rules import check_clock, check_gravity, check_pace, check_sides
 from clothbench.recordings.rig import (
     GRIPS,
     TEXTS,
@@ -141,8 +141,8 @@ def _check(r: DepthImages, where: str) -> None:
     check_clock(r.time, "time", where)
     check_jumps(r.time, "time", where)
     check_pace(r.time, where)
-    check_stated(r, where)
-    check_length("depth_step", r.depth_step, where)
+    check_sides(r.cloth_width, r.cloth_height, where)
+    check_stated(r, where, ("depth_step",))
     check_gravity(r.gravity, where)
     width, height = r.camera.size
     if r.depth.shape != (len(r.time), height, width):

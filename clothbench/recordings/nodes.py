@@ -46,7 +46,7 @@ from clothbench.recordings.nodes_rules import (
     check_points,
     check_scale,
     check_shapes,
-    check_side,
+    check_sides,
     check_values,
 )
 from clothbench.recordings.rig import TEXTS, camera_attributes, pack_camera, unpack_camera
@@ -239,8 +239,7 @@ def _check_stated(r: Recording, where: str) -> None:
     if not r.name:
         raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
     check_gravity(r.gravity, where)
-    for name in ("cloth_width", "cloth_height"):
-        check_side(name, getattr(r, name), where)
+    check_sides(r.cloth_width, r.cloth_height, where)
     check_density(r.areal_density, where)
     if r.noise_sigma < 0 or math.isinf(r.noise_sigma):
         raise ClothbenchError(f"{where}: attribute 'noise_sigma': found {r.noise_sigma}, expected metres, 0 or above")

@@ -84,14 +84,15 @@ def check_length(name: str, length: float, where: str) -> None:
         raise ClothbenchError(f"{where}: attribute '{name}': found {length}, expected metres above 0")
 
 
-def check_side(name: str, length: float, where: str) -> None:
-    """A side of the cloth is as long as sides of cloths are."""
-    check_length(name, length, where)
-    if not SIDES[0] <= length <= SIDES[1]:
-        raise ClothbenchError(
-            f"{where}: attribute '{name}': found {length:g} m, expected {SIDES[0]:g} to {SIDES[1]:g} m; is it in "
-            "another unit?"
-        )
+def check_sides(width: float, height: float, where: str) -> None:
+    """The sides of the cloth are as long as sides of cloths are."""
+    for name, length in (("cloth_width", width), ("cloth_height", height)):
+        check_length(name, length, where)
+        if not SIDES[0] <= length <= SIDES[1]:
+            raise ClothbenchError(
+                f"{where}: attribute '{name}': found {length:g} m, expected {SIDES[0]:g} to {SIDES[1]:g} m; is it in "
+                "another unit?"
+            )
 
 
 def check_pace(time: np.ndarray, where: str) -> None:

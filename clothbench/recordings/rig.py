@@ -24,7 +24,6 @@ from clothbench.recordings.nodes_rules import (
     check_overlap,
     check_points,
     check_shapes,
-    check_side,
 )
 from clothbench.recordings.video import lens_of, size_of, text_of
 
@@ -152,15 +151,11 @@ def check_grips(r: RawRecording, where: str) -> None:
 
 
 def check_stated(r: Stating, where: str, lengths: tuple[str, ...] = ()) -> None:
-    """The header of a recording of images; lengths: attributes [m] that have to be above 0, instead of the cloth's
-    sides.
-    """
+    """The header of a recording of images; lengths: attributes [m] that have to be above 0."""
     if not r.name:
         raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
     for name in lengths:
         check_length(name, getattr(r, name), where)
-    for name in () if lengths else ("cloth_width", "cloth_height"):
-        check_side(name, getattr(r, name), where)
     check_density(r.areal_density, where)
     if r.split not in SPLITS:
         raise ClothbenchError(f"{where}: attribute 'split': found {r.split!r}, expected 'fit', 'held_out' or ''")

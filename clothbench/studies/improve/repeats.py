@@ -44,13 +44,12 @@ def delay_of_repeat(a: Recording, b: Recording, seen_a: Observation, seen_b: Obs
     held_alike = len(a.grip_material) and np.array_equal(a.grip_material, b.grip_material)
     if not (held_alike and np.array_equal(seen_a.material, seen_b.material)):
         return None  # nor can a sheet that nobody holds be said to be moved alike
-    step = float(np.median(np.diff(a.grip_time)))
     if still(a.grip_position) and not all(still(s.position, float(np.nan_to_num(s.sigma))) for s in (seen_a, seen_b)):
         return None  # what swings in grips that stand still was let go otherwise
+    step = float(np.median(np.diff(a.grip_time)))
     late = np.arange(0.0, (1 - LOOP.repeat_overlap) * min(np.ptp(a.grip_time), np.ptp(b.grip_time)), step)
-    shifts = (
-        np.array([0.0, *(sign * delay for delay in late[1:] for sign in (1, -1))]) + b.grip_time[0] - a.grip_time[0]
-    )
+    delays = np.array(sorted([*late, *-late[1:]], key=abs))
+    shifts = delays + b.grip_time[0] - a.grip_time[0]
     every = slice(None, None, max(1, len(a.grip_time) // LOOP.repeat_samples))
     time, here = a.grip_time[every], a.grip_position[every]
     there = interp1d(b.grip_time, b.grip_position, axis=0, bounds_error=False)
