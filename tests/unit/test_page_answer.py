@@ -19,6 +19,7 @@ from clothbench.studies.calibration.budget import late_fall, settled
 from clothbench.studies.calibration.estimates import contained, estimates
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
 from clothbench.studies.calibration.matrix import one_way, several_ways
+from clothbench.studies.calibration.page import told_by_unit
 from clothbench.studies.calibration.parameters_page import group_by_key, model_table, strip_of, truth_said
 from clothbench.studies.calibration.ranking import best_of, overall, standings, way_of
 from clothbench.studies.calibration.tables import overall as told_overall
@@ -54,6 +55,15 @@ def test_a_model_that_is_better_on_every_recording_wins_however_much_they_differ
     assert (first.way, second.way) == ("a", "b")
     assert second.recordings == 4
     assert second.ratio == pytest.approx(np.exp(np.mean(np.log([2.0, 1.02, 1.15, 1.04]))))
+
+
+def test_fits_in_two_units_are_not_ranked_together():
+    rows = [row("a", "linen", "linen/1", 7.0, unit="mm"), row("b", "linen", "linen/1", 0.9, unit="cm")]
+    assert [(r["metric"], r["objective"]) for r in told_by_unit(rows)] == [("fold [mm]",) * 2, ("fold [cm]",) * 2]
+    found = {unit: standings(told_by_unit(rows), f"fold [{unit}]")["linen"] for unit in ("mm", "cm")}
+    judged = {unit: [s.value for s in case.values() if s.value is not None] for unit, case in found.items()}
+    assert judged == {"mm": [7.0], "cm": [0.9]}
+    assert told_by_unit(rows[:1]) == rows[:1]  # of one unit nothing need be said
 
 
 @pytest.mark.parametrize(

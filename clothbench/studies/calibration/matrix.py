@@ -153,4 +153,5 @@ def unit_of(rows: Rows, metric: str) -> str:
 
 def meaning_of(metric: str) -> str:
     """What the plugin says of itself; nothing where it is not installed here."""
-    return next((p.summary for p in catalogue().plugins if (p.kind, p.name) == ("metrics", metric)), "")
+    name = metric.partition(" [")[0]  # where fits are in several units, theirs is beside it
+    return next((p.summary for p in catalogue().plugins if (p.kind, p.name) == ("metrics", name)), "")

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from base64 import b64encode
+from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -91,13 +93,14 @@ KINDS = {".png": "png", ".jpg": "jpeg"}
 
 def sections(results: Results) -> list[Section]:
     """What the page shows of calibrations."""
+    ranked = replace(results, rows=told_by_unit(results.rows))
     analyses = analysis_section(results.rows, {name: results.table(name) for name in ANALYSIS_TABLES})
     histories, clips = histories_of(results.store, results.keys), clips_of(results)
-    looks = [matrix_section(results, clips.cases.keys()), cloth_section(clips, results.rows)]
+    looks = [matrix_section(ranked, clips.cases.keys()), cloth_section(clips, results.rows)]
     if len({model_name(r) for r in results.rows}) == 1:  # nothing to compare: the cloth says more than a table
         looks.reverse()
     found = [
-        answer_section(results, histories),
+        answer_section(ranked, histories),
         *looks,
         pictures_of_fits(results),
         pictures_of_drapes(results),
@@ -108,9 +111,23 @@ def sections(results: Results) -> list[Section]:
         front_section(results),
         searches_section(results),
         steps(results),
-        leaderboards(results.rows),
+        leaderboards(ranked.rows),
     ]
     return [section for section in found if section is not None]
+
+
+def told_by_unit(rows: Rows) -> list[dict[str, Any]]:
+    """The rows, with the unit beside the name of a metric that some of them have in another: nothing ranks millimetres
+    beside centimetres, and no mean is made of both.
+    """
+    known = {(r["key"], r["metric"]): r["unit"] for r in rows if r["metric"] and r["unit"]}
+    units = Counter(metric for metric, _ in {(metric, unit) for (_, metric), unit in known.items()})
+
+    def told(row: dict[str, Any], metric: str | None) -> str | None:
+        unit = known.get((row["key"], metric))
+        return f"{metric} [{unit}]" if unit and units[metric] > 1 else metric
+
+    return [{**r, "metric": told(r, r["metric"]), "objective": told(r, r["objective"])} for r in rows]
 
 
 def leaderboards(rows: Rows) -> Section:
