@@ -190,9 +190,9 @@ def best_cell_of(out: Path, name: str) -> str | None:
 
 def cells_of(rows: list[dict[str, Any]], name: str) -> dict[str, dict[str, Any]]:
     """Keys of the cells whose case or recording is called so, with a row of each: first the one that comes nearest to
-    what it was fitted to; those that were fitted to it come before others. Only cells that minimised the same metric in
-    the same unit are compared: what most of them have comes first, of several the first by name. Of a recording
-    "CASE/NAME" that is the only one the last part will do, as tables call it.
+    what it was fitted to, over all recordings of the case; those that were fitted to it come before others. Only cells
+    that minimised the same metric in the same unit are compared: what most of them have comes first, of several the
+    first by name. Of a recording "CASE/NAME" that is the only one the last part will do, as tables call it.
     """
     mine = [r for r in rows if name in (r["case"], f"{r['suite']} · {r['case']}", r["recording"])]
     if not mine:  # as the table of a run calls a recording below its case
@@ -202,7 +202,12 @@ def cells_of(rows: list[dict[str, Any]], name: str) -> dict[str, dict[str, Any]]
     cells = {measure: len({r["key"] for r in mine if measure_of(r) == measure}) for measure in map(measure_of, mine)}
     measures = sorted(cells, key=lambda measure: (-cells[measure], measure))
     out: dict[str, dict[str, Any]] = {}
-    for row in sorted(mine, key=lambda r: (measures.index(measure_of(r)), r["split"] != "fit", r["value"], r["key"])):
+
+    def order(row: dict[str, Any]) -> tuple[Any, ...]:
+        single = bool(row["recording"])  # one good recording does not make a fit of several a good one
+        return measures.index(measure_of(row)), row["split"] != "fit", single, row["value"], row["key"]
+
+    for row in sorted(mine, key=order):
         out.setdefault(row["key"], row)
     return out
 

@@ -43,6 +43,8 @@ def run_cell(
     except Skipped as reason:
         result = failure(cell, "skipped", str(reason))
         keep(store, cell, result)
+    except Unwritable:  # what cannot be kept is no result, not of this cell and not of those that come after it
+        raise
     except ClothbenchError as fault:  # says itself what is wrong; where in the program it came up helps nobody
         result = failure(cell, "error", str(fault))
         keep(store, cell, result)
@@ -81,6 +83,14 @@ def keep(store: Store, cell: Cell, result: Result, study: Study | None = None) -
         store.put(cell.key, result.tables, result.attach, study.tables if study else {})
 
 
+class Unwritable(ClothbenchError):
+    """The folder of results takes no more; ends the command."""
+
+
+# What an `attach` raises that looks for a file of its own where there is none: its cell's fault alone.
+OF_A_FILE = (FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError)
+
+
 @contextmanager
 def writing(store: Store, cell: Cell) -> Iterator[None]:
     """Says what to do when a cell cannot be written."""
@@ -88,7 +98,8 @@ def writing(store: Store, cell: Cell) -> Iterator[None]:
         yield
     except OSError as fault:
         found = os.strerror(fault.errno) if fault.errno else str(fault)
-        raise ClothbenchError(
+        kind = ClothbenchError if isinstance(fault, OF_A_FILE) else Unwritable
+        raise kind(
             f"{store.cell(cell.key)}: found that it cannot be written ({found}), expected room and the right to; "
             "nothing half-written is left: make room and run the same command again"
         ) from fault

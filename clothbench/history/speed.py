@@ -9,6 +9,7 @@ over cells, from how badly the model fits (Student's t).
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,10 +17,11 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.statistics import student
+from clothbench.engine.judgement import of_cells
 from clothbench.history.entries import Entry
 
-# What tells the cells of a suite and a model apart: another objective, or other options, take another time.
-CELL = ("case", "optimizer", "objective", "settings", "seed")
+GROUP = ("suite", "model", "effects")
+CELL = (*GROUP, "case", "optimizer", "seed")  # what tells cells apart, in most suites
 
 
 @dataclass(frozen=True)
@@ -36,17 +38,30 @@ class Speed:
 def speeds(entries: Sequence[Entry]) -> list[tuple[Mapping[str, Any], list[Speed]]]:
     """What each is of (suite, model, effects, machine), and its speeds; entries of unknown machines have none."""
     found: dict[tuple[Any, ...], dict[tuple[int, tuple[Any, ...]], list[float]]] = {}
-    for number, entry in enumerate(entries):
+    for number, (entry, cells) in enumerate(zip(entries, _cells(entries), strict=True)):
         if entry.machine is None:
             continue
         # A cell ended well if any row says so: a further metric may have had nothing to say.
         for row in {row.get("key"): row for row in sorted(entry.rows, key=lambda r: r["status"] == "ok")}.values():
             if (value := _speed(row)) is not None:
                 group = (row["suite"], row.get("model"), row.get("effects") or "", entry.machine)
-                cell = tuple(row.get(name) for name in CELL)
-                found.setdefault(group, {}).setdefault((number, cell), []).append(value)
-    names = ("suite", "model", "effects", "machine")
+                found.setdefault(group, {}).setdefault((number, cells[row.get("key")]), []).append(value)
+    names = (*GROUP, "machine")
     return [(dict(zip(names, group, strict=True)), _fitted(cells)) for group, cells in found.items()]
+
+
+def _cells(entries: Sequence[Entry]) -> list[dict[Any, tuple[Any, ...]]]:
+    """For each entry, by key, what a cell is in all entries, whose plugins may be of other versions. Where several of
+    one entry would be the same, as cells are that minimise other metrics, they are told apart by what their rows are
+    about; where that is the same, too (other options or budgets), by their keys.
+    """
+    about = [of_cells(entry.rows) for entry in entries]
+    names = [{row.get("key"): tuple(row.get(name) or "" for name in CELL) for row in e.rows} for e in entries]
+    for further in (lambda number, key: about[number][key], lambda number, key: key):
+        several = {name for mine in names for name, count in Counter(mine.values()).items() if count > 1}
+        for number, mine in enumerate(names):
+            mine.update({key: (*n, further(number, key)) for key, n in mine.items() if n in several})
+    return names
 
 
 def _speed(row: Mapping[str, Any]) -> float | None:

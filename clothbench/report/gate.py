@@ -23,7 +23,8 @@ def compare_rows(base: Rows, new: Rows) -> dict[str, Any]:
     a fifth of the joint half-width of both 95 % intervals, √(h_base² + h_new²), h_new ≤ h_base. Where a row has a
     reference, its error is how far its value is from that; there a thousandth of the reference (of 1 in the row's unit,
     where it is 0) does not count. A row of BASE that NEW lacks is missing, and fails the gate as well: leaving out a
-    test is no way to pass it. A cell that failed as a whole has lost each row that the other side has of it.
+    test is no way to pass it. A cell that failed as a whole has lost each row that the other side has of it. What has
+    no number on either side counts as not compared; where nothing is compared, the gate fails.
     """
     verdict: dict[str, Any] = {"compared": 0, "worse": [], "better": [], "missing": [], "added": 0}
     for mine, theirs in _pairs(base, new):
@@ -93,7 +94,7 @@ def _compare_cells(base: Rows, new: Rows, verdict: dict[str, Any]) -> None:
         if other is None:
             verdict["missing"].append(_change(row, None, MISSING))
             continue
-        verdict["compared"] += 1
+        verdict["compared"] += any(finite(one["value"]) is not None for one in (row, other))
         if side := judge(row, other):
             own = "" if other["status"] == "ok" else other.get("reason")  # how a search ended well is no reason
             verdict[side].append(_change(row, other, other_unit(row, other) or own or ""))
@@ -129,7 +130,7 @@ def print_gate(verdict: dict[str, Any]) -> None:
             table.add_row(*map(escape, change))
         console().print(table)
     if not verdict["compared"]:
-        print("no row is in both: nothing was compared")
+        print("no row is in both and has a number: nothing was compared")
     print(_conclusion(verdict))
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import contextlib
 import dataclasses
+import errno
 import importlib
 import os
 import pickle
@@ -390,6 +391,30 @@ def test_whatever_a_plugin_raises_is_the_row_of_its_cell(recordings_folder, tmp_
     monkeypatch.setattr("clothbench.studies.calibration.study.run", run)
     assert run_cell(cell, tmp_path) == "error"
     assert Store(tmp_path).rows()[0]["reason"] == "CancelledError: now"
+
+
+@pytest.mark.parametrize(
+    ("raised", "ends"),
+    [(OSError(errno.ENOSPC, "No space left on device"), True), (FileNotFoundError(errno.ENOENT, "a file"), False)],
+    ids=["full", "own file"],
+)
+def test_a_result_for_which_there_is_no_room_ends_the_run_and_is_no_row(
+    recordings_folder, tmp_path, monkeypatch, raised, ends
+):
+    def attach(folder):
+        raise raised
+
+    cell = cell_of(recordings_folder)
+    result = failure(cell, "skipped", "as if it had run")
+    monkeypatch.setattr(
+        "clothbench.studies.calibration.study.run", lambda *_: dataclasses.replace(result, attach=attach)
+    )
+    if ends:
+        with pytest.raises(ClothbenchError, match=r"cannot be written \(No space left on device\)"):
+            run_cell(cell, tmp_path)
+        assert Store(tmp_path).rows() == []
+    else:
+        assert run_cell(cell, tmp_path) == "error"
 
 
 def test_recordings_are_found_by_what_is_in_them(tmp_path):

@@ -122,7 +122,8 @@ def test_a_cell_that_failed_as_a_whole_lost_each_of_its_rows():
     assert [(r["split"], r["unit"]) for r in verdict["better"]] == [
         (s, "mm") for s in ("fit", "fit", "held_out", "held_out")
     ]
-    assert compare_rows([failed], [failed])["passed"]
+    verdict = compare_rows([failed, row(3.0)], [failed, row(3.0)])
+    assert (verdict["passed"], verdict["compared"]) == (True, 1)
 
 
 def test_a_failed_cell_lost_its_rows_of_other_metrics_too():
@@ -139,6 +140,8 @@ def test_a_failed_cell_lost_its_rows_of_other_metrics_too():
 
 def test_nothing_to_compare_is_no_pass():
     assert not compare_rows([], [row(1.0)])["passed"]
+    failed, _ = failed_and_well()  # both sides lost all that they could have been compared by
+    assert not compare_rows([failed], [failed])["passed"]
 
 
 def test_of_several_results_the_one_with_the_same_key_counts():

@@ -171,6 +171,17 @@ def test_the_best_cell_is_one_of_those_in_the_same_unit():
     assert view.cells_of(rows, "") == {}
 
 
+def test_a_fit_of_several_recordings_is_known_by_their_mean():
+    def rows_of(key, *values):
+        about = {"suite": "s", "case": "linen", "metric": "node_error", "split": "fit", "unit": "mm", "key": key}
+        mean = [about | {"recording": None, "value": sum(values) / len(values)}] if len(values) > 1 else []
+        return [*mean, *(about | {"recording": f"r{i}", "value": v} for i, v in enumerate(values))]
+
+    rows = [*rows_of("a", 1.0, 9.0), *rows_of("b", 2.0, 2.0), *rows_of("failed", 0.1)]  # this one has no mean
+    assert list(view.cells_of(rows, "linen")) == ["b", "a", "failed"]
+    assert list(view.cells_of(rows, "r0")) == ["failed", "a", "b"]
+
+
 def test_view_of_an_empty_folder_says_what_to_run(tmp_path):
     with pytest.raises(ClothbenchError, match="clothbench run"):
         view.open_viewer(tmp_path, "ab")
