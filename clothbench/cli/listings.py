@@ -8,6 +8,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from rich.markup import escape
 from rich.table import Table
 
@@ -39,22 +40,25 @@ def _plugin_row(plugin: Plugin) -> dict[str, Any]:
     if plugin.reason is None:
         try:
             loaded = catalogue().load(plugin.kind, plugin.name)
-            row["missing"] = absent(loaded)
-            row["version"] = getattr(loaded, "version", None)
+            row["missing"] = None if (missing := absent(loaded)) is None else str(missing)
+            row["version"] = _plain(getattr(loaded, "version", None))
             row["parameters"] = [_parameter(p) for p in getattr(loaded, "parameters", ())]
             row["options"] = {name: _plain(value) for name, value in defaults_of(loaded).items()}
         except Exception as fault:  # a stranger's class may do anything when it is looked at
-            row["broken"] = reason_of(fault)
+            row["broken"] = reason_of(fault.__cause__ or fault)  # that of what was raised for it, which names it again
     return row
 
 
 def _parameter(p: Any) -> dict[str, Any]:
-    names = ("name", "symbol", "unit", "scale", "default", "null", "meaning", "source")
-    return {**{n: getattr(p, n) for n in names}, "low": p.bounds[0], "high": p.bounds[1]}
+    words = {n: str(getattr(p, n)) for n in ("name", "symbol", "unit", "scale", "meaning", "source")}
+    numbers = {"default": p.default, "null": p.null, "low": p.bounds[0], "high": p.bounds[1]}
+    return {**words, **{n: None if number is None else float(number) for n, number in numbers.items()}}
 
 
 def _plain(value: Any) -> Any:
-    """A default as JSON has it; in words, where it has none for it."""
+    """A value as JSON has it; in words, where it has none for it."""
+    if isinstance(value, np.generic):
+        value = value.item()
     try:
         return json.loads(json.dumps(value, allow_nan=False))
     except (TypeError, ValueError):

@@ -308,6 +308,7 @@ def say_all_skipped(rows: Sequence[Mapping[str, Any]]) -> None:
 
 
 def _say_where(store: Store, keys: Sequence[str]) -> None:
+    from clothbench.engine.run import TRACEBACK
     from clothbench.report.page import PAGE, write_page
     from clothbench.studies.calibration.film_rerun import BEST, write_best
 
@@ -316,6 +317,9 @@ def _say_where(store: Store, keys: Sequence[str]) -> None:
     write_page(store.folder)
     print(f"page:   {shown / PAGE}")
     print(f"tables: {shown / 'cells'}/KEY/*.parquet   (clothbench leaderboard --out {named})")
+    if fell := [key for key in keys if (store.cell(key) / TRACEBACK).is_file()]:
+        more = f"   (and of {len(fell) - 1} more cells)" if len(fell) > 1 else ""
+        print(f"trace:  {shown / 'cells' / fell[0] / TRACEBACK}{more}")
     best = write_best(store, keys)
     if best or any((store.cell(k) / "fit.rrd").exists() for k in keys):
         files = f"   ({shown / BEST}: the best fit of each case)" if best else ""

@@ -7,6 +7,8 @@ from typing import Any
 
 from rich.markup import escape
 
+from clothbench.display.names import model_name
+
 Rows = Sequence[dict[str, Any]]
 
 
@@ -25,5 +27,6 @@ def failure_line(row: dict[str, Any]) -> str:
 
 
 def _label(row: dict[str, Any]) -> str:
-    parts = (row["case"], row["model"], row["optimizer"], row["metric"], row["recording"])
+    model = model_name(row) if row["model"] else None
+    parts = (row["case"], model, row["optimizer"], row["metric"], row["recording"])
     return " · ".join(p for p in parts if p)

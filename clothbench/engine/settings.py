@@ -16,7 +16,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, known_names
 from clothbench.core.optional import takes_option
 from clothbench.core.scene import AIR_DENSITY, HEAVIEST, Obstacle, obstacles_of
 from clothbench.engine.bucket import is_address
@@ -35,6 +35,7 @@ SCENE_WORDS = {
     "areal_density", "air_density", "resolution", "spacing", "start", "thickness", "outline", "obstacles", "starts",
     "perturbation",
 }  # fmt: skip
+OF_A_RUN = ("seed", "budget")  # which an optimizer is told by the run
 SUITE_WORDS = {"name", "version", "title", "budgets"}  # of every study; each may know more
 
 
@@ -192,7 +193,7 @@ def parameters_of_all(plugins: Catalogue) -> set[str]:
 
 def known_words(what: str, given: Mapping[str, Any], known: set[str]) -> None:
     if unknown := sorted(set(map(str, given)) - known):
-        raise ClothbenchError(f"{what} {unknown[0]!r} is not known; there are: {', '.join(sorted(known))}")
+        raise ClothbenchError(f"{what} {unknown[0]!r} is not known; {known_names(unknown[0], sorted(known))}")
 
 
 def whole(name: str, value: Any, least: int) -> int:
@@ -357,4 +358,7 @@ def option_settings(options: dict[str, Any], plugins: Catalogue) -> dict[str, di
                 f"setting 'options.{name}': found an effect, which takes no options; bounds.{name}.PARAMETER says "
                 f"where one of its parameters is sought, suite.fixed.{name}.PARAMETER=VALUE holds it"
             )
+        seeks = any((p.kind, p.name) == ("optimizers", name) for p in plugins.plugins)
+        if seeks and (word := next((word for word in OF_A_RUN if word in (value or ())), None)):
+            raise ClothbenchError(f"setting 'options.{name}.{word}': found what a run sets; give {word}=… instead")
     return {name: mapping(f"options.{name}", value) for name, value in options.items()}

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.kernels import compiled_for
 from clothbench.core.optional import start_of, temperature_of
 from clothbench.core.parameters import ParameterSpace
@@ -18,7 +19,7 @@ from clothbench.engine.checkpoint import Checkpoint
 from clothbench.estimation.front import chosen, on_front
 from clothbench.estimation.intervals import intervals
 from clothbench.estimation.search import drive
-from clothbench.estimation.trials import Trial, evaluate
+from clothbench.estimation.trials import Trial, evaluate, simulated
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,6 +119,7 @@ def calibrate(
     stopped, looked, given = "", 0, start_of(optimizer) is not None  # one that begins at the defaults looks at nothing
 
     def answer(theta: np.ndarray) -> Evaluation:
+        _require_within(space, theta, optimizer)
         if (temperature := temperature_of(optimizer)) is not None:
             warmth.append(np.full(len(theta), temperature))
         return remembered(trials, theta, checkpoint)
@@ -161,6 +163,22 @@ def calibrate(
     )
 
 
+def _require_within(space: ParameterSpace, theta: np.ndarray, optimizer: Optimizer) -> None:
+    if theta.shape[1] != len(space):
+        raise ClothbenchError(
+            f"optimizer {optimizer.name!r} asked for {theta.shape[1]} parameters, expected {len(space)}: "
+            f"{', '.join(space.names)}"
+        )
+    outside = np.argwhere((theta < space.low) | (theta > space.high))
+    if outside.size:
+        b, p = outside[0]
+        parameter = space.parameters[p]
+        raise ClothbenchError(
+            f"optimizer {optimizer.name!r} asked for {parameter.name} = {theta[b, p]:.6g}, expected a value within its "
+            f"bounds {parameter.bounds}"
+        )
+
+
 def _lowest(value: np.ndarray) -> float:
     finite = value[np.isfinite(value)]
     return float(finite.min()) if finite.size else float("nan")
@@ -168,4 +186,4 @@ def _lowest(value: np.ndarray) -> float:
 
 def best_rollout(trial: Trial, fit: Fit) -> Rollout:
     """The trial simulated once more with the best parameters."""
-    return trial.simulation.run(fit.best[None])
+    return simulated(trial, fit.best[None])

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 
 import numpy as np
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.protocols import Evaluation, Optimizer
 
 
@@ -18,12 +19,26 @@ def drive(
     """
     left = float("inf") if budget is None else budget
     while not optimizer.done and left > 0:
-        theta = np.asarray(optimizer.ask(), dtype=float)
+        theta = _asked(optimizer)
         if len(theta) > left:
             theta = theta[: int(left)]
             yield theta, evaluate(theta)
             return
         evaluation = evaluate(theta)
-        optimizer.tell(theta, evaluation)
+        optimizer.tell(theta.copy(), evaluation)
         left -= len(theta)
         yield theta, evaluation
+
+
+def _asked(optimizer: Optimizer) -> np.ndarray:
+    found = optimizer.ask()
+    try:
+        theta = np.array(found, dtype=float)
+    except (TypeError, ValueError):
+        theta = np.empty(0)
+    if theta.ndim != 2 or not theta.size or not np.isfinite(theta).all():
+        shape = f"of shape {np.shape(found)}" if isinstance(found, np.ndarray) else f"{type(found).__name__}"
+        raise ClothbenchError(
+            f"optimizer {optimizer.name!r}: `ask` gave {shape}, expected finite parameter sets (B, P), B at least 1"
+        )
+    return theta

@@ -9,11 +9,12 @@ from typing import Any
 
 import numpy as np
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import Observation
 from clothbench.core.optional import runs_in_threads
 from clothbench.core.parallel import side_by_side
 from clothbench.core.protocols import Evaluation, Metric, Score, Simulation
-from clothbench.core.rollout import Rollout
+from clothbench.core.rollout import STATUSES, Rollout
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,13 +27,33 @@ class Trial:
     metric: Metric
 
 
+def simulated(trial: Trial, theta: np.ndarray) -> Rollout:
+    """The trial simulated with theta (B, P). A rollout of other shapes than were asked for is refused here: numpy would
+    stumble over it later, or broadcast it and find a number.
+    """
+    rollout = trial.simulation.run(theta)
+    if not isinstance(rollout, Rollout):
+        raise ClothbenchError(f"the model's simulation gave {type(rollout).__name__}, expected a clothbench.Rollout")
+    frames, nodes = trial.observation.visible.shape
+    found, expected = np.shape(rollout.position), (len(theta), frames, nodes, 3)
+    if trial.observation.outlines is not None:  # its frames are captures, of which a simulation knows nothing
+        expected = (len(theta), *found[1:3], 3)
+    if found != expected:
+        raise ClothbenchError(f"the model's rollout: found positions {found}, expected (B, T, N, 3) = {expected}")
+    if not isinstance(rollout.status, tuple) or len(rollout.status) != len(theta):
+        raise ClothbenchError(
+            f"the model's rollout: found status {rollout.status!r}, expected {len(theta)} of {', '.join(STATUSES)}"
+        )
+    return rollout
+
+
 def evaluate(trials: Sequence[Trial], theta: np.ndarray) -> tuple[Evaluation, list[Score]]:
     """Score theta (B, P) on all trials together: the mean of their values, residuals side by side and in σ or m.
 
     Every recording has the same say, however many frames it has. Objectives are means, too, each in units of its
     spread; a member without a value has none.
     """
-    scores = over(trials, lambda t: score_of(t, t.metric, t.simulation.run(theta)))
+    scores = over(trials, lambda t: score_of(t, t.metric, simulated(t, theta)))
     value = np.mean([s.value for s in scores], axis=0)
     objectives = _objectives(scores, np.isfinite(value))
     residuals = [s.residual for s in scores if s.residual is not None]
@@ -62,6 +83,7 @@ def score_of(trial: Trial, metric: Metric, rollout: Rollout) -> Score:
     positions it left: a search by any of them would else take it for a good one.
     """
     score = metric(trial.observation, rollout)
+    _require_rows(score, metric, len(rollout.status))
     ok = np.array([status == "ok" for status in rollout.status])
     if ok.all():
         return score
@@ -71,3 +93,16 @@ def score_of(trial: Trial, metric: Metric, rollout: Rollout) -> Score:
 
     value, residual, objectives = np.where(ok, score.value, np.nan), kept(score.residual), kept(score.objectives)
     return dataclasses.replace(score, value=value, residual=residual, objectives=objectives)
+
+
+def _require_rows(score: Score, metric: Metric, members: int) -> None:
+    """Refuse a score that has not one value, and one row of everything else, for each member."""
+    if not isinstance(score, Score):
+        raise ClothbenchError(f"metric {metric.name!r} gave {type(score).__name__}, expected a clothbench.Score")
+    for name, dims in (("value", 1), ("per_frame", 2), ("per_node", 2), ("residual", 2), ("objectives", 2)):
+        found = getattr(score, name)
+        if (found is not None or name == "value") and (np.ndim(found) != dims or len(found) != members):
+            expected = f"({members},)" if dims == 1 else f"({members}, …)"
+            raise ClothbenchError(
+                f"metric {metric.name!r}: found {name} of shape {np.shape(found)}, expected {expected}"
+            )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -154,7 +154,8 @@ class BoundEffects(JoinedParameters):
     def _held(self, scene: Scene, theta: np.ndarray) -> np.ndarray:
         position = np.array(scene.grip_position)
         for effect in self.at("boundary"):
-            position = effect.grips(scene.grip_time, position, self.of_effect(effect, theta)[0])  # type: ignore[attr-defined]
+            moved = effect.grips(scene.grip_time, position, self.of_effect(effect, theta)[0])  # type: ignore[attr-defined]
+            position = _finite(moved, scene.grip_position.shape, effect, "grips")
         return position
 
     def times(self, scene: Scene, theta: np.ndarray) -> np.ndarray:
@@ -166,7 +167,7 @@ class BoundEffects(JoinedParameters):
             in_pictures = isinstance(effect, ShiftsSight)
             if isinstance(effect, ShiftsTimes) and not (in_pictures and scene.camera is None):
                 for b, phi in enumerate(self.of_effect(effect, theta)):
-                    out[b] = effect.times(out[b], phi)
+                    out[b] = _finite(effect.times(out[b], phi), scene.times.shape, effect, "times")
         return out
 
     def distinct(self, theta: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -196,3 +197,17 @@ class BoundEffects(JoinedParameters):
                         [effect.sights(scene.times, p, camera, phi) for p, phi in zip(position, phis, strict=True)]
                     )
         return position
+
+
+def _finite(found: Any, shape: tuple[int, ...], effect: Effect, what: str) -> np.ndarray:
+    """What an effect gave, made sure: compiled loops index it unchecked, and wait for a time that is not a number."""
+    try:
+        array = np.asarray(found, dtype=float)
+    except (TypeError, ValueError):
+        array = np.empty(0)
+    if array.shape != shape or not np.isfinite(array).all():
+        raise ClothbenchError(
+            f"effect {effect.name!r}: '{what}' gave {type(found).__name__} of shape {np.shape(array)}, expected finite "
+            f"numbers of shape {shape}"
+        )
+    return array

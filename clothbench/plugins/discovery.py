@@ -103,7 +103,7 @@ class Catalogue:
     @staticmethod
     def _broken(plugin: Plugin, fault: BaseException) -> PluginBroken:
         what = f"{singular(plugin.kind)} {plugin.name!r} ({plugin.distribution})"
-        return PluginBroken(f"{what} is broken: {one_line(fault)}")
+        return PluginBroken(f"{what} is broken: {reason_of(fault)}")
 
     def made(self, kind: str) -> tuple[dict[str, Any], dict[str, str]]:
         """One object of every plugin of a kind, by name; and why there is none of those that cannot be made."""
@@ -129,7 +129,8 @@ def discover(points: Iterable[EntryPoint]) -> Catalogue:
     configs: list[str] = []
     for point in sorted(points, key=lambda p: (_distribution(p)[0] != OWN, _distribution(p)[0], p.name)):
         plugins, more = _load(point)
-        found += [_unless_taken(p, found) for p in plugins]
+        for plugin in plugins:  # one by one: a distribution may register a name twice
+            found.append(_unless_taken(plugin, found))
         configs += more
     return Catalogue(tuple(found), tuple(configs))
 

@@ -55,14 +55,16 @@ def played(optimizer: Optimizer, problem: Problem, budget: int) -> Search:
         evaluation = problem.evaluate(theta)
         if optimizer.needs_residual is False:
             evaluation = dataclasses.replace(evaluation, residual=None)
-        told.append(evaluation.value)
+        told.append(np.array(evaluation.value))
         spent = sum(map(len, asked))
         require(
             spent <= budget,
             f"{spent} evaluations asked on {problem.name}",
             f"at most the budget of {budget}",
         )
-        optimizer.tell(theta, evaluation)
+        optimizer.tell(asked[-1].copy(), evaluation)
+        kept = np.array_equal(evaluation.value, told[-1], equal_nan=True)
+        require(kept, "values that `tell` has changed", "those that it was told")
     require(len(asked) > 0, "a search that is done before it began", "at least one evaluation")
     return Search(np.vstack(asked), np.concatenate(told), optimizer.stopped)
 

@@ -378,6 +378,8 @@ def test_settings_may_be_given_as_one_mapping():
         ("analysis={sobol:{cases:nope}}", "'analysis.sobol.cases' is nope, which matches none of the cases"),
         ("bounds={k9:[1,2]}", "setting 'bounds': no parameter 'k9'"),
         ("+options.ga.nonsense=1", "nonsense"),
+        ("options.ga.seed=1", "setting 'options.ga.seed': found what a run sets; give seed=… instead"),
+        ("options.gaa.population=5", "plugin in 'options' 'gaa' is not known; did you mean 'ga'?"),
         ("bugdet=3", "setting 'bugdet' is not known; `clothbench run --cfg job` shows all"),
         ("model.dt=0.1", "setting 'model.dt' is not known"),
         ("options.ga.nonsense=1", "nonsense"),

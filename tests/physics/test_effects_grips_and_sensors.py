@@ -9,7 +9,7 @@ import pytest
 from effect_scenes import STIFF, cloth, effect_named, hanging, on_every_model, run
 from scipy.integrate import solve_ivp
 
-from clothbench import Camera
+from clothbench import Camera, ClothbenchError
 from clothbench.plugins.discovery import catalogue
 from clothbench.testing import scenes
 
@@ -31,6 +31,26 @@ def clamp():
     held = np.array([[0.1, 0.0, 1.0], [0.3, 0.0, 1.0], [0.1, 0.02, 0.99], [0.3, 0.02, 1.01]])
     path = np.stack([0.1 * TIME, 0.3 * TIME**2, 0.0 * TIME], axis=1)
     return held[None, [0, 2, 3, 1]] + path[:, None]
+
+
+@pytest.mark.parametrize(
+    ("name", "method", "change", "said"),
+    [
+        ("clock_offset", "times", lambda out: out + np.nan, r"'times' gave ndarray of shape \(\d+,\), expected finite"),
+        ("clock_offset", "times", lambda out: out[:-1], r"'times' gave ndarray of shape .* numbers of shape \(\d+,\)"),
+        ("clock_offset", "times", lambda out: None, "'times' gave NoneType"),
+        ("grip_offset", "grips", lambda out: out[:, :1], r"'grips' gave ndarray of shape \(\d+, 1, 3\), expected"),
+    ],
+)
+def test_what_moves_grips_or_times_to_nowhere_is_refused_before_a_compiled_loop_waits_for_it(
+    name, method, change, said
+):
+    effect = effect_named(name)
+    usual = getattr(effect, method)
+    setattr(effect, method, lambda *about: change(usual(*about)))
+    simulation = catalogue().make("models", "mass_spring").prepare(scenes.swinging(), [effect])
+    with pytest.raises(ClothbenchError, match=f"effect '{name}': {said}"):
+        simulation.run(simulation.parameters.defaults[None])
 
 
 # --- grips ------------------------------------------------------------------------------------------------------------

@@ -162,6 +162,81 @@ def test_a_broken_one_in_a_product_costs_its_own_cells_only(clothbench, installe
     assert "has no attribute 'Missing'" in row["reason"]
 
 
+# A model that simulates nothing (and takes no effects), says that all is well, and answers with what `x` is.
+PLAIN = """
+    import numpy as np
+    from clothbench import Parameter, ParameterSpace, Rollout
+
+    class Plain:
+        name, version, capabilities = "plain", 1, frozenset({"dynamic"})
+        parameters = ParameterSpace((Parameter("k", "k", "N/m", (1.0, 9.0), "linear", 2.0, "none", "none"),))
+
+        def prepare(self, scene, effects=()):
+            self.scene = scene
+            return self
+
+        def run(self, theta):
+            shape = (len(theta), len(self.scene.times), len(self.scene.points), 3)
+            return Rollout(
+                self.scene.times, np.full(shape, X), ("ok",) * len(theta), np.ones(len(theta), dtype=int), 4
+            )
+    """
+
+
+@pytest.mark.parametrize(("x", "words", "status", "said"), [
+    ("np.nan", [], "error", "model 'plain' says 'ok' of positions that are not finite, expected 'diverged'"),
+    ("0.0", ["effects=[quadratic_drag]"], "skipped", "the model takes no effects"),
+    ("0.0", ["bounds.kk=[1,2]"], "error", "setting 'bounds': no parameter 'kk'"),
+    ("0.0", ["+suite.fixed.kk=1"], "error", "setting 'suite.fixed': no parameter 'kk'"),
+    ("0.0", ["bounds.k=[1,2]"], "ok", ""),
+])  # fmt: skip
+def test_what_a_strangers_model_cannot_do_is_the_reason_of_its_row(
+    clothbench, installed, recordings_folder, x, words, status, said
+):
+    path = installed(plain=HOOK.format(kind="models", name="plain", target="plainly:Plain"),
+                     plainly=PLAIN.replace("X)", f"{x})"))  # fmt: skip
+    clothbench(
+        "run", f"recordings={recordings_folder}", "model=plain", "optimizer=ga", "metric=node_error", "budget=3",
+        "rerun=false", *words, PYTHONPATH=path,
+    )  # fmt: skip
+    rows = json.loads(clothbench("leaderboard", "--json", PYTHONPATH=path).stdout)
+    assert {row["status"] for row in rows} == {status}
+    assert all(said in (row["reason"] or "") for row in rows)
+
+
+def test_a_stranger_beside_the_model_hides_no_misspelled_bounds(clothbench, installed, recordings_folder):
+    done = clothbench(
+        "run", f"recordings={recordings_folder}", "model=mass_spring", "optimizer=ga", "metric=fine", "bounds.k9=[1,2]",
+        PYTHONPATH=installed(fine=FINE),
+    )  # fmt: skip
+    assert done.returncode == 2
+    assert "setting 'bounds': no parameter 'k9'; there are: k1, k2, zeta" in done.stderr
+
+
+def test_a_name_twice_in_one_distribution_is_taken_and_odd_types_are_listed(clothbench, installed):
+    twice = HOOK.format(kind="metrics", name="odd", target="oddly:Odd").replace(
+        '"a plugin for a test")]', '"one"), Registration("odd", "oddly:Odd", "other")]'
+    )
+    oddly = """
+        import numpy as np
+        from clothbench import Parameter, ParameterSpace
+
+        class Odd:
+            version = np.int64(3)
+            parameters = ParameterSpace((
+                Parameter("a", "a", "m", tuple(np.array([1, 9])), "linear", np.int64(2), "none", "none"),))
+
+            @staticmethod
+            def skip_reason():
+                return True
+        """
+    path = installed(twice=twice, oddly=oddly)
+    first, second = (r for r in listed(clothbench, path) if r["name"] == "odd")
+    assert (first["broken"], first["version"], first["parameters"][0]["high"]) == (None, 3, 9.0)
+    assert "the name is taken by twice" in second["broken"]
+    assert clothbench("plugins", PYTHONPATH=path).returncode == 0
+
+
 @pytest.mark.parametrize(("options", "status", "said"), [
     ([], "error", "metric 'endless' gave no finite number for any parameter set, also where the cloth was simulated"),
     (["+options.mass_spring.dt=0.05"], "diverged", "step is too long"),

@@ -8,7 +8,7 @@ import numba
 import numpy as np
 import pytest
 
-from clothbench import Observation, Outlines, Parameter, ParameterSpace, Rollout, Score
+from clothbench import ClothbenchError, Observation, Outlines, Parameter, ParameterSpace, Rollout, Score
 from clothbench.estimation.calibrate import calibrate
 from clothbench.estimation.intervals import clusters, error_interval, intervals, jackknife, mean_interval, mean_of_split
 from clothbench.estimation.trials import Trial, evaluate
@@ -246,6 +246,96 @@ def test_a_search_that_minds_no_budget_is_stopped_there(batch, told):
     fit = calibrate([trial(np.random.default_rng(0))], search, SPACE, budget=10)
     assert (fit.evaluations, fit.status, search.told) == (10, "ok", told)
     assert fit.stopped == "stopped at its budget of 10 evaluations; it would have gone on"
+
+
+class Reused(Endless):
+    """Asks for one set at a time, always in the same array; and writes into what it is told."""
+
+    name = "reused"
+
+    def __init__(self, *sets):
+        super().__init__(1)
+        self.sets, self.x = list(sets), np.empty((1, 2))
+
+    def ask(self):
+        self.x[:] = self.sets.pop(0)
+        self.done = not self.sets
+        return self.x
+
+    def tell(self, theta, evaluation):
+        theta[:] = self.x[:] = 7.0
+
+
+def test_an_optimizer_may_use_its_array_again():
+    sets = [(3.0, 0.0), (1.2, 0.3), (2.0, 0.1)]
+    fit = calibrate([trial(np.random.default_rng(0))], Reused(*sets), SPACE, bounded=False)
+    np.testing.assert_array_equal(fit.theta, sets)
+    np.testing.assert_array_equal(fit.best, sets[1])
+
+
+@pytest.mark.parametrize(
+    ("asked", "said"),
+    [
+        (TRUTH, r"`ask` gave of shape \(2,\), expected finite parameter sets \(B, P\)"),
+        (np.empty((0, 2)), r"`ask` gave of shape \(0, 2\)"),
+        ([[1.0, np.nan]], "`ask` gave list"),
+        (None, "`ask` gave NoneType"),
+        ([[1.0, 0.0, 2.0]], "asked for 3 parameters, expected 2: gain, slope"),
+        ([[1.0, 2.0]], r"asked for slope = 2, expected a value within its bounds \(-1.0, 1.0\)"),
+    ],
+)
+def test_what_is_no_batch_within_the_bounds_is_told_as_the_optimizer_s_fault(asked, said):
+    optimizer = Reused(TRUTH)
+    optimizer.ask = lambda: asked
+    with pytest.raises(ClothbenchError, match="optimizer 'reused'.*" + said):
+        calibrate([trial(np.random.default_rng(0))], optimizer, SPACE)
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda r: None, "gave NoneType, expected a clothbench.Rollout"),
+        (
+            lambda r: dataclasses.replace(r, position=r.position[:, :7]),
+            r"positions \(2, 7, 1, 3\), expected .*\(2, 120,",
+        ),
+        (lambda r: dataclasses.replace(r, position=r.position[:1]), r"positions \(1, 120, 1, 3\), expected"),
+        (lambda r: dataclasses.replace(r, position=r.position[:, :, None]), r"positions \(2, 120, 1, 1, 3\)"),
+        (lambda r: dataclasses.replace(r, status="ok"), "found status 'ok', expected 2 of ok, diverged, timeout"),
+        (lambda r: dataclasses.replace(r, status=("ok",)), r"found status \('ok',\), expected 2"),
+    ],
+)
+def test_a_rollout_of_another_shape_is_told_as_the_model_s_fault(change, said):
+    class Wrong(Toy):
+        def run(self, theta):
+            return change(super().run(theta))
+
+    wrong = dataclasses.replace(trial(np.random.default_rng(0)), simulation=Wrong())
+    with pytest.raises(ClothbenchError, match="the model's .*" + said):
+        evaluate([wrong], np.tile(TRUTH, (2, 1)))
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda s: s.value, "gave ndarray, expected a clothbench.Score"),
+        (lambda s: dataclasses.replace(s, value=s.value[0]), r"value of shape \(\), expected \(2,\)"),
+        (lambda s: dataclasses.replace(s, residual=np.zeros(7)), r"residual of shape \(7,\), expected \(2, …\)"),
+        (
+            lambda s: dataclasses.replace(s, per_frame=np.zeros((3, 4))),
+            r"per_frame of shape \(3, 4\), expected \(2, …\)",
+        ),
+    ],
+)
+def test_a_score_of_another_shape_is_told_as_the_metric_s_fault(change, said):
+    one = trial(np.random.default_rng(0))
+
+    class Wrong(type(one.metric)):
+        def __call__(self, observation, rollout):
+            return change(super().__call__(observation, rollout))
+
+    with pytest.raises(ClothbenchError, match="metric 'node_error'.*" + said):
+        evaluate([dataclasses.replace(one, metric=Wrong(unit="m"))], np.tile(TRUTH, (2, 1)))
 
 
 def test_every_recording_has_the_same_say():

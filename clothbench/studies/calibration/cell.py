@@ -11,12 +11,13 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, ClassVar, NamedTuple
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, known_names
 from clothbench.core.observation import Observation
 from clothbench.core.optional import absent, options_of, takes_option, why_skipped
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Effect, Metric
 from clothbench.engine.cells import Skipped, Source, digest, options_in_use, seed_of
+from clothbench.engine.settings import parameters_of_all
 from clothbench.engine.store import Store
 from clothbench.estimation.fixed import holding
 from clothbench.estimation.placements import joined
@@ -243,13 +244,16 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
                 areal_density_of(recording, cell.scene.get("areal_density"))
         simulated = [r for r in mine if isinstance(r, Recording | Silhouettes)]  # other images have to be tracked first
         scenes = [scene for recording in simulated for scene in scenes_of(recording, **cell.scene)]
-        if any(plugins.find(kind, name).distribution != OWN for kind, name in uses(cell)):
-            return None
-        tracker = plugins.make("trackers", cell.tracker, **options_for(cell, plugins, "trackers", cell.tracker))
-        if isinstance(mine[0], Recording):  # images are tracked when the cell is run
-            tracker.track(mine[0])
+        strangers = {pair for pair in uses(cell) if plugins.find(*pair).distribution != OWN}
+        if ("trackers", cell.tracker) not in strangers:
+            tracker = plugins.make("trackers", cell.tracker, **options_for(cell, plugins, "trackers", cell.tracker))
+            if isinstance(mine[0], Recording):  # images are tracked when the cell is run
+                tracker.track(mine[0])
         for name in (cell.metric, *cell.report):
-            plugins.make("metrics", name, **options_for(cell, plugins, "metrics", name))
+            if ("metrics", name) not in strangers:
+                plugins.make("metrics", name, **options_for(cell, plugins, "metrics", name))
+        if any(kind in ("models", "effects") for kind, _ in strangers):
+            return None
         effects = [plugins.make("effects", name) for name in cell.effects]
         if simulated:
             refuse_unseen(effects, [scene.camera is not None for scene in scenes])
@@ -262,8 +266,10 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
         except Exception:  # a model may refuse a scene; in a product of several that is its own cell's affair
             return None
         space = begun(bounded(holding(simulation, cell.fixed).parameters, cell.bounds), cell.start)
-        plugins.make("optimizers", cell.optimizer, space, seed=0, budget=cell.budget, **cell.option(cell.optimizer))
-        refuse_without_start(cell, plugins)
+        if ("optimizers", cell.optimizer) not in strangers:
+            options = cell.option(cell.optimizer)
+            plugins.make("optimizers", cell.optimizer, space, seed=0, budget=cell.budget, **options)
+            refuse_without_start(cell, plugins)
         return Names(set(space.names), everything)
     except PluginBroken:
         return None
@@ -303,6 +309,25 @@ def bounded(space: ParameterSpace, bounds: Mapping[str, tuple[float, float]]) ->
     return space.bounded({name: pair for name, pair in bounds.items() if name in space.names})
 
 
+def refuse_misspelled(
+    cell: CalibrationCell, model: Any, effects: Sequence[Effect], free: ParameterSpace, plugins: Catalogue
+) -> None:
+    """Effects without their parameters in the simulation, which would be named in vain; and bounds or fixed values of
+    parameters that no installed plugin has, where the plan could not tell.
+    """
+    of_effects = {name for effect in effects for name in effect.parameters.prefixed(effect.name).names}
+    if lost := sorted(of_effects - {*free.names, *cell.fixed}):
+        raise ClothbenchError(
+            f"model {cell.model!r}: its simulation has no parameter {lost[0]!r}, expected those of every effect that "
+            "it is given"
+        )
+    here = {*free.names, *model.parameters.names, *of_effects}
+    asked = [*(("bounds", name) for name in cell.bounds), *(("suite.fixed", name) for name in cell.fixed)]
+    for key, name in ((key, name) for key, name in asked if name not in here):  # of another model's, or of none
+        if name not in parameters_of_all(plugins):
+            raise ClothbenchError(f"setting '{key}': no parameter {name!r}; {known_names(name, free.names)}")
+
+
 def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) -> Bench:
     """Make the plugins, read and track the recordings, and prepare one simulation for each.
 
@@ -311,6 +336,8 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
     if reason := absent(plugins.load("models", cell.model)):
         raise Skipped(reason)
     model = plugins.make("models", cell.model, **cell.option(cell.model))
+    if cell.effects and "effects" not in model.capabilities:
+        raise Skipped(f"the model takes no effects, and the cell is to have {', '.join(cell.effects)}")
     effects: list[Effect] = [plugins.make("effects", name) for name in cell.effects]
     metric = plugins.make("metrics", cell.metric, **options_for(cell, plugins, "metrics", cell.metric))
     tracker = plugins.make("trackers", cell.tracker, **options_for(cell, plugins, "trackers", cell.tracker))
@@ -348,6 +375,7 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
         recordings.append(recording := looked_at(raw))
         trials.append(make(recording))
     refuse_unseen(effects, pictures)
+    refuse_misspelled(cell, model, effects, trials[0].simulation.parameters, plugins)
     space = begun(bounded(trials[0].simulation.parameters, cell.bounds), cell.start)
     others = tuple(
         plugins.make("metrics", name, **options_for(cell, plugins, "metrics", name))

@@ -125,6 +125,9 @@ def _why_lost(bench: Bench, fit: Fit) -> tuple[str, str]:
     runs = [trial.simulation.run(np.vstack([bench.space.defaults, some])) for trial in bench.of_split("fit")]
     for number in range(1, len(some) + 1):
         if all(rollout.status[number] == "ok" for rollout in runs):
+            if not all(np.isfinite(rollout.position[number]).all() for rollout in runs):
+                model = bench.cell.model
+                return "error", f"model {model!r} says 'ok' of positions that are not finite, expected 'diverged'"
             metric = bench.trials[0].metric.name
             return "error", (
                 f"metric {metric!r} gave no finite number for any parameter set, also where the cloth was simulated to "
