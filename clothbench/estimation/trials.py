@@ -96,9 +96,13 @@ def score_of(trial: Trial, metric: Metric, rollout: Rollout) -> Score:
 
 
 def _require_rows(score: Score, metric: Metric, members: int) -> None:
-    """Refuse a score that has not one value, and one row of everything else, for each member."""
+    """Refuse a score that has not one value, and one row of everything else, for each member; or another unit."""
     if not isinstance(score, Score):
         raise ClothbenchError(f"metric {metric.name!r} gave {type(score).__name__}, expected a clothbench.Score")
+    if score.unit != metric.unit:
+        raise ClothbenchError(
+            f"metric {metric.name!r}: found a score in {score.unit!r}, expected its own {metric.unit!r}"
+        )
     for name, dims in (("value", 1), ("per_frame", 2), ("per_node", 2), ("residual", 2), ("objectives", 2)):
         found = getattr(score, name)
         if (found is not None or name == "value") and (np.ndim(found) != dims or len(found) != members):

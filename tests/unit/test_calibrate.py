@@ -319,6 +319,7 @@ def test_a_rollout_of_another_shape_is_told_as_the_model_s_fault(change, said):
     ("change", "said"),
     [
         (lambda s: s.value, "gave ndarray, expected a clothbench.Score"),
+        (lambda s: dataclasses.replace(s, unit="cm"), "found a score in 'cm', expected its own 'm'"),
         (lambda s: dataclasses.replace(s, value=s.value[0]), r"value of shape \(\), expected \(2,\)"),
         (lambda s: dataclasses.replace(s, residual=np.zeros(7)), r"residual of shape \(7,\), expected \(2, …\)"),
         (
