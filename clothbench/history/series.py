@@ -85,22 +85,25 @@ def all_series(entries: Sequence[Entry]) -> list[Series]:
 
 
 def _errors(entries: Sequence[Entry]) -> list[Series]:
-    """Of every question the mean over its recordings; single recordings where there is no mean."""
-    points: dict[tuple[Any, ...], list[Point]] = {}
-    last: dict[tuple[Any, ...], Mapping[str, Any]] = {}
+    """Of every question, in every unit, the mean over its recordings; single recordings where there is no mean."""
+    points: dict[tuple[tuple[Any, ...], str], list[Point]] = {}
+    last: dict[tuple[tuple[Any, ...], str], Mapping[str, Any]] = {}
     # A series keeps to the cell that most entries have, if some have others about the same beside it.
     cells = Counter(cell for entry in entries for cell in cells_in(entry.rows))
     by_entry = [named(entry.rows, cells) for entry in entries]
-    known = {key: row for rows in by_entry for key, row in rows.items() if not failed_whole(row)}
+    rows_known = [(key, row) for rows in by_entry for key, row in rows.items() if not failed_whole(row)]
+    known, numbers = dict(rows_known), {key: row for key, row in rows_known if has_number(row)}
     for number, given in enumerate(by_entry):
         rows = spread(given, known.items())
         means = {_of_all(key) for key, row in rows.items() if not row.get("recording")}
         for key, row in rows.items():
             if row.get("recording") and _of_all(key) in means:
                 continue
-            points.setdefault(key, []).append(_point(number, row))
-            last[key] = known.get(key, row)  # what failed as a whole tells no unit and no reference
-    return [_error_series(key, last[key], tuple(mine)) for key, mine in points.items()]
+            told = row if has_number(row) else numbers.get(key, row)  # what failed may tell no unit and no reference
+            question = key, told.get("unit") or ""
+            points.setdefault(question, []).append(_point(number, row))
+            last[question] = told
+    return [_error_series(key, last[key, unit], tuple(mine)) for (key, unit), mine in points.items()]
 
 
 def _of_all(key: tuple[Any, ...]) -> tuple[Any, ...]:

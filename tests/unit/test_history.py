@@ -55,6 +55,16 @@ def test_steps_are_told_and_noise_is_not(values, half, expected):
     assert changes(errors(*values, half=half)) == expected
 
 
+def test_a_question_that_is_answered_in_another_unit_has_a_series_in_each():
+    entries = [entry(k, total(10.0 if k < 4 else 1.0, unit="mm" if k < 4 else "cm")) for k in range(8)]
+    lost = entry(8, total(None, status="diverged", unit=None))
+    found = {one.unit: one for one in all_series([*entries, lost])}
+    assert {unit: [p.entry for p in one.points] for unit, one in found.items()} == {
+        "mm": [0, 1, 2, 3], "cm": [4, 5, 6, 7, 8]
+    }  # fmt: skip
+    assert (changes(found["mm"]), changes(found["cm"])) == ([], [(8, "worse")])
+
+
 def test_a_step_is_told_with_both_levels_and_their_interval():
     (change,) = errors(10, 10, 14, 14).changes
     assert (change.before, change.after, change.percent) == pytest.approx((10, 14, 40))
