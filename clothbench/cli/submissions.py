@@ -231,8 +231,11 @@ def tell(folder: Path, found: Verified, of: int, verdict: Verdict) -> None:
         score = _scored(row["metric"], row["value"], row["unit"], row["floor"])
         table.add_row("unpublished, mean", *score, VERIFIED)
     console().print(table)
-    for fitted in dict.fromkeys(one.measured.name for one in found.found if one.against_file):
-        print(f"{fitted}: shown under fit: a fit used it, though its file holds it out")
+    for moved, split in dict.fromkeys((one.measured.name, one.split) for one in found.found if one.against_file):
+        if split == "fit":
+            print(f"{moved}: shown under fit: a fit used it, though its file holds it out")
+        else:
+            print(f"{moved}: shown under held_out: a fit did not use it, though its file says that it is to fit")
 
 
 def _scored(metric: str, value: float, unit: str, floor: float | None) -> tuple[str, str, str]:

@@ -9,6 +9,7 @@ from dataclasses import asdict
 from typing import Any
 
 from clothbench.core.files import remove_folder
+from clothbench.display.html import group
 from clothbench.engine.cells import digest, listed, plugin_versions
 from clothbench.engine.store import Store, finite, now, system_info
 from clothbench.estimation.intervals import mean_of_split
@@ -94,7 +95,9 @@ def drop(submission: Submission, store: Store) -> None:
 
 
 def rows_of(compared: Sequence[Compared]) -> list[dict[str, Any]]:
-    """What differs from row to row: of each recording and metric, and the means of each split."""
+    """What differs from row to row: of each recording and metric, and the means of each split, in which every
+    recording counts once.
+    """
     out = []
     for metric in dict.fromkeys(metric for one in compared for metric in one.scores):
         for split in dict.fromkeys(one.split for one in compared):
@@ -102,8 +105,23 @@ def rows_of(compared: Sequence[Compared]) -> list[dict[str, Any]]:
                 continue  # this metric is not handed in for the recordings of this split
             about = {"metric": metric, "objective": metric, "split": split, "unit": mine[0].units[metric]}
             single = [{**about, "recording": one.measured.name, **_one(one, metric)} for one in mine]
-            out += [{**about, "recording": None, **mean_of_split(single)}, *single]
+            out += [{**about, "recording": None, **mean_of_split(_each_once(single))}, *single]
     return out
+
+
+def _each_once(rows: Sequence[dict[str, Any]]) -> list[dict[str, float | None]]:
+    """A row for each recording, the mean of those of all fits: by how many fits it was simulated is not to decide how
+    much it counts, and fits of one recording are not independent of each other.
+    """
+    of = group(rows, lambda row: row["recording"])
+    return [
+        {name: _mean([row[name] for row in some]) for name in ("value", "floor", "low", "high")} for some in of.values()
+    ]
+
+
+def _mean(values: Sequence[float | None]) -> float | None:
+    known = [value for value in values if value is not None]
+    return sum(known) / len(known) if len(known) == len(values) else None
 
 
 def _one(one: Compared, metric: str) -> dict[str, Any]:

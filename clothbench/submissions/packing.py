@@ -27,6 +27,7 @@ from clothbench.submissions.submission import (
     compared,
     require_all,
     require_held,
+    require_same_metrics,
     written,
 )
 
@@ -62,6 +63,7 @@ def pack_results(
             entries += _simulated(folder, cell, key, values, by_hash, plugins)
             cells.append(Asked(key, asked(without_paths(cell))))
         require_all(folder, [entry.recording for entry in entries], measured)
+        require_same_metrics(folder, entries)
         packed = tuple(_packed(folder, wheel) for wheel in wheels)
         return written(folder, Submission(
             clothbench=clothbench.__version__, entries=tuple(entries), cells=tuple(cells), wheels=packed, **about

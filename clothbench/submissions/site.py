@@ -35,6 +35,7 @@ published.</dd></dl>
 random are, and verified if it has been scored on unpublished recordings besides.</p>"""
 USUAL = "node_error"  # what places go by where all have it
 PAGES = "submissions"  # folder of the site
+NAMED = 6  # recordings of a table that are listed
 FIRST = {VERIFIED: 0, REPRODUCED: 1, GRADE: 2}
 
 
@@ -133,18 +134,32 @@ def _index(standings: Sequence[Standing]) -> str:
     top = f"<h1>Leaderboard of submissions</h1><p class='soft'>made {text(now()[:16].replace('T', ' '))} UTC</p>"
     lead = f"{len(standings)} submissions; every score below was computed here, and has a grade of its own."
     sections = [Section(top + answer("Who stands, and how sure is it?", lead, cards))]
-    rows = [(s, row) for s in good for row in means(s)]
-    for (suite, split), mine in group_of(rows).items():
-        title = " · ".join(filter(None, (suite, split.replace("_", " "))))
-        sections.append(Section(f"<h2>{text(title)}</h2>{_board(mine)}"))
+    boards = group_of([(s, row) for s in good for row in means(s)])
+    several = Counter((suite, split) for suite, split, _ in boards)
+    for (suite, split, names), mine in boards.items():
+        apart = several[suite, split] > 1
+        words = (
+            suite,
+            split.replace("_", " "),
+            f"{len(names)} recording{'s' if len(names) > 1 else ''}" if apart else "",
+        )
+        over = f"<p class='soft'>{text(_over(names))}</p>" if apart else ""
+        sections.append(Section(f"<h2>{text(' · '.join(filter(None, words)))}</h2>{over}{_board(mine)}"))
     if bad:
         items = "".join(f'<li><a href="{text(s.page)}">{text(s.name)}</a>: {text(s.reason)}</li>' for s in bad)
         sections.append(Section(f'<h2>Refused</h2><div class="failures" role="note"><ul>{items}</ul></div>'))
     return whole_page("leaderboard of submissions", [*sections, Section(GRADES)])
 
 
+def _over(names: Sequence[str]) -> str:
+    more = f" and {len(names) - NAMED} more" if len(names) > NAMED else ""
+    return f"Over {', '.join(names[:NAMED])}{more}; not ranked with means over other recordings."
+
+
 def means(standing: Standing) -> list[dict[str, Any]]:
-    """The means of a submission over its recordings, and over unpublished ones, each with its grade."""
+    """The means of a submission over its recordings, and over unpublished ones, each with its grade; `over`: names of
+    the recordings, none where they were never published; `as_filed`: whether these are what their files state.
+    """
     assert standing.found is not None  # it stands
     found, out = standing.found.found, []
     for row in rows_of(found):
@@ -154,21 +169,28 @@ def means(standing: Standing) -> list[dict[str, Any]]:
             again = sum(standing.grade_of([cell]) == REPRODUCED for cell in cells)
             said = [f"{again} of {len(cells)} fits reproduced"] if 0 < again < len(cells) else []
             if names := {one.measured.name for one in mine if one.against_file}:
-                said.append(f"fitted to {len(names)} that are held out by their files")
-            out.append({**row, "grade": standing.grade_of(cells), "said": "; ".join(said)})
+                how = "fitted to {} that are held out" if row["split"] == "fit" else "holds out {} that are to fit"
+                said.append(f"{how.format(len(names))} by their files")
+            over = tuple(sorted({one.measured.name for one in mine if row["metric"] in one.scores}))
+            filed = {one.measured.name for one in found if one.measured.split == row["split"]}
+            more = {"over": over, "as_filed": set(over) == filed, "said": "; ".join(said)}
+            out.append({**row, **more, "grade": standing.grade_of(cells)})
     secret = standing.verdict.unpublished if standing.verdict else ()
-    return [*out, *({**row, "split": "unpublished", "grade": VERIFIED, "said": ""} for row in secret)]
+    hidden = {"split": "unpublished", "grade": VERIFIED, "said": "", "over": (), "as_filed": True}
+    return [*out, *({**row, **hidden} for row in secret)]
 
 
 def group_of(
     rows: Sequence[tuple[Standing, dict[str, Any]]],
-) -> dict[tuple[str, str], list[tuple[Standing, dict[str, Any]]]]:
-    """By suite and split; what was never published first, what was fitted last."""
+) -> dict[tuple[str, str, tuple[str, ...]], list[tuple[Standing, dict[str, Any]]]]:
+    """By suite, split and recordings: means over other recordings say nothing about which model is better. What was
+    never published comes first, what was fitted last; of one split first the recordings whose files state it.
+    """
     order = {"unpublished": 0, "held_out": 1, "": 2, "fit": 3}
-    found: dict[tuple[str, str], list[tuple[Standing, dict[str, Any]]]] = {}
-    for standing, row in sorted(rows, key=lambda pair: order[pair[1]["split"]]):
+    found: dict[tuple[str, str, tuple[str, ...]], list[tuple[Standing, dict[str, Any]]]] = {}
+    for standing, row in sorted(rows, key=lambda pair: (order[pair[1]["split"]], not pair[1]["as_filed"])):
         assert standing.found is not None
-        found.setdefault((standing.found.submission.suite, row["split"]), []).append((standing, row))
+        found.setdefault((standing.found.submission.suite, row["split"], row["over"]), []).append((standing, row))
     return found
 
 

@@ -113,8 +113,8 @@ class Compared:
 
     @property
     def against_file(self) -> bool:
-        """Whether it was fitted, though the recording's file holds it out."""
-        return self.split == "fit" and self.measured.split == "held_out"
+        """Whether it was fitted, though the recording's file holds it out, or the other way round."""
+        return bool(self.measured.split) and self.split != self.measured.split
 
 
 def pack(
@@ -157,6 +157,21 @@ def require_all(folder: Path, names: Iterable[str], measured: Sequence[Recording
             f"{folder}: has {len(measured) - len(missing)} of {len(measured)} recordings, {missing[0]!r} is missing; "
             "hand in all of them, or name those that it is about with --recordings"
         )
+
+
+def require_same_metrics(folder: Path, entries: Sequence[Entry]) -> None:
+    """Refuse a choice of scores: a mean is not to leave out the recordings on which a model does badly. All entries of
+    a fit have the same metrics, and every metric is there for all recordings; another fit may have other ones.
+    """
+    for name in dict.fromkeys(metric for entry in entries for metric in entry.scores):
+        fits = {entry.cell for entry in entries if name in entry.scores}
+        known = {entry.recording for entry in entries if name in entry.scores}
+        for entry in entries:
+            if name not in entry.scores and (entry.cell in fits or entry.recording not in known):
+                raise ClothbenchError(
+                    f"{folder / FILE}: {entry.file} has no score by {name!r}, which others have; expected the same "
+                    "metrics for all recordings, and for all that one fit simulated"
+                )
 
 
 def compared(

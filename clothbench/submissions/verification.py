@@ -16,7 +16,15 @@ from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording, read_recording
 from clothbench.studies.calibration.cell import CalibrationCell
 from clothbench.submissions.reading import questions_of, read_submission
-from clothbench.submissions.submission import Compared, Entry, Submission, compared, require_all
+from clothbench.submissions.submission import (
+    FILE,
+    Compared,
+    Entry,
+    Submission,
+    compared,
+    require_all,
+    require_same_metrics,
+)
 
 GRADE, REPRODUCED, VERIFIED, REFUSED = "recomputed", "reproduced", "verified", "refused"
 AGREES = 1e-6  # relative: what the order of a sum may change from machine to machine
@@ -43,6 +51,7 @@ def verify(folder: Path, measured: Sequence[Recording], plugins: Catalogue) -> V
             f"score it again with `clothbench submit {folder} --name {shlex.quote(submission.name)}`"
         )
     require_all(folder, [entry.recording for entry in submission.entries], measured)
+    require_same_metrics(folder, submission.entries)
     by_hash, found = {recording.hash: recording for recording in measured}, []
     cells, faults = questions_of(folder, submission)
     for wheel in submission.wheels:
@@ -51,16 +60,36 @@ def verify(folder: Path, measured: Sequence[Recording], plugins: Catalogue) -> V
         except ClothbenchError as fault:
             faults.append(str(fault))
     of = [(entry.cell, entry.recording_hash) for entry in submission.entries]
+    faults += [
+        f"{folder / FILE}: cell {key}: has no simulation of {source.name!r}, which it is about; expected one of each"
+        for key, cell in cells.items()
+        for source in cell.recordings
+        if (key, source.hash) not in of
+    ]
     for number, entry in enumerate(submission.entries):
         if of[number] in of[:number]:
             faults.append(f"{folder / entry.file}: is a second one of {entry.recording!r}, expected one for each fit")
             continue
         try:
             again = _again(folder / entry.file, entry, by_hash, plugins)
+            _require_of_fit(f"{folder / FILE}: entries[{number}]", entry, submission, cells)
             found.append(dataclasses.replace(again, fitted=was_fitted(cells.get(entry.cell), entry.recording_hash)))
         except ClothbenchError as fault:
             faults.append(str(fault))
     return Verified(submission, tuple(found), tuple(faults))
+
+
+def _require_of_fit(where: str, entry: Entry, submission: Submission, cells: Mapping[str, CalibrationCell]) -> None:
+    """Refuse an entry of a fit that is not handed in, or that never knew its recording: one recording under many
+    invented keys would make the mean.
+    """
+    if entry.cell and entry.cell not in {told.key for told in submission.cells}:
+        raise ClothbenchError(f"{where}.cell is {entry.cell!r}, expected the key of one of the cells, or none")
+    cell = cells.get(entry.cell)  # none of a damaged question either, which is a fault of its own
+    if cell is not None and entry.recording_hash not in {source.hash for source in cell.recordings}:
+        raise ClothbenchError(
+            f"{where}.cell is {entry.cell!r}, whose question lacks {entry.recording!r}; expected a fit that has it"
+        )
 
 
 def was_fitted(cell: CalibrationCell | None, recording: str) -> bool | None:

@@ -8,10 +8,11 @@ import shutil
 import pytest
 from browser_page import Page, started
 from conftest import swinging_recording
-from test_submissions import simulated
+from test_submissions import simulated, with_fits
 
 from clothbench import ClothbenchError, write_recording
 from clothbench.plugins.discovery import catalogue
+from clothbench.submissions.kept import rows_of
 from clothbench.submissions.site import Standing, means, write_site
 from clothbench.submissions.submission import FILE, pack
 from clothbench.submissions.verdicts import find_verdict, verdict_on, write_verdict
@@ -137,6 +138,35 @@ def test_places_go_by_a_metric_that_all_have_whatever_a_submission_states_first(
     shutil.rmtree(tmp_path / "all" / "c")
     handed_in("d", 0.006, ["relative_error"])
     assert places() == [("1", "b"), ("2", "a"), ("", "d")]
+
+
+def test_means_over_other_recordings_are_not_ranked_together(tmp_path):
+    """A question that calls the easy recording held out, and the other one fitted, has a table of its own."""
+    for name, away in (("b", 0.003), ("a", 0.009)):
+        for recording in MEASURED:
+            write_recording(simulated(recording, away), tmp_path / "all" / name / f"{recording.name}.nc")
+        about = {"name": name, "by": "", "about": "", "suite": "sway"}
+        pack(tmp_path / "all" / name, MEASURED, ["node_error"], catalogue(), **about)
+    with_fits(tmp_path / "all" / "b", "ab" * 8, split={"sway-1": "held_out", "sway-2": "fit"})
+    found = write_site(tmp_path / "all", tmp_path / "site", MEASURED, None, catalogue())
+    assert [one.reason for one in found] == ["", ""]
+    page = (tmp_path / "site" / "index.html").read_text()
+    boards = [part.partition("</table>")[0] for part in page.split("<h2 id=")[1:]]
+    held_out = [board for board in boards if "sway · held out · 1 recording</h2>" in board]
+    assert ["Over sway-2; not ranked" in held_out[0], "Over sway-1; not ranked" in held_out[1]] == [True, True]
+    assert [board.partition("<tbody>")[2].count("<tr>") for board in held_out] == [1, 1]
+    assert "holds out 1 that are to fit by their files" in held_out[1]
+    assert "fitted to 1 that are held out by their files" in page
+
+
+def test_each_recording_counts_once_in_a_mean_however_many_fits_simulated_it(place):
+    found = verify(place / "submissions" / "first", MEASURED, catalogue()).found
+    easy, hard = (
+        dataclasses.replace(one, scores={"node_error": value}, fitted=False)
+        for one, value in zip(found, (1.0, 9.0), strict=True)
+    )
+    many = [dataclasses.replace(easy, cell=f"{k:016x}") for k in range(50)]
+    assert next(row for row in rows_of([*many, hard]) if row["recording"] is None)["value"] == 5.0
 
 
 def test_one_that_failed_later_is_shown_as_refused(site):

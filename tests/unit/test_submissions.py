@@ -14,11 +14,12 @@ from clothbench import ClothbenchError, read_recording, write_recording
 from clothbench.cli import main
 from clothbench.cli.run import composed
 from clothbench.cli.submissions import suite_of
-from clothbench.engine.cells import digest
+from clothbench.engine.cells import Source, digest
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store
 from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import catalogue
+from clothbench.studies.calibration.cell import CalibrationCell, asked
 from clothbench.submissions.kept import content_of, keep
 from clothbench.submissions.packing import pack_results
 from clothbench.submissions.reading import read_submission
@@ -125,6 +126,51 @@ def test_a_second_simulation_and_one_under_another_name_are_refused(folder):
     edit(folder, lambda stated: stated["entries"][1].update(recording="sway-1"))
     faults = verify(folder, MEASURED, catalogue()).faults
     assert "sway-1.nc: is said to be of 'sway-2', but its hash is that of 'sway-1'" in faults[0]
+
+
+def with_fits(folder, *keys, recordings=MEASURED, split=None):
+    """Fits that ask for these recordings, the entries being of the first of them; split: how the questions split."""
+    sources = tuple(Source("", r.name, r.hash, split[r.name] if split else r.split) for r in recordings)
+    question = asked(CalibrationCell("sway", "paper", sources, "plate", (), "ga", "node_error", "markers"))
+    edit(folder, lambda stated: stated.update(cells=[{"key": key, "question": question} for key in keys]))
+    edit(folder, lambda stated: [entry.update(cell=keys[0]) for entry in stated["entries"]])
+
+
+def test_a_fit_that_is_not_handed_in_or_never_saw_its_recording_is_refused(folder):
+    """One easy recording under many invented keys would be the mean."""
+    packed(folder)
+    edit(folder, lambda stated: stated["entries"].extend({**stated["entries"][0], "cell": f"x{k}"} for k in range(5)))
+    found = verify(folder, MEASURED, catalogue())
+    assert len(found.found) == 2
+    assert "submission.json: entries[2].cell is 'x0', expected the key of one of the cells, or none" in found.faults[0]
+    packed(folder)
+    with_fits(folder, "ab" * 8)
+    assert verify(folder, MEASURED, catalogue()).faults == ()
+    with_fits(folder, "ab" * 8, recordings=MEASURED[:1])
+    (fault,) = verify(folder, MEASURED, catalogue()).faults
+    assert f"entries[1].cell is '{'ab' * 8}', whose question lacks 'sway-2'" in fault
+
+
+def test_a_fit_of_which_a_recording_is_left_out_is_refused(folder):
+    """Of several fits the best of each recording would be shown."""
+    packed(folder)
+    with_fits(folder, "ab" * 8, "cd" * 8)
+    edit(folder, lambda stated: stated["entries"].append({**stated["entries"][0], "cell": "cd" * 8}))
+    (fault,) = verify(folder, MEASURED, catalogue()).faults
+    assert f"cell {'cd' * 8}: has no simulation of 'sway-2', which it is about" in fault
+
+
+@pytest.mark.parametrize("fits", [("ab" * 8,), ("ab" * 8, "cd" * 8)])
+def test_a_score_that_only_some_recordings_have_is_refused(folder, fits):
+    """Its mean would be of the easy ones; also where another fit has it of the recording that one fit lacks it of."""
+    pack(folder, MEASURED, ["node_error", "relative_error"], catalogue(), **ABOUT)
+    with_fits(folder, *fits)
+    for fit in fits[1:]:
+        edit(folder, lambda stated, fit=fit: stated["entries"].extend([{**e, "cell": fit} for e in stated["entries"]]))
+    assert verify(folder, MEASURED, catalogue()).faults == ()
+    edit(folder, lambda stated: stated["entries"][1]["scores"].pop("node_error"))
+    with pytest.raises(ClothbenchError, match=r"submission.json: sway-2.nc has no score by 'node_error', which others"):
+        verify(folder, MEASURED, catalogue())
 
 
 def test_results_of_another_version_are_set_aside(folder):
