@@ -135,7 +135,10 @@ def _verified(
     options: argparse.Namespace,
 ) -> bool:
     """Check one submission as far as was asked for, and keep what stands; whether all of it does."""
-    found = verify(folder, known, plugins)
+    try:
+        found = verify(folder, known, plugins)
+    except OSError as fault:  # whatever its files are, the others are looked at
+        raise ClothbenchError(f"{folder}: {fault}; it cannot be read") from None
     if found.faults:
         _refuse(folder, found, found.faults)
         return False

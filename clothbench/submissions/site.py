@@ -91,7 +91,7 @@ def write_site(
 def _standing(folder: Path, measured: Sequence[Recording], verdicts: Path | None, plugins: Catalogue) -> Standing:
     try:
         found = verify(folder, measured, plugins)
-    except ClothbenchError as fault:
+    except (ClothbenchError, OSError) as fault:  # whatever its files are, the others are shown
         return Standing(folder, None, None, _without(folder, str(fault)))
     if found.faults:
         return Standing(folder, found, None, _without(folder, "; ".join(found.faults)))

@@ -56,7 +56,7 @@ def verify(folder: Path, measured: Sequence[Recording], plugins: Catalogue) -> V
     cells, faults = questions_of(folder, submission)
     for wheel in submission.wheels:
         try:
-            require_same_file(folder / wheel.file, wheel.sha256)
+            require_same_file(folder / wheel.file, wheel.sha256, "wheels.file")
         except ClothbenchError as fault:
             faults.append(str(fault))
     of = [(entry.cell, entry.recording_hash) for entry in submission.entries]
@@ -100,18 +100,25 @@ def was_fitted(cell: CalibrationCell | None, recording: str) -> bool | None:
     return "fit" in splits if splits else None
 
 
-def require_same_file(path: Path, expected: str) -> None:
-    """Refuse a file that is not there, or is another one than was handed in. expected: its SHA-256."""
-    if not path.is_file():
+def require_same_file(path: Path, expected: str, field: str) -> None:
+    """Refuse a file that is not there, or is another one than was handed in. expected: its SHA-256; field: of
+    `submission.json`, that names it.
+    """
+    try:
+        found = sha256(path) if path.is_file() else None
+    except (OSError, ValueError) as fault:  # a name that no file can have: it comes from a stranger
+        said = getattr(fault, "strerror", None) or fault
+        raise ClothbenchError(f"{path}: {field} cannot be read ({said}); expected a file of the submission") from None
+    if found is None:
         raise ClothbenchError(f"{path}: is not there; the submission names it")
-    if (found := sha256(path)) != expected:
+    if found != expected:
         raise ClothbenchError(
             f"{path}: found SHA-256 {found[:12]}…, expected {expected[:12]}…: it is not the file that was handed in"
         )
 
 
 def _again(path: Path, entry: Entry, measured: Mapping[str, Recording], plugins: Catalogue) -> Compared:
-    require_same_file(path, entry.sha256)
+    require_same_file(path, entry.sha256, "entries.file")
     if entry.recording_hash not in measured:
         raise ClothbenchError(
             f"{path}: is of a recording {entry.recording!r} with hash {entry.recording_hash[:12]}…, which is not among "

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import shlex
+import shutil
 from itertools import product
 from pathlib import Path
 
@@ -23,6 +24,7 @@ from clothbench.studies.calibration.cell import CalibrationCell, asked
 from clothbench.submissions.kept import content_of, keep
 from clothbench.submissions.packing import pack_results
 from clothbench.submissions.reading import read_submission
+from clothbench.submissions.site import write_site
 from clothbench.submissions.submission import FILE, pack
 from clothbench.submissions.verification import verify
 
@@ -281,6 +283,25 @@ def test_a_damaged_submission_is_one_line(folder, change, found):
     edit(folder, change)
     with pytest.raises(ClothbenchError, match=found):
         verify(folder, MEASURED, catalogue())
+
+
+@pytest.mark.parametrize("name", ["a" * 300, "a\0b"])
+def test_a_name_that_no_file_can_have_stops_no_other_submission(folder, recordings_folder, tmp_path, capsys, name):
+    packed(folder, known := [read_recording(path) for path in sorted(recordings_folder.glob("*.nc"))])
+    shutil.copytree(folder, tmp_path / "all" / "good")
+    shutil.copytree(folder, tmp_path / "all" / "bad")
+    edit(tmp_path / "all" / "bad", lambda stated: stated["entries"][0].update(file=name))
+    edit(tmp_path / "all" / "bad", lambda s: s.update(wheels=[{"file": f"{name}.whl", "sha256": "ab"}]))
+    folders = [str(tmp_path / "all" / one) for one in ("bad", "good")]
+    assert main(["verify", *folders, "--recordings", str(recordings_folder)]) == 1
+    told = capsys.readouterr()
+    assert "my-simulator" in told.out.partition("refused, 2 faults")[2]
+    assert len(told.err.splitlines()) == 2
+    if name.isalpha():
+        assert "aaa: entries.file cannot be read (File name too long); expected a file of the submission" in told.err
+        assert "aaa.whl: wheels.file cannot be read (File name too long)" in told.err
+    found = write_site(tmp_path / "all", tmp_path / "site", known, None, catalogue())
+    assert {one.folder.name: one.grade for one in found} == {"bad": "refused", "good": "recomputed"}
 
 
 def test_as_a_user_hands_in_and_checks(folder, recordings_folder, clothbench):
