@@ -20,18 +20,27 @@ from clothbench.engine.checkpoint import Checkpoint
 from clothbench.estimation.calibrate import best_rollout
 from clothbench.plugins.discovery import catalogue, one_line
 from clothbench.recordings.nodes import Recording, grips_at, read_recording, write_recording
+from clothbench.recordings.tracked import EYE
 from clothbench.studies.calibration.cell import asked_again, set_up
 from clothbench.studies.calibration.stages import searched, stages_of
 from clothbench.submissions.packing import simulation_of
 
 
+def untold(recording: Recording) -> Recording:
+    """A recording without what its file says beside the measurement, but for where the camera stood, which metrics
+    need: a stand-in's notes and declared effects are the truth that is looked for. Its hash is another one.
+    """
+    notes = {name: said for name, said in recording.notes.items() if name == EYE}
+    return dataclasses.replace(recording, notes=notes, declared_effects="")
+
+
 def blank(recording: Recording) -> Recording:
-    """A recording that says how the cloth was driven and not where it was: of the positions only one is left, since
-    there must be one, and it is the grip's.
+    """A recording that says how the cloth was driven and neither where it was nor what it is like: of the positions
+    only one is left, since there must be one, and it is the grip's.
     """
     position = np.full_like(recording.position, np.nan)
     position[0, 0] = grips_at(recording, recording.time[:1])[0, 0] if len(recording.grip_material) else 0.0
-    return dataclasses.replace(recording, position=position, video=None, confidence=None, path="")
+    return dataclasses.replace(untold(recording), position=position, video=None, confidence=None, path="")
 
 
 def again(job: Path, out: Path) -> None:

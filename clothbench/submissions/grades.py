@@ -16,6 +16,7 @@ from clothbench.engine.cells import seed_of
 from clothbench.engine.judgement import judge
 from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.calibration.cell import CalibrationCell, asked
+from clothbench.submissions.again import untold
 from clothbench.submissions.packing import metrics_of, require_checkable
 from clothbench.submissions.reading import questions_of
 from clothbench.submissions.sandbox import Sandbox
@@ -138,7 +139,12 @@ def _setups(cells: Mapping[str, CalibrationCell]) -> dict[str, CalibrationCell]:
 def _scored(
     key: str, cell: CalibrationCell, name: str, fabric: Fabric, place: Sandbox, plugins: Catalogue
 ) -> list[Compared]:
-    asked_for = dataclasses.replace(cell, case=name, recordings=fabric.sources)
+    shown = {of: untold(recording) for of, recording in fabric.shown.items()}
+    sources = tuple(
+        dataclasses.replace(source, hash=shown[source.hash].hash) if source.hash in shown else source
+        for source in fabric.sources
+    )
+    asked_for = dataclasses.replace(cell, case=name, recordings=sources)
     wanted = [dataclasses.replace(recording, split="held_out") for recording in fabric.wanted]
-    simulated = place.fitted(asked_for, fabric.shown, wanted)
+    simulated = place.fitted(asked_for, {one.hash: one for one in shown.values()}, wanted)
     return [compared(*simulated[r.name], r, metrics_of(cell), plugins, key) for r in wanted]

@@ -13,7 +13,7 @@ import psutil
 import pytest
 from conftest import ROOT, swinging_recording
 
-from clothbench import ClothbenchError, write_recording
+from clothbench import ClothbenchError, read_recording, write_recording
 from clothbench.core.files import sha256
 from clothbench.plugins.discovery import catalogue
 from clothbench.submissions.again import blank
@@ -240,6 +240,21 @@ def test_verified_on_recordings_that_nobody_else_has(stranger, mine):
     assert 1.5 < found.scores["node_error"] < 3.0
     with pytest.raises(ClothbenchError, match="the submission was fitted to it"):
         require_new(mine, submission, by_fabric(known()), catalogue())
+
+
+def test_a_stand_ins_truth_is_not_told(stranger, mine, tmp_path):
+    """Neither that of recordings to fit nor that of those to score on; where the camera stood is."""
+    truth = {"notes": {"truth_bend": "0.0008", "camera_place": "0.0 -2.0 0.5"}, "declared_effects": "quadratic_drag"}
+    secret = [dataclasses.replace(recording, **truth) for recording in unpublished()]
+    (tmp_path / "place").mkdir()
+    (tmp_path / "place" / "venv").symlink_to(stranger[0] / "venv")
+    place = Sandbox(tmp_path / "place", stranger[1].limit)
+    held_out(mine, read_submission(mine), by_fabric(secret), place, catalogue())
+    shown = [read_recording(path) for path in (tmp_path / "place").glob("*/*/*.nc")]
+    assert len(shown) == 3  # to fit, to simulate, and what came of it
+    assert {(tuple(one.notes.items()), one.declared_effects) for one in shown} == {
+        ((("camera_place", "0.0 -2.0 0.5"),), "")
+    }
 
 
 def altered(recording, **changes):
