@@ -20,6 +20,7 @@ from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording, read_recording, write_recording
 from clothbench.studies.calibration.cell import CalibrationCell, asked, asked_and_fitted, set_up, uses
 from clothbench.submissions.submission import (
+    WHEEL,
     Asked,
     Entry,
     Submission,
@@ -166,7 +167,7 @@ def simulation_of(recording: Recording, position: np.ndarray, model: str) -> Rec
 
 def require_wheel(wheel: Path) -> None:
     """Refuse what is no file of a wheel."""
-    if wheel.suffix != ".whl" or not wheel.is_file():
+    if not WHEEL.fullmatch(wheel.name) or not wheel.is_file():
         raise ClothbenchError(f"{wheel}: found no wheel, expected a .whl file; make one with `python -m build --wheel`")
 
 

@@ -10,7 +10,7 @@ from clothbench.core.errors import ClothbenchError, seen
 from clothbench.core.files import read_json
 from clothbench.engine.settings import LARGEST, is_number
 from clothbench.studies.calibration.cell import CalibrationCell, asked_again
-from clothbench.submissions.submission import FILE, SCHEMA, Asked, Entry, Submission, Wheel
+from clothbench.submissions.submission import FILE, SCHEMA, WHEEL, Asked, Entry, Submission, Wheel
 
 TEXTS = ("suite", "case", "model", "optimizer", "metric", "tracker", "choice")  # of a question
 WHOLE = {"seed": 0, "budget": 1}  # numbers of a question, with the least that each may be
@@ -63,8 +63,10 @@ def _listed(path: Path, stated: dict[str, Any], name: str, keys: tuple[str, ...]
 
 def _wheel(path: Path, stated: dict[str, str]) -> Wheel:
     require_inside(path, "wheels.file", stated["file"])
-    if not stated["file"].endswith(".whl"):
-        raise ClothbenchError(f"{path}: wheels.file is {stated['file']!r}, expected the name of a wheel (.whl)")
+    if not WHEEL.fullmatch(Path(stated["file"]).name):
+        raise ClothbenchError(
+            f"{path}: wheels.file is {stated['file']!r}, expected the name of a wheel (.whl) with no signs but _.+!-"
+        )
     return Wheel(**stated)
 
 

@@ -75,17 +75,19 @@ class Sandbox:
         # First what the wheels need, then they themselves, by this Python: once they lie there, starting the other one
         # runs what they bring (.pth), which is not to happen before it has been fenced in.
         pip = [sys.executable, "-m", "pip", "--disable-pip-version-check"]
+        # By whole paths: a name that begins with "-" would be an option of pip, and tell it what else to fetch and run.
+        paths = [str(wheel.absolute()) for wheel in wheels]
         for how in (
             ["--python", str(self.python), "install", "--only-binary=:all:"],
             ["install", "--no-deps", "--no-index", "--upgrade", "--target", str(place)],
         ):
-            done = subprocess.run(
-                [*pip, *how, "--quiet", *map(str, wheels)], capture_output=True, text=True, check=False
-            )
+            done = subprocess.run([*pip, *how, "--quiet", *paths], capture_output=True, text=True, check=False)
             if done.returncode:
                 said = next(
                     (line for line in done.stderr.splitlines() if line.startswith("ERROR")), done.stderr.strip()
                 )
+                for wheel in wheels:
+                    said = said.replace(f"{wheel.absolute().parent}/", "")
                 raise ClothbenchError(f"{wheels[0]}: cannot be installed (pip: {said}); expected wheels of this Python")
 
     def fitted(

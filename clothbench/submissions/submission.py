@@ -18,6 +18,7 @@ points at the same times in place of the measured ones, whoever wrote it and in 
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -36,6 +37,7 @@ from clothbench.recordings.nodes import Recording, find_recordings, grips_at, re
 FILE, SCHEMA = "submission.json", 1
 SAME = 1e-9  # s and m: times, material points and grips are copied, not computed
 COPIED = 0.9  # share of the tracker's noise: no cloth lies so near to what was tracked
+WHEEL = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.+!-]*\.whl")  # the name of one, as the packaging standard spells them
 HELD = 2e-3  # m, how far from its grip a held point may lie: a model may hold the node that is nearest
 
 

@@ -76,6 +76,18 @@ def test_nothing_of_a_wheel_is_run_while_it_is_installed(tmp_path):
     assert (tmp_path / "ran").exists()
 
 
+def test_a_wheels_name_is_no_option_of_pip(tmp_path, monkeypatch):
+    """In the folder itself `-revil.whl` would be read as `-r evil.whl`, a list of what else to fetch and run."""
+    monkeypatch.chdir(tmp_path)
+    Path("-revil.whl").write_bytes(b"")
+    (tmp_path / "evil.whl").write_text("surely-not-there==1\n")
+    with pytest.raises(ClothbenchError) as fault:
+        Sandbox(tmp_path / "place", limit=120.0).install([Path("-revil.whl")])
+    assert "surely-not-there" not in str(fault.value)
+    assert "-revil.whl: cannot be installed" in str(fault.value)
+    assert str(tmp_path) not in str(fault.value)
+
+
 @pytest.mark.slow
 def test_a_wheel_that_cannot_be_installed_is_a_fault_without_a_place(mine, stranger, clothbench, tmp_path):
     (wheel,) = (mine / "wheels").iterdir()
@@ -300,6 +312,11 @@ def test_held_out_faults_are_found_before_a_plugin_is_installed(stranger, mine, 
     [
         (lambda s: s["wheels"][0].update(file="../x.whl"), "expected a path inside the submission's folder"),
         (lambda s: s["wheels"][0].update(file="x.tar.gz"), "expected the name of a wheel"),
+        (lambda s: s["wheels"][0].update(file="wheels/-revil.whl"), "wheels.file is 'wheels/-revil.whl', expected"),
+        (
+            lambda s: s["wheels"][0].update(file="-revil.whl"),
+            "wheels.file is '-revil.whl', expected the name of a wheel",
+        ),
         (lambda s: s["cells"][0].update(question=3), r"cells\[0\].question is 3, expected text"),
         (lambda s: s.update(cells={}), "cells is {}, expected a list"),
         (lambda s: s["entries"][0].update(cell=3), "cell is 3, expected the key"),
