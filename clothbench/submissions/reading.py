@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from clothbench.engine.settings import LARGEST, is_number
 from clothbench.studies.calibration.cell import CalibrationCell, asked_again
 from clothbench.submissions.submission import FILE, SCHEMA, WHEEL, Asked, Entry, Submission, Wheel
 
+KEY = re.compile(r"[0-9a-f]{16}")  # of a cell
 TEXTS = ("suite", "case", "model", "optimizer", "metric", "tracker", "choice")  # of a question
 WHOLE = {"seed": 0, "budget": 1}  # numbers of a question, with the least that each may be
 MAPPINGS = ("options", "bounds", "scene", "versions", "fixed", "analysis", "published", "start", "finer")
@@ -98,6 +100,10 @@ def questions_of(folder: Path, submission: Submission) -> tuple[dict[str, Calibr
     """The fits that are handed in, by key, and a fault for each that is no question of a calibration."""
     found, faults = dict[str, CalibrationCell](), list[str]()
     for told in submission.cells:
+        # Nothing else: a verdict keeps what else can fail than a fit under words, which no fit is to be called.
+        if not KEY.fullmatch(told.key):
+            faults.append(f"{folder / FILE}: cells: key is {told.key!r}, expected 16 hexadecimal digits")
+            continue
         where = f"{folder / FILE}: cell {told.key}"
         if told.key in found:
             faults.append(f"{where} is there twice, expected every fit once")

@@ -17,7 +17,7 @@ from clothbench import ClothbenchError, read_recording, write_recording
 from clothbench.core.files import sha256
 from clothbench.plugins.discovery import catalogue
 from clothbench.submissions.again import blank
-from clothbench.submissions.grades import choose, held_out, reproduce, require_new
+from clothbench.submissions.grades import cells_of, choose, held_out, reproduce, require_new
 from clothbench.submissions.reading import read_submission
 from clothbench.submissions.sandbox import Sandbox
 from clothbench.submissions.submission import FILE
@@ -383,6 +383,17 @@ def test_a_recording_that_the_fit_used_is_not_held_out_whatever_its_file_states(
 def test_a_fit_that_is_handed_in_twice_is_a_fault(mine):
     edit(mine, lambda stated: stated["cells"].append(stated["cells"][0]))
     assert "is there twice, expected every fit once" in verify(mine, known(), catalogue()).faults[0]
+
+
+@pytest.mark.parametrize("name", ["held-out", "wheels", "ab", "\x1b[2J"])
+def test_a_fit_has_a_key_and_no_name_that_a_verdict_uses_otherwise(mine, name):
+    """A fit called "held-out" that passes would take away what went wrong on unpublished recordings."""
+    edit(mine, lambda stated: stated["cells"][0].update(key=name))
+    edit(mine, lambda stated: [entry.update(cell=name) for entry in stated["entries"]])
+    (fault,) = verify(mine, known(), catalogue()).faults
+    assert f"submission.json: cells: key is {name!r}, expected 16 hexadecimal digits" in fault
+    with pytest.raises(ClothbenchError, match="expected 16 hexadecimal digits"):
+        cells_of(mine, read_submission(mine), catalogue())
 
 
 @pytest.mark.slow
