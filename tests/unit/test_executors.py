@@ -30,7 +30,7 @@ from clothbench.engine.executors.cells import CellWork, concluded, places, sourc
 from clothbench.engine.executors.child import Ended, _kept, in_child
 from clothbench.engine.executors.drive import InOrder, answers, elsewhere
 from clothbench.engine.executors.settings import executor_settings
-from clothbench.engine.executors.work import Answer, Died, Owner, attended, seldom
+from clothbench.engine.executors.work import Answer, Died, Owner, attended, seldom, start_of
 from clothbench.engine.leases import KEPT
 from clothbench.engine.limits import Limits, Watch
 from clothbench.engine.pool import _first, _run_alone, _told, _told_file, by_turns, run_cells
@@ -278,7 +278,7 @@ def test_words_cross_the_network_seldom():
 def test_an_owner_that_was_killed_lives_no_more():
     assert Owner().lives
     child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
-    owner = Owner(child.pid, psutil.Process(child.pid).create_time())
+    owner = Owner(child.pid, start_of(child.pid))
     assert owner.lives
     child.kill()
     until = time.monotonic() + 10
@@ -287,6 +287,19 @@ def test_an_owner_that_was_killed_lives_no_more():
     assert not owner.lives
     child.communicate()
     assert not Owner(os.getpid(), 1.0).lives  # another process has the number
+
+
+@pytest.mark.skipif(not psutil.LINUX, reason="other systems keep the time itself")
+def test_an_owner_lives_on_when_the_clock_is_set(monkeypatch):
+    """Its workers would all end, and its cells be taken by others."""
+    owner = Owner()
+    assert 0 < owner.began < time.time() - psutil.boot_time()
+    for step in (-3600, -1, 1, 86400):
+        later = int(psutil.boot_time()) + step
+        with monkeypatch.context() as patched:
+            patched.setattr(psutil._pslinux, "boot_time", lambda at=later: float(at))
+            assert psutil.Process().create_time() == pytest.approx(owner.began + later, abs=0.01)
+            assert owner.lives
 
 
 # --- in a child of a worker -------------------------------------------------------------------------------------------

@@ -9,11 +9,11 @@ import subprocess
 import sys
 import time
 
-import psutil
 import pytest
 
 from clothbench.engine import leases
 from clothbench.engine.check import check
+from clothbench.engine.executors.work import start_of
 from clothbench.engine.leases import Leases, Line
 from clothbench.engine.store import Store
 from clothbench.plugins.discovery import catalogue
@@ -26,7 +26,7 @@ def lease_of(folder, key, host=HERE, pid=None, age=0.0):
     path = folder / "leases" / key
     path.parent.mkdir(parents=True, exist_ok=True)
     pid = pid or os.getpid()
-    path.write_text(json.dumps({"host": host, "pid": pid, "began": psutil.Process(pid).create_time()}))
+    path.write_text(json.dumps({"host": host, "pid": pid, "began": start_of(pid)}))
     os.utime(path, (time.time() - age,) * 2)
     return path
 

@@ -66,18 +66,27 @@ class Workers(Protocol):
         ...
 
 
+def start_of(pid: int) -> float:
+    """When a process began [s]: what tells it from a later one of the same number, whatever is done to the clock."""
+    if not psutil.LINUX:
+        return psutil.Process(pid).create_time()
+    # Linux counts from when the machine was started, and psutil adds that time, which moves with the clock. It is asked
+    # for first, since older psutil adds what it was last asked for.
+    started = psutil.boot_time()
+    return round(psutil.Process(pid).create_time() - started, 2)
+
+
 @dataclass(frozen=True)
 class Owner:
     """A command whose workers are of this machine, and are to end with it, however it ends."""
 
     pid: int = field(default_factory=os.getpid)
-    began: float = field(default_factory=lambda: psutil.Process().create_time())
+    began: float = field(default_factory=lambda: start_of(os.getpid()))
 
     @property
     def lives(self) -> bool:
         try:
-            found = psutil.Process(self.pid)
-            return found.create_time() == self.began and found.status() != psutil.STATUS_ZOMBIE
+            return start_of(self.pid) == self.began and psutil.Process(self.pid).status() != psutil.STATUS_ZOMBIE
         except psutil.NoSuchProcess:
             return False
 
