@@ -113,7 +113,7 @@ def indexed(
 
 
 def segments_in(folder: Path) -> list[Segment]:
-    """All that are whole; damaged ones are removed."""
+    """All that are whole; damaged ones are removed, and what is no segment is left where it is and passed over."""
     out = []
     for path in sorted(folder.glob(f"{VERSION}-*.parquet")):
         try:
@@ -125,11 +125,32 @@ def segments_in(folder: Path) -> list[Segment]:
             continue
         try:
             rows = pq.read_table(pa.BufferReader(content))
-        except pa.ArrowException:  # another version of Arrow wrote it
+            rows.validate(full=True)
+        except (pa.ArrowException, OSError, ValueError, MemoryError):  # another version of Arrow wrote it
             continue
-        cells = {key: tuple(mark) for key, *mark in json.loads(rows.schema.metadata[HEAD])}
-        out.append(Segment(cells, rows.replace_schema_metadata(), path))
+        if (cells := _cells_of(rows)) is not None:
+            out.append(Segment(cells, rows.replace_schema_metadata(), path))
     return out
+
+
+def _cells_of(rows: pa.Table) -> dict[str, Stamp] | None:
+    """The cells that a segment's head states; None if it is no head, or rows are of none of its cells, or not in their
+    order: a results folder may come from anybody.
+    """
+    try:
+        head = json.loads(rows.schema.metadata[HEAD])
+        cells = {key: (int(written), int(size), int(number)) for key, written, size, number in head}
+        at = rows[AT]
+    except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
+        return None
+    names = rows.column_names
+    if len(cells) != len(head) or not all(isinstance(key, str) for key in cells) or len(set(names)) != len(names):
+        return None
+    if at.type != pa.int64() or at.null_count:
+        return None
+    numbers = at.to_numpy()
+    inside = not len(numbers) or (numbers[0] >= 0 and numbers[-1] < len(cells))
+    return cells if inside and bool(np.all(numbers[1:] >= numbers[:-1])) else None
 
 
 def _name(content: bytes) -> str:

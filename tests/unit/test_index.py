@@ -7,6 +7,7 @@ import os
 import numpy as np
 import pandas as pd
 import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 
 from clothbench.cli.commands import print_json, print_json_rows
@@ -103,6 +104,48 @@ def test_a_damaged_segment_is_known_as_such_and_removed(store):
     before = len(segments(store))
     assert len(segments_in(folder)) == before - 1
     assert not other.exists()
+    assert store.table("rows") == expected
+
+
+def with_head(table, head):
+    return table.replace_schema_metadata(head)
+
+
+def with_numbers(table, numbers):
+    at = table.column_names.index(index.AT)
+    return table.set_column(at, index.AT, pa.array((list(numbers) * table.num_rows)[: table.num_rows]))
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        lambda table: with_head(table, None),
+        lambda table: with_head(table, {"another": "head"}),
+        lambda table: with_head(table, {index.HEAD: "no JSON"}),
+        lambda table: with_head(table, {index.HEAD: "3"}),
+        lambda table: with_head(table, {index.HEAD: '[["0000", 1, 2]]'}),
+        lambda table: with_head(table, {index.HEAD: '[[["0000"], 1, 2, 3]]'}),
+        lambda table: with_head(table, {index.HEAD: "[[7, 1, 2, 3]]"}),
+        lambda table: with_head(table, {index.HEAD: "[" * 10**5}),
+        lambda table: table.drop_columns([index.AT]),
+        lambda table: table.append_column("suite", table["suite"]),
+        lambda table: with_numbers(table, [10**6]),
+        lambda table: with_numbers(table, [-1]),
+        lambda table: with_numbers(table, [1, 0]),
+        lambda table: with_numbers(table, [None]),
+        lambda table: with_numbers(table, ["0"]),
+        lambda table: table.set_column(0, "suite", pa.array([b"\xff"] * table.num_rows).view(pa.string())),
+    ],
+)
+def test_what_is_no_segment_is_passed_over(store, change):
+    """Of a folder that comes from elsewhere, whole and under the name of its bytes."""
+    expected = store.table("rows")
+    for path in segments(store):
+        sink = pa.BufferOutputStream()
+        pq.write_table(change(pq.read_table(path)), sink)
+        path.unlink()
+        (path.parent / index._name(content := sink.getvalue().to_pybytes())).write_bytes(content)
+    assert segments_in(store.folder / index.INDEX / "rows") == []
     assert store.table("rows") == expected
 
 
