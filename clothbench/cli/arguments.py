@@ -107,16 +107,19 @@ def _prune(sub: argparse.ArgumentParser) -> None:
     )  # fmt: skip
 
 
-def _span(word: str, unit: str) -> Callable[[str], float]:
-    """Reads a time. A negative age would take away what runs under way are at; what is no number would end nothing."""
+def _span(word: str, unit: str, above: bool = False) -> Callable[[str], float]:
+    """Reads a time. A negative age would take away what runs under way are at; what is no number would end nothing.
+    above: whether 0 is none, as it is no limit.
+    """
 
     def read(text: str) -> float:
         try:
             span = float(text)
         except ValueError:
             span = math.nan
-        if not (math.isfinite(span) and span >= 0):
-            raise ClothbenchError(f"{word} is {text!r}, expected {unit}, a number, at least 0")
+        if not (math.isfinite(span) and (span > 0 if above else span >= 0)):
+            least = "above 0" if above else "at least 0"
+            raise ClothbenchError(f"{word} is {text!r}, expected {unit}, a number, {least}")
         return span
 
     return read
@@ -173,7 +176,7 @@ def _verify(sub: argparse.ArgumentParser) -> None:
     sub.add_argument("--cells", type=_count, metavar="N", help="cells to run again (default: 2)")
     sub.add_argument("--seed", type=int, metavar="N", help="of their choice (default: drawn now, and told)")
     sub.add_argument(
-        "--time-limit", type=_span("verify: --time-limit", "seconds"), metavar="S",
+        "--time-limit", type=_span("verify: --time-limit", "seconds", above=True), metavar="S",
         help="s that one fit may take (default: 3600)",
     )  # fmt: skip
     sub.add_argument(

@@ -175,7 +175,7 @@ def _run(
     of, unpublished = found.submission, list[Compared]()
     require_posix()
     require_new(folder, of, fabrics, plugins)
-    what, limit = WHEELS, options.time_limit or TIME_LIMIT
+    what, limit = WHEELS, TIME_LIMIT if options.time_limit is None else options.time_limit
     try:
         with sandbox([folder / wheel.file for wheel in of.wheels], limit) as place:
             verdict = replace(verdict, network="cut off" if place.fence else "open")
