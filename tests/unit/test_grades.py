@@ -466,7 +466,7 @@ def test_what_went_wrong_on_unpublished_recordings_is_told_to_the_verifier_only(
         stated["cells"][0]["question"] = json.dumps(question | {"model": "secret-1"})
 
     edit(mine, other)
-    given = ["--recordings", str(stranger[0] / "recordings"), "--verdicts", "verdicts"]
+    given = ["--recordings", str(stranger[0] / "recordings"), "--verdicts", "verdicts", "--out", "board"]
     done = clothbench("verify", mine, *given, "--run-their-code", "--held-out", "secret")
     assert done.returncode == 1
     assert "no model named 'secret-1'" in done.stderr
