@@ -211,5 +211,9 @@ class Tracker(Protocol):
     version: ClassVar[int]
 
     def track(self, source: Any) -> Observation:
-        """What is seen in `source`: a recording, or the path of a file that the tracker knows how to read."""
+        """What is seen in `source`: a recording, or the path of a file that the tracker knows how to read.
+
+        A noise that the recording states (`noise_sigma`) goes before one that the tracker judges, and an option of the
+        tracker's own before both; where `sigma` is NaN, the stated one is taken.
+        """
         ...

@@ -31,7 +31,7 @@ from clothbench.core.pictures import picture_of
 from clothbench.core.progress import FileProgress
 from clothbench.recordings.depth import LAYOUT, Colour, DepthImages, write_depth
 from clothbench.recordings.kinds import read_any
-from clothbench.recordings.rig import RawRecording
+from clothbench.recordings.rig import FOR_NODES, RawRecording
 
 LEVEL = np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])  # a camera that looks along +y, z up
 MILLIMETRE = 1e-3
@@ -339,7 +339,7 @@ def _header(about: Mapping[str, Any], where: Path) -> dict[str, Any]:
     if wrong := [name for name, value in out.items() if not isinstance(value, str)]:
         raise ClothbenchError(f"{where}: {wrong[0]!r}: found {out[wrong[0]]!r}, expected text")
     out = {name: seen(text) for name, text in out.items()}
-    out |= {k: _number(about, k, where) for k in LAYOUT.numbers if k in about and k not in OWN}
+    out |= {k: _number(about, k, where) for k in (*LAYOUT.numbers, *FOR_NODES) if k in about and k not in OWN}
     if "gravity" in about:
         gravity = _numbers(about, "gravity", where)
         if gravity.shape != (3,):

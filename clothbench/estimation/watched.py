@@ -20,6 +20,8 @@ from clothbench.recordings.nodes import Recording, read_recording, write_recordi
 from clothbench.recordings.silhouette import Silhouettes
 from clothbench.recordings.tracked import Images, nodes_of, seen_in
 
+FORM = 2  # of what is kept of tracked images: what `nodes_of` makes of an observation
+
 
 def require_readable(recording: Recording | Images | Silhouettes, tracker: str, plugins: Catalogue) -> None:
     """Refuse recordings that a tracker does not read, and name those that do."""
@@ -56,14 +58,14 @@ def watched(
     require_readable(recording, tracker.name, plugins)
     if isinstance(recording, Recording):
         return as_seen(recording, seen := tracker.track(recording), tracker.name), seen
-    key = digest([recording.hash, dict(options), plugin_versions([("trackers", tracker.name)], plugins)])
-    path = kept / f"{key}.nc" if kept is not None else None
-    if path is not None and path.is_file():
-        nodes = read_recording(path)
-    else:
+    if kept is None:
         nodes = nodes_of(recording, tracker.track(recording))
-        if path is not None:
-            write_recording(nodes, path)
+        return nodes, seen_in(nodes)
+    key = digest([recording.hash, dict(options), plugin_versions([("trackers", tracker.name)], plugins), FORM])
+    path = kept / f"{key}.nc"
+    if not path.is_file():
+        write_recording(nodes_of(recording, tracker.track(recording)), path)
+    nodes = dataclasses.replace(read_recording(path), path=recording.path)  # the same in the first cell as in others
     return nodes, seen_in(nodes)
 
 

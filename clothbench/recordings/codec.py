@@ -92,6 +92,11 @@ def write(record: Any, path: str | os.PathLike[str], layout: Layout) -> Path:
 def _content(record: Any, layout: Layout) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
     """A record's arrays and attributes as they stand in its file, the parts' last."""
     arrays = {name: getattr(record, name) for name in layout.variables}
+    if taken := sorted(layout.known & set(record.notes)):  # it would be read as a field, or not at all
+        raise ClothbenchError(
+            f"{record.path or record.name}: note {taken[0]!r}: found a word that recordings of kind {layout.kind!r} "
+            "have for something else, expected another one; rename the note"
+        )
     stated = {**record.notes, "format": FORMAT, "format_version": VERSION, "kind": layout.kind}
     stated |= {name: " ".join(repr(float(v)) for v in getattr(record, name)) for name in layout.vectors}
     stated |= {name: getattr(record, name) for name in layout.texts}

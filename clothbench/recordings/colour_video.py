@@ -12,7 +12,8 @@ Same header as kind "nodes" (`clothbench.recordings.nodes`), of which `name`, `c
 | `mark_material`, `mark_pixel` | mark, uv / mark, xy (2) | m / px | held points in the first frame; optional |
 | `grip_time`, `grip_material`, `grip_position` | as in kind "nodes" | | where the cloth was held, if that is known |
 
-Frames are inside the file, so that none can be lost on the way. Attributes: the camera, if it is calibrated
+`noise_sigma`, `thickness` and notes as in kind "depth". Frames are inside the file, so that none can be lost on the
+way. Attributes: the camera, if it is calibrated
 (`camera_size` [px], `camera_matrix`, `camera_rotation`, `camera_translation` [m], `camera_distortion`, as in
 `clothbench.Camera`), and `world`: "camera" where its place is known too, else "cloth": the world then begins at the
 upper left corner of the cloth as the first frame shows it, x along its upper hem, z up.
@@ -34,12 +35,15 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.pictures import picture_of, silenced
 from clothbench.recordings.codec import read, write
 from clothbench.recordings.layout import Arrays, Layout, Part, Stated, Variable
+from clothbench.recordings.nodes import LAYOUT as NODES
 from clothbench.recordings.nodes_rules import check_clock, check_gravity, check_pace, check_points, check_sides
 from clothbench.recordings.rig import (
+    FOR_NODES,
     GRIPS,
     TEXTS,
     RawRecording,
     camera_attributes,
+    check_for_nodes,
     check_grips,
     check_jumps,
     check_stated,
@@ -105,6 +109,7 @@ LAYOUT = Layout(
         "ends": Part({"stream_end": Variable(("time",), "1", np.int64)}, (), _pack_ends, _unpack_ends),
         "marks": MARKS,
         "grips": GRIPS,
+        **FOR_NODES,
     },
 )
 
@@ -189,6 +194,7 @@ def _check(r: ColourVideo, where: str) -> None:
     check_sides(r.cloth_width, r.cloth_height, where)
     check_stated(r, where)
     check_gravity(r.gravity, where)
+    check_for_nodes(r, NODES, where)
     if r.world not in WORLDS:
         raise ClothbenchError(f"{where}: attribute 'world': found {r.world!r}, expected 'cloth' or 'camera'")
     if r.world == "camera" and r.camera is None:

@@ -11,6 +11,9 @@ and `depth_step` are needed; what differs:
 | `colour_time` | time | s | when each picture was taken, which is not when the depth was |
 | `grip_time`, `grip_material`, `grip_position` | as in kind "nodes" | | where the cloth was held, if that is known |
 
+`noise_sigma` [m] may be stated, of a coordinate of the nodes that are tracked, in place of what a tracker judges, and
+`thickness` [m], as in kind "nodes"; another note must not have a name under which that kind states something.
+
 Attributes: `depth_step` [m] of one unit of depth (0.001 for millimetres), and the camera: `camera_size` [px, width and
 height], `camera_matrix`, `camera_rotation`, `camera_translation` [m], `camera_distortion`, as in `clothbench.Camera`.
 """
@@ -28,12 +31,15 @@ from clothbench.core.camera import Camera
 from clothbench.core.errors import ClothbenchError
 from clothbench.recordings.codec import read, write
 from clothbench.recordings.layout import Arrays, Layout, Part, Stated, Variable
+from clothbench.recordings.nodes import LAYOUT as NODES
 from clothbench.recordings.nodes_rules import check_clock, check_gravity, check_pace, check_sides
 from clothbench.recordings.rig import (
+    FOR_NODES,
     GRIPS,
     TEXTS,
     RawRecording,
     camera_attributes,
+    check_for_nodes,
     check_grips,
     check_jumps,
     check_stated,
@@ -91,7 +97,7 @@ LAYOUT = Layout(
     numbers=("cloth_width", "cloth_height", "areal_density", "depth_step"),
     needed=("name", "cloth_width", "cloth_height", "gravity", "depth_step"),
     vectors={"gravity": "three numbers like '0 0 -9.81' [m/s²]"},
-    parts={"camera": CAMERA, "colour": COLOUR, "grips": GRIPS},
+    parts={"camera": CAMERA, "colour": COLOUR, "grips": GRIPS, **FOR_NODES},
 )
 
 
@@ -144,6 +150,7 @@ def _check(r: DepthImages, where: str) -> None:
     check_sides(r.cloth_width, r.cloth_height, where)
     check_stated(r, where, ("depth_step",))
     check_gravity(r.gravity, where)
+    check_for_nodes(r, NODES, where)
     width, height = r.camera.size
     if r.depth.shape != (len(r.time), height, width):
         raise ClothbenchError(

@@ -241,7 +241,5 @@ def _check_stated(r: Recording, where: str) -> None:
     check_gravity(r.gravity, where)
     check_sides(r.cloth_width, r.cloth_height, where)
     check_density(r.areal_density, where)
-    if r.noise_sigma < 0 or math.isinf(r.noise_sigma):
-        raise ClothbenchError(f"{where}: attribute 'noise_sigma': found {r.noise_sigma}, expected metres, 0 or above")
     if r.split not in SPLITS:
         raise ClothbenchError(f"{where}: attribute 'split': found {r.split!r}, expected 'fit', 'held_out' or ''")

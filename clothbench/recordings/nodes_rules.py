@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from clothbench.core.errors import ClothbenchError
+from clothbench.core.errors import ClothbenchError, misspelled
 from clothbench.core.scene import HEAVIEST
 from clothbench.core.scene_rules import off_sheet
 from clothbench.recordings.layout import Arrays, Layout, Part
@@ -135,8 +135,25 @@ def check_scale(arrays: Arrays, size: np.ndarray, where: str) -> None:
             )
 
 
+def check_notes(notes: Iterable[str], own: Layout, tracked: Layout, where: str) -> None:
+    """No note of a kind of images has a name, or nearly one, under which the recording of nodes that a tracker makes of
+    them would state something: with the file it would turn into that.
+    """
+    taken = (tracked.known | tracked.arrays) - own.known - own.arrays
+    parts = {name for part in tracked.parts.values() for name in part.attributes}
+    found = [*sorted(taken.intersection(notes)), *(misspelled(notes, parts) or ())[:1]]
+    if found:
+        raise ClothbenchError(
+            f"{where}: {found[0]!r}: found a note that nodes tracked in recordings of kind {own.kind!r} would have for "
+            "something else, expected another name; outlines and obstacles are settings of a run (scene.outline, "
+            "scene.obstacles)"
+        )
+
+
 def check_noise(sigma: float, size: np.ndarray, where: str) -> None:
-    """Positions are not wrong by as much as the cloth is long; NaN where nobody knows."""
+    """Positions are wrong by metres, and not by as much as the cloth is long; NaN where nobody knows."""
+    if sigma < 0 or math.isinf(sigma):
+        raise ClothbenchError(f"{where}: attribute 'noise_sigma': found {sigma}, expected metres, 0 or above")
     if sigma > TREMBLING * size.max():
         raise ClothbenchError(
             f"{where}: attribute 'noise_sigma': found {sigma:g} m on a cloth of {size[0]:g} m by {size[1]:g} m, "

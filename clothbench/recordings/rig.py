@@ -13,7 +13,7 @@ import numpy as np
 from clothbench.core.camera import LENSES, Camera
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import GripPath
-from clothbench.recordings.codec import freeze, hash_of
+from clothbench.recordings.codec import freeze, hash_of, number
 from clothbench.recordings.layout import SPLITS, Arrays, Layout, Part, Stated, Variable
 from clothbench.recordings.nodes_rules import (
     check_clock,
@@ -21,14 +21,17 @@ from clothbench.recordings.nodes_rules import (
     check_finite,
     check_length,
     check_near,
+    check_noise,
+    check_notes,
     check_overlap,
     check_points,
     check_shapes,
 )
+from clothbench.recordings.supports import SUPPORTS, check_supports
 from clothbench.recordings.video import lens_of, size_of, text_of
 
 TEXTS = ("name", "fabric", "sensor", "source", "licence", "declared_effects", "motion", "split")
-HEADER = (*TEXTS, "cloth_width", "cloth_height", "areal_density", "gravity")  # what every raw recording states
+HEADER = (*TEXTS, "cloth_width", "cloth_height", "areal_density", "gravity", "thickness")  # as tracked nodes have it
 JUMP = 8.0  # times the usual time between frames beyond which stamps have jumped
 
 
@@ -48,7 +51,9 @@ class RawRecording(ABC):
     """What recordings of images of one run have in common, whatever took them. Arrays are read-only; all SI.
 
     time: (T,) s; cloth_width, cloth_height: m; grips: None where they are not known; areal_density: kg/m² (NaN = not
-    known); gravity: (3,) m/s². `path` is where it was read from, not part of its identity.
+    known); gravity: (3,) m/s²; noise_sigma: m, of a coordinate of nodes that are tracked in it (NaN = not known, a
+    tracker judges it); thickness: m, how far apart the cloth's layers stay, or None. `path` is where it was read
+    from, not part of its identity.
     """
 
     name: str
@@ -58,6 +63,8 @@ class RawRecording(ABC):
     grips: GripPath | None = None
     areal_density: float = math.nan
     gravity: tuple[float, float, float] = (0.0, 0.0, -9.81)
+    noise_sigma: float = math.nan
+    thickness: float | None = None
     fabric: str = ""
     sensor: str = ""
     source: str = ""
@@ -123,6 +130,25 @@ GRIPS = Part(
     },
     (), _pack_grips, _unpack_grips,
 )  # fmt: skip
+
+
+def _pack_noise(sigma: float) -> tuple[Arrays, Stated]:
+    return {}, {} if math.isnan(sigma) else {"noise_sigma": float(sigma)}
+
+
+def _unpack_noise(arrays: Arrays, stated: Stated, path: Path) -> float:
+    return number(stated, "noise_sigma", path)
+
+
+FOR_NODES = {"noise_sigma": Part({}, ("noise_sigma",), _pack_noise, _unpack_noise), "thickness": SUPPORTS["thickness"]}
+
+
+def check_for_nodes(r: RawRecording, tracked: Layout, where: str) -> None:
+    """What the recording of the nodes that a tracker makes of it takes over: their noise, the thickness, the notes."""
+    size = np.array([r.cloth_width, r.cloth_height])
+    check_noise(r.noise_sigma, size, where)
+    check_supports(None, r.thickness, np.zeros((0, 2)), size, where)
+    check_notes(r.notes, r.layout, tracked, where)
 
 
 def check_jumps(time: np.ndarray, name: str, where: str) -> None:

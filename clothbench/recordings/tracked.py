@@ -23,12 +23,13 @@ def nodes_of(images: Images, seen: Observation) -> Recording:
     Where nobody stated the grips, they are what the tracker found held, else the two upper corners, wherever they were
     seen. Nothing counts as seen before or after anybody knows where the grips were.
     """
+    sigma = images.noise_sigma if np.isnan(seen.sigma) else seen.sigma
     grips = images.grips or seen.grips or corners_of(images, seen)
     camera = seen.sight or images.camera
     counts = seen.visible & ((seen.time >= grips.time[0]) & (seen.time <= grips.time[-1]))[:, None]
     return Recording(
         time=seen.time, material=seen.material, position=np.where(counts[..., None], seen.position, np.nan),
-        grip_time=grips.time, grip_material=grips.material, grip_position=grips.position, noise_sigma=seen.sigma,
+        grip_time=grips.time, grip_material=grips.material, grip_position=grips.position, noise_sigma=sigma,
         sight=seen.sight, confidence=seen.confidence, path=images.path,
         notes=images.notes | {"tracked_from": images.hash} | ({EYE: text_of(camera.place)} if camera else {}),
         **{name: getattr(images, name) for name in HEADER},

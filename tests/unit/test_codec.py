@@ -74,6 +74,15 @@ def test_the_hash_is_over_everything(change):
     assert hash_of(counts(**change), LAYOUT) != hash_of(counts(), LAYOUT)
 
 
+@pytest.mark.parametrize("name", ["place", "wind_speed", "count", "kind"])
+def test_a_note_that_would_be_read_as_something_else_is_not_written(tmp_path, name):
+    made = counts(notes={name: "two"})
+    with pytest.raises(ClothbenchError, match=f"^a: note '{name}': found a word that recordings of kind 'counts' have"):
+        write(made, tmp_path / "a.nc", LAYOUT)
+    with pytest.raises(ClothbenchError, match="rename the note"):
+        hash_of(made, LAYOUT)
+
+
 @pytest.mark.parametrize("value", [0.5, -1.0, 65536.0, np.nan])
 def test_whole_numbers_are_not_rounded_nor_clipped(tmp_path, value):
     as_numbers = replace(LAYOUT, variables={**LAYOUT.variables, "count": Variable(("time", "y"), "1")})

@@ -68,6 +68,12 @@ def frames(**changes):
         ({"gravity": (0.0, 0.0, np.nan)}, "'gravity': found (0.0, 0.0, nan), expected three finite numbers"),
         ({"split": "test"}, "'split': found 'test'"),
         ({"name": ""}, "'name': found nothing"),
+        ({"noise_sigma": -1e-3}, "'noise_sigma': found -0.001, expected metres, 0 or above"),
+        ({"noise_sigma": 5.0}, "'noise_sigma': found 5 m on a cloth of 0.3 m by 0.4 m, expected 0.1 m at most"),
+        ({"thickness": np.nan}, "'thickness': found nan, expected metres, 0 or above"),
+        ({"notes": {"obstacle_shape": "plane"}}, "run: 'obstacle_shape': found a note that nodes tracked in"),
+        ({"notes": {"obstacle_shapes": "plane"}}, "'obstacle_shapes': found a note that nodes tracked in recordings"),
+        ({"notes": {"material": "silk"}}, "'material': found a note that nodes tracked in recordings"),
         ({"colour": Colour(TIME[:5], np.zeros((6, 40, 48, 3), np.uint8))}, "'colour_time': found 5 stamps, expected 6"),
         ({"colour": Colour(TIME, np.zeros((6, 20, 24, 3), np.uint8))}, "registered to the depth"),
         ({"grips": GripPath(TIME, np.array([[0.0, 0.0]]), np.full((6, 1, 3), np.nan))}, "not finite"),
@@ -361,6 +367,65 @@ def test_what_a_tracker_made_of_images_is_a_recording_of_nodes():
     gone = dataclasses.replace(seen, position=position, visible=np.isfinite(position).all(axis=-1))
     with pytest.raises(ClothbenchError, match=r"upper corner at u = 0.3 m, v = 0 m from frame 0 to 3 of 6, expected"):
         nodes_of(images(grips=None), gone)
+
+
+def sheet(frames=6):
+    """A level sheet before the camera, and what a folder's recording.json may state of it."""
+    from clothbench_trackers.depth_mesh import DepthMesh
+
+    depth = np.zeros((frames, 40, 48), np.uint16)
+    depth[:, 1:39, 9:38] = 1000 + np.random.default_rng(0).integers(-2, 3, (frames, 38, 29))
+    return {"depth": depth, "colour": None, "grips": None}, DepthMesh(mesh=(3, 3), smooth=0)
+
+
+def test_tracked_nodes_are_the_same_in_the_first_cell_and_in_those_that_read_them(tmp_path):
+    """Of what is kept, all has to be what it was: a note had become a thickness on the way."""
+    from clothbench.estimation.watched import watched
+    from clothbench.plugins.discovery import catalogue
+    from clothbench.recordings.scenes import scene_of
+
+    told, tracker = sheet()
+    given = images(**told, thickness=2e-3, noise_sigma=4e-3, path="run.nc")
+    kept = tmp_path / "tracked"
+    kept.mkdir()
+    every = [watched(given, tracker, {}, catalogue(), folder) for folder in (None, kept, kept)]
+    assert len(list(kept.iterdir())) == 1
+    for nodes, seen in every:
+        assert nodes.hash == every[0][0].hash
+        assert (nodes.path, nodes.notes.keys()) == ("run.nc", {"room", "tracked_from", "camera_place"})
+        assert scene_of(nodes, areal_density=0.1).thickness == 2e-3
+        assert nodes.noise_sigma == seen.sigma == 4e-3
+
+
+def test_a_stated_noise_goes_before_a_judged_one_and_an_option_before_both(tmp_path):
+    from clothbench import Observation
+    from clothbench.recordings.tracked import nodes_of
+
+    told, tracker = sheet()
+    judged = tracker.track(images(**told)).sigma
+    assert 0 < judged < 4e-3
+    again = read_depth(write_depth(images(**told, noise_sigma=4e-3), tmp_path / "run.nc"))
+    assert again.noise_sigma == tracker.track(again).sigma == 4e-3
+    assert type(tracker)(mesh=(3, 3), smooth=0, sigma=1e-3).track(again).sigma == 1e-3
+    u, v = (a.ravel() for a in np.meshgrid([0.0, 0.3], [0.0, 0.4]))
+    place = np.broadcast_to(np.stack([u, 0 * u, 1 - v], axis=1), (6, 4, 3))
+    for sigma, taken in ((np.nan, 4e-3), (2e-3, 2e-3)):
+        seen = Observation(TIME, place, np.ones((6, 4), bool), sigma, np.stack([u, v], axis=1))
+        assert nodes_of(again, seen).noise_sigma == taken
+
+
+def test_what_is_not_stated_leaves_the_hash_as_it_was():
+    assert images(noise_sigma=np.nan, thickness=None).hash == images().hash
+    assert len({images().hash, images(noise_sigma=1e-3).hash, images(thickness=1e-3).hash}) == 3
+
+
+def test_a_folder_may_state_noise_and_thickness(tmp_path):
+    read = read_folder(folder_of(tmp_path, {**ABOUT, "noise_sigma": 2e-3, "thickness": 1e-3}))
+    assert (read.noise_sigma, read.thickness, read.notes) == (2e-3, 1e-3, {"weather": "fair"})
+    folder = tmp_path / "other"
+    folder.mkdir()
+    with pytest.raises(ClothbenchError, match=r"'obstacle_shape': found a note .* \(scene.outline, scene.obstacles\)"):
+        read_folder(folder_of(folder, {**ABOUT, "obstacle_shape": "plane"}))
 
 
 def test_while_nobody_knows_where_the_grips_are_nothing_is_seen():

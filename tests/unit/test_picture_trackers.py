@@ -46,6 +46,13 @@ def test_nodes_are_where_they_are_in_the_picture(name, most):
     assert 0 < seen.sigma < 1e-3
 
 
+@pytest.mark.parametrize("name", ["sift_graph", "optical_flow"])
+def test_a_stated_noise_goes_before_a_judged_one_and_an_option_before_both(name):
+    video = flat.video(noise_sigma=3e-3)
+    assert tracker(name).track(video).sigma == 3e-3
+    assert tracker(name, sigma=2e-3).track(video).sigma == 2e-3
+
+
 def test_the_literal_rule_takes_the_keypoints_own_place():
     off = pixels_off(tracker("sift_graph", place="literal").track(flat.video()))
     spacing = 480 * 0.4 / 0.62 / MESH[0]

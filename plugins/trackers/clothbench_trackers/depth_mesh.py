@@ -65,7 +65,8 @@ class DepthMesh:
     pixels of one surface; support: of eight neighbours that a pixel must have within it (0: outliers stay);
     colour: [red, green, blue] of the cloth, None: as most of it is seen, if it has one hue, False: no filter; hue: how
     far from it a pixel may be; smooth: px, of depth, σ of a Gaussian; method: "isometric" or "harmonic"; even: equal
-    time steps; sigma: m, of a node's coordinate, None: judged from how nodes tremble.
+    time steps; sigma: m, of a node's coordinate, None: as the recording states it, else judged from how nodes
+    tremble.
     """
 
     name = "depth_mesh"
@@ -318,11 +319,14 @@ def boxed(uv: np.ndarray, size: np.ndarray) -> np.ndarray:
 def observation(
     images: DepthImages, nodes: np.ndarray, material: np.ndarray, even: bool, sigma: float | None, who: str
 ) -> Observation:
-    """Nodes (T, N, 3) m at the frames' stamps as an observation, at equal time steps if they are wanted."""
+    """Nodes (T, N, 3) m at the frames' stamps as an observation, at equal time steps if they are wanted. sigma: m, or
+    None: as the recording states it, else judged.
+    """
     where, time = images.path or images.name, images.time
     if not np.isfinite(nodes).any():
         raise ClothbenchError(f"{where}: {who} found no sheet in any frame; look at its steps: near, far, colour")
-    sigma = trembling(time, nodes) if sigma is None else sigma
+    if sigma is None:
+        sigma = trembling(time, nodes) if np.isnan(images.noise_sigma) else images.noise_sigma
     if even and np.ptp(np.diff(time)) > 1e-6 * np.diff(time).mean():
         steps = np.linspace(time[0], time[-1], len(time))
         nodes, time = at_times(time, nodes, steps), steps

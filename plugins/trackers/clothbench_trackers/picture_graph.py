@@ -125,11 +125,14 @@ def observed(
     held: np.ndarray | None, sigma: float | None,
 ) -> Observation:  # fmt: skip
     """Nodes at pixels (T, N, 2), seen (T, N) or not, as an observation in the picture, held at pixels (T, G, 2),
-    which are lifted to metres on the plane in which the first frame shows the cloth. sigma: m, or None: judged.
+    which are lifted to metres on the plane in which the first frame shows the cloth. sigma: m, or None: as the video
+    states it, else judged.
     """
     graph = with_distance(video, graph, held)
     grips = None if held is None else GripPath.while_known(video.time, held_material(video), graph.view.lifted(held))
     position = graph.view.lifted(np.where(seen[..., None], pixel, np.nan))
+    if sigma is None and not np.isnan(video.noise_sigma):
+        sigma = video.noise_sigma
     if sigma is None:  # across the line of sight alone: along it, all nodes lie on one plane
         flat = (position - graph.view.origin) @ np.stack([graph.view.along, graph.view.down], axis=1)
         sigma = trembling(video.time, flat)

@@ -32,8 +32,8 @@ class SiftGraph:
     """mesh: cells along (u, v); window: cells along its side, 1 to 2 in the paper; place: "literal", the node is
     where the keypoint is, as in the paper, or "offset", the keypoint's offset from the cell's centre is kept, as the
     cloth around has it; ratio: Lowe's, of the best to the second best in the window; grips: "corners", "marks" or a
-    detector's "module:function", unless the recording states them; sigma: m, of a coordinate, None: judged from how
-    nodes tremble.
+    detector's "module:function", unless the recording states them; sigma: m, of a coordinate, None: as the recording
+    states it, else judged from how nodes tremble.
     """
 
     name = "sift_graph"
