@@ -48,6 +48,7 @@ from clothbench.recordings.nodes_rules import (
     check_shapes,
     check_sides,
     check_values,
+    while_held,
 )
 from clothbench.recordings.rig import TEXTS, camera_attributes, pack_camera, unpack_camera
 from clothbench.recordings.supports import SUPPORTS, check_supports
@@ -152,6 +153,14 @@ class Recording:
     def visible(self) -> np.ndarray:
         """Which nodes were seen in which frame, (T, N) bool."""
         return np.isfinite(self.position).all(axis=-1)
+
+    @property
+    def counts(self) -> np.ndarray:
+        """Which nodes in which frames may count, (T, N) bool: those that were seen while it is known where the grips
+        were, if there are grips. A simulation holds them still before and after, as nobody did.
+        """
+        held = while_held(self.time, self.grip_time) if self.grip_material.size else np.ones(len(self.time), bool)
+        return self.visible & held[:, None]
 
     @property
     def hash(self) -> str:

@@ -234,9 +234,14 @@ def check_grip_gap(time: np.ndarray, seen: np.ndarray, what: str, where: str) ->
         )
 
 
+def while_held(time: np.ndarray, grip_time: np.ndarray) -> np.ndarray:
+    """Which frames (T,) s lie within the grips' stamps (K,) s, (T,) bool; sums of decimal stamps are not exact."""
+    return (time >= grip_time[0] - 1e-9) & (time <= grip_time[-1] + 1e-9)
+
+
 def check_overlap(time: np.ndarray, grip_time: np.ndarray, where: str) -> None:
     """The grips were tracked while nine tenths of the frames were taken."""
-    covered = np.mean((time >= grip_time[0] - 1e-9) & (time <= grip_time[-1] + 1e-9))
+    covered = np.mean(while_held(time, grip_time))
     if covered < COVERED:
         raise ClothbenchError(
             f"{where}: variable 'grip_time': found {grip_time[0]:g}..{grip_time[-1]:g} s, "

@@ -9,7 +9,7 @@ from clothbench.core.observation import GripPath, Observation
 from clothbench.recordings.colour_video import ColourVideo
 from clothbench.recordings.depth import DepthImages
 from clothbench.recordings.nodes import Recording
-from clothbench.recordings.nodes_rules import COVERED, check_grip_gap
+from clothbench.recordings.nodes_rules import COVERED, check_grip_gap, while_held
 from clothbench.recordings.rig import HEADER
 from clothbench.recordings.video import text_of
 
@@ -26,7 +26,7 @@ def nodes_of(images: Images, seen: Observation) -> Recording:
     sigma = images.noise_sigma if np.isnan(seen.sigma) else seen.sigma
     grips = images.grips or seen.grips or corners_of(images, seen)
     camera = seen.sight or images.camera
-    counts = seen.visible & ((seen.time >= grips.time[0]) & (seen.time <= grips.time[-1]))[:, None]
+    counts = seen.visible & while_held(seen.time, grips.time)[:, None]
     return Recording(
         time=seen.time, material=seen.material, position=np.where(counts[..., None], seen.position, np.nan),
         grip_time=grips.time, grip_material=grips.material, grip_position=grips.position, noise_sigma=sigma,
@@ -68,6 +68,6 @@ def seen_in(recording: Recording) -> Observation:
     """The observation that a recording of nodes is as it stands."""
     eye = np.array([float(part) for part in recording.notes[EYE].split()]) if EYE in recording.notes else None
     return Observation(
-        recording.time, recording.position, recording.visible, recording.noise_sigma, recording.material, eye=eye,
+        recording.time, recording.position, recording.counts, recording.noise_sigma, recording.material, eye=eye,
         sight=recording.sight, confidence=recording.confidence,
     )  # fmt: skip

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import re
 import sys
@@ -13,7 +14,7 @@ import pytest
 from clothbench_trackers import marker_files
 from clothbench_trackers.markers import UP, Markers, fill_gaps, fit_rigid, recording_from_markers
 
-from clothbench import ClothbenchError, Recording, Tracker, read_recording, write_recording
+from clothbench import ClothbenchError, Obstacle, Recording, Tracker, read_recording, write_recording
 
 RATE = 100.0
 LABELS = ("grip", "middle", "lower", "post_a", "post_b", "post_c")
@@ -115,7 +116,23 @@ def test_it_is_a_tracker_that_the_catalogue_finds():
 
     tracker = catalogue().make("trackers", "markers")
     assert isinstance(tracker, Tracker)
-    assert (tracker.name, tracker.version) == ("markers", 1)
+    assert (tracker.name, tracker.version) == ("markers", 2)
+
+
+def test_while_nobody_knows_where_the_grips_are_nothing_counts():
+    """Scored against grips that a simulation holds still there, a good model would look wrong."""
+    time, position = run(40)
+    whole = a_recording(time=time, position=position[:, :3], grip_time=time, grip_position=position[:, :1])
+    assert Markers().track(whole).visible.all()
+    inexact = np.linspace(1e-12, -1e-12, 37)  # as sums of decimals are
+    cut = dataclasses.replace(whole, grip_time=time[1:-2] + inexact, grip_position=position[1:-2, :1])
+    seen = Markers(fill_gaps_up_to=1.0).track(cut)
+    assert seen.visible[1:-2].all()
+    assert not seen.visible[[0, -2, -1]].any()
+    assert np.array_equal(seen.position, whole.position)
+    assert cut.visible.all()
+    none = {"grip_material": np.zeros((0, 2)), "grip_position": np.zeros((37, 0, 3)), "obstacles": (Obstacle("plane"),)}
+    assert Markers().track(dataclasses.replace(cut, **none)).visible.all()  # there are none to be known
 
 
 def test_a_recording_keeps_its_gaps_and_its_sigma(tmp_path):

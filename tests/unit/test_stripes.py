@@ -106,6 +106,18 @@ def test_the_tracker_keeps_the_rules():
     check_tracker(catalogue().load("trackers", "stripes"), source=recording())
 
 
+def test_nodes_do_not_count_while_nobody_knows_where_the_grips_are():
+    many, frames = np.arange(20) / 30, np.arange(20) % 6
+    whole = recording()
+    cut = dataclasses.replace(
+        whole, time=many, position=whole.position[frames], grip_time=many[[0, -2]],
+        video=dataclasses.replace(whole.video, frame=whole.video.frame[frames]),
+    )  # fmt: skip
+    seen = catalogue().make("trackers", "stripes").track(cut)
+    assert seen.visible[:-1].all()
+    assert not seen.visible[-1].any()
+
+
 def test_the_silhouette_is_found_to_the_pixel(observation):
     truth = silhouettes(CAMERA, surface_of(LATTICE, 4), draped(0.02))
     wrong = np.count_nonzero(observation.view.silhouette != truth, axis=(1, 2))

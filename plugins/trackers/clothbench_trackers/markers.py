@@ -54,7 +54,7 @@ class Markers:
     sigma: float | None = None
 
     name: ClassVar[str] = "markers"
-    version: ClassVar[int] = 1
+    version: ClassVar[int] = 2
 
     def __post_init__(self) -> None:
         if self.up not in list(UP):
@@ -69,7 +69,7 @@ class Markers:
 
     def track(self, source: Recording | Path) -> Observation:
         """The nodes of a recording (object or .nc file), to which only fill_gaps_up_to and sigma apply, or of a marker
-        file.
+        file. Those of frames before the first or after the last stamp of a recording's grips do not count.
         """
         if isinstance(source, str | Path) and Path(source).suffix.lower() != ".nc":
             path = Path(source)
@@ -77,7 +77,7 @@ class Markers:
             markers = _in_world(path, self)
             uv, position = np.array(list(material.values())), markers.pick(material, "material")
             sigma = math.nan if self.sigma is None else self.sigma
-            return _observation(markers.time, position, uv, sigma, self, path)
+            return _observation(markers.time, position, np.isfinite(position).all(axis=-1), uv, sigma, self, path)
         if not isinstance(source, str | Path | Recording):
             raise refusal(self.name, "source", type(source).__name__, "nodes, or a marker file", "take another tracker")
         recording = source if isinstance(source, Recording) else read_recording(source)
@@ -89,7 +89,8 @@ class Markers:
                 expected = f"some of {', '.join(sorted(OF_RECORDINGS))}, as a recording is in the world already"
                 raise refusal(where, "settings", repr(one.name), expected, "drop it")
         sigma = recording.noise_sigma if self.sigma is None else self.sigma
-        seen = _observation(recording.time, recording.position, recording.material, sigma, self, where)
+        r = recording
+        seen = _observation(r.time, r.position, r.counts, r.material, sigma, self, where)
         return replace(seen, sight=recording.sight, confidence=recording.confidence)
 
 
@@ -170,18 +171,19 @@ def fit_rigid(measured: np.ndarray, wanted: np.ndarray) -> np.ndarray:
 def _observation(
     time: np.ndarray,
     position: np.ndarray,
+    counts: np.ndarray,
     material: np.ndarray,
     sigma: float,
     told: Markers,
     where: object,
 ) -> Observation:
-    visible = np.isfinite(position).all(axis=-1)
-    if not visible.any():
-        raise refusal(where, "position", "no sample of any node", "at least one")
-    position = np.where(visible[..., None], position, np.nan)
+    """Positions (T, N, 3) m as seen, of which those count that `counts` (T, N) says."""
+    if not counts.any():
+        raise refusal(where, "position", "no sample of any node", "at least one, while the grips are known")
+    position = np.where(np.isfinite(position).all(axis=-1)[..., None], position, np.nan)
     if told.fill_gaps_up_to > 0:
         position = fill_gaps(time, position, told.fill_gaps_up_to)
-    return Observation(time, position, visible, sigma, material)
+    return Observation(time, position, counts, sigma, material)
 
 
 def _told(given: Mapping[str, Any], path: Path) -> Markers:

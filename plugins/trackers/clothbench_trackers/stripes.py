@@ -11,7 +11,8 @@ from clothbench import ClothbenchError, Observation, Recording, View, angle_map,
 
 class Stripes:
     """Dominant orientation of the stripes at every pixel by the steerable filters G2, H2, and where it changes fast
-    (Bhat et al. 2003, section 4, eq. 4). The tracked nodes of the recording, if it has any, stay beside the view.
+    (Bhat et al. 2003, section 4, eq. 4). The tracked nodes of the recording, if it has any, stay beside the view, and
+    count as those of `markers` do.
 
     level: share of full grey above which a pixel shows cloth (a dark background is assumed, of which the largest bright
     part is the cloth); blur: px, of the filters' coefficients; threshold: rad/px, of the angle's gradient in a fold.
@@ -19,7 +20,7 @@ class Stripes:
     """
 
     name = "stripes"
-    version = 1
+    version = 2
 
     def __init__(self, level: float = 0.12, blur: float = 2.0, threshold: float = 0.006):
         for what, value, most in (("level", level, 1.0), ("blur", blur, 50.0), ("threshold", threshold, 10.0)):
@@ -47,7 +48,7 @@ class Stripes:
         view = View(video.camera, silhouette, video.projector, angle, fold, self.blur, self.threshold)
         r = recording
         size = (r.cloth_width, r.cloth_height)
-        return Observation(r.time, r.position, r.visible, r.noise_sigma, r.material, view, sight=r.sight, size=size)
+        return Observation(r.time, r.position, r.counts, r.noise_sigma, r.material, view, sight=r.sight, size=size)
 
 
 def largest_bright_part(grey: np.ndarray, level: float) -> np.ndarray:
