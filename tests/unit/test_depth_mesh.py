@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import weakref
 from functools import cache
 from types import SimpleNamespace
 
@@ -206,6 +207,26 @@ def test_a_picture_is_that_taken_nearest_to_the_frame():
     first = tracker().masks(moved, 0, moved.metres(0), np.array([0.0, 0.0]))
     assert np.array_equal(first["colour"], first["outliers"])  # no picture tells what is no cloth
     assert "colour" not in tracker().pictures(moved, 0, tracker().track(moved))
+
+
+def test_what_a_frames_steps_leave_is_dropped_with_the_frame(monkeypatch):
+    """Masks and depths of a whole recording are gigabytes; of a frame, only the nodes stay."""
+    monkeypatch.setenv("CLOTHBENCH_THREADS", "1")
+    images, mesh, there, most = filmed(), tracker(), weakref.WeakSet(), []
+    step = type(mesh)._step
+
+    def watched(self, images, frame, hue):
+        made = step(self, images, frame, hue)
+        there.add(made)
+        most.append(len(there))
+        return made
+
+    monkeypatch.setattr(type(mesh), "_step", watched)
+    seen = mesh.track(images)
+    assert len(most) == len(TIME)
+    assert max(most) <= 2
+    every = np.array([s.nodes for s in mesh.steps(images, range(len(TIME)))])
+    assert np.array_equal(seen.position, every, equal_nan=True)
 
 
 def test_the_hue_is_what_most_frames_say():

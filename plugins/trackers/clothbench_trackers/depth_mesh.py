@@ -99,8 +99,14 @@ class DepthMesh:
     def track(self, source: DepthImages | Path) -> Observation:
         """The nodes of a recording of kind "depth", or of its file."""
         images = images_of(source, self.name)
-        nodes = [step.nodes for step in self.steps(images, range(len(images.time)))]
-        return observation(images, np.array(nodes), lattice(images, self.mesh), self.even, self.sigma, self.name)
+        hue, material = self._hue(images), lattice(images, self.mesh)
+        nodes = np.empty((len(images.time), len(material), 3))
+
+        def one(frame: int) -> None:
+            nodes[frame] = self._step(images, frame, hue).nodes  # what else a step leaves is megabytes a frame
+
+        for_each(one, range(len(nodes)))
+        return observation(images, nodes, material, self.even, self.sigma, self.name)
 
     def steps(self, source: DepthImages | Path, frames: Sequence[int]) -> list[Step]:
         """What each step leaves of some frames."""
