@@ -20,7 +20,7 @@ class OpticalFlow:
     """
 
     name = "optical_flow"
-    version = 3
+    version = 4
     kinds = frozenset({"video"})
 
     def __init__(

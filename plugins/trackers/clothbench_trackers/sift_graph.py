@@ -37,7 +37,7 @@ class SiftGraph:
     """
 
     name = "sift_graph"
-    version = 3
+    version = 4
     kinds = frozenset({"video"})
 
     def __init__(
