@@ -16,7 +16,8 @@ Attributes: `format`, `format_version`, `kind`, `name`, `fabric`, `cloth_width`,
 `sensor`, `source`, `licence`, `declared_effects`, `motion`, `split` ("fit", "held_out" or ""). Points that were seen
 in one camera's picture only have that camera in `sight_size` [px], `sight_matrix`, `sight_rotation`,
 `sight_translation` [m] and `sight_distortion`: `position` then is any place on the line of sight. The cloth's outline,
-obstacles and its thickness: `clothbench.recordings.supports`.
+obstacles and its thickness: `clothbench.recordings.supports`. `camera_place` [m, three numbers as text] may say where
+the camera stood that saw points in space.
 """
 
 from __future__ import annotations
@@ -52,7 +53,9 @@ from clothbench.recordings.nodes_rules import (
 )
 from clothbench.recordings.rig import TEXTS, camera_attributes, pack_camera, unpack_camera
 from clothbench.recordings.supports import SUPPORTS, check_supports
-from clothbench.recordings.video import VIDEO
+from clothbench.recordings.video import VIDEO, numbers_of
+
+EYE = "camera_place"  # note: where the camera stood, m
 
 
 def _pack_sight(camera: Camera) -> tuple[Arrays, Stated]:
@@ -163,6 +166,16 @@ class Recording:
         return self.visible & held[:, None]
 
     @property
+    def eye(self) -> np.ndarray | None:
+        """Where the camera stood (3,) m: as the note `camera_place` says, or that in whose picture the points were
+        seen, or that of the video; None where nobody knows.
+        """
+        if (stated := _eye_stated(self)) is not None:
+            return stated
+        camera = self.sight or (self.video and self.video.camera)
+        return camera.place if camera else None
+
+    @property
     def hash(self) -> str:
         """SHA-256 over everything measured and stated, whatever the file's encoding."""
         return hash_of(self, LAYOUT)
@@ -232,6 +245,11 @@ def _check(r: Recording, where: str) -> None:
     check_supports(r.outline, r.thickness, r.grip_material[:0] if carry else r.grip_material, size, where)
 
 
+def _eye_stated(r: Recording) -> np.ndarray | None:
+    """Where a note says that the camera stood (3,) m; one of anything but three numbers is refused."""
+    return numbers_of(r.notes, EYE, (3,), Path(r.path or r.name)) if EYE in r.notes else None
+
+
 def _check_video(r: Recording, where: str) -> None:
     if r.video is not None and len(r.video.frame) != len(r.time):
         raise ClothbenchError(
@@ -247,6 +265,7 @@ def _check_stated(r: Recording, where: str) -> None:
             )
     if not r.name:
         raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
+    _eye_stated(r)
     check_gravity(r.gravity, where)
     check_sides(r.cloth_width, r.cloth_height, where)
     check_density(r.areal_density, where)

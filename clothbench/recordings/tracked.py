@@ -8,13 +8,12 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import GripPath, Observation
 from clothbench.recordings.colour_video import ColourVideo
 from clothbench.recordings.depth import DepthImages
-from clothbench.recordings.nodes import Recording
+from clothbench.recordings.nodes import EYE, Recording
 from clothbench.recordings.nodes_rules import COVERED, check_grip_gap, while_held
 from clothbench.recordings.rig import HEADER
 from clothbench.recordings.video import text_of
 
 Images = DepthImages | ColourVideo  # what trackers make nodes of
-EYE = "camera_place"  # note: where the camera stood, m
 
 
 def nodes_of(images: Images, seen: Observation) -> Recording:
@@ -66,8 +65,7 @@ def corners_of(images: Images, seen: Observation) -> GripPath:
 
 def seen_in(recording: Recording) -> Observation:
     """The observation that a recording of nodes is as it stands."""
-    eye = np.array([float(part) for part in recording.notes[EYE].split()]) if EYE in recording.notes else None
     return Observation(
-        recording.time, recording.position, recording.counts, recording.noise_sigma, recording.material, eye=eye,
-        sight=recording.sight, confidence=recording.confidence,
+        recording.time, recording.position, recording.counts, recording.noise_sigma, recording.material,
+        eye=recording.eye, sight=recording.sight, confidence=recording.confidence,
     )  # fmt: skip

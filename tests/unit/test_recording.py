@@ -9,10 +9,12 @@ import h5netcdf.legacyapi
 import h5py
 import numpy as np
 import pytest
+from clothbench_trackers.markers import Markers
 from conftest import swinging_recording
 
-from clothbench import Camera, ClothbenchError, Obstacle, read_recording, scene_of, write_recording
+from clothbench import Camera, ClothbenchError, Obstacle, Video, read_recording, scene_of, write_recording
 from clothbench.cli.commands import main
+from clothbench.recordings.tracked import seen_in
 
 
 def test_round_trip_keeps_everything(recording, tmp_path):
@@ -41,6 +43,21 @@ def test_arrays_are_read_only_and_not_the_callers(recording):
 def test_what_the_format_does_not_know_is_kept_as_notes(tmp_path):
     path = write_recording(swinging_recording(notes={"clock_offset_removed_s": "0.25"}), tmp_path / "a.nc")
     assert read_recording(path).notes == {"clock_offset_removed_s": "0.25"}
+
+
+def test_where_the_camera_stood_is_what_the_note_says_else_that_of_the_picture_or_the_video(recording):
+    left, right = (Camera.looking_at((x, -1.2, 0.9), (0, 0, 0), (8, 6), 0.4) for x in (-0.5, 0.5))
+    video = Video(np.zeros((11, 6, 8), np.uint8), right)
+    for told, x in (
+        ({}, None), ({"video": video}, 0.5), ({"video": video, "sight": left}, -0.5),
+        ({"video": video, "notes": {"camera_place": "0.1 -1.2 0.9"}}, 0.1),
+    ):  # fmt: skip
+        made = dataclasses.replace(recording, **told)
+        for eye in (made.eye, Markers().track(made).eye, seen_in(made).eye):
+            assert (eye is None) == (x is None)
+            assert eye is None or np.allclose(eye, [x, -1.2, 0.9])
+    with pytest.raises(ClothbenchError, match="'camera_place': found 'by the door', expected 3 finite numbers"):
+        swinging_recording(notes={"camera_place": "by the door"})
 
 
 @pytest.mark.parametrize(

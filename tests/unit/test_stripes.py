@@ -116,6 +116,7 @@ def test_nodes_do_not_count_while_nobody_knows_where_the_grips_are():
     seen = catalogue().make("trackers", "stripes").track(cut)
     assert seen.visible[:-1].all()
     assert not seen.visible[-1].any()
+    assert np.allclose(seen.eye, CAMERA.place)
 
 
 def test_the_silhouette_is_found_to_the_pixel(observation):

@@ -91,7 +91,7 @@ class Markers:
         sigma = recording.noise_sigma if self.sigma is None else self.sigma
         r = recording
         seen = _observation(r.time, r.position, r.counts, r.material, sigma, self, where)
-        return replace(seen, sight=recording.sight, confidence=recording.confidence)
+        return replace(seen, eye=recording.eye, sight=recording.sight, confidence=recording.confidence)
 
 
 def recording_from_markers(

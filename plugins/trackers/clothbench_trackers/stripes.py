@@ -47,8 +47,10 @@ class Stripes:
         for_each(look, range(len(angle)))
         view = View(video.camera, silhouette, video.projector, angle, fold, self.blur, self.threshold)
         r = recording
-        size = (r.cloth_width, r.cloth_height)
-        return Observation(r.time, r.position, r.counts, r.noise_sigma, r.material, view, sight=r.sight, size=size)
+        return Observation(
+            r.time, r.position, r.counts, r.noise_sigma, r.material, view, eye=r.eye, sight=r.sight,
+            size=(r.cloth_width, r.cloth_height),
+        )  # fmt: skip
 
 
 def largest_bright_part(grey: np.ndarray, level: float) -> np.ndarray:
