@@ -59,6 +59,20 @@ def test_the_literal_rule_takes_the_keypoints_own_place():
     assert 0.1 * spacing < np.nanmedian(off) < spacing
 
 
+def test_nodes_ahead_are_seen_in_every_frame_of_a_fast_motion():
+    """Some frames are looked at side by side, in the part of the picture that the cloth may reach in the last."""
+    first = cv2.resize(flat.template(), (310, 155), interpolation=cv2.INTER_AREA)
+    pictures = []
+    for k in range(6):
+        picture, left = np.full((260, 460, 3), 90, np.uint8), 20 + 14 * k  # of 15.5 px that a window lets through
+        picture[50:205, left : left + 310] = first
+        pictures.append(picture)
+    stream, ends = flat.encoded(pictures)
+    video = flat.video(stream=stream, ends=ends, camera=None, world="cloth")
+    seen = catalogue().make("trackers", "sift_graph", mesh=(10, 5), window=1.0).track(video)
+    assert seen.visible.reshape(6, 5, 10)[:, :, -1].all()
+
+
 def test_what_is_hidden_is_a_gap():
     seen = tracker("sift_graph").track(flat.video(covered=3))
     true = flat.CAMERA.project(truth(seen.material))[0]

@@ -37,7 +37,7 @@ class SiftGraph:
     """
 
     name = "sift_graph"
-    version = 4
+    version = 5
     kinds = frozenset({"video"})
 
     def __init__(
@@ -119,7 +119,7 @@ class Search:
 
     def around(self, shape: tuple[int, int]) -> tuple[int, int, int, int]:
         """Rows and columns of a frame (H, W) in which the next frames may show the cloth."""
-        margin = 3 * self.reach
+        margin = (AT_ONCE + 1) * self.reach  # a step for each of these frames, and the window around the last place
         low = np.maximum(np.floor(self.pixel.min(axis=0) - margin), 0).astype(int)
         high = np.minimum(np.ceil(self.pixel.max(axis=0) + margin).astype(int), shape[::-1])
         return low[1], high[1], low[0], high[0]
