@@ -42,6 +42,16 @@ def test_what_something_hides_later_keeps_its_labels():
     assert np.nanmedian(away[2:]) < 4e-3
 
 
+def test_the_cloths_hue_is_asked_for_once(monkeypatch):
+    """It looks at several frames, and is the same for all of them."""
+    follower, asked = tracker(mesh=(3, 3), rounds=1), []
+    cleaner = type(follower.cleaner)
+    own = cleaner.hue_of
+    monkeypatch.setattr(cleaner, "hue_of", lambda self, images: asked.append(images) or own(self, images))
+    assert follower.track(filmed()).visible.any()
+    assert len(asked) == 1
+
+
 @pytest.mark.parametrize(
     ("options", "found"),
     [

@@ -105,12 +105,13 @@ class CloudTemplate:
         nu, nv = ((n - 1) * self.refine + 1 for n in self.mesh)
         template = Template.of(lattice(images, (nu, nv)), (nu, nv))
         of_mesh = np.arange(nu * nv).reshape(nv, nu)[:: self.refine, :: self.refine].ravel()
-        first, x = self._first(images, template, (nu, nv))
+        hue = self.cleaner.hue_of(images)
+        first, x = self._first(images, template, (nu, nv), hue)
         out = np.full((len(images.time), len(of_mesh), 3), np.nan)
         for frames in (range(first, len(images.time)), range(first - 1, -1, -1)):
             place, motion = x, np.zeros_like(x)
             for frame in frames:
-                cloud, pixel = self._cloud(images, frame)
+                cloud, pixel = self._cloud(images, frame, hue)
                 if not len(cloud):
                     continue
                 before = place
@@ -119,13 +120,15 @@ class CloudTemplate:
                 out[frame] = self._seen(place[of_mesh], cloud, pixel)
         return out
 
-    def _first(self, images: DepthImages, template: Template, shape: tuple[int, int]) -> tuple[int, np.ndarray]:
+    def _first(
+        self, images: DepthImages, template: Template, shape: tuple[int, int], hue: np.ndarray | None
+    ) -> tuple[int, np.ndarray]:
         """The first frame that shows most of the sheet, and the template (N, 3) m in it as `depth_mesh` has it."""
         from scipy.interpolate import RBFInterpolator
 
         whole = DepthMesh(**{**self.cleaner.options, "mesh": shape})
         for frame in range(len(images.time)):
-            nodes = whole.steps(images, [frame])[0].nodes
+            nodes = whole.nodes(images, frame, hue)
             seen = np.isfinite(nodes).all(axis=1)
             if seen.mean() > WHOLE:
                 at = template.material
@@ -139,9 +142,9 @@ class CloudTemplate:
             "its template could start; look at the steps of depth_mesh: near, far, colour"
         )
 
-    def _cloud(self, images: DepthImages, frame: int) -> tuple[np.ndarray, float]:
+    def _cloud(self, images: DepthImages, frame: int, hue: np.ndarray | None) -> tuple[np.ndarray, float]:
         """Points (M, 3) m of the sheet in a frame, and how far apart its pixels are [m]."""
-        patch, pixel = self.cleaner.patch(images, frame)
+        patch, pixel = self.cleaner.patch(images, frame, hue)
         return patch.point, pixel
 
     def _fit(

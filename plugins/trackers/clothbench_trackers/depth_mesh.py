@@ -99,11 +99,11 @@ class DepthMesh:
     def track(self, source: DepthImages | Path) -> Observation:
         """The nodes of a recording of kind "depth", or of its file."""
         images = images_of(source, self.name)
-        hue, material = self._hue(images), lattice(images, self.mesh)
+        hue, material = self.hue_of(images), lattice(images, self.mesh)
         nodes = np.empty((len(images.time), len(material), 3))
 
         def one(frame: int) -> None:
-            nodes[frame] = self._step(images, frame, hue).nodes  # what else a step leaves is megabytes a frame
+            nodes[frame] = self.nodes(images, frame, hue)  # what else a step leaves is megabytes a frame
 
         for_each(one, range(len(nodes)))
         return observation(images, nodes, material, self.even, self.sigma, self.name)
@@ -111,7 +111,7 @@ class DepthMesh:
     def steps(self, source: DepthImages | Path, frames: Sequence[int]) -> list[Step]:
         """What each step leaves of some frames."""
         images = images_of(source, self.name)
-        hue = self._hue(images)
+        hue = self.hue_of(images)
         out: list[Any] = [None] * len(frames)
 
         def one(k: int) -> None:
@@ -122,12 +122,18 @@ class DepthMesh:
 
     def pictures(self, source: DepthImages, frame: int, seen: Observation) -> dict[str, np.ndarray]:
         """What each step makes of a frame, to be looked at."""
-        masks = self.masks(source, frame, source.metres(frame), self._hue(source))
+        masks = self.masks(source, frame, source.metres(frame), self.hue_of(source))
         return of_steps(source, frame, masks, seen, self.mesh)
 
-    def patch(self, images: DepthImages, frame: int) -> tuple[patches.Patch, float]:
-        """The cleaned surface of one frame as triangles, and how far apart its pixels are [m]."""
-        _, _, patch, _, pixel = self._patch(images, frame, self._hue(images))
+    def nodes(self, images: DepthImages, frame: int, hue: np.ndarray | None) -> np.ndarray:
+        """Where the mesh's nodes are in one frame (N, 3) m, NaN where they are not seen; hue: as `hue_of` says."""
+        return self._step(images, frame, hue).nodes
+
+    def patch(self, images: DepthImages, frame: int, hue: np.ndarray | None) -> tuple[patches.Patch, float]:
+        """The cleaned surface of one frame as triangles, and how far apart its pixels are [m]; hue: as `hue_of` says,
+        which looks at several frames and is the same for all of them.
+        """
+        _, _, patch, _, pixel = self._patch(images, frame, hue)
         return patch, pixel
 
     def _patch(
@@ -178,7 +184,7 @@ class DepthMesh:
             far = float(away.max()) + reach if far is None else far
         return near if near is not None else 0.0, far if far is not None else np.inf
 
-    def _hue(self, images: DepthImages) -> np.ndarray | None:
+    def hue_of(self, images: DepthImages) -> np.ndarray | None:
         """The cloth's own hue (2,): as stated, or that of most pixels that the first two steps leave, and the middle of
         what some frames say: one alone may show something else there. None where most of them say that it has none.
         """
