@@ -32,11 +32,13 @@ def lattice(shape, width, height):
     return np.column_stack([u.ravel(), v.ravel()])
 
 
-def loose(start, uv, times, *, obstacles=(), thickness=0.0, gravity=(0.0, 0.0, -G), shape):
-    """A sheet that nothing holds, seen at its nodes."""
+def loose(start, uv, times, *, obstacles=(), thickness=0.0, gravity=(0.0, 0.0, -G), shape, velocity=None):
+    """A sheet that nothing holds, seen at its nodes; velocity (3,) m/s: with which it begins, if it is seen to."""
     width, height = uv.max(axis=0)
+    moving = None if velocity is None else np.tile(np.array(velocity, dtype=float), (len(uv), 1))
     return Scene(width, height, 0.2, np.array([0.0, 1.0]), np.zeros((0, 2)), np.zeros((2, 0, 3)), times, uv,
-                 gravity=gravity, resolution=shape, start=start, obstacles=obstacles, thickness=thickness)  # fmt: skip
+                 gravity=gravity, resolution=shape, start=start, obstacles=obstacles, thickness=thickness,
+                 velocity=moving)  # fmt: skip
 
 
 def drape(obstacle, times, thickness=0.0, nodes=17, model=MassSpring, theta=SOFT):

@@ -137,6 +137,27 @@ def test_in_implicit_steps_a_sheet_slides_as_coulomb_says_a_few_steps_late(model
     assert (np.abs(late) < 2 * dt).all()
 
 
+def set_going(model, theta, height, friction, speed, times):
+    """A flat loose sheet that begins `height` m over a plane, at `speed` m/s along it → (T, n, 3) m."""
+    shape, uv = (5, 5), lattice((5, 5), 0.12, 0.12)
+    start, floor = np.column_stack([uv, np.full(25, height)]), Obstacle("plane", friction=friction)
+    scene = loose(start, uv, times, obstacles=(floor,), shape=shape, velocity=(speed, 0.0, 0.0))
+    rollout = model().prepare(scene).run(theta)
+    assert rollout.status == ("ok",)
+    return rollout.position[0]
+
+
+@pytest.mark.parametrize(("model", "theta", "dt"), SCHEMES.values(), ids=SCHEMES)
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_what_falls_flat_on_the_floor_does_not_bounce(model, theta, dt, friction):
+    """The impacts of `contact` are inelastic, whatever a scheme remembers of the steps before."""
+    for height in (0.01, 0.05, 0.06):
+        landed = np.sqrt(2 * height / G) + 2 * dt
+        times = np.append(0.0, np.linspace(landed, landed + 0.1, 51))
+        z = set_going(model, theta, height, friction, 0.0, times)[1:, :, 2]
+        assert np.abs(z).max() < 1e-5
+
+
 def test_in_runge_kutta_steps_a_sheet_slides_as_coulomb_says():
     model = partial(BaraffWitkin, integrator="rk45")
     times, path = slide(np.arctan(0.5) - 0.03, 0.5, model, TRIANGLES)

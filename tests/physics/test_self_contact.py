@@ -5,6 +5,7 @@ import pytest
 from clothbench_models.mass_spring import MassSpring
 from contact_scenes import IMPLICIT, SOFT, SPHERE, drape, lattice, loose
 
+from clothbench import Scene
 from clothbench.core.scene import Obstacle
 from clothbench.modelling import keep_apart, layers_of
 from clothbench.modelling.mesh import grid_triangles
@@ -111,6 +112,23 @@ def test_a_fold_comes_to_rest_with_its_layers_a_thickness_apart(model, theta, sh
     assert x[..., 2].min() > -0.1 * thickness
     upper = x[-1].reshape(13, 7, 3)[-4:, :, 2]
     np.testing.assert_allclose(upper, thickness, rtol=0.03)
+
+
+@pytest.mark.parametrize(("model", "theta"), LAYERED.values(), ids=LAYERED)
+def test_a_layer_that_falls_on_another_does_not_bounce(model, theta):
+    """A strip laid back over itself, its lower half held: the upper layer stays where it has come down."""
+    shape, uv, thickness, loop = (25, 7), lattice((25, 7), 0.24, 0.06), 5e-3, 0.04 / np.pi
+    angle = np.clip((uv[:, 0] - 0.10) / loop, 0, np.pi)
+    x = np.minimum(uv[:, 0], 0.10) + loop * np.sin(angle) - np.maximum(uv[:, 0] - 0.14, 0)
+    start = np.column_stack([x, uv[:, 1], loop * (1 - np.cos(angle))])
+    held, times = uv[:, 0] <= 0.1001, np.append(0.0, np.linspace(0.084, 0.204, 21))
+    grips = uv[held], np.stack([start[held]] * 2)
+    scene = Scene(0.24, 0.06, 0.2, np.array([0.0, 1.0]), *grips, times, uv, resolution=shape, start=start,
+                  velocity=np.zeros((175, 3)), thickness=thickness)  # fmt: skip
+    rollout = model().prepare(scene).run(theta)
+    assert rollout.status == ("ok",)
+    upper = rollout.position[0].reshape(22, 7, 25, 3)[1:, :, 18:, 2]
+    assert upper.max() < 1.5 * thickness  # where impacts bounced, 11 to 19 mm
 
 
 def two_layers(gap, closing, thickness, dt):

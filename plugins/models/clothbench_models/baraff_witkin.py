@@ -96,7 +96,7 @@ class BaraffWitkin:
     """
 
     name = "baraff_witkin"
-    version = 4
+    version = 5
     kind = "implicit"
     parameters = PARAMETERS
     textiles = TEXTILES

@@ -302,12 +302,12 @@ def _march_implicit(
                 v[c, e] = w
                 x[c, e] = x_bar[c, e] + gamma * w
         hold_grips(x, pins, grips, t, segment)
-        end_step(x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, layers, z, q)
+        end_step(x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, layers, x_bar, v_bar, z, q)
         count += 1
         if is_lost(x, 0, 1, limit):
             result[0], result[1], result[2] = DIVERGED, count, rounds
             return
-        done = write_frames(x_old, v_old, x, v, t - dt, t, done, sampling, grips)
+        done = write_frames(x_before, v_before, x, v, t - dt, t, done, sampling, grips)
     result[1], result[2] = count, rounds
 
 

@@ -102,11 +102,25 @@ def step_before(x, v, dt, gravity, mass, pins, x_old, v_old):
 
 
 @kernel
-def end_step(x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, layers, z, q):
-    """What was now is before; then nodes are put out of obstacles, and layers apart; z, q are overwritten."""
+def end_step(x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, layers, x_came, v_came, z, q):
+    """What was now is before; then nodes are put out of obstacles, and layers apart. Overwritten: x_came and v_came, by
+    where the step itself came to, z and q.
+
+    What an impact changed counts as if it had always been so: BDF2 would take the difference to the step before for an
+    acceleration, and carry it on until an impulse had become one and a half, so that what hit the floor bounced.
+    """
     put(x_old, x_before)
     put(v_old, v_before)
+    if obstacles.shape[0] == 0 and layers.size[0] == 0.0:
+        return
+    put(x_came, x)
+    put(v_came, v)
     if obstacles.shape[0] > 0:
         keep_out(x, v, obstacles, free, 0, 1)
     if layers.size[0] > 0.0:
-        part_layers(x, v, x_old, dt, free, layers, z, q)
+        part_layers(x, v, x_before, dt, free, layers, z, q)
+    for c in range(3):
+        for e in range(x.shape[1]):
+            impulse = v[c, e] - v_came[c, e]
+            v_old[c, e] += impulse
+            x_old[c, e] += x[c, e] - x_came[c, e] - dt * impulse

@@ -64,7 +64,7 @@ class Inextensible:
     """
 
     name = "inextensible"
-    version = 5
+    version = 6
     lacks: Mapping[str, str] = {"stretch": "its threads do not stretch"}
     kind = "implicit"
     parameters = PARAMETERS
