@@ -137,6 +137,15 @@ def test_in_implicit_steps_a_sheet_slides_as_coulomb_says_a_few_steps_late(model
     assert (np.abs(late) < 2 * dt).all()
 
 
+@pytest.mark.parametrize(("model", "theta", "dt"), SCHEMES.values(), ids=SCHEMES)
+def test_in_implicit_steps_a_sheet_slides_on_slopes_little_steeper_than_it_would_stick_on(model, theta, dt):
+    """Where nodes that touch anew were stopped dead, none ever got under way."""
+    angle = np.arctan(0.5) + 0.015
+    times, path = slide(angle, 0.5, model, theta)
+    expected = 0.5 * G * (np.sin(angle) - 0.5 * np.cos(angle)) * times**2
+    np.testing.assert_allclose(path[0, -1], expected[-1], rtol=0.03)
+
+
 def set_going(model, theta, height, friction, speed, times):
     """A flat loose sheet that begins `height` m over a plane, at `speed` m/s along it → (T, n, 3) m."""
     shape, uv = (5, 5), lattice((5, 5), 0.12, 0.12)
@@ -156,6 +165,24 @@ def test_what_falls_flat_on_the_floor_does_not_bounce(model, theta, dt, friction
         times = np.append(0.0, np.linspace(landed, landed + 0.1, 51))
         z = set_going(model, theta, height, friction, 0.0, times)[1:, :, 2]
         assert np.abs(z).max() < 1e-5
+
+
+@pytest.mark.parametrize(("model", "theta", "dt"), SCHEMES.values(), ids=SCHEMES)
+def test_what_lands_in_motion_slides_on_as_coulomb_says(model, theta, dt):
+    """The impact takes μ times the speed of the fall from that along the floor, and then there are μ g."""
+    height, friction, times = 0.005, 0.1, np.array([0.0, 0.1, 0.2])
+    path = set_going(model, theta, height, friction, 1.0, times)[..., 0].mean(axis=1)
+    fall = np.sqrt(2 * height / G)
+    after = times[1:] - fall
+    expected = fall + (1.0 - friction * G * fall) * after - 0.5 * friction * G * after**2
+    np.testing.assert_allclose(path[1:] - path[0], expected, rtol=5e-3)
+
+
+@pytest.mark.parametrize(("model", "theta", "dt"), SCHEMES.values(), ids=SCHEMES)
+def test_what_lies_there_in_motion_stops_as_coulomb_says(model, theta, dt):
+    """After v²/(2 μ g); friction begins a step late."""
+    path = set_going(model, theta, 0.0, 0.4, 1.0, np.array([0.0, 0.3, 0.4]))[..., 0].mean(axis=1)
+    assert np.abs(path[1:] - path[0] - 1.0 / (2 * 0.4 * G)).max() < 1.5 * dt * 1.0
 
 
 def test_in_runge_kutta_steps_a_sheet_slides_as_coulomb_says():

@@ -51,7 +51,7 @@ from clothbench_models.implicit_step import (
     slip,
     step_before,
 )
-from clothbench_models.resting_contact import STICKS, judge, part_layers, stop_reversed
+from clothbench_models.resting_contact import STICKS, judge, part_layers, stop_reversed, touching
 from clothbench_models.sheet_forces import (
     CELLS,
     add_diagonals,
@@ -211,7 +211,8 @@ def _march_implicit(
         if begins.settles == RESTS:
             put(x_old, x)
         else:
-            step_before(x, v, dt, sheet.gravity, sheet.mass, pins, x_old, v_old)
+            touching(x, v, 0.0, obstacles, free, touch, normal, friction, on)
+            step_before(x, v, dt, sheet.gravity, sheet.mass, pins, touch, x_old, v_old)
         done = write_frames(x, v, x, v, start, start, done, sampling, grips)
     while settling or done < frames:
         if settling:
@@ -225,7 +226,7 @@ def _march_implicit(
         follow_grips(guess, x_bar, gamma, pins, grips, t, segment)
         if solid:
             carry(obstacles, grips.knots, grips.curve, start, t, dt)
-            rest_on(guess, x, x_bar, gamma, dt, obstacles, free, touch, normal, friction, on, z, q)
+            rest_on(guess, x, v, x_bar, gamma, dt, obstacles, free, touch, normal, friction, on, z, q)
         moved_on(x_bar, gamma, guess, q)
         f[:] = 0.0
         step = dt if not settling else min(h, dt)

@@ -43,12 +43,12 @@ def follow_grips(guess, x_bar, gamma, pins, grips, t, segment):
 
 
 @kernel
-def rest_on(guess, x, x_bar, gamma, dt, obstacles, free, touch, normal, friction, on, z, q):
+def rest_on(guess, x, v, x_bar, gamma, dt, obstacles, free, touch, normal, friction, on, z, q):
     """Find who touches an obstacle, and take from the guess what such a node cannot follow; z, q are overwritten.
 
     The obstacles are where they will be after the step of dt [s]; on (n,): as `touching` leaves it.
     """
-    touching(x, dt, obstacles, free, touch, normal, friction, on)
+    touching(x, v, dt, obstacles, free, touch, normal, friction, on)
     for e in range(x.shape[1]):
         if free[e] > 0.0 and touch[e] != FREE:  # x̄ lies off the surface by what x did before
             for c in range(3):
@@ -87,16 +87,17 @@ def moved_on(x_bar, gamma, guess, q):
 
 
 @lean_kernel
-def step_before(x, v, dt, gravity, mass, pins, x_old, v_old):
+def step_before(x, v, dt, gravity, mass, pins, touch, x_old, v_old):
     """The step before the first of a sheet that does not begin at rest in its grips: held, it moved as it does now; let
-    go, on the parabola of its free fall.
+    go, on the parabola of its free fall, but for nodes that lie on an obstacle, which do not fall.
     """
-    falls = 1.0
+    loose = 1.0
     for g in range(pins.shape[0]):
         if mass[pins[g]] > 0.0:  # what is off the cloth holds nothing
-            falls = 0.0
+            loose = 0.0
     for c in range(3):
         for e in range(x.shape[1]):
+            falls = loose if touch[e] == FREE else 0.0
             v_old[c, e] = v[c, e] - falls * dt * gravity[c]
             x_old[c, e] = x[c, e] - dt * v[c, e] + 0.5 * dt * dt * falls * gravity[c]
 

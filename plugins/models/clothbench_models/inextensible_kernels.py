@@ -41,7 +41,7 @@ from clothbench_models.implicit_step import (
     step_before,
 )
 from clothbench_models.inextensible_constraints import CONSTRAINTS, pull, sines, tighten, violations
-from clothbench_models.resting_contact import STICKS, judge, stop_reversed
+from clothbench_models.resting_contact import STICKS, judge, stop_reversed, touching
 from clothbench_models.sheet_forces import TRIANGLES, add_diagonals, add_fluxes, edge_differences
 
 __all__ = ["BDF2", "EULER", "march"]
@@ -103,7 +103,8 @@ def _march(
             return
         rounds += used
         tension[:] = 0.0
-        step_before(x, v, dt, sheet.gravity, sheet.mass, pins, x_old, v_old)
+        touching(x, v, 0.0, obstacles, free, touch, normal, friction, on)
+        step_before(x, v, dt, sheet.gravity, sheet.mass, pins, touch, x_old, v_old)
     done = write_frames(x, v, x, v, start, start, done, sampling, grips)
     while done < frames:
         t = start + (count + 1) * dt
@@ -112,7 +113,7 @@ def _march(
         follow_grips(guess, x_bar, gamma, pins, grips, t, segment)
         if solid:
             carry(obstacles, grips.knots, grips.curve, start, t, dt)
-            rest_on(guess, x, x_bar, gamma, dt, obstacles, free, touch, normal, friction, on, z, q)
+            rest_on(guess, x, v, x_bar, gamma, dt, obstacles, free, touch, normal, friction, on, z, q)
         moved_on(x_bar, gamma, guess, q)
         f[:] = 0.0
         heavier = add_outer(t, dt, q, guess, f, nu, NO_AIR, sheet, effects, terms, terms.state, extra, grips, segment)

@@ -17,14 +17,17 @@ from clothbench.modelling import DISC, OBSTACLE, SPHERE, inside, keep_apart, lea
 FREE, SLIDES, STICKS = 0, 1, 2  # what a node may do where it touches an obstacle; held nodes stick
 LEAVES = 3  # it was let go and lies on the surface still: it is free for one step, in which it leaves or falls back
 SKIN = 2e-9  # m; as near as this is touching
+STILL = 1e-9  # m/s; as slow as this friction has stopped what has just touched
 
 
 @lean_kernel
-def touching(x, dt, obstacles, free, touch, normal, friction, on):
+def touching(x, v, dt, obstacles, free, touch, normal, friction, on):
     """Find the nodes of x (3, n) m that lay on an obstacle before it moved on for dt [s] to where it is: their outward
     normal (3, n), the friction (n,) there, and on (n,), the number of the obstacle, −1 of nodes that touch none.
 
-    touch (n,) keeps what a node did before, as far as it still touches; a new contact sticks if there is friction.
+    touch (n,) keeps what a node did before, as far as it still touches. A new contact slides, unless `keep_out` has
+    taken all of its velocity v (3, n) m/s against the obstacle: what friction could not stop by then, the next step
+    must not stop with an impulse that Coulomb does not allow.
     """
     for i in range(x.shape[1]):
         if free[i] == 0.0:
@@ -58,7 +61,14 @@ def touching(x, dt, obstacles, free, touch, normal, friction, on):
         if not found or touch[i] == LEAVES:
             touch[i] = FREE
         elif touch[i] == FREE:
-            touch[i] = STICKS if friction[i] > 0.0 else SLIDES
+            touch[i] = STICKS if friction[i] > 0.0 and _still(v, obstacles, on[i], i) else SLIDES
+
+
+@lean_kernel
+def _still(v, obstacles, k, i):
+    """Whether node i goes along with obstacle k, as that moved in the step in which they touched."""
+    wx, wy, wz = vector_of(obstacles, k, OBSTACLE.velocity_before)
+    return (v[0, i] - wx) ** 2 + (v[1, i] - wy) ** 2 + (v[2, i] - wz) ** 2 <= STILL * STILL
 
 
 @lean_kernel
