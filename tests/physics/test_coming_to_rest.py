@@ -52,6 +52,19 @@ def finished(simulation: GridSimulation, theta: np.ndarray) -> np.ndarray:
     return rollout.position
 
 
+@pytest.mark.parametrize("make", [BaraffWitkin, Inextensible], ids=lambda make: make.name)
+def test_between_grips_inset_from_either_hem_a_sheet_hangs_even(make):
+    """Their lines are the outermost, and each stands for the cloth beyond it: on one side it had been left out."""
+    held = np.array([[0.012, 0.0], [0.288, 0.0]])
+    at = np.array([[[-0.138, 0.0, 1.0], [0.138, 0.0, 1.0]]] * 2)
+    u, v = np.meshgrid(np.linspace(0.02, 0.28, 7), np.linspace(0.0, 0.25, 6))
+    points = np.stack([u.ravel(), v.ravel()], axis=1)
+    where = Scene(0.3, 0.25, 0.2, np.array([0.0, 1.0]), held, at, np.array([0.0]), points, resolution=(13, 11))
+    simulation = prepared(make, (), where)
+    height = finished(simulation, simulation.parameters.defaults[None])[0, 0, :, 2].reshape(6, 7)
+    np.testing.assert_allclose(height, height[:, ::-1], atol=5e-5)
+
+
 @each_model
 def test_dampings_and_drag_leave_the_rest_alone(make):
     simulation = prepared(make, [QuadraticDrag()])

@@ -74,7 +74,7 @@ def test_an_even_stretch_of_springs_costs_what_the_disc_holds(nodes):
     assert springs.mass.sum() == pytest.approx(DENSITY * signed_area(disc), rel=1e-9)
     energy = (springs.share * springs.rest**2).sum(axis=1) / signed_area(disc)
     assert energy == pytest.approx([1.0, 1.0], abs=0.6 / nodes)  # what the caps at the rim leave out
-    lengths, _, stiffness = triangle_edges((lines, lines), cover)
+    lengths, _, stiffness = triangle_edges((lines, lines), (0.3, 0.3), cover)
     assert (stiffness[:2] * lengths**2).sum(axis=1) / signed_area(disc) == pytest.approx([1, 1], abs=0.3 / nodes)
 
 

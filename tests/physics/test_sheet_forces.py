@@ -40,7 +40,7 @@ class Sheet:
 
     def __init__(self, rows, stiffness, damping, scales=(0.0, 0.0), stiffer=0.0):
         self.rows, self.scales, self.stiffer = rows, scales, stiffer
-        lengths, over, share = triangle_edges(LINES)
+        lengths, over, share = triangle_edges(LINES, (LINES[0][-1], LINES[1][-1]))
         share[2] *= 2 if rows == CELLS else 1  # a cell is two triangles
         self.rest = lengths, over
         self.stiffness, self.damping = (share * np.array([[a], [a], [b]]) for a, b, _ in (stiffness, damping))

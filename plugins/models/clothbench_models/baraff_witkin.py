@@ -164,7 +164,7 @@ class BaraffWitkinSimulation(GridSimulation):
 
     @cached_property
     def edges(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return triangle_edges(self.lines, self.cover)
+        return triangle_edges(self.lines, (self.scene.width, self.scene.height), self.cover)
 
     def run(self, theta: np.ndarray) -> Rollout:
         """Simulate theta (B, P): the nine parameters (eleven of an orthotropic sheet), then the effects'."""
@@ -211,9 +211,9 @@ class BaraffWitkinSimulation(GridSimulation):
 
 
 def triangle_edges(
-    lines: tuple[np.ndarray, np.ndarray], cover: Cover | None = None
+    lines: tuple[np.ndarray, np.ndarray], size: tuple[float, float], cover: Cover | None = None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What the compiled forces need of a grid with lines at u (nu,) and v (nv,) m.
+    """What the compiled forces need of a grid with lines at u (nu,) and v (nv,) m, of a sheet of that size [m].
 
     Rest lengths (2, P) m of u- and v-edges, 1/h (2, P) of the cells, and stiffness (3, P) of u-edges, v-edges and shear
     for moduli of 1 N/m, of what of it is cloth; P = the nodes and nu + 1 places before and after them.
@@ -221,7 +221,7 @@ def triangle_edges(
     u, v = lines
     hu, hv = np.append(np.diff(u), 0.0), np.append(np.diff(v), 0.0)
     over_u, over_v = (np.divide(1, h, out=np.zeros_like(h), where=h > 0) for h in (hu, hv))
-    high, wide, whole = edge_widths(lines, cover)
+    high, wide, whole = edge_widths(lines, size, cover)
     ones = np.ones((len(v), len(u)))
     inside = ones * (hu > 0) * (hv > 0)[:, None]
     lengths = np.stack([ones * hu, ones * hv[:, None]])
@@ -230,12 +230,17 @@ def triangle_edges(
     return tuple(padded(rows) for rows in (lengths, over, stiffness))  # type: ignore[return-value]
 
 
-def edge_widths(lines: tuple[np.ndarray, np.ndarray], cover: Cover | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The width of cloth that each node's u-edge and v-edge stand for (nv, nu) m; which share of its cell is cloth."""
+def edge_widths(
+    lines: tuple[np.ndarray, np.ndarray], size: tuple[float, float], cover: Cover | None
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The width of cloth that each node's u-edge and v-edge stand for (nv, nu) m; which share of its cell is cloth.
+
+    The outermost lines stand for all that is beyond them: a grip beside the hem has moved its line inwards.
+    """
     u, v = lines
     ones = np.ones((len(v), len(u)))
     if cover is None:
-        return tributary(v, v[-1])[:, None] * ones, tributary(u, u[-1]) * ones, ones
+        return tributary(v, size[1])[:, None] * ones, tributary(u, size[0]) * ones, ones
     return cover.widths(1, 0), cover.widths(0, 1), np.pad(cover.cells, ((0, 1), (0, 1)))
 
 

@@ -144,7 +144,7 @@ class InextensibleSimulation(GridSimulation):
         (u, v), (nu, nv) = self.lines, self.shape
         hu, hv = np.append(np.diff(u), 0.0), np.append(np.diff(v), 0.0)
         ones = np.ones((nv, nu))
-        high, wide, whole = edge_widths(self.lines, self.cover)
+        high, wide, whole = edge_widths(self.lines, (self.scene.width, self.scene.height), self.cover)
         lengths = np.stack([ones * hu, ones * hv[:, None]])
         cells = np.sqrt(lengths[0] * lengths[1])
         three = np.stack([*lengths, cells])
@@ -181,7 +181,7 @@ class InextensibleSimulation(GridSimulation):
         obstacles, layers, sampling = obstacle_table(scene), layers_of(scene, self.sheet), batch.sampling(b)
         terms, grips = batch.effect_terms(b), batch.grips(b)  # what effects remember of the settling goes on in the run
         if begins.settles == SETTLES:  # the same sheet with stiff springs for constraints finds rest in a few rounds
-            rest_lengths, over, unit = triangle_edges(self.lines, self.cover)
+            rest_lengths, over, unit = triangle_edges(self.lines, (scene.width, scene.height), self.cover)
             stiff = unit * np.array([[TAUT], [TAUT], [2 * self.shear]])  # of a cell, not a triangle
             membrane = triangles.Membrane(rest_lengths, over, stiff, np.zeros_like(stiff))
             triangles.march(triangles.BDF2)(
