@@ -9,7 +9,7 @@ import pytest
 from effect_scenes import STIFF, cloth, effect_named, hanging, on_every_model, run
 from scipy.integrate import solve_ivp
 
-from clothbench import Camera, ClothbenchError
+from clothbench import Camera, ClothbenchError, Scene
 from clothbench.plugins.discovery import catalogue
 from clothbench.testing import scenes
 
@@ -160,6 +160,29 @@ def test_a_patch_moves_with_its_grip(name):
     free, held = stray(), stray(("grip_patch", [0.06]))
     assert held[0] < min(1.5e-3, 0.25 * free[0])
     assert held[1] > 0.01  # what is below still swings
+
+
+def test_how_stiff_a_patch_is_does_not_depend_on_the_step():
+    """A strip held out by one edge hangs in the same shape, and stays there; a step above 5 ms makes it softer only."""
+    width, height, times = 0.2, 0.05, np.array([0.0, 0.1, 0.2])
+    held = np.array([[0.0, v] for v in np.linspace(0, height, 6)])
+    at = np.column_stack([held, np.ones(6)])
+    points = np.array([[u, v] for v in (0.0, height) for u in np.linspace(0, width, 9)])
+    scene = Scene(width, height, 0.12, np.array([0.0, 0.2]), held, np.stack([at, at]), times, points,
+                  resolution=(21, 6), start=np.column_stack([points, np.ones(18)]))  # fmt: skip
+
+    def hung(**options):
+        model = catalogue().make("models", "baraff_witkin", **options)
+        theta = [1e-4, 200.0, 50.0, 1e-6, 0.02, 0.02, 0.0, 0.0, 0.0, 0.04]
+        rollout = model.prepare(scene, [effect_named("grip_patch")]).run(np.array([theta]))
+        assert rollout.status == ("ok",)
+        np.testing.assert_allclose(rollout.position[0, 1:], rollout.position[0, :2], atol=2e-5)
+        return rollout.position[0, -1]
+
+    fine = hung(dt=5e-4)
+    for options in ({"dt": 2e-3}, {"integrator": "implicit_euler"}, {"integrator": "rk45"}):
+        np.testing.assert_allclose(hung(**options), fine, atol=2e-5)
+    assert 0.0 < np.abs(hung(dt=8e-3) - fine).max() < 0.02
 
 
 # --- sensor -----------------------------------------------------------------------------------------------------------
