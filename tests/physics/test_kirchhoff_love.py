@@ -273,6 +273,9 @@ def test_bad_options_and_scenes_are_one_line():
     on_a_ball = dataclasses.replace(scenes.hanging(), obstacles=(Obstacle("sphere", radius=0.1),))
     with pytest.raises(ClothbenchError, match="on no disc or sphere"):
         KirchhoffLove().prepare(on_a_ball)
+    on_rough_ground = dataclasses.replace(scenes.hanging(), obstacles=(Obstacle("plane", (0, 0, -9), friction=0.4),))
+    with pytest.raises(ClothbenchError, match=r"rest on smooth ground only, and this scene's has a friction of 0\.4"):
+        KirchhoffLove().prepare(on_rough_ground)
     with pytest.raises(ClothbenchError, match="its sheet is a whole rectangle"):
         KirchhoffLove().prepare(scenes.cut_and_short()[0])
     with pytest.raises(ClothbenchError, match="lets a folded sheet roll open on smooth ground"):

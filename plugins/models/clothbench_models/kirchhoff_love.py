@@ -35,7 +35,7 @@ ORTHOTROPIC = PARAMETERS.joined(ParameterSpace((BEND_RATIO, STRETCH_RATIO)))
 
 
 class KirchhoffLove:
-    """Thin shell at rest under gravity, held by points, on at most one plane; see the module for equations and sources.
+    """Thin shell at rest under gravity, held by points, on at most one smooth plane; the module has equations, sources.
 
     resolution: of the sheet's mesh, nodes (ends of elements) along (u, v) or one number for the longer side, where the
     scene does not say; elements: of a strip's mesh (`strip`), at least 64; orthotropic: two parameters more for sheets,
@@ -43,7 +43,7 @@ class KirchhoffLove:
     """
 
     name = "kirchhoff_love"
-    version = 1
+    version = 2
     kind = "static"
     parameters = PARAMETERS
     capabilities: ClassVar[frozenset[str]] = frozenset({"static", "contact", "fold"})
@@ -66,6 +66,10 @@ class KirchhoffLove:
             return "its sheet is a whole rectangle, and this scene's is cut"
         if len(scene.obstacles) > 1 or any(o.shape != "plane" for o in scene.obstacles):
             return "rests on one plane at most, and on no disc or sphere"
+        if scene.obstacles and scene.obstacles[0].friction > 0:
+            return (
+                f"finds rest on smooth ground only, and this scene's has a friction of {scene.obstacles[0].friction:g}"
+            )
         if scene.obstacles and turned_over(scene):
             return "lets a folded sheet roll open on smooth ground, which costs nothing; `strip` folds strips"
         if scene.thickness > 0:
