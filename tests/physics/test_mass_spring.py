@@ -84,6 +84,23 @@ def test_the_largest_eigenvalue_is_that_of_the_whole_matrix(lines):
         assert true <= bound < 1.003 * true
 
 
+@pytest.mark.parametrize(("a", "b"), [(0.01, 0.01), (0.02, 0.01), (0.01, 0.03)])
+def test_diagonals_have_the_moduli_that_the_grid_states(a, b):
+    """By the energy of a flat sheet, evenly strained, all of whose cells are a × b; the structural springs add 1."""
+    u, v = np.arange(31) * a, np.arange(31) * b
+    grid, strain = SpringGrid.of((u, v), (u[-1], v[-1]), 0.1), 1e-5
+    k, square = np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0]), (a * a + b * b) ** 2
+
+    def modulus(*rows):
+        x = np.eye(2) + strain * np.array(rows)
+        x = np.vstack([x @ grid.uv.T, np.zeros(len(grid.mass))])
+        return 2 * energy(grid, k, x) / (u[-1] * v[-1] * strain**2)
+
+    assert modulus([1, 0], [0, 0]) == pytest.approx(1 + 4 * a**4 / square, rel=1e-3)
+    assert modulus([0, 0], [0, 1]) == pytest.approx(1 + 4 * b**4 / square, rel=1e-3)
+    assert modulus([0, 0.5], [0.5, 0]) == pytest.approx(4 * (a * b) ** 2 / square, rel=1e-3)
+
+
 @pytest.fixture(scope="module")
 def crumpled():
     lines = (np.array([0.0, 0.04, 0.1, 0.14, 0.2]), np.linspace(0, 0.3, 6))

@@ -94,7 +94,8 @@ class MassSpring:
 
         The lattice has C11 = C22 = C = 2 k1 + 4 k2 (a flexion spring is two cells long) and C12 = C66 = k1, so a free
         strip has C − k1²/C. k2 is as small as it gets. Shear springs share k1: the shear stiffness comes out as k1,
-        whatever the material's, and there is a cross contraction of 1/2.
+        whatever the material's, and there is a cross contraction of 1/2. All of this is of square cells; of others,
+        where the diagonals have other moduli (`spring_grid`), the lattice is stiffer along their longer side.
         """
         refuse_ratios(self.name, material)
         if material.bending > 0:
@@ -113,7 +114,7 @@ class MassSpring:
         return np.array([k1, k2, material.stretch_damping / self._viscosity(k1, k2, scene)])
 
     def material_of(self, theta: np.ndarray, scene: Scene) -> Material:
-        """The inverse: no bending rigidity, and dampings c = 2ζ√(k m) that depend on the mesh."""
+        """The inverse, of square cells, too: no bending rigidity, and dampings c = 2ζ√(k m) that depend on the mesh."""
         k1, k2, zeta = (float(value) for value in theta[:3])
         whole = 2 * k1 + 4 * k2
         return Material(0.0, whole - k1**2 / whole, k1, 0.0, zeta * self._viscosity(k1, k2, scene))

@@ -7,10 +7,11 @@ direction; position Verlet moves it, with a share of the last displacement lost 
     x_i = x_{i−1} + (1 − c Δt)(x_{i−1} − x_{i−2}) + a_i Δt²
 
 The text at hand breaks off where it comes to that loss; here c is one per second, and stiffnesses are per width of
-cloth as `spring_grid` has it, so that neither depends on step or mesh. The membrane does not either: a sheet has C11 =
-Σ k² (H_k + D_k), C22 = Σ k² (V_k + D_k), C12 = C66 = Σ k² D_k. What does depend on the mesh is the reach of the long
-springs. They resist bending only as chords that shorten, an energy of about (k h κ)⁴ per area for cells of h: bending
-fades on finer grids. And within k cells of a border, fewer of them pass.
+cloth as `spring_grid` has it, so that neither depends on step or mesh. The membrane does not either, as long as cells
+are square (of others `spring_grid` tells what the diagonals do): a sheet has C11 = Σ k² (H_k + D_k), C22 =
+Σ k² (V_k + D_k), C12 = C66 = Σ k² D_k. What does depend on the mesh is the reach of the long springs. They resist
+bending only as chords that shorten, an energy of about (k h κ)⁴ per area for cells of h: bending fades on finer
+grids. And within k cells of a border, fewer of them pass.
 """
 
 from __future__ import annotations
@@ -108,7 +109,7 @@ class MassSpringVerlet:
 
         With C11 = H1 + D1, C22 = V1 + D1 and C12 = C66 = D1, strips that are free to narrow have C11 − D1²/C22 and
         C22 − D1²/C11 as their tensile stiffness, in the ratio of C11 to C22; the geometric mean of both is C − D1²/C
-        with C² = C11 C22. There remains a cross contraction of D1/C22 and D1/C11.
+        with C² = C11 C22. There remains a cross contraction of D1/C22 and D1/C11. Cells are taken for square.
         """
         refuse_ratios(self.name, dataclasses.replace(material, stretch_ratio=1.0))
         if material.bending > 0:

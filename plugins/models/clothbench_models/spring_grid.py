@@ -135,7 +135,9 @@ def _family(u, v, wide, high, di: int, dj: int, cover: Cover | None) -> tuple[np
     """Rest length (n,) m and stiffness share (n,) of one family, at each spring's first node.
 
     On square cells the share is 1 inside and ½ along a border. Elsewhere it is what keeps the sheet's stiffness per
-    width: (width stood for) / (length per cell) for straight springs, 2ab/(a² + b²) for diagonals that span a × b.
+    width: (width stood for) / (length per cell) for straight springs, 2ab/(a² + b²) for diagonals that span a × b. Of
+    the diagonals of cells that are not square that holds for C11 + 2 C12 + C22 only, 4 as on squares for a stiffness of
+    1: they have C11 = 4a⁴/(a² + b²)², C22 = 4b⁴/(a² + b²)² and C12 = C66 = 4a²b²/(a² + b²)².
     Where the cloth is cut to an outline, it is the share of that which is cloth.
     """
     nu, nv = len(u), len(v)
