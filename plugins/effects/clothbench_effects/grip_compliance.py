@@ -11,7 +11,8 @@ class GripCompliance:
     """y'' + 2 ζ ω y' + ω² (y − c) = 0 with ω = 2π/T: the grip y follows its commanded path c, from rest.
 
     A path that is in motion at its first stamp, as where a run goes on from a motion that was seen, makes the mount
-    ring at first, for about T/(2π ζ); on a path with a single stamp it does nothing.
+    ring at first, for about T/(2π ζ); on a path with a single stamp it does nothing, and after the last stamp it
+    stands still, since what is seen then counts for nothing.
 
     Integrated exactly for a path that is straight between stamps, so no period is too short: at T → 0 it is the path.
     """
