@@ -138,9 +138,6 @@ class GridSimulation:
         if scene.velocity is not None:  # noise of the measurement would else be let loose as stretch
             grips = scene.grips_at(np.array([scene.start_time]), curve)[0] if sheet.gripped else np.zeros((0, 3))
             shape = unstretched(shape, self.lines, sheet.held[: sheet.gripped], grips)
-        elif curve is not None:
-            recorded, held = (scene.grips_at(np.array([scene.start_time]), c)[0] for c in (None, curve))
-            shape = _moved_along(shape, recorded, held)
         return _flat_in_clamps(scene, shape, self.clamped)
 
     @property
@@ -248,11 +245,7 @@ class GridBatch:
         self.shape, self.velocity = simulation.start
         curves = effects.grip_curves(scene, theta)
         # Effects may hold the grips elsewhere; cloth that is already moving begins there, and does not jump onto them.
-        # What settles gets there by itself, but not to other effects, which may remember where it lay in its grips; it
-        # is left where it was seen to lie on something.
-        lies = len(scene.obstacles) > 0
-        elsewhere = not simulation.settles or (effects.at_rest and not lies)
-        elsewhere = elsewhere and len(scene.grip_material) > 0 and len(effects.at("boundary")) > 0
+        elsewhere = not simulation.settles and len(scene.grip_material) > 0 and len(effects.at("boundary")) > 0
         self.shapes = np.stack([simulation.start_with(curve) for curve in curves]) if elsewhere else self.shape[None]
         self.knots = np.array(scene.grip_time) if len(scene.grip_material) else np.zeros(2)
         still = simulation.sheet.held[simulation.sheet.gripped :]
@@ -378,22 +371,6 @@ def _with_still(curves: np.ndarray, places: np.ndarray) -> np.ndarray:
     still = np.zeros((*curves.shape[:3], places.shape[1], 3))
     still[:, 3] = places[:, None]
     return np.ascontiguousarray(np.concatenate([curves, still], axis=3))
-
-
-def _moved_along(shape: np.ndarray, grips: np.ndarray, held: np.ndarray) -> np.ndarray:
-    """The shape (n, 3) m carried along as the grips (G, 3) m go to where they are `held`, without a strain; as it is,
-    to the bit, if they stay.
-
-    Of all rotations that fit best (Kabsch 1976), the least: grips on one line leave that about it open.
-    """
-    if np.array_equal(grips, held):
-        return shape
-    middle, other = grips.mean(axis=0), held.mean(axis=0)
-    a, b = grips - middle, held - other
-    least = 1e-6 * (np.sum(a * a) + 1e-12) * np.eye(3)
-    left, _, right = np.linalg.svd(a.T @ b + least)
-    turn = left @ np.diag([1.0, 1.0, np.sign(np.linalg.det(left @ right))]) @ right
-    return (shape - middle) @ turn + other
 
 
 def _rims(scene: Scene, shape: np.ndarray) -> list[tuple[Obstacle, np.ndarray, np.ndarray]]:

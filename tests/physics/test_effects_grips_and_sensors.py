@@ -162,18 +162,6 @@ def test_a_patch_moves_with_its_grip(name):
     assert held[1] > 0.01  # what is below still swings
 
 
-@on_every_model
-def test_a_patch_is_where_an_offset_or_a_rotation_takes_its_grips(name):
-    """As if the scene had told of the grips there: the patch had stayed where they were recorded."""
-    size, clamps = ("grip_patch", [0.06]), (("grip_offset", [0.0, 0.02, 0.01]), ("grip_rotation", [0.25, 0.0]))
-    scene = hanging(0.1, 0.2, np.array([0.0, 0.1]), [(0.05, 0.02), (0.1, 0.06), (0.0, 0.2)], (5, 11))
-    theta = cloth(name, scene, STIFF)[0]
-    for clamp, values in clamps:
-        moved = grips(clamp, values, scene.grip_time, np.array(scene.grip_position))
-        there = run(name, dataclasses.replace(scene, grip_position=moved), theta, size)
-        np.testing.assert_allclose(run(name, scene, theta, size, (clamp, values)), there, atol=1e-4)
-
-
 def test_how_stiff_a_patch_is_does_not_depend_on_the_step():
     """A strip held out by one edge hangs in the same shape, and stays there; a step above 5 ms makes it softer only."""
     width, height, times = 0.2, 0.05, np.array([0.0, 0.1, 0.2])

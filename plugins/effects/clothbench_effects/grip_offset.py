@@ -9,7 +9,7 @@ SOURCE = "distance between the tracked point of a gripper and where it holds the
 
 class GripOffset:
     name = "grip_offset"
-    version = 2
+    version = 1
     place = "boundary"
     family = "grip"
     summary = "grips shifted against their recorded positions"

@@ -15,7 +15,7 @@ class GripRotation:
     """
 
     name = "grip_rotation"
-    version = 2
+    version = 1
     place = "boundary"
     family = "grip"
     summary = "grips turned against their recorded pose"
