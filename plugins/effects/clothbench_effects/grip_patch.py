@@ -39,9 +39,9 @@ def clasp(t, dt, x, v, f, sheet, p, state):
     """f −= m k [ω² (x − x_g − d) + 2ω (v − v_g)/(1 + 2ω k Δt)], k the share that is covered.
 
     A spring to the place d beside the grip at which the node was first, which the step does not weaken: what else pulls
-    at the node does not know of it. The damping, critical in short steps, is that of an implicit one. Where another effect
-    (`grip_offset`, `grip_rotation`) holds the grips elsewhere, d still is beside where they were recorded, since it is
-    there that a sheet begins to settle: the two together hold it askew.
+    at the node does not know of it. The damping, critical in short steps, is that of an implicit one. Where another
+    effect (`grip_offset`, `grip_rotation`) holds the grips elsewhere, d still is beside where they were recorded, since
+    it is there that a sheet begins to settle: the two together hold it askew.
     """
     if p[0] == 0.0:
         return
