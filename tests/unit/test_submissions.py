@@ -291,12 +291,15 @@ def test_a_name_that_no_file_can_have_stops_no_other_submission(folder, recordin
     shutil.copytree(folder, tmp_path / "all" / "good")
     shutil.copytree(folder, tmp_path / "all" / "bad")
     edit(tmp_path / "all" / "bad", lambda stated: stated["entries"][0].update(file=name))
-    edit(tmp_path / "all" / "bad", lambda s: s.update(wheels=[{"file": f"{name}.whl", "sha256": "ab"}]))
+    faults = 1
+    if name.isalpha():  # another one is no name of a wheel, which is told as the file is read
+        edit(tmp_path / "all" / "bad", lambda s: s.update(wheels=[{"file": f"{name}.whl", "sha256": "ab"}]))
+        faults = 2
     folders = [str(tmp_path / "all" / one) for one in ("bad", "good")]
     assert main(["verify", *folders, "--recordings", str(recordings_folder)]) == 1
     told = capsys.readouterr()
-    assert "my-simulator" in told.out.partition("refused, 2 faults")[2]
-    assert len(told.err.splitlines()) == 2
+    assert "my-simulator" in told.out.partition(f"refused, {faults} fault")[2]
+    assert len(told.err.splitlines()) == faults
     if name.isalpha():
         assert "aaa: entries.file cannot be read (File name too long); expected a file of the submission" in told.err
         assert "aaa.whl: wheels.file cannot be read (File name too long)" in told.err
