@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from clothbench.display.terminal import console
-from clothbench.engine.judgement import IDENTITY, Key, Row, identity, judge, other_unit, spread
+from clothbench.engine.judgement import IDENTITY, Key, Row, has_number, identity, judge, other_unit, spread
 from clothbench.engine.store import finite
 
 Rows = Sequence[dict[str, Any]]
@@ -94,7 +94,7 @@ def _compare_cells(base: Rows, new: Rows, verdict: dict[str, Any]) -> None:
         if other is None:
             verdict["missing"].append(_change(row, None, MISSING))
             continue
-        verdict["compared"] += any(finite(one["value"]) is not None for one in (row, other))
+        verdict["compared"] += has_number(row) or has_number(other)
         if side := judge(row, other):
             own = "" if other["status"] == "ok" else other.get("reason")  # how a search ended well is no reason
             verdict[side].append(_change(row, other, other_unit(row, other) or own or ""))

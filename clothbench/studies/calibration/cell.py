@@ -323,8 +323,10 @@ def refuse_misspelled(
         )
     here = {*free.names, *model.parameters.names, *of_effects}
     asked = [*(("bounds", name) for name in cell.bounds), *(("suite.fixed", name) for name in cell.fixed)]
-    for key, name in ((key, name) for key, name in asked if name not in here):  # of another model's, or of none
-        if name not in parameters_of_all(plugins):
+    if not here.issuperset(name for _, name in asked):  # those of other models are made, to see whether they are meant
+        here |= parameters_of_all(plugins)
+    for key, name in asked:
+        if name not in here:
             raise ClothbenchError(f"setting '{key}': no parameter {name!r}; {known_names(name, free.names)}")
 
 
