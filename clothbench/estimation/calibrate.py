@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clothbench.core.errors import ClothbenchError
 from clothbench.core.kernels import compiled_for
 from clothbench.core.optional import start_of, temperature_of
 from clothbench.core.parameters import ParameterSpace
@@ -119,12 +118,11 @@ def calibrate(
     stopped, looked, given = "", 0, start_of(optimizer) is not None  # one that begins at the defaults looks at nothing
 
     def answer(theta: np.ndarray) -> Evaluation:
-        _require_within(space, theta, optimizer)
         if (temperature := temperature_of(optimizer)) is not None:
             warmth.append(np.full(len(theta), temperature))
         return remembered(trials, theta, checkpoint)
 
-    for theta, evaluation in drive(optimizer, answer, budget):
+    for theta, evaluation in drive(optimizer, space, answer, budget):
         thetas.append(theta)
         values.append(evaluation.value)
         if evaluation.objectives is not None:
@@ -161,22 +159,6 @@ def calibrate(
         objectives=objectives,
         temperature=np.concatenate(warmth) if warmth else None,
     )
-
-
-def _require_within(space: ParameterSpace, theta: np.ndarray, optimizer: Optimizer) -> None:
-    if theta.shape[1] != len(space):
-        raise ClothbenchError(
-            f"optimizer {optimizer.name!r} asked for {theta.shape[1]} parameters, expected {len(space)}: "
-            f"{', '.join(space.names)}"
-        )
-    outside = np.argwhere((theta < space.low) | (theta > space.high))
-    if outside.size:
-        b, p = outside[0]
-        parameter = space.parameters[p]
-        raise ClothbenchError(
-            f"optimizer {optimizer.name!r} asked for {parameter.name} = {theta[b, p]:.6g}, expected a value within its "
-            f"bounds {parameter.bounds}"
-        )
 
 
 def _lowest(value: np.ndarray) -> float:

@@ -25,7 +25,7 @@ def walked(**settings) -> tuple[np.ndarray, int]:
         return Evaluation(np.square(residual).sum(axis=1), residual)
 
     search = LeastSquares(SPACE, seed=0, budget=200, starts=0, walks=1, **settings)
-    asked = [(theta, found.value) for theta, found in drive(search, evaluate)]
+    asked = [(theta, found.value) for theta, found in drive(search, SPACE, evaluate)]
     points, values = (np.concatenate(parts) for parts in zip(*asked, strict=True))
     return points[int(np.argmin(values))], len(points)
 
@@ -51,14 +51,14 @@ def test_where_all_about_the_start_is_lost_a_search_looks_elsewhere(name, start)
 
     for seed in range(4):
         search = catalogue().make("optimizers", name, SPACE, seed=seed, budget=300, start=start)
-        values = np.concatenate([found.value for _, found in drive(search, evaluate)])
+        values = np.concatenate([found.value for _, found in drive(search, SPACE, evaluate)])
         assert np.nanmin(values) < 0.01
 
     def lost(theta: np.ndarray) -> Evaluation:
         return Evaluation(np.full(len(theta), np.nan))
 
     search = catalogue().make("optimizers", name, SPACE, seed=0, budget=100, start=start)
-    points = np.concatenate([theta for theta, _ in drive(search, lost)])
+    points = np.concatenate([theta for theta, _ in drive(search, SPACE, lost)])
     assert len(np.unique(points, axis=0)) > 80
 
 
@@ -71,7 +71,7 @@ def test_a_new_measurement_begins_at_the_best_of_the_last_one(budget):
         return Evaluation(np.square(residual).sum(axis=1), residual)
 
     search = IterativeLeastSquares(SPACE, seed=0, budget=budget)
-    asked = [(theta, found.value) for theta, found in drive(search, evaluate)]
+    asked = [(theta, found.value) for theta, found in drive(search, SPACE, evaluate)]
     points, values = (np.concatenate(parts) for parts in zip(*asked, strict=True))
     search.renew()
     assert evaluate(search.ask()).value[0] <= values.min() + 1e-5  # differences are no steps of the walk
@@ -88,7 +88,7 @@ def test_beside_runs_that_are_lost_differences_go_to_the_other_side(name, lost):
         return Evaluation(np.square(residual).sum(axis=1), residual)
 
     search = catalogue().make("optimizers", name, SPACE, seed=0, budget=200)
-    values = np.concatenate([found.value for _, found in drive(search, evaluate)])
+    values = np.concatenate([found.value for _, found in drive(search, SPACE, evaluate)])
     assert np.nanmin(values) < 1e-9
     assert search.stopped == "converged"
 
@@ -100,7 +100,7 @@ def test_a_parameter_that_no_run_lets_move_is_told(name):
         return Evaluation(np.square(residual).sum(axis=1), residual)
 
     search = catalogue().make("optimizers", name, SPACE, seed=0, budget=200)
-    values = np.concatenate([found.value for _, found in drive(search, evaluate)])
+    values = np.concatenate([found.value for _, found in drive(search, SPACE, evaluate)])
     assert np.nanmin(values) == pytest.approx(0.01)
     assert search.stopped == "converged, but runs are lost to either side of a"
 
@@ -114,6 +114,6 @@ def test_what_has_a_residual_and_no_value_is_lost(name):
         return Evaluation(np.where(theta[:, 0] < 0.15, np.nan, np.square(residual).sum(axis=1)), residual)
 
     search = catalogue().make("optimizers", name, SPACE, seed=0, budget=200)
-    values = np.concatenate([found.value for _, found in drive(search, evaluate)])
+    values = np.concatenate([found.value for _, found in drive(search, SPACE, evaluate)])
     assert np.nanmin(values) < 1e-2
     assert np.isnan(values).mean() < 0.5

@@ -214,7 +214,11 @@ def _measure(hand: Hand, sheet: TestStrip, number: int) -> tuple[Observation, fl
 def _estimate(hand: Hand, optimizer: Optimizer, near: FoldState, seen: Observation) -> tuple[np.ndarray, float, int]:
     """argmin of J over what is estimated, J there [m²], and how many evaluations that took."""
     thetas, values = [], []
-    for theta, evaluation in drive(optimizer, lambda theta: hand.evaluate(theta, near, seen), hand.cell.evaluations):
+
+    def answer(theta: np.ndarray) -> Evaluation:
+        return hand.evaluate(theta, near, seen)
+
+    for theta, evaluation in drive(optimizer, hand.space, answer, hand.cell.evaluations):
         thetas.append(theta)
         values.append(evaluation.value)
     value = np.concatenate(values)

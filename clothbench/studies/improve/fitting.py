@@ -246,7 +246,7 @@ def search(
     counts: list[int] = []
     squares, points = [], []
     trace = Trace(np.zeros(1, int), np.array([square]), theta[None])
-    for asked, evaluation in drive(optimizer, lambda theta: evaluate(trials, theta)[0], budget):
+    for asked, evaluation in drive(optimizer, space, lambda theta: evaluate(trials, theta)[0], budget):
         count += len(asked)
         best = int(np.argmin(np.where(np.isfinite(evaluation.value), evaluation.value, np.inf)))
         if known and not counts:
