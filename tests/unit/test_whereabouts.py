@@ -121,3 +121,11 @@ def test_grips_that_stand_still_for_long_pause_and_do_not_turn():
 def test_grips_that_move_evenly_neither_speed_up_nor_slow_down():
     found = phases_of_way(lambda t: 0.1 * np.array([[np.cos(6 * t), np.sin(6 * t), 0.0]] * 2))
     assert found["the grips speed up"] + found["the grips slow down"] < 10
+
+
+def test_grips_that_stand_still_in_some_recordings_have_their_phases_in_the_others():
+    seen = recordings(2, lambda t, place: 2.0 if t > 3.0 else 1.0)
+    observation, scene, field = seen[0]
+    still = np.tile(scene.grip_position[:1], (len(scene.grip_time), 1, 1))
+    seen[0] = (observation, dataclasses.replace(scene, grip_position=still), field)
+    assert "after the grips stopped" in telling(whereabouts(seen, 1e3, "mm"))

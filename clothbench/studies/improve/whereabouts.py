@@ -73,10 +73,14 @@ def when(seen: Sequence[tuple[Observation, Scene, np.ndarray]], scale: float, un
     """Of the phases of the motion. ratio: of the rms in it to that of all of it."""
     some = [observation.visible.any(axis=1) for observation, _, _ in seen]
     series = [per_frame(observation, field)[k] for (observation, _, field), k in zip(seen, some, strict=True)]
-    phases = [{name: frames[k] for name, frames in phases_of(*one).items()} for one, k in zip(seen, some, strict=True)]
-    names = sorted({name for one in phases for name, frames in one.items() if frames.sum() >= LEAST_FRAMES})
+    told = [{name: frames[k] for name, frames in phases_of(*one).items()} for one, k in zip(seen, some, strict=True)]
+    names = sorted({name for one in told for name, frames in one.items() if frames.sum() >= LEAST_FRAMES})
     if not names:
         return []
+    # Of a phase that a recording does not have (grips that stand still have none), no frame is in it.
+    phases = [
+        {name: one.get(name, np.zeros(len(s), bool)) for name in names} for one, s in zip(told, series, strict=True)
+    ]
 
     def ratios(drawn: Sequence[np.ndarray]) -> np.ndarray:
         out = []
