@@ -16,7 +16,7 @@ from clothbench.plugins.discovery import catalogue
 from clothbench.studies.improve.balance import terms
 from clothbench.studies.improve.described import NUMBERS, Described
 from clothbench.studies.improve.law import Amount, Law, Series, as_good_as, chance, law_of
-from clothbench.studies.improve.motion import motion_of
+from clothbench.studies.improve.motion import motion_of, smoothed, steady_axes
 from clothbench.studies.improve.torque import balance_of, past_of
 
 WIDTH, HEIGHT, DENSITY, NOISE = 0.3, 0.35, 0.18, 1e-3
@@ -279,3 +279,24 @@ def test_a_first_term_stands_for_those_that_predict_as_much():
     series = Series(missing, [-v for v in speeds], columns, 0.01, 1 / 30, [0, 0, 1], np.zeros(3, bool))
     assert as_good_as(series, 0, series.errors(())) == [1]
     assert as_good_as(series, 1, series.errors(())) == [0]
+
+
+@pytest.mark.parametrize("rate", [30, 100])
+def test_motion_is_smoothed_as_its_noise_is_reckoned(rate):
+    """The response to f Hz is 1/(1 + (f/5.5)⁶), and so the noise of an acceleration what `missing_sigma` says."""
+    time, fastest = np.arange(0.0, 8.0, 1 / rate), 5.5
+    middle = (time > 2) & (time < 6)
+    for f in (2.0, 4.0, 5.5, 8.0):
+        wave = np.stack([np.sin(2 * np.pi * f * time), np.cos(2 * np.pi * f * time), 0 * time], axis=1)[:, None]
+        left = smoothed(time, wave, time, fastest)[0][middle, 0]
+        response = np.mean(np.sum(left * wave[middle, 0], axis=1))
+        assert response == pytest.approx(1 / (1 + (f / fastest) ** 6), abs=0.01)
+    noise = np.random.default_rng(1).normal(size=(len(time), 60, 3))
+    drawn = smoothed(time, noise, time, fastest)[2][middle].std()
+    assert drawn == pytest.approx(np.sqrt(2 * (2 * np.pi) ** 4 * fastest**5 * np.pi / 18 / rate), rel=0.06)
+
+
+def test_a_steady_force_is_looked_for_across_gravity_wherever_that_points():
+    seen = motions(count=3)
+    assert steady_axes(seen) == "y"  # along x lies the line of the grips
+    assert steady_axes([replace(m, gravity=np.array([0.0, -9.81, 0.0])) for m in seen]) == "z"

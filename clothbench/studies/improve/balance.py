@@ -67,8 +67,11 @@ class Term:
     law: str = ""
 
 
-def terms() -> tuple[Term, ...]:
-    """What a missing force may go with: velocity to a power, acceleration, the past, place, and places on the cloth."""
+def terms(steady: str = "xyz") -> tuple[Term, ...]:
+    """What a missing force may go with: velocity to a power, acceleration, the past, place, and places on the cloth.
+
+    steady: axes of the world along which a steady force would be seen.
+    """
     return (
         Term("normal velocity", "−k v_n n", "kg/(m²·s)", lambda m: power(m, 1.0), 0),
         *(
@@ -96,7 +99,8 @@ def terms() -> tuple[Term, ...]:
         *(
             Term(f"a steady force along {axis}", f"k e_{axis}", "N/m²",
                  partial(along_axis, axis=i, by_place=False), 10 + i)
-            for i, axis in enumerate("xy")
+            for i, axis in enumerate("xyz")
+            if axis in steady
         ),
         *(
             Term(f"place along {axis}", f"−k {axis} e_{axis}", "N/m³",

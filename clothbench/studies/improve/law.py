@@ -19,7 +19,7 @@ import numpy as np
 from clothbench.core.optional import law_of_force
 from clothbench.core.statistics import jackknife_half_width
 from clothbench.studies.improve.balance import Term, terms
-from clothbench.studies.improve.motion import Motion
+from clothbench.studies.improve.motion import Motion, steady_axes
 from clothbench.studies.improve.settings import LOOP
 
 MOST_TERMS = 3
@@ -126,7 +126,7 @@ def law_of(motions: Sequence[Motion], seed: int = 0) -> Law | None:
     """
     if len(motions) < LOOP.least_recordings:
         return None
-    known = [term for term in terms() if all(m.sees(term.force(m)) for m in motions)]
+    known = [term for term in terms(steady_axes(motions)) if all(m.sees(term.force(m)) for m in motions)]
     series = Series(
         [m.missing[m.counted] for m in motions], [m.torque(-m.v)[m.counted] for m in motions],
         [np.column_stack([m.torque(term.force(m)) for term in known])[m.counted] for m in motions],

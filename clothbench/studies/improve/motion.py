@@ -8,6 +8,7 @@ spline takes off the acceleration it then takes off the weight's lever as well, 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -16,7 +17,7 @@ from clothbench.core.observation import Observation
 from clothbench.core.scene import Scene
 
 DEGREE = 5
-FASTEST = 5.5  # Hz, of motion that is kept of frames that come fast enough
+FASTEST = 5.0  # Hz, of motion that is kept of frames that come fast enough
 RESOLVED = 0.3  # of the rate of frames, that they resolve
 KNOTS = 4.0  # per period of the fastest motion that is kept
 GAP = 1.5  # periods of that motion between two frames, across which nothing is told
@@ -147,7 +148,7 @@ def smoothed(time: np.ndarray, seen: np.ndarray, at: np.ndarray, fastest: float)
     each (S, N, C); motion of more than `fastest` Hz is smoothed away.
     """
     from scipy.interpolate import BSpline
-    from scipy.sparse import csr_matrix
+    from scipy.sparse import diags_array
     from scipy.sparse.linalg import splu
 
     spacing = 1 / KNOTS / fastest
@@ -156,8 +157,13 @@ def smoothed(time: np.ndarray, seen: np.ndarray, at: np.ndarray, fastest: float)
     outer = width * np.arange(1, DEGREE + 1)
     knots = np.concatenate([time[0] - outer[::-1], inner, time[-1] + outer])
     basis = BSpline.design_matrix(time, knots, DEGREE)
-    third = csr_matrix(np.diff(np.eye(basis.shape[1]), n=3, axis=0)) / width**2.5
-    penalty = third.T @ third / (2 * np.pi * fastest) ** 6
+    # The third derivative is a spline of second degree; products of its basis, whose knots are 1 apart, are whole
+    # numbers over 120. To count its coefficients alone would smooth fast motion away twice over.
+    count = basis.shape[1]
+    third = diags_array([-1.0, 3.0, -3.0, 1.0], offsets=[0, 1, 2, 3], shape=(count - 3, count))
+    overlap = np.array([1.0, 26.0, 66.0, 26.0, 1.0]) / 120
+    products = diags_array(overlap, offsets=[-2, -1, 0, 1, 2], shape=(count - 3, count - 3))
+    penalty = third.T @ products @ third / width**5 / (2 * np.pi * fastest) ** 6
     step = float(np.median(np.diff(time)))
     known = np.isfinite(seen).all(axis=2)
     coefficients = np.empty((basis.shape[1], *seen.shape[1:]))
@@ -170,6 +176,19 @@ def smoothed(time: np.ndarray, seen: np.ndarray, at: np.ndarray, fastest: float)
         coefficients[:, nodes] = solution.reshape(len(solution), -1, seen.shape[2])
     spline = BSpline(knots, coefficients, DEGREE)
     return [spline(at, nu) for nu in range(3)]
+
+
+def steady_axes(motions: Sequence[Motion]) -> str:
+    """The axes of the world, of "xyz", along which a steady force would be seen: not along the line of the grips, where
+    it makes no torque, nor along gravity, where it is part of the weight.
+    """
+    out = ""
+    for name, axis in zip("xyz", np.eye(3), strict=True):
+        down = [m.gravity / max(np.linalg.norm(m.gravity), 1e-12) for m in motions]
+        across = min(float(np.linalg.norm(axis - axis @ d * d)) for d in down)
+        if across >= LEAST_ACROSS and all(m.sees(np.broadcast_to(axis, m.x.shape)) for m in motions):
+            out += name
+    return out
 
 
 def between_frames(time: np.ndarray, at: np.ndarray) -> np.ndarray:

@@ -19,7 +19,7 @@ import numpy as np
 
 from clothbench.core.statistics import jackknife_half_width
 from clothbench.studies.improve.law import Law, law_of, solved
-from clothbench.studies.improve.motion import Motion
+from clothbench.studies.improve.motion import Motion, steady_axes
 from clothbench.studies.improve.settings import LOOP
 
 LAGS = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 0.4, 0.55, 0.75, 1.0)  # s; the kernel is zero at the last
@@ -66,7 +66,7 @@ def past_of(motions: Sequence[Motion]) -> Past | None:
     if len(motions) < LOOP.least_recordings:
         return None
     missing = [m.missing[m.counted] for m in motions]
-    steady = [axis for axis in np.eye(3)[:2] if all(m.sees(np.broadcast_to(axis, m.x.shape)) for m in motions)]
+    steady = [np.eye(3)["xyz".index(axis)] for axis in steady_axes(motions)]
     velocity = [of_velocity(m, steady)[m.counted] for m in motions]
     acceleration, past = ([each(m)[m.counted] for m in motions] for each in (of_acceleration, of_past))
     rough = np.diff(np.eye(past[0].shape[1] + 1)[:, :-1], n=2, axis=0)  # the last lag's value is zero
