@@ -25,11 +25,12 @@ from clothbench.studies.improve.document import document_in, verdict_document
 from clothbench.studies.improve.files import publish, require_own_page, rerun_files, write_files
 from clothbench.studies.improve.fitting import fit, search_settings
 from clothbench.studies.improve.loop import improve
-from clothbench.studies.improve.page import page_html
+from clothbench.studies.improve.page import page_html, sections
 from clothbench.studies.improve.problem import residuals
+from clothbench.studies.improve.run import leaderboard_rows
 from clothbench.studies.improve.schema import IMPROVE_TABLES
 from clothbench.studies.improve.sheet_tables import summary
-from clothbench.studies.improve.sheets import SheetCase
+from clothbench.studies.improve.sheets import SheetCase, noise_of
 from clothbench.studies.improve.tables import drift_rows, finding_tables
 
 FOLDER = Path(room.__file__).parent
@@ -231,6 +232,53 @@ def test_a_name_that_the_verdict_dropped_is_shown_as_dropped():
         assert {row["name"]: row["why_not"] for row in rows}["strain_locking"] == "it falls through"
     assert not any(row["named"] for row in tables["candidates"])
     assert ">named</span>" not in page_html(document, tables)
+
+
+def test_what_is_tied_keeps_what_its_own_round_said_of_it():
+    """It is tried again beside what was named, and then explains nothing more."""
+    finding = improve(problem_of(runs(0, lambda e: 0.05 * np.expm1(9 * e))), ["strain_locking", "load_offset"])
+    first = next(found for found in finding.rounds if found.named)
+    rival = dataclasses.replace(first.candidates[0], name="rival", p_value=0.005, why_not="")
+    tied = dataclasses.replace(first, candidates=(*first.candidates, rival), named=(*first.named, "rival"))
+    again = dataclasses.replace(rival, p_value=0.87, why_not="explains no more than chance would (p = 0.87)")
+    later = dataclasses.replace(first, candidates=(again,), named=())
+    document = verdict_document(dataclasses.replace(finding, rounds=(tied, later)))
+    assert document["effects"][0]["tied_with"] == ["rival"]
+    entry = next(one for one in document["candidates"] if one["name"] == "rival")
+    assert (entry["p_value"], entry["why_not"]) == (0.005, finding.dropped)
+
+
+def test_an_error_on_what_is_held_out_that_is_no_number_says_why():
+    finding = improve(problem_of(runs(0, lambda e: 0.05 * np.expm1(9 * e))), ["strain_locking", "load_offset"])
+    assert {row["status"] for row in leaderboard_rows(CELL, finding)} == {"ok"}
+    name, before, _ = finding.held_out[0]
+    lost = dataclasses.replace(finding, held_out=((name, before, np.nan), *finding.held_out[1:]))
+    after = leaderboard_rows(CELL, lost)[-1]
+    assert (after["split"], after["value"], after["status"]) == ("held_out", None, "diverged")
+    assert after["reason"] == f"{name}, held out, could not be simulated"
+
+
+def test_a_page_over_stored_verdicts_says_where_each_was_computed(tmp_path):
+    finding = improve(problem_of(runs(0, lambda e: 0.05 * np.expm1(9 * e))), ["strain_locking", "load_offset"])
+    (tmp_path / "one").mkdir()
+    write_files(tmp_path / "one", finding, finding_tables(finding))
+    row = {"key": "one", "clothbench": "0.0.9", "cpu": "an old machine", "cores": 64}
+    (section,) = sections(SimpleNamespace(keys=["one"], rows=[row], store=SimpleNamespace(cell=tmp_path.joinpath)))
+    assert "clothbench 0.0.9 · an old machine, 64 cores" in section.html
+
+
+def test_noise_is_told_from_motion_though_frames_are_missing():
+    """1 mm, of cloth that swings by 0.2 m once in a second, at 30 frames a second."""
+    random, time = np.random.default_rng(1), np.arange(0.0, 6.0, 1 / 30)
+    phase, material = random.uniform(0, 6, 100), random.random((100, 2))
+
+    def seen(time: np.ndarray) -> float:
+        away = 0.2 * np.sin(2 * np.pi * time[:, None] + phase)
+        position = np.stack([0 * away, away, 0 * away], axis=2) + random.normal(0, 1e-3, (len(time), 100, 3))
+        return noise_of(Observation(time, position, np.ones((len(time), 100), bool), np.nan, material))
+
+    for stamps in (time, time[random.random(len(time)) > 0.25], np.sort(time + random.uniform(-0.2, 0.2, 180) / 30)):
+        assert seen(stamps) == pytest.approx(1e-3, rel=0.15)
 
 
 def test_a_run_out_of_time_begins_no_further_round_and_says_so():

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 
 from clothbench.core.observation import Observation
 from clothbench.core.parameters import Parameter, ParameterSpace
-from clothbench.studies.improve.attribution import Probe
+from clothbench.studies.improve.attribution import Probe, explained_share
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.permutation import permutation_test
-from clothbench.studies.improve.rounds import rescreened
-from clothbench.studies.improve.settings import LOOP
+from clothbench.studies.improve.rounds import at_any_shape, rescreened
+from clothbench.studies.improve.settings import LOOP, SearchSettings
 from clothbench.studies.improve.sheets import SheetCase, mirror
 
 FRAMES, SIDE, RECORDINGS, CANDIDATES, SIGMA = 50, 3, 5, 25, 1e-3
@@ -195,3 +197,27 @@ def test_later_rounds_try_those_anew_that_may_explain_what_is_left_now(candidate
     assert "e3" not in anew
     assert anew == [name for name in rest if name in anew]
     assert rescreened(fit, rest, candidates, 0.5) == ["e20"]
+
+
+def test_chance_may_choose_the_shape_as_the_search_does(cases, monkeypatch):
+    """An effect of nine shapes, of which the one that explains most was kept: held against surrogates at that shape
+    alone it would beat chance two to three times as often as it should.
+    """
+    cries, random = {"kept alone": 0, "any shape": 0}, np.random.default_rng(8)
+    monkeypatch.setattr("clothbench.studies.improve.rounds.shapes_looked_at", lambda problem, name: settings)
+    problem = SimpleNamespace(
+        evidence=SimpleNamespace(search=SearchSettings()), of_split=lambda split: cases, seed=0
+    )  # fmt: skip
+    count = 60
+    for _ in range(count):
+        shapes = [1e-3 * smooth(random, RECORDINGS).reshape(RECORDINGS, -1, 1) for _ in range(9)]
+        settings = [(np.zeros(1), (0,), np.ones(1))] * len(shapes)
+        changes = [[c.T for c in shape] for shape in shapes]
+        monkeypatch.setattr("clothbench.studies.improve.rounds.tangents", lambda *_, found=changes: found)
+        before = fitted(SIGMA * smooth(random, RECORDINGS).reshape(RECORDINGS, -1), random)
+        best = max(changes, key=lambda change: explained_share(before, change))
+        kept = [Probe("shaped", np.zeros(1), (0,), np.ones(1), np.zeros((1, 3)), [c.T for c in best])]
+        cries["kept alone"] += permutation_test(cases, before, kept, 0).p_alone([0]) < LOOP.significance
+        cries["any shape"] += at_any_shape(problem, before, "shaped", kept) < LOOP.significance
+    assert cries["kept alone"] > 0.12 * count
+    assert cries["any shape"] < 0.12 * count

@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 
 from clothbench.core.parameters import Parameter, ParameterSpace
+from clothbench.core.protocols import Evaluation
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.attribution import Probe
 from clothbench.studies.improve.fitted import Fitted
-from clothbench.studies.improve.fitting import calibrated_anew, multistart
-from clothbench.studies.improve.loop import all_rounds, confirmed, next_round, recalibrated
+from clothbench.studies.improve.fitting import calibrated_anew, multistart, sums_of_squares
+from clothbench.studies.improve.loop import all_rounds, confirmed, from_better, next_round, recalibrated
 from clothbench.studies.improve.refits import (
     as_a_limit,
     beside_tied,
@@ -141,6 +142,7 @@ def test_what_the_torques_tell_without_a_model_has_to_pay_for_its_parameters_onl
     for what, value in {"fit_starts": lambda *_: theta[None], "polished": lambda problem, fit, *_: fit}.items():
         monkeypatch.setattr(f"clothbench.studies.improve.rounds.{what}", value)
     monkeypatch.setattr("clothbench.studies.improve.rounds.refit_null", lambda problem, current, *_: current)
+    monkeypatch.setattr("clothbench.studies.improve.rounds.at_any_shape", lambda *_: p_value)
     evidence = SimpleNamespace(search=SearchSettings(), objection=lambda before, after: "")
     problem = SimpleNamespace(make=catalogue().make, space_of=lambda name: drag.parameters[1:], evidence=evidence)
     account = Account(lambda *_: None)
@@ -205,7 +207,8 @@ def test_an_effect_with_several_shape_parameters_is_sought_in_other_valleys(monk
     # From afar the wrong valley looks the better one, but for a corner of the right one.
     value = lambda theta: np.where(theta[:, 2] > 0.9, 1.0, 2.0 + theta[:, 2])  # noqa: E731
     monkeypatch.setattr(
-        "clothbench.studies.improve.fitting.evaluate", lambda _, t: (SimpleNamespace(value=value(t)), [])
+        "clothbench.studies.improve.fitting.evaluate",
+        lambda _, t: (Evaluation(value(t), np.sqrt(value(t))[:, None]), []),
     )
     first = ended(np.array([2.0, 0.5, *([-0.5] * shapes)]))
     found, count = multistart(problem, fitted(9e-3), first, rounds=8)
@@ -228,9 +231,10 @@ def test_the_model_is_sought_anew_beside_what_was_named(monkeypatch):
         return Fitted(("wind",), space, start, [np.full(9, rms)] * 2, [np.ones((9, 3))] * 2, start, start, 10)
 
     monkeypatch.setattr("clothbench.studies.improve.fitting.fit", fit)
-    value = lambda theta: -theta[:, 0] + 9 * (theta[:, 1] != 0.3)  # noqa: E731
+    value = lambda theta: 9 - theta[:, 0] + 9 * (theta[:, 1] != 0.3)  # noqa: E731
     monkeypatch.setattr(
-        "clothbench.studies.improve.fitting.evaluate", lambda _, t: (SimpleNamespace(value=value(t)), [])
+        "clothbench.studies.improve.fitting.evaluate",
+        lambda _, t: (Evaluation(value(t), np.sqrt(value(t))[:, None]), []),
     )
     found, count = calibrated_anew(problem, fit(problem, (), np.array([2.0, 0.3, -0.5]), 8, np.inf, None, 0.0))
     assert found.rms == pytest.approx(1e-3)
@@ -473,3 +477,24 @@ def test_a_further_name_has_to_hold_beside_what_an_earlier_one_is_tied_with(monk
     assert holds or "beside second, which first is tied with" in why
     assert asked[0] == (("second",), [[2.0, 0.5], [2.0, 0.5]])
     assert asked[1:] == ([] if rival == 2.3e-3 else [(("second", "third"), [[2.0, 0.5, 0.7], [2.5, 0.5, 0.7]])])
+
+
+def test_fits_are_compared_by_the_mean_square_of_all_recordings():
+    """Of two recordings, 1 and 3 m are 2 m in the mean, and yet further off than twice 2.1 m."""
+    residual = np.array([[1.0, 3.0], [2.1, 2.1], [np.nan, 1.0]]) / np.sqrt(2)
+    found = sums_of_squares(Evaluation(np.array([2.0, 2.1, np.nan]), residual))
+    np.testing.assert_allclose(found, [5.0, 2.1**2, np.inf])
+
+
+def test_a_hair_better_fit_of_what_was_named_does_not_narrow_its_intervals(monkeypatch):
+    """Those that were followed along the valleys hold; a first-order one in its place would be surer than it can be."""
+    monkeypatch.setattr(
+        "clothbench.studies.improve.loop.with_errors_of_mesh_and_model",
+        lambda problem, fit, noise: dataclasses.replace(fit, low=np.array([1.95]), high=np.array([2.05])),
+    )
+    wide = dataclasses.replace(fitted(2e-3), low=np.array([1.0]), high=np.array([9.0]))
+    found = Round(wide, 1e-3, (), (), ())
+    before = from_better(State(None, wide, wide, 1e-3, 1e-4), found, fitted(1.99e-3))[0]
+    assert before.final.low == 1.95  # of the base nothing was followed
+    later = from_better(State(None, wide, wide, 1e-3, 1e-4, (found,)), found, fitted(1.99e-3))[0]
+    assert (later.final.low, later.final.high) == (1.0, 9.0)

@@ -16,7 +16,7 @@ from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.selection import Candidate
 from clothbench.studies.improve.sheets import SheetCase, SheetEvidence
 from clothbench.studies.improve.state import Round, State
-from clothbench.studies.improve.verdict import concluded, fails_to_hold, what_would_part
+from clothbench.studies.improve.verdict import concluded, fails_to_hold, fall_interval, pooled, what_would_part
 
 TIME = np.arange(60) / 20.0
 MATERIAL = np.array([[0.0, 0.1], [0.0, 0.5], [0.0, 0.9]])
@@ -164,6 +164,37 @@ def test_a_name_that_may_be_the_models_own_fault_is_told_so(state, model, said):
 )
 def test_a_name_has_to_hold_on_what_was_held_out(before, after, fails):
     assert fails_to_hold(before, after) is fails
+
+
+def test_numbers_that_were_fitted_to_what_is_held_out_have_to_pay_there():
+    """An error falls with them, whatever they stand for."""
+    assert fails_to_hold([3.5, 1.9, 4.4, 2.5], [3.4, 1.8, 4.3, 2.5], own=12)
+    assert not fails_to_hold([9.0, 8.0, 9.0, 10.0], [2.1, 2.0, 3.1, 2.2], own=12)
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [([10, 10, 10, 10, 40], [9, 9, 9, 9, 39]), ([1, 1, 1, 10], [2, 2, 2, 8]), ([5, 6], [6, 5.5])]
+)
+def test_the_interval_of_the_fall_holds_the_fall_that_is_shown(before, after):
+    low, high = fall_interval(before, after)
+    assert low < pooled(before) - pooled(after) < high
+
+
+@pytest.mark.parametrize(
+    ("before", "after"), [([4.0], [2.0]), ([4.0, np.nan], [2.0, 1.0]), ([4.0, 3.0], [2.0, np.nan])]
+)
+def test_a_fall_that_cannot_be_told_has_no_interval(before, after):
+    assert fall_interval(before, after) == (None, None)
+
+
+def test_where_time_ran_out_before_any_candidate_was_tried_nothing_is_complete(state):
+    """What is left lies above the noise, and at what a coarse mesh may be wrong by: candidates would be tried."""
+    base = fitted([np.full(9, 1.35e-3)] * 2)
+    coarse = replace(state, base=base, final=base, noise=1e-3, mesh=0.9e-3, rounds=())
+    assert concluded(coarse, []).word == "complete"
+    stopped = concluded(coarse, [], timed_out=True)
+    assert stopped.word == "unexplained"
+    assert "but no candidate was tried; time ran out" in stopped.hint
 
 
 @pytest.mark.parametrize(

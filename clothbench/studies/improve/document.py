@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import read_json
-from clothbench.core.statistics import t_interval
 from clothbench.engine.store import finite
 from clothbench.studies.improve.evidence import of_split
 from clothbench.studies.improve.finding import Finding
@@ -18,7 +16,7 @@ from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.selection import Candidate, parameters_of
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round
-from clothbench.studies.improve.verdict import pooled
+from clothbench.studies.improve.verdict import fall_interval, pooled
 
 SCHEMA = 1
 VERDICT = "verdict.json"
@@ -65,10 +63,12 @@ def error_entry(finding: Finding) -> dict[str, Any]:
     scale, placebo = finding.evidence.unit.scale, finding.placebo
     before = [scale * error for _, error, _ in finding.held_out]
     after = [scale * error for _, _, error in finding.held_out]
+    # Amounts that were fitted to what is held out lower its error whatever they stand for.
+    fall = (None, None) if finding.own else fall_interval(before, after)
     return {
         "fit": {"before": scale * finding.calibrated.rms, "after": scale * finding.final.rms},
         "held_out": {
-            "before": pooled(before), "after": pooled(after), "ci95": paired_interval(before, after),
+            "before": pooled(before), "after": pooled(after), "ci95": list(fall),
             "per_recording": [
                 {"recording": name, "before": finite(b), "after": finite(a)}
                 for (name, _, _), b, a in zip(finding.held_out, before, after, strict=True)
@@ -112,14 +112,6 @@ def balance_entry(finding: Finding) -> dict[str, Any] | None:
         "alike": [term.name for term in law.alike] if law else [],
         "recordings": {"used": found.recordings[0], "of": found.recordings[1]},
     }  # fmt: skip
-
-
-def paired_interval(before: Sequence[float], after: Sequence[float]) -> list[float | None]:
-    """95 % interval of the mean fall of the error over recordings (Student's t; wide for few recordings)."""
-    fall = np.subtract(before, after)
-    if len(fall) < 2:
-        return [None, None]
-    return [finite(end) for end in t_interval(fall)]
 
 
 def nulls(value: Any) -> Any:
@@ -176,15 +168,20 @@ def own_entries(finding: Finding, name: str) -> list[dict[str, Any]] | None:
 
 
 def candidate_entries(finding: Finding) -> list[dict[str, Any]]:
-    """Every candidate as the last round that tried it saw it; gain: by which the mean square fell, squared unit."""
+    """Every candidate as the round that named it saw it, else the last that tried it; gain: by which the mean square
+    fell, squared unit.
+    """
     latest: dict[str, dict[str, Any]] = {}
-    square = finding.evidence.unit.scale**2
+    square, named = finding.evidence.unit.scale**2, set()
     for found in finding.rounds:
         for c in found.candidates:
+            if c.name in named:  # what one is tied with is tried again beside it
+                continue
             latest[c.name] = {
                 "name": c.name, "share": c.share, "gain": finite(square * c.gain), "p_value": c.p_value,
                 "why_not": why_not(c, found, finding.dropped),
             }  # fmt: skip
+        named |= set(found.named)
     return sorted(latest.values(), key=lambda c: (-(c["gain"] or 0.0), -c["share"]))
 
 

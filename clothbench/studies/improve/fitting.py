@@ -162,10 +162,10 @@ def polish(problem: Problem, fitted: Fitted, rounds: int, goal: float = np.inf) 
     unit = space.to_unit(fitted.theta)
     away = np.random.default_rng(problem.seed).normal(0.0, LOOP.polish_radius, (looks, len(unit)))
     starts = space.from_unit(unit + away)
-    value = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value
-    if not np.isfinite(value).any():
+    square = sums_of_squares(evaluate(problem.trials(fitted.effects, "fit"), starts)[0])
+    if not np.isfinite(square).any():
         return fitted, looks
-    nearby, tolerance = starts[int(np.nanargmin(value))], problem.evidence.search.contest_tolerance
+    nearby, tolerance = starts[int(np.argmin(square))], problem.evidence.search.contest_tolerance
     fitted, count = better_of(problem, fitted, nearby, rounds, goal, tolerance)
     return fitted, looks + count
 
@@ -208,9 +208,9 @@ def from_best_of(
     """The fit, or a better one from so many of `starts` (S, P), those that leave least; and how many sets that took. A
     fit is given up where it will not come below the best, and below the goal.
     """
-    value, count = evaluate(problem.trials(fitted.effects, "fit"), starts)[0].value, len(starts)
-    for k in np.argsort(value)[:fits]:  # what could not be simulated comes last
-        if np.isfinite(value[k]):
+    square, count = sums_of_squares(evaluate(problem.trials(fitted.effects, "fit"), starts)[0]), len(starts)
+    for k in np.argsort(square)[:fits]:  # what could not be simulated comes last
+        if np.isfinite(square[k]):
             fitted, spent = better_of(problem, fitted, starts[k], rounds, min(fitted.rms**2, goal), tolerance)
             count += spent
     return fitted, count
@@ -248,14 +248,15 @@ def search(
     trace = Trace(np.zeros(1, int), np.array([square]), theta[None])
     for asked, evaluation in drive(optimizer, space, lambda theta: evaluate(trials, theta)[0], budget):
         count += len(asked)
-        best = int(np.argmin(np.where(np.isfinite(evaluation.value), evaluation.value, np.inf)))
+        squares_now = sums_of_squares(evaluation)
+        best = int(np.argmin(squares_now))
         if known and not counts:
             start, at_start, more = at_defaults(trials, space, asked, evaluation)
             count += more
             if at_start < square:
                 theta, square = start, at_start
-        if (cost := sum_of_squares(evaluation, best)) < square:
-            theta, square = asked[best], cost
+        if squares_now[best] < square:
+            theta, square = asked[best], float(squares_now[best])
         counts.append(count)
         squares.append(square)
         points.append(theta)
@@ -275,14 +276,16 @@ def at_defaults(
     """
     away = np.abs(space.to_unit(asked) - space.to_unit(space.defaults)).max(axis=1)
     if away[row := int(np.argmin(away))] < SAME:
-        return asked[row], sum_of_squares(evaluation, row), 0
-    return space.defaults, sum_of_squares(evaluate(trials, space.defaults[None])[0], 0), 1
+        return asked[row], float(sums_of_squares(evaluation)[row]), 0
+    return space.defaults, float(sums_of_squares(evaluate(trials, space.defaults[None])[0])[0]), 1
 
 
-def sum_of_squares(evaluation: Evaluation, row: int) -> float:
-    """Of the residual of one set; infinite where it could not be simulated."""
+def sums_of_squares(evaluation: Evaluation) -> np.ndarray:
+    """(B,) of the residuals, by which fits are compared: a metric's value may be another mean over the recordings.
+    Infinite where a set could not be simulated.
+    """
     assert evaluation.residual is not None
-    return float(np.sum(evaluation.residual[row] ** 2)) if np.isfinite(evaluation.value[row]) else np.inf
+    return np.where(np.isfinite(evaluation.value), np.square(evaluation.residual).sum(axis=1), np.inf)
 
 
 def best_start(trials: list[Trial], space: ParameterSpace, starts: np.ndarray) -> np.ndarray:
@@ -290,8 +293,7 @@ def best_start(trials: list[Trial], space: ParameterSpace, starts: np.ndarray) -
     starts = np.clip(starts, space.low, space.high)
     if len(starts) == 1:
         return starts[0]
-    value = evaluate(trials, starts)[0].value
-    return starts[int(np.argmin(np.where(np.isfinite(value), value, np.inf)))]
+    return starts[int(np.argmin(sums_of_squares(evaluate(trials, starts)[0])))]
 
 
 def with_defaults(space: ParameterSpace, start: np.ndarray) -> ParameterSpace:

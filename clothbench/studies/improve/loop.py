@@ -15,7 +15,13 @@ from clothbench.core.optional import family_of
 from clothbench.core.progress import StageProgress
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.ahead import ahead
-from clothbench.studies.improve.by_recording import fitted_by_recording, on_held_out, with_own, with_own_amounts
+from clothbench.studies.improve.by_recording import (
+    fitted_by_recording,
+    on_held_out,
+    size_of,
+    with_own,
+    with_own_amounts,
+)
 from clothbench.studies.improve.description import description_of
 from clothbench.studies.improve.finding import Finding, Note
 from clothbench.studies.improve.fitted import Fitted
@@ -184,8 +190,12 @@ def recalibrated(state: State, account: Account) -> State:
 def from_better(state: State, found: Round, better: Fitted) -> tuple[State, Round]:
     """Both with a better fit of what there was before the round."""
     before = with_errors_of_mesh_and_model(state.problem, better, state.noise)
-    base = state.base if state.rounds else before
-    return dataclasses.replace(state, base=base, final=before), dataclasses.replace(found, before=before)
+    if not state.rounds:
+        return dataclasses.replace(state, base=before, final=before), dataclasses.replace(found, before=before)
+    # Its intervals are of first order; what was followed along the valleys from where the fit was before still holds.
+    low, high = np.fmin(before.low, state.final.low), np.fmax(before.high, state.final.high)
+    before = dataclasses.replace(before, low=low, high=high)
+    return dataclasses.replace(state, final=before), dataclasses.replace(found, before=before)
 
 
 def with_round(state: State, found: Round) -> State:
@@ -253,17 +263,17 @@ def finding_of(state: State, account: Account, timed_out: bool = False) -> Findi
     """Stages 6 and 7: the look at the held-out recordings, which changes nothing but whether amounts are shared, and
     all that is told of the run.
     """
-    base = state.base
     balance, description = state.balance, None
     account.stage("held-out recordings", 0, 1)
-    before = held_out_errors(state.problem, base)
-    state = where_amounts_differ(state, before, account) or state
-    problem, own = state.problem, state.own
+    before = held_out_errors(state.problem, state.base)
+    if (other := where_amounts_differ(state, before, account)) is not None:
+        state, before = other, held_out_errors(other.problem, other.base)  # which may have come to a better valley
+    problem, own, base, numbers = state.problem, state.own, state.base, 0
     for name, amounts in own.items():
         problem, unseen = on_held_out(problem, state.final, name)
-        own[name] = {**amounts, **unseen}
+        own[name], numbers = {**amounts, **unseen}, numbers + size_of(unseen)
     with_names = held_out_errors(problem, state.final) if state.final.effects else ()
-    end = concluded(state, before, timed_out, with_names)
+    end = concluded(state, before, timed_out, with_names, numbers)
     placebo, spent = placebo_of(problem, end.fit, state.rounds)
     account.count(spent)
     after = held_out_errors(problem, end.fit) if end.fit.effects else before

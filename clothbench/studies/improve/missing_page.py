@@ -30,7 +30,8 @@ def description_section(found: Mapping[str, Any] | None) -> str:
     said = (
         f"{DESCRIBED} The torque that is left on recordings left out falls from {1e3 * torque['before']:.3g} to "
         f"{1e3 * torque['after']:.3g} mN·m (noise {1e3 * torque['noise']:.2g}), {p_is(found['p_value'])}; with this "
-        f"force in the model its error falls from {size(error['before'], 'mm')} to {size(error['after'], 'mm')} mm."
+        f"form of force in the model, its amounts fitted anew, the error falls from {size(error['before'], 'mm')} to "
+        f"{size(error['after'], 'mm')} mm."
     )
     heads = ["goes with", "coefficient", "95 % interval", "unit"]
     shown = table(heads, body, numeric={1, 2})

@@ -57,7 +57,7 @@ def page_html(found: Mapping[str, Any], tables: Tables) -> str:
     """The whole page as text. found: what `verdict.json` holds; tables: the rows of each table by name."""
     blocks: list[dict[str, Any]] = []
     sections = [
-        heading(found),
+        heading(found, system_info()),
         verdict_box(found),
         tiles(found),
         effect_section(found),
@@ -112,26 +112,29 @@ def common_html(found: Mapping[str, Any]) -> str:
 
 def sections(results: Results) -> list[Section]:
     """Of each verdict what it says and rests on, without figures, which are on its own page."""
-    out = []
+    out, computed = [], {row["key"]: row for row in results.rows}
     for key in results.keys:
         if (found := document_in(results.store.cell(key))) is None:
             continue
         parts = [
-            heading(found, "h2"), verdict_box(found), tiles(found), effect_section(found, "h3"),
+            heading(found, computed.get(key, {}), "h2"), verdict_box(found), tiles(found), effect_section(found, "h3"),
             f'<p><a href="cells/{key}/index.html">All of it, with figures</a></p>',
         ]  # fmt: skip
         out.append(Section("".join(parts), style=STYLE))
     return out
 
 
-def heading(found: Mapping[str, Any], level: str = "h1") -> str:
-    about, count = system_info(), {k: len(v) for k, v in found["recordings"].items()}
+def heading(found: Mapping[str, Any], about: Mapping[str, Any], level: str = "h1") -> str:
+    """about: the version and the machine that it was computed with, as far as that is known (`system_info`)."""
+    count = {k: len(v) for k, v in found["recordings"].items()}
     base = "".join(f" + {name}" for name in found.get("base", ()))
     facts = [
         f"{count['fit']} recordings fitted, {count['held_out']} held out",
         f"{found['evaluations']} evaluations in {duration(found['wall_s'])}",
-        f"seed {found['seed']}", f"clothbench {about['clothbench']}", f"{about['cpu']}, {about['cores']} cores",
-    ]  # fmt: skip
+        f"seed {found['seed']}",
+    ]
+    if about:
+        facts += [f"clothbench {about['clothbench']}", f"{about['cpu']}, {about['cores']} cores"]
     return (
         f"<{level}>What does {text(found['model'] + base)} lack?</{level}><p class='soft'>{text(' · '.join(facts))}</p>"
     )
@@ -174,11 +177,11 @@ def error_section(found: Mapping[str, Any], errors: Rows, blocks: list[dict[str,
     fall = error["held_out"]["ci95"]
     if found["effects"] and fall[0] is not None:
         low, high = (size(v, error["unit"]) for v in fall)
-        caption += f" The error of a held-out recording falls by {low} … {high} {error['unit']} in the mean (95 %, "
-        caption += "paired over recordings)."
+        caption += f" The error on what is held out falls by {low} … {high} {error['unit']} (95 %, paired over "
+        caption += "recordings)."
     if any(effect.get("by_recording") for effect in found["effects"]):
-        caption += " Amounts of each recording's own were fitted to those held out, too: what is judged there is what "
-        caption += "all share."
+        caption += " Amounts of each recording's own were fitted to those held out, too, which lowers the error there "
+        caption += "whatever they stand for: the verdict makes each of these numbers pay, as on the fitted ones."
     if said := sham(error):
         caption += f" Cross: {said}"
     views = {"": [draw.error_figure(errors, error, limits(error), bool(found["effects"]))]}

@@ -74,8 +74,8 @@ def refuse_what_is_not_asked(settings: Mapping[str, Any]) -> None:
     for key in ("resolution", "spacing"):
         if key in settings["scene"]:
             raise ClothbenchError(
-                f"setting 'scene.{key}': the loop refines its own mesh; give suite.resolution=NODES, along the longer "
-                "side, and leave it out"
+                f"setting 'scene.{key}': the loop refines its own mesh; give resolution=NODES (of a suite, "
+                "suite.resolution=NODES), along the longer side, and leave it out"
             )
     rest = {key: value for key, value in settings["scene"].items() if key not in OF_SCENE}
     choice = settings["choice"] if settings["choice"] != CHOICES[0] else None  # the usual one is always there

@@ -11,6 +11,8 @@ from clothbench.core.observation import Observation
 from clothbench.recordings.nodes import Recording
 from clothbench.studies.improve.settings import LOOP
 
+MANY = 1000  # delays looked at together, of which all would not fit into memory
+
 Swing = tuple[Recording, Observation, np.ndarray]  # a recording, what was seen of it, and a residual field (T, N, 3) m
 
 
@@ -39,8 +41,6 @@ def spread_of_repeats(swings: Sequence[Swing]) -> float:
 
 def delay_of_repeat(a: Recording, b: Recording, seen_a: Observation, seen_b: Observation) -> float | None:
     """By how much [s] the motion comes later in recording b of the same sheet; None if it is another one."""
-    from scipy.interpolate import interp1d
-
     held_alike = len(a.grip_material) and np.array_equal(a.grip_material, b.grip_material)
     if not (held_alike and np.array_equal(seen_a.material, seen_b.material)):
         return None  # nor can a sheet that nobody holds be said to be moved alike
@@ -52,12 +52,28 @@ def delay_of_repeat(a: Recording, b: Recording, seen_a: Observation, seen_b: Obs
     shifts = delays + b.grip_time[0] - a.grip_time[0]
     every = slice(None, None, max(1, len(a.grip_time) // LOOP.repeat_samples))
     time, here = a.grip_time[every], a.grip_position[every]
-    there = interp1d(b.grip_time, b.grip_position, axis=0, bounds_error=False)
-    apart = [float(np.nanmean((here - there(time + shift)) ** 2)) ** 0.5 for shift in shifts]
+    apart = np.concatenate(
+        [apart_after(some, time, here, b) for some in np.array_split(shifts, -(-len(shifts) // MANY))]
+    )
     size = float(np.mean((here - here.mean(axis=0)) ** 2)) ** 0.5
     least = int(np.argmin(apart))  # of equal ones the shortest delay
     near = max(LOOP.repeat_distance * size, LOOP.repeat_distance_floor)
     return float(shifts[least]) if apart[least] <= near else None
+
+
+def apart_after(shifts: np.ndarray, time: np.ndarray, here: np.ndarray, other: Recording) -> np.ndarray:
+    """(D,) m, rms between grips here (S, G, 3) m at times (S,) s and those of the other recording so many s later,
+    (D,), over what both have.
+    """
+    later = time + shifts[:, None]
+    both = (later >= other.grip_time[0]) & (later <= other.grip_time[-1])
+    square = np.zeros(later.shape)
+    for g in range(here.shape[1]):
+        for c in range(3):
+            square += (here[:, g, c] - np.interp(later, other.grip_time, other.grip_position[:, g, c])) ** 2
+    both &= np.isfinite(square)
+    mean = np.where(both, square, 0.0).sum(axis=1) / np.maximum(both.sum(axis=1), 1) / (3 * here.shape[1])
+    return np.sqrt(np.where(both.any(axis=1), mean, np.inf))
 
 
 def still(position: np.ndarray, sigma: float = 0.0) -> bool:

@@ -5,10 +5,18 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from clothbench.plugins.discovery import reason_of
 from clothbench.studies.improve.account import Account
 from clothbench.studies.improve.ahead import ahead
-from clothbench.studies.improve.attribution import Probe, explained_share, probe_candidate
+from clothbench.studies.improve.attribution import (
+    Probe,
+    explained_share,
+    probe_candidate,
+    shapes_looked_at,
+    tangents,
+)
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.law import Law, told_by
 from clothbench.studies.improve.permutation import PermutationTest, permutation_test
@@ -95,6 +103,8 @@ def witnessed_round(problem: Problem, law: Law | None, found: Round, mesh: float
         return found
     name, turn = told[0], len(before.effects) + 1
     account.stage(f"round {turn}: {name}, told without any model", 0, 1)
+    if (p_alone := at_any_shape(problem, before, name, found.probes)) >= LOOP.significance:
+        return found
     fall = least_fall_beside(before, len(problem.space_of(name)))
     fitted, goal = effects[name].fitted, before.rms**2 - fall / 2
     if fitted is None:
@@ -102,7 +112,7 @@ def witnessed_round(problem: Problem, law: Law | None, found: Round, mesh: float
         account.count(count)
     fitted = polished(problem, fitted, account, goal) if near(fitted, goal) else fitted
     before = refit_null(problem, before, fitted, fall, account)
-    mine = dataclasses.replace(effects[name], fitted=fitted, p_value=effects[name].p_alone, why_not="")
+    mine = dataclasses.replace(effects[name], fitted=fitted, p_value=p_alone, why_not="")
     rivals = [c for c in found.candidates if c.fitted is not None and c.name != name]
     same = correction_correlation(before, [mine, *rivals])[0, 1:] >= LOOP.alike_correlation
     tried = [mine, *(c for c, alike in zip(rivals, same, strict=True) if alike)]
@@ -117,6 +127,23 @@ def witnessed_round(problem: Problem, law: Law | None, found: Round, mesh: float
     effects |= {c.name: c for c in assessed}
     after = effects[named[0]].fitted
     return Round(before, found.floor, tuple(effects.values()), found.probes, named, after, witnessed=True)
+
+
+def at_any_shape(problem: Problem, before: Fitted, name: str, probes: Sequence[Probe]) -> float:
+    """p of what an effect explains alone, where chance may choose its shape as it was chosen here: its probes are those
+    at the shapes that explained most, and surrogates held against these only would do worse than chance can.
+    """
+    settings = shapes_looked_at(problem, name)
+    changes = tangents(problem, before, name, settings)
+    every = [
+        Probe(name, phi, amounts, steps, np.zeros((len(amounts), len(before.theta))), [c.T for c in change])
+        for (phi, amounts, steps), change in zip(settings, changes, strict=True)
+        if all(np.isfinite(c).all() for c in change)
+    ]
+    mine = [*(p for p in probes if p.effect == name), *every]
+    least_own = problem.evidence.search.least_own
+    test = permutation_test(problem.of_split("fit"), before, mine, problem.seed, least_own)
+    return test.p_alone(range(len(mine)))
 
 
 def withdrawn(found: Round, floor: float, why: str) -> Round:

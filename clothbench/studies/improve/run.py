@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
+
 from clothbench.engine.rows import about_cell, no_value
 from clothbench.engine.store import finite
 from clothbench.engine.study import Context, Result, Rows
@@ -11,6 +13,7 @@ from clothbench.studies.improve.cell import ImproveCell
 from clothbench.studies.improve.compiling import compiled_ahead
 from clothbench.studies.improve.files import write_files
 from clothbench.studies.improve.finding import Finding
+from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.loop import improve
 from clothbench.studies.improve.prepare import prepare
 from clothbench.studies.improve.tables import finding_tables
@@ -54,5 +57,14 @@ def leaderboard_rows(cell: ImproveCell, finding: Finding) -> Rows:
         row = about | {"effects": ",".join((*cell.base, *fitted.effects))}
         rows.append(row | {"split": "fit", "value": finite(fitted.rms)})
         if finding.held_out:
-            rows.append(row | {"split": "held_out", "value": finite(error)})
+            rows.append(row | {"split": "held_out", "value": finite(error)} | lost(finding, fitted, error))
     return rows
+
+
+def lost(finding: Finding, fitted: Fitted, error: float | None) -> dict[str, str]:
+    """Status and reason of an error on what is held out that is no number; nothing of one that is."""
+    if error is not None:
+        return {}
+    column = 2 if fitted.effects else 1
+    name = next(one[0] for one in finding.held_out if not np.isfinite(one[column]))
+    return {"status": "diverged", "reason": f"{name}, held out, could not be simulated"}

@@ -238,13 +238,21 @@ def refined(scene: Scene) -> Scene:
 
 
 def noise_of(observation: Observation) -> float:
-    """σ of one coordinate [m]: as stated, else by third differences of neighbouring frames (their variance is 20 σ²),
-    whose median absolute value wrinkles and jumps hardly change.
+    """σ of one coordinate [m]: as stated, else by third divided differences of neighbouring frames (in units of their
+    own σ), whose median absolute value wrinkles and jumps hardly change. Frames with others missing between them, as
+    far apart as twice as many usually are, have no say: motion would pass for noise.
     """
-    if np.isfinite(observation.sigma):
+    time = observation.time
+    if np.isfinite(observation.sigma) or len(time) < 4:
         return observation.sigma
     x = np.where(observation.visible[..., None], observation.in_measured(observation.position), np.nan)
-    return 1.4826 * float(np.nanmedian(np.abs(np.diff(x, n=3, axis=0)))) / np.sqrt(20)
+    four = np.stack([time[k : len(time) - 3 + k] for k in range(4)], axis=1)
+    apart = four[:, :, None] - four[:, None] + np.eye(4)  # 1 on the diagonal, which is left out of the product so
+    weight = 1 / apart.prod(axis=2)
+    weight /= np.sqrt(np.square(weight).sum(axis=1, keepdims=True))
+    near = four[:, 3] - four[:, 0] <= 2 * np.median(four[:, 3] - four[:, 0])
+    third = sum(weight[near, k, None, None] * x[k : len(time) - 3 + k][near] for k in range(4))
+    return 1.4826 * float(np.nanmedian(np.abs(third)))
 
 
 def field_of(observation: Observation, residual: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from clothbench.core.optional import family_of, lacks_of
+from clothbench.core.statistics import t_interval
 from clothbench.studies.improve.by_recording import with_own
 from clothbench.studies.improve.experiment import parting_experiment
 from clothbench.studies.improve.fitted import Fitted
@@ -49,11 +50,13 @@ def concluded(
     held_out: Sequence[float],
     timed_out: bool = False,
     held_out_after: Sequence[float] = (),
+    own: int = 0,
 ) -> Conclusion:
     """held_out: errors of the calibrated model on the recordings held out, base unit, NaN where a run was stopped;
-    held_out_after: the same with all that was named, none if nothing was: names have to hold there.
+    held_out_after: the same with all that was named, none if nothing was: names have to hold there; own: how many
+    numbers were fitted to the recordings held out, each to its own.
     """
-    worse = fails_to_hold(held_out, held_out_after)
+    worse = fails_to_hold(held_out, held_out_after, own)
     word = "unexplained" if worse else word_of(state)
     fit = state.final if word in ("attributed", "tied") else state.base
     remark, rms, unseen = hint(state, word, fit, worse), fit.rms, pooled(held_out) or 0.0
@@ -68,20 +71,35 @@ def concluded(
             f"{AT_LIMIT}, but the error on held-out recordings stands at {unseen / state.floor:.1f} times that: "
             "what is missing shows in their motions; let some of them be fitted too"
         )
+    if word == "complete" and timed_out:  # above the noise candidates are tried, also where the mesh is coarser
+        word, remark = "unexplained", f"{AT_LIMIT}, but no candidate was tried"
     if timed_out:
         remark = "; ".join(filter(None, (remark, "time ran out before another round")))
     unexplained = max(rms**2 - state.noise**2 - state.mesh_left(fit) ** 2, 0.0) ** 0.5
     return Conclusion(word, fit, unexplained, remark, why_dropped(state, worse) if state.final is not fit else "")
 
 
-def fails_to_hold(before: Sequence[float], after: Sequence[float]) -> bool:
+def fails_to_hold(before: Sequence[float], after: Sequence[float], own: int = 0) -> bool:
     """Whether what was named does not lower the error on the recordings held out; with it all of them have to be
-    simulated, without it not.
+    simulated, without it not. own: how many numbers were fitted to these, which have to be paid for as they are on the
+    others: they lower an error whatever they stand for.
     """
     if not len(after):
         return False
     error, without = pooled(after), pooled(before)
-    return error is None or (without is not None and error >= without)
+    return error is None or (without is not None and error**2 * (1 + LOOP.parameter_penalty * own) >= without**2)
+
+
+def fall_interval(before: Sequence[float], after: Sequence[float]) -> tuple[float | None, float | None]:
+    """95 % interval of the fall of the pooled error: Student's t of the fall of the mean square over recordings, each
+    beside itself, carried over to the root. Of fewer than two recordings there is none.
+    """
+    square = np.square(before) - np.square(after)
+    without = pooled(before)
+    if len(square) < 2 or without is None or not np.isfinite(square).all():
+        return None, None
+    low, high = (float(without - np.sqrt(max(without**2 - end, 0.0))) for end in t_interval(square))
+    return low, high
 
 
 def pooled(values: Sequence[float]) -> float | None:
@@ -204,7 +222,7 @@ def below_mesh(state: State) -> str:
     )
     return (
         f"what is left, {rms}, is below what this mesh can tell: it may be wrong by {mesh}, beside a noise of {noise}; "
-        "a finer one (suite.resolution) or a model that converges sooner would tell whether anything else is missing"
+        "a finer one (resolution=NODES) or a model that converges sooner would tell whether anything else is missing"
     )
 
 
