@@ -125,3 +125,22 @@ def test_least_squares_asks_for_no_second_jacobian_where_it_stands():
         off = np.hstack([theta - 0.5, np.ones((len(theta), 1))])
         optimizer.tell(theta, Evaluation(np.sum(off**2, axis=1), off))
     assert [len(batch) for batch in asked] == [1, 2, 4, 4]
+
+
+def test_a_planted_drag_comes_back_from_clouds_whose_points_have_no_identity():
+    """In each frame the points that were seen come in an order of its own."""
+    random, plugins = np.random.default_rng(12), catalogue()
+    scene = swing(0.06, 0.8)
+    marked = observe(scene, random)
+    cloud = np.array(marked.position)
+    for places, there in zip(cloud, marked.visible, strict=True):
+        places[there] = random.permutation(places[there])
+    seen = Observation(marked.time, cloud, marked.visible, NOISE, marked.material)
+    drag = [plugins.make("effects", "quadratic_drag")]
+    simulation = plugins.make("models", "mass_spring", resolution=9).prepare(scene, drag)
+    trial, space = Trial("cloud", seen, simulation, plugins.make("metrics", "chamfer")), simulation.parameters
+    fit = calibrate([trial], plugins.make("optimizers", "least_squares", space, seed=3, budget=150), space)
+    found = fit.best[space.names.index("quadratic_drag.normal")]
+    assert found == pytest.approx(TRUTH["quadratic_drag.normal"], rel=0.1)
+    best, start = (evaluate([trial], at[None])[0].value[0] for at in (fit.best, space.defaults))
+    assert best < 1.6 * trial.metric.floor(seen) < start

@@ -35,4 +35,14 @@ def clothbench_metrics():
         Registration(
             "fold_count", "clothbench_metrics.fold_count:FoldCount", "mean number of folds in the picture, statistical"
         ),
+        Registration(
+            "chamfer",
+            "clothbench_metrics.clouds:Chamfer",
+            "mean distance between clouds whose points have no identity, both ways, in mm",
+        ),
+        Registration(
+            "hausdorff",
+            "clothbench_metrics.clouds:Hausdorff",
+            "largest distance between clouds whose points have no identity, in mm",
+        ),
     ]
