@@ -45,4 +45,7 @@ def clothbench_metrics():
             "clothbench_metrics.clouds:Hausdorff",
             "largest distance between clouds whose points have no identity, in mm",
         ),
+        Registration(
+            "spectrum", "clothbench_metrics.spectrum:Spectrum", "frequency and decay of the swing, in percent"
+        ),
     ]
