@@ -205,6 +205,25 @@ def test_a_rollout_of_other_frames_is_refused(observation, name):
         catalogue().make("metrics", name)(observation, short)
 
 
+def test_the_map_of_relative_error_is_of_its_own_quantity():
+    """Of one frame its root mean square is e_i; where all nodes are equally far off, each has the value."""
+    random, truth = np.random.default_rng(4), draped(0.02)
+    visible = random.random(truth.shape[:2]) < 0.8
+    visible[3], visible[:, 7] = False, False
+    seen = Observation(TIME, np.where(visible[..., None], truth, np.nan), visible, 1e-3, LATTICE)
+    metric, wrong = catalogue().make("metrics", "relative_error"), truth + random.normal(0.0, 3e-3, truth.shape)
+    score = metric(seen, rollout(wrong, np.where(np.arange(len(TIME))[:, None, None] == 4, np.nan, wrong)))
+    assert np.isnan(score.per_node[0]).tolist() == (np.arange(81) == 7).tolist()
+    assert np.isnan(score.per_node[1]).sum() > 1
+    for t in np.flatnonzero(visible.any(axis=1)):
+        once = dataclasses.replace(seen, visible=visible & (np.arange(len(TIME)) == t)[:, None])
+        alone = metric(once, rollout(wrong))
+        assert np.sqrt(np.nanmean(alone.per_node[0] ** 2)) == pytest.approx(alone.value[0])
+    whole = dataclasses.replace(seen, position=truth, visible=np.ones_like(visible))
+    equal = metric(whole, rollout(truth + np.array([0.0, 0.004, 0.003])))
+    np.testing.assert_allclose(equal.per_node[0], equal.value[0])
+
+
 def test_nodes_without_a_video_are_drawn_as_a_camera_would_see_them():
     o = catalogue().make("trackers", "markers").track(recording())
     score = catalogue().make("metrics", "fold")(o, rollout(*(draped(d) for d in (0.0, 0.02, 0.04))))

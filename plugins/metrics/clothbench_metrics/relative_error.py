@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from clothbench import ClothbenchError, Observation, Rollout, Score
-from clothbench_metrics.node_error import differences, flat_rows
+from clothbench_metrics.node_error import differences, flat_rows, mean_over
 
 ORIGINS = ("centre", "camera")
 
@@ -20,6 +20,10 @@ class RelativeError:
     Searches by residuals (`least_squares`) minimise L = Σ ‖φ − ϕ‖² (equation 2); those by values, which the paper's is
     one of, the mean of e_i. A frame has the same weight and its own size ‖ϕ_i‖ however few nodes were seen in it: of a
     few neighbours that is small, and their e_i large.
+
+    The map has 100 √n_i ‖φ − ϕ‖ / ‖ϕ_i‖ of one node, averaged over the frames in which it was seen: its distance in
+    percent of the root mean square distance of the n_i nodes seen from the origin. In a frame, e_i is the root mean
+    square of that over the nodes.
 
     The paper's norm of the positions depends on where the origin lies, which it does not say. origin: "centre", of what
     was seen in each frame, so that moving the camera does not change the error; "camera", from which the same error is
@@ -46,14 +50,17 @@ class RelativeError:
 
     def __call__(self, observation: Observation, rollout: Rollout) -> Score:
         away, seen = differences(observation, rollout)
-        square = np.where(seen[..., None], away**2, 0.0).sum(axis=(-2, -1))
+        square = np.where(seen[..., None], away**2, 0.0)
         size = sizes(observation, self.origin)
         frames = size > 0
         with np.errstate(divide="ignore", invalid="ignore"):
-            per_frame = np.where(frames, 100 * np.sqrt(square) / size, np.nan)
+            per_frame = np.where(frames, 100 * np.sqrt(square.sum(axis=(-2, -1))) / size, np.nan)
+            share = 100 * np.sqrt(square.sum(axis=-1) * seen.sum(axis=1)[:, None]) / size[:, None]
+        known = seen & frames[:, None]
+        per_node = mean_over(np.where(known, share, 0.0), known, axis=1)
         residual = away[:, seen]
         value = per_frame[:, frames].mean(axis=1) if frames.any() else np.full(len(away), np.nan)
-        return Score(value, self.unit, per_frame, None, flat_rows(residual))
+        return Score(value, self.unit, per_frame, per_node, flat_rows(residual))
 
     def floor(self, observation: Observation) -> float:
         """√(C n σ²)/‖ϕ‖ of a frame with n nodes seen in C coordinates, averaged over the frames."""
