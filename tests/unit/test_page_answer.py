@@ -120,6 +120,52 @@ def test_seeds_are_repetitions_of_one_way():
     assert best_of(found) == ["a"]
 
 
+def test_of_one_seed_one_cell_counts_whatever_else_was_asked_of_it():
+    """As of `report=[]`, then `[relative_error]`, then `[marked_edges]`: three cells, and one search."""
+
+    def cells(count: int) -> list[dict[str, Any]]:
+        return [
+            row(m, "linen", "x", v, low=v - 3.0, high=v + 3.0, key=f"{m}{n}", finished=f"2026-01-0{n + 1}")
+            for (m, v), n in itertools.product((("a", 9.7), ("b", 9.9)), range(count))
+        ]
+
+    found = {count: standings(cells(count), "fold")["linen"] for count in (1, 3)}
+    for standing in found.values():
+        assert (standing["a"].seeds, standing["a"].errors) == (1, {"x": (9.7,)})
+        assert best_of(standing) == ["a", "b"]
+    failed = row("a", "linen", None, None, split=None, key="a9", finished="2026-01-09")
+    assert standings([*cells(2), failed], "fold")["linen"]["a"].whole == ""  # nor is it one of two seeds that failed
+    said = [r for case in ("linen", "satin") for r in cells(3) if not r.update(case=case)]
+    assert "9.70 px over 2 recordings" in told_overall(said)[0]
+
+
+def test_seeds_that_end_in_one_place_do_not_make_a_win_of_one_recording():
+    def seeds(half: float | None) -> list[dict[str, Any]]:
+        ends = {"low": None, "high": None}
+        return [
+            row(
+                m,
+                "linen",
+                "x",
+                v,
+                seed=n,
+                key=f"{m}{n}",
+                **(ends if half is None else {"low": v - half, "high": v + half}),
+            )
+            for (m, v), n in itertools.product((("a", 9.7), ("b", 9.9)), range(3))
+        ]
+
+    for half, best in ((3.0, ["a", "b"]), (None, ["a", "b"]), (0.1, ["a"])):
+        assert best_of(standings(seeds(half), "fold")["linen"]) == best
+
+
+def test_fits_to_other_recordings_are_other_ways():
+    fit = [row("a", "linen", "linen/x", 1.0, split="fit"), row("a", "linen", "linen/z", 2.0)]
+    more = [row("a", "linen", f"linen/{n}", 1.0, split="fit", key="more") for n in "xy"]
+    found = standings([*fit, *more, row("a", "linen", "linen/z", 4.0, key="more")], "fold")["linen"]
+    assert {way: s.value for way, s in found.items()} == {"a · fitted to x": 2.0, "a · fitted to x, y": 4.0}
+
+
 def test_a_way_without_a_number_is_neither_ranked_nor_tied():
     some = [*rows_of({"a": [1.0, 2.0, 3.0]}), row("b", "linen", None, None, split=None)]
     found = standings(some, "fold")

@@ -21,6 +21,7 @@ from clothbench.studies.calibration.ranking import (
     Overall,
     Standing,
     best_cell,
+    once,
     overall,
     ranked_cases,
     standings,
@@ -119,7 +120,7 @@ def error_card(rows: Rows, metric: str) -> Card:
 
 
 def recordings_of(rows: Rows, metric: str, split: str) -> dict[str, list[dict[str, Any]]]:
-    mine = [r for r in rows if r["metric"] == metric and r["split"] == split and r["recording"]]
+    mine = once([r for r in rows if r["metric"] == metric and r["split"] == split and r["recording"]])
     return group([r for r in mine if r["value"] is not None], lambda r: r["recording"])
 
 

@@ -16,7 +16,7 @@ from clothbench.display.section import Section
 from clothbench.display.templates import asset_of, rendered
 from clothbench.engine.study import Results
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.calibration.ranking import Standing, best_of, seeds_told, standings
+from clothbench.studies.calibration.ranking import Standing, best_of, once, seeds_told, standings
 from clothbench.studies.calibration.words import case_name, counted, headed, size
 
 Rows = Sequence[dict[str, Any]]
@@ -107,7 +107,7 @@ def _square(one: Standing | None, line: Mapping[str, Standing], best: Sequence[s
 def one_way(suite: str, metric: str, rows: Rows, links: Links) -> Matrix:
     """A column for each kind of recording, the fitted one framed; where there are too many, "fitted" and "held out"."""
     lines_of = group(rows, lambda r: r["case"])
-    shown = {case: [r for r in some if r["metric"] == metric and r["recording"]] for case, some in lines_of.items()}
+    shown = {n: once([r for r in some if r["metric"] == metric and r["recording"]]) for n, some in lines_of.items()}
     mine = [r for some in shown.values() for r in some]
     names = sorted({tail(r) for r in mine})
     few = len(names) <= TRIALS

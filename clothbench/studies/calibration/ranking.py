@@ -1,6 +1,7 @@
 """Which way to calibrate is better: errors recording by recording, paired, with all seeds; ties where noise decides.
 
-A way is a model with its effects, an optimizer and the metric that was minimised; seeds are repetitions of it.
+A way is a model with its effects, an optimizer and the metric that was minimised, fitted to the same recordings with
+the same settings; seeds are repetitions of it, and of one seed one cell counts, however often it was run.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from clothbench.core.statistics import student, t_interval
 from clothbench.display.html import group
 from clothbench.display.names import model_name
+from clothbench.engine.cells import digest
 from clothbench.estimation.intervals import half_width
 
 Rows = Sequence[dict[str, Any]]
@@ -57,16 +59,40 @@ class Standing:
 
 def way_of(rows: Rows) -> Callable[[dict[str, Any]], str]:
     """What to call a row's way: its model, with its effects where others are tried too, and whatever else differs."""
-    parts = (("optimizer", "{}"), ("objective", "by {}"), ("budget", "{} evaluations"), ("settings", "settings {}"))
-    told = [(name, word) for name, word in parts if differ(rows, name)]
-    effects = group(rows, lambda r: r["model"])
+    told = [(name, word) for name, word in (("optimizer", "{}"), ("objective", "by {}")) if differ(rows, name)]
+    marks, effects = marks_of(rows), group(rows, lambda r: r["model"])
     plain = {model for model, some in effects.items() if len({r["effects"] or "" for r in some}) == 1}
 
     def name(row: dict[str, Any]) -> str:
         model = row["model"] if row["model"] in plain else model_name(row)
-        return " · ".join([model, *(word.format(row.get(n)) for n, word in told)])
+        return " · ".join([model, *(word.format(row.get(n)) for n, word in told), *marks(row)])
 
     return name
+
+
+def marks_of(rows: Rows) -> Callable[[dict[str, Any]], list[str]]:
+    """What else tells a row's way from others of its model, optimizer and objective, in words: its budget, settings and
+    what it was fitted to, each where it differs.
+    """
+    told = [(n, word) for n, word in (("budget", "{} evaluations"), ("settings", "settings {}")) if differ(rows, n)]
+    fitted: dict[str, set[str]] = {}
+    for row in rows:
+        if row["split"] == "fit" and row["recording"]:
+            fitted.setdefault(row["key"], set()).add(row["recording"].removeprefix(f"{row['case']}/"))
+    cases = group([r for r in rows if r["key"] in fitted], lambda r: r["case"])
+    several = {case for case, some in cases.items() if len({frozenset(fitted[r["key"]]) for r in some}) > 1}
+
+    def marks(row: dict[str, Any]) -> list[str]:
+        words = [word.format(row.get(name)) for name, word in told]
+        names = sorted(fitted.get(row["key"], ())) if row["case"] in several else []
+        return [*words, f"fitted to {_told(names)}"] if names else words
+
+    return marks
+
+
+def _told(names: Sequence[str]) -> str:
+    """A few names as they are; many by their number, with a digest that tells them from as many others."""
+    return ", ".join(names) if len(names) <= FEW else f"{len(names)} recordings ({digest(list(names), 6)})"
 
 
 def differ(rows: Rows, name: str) -> bool:
@@ -76,6 +102,16 @@ def differ(rows: Rows, name: str) -> bool:
     same = ("case", "optimizer", "objective")
     known = group(rows, lambda r: (model_name(r), *map(r.get, same)) if name == "settings" else "all")
     return any(len({r.get(name) for r in some}) > 1 for some in known.values())
+
+
+def once(rows: Rows) -> list[dict[str, Any]]:
+    """Rows of one way, by seed, of which one cell counts of each seed, case, recording and metric: the last with a
+    number. The same search with another `report` or `analysis` is another cell, and repeats a number that is known.
+    """
+    about = ("case", "recording", "split", "metric", "seed")
+    by_age = sorted(rows, key=lambda r: (r["value"] is not None, r.get("finished") or ""))
+    last = {tuple(map(r.get, about)): r for r in by_age}
+    return sorted(last.values(), key=lambda r: r["seed"] or 0)
 
 
 def standings(rows: Rows, metric: str) -> dict[str, dict[str, Standing]]:
@@ -89,7 +125,7 @@ def standings(rows: Rows, metric: str) -> dict[str, dict[str, Standing]]:
 
 
 def _standing(way: str, case: str, split: str, metric: str, rows: Rows) -> Standing:
-    mine = [r for r in rows if r["split"] == split and r["metric"] == metric and r["recording"]]
+    mine = once([r for r in rows if r["split"] == split and r["metric"] == metric and r["recording"]])
     known = group([r for r in mine if r["value"] is not None], lambda r: r["recording"])
     bad = next((r for r in rows if r["status"] != "ok"), None)
     status, reason = (str(bad["status"]), str(bad["reason"] or "")) if bad else ("ok", "")
@@ -126,13 +162,13 @@ def seeds_told(rows: Rows, metric: str, split: str | None = None) -> str:
     """Of how many fits of one way in one case every recording has a number by a metric: "1 of 3 seeds"; nothing where
     all have, or none. split: of the recordings, None: all of them.
     """
-    done = asked = 0
+    seeds: dict[Any, bool] = {}  # whether some cell of it came to a number
     for fit in group(rows, lambda r: r["key"]).values():
         judged = [r for r in fit if r["recording"] and split in (None, r["split"])]
         values = [r["value"] for r in judged if r["metric"] == metric]
         if values or not any(r["recording"] for r in fit):  # else it was not judged by this metric, or in this split
-            asked += 1
-            done += bool(values) and None not in values
+            seeds[fit[0]["seed"]] = seeds.get(fit[0]["seed"], False) or (bool(values) and None not in values)
+    done, asked = sum(seeds.values()), len(seeds)
     return f"{done} of {asked} seeds" if 0 < done < asked else ""
 
 
@@ -164,9 +200,9 @@ def best_of(standing: Mapping[str, Standing]) -> list[str]:
 def tied(a: Standing, b: Standing) -> bool:
     """Whether the 95 % interval of the mean difference, recording by recording, includes 0.
 
-    Student's t over recordings, each with the mean of its seeds; over seeds where there are too few recordings; where
-    there are too few of either, the intervals of the single errors together decide, and nothing is told where one of
-    them is not known.
+    Student's t over recordings, each with the mean of its seeds. Of fewer recordings the intervals of the single errors
+    decide together, and of three seeds or more these as well: that all of them end in one place says nothing of the
+    recordings. Where an interval is not known, seeds that differ decide alone, and nothing is told without.
     """
     shared = sorted(set(a.errors) & set(b.errors))
     if not shared:
@@ -174,14 +210,16 @@ def tied(a: Standing, b: Standing) -> bool:
     difference = np.array([a.means[n] - b.means[n] for n in shared])
     if len(shared) >= FEW:
         return includes_zero(difference)
-    seeds = min(len(x.errors[n]) for x in (a, b) for n in shared)
+    seeds, spread = min(len(x.errors[n]) for x in (a, b) for n in shared), False
     if seeds >= FEW:
         by_seed = [[s.errors[n][k] for n in shared] for s in (a, b) for k in range(seeds)]
         means = np.mean(by_seed, axis=1)
-        return unpaired_includes_zero(means[:seeds], means[seeds:])
+        if unpaired_includes_zero(means[:seeds], means[seeds:]):
+            return True
+        spread = bool(np.ptp(means[:seeds]) or np.ptp(means[seeds:]))
     halves = [x.halves.get(n, math.nan) for x in (a, b) for n in shared]
     if np.isnan(halves).any():
-        return True
+        return not spread
     joint = float(np.sqrt(np.sum(np.square(halves)))) / len(shared)
     return bool(abs(difference.mean()) <= joint)
 

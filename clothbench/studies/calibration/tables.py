@@ -13,7 +13,7 @@ from clothbench.display.names import cell_name
 from clothbench.engine.study import Results
 from clothbench.studies.calibration.analysis_tables import analyses
 from clothbench.studies.calibration.leaderboard import ended
-from clothbench.studies.calibration.ranking import differ, way_of
+from clothbench.studies.calibration.ranking import marks_of, once, way_of
 from clothbench.studies.calibration.schema import ANALYSIS_TABLES
 from clothbench.studies.calibration.searches_page import contest_tables
 
@@ -71,19 +71,20 @@ def overall(rows: Rows) -> list[str]:
     """Where a suite has several cases: the mean held-out error over all their recordings, for each way to fit them and
     each seed; of how many of the way's cases it is, where a fit came to no number.
     """
-    way, out = way_of(rows), []
+    way, marks, out = way_of(rows), marks_of(rows), []
     judged = {r["case"] for r in rows if r["split"] == "held_out" and r["recording"]}
     for mine in group(rows, lambda r: (way(r), r["objective"])).values():
         cases = {r["case"] for r in mine if r["case"] in judged or r["status"] != "ok"}
         for some in group(mine, lambda r: r["seed"]).values():
             held = [r for r in some if r["split"] == "held_out" and r["recording"] and r["metric"] == r["objective"]]
+            held = once(held)
             known = {case: found for case, found in group(held, lambda r: r["case"]).items() if _numbers(found)}
             if len(cases) < 2 or not known or len({r["unit"] for found in known.values() for r in found}) > 1:
                 continue  # nor is there a mean of millimetres and centimetres
             values = [r["value"] for found in known.values() for r in found]
             of = f"all {len(cases)} cases" if len(known) == len(cases) else f"{len(known)} of {len(cases)} cases"
             error = f"{sum(values) / len(values):.2f} {held[0]['unit']}"
-            what = f"{_called(held[0], rows)}, seed {held[0]['seed']}"
+            what = f"{' · '.join([_called(held[0]), *marks(held[0])])}, seed {held[0]['seed']}"
             out.append(escape(f"held out, {of}: {error} over {len(values)} recordings ({what})"))
     return out
 
@@ -92,13 +93,10 @@ def _numbers(rows: Rows) -> bool:
     return all(r["value"] is not None for r in rows)
 
 
-def _called(row: dict[str, Any], rows: Rows) -> str:
-    """A way in full, with its budget and settings where others are there, too."""
-    name = " + ".join([row["model"], *(e for e in (row["effects"] or "").split(",") if e)])
-    parts = [name, row["optimizer"], row["metric"]]
-    parts += [f"{row['budget']} evaluations"] if differ(rows, "budget") else []
-    parts += [f"settings {row['settings']}"] if differ(rows, "settings") else []
-    return " · ".join(parts)
+def _called(row: dict[str, Any]) -> str:
+    """A way in full, but for what tells it from others of its kind."""
+    model = " + ".join([row["model"], *filter(None, (row["effects"] or "").split(","))])
+    return " · ".join([model, row["optimizer"], row["metric"]])
 
 
 def _cells(row: dict[str, Any]) -> list[str]:
