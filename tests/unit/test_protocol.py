@@ -193,6 +193,20 @@ def test_fits_with_other_budgets_or_settings_are_never_summed():
     assert sum(t.chosen for t in both) == 4
 
 
+def test_a_trial_that_was_fitted_again_counts_once_in_the_sum():
+    """As with a further `report`, of which the fit is the same and the cell another."""
+    rows, starts = table_three()
+    again = [{**r, "key": r["key"] + "+", "finished": "later"} for r in rows]
+    one = [r for r in again if r["case"].endswith("-1")]
+    for more in (one, again):
+        both = transfers(rows + more, starts)
+        assert [(t.case, t.total, t.chosen) for t in both] == [
+            (t.case, t.total, t.chosen) for t in transfers(rows, starts)
+        ]
+        assert {t.key for t in both if t.case.endswith("-1")} == {r["key"] for r in one}
+    assert transfers([r for r in rows if r["case"].endswith("-1")] + one, starts) == []
+
+
 def test_settings_of_a_case_of_its_own_make_no_other_way():
     rows, starts = table_three()
     own = [{**r, "settings": r["case"][:5]} for r in rows]
@@ -211,6 +225,8 @@ def test_the_matrix_is_of_chosen_fits_and_finds_the_nearest():
     (matrix,) = confusions(found, rows, starts)
     assert matrix.error == {"linen": {"satin": 30.0, "linen": 10.0}, "satin": {"satin": 10.0, "linen": 30.0}}
     assert matrix.right == 2
+    again = [{**r, "key": r["key"] + "+", "finished": "later"} for r in rows]
+    assert confusions(found, rows + again, starts) == [matrix]  # cells of the same fits that were not asked for it
     lost = [{**r, "value": None} if (r["key"], r["recorded_fabric"]) == ("satin2", "satin") else r for r in found]
     assert confusions(lost, rows, starts)[0].nearest("satin") == "linen"
 

@@ -5,7 +5,7 @@ Bhat et al. 2003, table 3 (start, optimised and cross-trial error; the parameter
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -31,8 +31,10 @@ class Transfer:
     chosen: bool
 
 
-def transfers(rows: Rows, starts: Rows) -> list[Transfer]:
-    """Every cell that fitted one trial of a group in which others fitted the rest; nothing of other suites."""
+def transfers(rows: Rows, starts: Rows, told: Collection[str] = ()) -> list[Transfer]:
+    """Every cell that fitted one trial of a group in which others fitted the rest, one of each trial; nothing of other
+    suites. told: keys of cells that count before others of their trial; else the one that ended last does.
+    """
     cells: dict[str, list[dict[str, Any]]] = {}
     for r in rows:
         if r["recording"] and r["metric"] == r["objective"]:
@@ -44,8 +46,12 @@ def transfers(rows: Rows, starts: Rows) -> list[Transfer]:
     for key, mine in single.items():
         groups.setdefault((ways[key], *sorted(r["recording"] for r in mine)), []).append(key)
     out = []
-    for keys in (k for k in groups.values() if len(k) > 1):
-        trials = [single[k][0]["case"] for k in keys]
+    for several in groups.values():
+        # Of one case one cell counts, as in `once`: a further `report` makes another cell of the same fit.
+        cell_of = {single[k][0]["case"]: k for k in sorted(several, key=lambda k: (k in told, *recency(single[k])))}
+        keys, trials = [cell_of[case] for case in sorted(cell_of)], sorted(cell_of)
+        if len(trials) < 2:
+            continue
         totals = {k: total({r["recording"]: r["value"] for r in single[k]}, trials) for k in keys}
         known = {k: t for k, t in totals.items() if t is not None}
         best = min(known, key=lambda k: known[k]) if known else None
@@ -55,6 +61,11 @@ def transfers(rows: Rows, starts: Rows) -> list[Transfer]:
             out.append(Transfer(key, first["case"], group_name(trials), ways[key], first["unit"], begun.get(key),
                                 errors, totals[key], key == best))  # fmt: skip
     return sorted(out, key=lambda t: (t.way, t.case))
+
+
+def recency(cell: Rows) -> tuple[bool, str]:
+    """Sort key by which the last of several cells is the one that counts: with all its numbers, and ended last."""
+    return all(r["value"] is not None for r in cell), max(r.get("finished") or "" for r in cell)
 
 
 def fitted_alone(rows: Rows) -> bool:
@@ -119,7 +130,7 @@ class Confusion:
 
 def confusions(found: Rows, rows: Rows, starts: Rows) -> list[Confusion]:
     """Per way to fit: the chosen parameters of each fabric on every fabric's trials, mean over those that all have."""
-    chosen = {t.key: t for t in transfers(rows, starts) if t.chosen}
+    chosen = {t.key: t for t in transfers(rows, starts, {r["key"] for r in found}) if t.chosen}
     out = []
     for way in sorted({t.way for t in chosen.values()}):
         mine = [r for r in found if r["key"] in chosen and chosen[r["key"]].way == way and not r.get("reason")]
