@@ -8,9 +8,11 @@ from __future__ import annotations
 import fnmatch
 import hashlib
 import json
+import os
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -122,9 +124,12 @@ def require_own_names(sources: Iterable[Source], case: str = "") -> None:
 
 
 def resplit(sources: list[Source], seed: int) -> list[Source]:
-    """A split by recording where the files state none: a third, at least one of two, is held out. Seeded."""
+    """A split by recording where the files state none: a third, at least one of two, is held out. Seeded, and the same
+    in whatever order the files were named: it goes by their places, in the order in which a folder's come.
+    """
     if any(s.split for s in sources) or len(sources) < 2:
         return [Source(s.path, s.name, s.hash, s.split or "fit") for s in sources]
+    placed = sorted(range(len(sources)), key=lambda i: Path(os.path.abspath(sources[i].path)))
     order = np.random.default_rng(seed).permutation(len(sources))
-    held = set(order[: max(1, len(sources) // 3)].tolist())
+    held = {placed[i] for i in order[: max(1, len(sources) // 3)]}
     return [Source(s.path, s.name, s.hash, "held_out" if i in held else "fit") for i, s in enumerate(sources)]

@@ -199,7 +199,9 @@ def grips_at(recording: Recording, time: np.ndarray) -> np.ndarray:
 
 
 def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
-    """The recording files named, or lying in the folders named, sorted; an empty find is an error."""
+    """The recording files named, in their order, or lying in the folders named, each folder's sorted by path; an empty
+    find is an error.
+    """
     found: list[Path] = []
     for path in map(Path, paths):
         if os.path.isdir(path):  # which does not stumble over a name that is too long

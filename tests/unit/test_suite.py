@@ -5,11 +5,13 @@ import math
 from importlib.resources import files
 
 import flat_video
+import numpy as np
 import pytest
 import yaml
 from conftest import swinging_recording
 
 from clothbench import ClothbenchError, write_recording, write_video
+from clothbench.engine.cells import Source, resplit
 from clothbench.engine.run import run_cell
 from clothbench.engine.settings import OF_SEARCHES, last_word
 from clothbench.engine.store import Store
@@ -63,6 +65,18 @@ def test_recordings_without_a_split_are_split_alike_whatever_the_seed(tmp_path):
     splits = [[s.split for s in cells(tmp_path, seed=seed)[0].recordings] for seed in (0, 1, 2)]
     assert splits[0].count("held_out") == 2
     assert splits == 3 * splits[:1]
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_order_in_which_files_are_named_is_no_other_split(seed):
+    folder = [Source(f"there/r{k}.nc", f"r{k}", str(k), "") for k in range(7)]
+    held = {s.name for s in resplit(folder, seed) if s.split == "held_out"}
+    first = np.random.default_rng(seed).permutation(7)[:2]  # as in stored results: a folder's come by path
+    assert held == {f"r{k}" for k in first}
+    for named in (folder[::-1], folder[3:] + folder[:3]):
+        found = resplit(named, seed)
+        assert [s.name for s in found] == [s.name for s in named]
+        assert {s.name for s in found if s.split == "held_out"} == held
 
 
 def test_cases_and_selection(tmp_path):
