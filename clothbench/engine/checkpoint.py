@@ -18,6 +18,15 @@ from clothbench.core.files import read_arrays, whole_file
 Arrays = dict[str, np.ndarray]
 
 
+def uncompiled() -> float:
+    """A clock [s] that stands still while this process compiles: kernels are compiled on a machine's first search only,
+    which would else pass for a slow one.
+    """
+    from clothbench.core.kernels import compiled_for  # numba takes a while, and tables are shown without any clock
+
+    return time.perf_counter() - compiled_for()
+
+
 class Checkpoint:
     """Arrays by key, one `.npz` each; without a folder nothing is kept. whole: whose part this is, if it is one, and
     prefix: what its keys begin with.
@@ -25,14 +34,14 @@ class Checkpoint:
 
     def __init__(self, folder: Path | None = None, whole: Checkpoint | None = None, prefix: str = ""):
         self.folder, self.whole, self.prefix = folder, whole or self, prefix
-        self.began = time.perf_counter()
+        self.began = uncompiled()
         known = self.recall("seconds")
         self.before = 0.0 if known is None else float(known["seconds"])
 
     @property
     def seconds(self) -> float:
-        """Wall time since this object was made, and that of the stopped runs before it."""
-        return self.whole.before + time.perf_counter() - self.whole.began
+        """Wall time [s] since this object was made, and that of the stopped runs before it, both without compiling."""
+        return self.whole.before + uncompiled() - self.whole.began
 
     def recall(self, key: str) -> Arrays | None:
         """What was kept under this key; None if there is nothing, or a file that can no longer be read."""

@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clothbench.core.kernels import compiled_for
 from clothbench.core.optional import start_of, temperature_of
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.progress import Progress
@@ -105,12 +104,6 @@ def calibrate(
     stopped that would go on.
     """
     checkpoint = checkpoint or Checkpoint()
-    compiled = compiled_for()
-
-    def seconds() -> float:
-        """Of the search. Kernels are compiled on a machine's first one only, which would else pass for a slow one."""
-        return checkpoint.seconds - (compiled_for() - compiled)
-
     thetas: list[np.ndarray] = []
     values: list[np.ndarray] = []
     several: list[np.ndarray] = []
@@ -131,7 +124,7 @@ def calibrate(
             looked = sum(map(len, values))
         if progress is not None:
             progress(sum(map(len, values)), _lowest(np.concatenate(values)))
-        if timeout is not None and not optimizer.done and seconds() > timeout:
+        if timeout is not None and not optimizer.done and checkpoint.seconds > timeout:
             stopped = f"stopped after {timeout:g} s, as asked"
             break
     theta, value = np.concatenate(thetas), np.concatenate(values)
@@ -153,7 +146,7 @@ def calibrate(
         condition=condition,
         status="diverged" if not simulated else "timeout" if stopped else "ok",
         stopped=stopped or beyond or optimizer.stopped,
-        wall_s=seconds(),
+        wall_s=checkpoint.seconds,
         start=start_of(optimizer),
         looked=looked,
         objectives=objectives,

@@ -1,7 +1,10 @@
 """What is remembered between a run that was stopped and the one that goes on."""
 
+import time
+
 import numpy as np
 
+from clothbench.core import kernels
 from clothbench.engine.checkpoint import Checkpoint
 
 
@@ -28,6 +31,18 @@ def test_the_time_of_stopped_runs_counts(tmp_path):
     checkpoint.before = 100.0
     checkpoint.keep("a" * 16, values=np.zeros(3))
     assert 100.0 < Checkpoint(tmp_path).seconds < 110.0
+
+
+def test_compiling_is_no_time_of_the_work_whenever_it_is_done(tmp_path, monkeypatch):
+    """As between two stages of one search, and in a run that is stopped."""
+    spent, began = [0.0], time.perf_counter()
+    monkeypatch.setattr(kernels, "compiled_for", lambda: spent[0])
+    monkeypatch.setattr(time, "perf_counter", lambda began=began: began + 100.0 + spent[0])
+    checkpoint = Checkpoint(tmp_path)
+    spent[0] = 50.0
+    assert (checkpoint.seconds, checkpoint.part("coarse").seconds) == (0.0, 0.0)
+    checkpoint.keep("a" * 16, values=np.zeros(3))
+    assert Checkpoint(tmp_path).seconds == 0.0
 
 
 def test_unknown_and_damaged_are_computed_again(tmp_path):

@@ -69,7 +69,7 @@ class Finding:
     placebo: one more effect, or None where there was nothing to hold against it;
     comparisons: every recording beside both fits, those that were fitted first;
     evaluations: parameter sets that the searches took, on all fit recordings each;
-    wall_s: s, those of stopped runs included;
+    wall_s: s, those of stopped runs included, without compiling;
     stages: (stage, s, evaluations), where both went;
     balance: what the recordings say without any model, None where they say nothing so;
     whereabouts: rows of that table: where and when more is left than elsewhere;
