@@ -88,6 +88,22 @@ def test_a_way_that_errs_by_nothing_anywhere_has_an_answer():
     assert said.startswith("Take a. b is off where the other errs by 0 throughout (3 recordings).")
 
 
+def test_ways_are_compared_over_the_recordings_that_all_of_them_have():
+    """By its own mean of 3.25 the better way would be last, with a ratio of less than 1 to the first."""
+    some = rows_of({"a": [1.0, 1.0, 1.0, 10.0], "b": [1.1, 1.1, 1.1]})
+    found = standings(some, "fold")
+    first, second = overall(found)
+    assert (first.way, first.recordings, second.way, second.recordings) == ("a", 3, "b", 3)
+    assert second.ratio == pytest.approx(1.1)
+    assert best_of(found["linen"]) == ["a"]
+    assert "Not compared, since only some of the ways were judged on them: linen/3." in told(some, "fold")
+    assert "It has the least error in 1 of 1 cases." in told(some, "fold")
+    (_, _, (a, b)), = several_ways("s", "fold", some, lambda *_: "").lines  # fmt: skip
+    assert (a.text, a.below, a.best, b.text, b.below, b.best) == ("3.25", "", True, "1.10", "× 1.10", False)
+    assert a.title == "4 recordings; compared without 1 recording that not all ways have"
+    assert told(rows_of({"a": [1.0], "b": [2.0]}), "fold").count("Not compared") == 0
+
+
 def test_models_that_take_turns_are_tied():
     found = standings(rows_of({"a": [1.0, 5.0, 3.0], "b": [1.2, 4.8, 3.1]}), "fold")
     assert best_of(found["linen"]) == ["a", "b"]

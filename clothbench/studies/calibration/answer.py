@@ -20,7 +20,9 @@ from clothbench.studies.calibration.ranking import (
     NOTHING_HELD_OUT,
     Overall,
     Standing,
+    alike,
     best_cell,
+    left_out,
     once,
     overall,
     ranked_cases,
@@ -70,6 +72,7 @@ def lead(
     """What the first sentence is made of. metric: what ways are ranked by."""
     ties, cases = [one.way for one in ranked[1:] if one.tied], ranked_cases(found)
     wins = {w: sum(case_best(case) == w for case in cases.values()) for w in (o.way for o in ranked)}
+    compared = [{one.way: case[one.way] for one in ranked} for case in cases.values()] if ranked else []
     out = {way for case in cases.values() for way in case} - {one.way for one in ranked}
     lacks = {way: [case[way] for case in cases.values() if way in case and case[way].value is None] for way in out}
     unjudged = {way for way, some in lacks.items() if some and all(s.unjudged for s in some)}
@@ -78,6 +81,7 @@ def lead(
         "ways": [one.way for one in ranked], "ties": ties, "cases": len(cases), "wins": wins, "metric": metric,
         "behind": [(one.way, times(one)) for one in ranked[1:] if not one.tied],
         "left": sorted(out - unjudged), "unjudged": sorted(unjudged - unseen), "unseen": sorted(unseen),
+        "alone": listed(sorted({name for case in compared for name in left_out(case)})),
         "unheld": sorted(found.keys() - cases.keys()),
         "reasons": any(s.status != "ok" for case in found.values() for s in case.values()),
         "near": [(one.way, times(one)) for one in ranked[1:] if one.tied],
@@ -86,7 +90,7 @@ def lead(
 
 
 def case_best(case: Mapping[str, Standing]) -> str | None:
-    known = {way: s.value for way, s in case.items() if s.value is not None}
+    known = {way: s.value or 0.0 for way, s in alike(case).items()}
     return min(known, key=lambda w: known[w]) if known else None
 
 

@@ -16,7 +16,7 @@ from clothbench.display.section import Section
 from clothbench.display.templates import asset_of, rendered
 from clothbench.engine.study import Results
 from clothbench.plugins.discovery import catalogue
-from clothbench.studies.calibration.ranking import Standing, best_of, once, seeds_told, standings
+from clothbench.studies.calibration.ranking import Standing, alike, best_of, once, seeds_told, standings
 from clothbench.studies.calibration.words import case_name, counted, headed, size
 
 Rows = Sequence[dict[str, Any]]
@@ -96,10 +96,13 @@ def _square(one: Standing | None, line: Mapping[str, Standing], best: Sequence[s
     if one.value is None:
         status = one.status if one.status != "ok" else "–"
         return Square(status, one.whole or one.reason or one.unjudged, title=one.reason, link=to)
-    least = line[best[0]].value or 0.0
-    ratio = one.value / least if least else 1.0
+    compared = alike(line)
+    least, mine = compared[best[0]].value or 0.0, compared[one.way].value or 0.0
+    ratio = mine / least if least else 1.0
     said = "" if one.way == best[0] else "≈ tied" if one.way in best else f"× {ratio:.2f}"
     about = f"{counted(len(one.errors), 'recording')}" + (f", {one.seeds} seeds each" if one.seeds > 1 else "")
+    if others := len(one.errors) - len(compared[one.way].errors):
+        about += f"; compared without {counted(others, 'recording')} that not all ways have"
     heat = 0.0 if ratio <= 1 else min(math.log2(ratio) / FOUR_TIMES, 1.0) * HOTTEST
     return Square(size(one.value), said, round(heat, 1), one.way in best, to, about)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -190,11 +190,30 @@ def fitted_totals(rows: Rows) -> list[dict[str, Any]]:
 
 def best_of(standing: Mapping[str, Standing]) -> list[str]:
     """The way with the least error in a case, and all that are tied with it; nothing where no way has a number."""
-    known = {way: s for way, s in standing.items() if s.value is not None}
+    known = alike(standing)
     if not known:
         return []
     first = min(known, key=lambda w: known[w].value or 0.0)
     return [first, *(w for w in known if w != first and tied(known[first], known[w]))]
+
+
+def alike(standing: Mapping[str, Standing]) -> dict[str, Standing]:
+    """The ways with a number in a case, over the recordings that all of them have, of which alone their means say which
+    is better; over their own ones where they have none in common.
+    """
+    known = {way: s for way, s in standing.items() if s.value is not None}
+    shared = set.intersection(*(set(s.errors) for s in known.values())) if known else set()
+    if not shared:
+        return known
+    kept = {way: {n: e for n, e in s.errors.items() if n in shared} for way, s in known.items()}
+    mean = {way: float(np.mean([np.mean(e) for e in errors.values()])) for way, errors in kept.items()}
+    return {way: replace(s, errors=kept[way], value=mean[way]) for way, s in known.items()}
+
+
+def left_out(standing: Mapping[str, Standing]) -> set[str]:
+    """Recordings of a case that only some of its ways with a number have, over which they are not compared."""
+    compared = alike(standing)
+    return {n for way in compared for n in standing[way].errors.keys() - compared[way].errors.keys()}
 
 
 def tied(a: Standing, b: Standing) -> bool:
@@ -255,12 +274,13 @@ class Overall:
 
 
 def overall(found: Mapping[str, Mapping[str, Standing]]) -> list[Overall]:
-    """All ways that have a number in every case that has the split, the best first: cases differ in size, so ratios are
-    compared.
+    """All ways that have a number in every case that has the split, the best first, over the recordings that all of
+    them have: cases differ in size, so ratios are compared.
     """
     cases = list(ranked_cases(found).values())
     ways = {way for case in cases for way in case}
     whole = [w for w in sorted(ways) if all(w in case and case[w].value is not None for case in cases)]
+    cases = [alike({way: case[way] for way in whole}) for case in cases]
     errors = {way: errors_of(case[way] for case in cases) for way in whole}
     if not errors or not all(errors.values()):
         return []
