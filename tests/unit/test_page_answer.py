@@ -287,6 +287,15 @@ def test_of_few_recordings_the_answer_tells_ways_apart_where_the_table_does():
     assert [one.tied for one in overall(near)] == [False, True]
 
 
+def test_the_floor_beside_a_held_out_mean_is_its_own():
+    def rows(split: str, floor: float) -> list[dict[str, Any]]:
+        return [row("a", "stiff", name, 0.5, split=split, floor=floor) for name in (f"stiff/{split}", None)]
+
+    for some, floor in (([*rows("fit", 0.385), *rows("held_out", 0.499)], "0.499"), (rows("fit", 0.385), "0.385")):
+        means = re.sub("<[^>]+>", " ", leaderboard(some).partition("<details")[0]).split()
+        assert [word for word in means if word in ("0.385", "0.499")] == [floor]
+
+
 def test_a_way_is_called_by_what_tells_it_apart():
     some = [row("a", "linen", "x", 1.0), row("a", "linen", "x", 1.0, optimizer="cma_es"), row("b", "linen", "x", 1.0)]
     name = way_of(some)

@@ -29,7 +29,7 @@ def leaderboard(rows: Rows) -> str:
         ("fit, from … to", lambda c: spread(c, "fit"), True),
         ("held out", lambda c: _error(c, "held_out"), True),
         ("held out, from … to", lambda c: spread(c, "held_out"), True),
-        ("floor", lambda c: floor(next((r for r in c if r["floor"] is not None), None)), True),
+        ("floor", lambda c: floor(_shown(c)), True),
         ("unit", lambda c: text(c[0]["unit"]), False),
         ("evaluations", lambda c: text(c[0]["evaluations"]), True),
         ("search ended", lambda c: text(ended(c)), False),
@@ -69,9 +69,15 @@ def _filled(columns: Sequence[Column], lines: Sequence[Any]) -> str:
 
 def _rank(cell: Rows) -> tuple[bool, float, str]:
     """Sort key of one cell's rows: held-out error, else fit error, else last."""
-    totals = {r["split"]: r["value"] for r in cell if not r["recording"]}
-    value = totals.get("held_out", totals.get("fit"))
+    total = _shown(cell)
+    value = None if total is None else total["value"]
     return value is None, value or 0.0, cell[0]["key"]
+
+
+def _shown(cell: Rows) -> dict[str, Any] | None:
+    """The mean by which a cell is judged: over what was held out, else over what was fitted."""
+    totals = {r["split"]: r for r in cell if not r["recording"]}
+    return totals.get("held_out", totals.get("fit"))
 
 
 def _error(cell: Rows, split: str) -> str:

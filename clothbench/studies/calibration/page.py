@@ -31,7 +31,8 @@ Rows = Sequence[dict[str, Any]]
 STEPS = '<p class="soft">The middle frame of the first recording, step by step.</p>'
 ORDER = """<p class="soft">Mean error over the recordings of a split, low is good. From … to: its 95 % interval; of two
 to four recordings the least and the largest, since so few give no interval worth the name. Floor: what noise alone
-would give a perfect model. Cell: by this name <code>clothbench view</code> opens it.</p>"""
+would give a perfect model on what was held out, or on what was fitted where nothing was.
+Cell: by this name <code>clothbench view</code> opens it.</p>"""
 FIGURES = """
 <h2 id="figures">Errors, recording by recording</h2>
 <div class="menu top"><label for="panel">Show</label><select id="panel"></select><div id="legend"></div></div>
