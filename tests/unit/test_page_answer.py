@@ -22,6 +22,7 @@ from clothbench.studies.calibration.matrix import one_way, several_ways
 from clothbench.studies.calibration.page import told_by_unit
 from clothbench.studies.calibration.parameters_page import group_by_key, model_table, strip_of, truth_said
 from clothbench.studies.calibration.ranking import best_of, overall, standings, way_of
+from clothbench.studies.calibration.tables import error_table
 from clothbench.studies.calibration.tables import overall as told_overall
 from clothbench.studies.calibration.words import listed, size
 from clothbench.studies.fold_path.page import answer_of as led
@@ -219,6 +220,14 @@ def test_the_terminal_says_of_how_many_cases_a_mean_is_and_mixes_no_budgets():
         "held out, all 2 cases: 2.00 px over 2 recordings (a · ga · fold · 9 evaluations, seed 0)",
         "held out, all 2 cases: 9.00 px over 2 recordings (a · ga · fold · 99 evaluations, seed 0)",
     ]
+
+
+def test_the_terminal_says_small_errors_as_the_page_does():
+    """In metres two decimals had left "0.01 … 0.01" of an error of centimetres, and no floor."""
+    some = [row("a", case, f"{case}/x", 0.00988, unit="m", low=0.0071, high=0.0126, floor=0.00051) for case in "cd"]
+    _, error, interval, floor = (list(column.cells)[1] for column in error_table("s", some).columns)
+    assert (error, interval, floor) == ("0.00988 m", "0.00710 … 0.0126", "5.10e-4 m")
+    assert told_overall(some)[0].startswith("held out, all 2 cases: 0.00988 m over")
 
 
 def test_ways_are_not_ranked_by_a_metric_that_never_gave_a_number():

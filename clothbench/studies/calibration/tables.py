@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rich.markup import escape
@@ -16,6 +16,7 @@ from clothbench.studies.calibration.leaderboard import ended
 from clothbench.studies.calibration.ranking import marks_of, once, way_of
 from clothbench.studies.calibration.schema import ANALYSIS_TABLES
 from clothbench.studies.calibration.searches_page import contest_tables
+from clothbench.studies.calibration.words import size
 
 Rows = Sequence[dict[str, Any]]
 MANY = 24  # recordings in one cell beyond which only the totals are printed
@@ -83,7 +84,7 @@ def overall(rows: Rows) -> list[str]:
                 continue  # nor is there a mean of millimetres and centimetres
             values = [r["value"] for found in known.values() for r in found]
             of = f"all {len(cases)} cases" if len(known) == len(cases) else f"{len(known)} of {len(cases)} cases"
-            error = f"{sum(values) / len(values):.2f} {held[0]['unit']}"
+            error = f"{size(sum(values) / len(values))} {held[0]['unit']}"
             what = f"{' · '.join([_called(held[0]), *marks(held[0])])}, seed {held[0]['seed']}"
             out.append(escape(f"held out, {of}: {error} over {len(values)} recordings ({what})"))
     return out
@@ -106,13 +107,13 @@ def _cells(row: dict[str, Any]) -> list[str]:
     if row["value"] is None:
         error, interval = row["status"], ""
     else:
-        error, interval = f"{row['value']:.2f} {row['unit']}", _interval(row["low"], row["high"])
-    floor = f"{row['floor']:.2f} {row['unit']}" if row["floor"] is not None else ""
+        error, interval = f"{size(row['value'])} {row['unit']}", _interval(row["low"], row["high"])
+    floor = f"{size(row['floor'])} {row['unit']}" if row["floor"] is not None else ""
     return [escape(text) for text in (f"  {split}: {name}" if split else "  no result", error, interval, floor)]
 
 
-def _interval(low: float | None, high: float | None, digits: str = ".2f") -> str:
-    return f"{low:{digits}} … {high:{digits}}" if low is not None and high is not None else ""
+def _interval(low: float | None, high: float | None, said: Callable[[float], str] = size) -> str:
+    return f"{said(low)} … {said(high)}" if low is not None and high is not None else ""
 
 
 def parameter_table(rows: Rows, parameters: Rows) -> Table:
@@ -131,7 +132,7 @@ def parameter_table(rows: Rows, parameters: Rows) -> Table:
             value = f"{p['value']:.4g}" if p["value"] is not None else ""
             mark = " at its bound" if p["at_bound"] else ""
             known = (f"{p['truth']:.3g}" if p.get("truth") is not None else "",) if stated else ()
-            texts = (f"  {p['name']} ({p['symbol']})", value, _interval(p["low"], p["high"], ".3g"), *known,
+            texts = (f"  {p['name']} ({p['symbol']})", value, _interval(p["low"], p["high"], "{:.3g}".format), *known,
                      (p["unit"] or "") + mark)  # fmt: skip
             table.add_row(*(escape(t) for t in texts))
         table.add_section()
