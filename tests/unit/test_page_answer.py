@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import itertools
+import json
 import re
+from collections.abc import Iterable
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,8 +16,10 @@ from clothbench.core.observation import Observation
 from clothbench.core.protocols import Score
 from clothbench.display.answer import Card
 from clothbench.display.templates import rendered
+from clothbench.engine.study import Results
 from clothbench.estimation.intervals import error_interval
 from clothbench.studies.calibration.answer import HERE, lead, leading_metric
+from clothbench.studies.calibration.asked import with_settings
 from clothbench.studies.calibration.budget import late_fall, settled
 from clothbench.studies.calibration.estimates import contained, estimates
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
@@ -315,6 +320,42 @@ def test_a_way_is_called_by_what_tells_it_apart():
     assert [way_of(told)(r) for r in told] == ["a · ga", "a · cma_es", "b · ga"]
     other = [told[0], told[0] | {"settings": "another"}]
     assert way_of(other)(other[1]) == "a · settings another"
+
+
+def asked_as(rows: list[dict[str, Any]], questions: dict[str, dict[str, Any]]) -> list[dict[str, Any]]:
+    """The rows with words for what their cells were told, by key, beside `model` and the like."""
+
+    def table(name: str, keys: Iterable[str], columns: Any) -> list[dict[str, Any]]:
+        plain = {"model": "a", "optimizer": "ga", "metric": "fold", "tracker": "markers", "effects": [], "report": [],
+                 "options": {}}  # fmt: skip
+        return [{"key": k, "question": json.dumps(plain | questions[k])} for k in keys if k in questions]
+
+    return with_settings(Results(SimpleNamespace(table=table), rows)).rows
+
+
+def test_what_was_set_otherwise_is_named():
+    """A sweep over an option had three headings that were the same, and "settings 33eb36" on the page."""
+    some = [
+        row("a", case, f"{case}/x", 1.0, key=f"{case}{n}", settings=f"{case}{n}")
+        for case, n in itertools.product(("linen", "satin"), (4, 6))
+    ] + [row("b", "linen", "linen/x", 2.0)]
+    told = {
+        key: {"options": {"ga": {"population": n}, "other": {"n": n}}, "bounds": {"bend": [0, 1e-3 if c == "s" else 1]}}
+        for key in ("linen4", "linen6", "satin4", "satin6") for n, c in [(int(key[-1]), key[0])]
+    }  # fmt: skip
+    found = asked_as(some, told)
+    assert [way_of(found)(r) for r in found] == [f"a · ga.population {n}" for n in (4, 6)] * 2 + ["b"]
+    assert {*standings(found, "fold")["satin"]} == {"a · ga.population 4", "a · ga.population 6"}
+    headings = [text for text in error_table("s", found).columns[0].cells if "[bold]" in text]
+    assert headings[0].startswith("[bold]linen · a · ga · fold · ga.population 4[/]")
+    assert len(set(headings)) == 5
+    assert "ga.population 6" in leaderboard(found)
+    range_of = {"linen4": {"bounds": {"k": [0, 1e-3]}}, "linen6": {"bounds": {"k": [0.5, 10.0]}}}
+    assert [r["told"] for r in asked_as(some[:2], range_of)] == ["bounds.k 0 … 0.001", "bounds.k 0.5 … 10"]
+    for lost in ({"linen4": {}}, {"linen4": {}, "linen6": {}}):  # a question is missing, or does not say what differs
+        assert way_of(kept := asked_as(some[:2], lost))(kept[0]) == "a · settings linen4"
+    long = {key: {"scene": {f"n{k}": f"{key}{k}" for k in range(9)}} for key in ("linen4", "linen6")}
+    assert way_of(kept := asked_as(some[:2], long))(kept[0]) == "a · settings linen4"
 
 
 def parameter(**more: Any) -> dict[str, Any]:

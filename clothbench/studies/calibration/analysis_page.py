@@ -8,12 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.display.html import group, table, text
-from clothbench.display.names import cell_name
 from clothbench.display.plotly import COLOURS
 from clothbench.display.section import Section, later
 from clothbench.display.templates import rendered
 from clothbench.studies.calibration.analysis_tables import MISSING, MUCH, NO_BARS, missing, percent, spread, unit_of
 from clothbench.studies.calibration.matrix import HOTTEST
+from clothbench.studies.calibration.ranking import cell_names
 from clothbench.studies.calibration.transfer import Confusion, Transfer, confusions, transfers
 
 Rows = Sequence[dict[str, Any]]
@@ -38,7 +38,7 @@ drawAnalyses();
 
 def analysis_section(rows: Rows, tables: dict[str, Rows]) -> Section | None:
     """Everything about transfer and analyses; None where there is nothing."""
-    about, moved = {r["key"]: cell_name(r) for r in rows}, transfers(rows, tables["starts"])
+    about, moved = cell_names(rows), transfers(rows, tables["starts"])
     matrices = confusions(tables["confusion"], rows, tables["starts"])
     parts = ["<h2>Which fabric is it?</h2>"] if matrices else []
     parts += [confusion(c, title=len(matrices) > 1) for c in matrices]

@@ -10,7 +10,7 @@ from rich.markup import escape as escaped
 from rich.table import Table
 
 from clothbench.display.html import group
-from clothbench.display.names import cell_name
+from clothbench.studies.calibration.ranking import cell_names
 from clothbench.studies.calibration.transfer import Confusion, Transfer, confusions, transfers
 
 Rows = Sequence[dict[str, Any]]
@@ -24,7 +24,7 @@ def escape(said: str | None) -> str:
 
 def analyses(rows: Rows, tables: dict[str, Rows]) -> list[Any]:
     """Every table for which there is something; nothing otherwise."""
-    about = {r["key"]: cell_name(r) for r in rows}
+    about = cell_names(rows)
     moved = transfers(rows, tables["starts"])
     shown: list[Any] = [transfer_table(moved)] if moved else []
     shown += [confusion_table(c) for c in confusions(tables["confusion"], rows, tables["starts"])]

@@ -27,6 +27,7 @@ def series_names(rows: Rows, metrics: dict[str, str]) -> dict[str, str]:
     marks = (
         lambda r: f"fitted by {metrics[r['key']]}",
         lambda r: f"seed {r['seed']}",
+        lambda r: r.get("told") or "",
         lambda r: r["key"][:6],
     )
     for further in marks:
@@ -34,7 +35,9 @@ def series_names(rows: Rows, metrics: dict[str, str]) -> dict[str, str]:
         for k, r in about.items():
             rivals.setdefault((r["suite"], r["case"], names[k]), set()).add(further(r))
         names = {
-            k: f"{names[k]} · {further(r)}" if len(rivals[r["suite"], r["case"], names[k]]) > 1 else names[k]
+            k: f"{names[k]} · {further(r)}".removesuffix(" · ")
+            if len(rivals[r["suite"], r["case"], names[k]]) > 1
+            else names[k]
             for k, r in about.items()
         }
     return names

@@ -7,10 +7,10 @@ from itertools import combinations
 from typing import Any
 
 from clothbench.display.html import table, text
-from clothbench.display.names import cell_name
 from clothbench.display.plotly import COLOURS, GREY, rounded
 from clothbench.display.section import Section
 from clothbench.engine.study import Results
+from clothbench.studies.calibration.ranking import cell_names
 from clothbench.studies.calibration.tables import by_objective, fit_and_least
 
 Rows = Sequence[dict[str, Any]]
@@ -28,7 +28,7 @@ MARGIN = {"l": 56, "r": 16, "t": 16, "b": 44}
 
 def front_section(results: Results) -> Section | None:
     """A table, parallel coordinates and pairs for each cell that has a front; None where none has."""
-    about, rows = {r["key"]: r for r in results.rows}, results.table("front")
+    about, rows = cell_names(results.rows), results.table("front")
     figures: list[dict[str, Any]] = []
     parts = []
     for key in sorted({f["key"] for f in rows} & set(about)):
@@ -36,7 +36,7 @@ def front_section(results: Results) -> Section | None:
         shown = [parallel(mine), *pairs(mine)]
         places = [f'<div id="front-{len(figures) + n}"></div>' for n in range(len(shown))]
         parts.append(
-            f"<h3>{text(cell_name(about[key]))}</h3>{least_table(mine)}<figure>{places[0]}</figure>"
+            f"<h3>{text(about[key])}</h3>{least_table(mine)}<figure>{places[0]}</figure>"
             f"<details><summary>in pairs</summary>{''.join(f'<figure>{p}</figure>' for p in places[1:])}</details>"
         )
         figures += shown

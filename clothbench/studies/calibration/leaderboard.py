@@ -24,7 +24,7 @@ def leaderboard(rows: Rows) -> str:
     columns: list[Column] = [
         ("case", lambda c: text(c[0]["case"]), False),
         ("metric", lambda c: text(c[0]["metric"]), False),
-        *(column for column in NAMES if _tells(rows, column)),
+        *(column for column in (*NAMES, SETTINGS) if _tells(rows, column)),
         ("fit", lambda c: _error(c, "fit"), True),
         ("fit, from … to", lambda c: spread(c, "fit"), True),
         ("held out", lambda c: _error(c, "held_out"), True),
@@ -49,6 +49,9 @@ NAMES: tuple[Column, ...] = (
     ("optimizer", lambda c: text(c[0]["optimizer"]), False),
     ("seed", lambda c: text(c[0]["seed"]), True),
 )
+
+
+SETTINGS: Column = ("settings", lambda c: text(c[0].get("told") or ""), False)
 
 
 def _tells(rows: Rows, column: Column) -> bool:

@@ -15,6 +15,7 @@ from clothbench.display.section import Section
 from clothbench.engine.study import Results
 from clothbench.studies.calibration.analysis_page import analysis_section
 from clothbench.studies.calibration.answer import answer_section
+from clothbench.studies.calibration.asked import with_settings
 from clothbench.studies.calibration.budget import histories_of
 from clothbench.studies.calibration.cloth_page import clips_of, cloth_section
 from clothbench.studies.calibration.figures import panels
@@ -94,6 +95,7 @@ KINDS = {".png": "png", ".jpg": "jpeg"}
 
 def sections(results: Results) -> list[Section]:
     """What the page shows of calibrations."""
+    results = with_settings(results)
     ranked = replace(results, rows=told_by_unit(results.rows))
     analyses = analysis_section(results.rows, {name: results.table(name) for name in ANALYSIS_TABLES})
     histories, clips = histories_of(results.store, results.keys), clips_of(results)

@@ -15,7 +15,7 @@ import numpy as np
 
 from clothbench.core.statistics import student, t_interval
 from clothbench.display.html import group
-from clothbench.display.names import model_name
+from clothbench.display.names import cell_name, model_name
 from clothbench.engine.cells import digest
 from clothbench.estimation.intervals import half_width
 
@@ -74,7 +74,7 @@ def marks_of(rows: Rows) -> Callable[[dict[str, Any]], list[str]]:
     """What else tells a row's way from others of its model, optimizer and objective, in words: its budget, settings and
     what it was fitted to, each where it differs.
     """
-    told = [(n, word) for n, word in (("budget", "{} evaluations"), ("settings", "settings {}")) if differ(rows, n)]
+    budgets, settings = differ(rows, "budget"), differ(rows, "settings")
     fitted: dict[str, set[str]] = {}
     for row in rows:
         if row["split"] == "fit" and row["recording"]:
@@ -83,11 +83,23 @@ def marks_of(rows: Rows) -> Callable[[dict[str, Any]], list[str]]:
     several = {case for case, some in cases.items() if len({frozenset(fitted[r["key"]]) for r in some}) > 1}
 
     def marks(row: dict[str, Any]) -> list[str]:
-        words = [word.format(row.get(name)) for name, word in told]
         names = sorted(fitted.get(row["key"], ())) if row["case"] in several else []
-        return [*words, f"fitted to {_told(names)}"] if names else words
+        words = [f"{row.get('budget')} evaluations" if budgets else "", settings_word(row) if settings else ""]
+        return [word for word in (*words, f"fitted to {_told(names)}" if names else "") if word]
 
     return marks
+
+
+def settings_word(row: Mapping[str, Any]) -> str:
+    """How its cell is set otherwise than its rivals (`with_settings`), "" where it is not; else by a digest."""
+    known = row.get("told")
+    return f"settings {row.get('settings')}" if known is None else str(known)
+
+
+def cell_names(rows: Rows) -> dict[str, str]:
+    """What each cell is called in a heading, by key: with what tells it from the others of these rows."""
+    marks = marks_of(rows)
+    return {key: " · ".join([cell_name(r), *marks(r)]) for key, r in {r["key"]: r for r in rows}.items()}
 
 
 def _told(names: Sequence[str]) -> str:

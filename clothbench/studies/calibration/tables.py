@@ -9,11 +9,11 @@ from rich.markup import escape
 from rich.table import Table
 
 from clothbench.display.html import group
-from clothbench.display.names import cell_name
 from clothbench.engine.study import Results
 from clothbench.studies.calibration.analysis_tables import analyses
+from clothbench.studies.calibration.asked import with_settings
 from clothbench.studies.calibration.leaderboard import ended
-from clothbench.studies.calibration.ranking import marks_of, once, way_of
+from clothbench.studies.calibration.ranking import cell_names, marks_of, once, way_of
 from clothbench.studies.calibration.schema import ANALYSIS_TABLES
 from clothbench.studies.calibration.searches_page import contest_tables
 from clothbench.studies.calibration.words import size
@@ -29,6 +29,7 @@ def show(results: Results) -> list[Any]:
     else was asked of the fits.
     """
     out: list[Any] = []
+    results = with_settings(results)
     parameters = results.table("parameters")
     for suite in sorted({r["suite"] for r in results.rows}):
         mine = [r for r in results.rows if r["suite"] == suite]
@@ -48,13 +49,13 @@ def error_table(suite: str, rows: Rows) -> Table:
     table.add_column("recording", overflow="fold", min_width=NARROWEST)
     for name in ("error", "interval", "floor"):
         table.add_column(name, justify="right", no_wrap=True)
-    cells = list(group(rows, lambda r: r["key"]).values())
+    cells, names = list(group(rows, lambda r: r["key"]).values()), cell_names(rows)
     crowded = max((sum(bool(r["recording"]) for r in mine) for mine in cells), default=0) > MANY
     for mine in cells[:MOST]:
         how = f"; {escape(why)}" if (why := ended(mine)) else ""
         effort = f" [dim]({mine[0]['evaluations']} evaluations, {mine[0]['wall_s'] or 0.0:.1f} s{how})[/]"
         known = mine[0]["evaluations"] is not None  # of what others handed in it is not
-        table.add_row(f"[bold]{escape(cell_name(mine[0]))}[/]{effort if known else ''}")
+        table.add_row(f"[bold]{escape(names[mine[0]['key']])}[/]{effort if known else ''}")
         for row in mine:
             # Single recordings by the metric that was minimised; by the others the totals say enough.
             single = row["metric"] == row["objective"] and not (crowded and row["split"] == "fit")
@@ -124,10 +125,10 @@ def parameter_table(rows: Rows, parameters: Rows) -> Table:
     for name in ("value", "interval", *(("truth",) if stated else ())):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
-    about = {r["key"]: r for r in rows}
+    names = cell_names(rows)
     cells = group(parameters, lambda p: p["key"])
     for key, mine in list(cells.items())[:MOST]:
-        table.add_row(f"[bold]{escape(cell_name(about[key]))}[/]")
+        table.add_row(f"[bold]{escape(names[key])}[/]")
         for p in mine:
             value = f"{p['value']:.4g}" if p["value"] is not None else ""
             mark = " at its bound" if p["at_bound"] else ""
@@ -149,10 +150,10 @@ def front_table(rows: Rows, front: Rows) -> Table:
     for name in ("fit", "in spreads", "least", "in spreads"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("unit", no_wrap=True)
-    about = {r["key"]: r for r in rows}
+    names = cell_names(rows)
     for key, mine in group(front, lambda f: f["key"]).items():
         count = len({f["evaluation"] for f in mine})
-        table.add_row(f"[bold]{escape(cell_name(about[key]))}[/], {count} on the front")
+        table.add_row(f"[bold]{escape(names[key])}[/], {count} on the front")
         for objective, fit, least in fit_and_least(mine):
             numbers = (fit["distance"], fit["spreads"], least["distance"], least["spreads"])
             table.add_row(escape(f"  {objective}"), *(f"{n:.3g}" for n in numbers), escape(fit["unit"] or ""))

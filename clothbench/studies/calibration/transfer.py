@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from clothbench.display.names import model_name
+from clothbench.studies.calibration.ranking import settings_word
 
 Rows = Sequence[dict[str, Any]]
 
@@ -97,12 +98,12 @@ def way_names(about: Mapping[str, dict[str, Any]]) -> dict[str, str]:
     for key, row in about.items():
         seed = f" · seed {row['seed']}" if row["seed"] else ""
         names[key] = f"{model_name(row)} · {row['optimizer']} · {row['objective']}{seed}"
-    for mark, word in (("budget", "{} evaluations"), ("settings", "settings {}")):
+    for mark, word in (("budget", lambda r: f"{r.get('budget')} evaluations"), ("settings", settings_word)):
         rivals: dict[tuple[str, str], set[Any]] = {}
         for key, row in about.items():
             rivals.setdefault((names[key], row["case"] if mark == "settings" else ""), set()).add(row.get(mark))
         several = {name for (name, _), found in rivals.items() if len(found) > 1}
-        names = {k: f"{n} · {word.format(about[k].get(mark))}" if n in several else n for k, n in names.items()}
+        names = {k: f"{n} · {word(about[k])}".removesuffix(" · ") if n in several else n for k, n in names.items()}
     return names
 
 
