@@ -95,6 +95,18 @@ def test_what_cannot_be_perturbed_is_said():
     assert "its value is 0" in found[1]["reason"]
 
 
+def test_of_an_error_of_nothing_there_is_no_percent():
+    """Said to be "> 100 %", as of a parameter that changes nothing."""
+
+    class Below(Bowl):
+        def __call__(self, observation, rollout):
+            return Score(super().__call__(observation, rollout).value - 5, "mm")
+
+    found, behind = variability([dataclasses.replace(bowl_trial(), metric=Below())], SPACE, BEST, 8)
+    assert {(r["percent"], r["reason"]) for r in found} == {(None, "the error is 0, of which there is no percent")}
+    assert max(r["error"] for r in behind) > 1
+
+
 def test_repeated_fits_begin_within_five_percent_and_find_the_same():
     fit = calibrate([bowl_trial()], catalogue().make("optimizers", "nelder_mead", SPACE, seed=1, budget=120), SPACE)
 

@@ -23,7 +23,7 @@ from clothbench.studies.calibration.asked import with_settings
 from clothbench.studies.calibration.budget import late_fall, settled
 from clothbench.studies.calibration.estimates import contained, estimates
 from clothbench.studies.calibration.leaderboard import leaderboard, same_in_all
-from clothbench.studies.calibration.matrix import one_way, several_ways
+from clothbench.studies.calibration.matrix import HOTTEST, one_way, several_ways
 from clothbench.studies.calibration.page import told_by_unit
 from clothbench.studies.calibration.parameters_page import group_by_key, model_table, strip_of, truth_said
 from clothbench.studies.calibration.ranking import best_of, overall, standings, way_of
@@ -86,6 +86,14 @@ def test_an_error_of_nothing_counts_for_a_way_and_not_against_it(better, worse, 
     assert (first.way, first.ratio, second.way) == ("b", 1.0, "c")
     assert second.ratio == pytest.approx(ratio)
     assert second.recordings == len(worse)
+
+
+def test_beside_an_error_of_nothing_any_other_is_hottest():
+    some = rows_of({"a": [0.0, 0.0, 0.0], "b": [5.0, 5.1, 4.9], "c": [0.0, 0.0, 0.0]})
+    (_, _, squares), = several_ways("s", "fold", some, lambda *_: "").lines  # fmt: skip
+    assert [(s.text, s.below, s.heat, s.best) for s in squares] == [
+        ("0.00", "", 0.0, True), ("5.00", "best is 0", HOTTEST, False), ("0.00", "≈ tied", 0.0, True)
+    ]  # fmt: skip
 
 
 def test_a_way_that_errs_by_nothing_anywhere_has_an_answer():

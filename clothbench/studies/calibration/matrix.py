@@ -98,8 +98,9 @@ def _square(one: Standing | None, line: Mapping[str, Standing], best: Sequence[s
         return Square(status, one.whole or one.reason or one.unjudged, title=one.reason, link=to)
     compared = alike(line)
     least, mine = compared[best[0]].value or 0.0, compared[one.way].value or 0.0
-    ratio = mine / least if least else 1.0
-    said = "" if one.way == best[0] else "≈ tied" if one.way in best else f"× {ratio:.2f}"
+    ratio = mine / least if least else math.inf if mine else 1.0
+    behind = f"× {ratio:.2f}" if math.isfinite(ratio) else "best is 0"
+    said = "" if one.way == best[0] else "≈ tied" if one.way in best else behind
     about = f"{counted(len(one.errors), 'recording')}" + (f", {one.seeds} seeds each" if one.seeds > 1 else "")
     if others := len(one.errors) - len(compared[one.way].errors):
         about += f"; compared without {counted(others, 'recording')} that not all ways have"

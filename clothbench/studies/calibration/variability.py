@@ -50,6 +50,8 @@ def variability(
         percent, slope, curvature, reason = parabola(share[mine], error[mine], base)
         if best[i] == 0:
             reason = "its value is 0, of which there is no share"
+        elif base == 0:
+            percent, reason = None, "the error is 0, of which there is no percent"
         found.append({
             "name": p.name, "symbol": p.symbol, "unit": p.unit, "value": float(best[i]), "percent": percent,
             "slope": slope, "curvature": curvature, "reason": reason,
