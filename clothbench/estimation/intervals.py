@@ -18,6 +18,7 @@ from clothbench.estimation.trials import Trial, evaluate
 BLOCK = 1.0  # s; a swing's errors hang together over about a period, so blocks this long count as one piece of evidence
 ENOUGH = 1.6  # s of a trace from which on an error's interval is made from three blocks
 MOST = 6  # blocks of a trace that an error's interval is made from: more would be surer of it than its errors allow
+FEW = 3  # recordings from which on their spread says how sure their mean is
 # Step of the differences for the intervals, in units of the scaled range: it looks over ripples as the search does.
 PROBE = 0.03
 SINGULAR = 1e10  # condition number above which the data do not determine a parameter
@@ -184,14 +185,15 @@ def error_interval(score: Score, observation: Observation) -> tuple[float, float
 def mean_of_split(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
     """value, floor, low and high of the mean over the rows of one split, each of which has these and a value.
 
-    None for the floor or the interval where a row has none; one recording is its own mean, with its own interval. What
-    is handed in and what is run are averaged here both, so that their scores can be compared.
+    None for the floor where a row has none, and for the interval of two where one has none: from three recordings on
+    their spread alone says it. One recording is its own mean, with its own interval. What is handed in and what is run
+    are averaged here both, so that their scores can be compared.
     """
     values, floors = [row["value"] for row in rows], [row["floor"] for row in rows]
     low = high = None
     if len(rows) == 1:
         low, high = rows[0]["low"], rows[0]["high"]
-    elif all(row["low"] is not None for row in rows):
+    elif len(rows) >= FEW or all(row["low"] is not None for row in rows):
         low, high = mean_interval(values, [half_width(row) for row in rows])
     floor = None if None in floors else float(np.mean(floors))
     return {"value": float(np.mean(values)), "floor": floor, "low": low, "high": high}
@@ -210,7 +212,7 @@ def mean_interval(values: Sequence[float], halves: Sequence[float]) -> tuple[flo
     joined instead, which says how sure the mean of *these* is, not of others.
     """
     sample = np.asarray(values, dtype=float)
-    if len(sample) < 3:
+    if len(sample) < FEW:
         half = float(np.sqrt(np.sum(np.square(halves)))) / len(sample)
     else:
         half = student(len(sample) - 1) * sample.std(ddof=1) / np.sqrt(len(sample))

@@ -392,3 +392,10 @@ def test_the_mean_of_a_split_has_an_interval_and_a_floor_where_all_have():
     assert mean_of_split(cut)["high"] == mean_interval([1.0, 3.0], [5.0, 0.3])[1]
     unknown = {**rows[1], "low": None, "high": None, "floor": None}
     assert mean_of_split([rows[0], unknown]) == {"value": 2.0, "low": None, "high": None, "floor": None}
+
+
+def test_the_spread_of_recordings_of_one_frame_each_says_how_sure_their_mean_is():
+    values = [3.0, 3.2, 2.9, 3.1, 3.0]
+    mean = mean_of_split([{"value": v, "low": None, "high": None, "floor": None} for v in values])
+    assert (mean["low"], mean["high"]) == pytest.approx((2.898, 3.182), abs=1e-3)
+    assert (mean["low"], mean["high"]) == mean_interval(values, [])
