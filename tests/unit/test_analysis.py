@@ -337,6 +337,7 @@ def test_a_named_budget_does_not_overrule_the_command_line():
         ({"map": {"points": 1}}, "'analysis.map.points' is 1, expected a whole number, at least 2"),
         ({"variability": {"points": 5}}, "'analysis.variability.points' is 5, expected an even number"),
         ({"variability": {"count": 3}}, "setting of 'analysis.variability' 'count' is not known"),
+        ({"sobol": {"samples": 2}}, "'analysis.sobol.samples' is 2, expected a whole number, at least 4"),
         ({"sobol": {"samples": 12}}, "'analysis.sobol.samples' is 12, expected a power of two"),
         ({"map": {"parameters": ["bend", "bend"]}}, "expected two different parameters"),
         ({"sobol": 5}, "expected analysis.sobol.KEY=VALUE"),

@@ -83,6 +83,16 @@ def test_what_a_suite_says_of_nothing_is_refused(tmp_path, suite, found):
         plan(config(stand_ins(tmp_path), suite=suite), catalogue())
 
 
+def test_a_map_over_a_parameter_that_nothing_has_is_refused_before_the_run(tmp_path):
+    folder = stand_ins(tmp_path)
+    wrong = {"map": {"parameters": ["k1", "bnd"]}}
+    with pytest.raises(
+        ClothbenchError, match=r"'analysis.map.parameters': no parameter 'bnd'; there are: k1, k2, zeta"
+    ):
+        plan(config(folder, analysis=wrong), catalogue())
+    assert plan(config(folder, analysis={"map": {}}), catalogue())  # over bend and stretch, which other models have
+
+
 def test_a_suite_may_speak_of_other_models_and_recordings(tmp_path):
     fixed = {"*": {"theta": 0.0, "quadratic_drag.normal": 1.0, "bend_ratio": 1.0}}
     textile = {"silk/*": "soft", "wool/*": "stiff", "cotton_white": "medium"}

@@ -86,7 +86,7 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     if None not in searched:  # else not all names are known
         refuse_strays(settings, {name for names in searched if names for name in names.free}, plugins)
     refuse_unmatched(suite, cases, {r.name for r in recordings} | {_case_of(r, by) for r in recordings})
-    refuse_unknown(suite, searched, plugins)
+    refuse_unknown(suite, analyses, searched, plugins)
     return [
         dataclasses.replace(cell, recordings=lasting(cell.recordings), rivals=lasting(cell.rivals))
         for cell in cells.values()
@@ -157,9 +157,11 @@ def refuse_unmatched(suite: Mapping[str, Any], cases: Iterable[str], others: set
             raise ClothbenchError(f"{found}; name one, or take all out with ~suite.{key}")
 
 
-def refuse_unknown(suite: Mapping[str, Any], searched: Sequence[Names | None], plugins: Catalogue) -> None:
-    """Models, metrics and parameters that a suite speaks of and no plugin has. A suite may speak of models that are not
-    run here, so that their parameters and those of any effect may be fixed as well.
+def refuse_unknown(
+    suite: Mapping[str, Any], analyses: Mapping[str, Any], searched: Sequence[Names | None], plugins: Catalogue
+) -> None:
+    """Models, metrics and parameters that a suite or an analysis speaks of and no plugin has. A suite may speak of
+    models that are not run here, so that their parameters and those of any effect may be fixed, or mapped, as well.
     """
     for key, kind in (("effects", "models"), ("published", "metrics")):
         for name in suite[key]:
@@ -170,13 +172,16 @@ def refuse_unknown(suite: Mapping[str, Any], searched: Sequence[Names | None], p
             except ClothbenchError as fault:
                 raise ClothbenchError(f"setting 'suite.{key}': {fault}") from fault
     here = {name for names in searched if names is not None for name in names.all}
-    fixed = [name for values in suite["fixed"].values() for name in values]
-    if None in searched or here.issuperset(fixed):
+    spoken = {
+        "suite.fixed": [name for values in suite["fixed"].values() for name in values],
+        "analysis.map.parameters": analyses.get("map", {}).get("parameters", []),
+    }
+    if None in searched or here.issuperset(name for names in spoken.values() for name in names):
         return
-    if strays := [name for name in fixed if name not in here | parameters_of_all(plugins)]:
-        raise ClothbenchError(
-            f"setting 'suite.fixed': no parameter {strays[0]!r}; there are: {', '.join(sorted(here))}"
-        )
+    known = here | parameters_of_all(plugins)
+    for key, names in spoken.items():
+        if strays := [name for name in names if name not in known]:
+            raise ClothbenchError(f"setting '{key}': no parameter {strays[0]!r}; there are: {', '.join(sorted(here))}")
 
 
 def _matches(case: str, patterns: Sequence[str]) -> bool:

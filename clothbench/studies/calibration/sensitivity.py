@@ -12,6 +12,7 @@ from clothbench.engine.checkpoint import Checkpoint
 from clothbench.engine.store import finite
 from clothbench.estimation.calibrate import remembered
 from clothbench.estimation.trials import Trial
+from clothbench.studies.calibration.schema import LEAST_BLOCKS
 
 LEVELS = 4  # of a Morris trajectory
 
@@ -41,7 +42,8 @@ def sobol(
 ) -> list[dict[str, Any]]:
     """First and total shares of the error's variance (Sobol 2001, Saltelli 2010) over the scaled ranges.
 
-    samples: a power of two; (P + 2) evaluations each. A block of which a member could not be simulated is left out.
+    samples: a power of two, at least `LEAST_BLOCKS`; (P + 2) evaluations each. A block of which a member could not be
+    simulated is left out.
     """
     from SALib.analyze import sobol as analysis
     from SALib.sample import sobol as sampling
@@ -49,7 +51,7 @@ def sobol(
     problem, block = _problem(space), len(space) + 2
     unit = sampling.sample(problem, samples, calc_second_order=False, seed=seed % 2**32)
     error, whole = _errors(trials, space, unit, block, checkpoint)
-    if whole.sum() < 4 * block or np.ptp(error[whole]) == 0:
+    if whole.sum() < LEAST_BLOCKS * block or np.ptp(error[whole]) == 0:
         return _failed(space, "sobol", error, "fewer than four blocks could be simulated, or the error is constant")
     found = analysis.analyze(problem, error[whole], calc_second_order=False, seed=seed % 2**32)
     halves = (found["S1_conf"], found["ST_conf"])

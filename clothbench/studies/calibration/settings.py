@@ -7,6 +7,7 @@ from typing import Any
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.settings import known_words, mapping, number, whole, words
+from clothbench.studies.calibration.schema import LEAST_BLOCKS
 
 SUITE_WORDS = frozenset(
     {"textile", "recordings", "select", "case", "each", "together", "fixed", "effects", "published"}
@@ -22,6 +23,7 @@ ANALYSES: dict[str, dict[str, Any]] = {
     "map": {"parameters": ["bend", "stretch"], "points": 9},  # the error over two parameters
     "confusion": {},  # these parameters beside the other fabrics' recordings of the same trials
 }
+LEAST = {("sobol", "samples"): LEAST_BLOCKS}  # of numbers of which more than two are needed
 
 
 def suite_settings(suite: Mapping[str, Any]) -> dict[str, Any]:
@@ -77,7 +79,7 @@ def analysis_settings(given: dict[str, Any]) -> dict[str, dict[str, Any]]:
         options["cases"] = words(f"analysis.{name}.cases", wanted.get("cases", "*"))
         for key, default in ANALYSES[name].items():
             if isinstance(default, int):
-                options[key] = whole(f"analysis.{name}.{key}", options[key], 2)
+                options[key] = whole(f"analysis.{name}.{key}", options[key], LEAST.get((name, key), 2))
             elif isinstance(default, list):
                 options[key] = words(f"analysis.{name}.{key}", options[key])
         out[name] = options
