@@ -17,6 +17,7 @@ from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration.analysis import ANALYSES, truth_of
 from clothbench.studies.calibration.analysis_page import analysis_section
 from clothbench.studies.calibration.analysis_tables import missing, spread
+from clothbench.studies.calibration.cell import CalibrationCell
 from clothbench.studies.calibration.schema import ANALYSIS_TABLES
 from clothbench.studies.calibration.sensitivity import error_map, morris, sobol
 from clothbench.studies.calibration.settings import analysis_settings, suite_settings
@@ -178,6 +179,23 @@ class First(Bowl):
 
 def sum_trial(lost=2.0) -> Trial:
     return dataclasses.replace(bowl_trial(), simulation=Sum(lost), metric=First())
+
+
+def test_the_sensitivity_is_that_of_the_error_whoever_searched_it():
+    """With two trajectories, cells of one case that differed in their search alone had μ* of 26, 85 and 77."""
+    plain = CalibrationCell("s", "c", (), "m", (), "ga", "bowl", "markers")
+
+    def asked_of(method, **changes):
+        cell = dataclasses.replace(plain, **changes)
+        bench = SimpleNamespace(cell=cell, space=SPACE, of_split=lambda split: [bowl_trial()])
+        options = {"trajectories": 2, "samples": 4}
+        return ANALYSES[method](bench, None, options, catalogue(), Checkpoint())["sensitivity"]
+
+    for method in ("morris", "sobol"):
+        same = [asked_of(method, **c) for c in ({}, {"optimizer": "cma_es"}, {"seed": 3}, {"budget": 9})]
+        assert same == 4 * same[:1]
+        assert asked_of(method, model="another") != same[0]
+    assert plain.stream("optimizer") != dataclasses.replace(plain, seed=3).stream("optimizer")
 
 
 def test_morris_finds_the_slopes_of_a_plane():

@@ -93,7 +93,7 @@ def _repeats(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, check
 
 def _sensitivity(method: Callable[..., list[dict[str, Any]]], size: str) -> Callable[..., Tables]:
     def work(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, checkpoint: Checkpoint) -> Tables:
-        seed = bench.cell.stream("sensitivity")
+        seed = bench.cell.stream("sensitivity", search=False)  # asked of the whole range, whoever searches it
         return {"sensitivity": method(bench.of_split("fit"), bench.space, options[size], seed, checkpoint)}
 
     return work

@@ -129,12 +129,13 @@ class CalibrationCell:
         effects = "".join(f"+{e}" for e in self.effects)
         return f"{self.case} · {self.model}{effects} · {self.optimizer} · {self.metric}"
 
-    def stream(self, purpose: str) -> int:
+    def stream(self, purpose: str, search: bool = True) -> int:
         """A seed of its own for each purpose, hashed from the problem: no generator is shared.
 
         Versions and further metrics do not count, so that a new release searches the same way as the one before.
+        search: whether the cell's search counts; without, cells that differ in optimizer, seed or budget draw alike.
         """
-        names = ("case", "model", "effects", "optimizer", "metric", "seed", "bounds", "budget")
+        names = ("case", "model", "effects", "metric", "bounds", *(("optimizer", "seed", "budget") if search else ()))
         problem = {name: getattr(self, name) for name in names}
         problem["recordings"] = sorted((s.hash, s.split) for s in self.recordings)
         return seed_of(problem, purpose)
