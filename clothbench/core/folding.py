@@ -120,7 +120,11 @@ def geometric_places(name: str, length: float, count: int) -> np.ndarray:
 
     It begins behind the flat strip's end and ends at x = z = 0, in steps of equal length.
     """
-    share = np.linspace(0.0, 1.0, count + 1)[1:]
+    return geometric_path(name, length, np.linspace(0.0, 1.0, count + 1)[1:])
+
+
+def geometric_path(name: str, length: float, share: np.ndarray) -> np.ndarray:
+    """Places (n, 2) m of the same paths at shares (n,) of their way, 0 the flat strip's end."""
     if name == "circular":
         return length / 2 * np.stack([1 + np.cos(np.pi * share), np.sin(np.pi * share)], axis=1)
     if name != "triangular":

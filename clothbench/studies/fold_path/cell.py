@@ -30,7 +30,7 @@ SUITE_WORDS = frozenset({"path", "select"})
 NOT_USED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis", "prior",
             "timeout")  # fmt: skip
 WAYS = ("computed", "triangular", "circular")
-NUMBERS = ("length", "friction", "width", "seconds", "areal_density")
+NUMBERS = ("length", "friction", "width", "seconds", "areal_density", "lift")
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,8 @@ class PathSettings:
     length, width: m (a strip has no width); friction: coefficient of the desk; planner: model that computes the path;
     layers: how many lie on each other, `bonded` if they cannot slide on each other; seconds: that a sheet is led along
     the path; areal_density: kg/m² of each layer of a sheet; nodes: of its mesh along the length; thickness: m, how far
-    apart a sheet's upper and lower half stay (0: they pass through each other).
+    apart a sheet's upper and lower half stay (0: they pass through each other); lift: m, height at which a strip's end
+    sets out along a geometric path.
     """
 
     length: float = 1.0
@@ -53,6 +54,7 @@ class PathSettings:
     areal_density: float = 0.2
     nodes: int = 41
     thickness: float = 0.0
+    lift: float = 0.02
 
 
 @dataclass(frozen=True)
@@ -146,6 +148,11 @@ def path_settings(given: Mapping[str, Any]) -> PathSettings:
         whole("suite.path.nodes", told["nodes"], 9),
     )
     told["thickness"] = number("suite.path.thickness", told["thickness"], -1e-12)
+    if told["lift"] >= told["length"] / 2:
+        raise ClothbenchError(
+            f"setting 'suite.path.lift' is {told['lift']:g} m, expected less than half the strip's "
+            f"{told['length']:g} m, which is as high as a geometric path goes"
+        )
     told["planner"] = one_word("suite.path.planner", told["planner"])
     if not isinstance(told["bonded"], bool):
         raise ClothbenchError(f"setting 'suite.path.bonded' is {told['bonded']!r}, expected true or false")

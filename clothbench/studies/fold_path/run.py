@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.folding import FoldPath, FoldsOver, geometric_places
+from clothbench.core.folding import FoldPath, FoldsOver, geometric_path
 from clothbench.core.optional import FoldsStrips, KnowsMaterials, RefusesScenes, absent
 from clothbench.core.protocols import Model
 from clothbench.engine.cells import Skipped
@@ -17,7 +17,7 @@ from clothbench.engine.study import Context, Result
 from clothbench.studies.fold_path.cell import FoldPathCell
 from clothbench.studies.fold_path.sheet import Landed, landed, material, scene
 
-STEPS = 48  # places of a geometric path
+STEPS, GROWTH = 48, 1.1  # of a geometric path, equal ones; each of the shorter ones at its start over that before it
 POINTS, SHAPES = 81, 12  # points of a shape that is kept, and how many shapes
 
 
@@ -34,7 +34,7 @@ def run(cell: FoldPathCell, context: Context) -> Result:
     about = about_cell(cell) | no_value() | {"status": "ok", "reason": "", "evaluations": 1}
     try:
         path = strip_of(planner, cell).fold(parameters(planner, cell)) if cell.way == "computed" else None
-        places = geometric_places(cell.way, cell.path.length, STEPS) if path is None else path.places
+        places = geometric(cell) if path is None else path.places
         if "fold" in model.capabilities:
             followed = strip_of(model, cell).follow(places, parameters(model, cell), cell.path.friction)
             tables = of_strip(cell, about, path, followed)
@@ -46,6 +46,20 @@ def run(cell: FoldPathCell, context: Context) -> Result:
         row["wall_s"] = time.perf_counter() - began
     context.progress(1, tables["rows"][0]["value"])
     return Result("ok", tables)
+
+
+def geometric(cell: FoldPathCell) -> np.ndarray:
+    """Places (P, 2) m of a geometric path from the lift's height on.
+
+    What a strip takes changes with the height over the flat cloth, so that the steps grow with it, until they are as
+    long as all others. Twice as many change friction and landing by less than 1 %.
+    """
+    name, length, lift = cell.way, cell.path.length, cell.path.lift
+    low = [np.arcsin(2 * lift / length) / np.pi if name == "circular" else lift / length]
+    while low[-1] * (GROWTH - 1) < 1 / STEPS:
+        low.append(GROWTH * low[-1])
+    high = np.linspace(0.0, 1.0, STEPS + 1)
+    return geometric_path(name, length, np.concatenate([low, high[high > low[-1]]]))
 
 
 def strip_of(model: Model, cell: FoldPathCell) -> FoldsOver:

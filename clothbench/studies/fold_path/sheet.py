@@ -1,7 +1,8 @@
 """A rectangular sheet on a desk, one edge led along a path: the scene for a model of sheets, and what came of it.
 
-The sheet lies flat at rest; u runs along the fold's direction x, v along −y. The desk is a plane with friction. Without
-a thickness the halves pass through each other, and both lie on the desk, where the upper one rubs, too.
+The sheet lies flat at rest, and its edge goes from there to the path's first place; u runs along the fold's direction
+x, v along −y. The desk is a plane with friction. Without a thickness the halves pass through each other, and both lie
+on the desk, where the upper one rubs, too.
 """
 
 from __future__ import annotations
