@@ -101,7 +101,10 @@ class FoldsOver(Protocol):
         ...
 
     def follow(self, places: np.ndarray, theta: np.ndarray, friction: float) -> FoldPath:
-        """What becomes of a strip whose end is led through places (P, 2) m, turning freely, on a desk of `friction`."""
+        """What becomes of a strip whose end is led through places (P, 2) m, turning freely, on a desk of `friction`.
+
+        Infinite friction is a desk that holds: nothing slips, and `needed` is what each place takes.
+        """
         ...
 
 

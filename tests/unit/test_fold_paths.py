@@ -65,6 +65,16 @@ def test_a_strip_on_a_path_that_needs_more_than_the_desk_gives_lands_beside(tmp_
     assert "slips by up to" in next(r["reason"] for r in store.rows() if r["metric"] == "friction")
 
 
+def test_friction_needed_is_that_of_a_desk_that_holds(tmp_path):
+    """A strip that slips begins each step where its desk bears it: 5.3 is what the first place takes by itself."""
+    store = Store(tmp_path)
+    assert run_cell(cell("circular", friction=0.1), tmp_path) == "ok"
+    found, steps = values(store), store.table("fold_path")
+    assert found["friction"] == pytest.approx(8.28, abs=0.02)
+    assert max(s["needed"] for s in steps) == found["friction"]
+    assert found["slip"] > 50
+
+
 @pytest.mark.slow
 def test_a_sheet_folds_along_the_path_of_its_strip(tmp_path):
     store = Store(tmp_path)

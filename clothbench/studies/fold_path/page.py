@@ -18,8 +18,9 @@ from clothbench.studies.fold_path.tables import lines, values
 
 Rows = Sequence[dict[str, Any]]
 INTRO = """<p class="soft">One edge is led over so that it comes to lie on the other. Landing error: how far beside it
-lands, because what lies on the desk slips. Friction needed: the coefficient that would have kept it in place; where the
-desk has less, it slips until that suffices. The computed path has three phases: lifted, carried over, laid down.</p>"""
+lands, because what lies on the desk slips. Friction needed: the coefficient that keeps it in place all the way; where
+the desk has less, it slips until that suffices. The computed path has three phases: lifted, carried over, laid
+down.</p>"""
 
 
 def sections(results: Results) -> list[Section]:

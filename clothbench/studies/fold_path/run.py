@@ -36,8 +36,12 @@ def run(cell: FoldPathCell, context: Context) -> Result:
         path = strip_of(planner, cell).fold(parameters(planner, cell)) if cell.way == "computed" else None
         places = geometric(cell) if path is None else path.places
         if "fold" in model.capabilities:
-            followed = strip_of(model, cell).follow(places, parameters(model, cell), cell.path.friction)
-            tables = of_strip(cell, about, path, followed)
+            strip, theta = strip_of(model, cell), parameters(model, cell)
+            followed = strip.follow(places, theta, cell.path.friction)
+            slips = followed.needed.max() > cell.path.friction
+            # Once it slips, each step begins where the desk just holds, and tells of little more than the desk has.
+            held = strip.follow(places, theta, np.inf) if slips else followed
+            tables = of_strip(cell, about, path, followed, held.needed)
         else:
             tables = of_sheet(cell, about, path, places, led_sheet(cell, model, places))
     except ClothbenchError as error:
@@ -101,8 +105,11 @@ def led_sheet(cell: FoldPathCell, model: Any, places: np.ndarray) -> Landed:
     return landed(cell, rollout)
 
 
-def of_strip(cell: FoldPathCell, about: dict[str, Any], path: FoldPath | None, followed: FoldPath) -> dict[str, Any]:
-    slip, needed = float(followed.origin[-1]), float(followed.needed.max())
+def of_strip(
+    cell: FoldPathCell, about: dict[str, Any], path: FoldPath | None, followed: FoldPath, takes: np.ndarray
+) -> dict[str, Any]:
+    """Tables of a strip; takes: (P,), the friction of each place on a desk that holds."""
+    slip, needed = float(followed.origin[-1]), float(takes.max())
     error = float(followed.places[-1, 0]) - slip
     rows = [_row(about, "landing_error", "mm", 1e3 * error, 0.0), _row(about, "slip", "mm", 1e3 * slip, 0.0),
             _row(about, "friction", "1", needed, cell.path.friction)]  # fmt: skip
@@ -111,7 +118,7 @@ def of_strip(cell: FoldPathCell, about: dict[str, Any], path: FoldPath | None, f
     phases = followed.phase if path is None else path.phase
     steps = [
         {**_about(cell), "phase": int(phases[n]), "step": n + 1, "x": float(pose[0]), "z": float(pose[1]),
-         "slope": float(pose[2]), "needed": float(followed.needed[n]), "slip": float(followed.origin[n])}
+         "slope": float(pose[2]), "needed": float(takes[n]), "slip": float(followed.origin[n])}
         for n, pose in enumerate(followed.state.pose)
     ]  # fmt: skip
     profiles = followed.state.profile
