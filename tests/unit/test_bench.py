@@ -344,6 +344,12 @@ def test_speed_is_asked_anew_on_another_machine_or_beside_other_peers(install, m
     assert key() != alone
 
 
+def test_speeds_measured_by_another_version_of_the_study_are_another_question():
+    from clothbench.studies.speed.cell import SpeedCell
+
+    assert SpeedCell("speed", (), (9,), testbed=0).key != SpeedCell("speed", (), (9,)).key
+
+
 def test_measurements_of_several_runs_are_kept_apart(tmp_path, monkeypatch):
     from clothbench.cli.results import print_results
     from clothbench.engine.run import run_cell

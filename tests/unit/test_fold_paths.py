@@ -149,6 +149,10 @@ def test_options_of_what_is_not_in_use_ask_nothing_else():
     assert cell(model="baraff_witkin", options=planner).key != plain.key  # which plans its path
 
 
+def test_numbers_of_another_version_of_the_study_are_another_question():
+    assert replace(cell(), testbed=1).key != cell().key
+
+
 def test_a_model_that_folds_nothing_over_is_left_out(tmp_path):
     assert run_cell(cell(model="linear_stretch"), tmp_path) == "skipped"
     assert "contact" in Store(tmp_path).rows()[0]["reason"]

@@ -30,6 +30,7 @@ SUITE_WORDS = frozenset({"path", "select"})
 NOT_USED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis", "prior",
             "timeout")  # fmt: skip
 WAYS = ("computed", "triangular", "circular")
+VERSION = 2  # of the testbed: raised when its numbers change
 NUMBERS = ("length", "friction", "width", "seconds", "areal_density", "lift")
 
 
@@ -68,6 +69,7 @@ class FoldPathCell:
     path: PathSettings
     options: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     versions: Mapping[str, str] = field(default_factory=dict)
+    testbed: int = VERSION
 
     study: ClassVar[str] = "fold_path"
     counts: ClassVar[str] = "paths"

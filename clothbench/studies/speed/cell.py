@@ -18,6 +18,7 @@ from clothbench.studies.speed.bench import SIDES, peers_in
 SUITE_WORDS = frozenset({"sides"})
 NOT_TIMED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis", "prior",
              "options", "timeout")  # fmt: skip
+VERSION = 1  # of what is timed and how: raised when that changes
 
 
 @dataclass(frozen=True)
@@ -33,6 +34,7 @@ class SpeedCell:
     versions: Mapping[str, str] = field(default_factory=dict)
     peers: tuple[str, ...] = ()
     machine: Mapping[str, str | int] = field(default_factory=dict)
+    testbed: int = VERSION
 
     study: ClassVar[str] = "speed"
     case: ClassVar[str] = "swaying sheet"
