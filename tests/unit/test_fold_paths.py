@@ -8,6 +8,7 @@ from clothbench_models.kirchhoff_love import KirchhoffLove
 
 from clothbench import ClothbenchError
 from clothbench.cli.run import composed
+from clothbench.core.folding import FoldPath, FoldState
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store
 from clothbench.engine.study import Results
@@ -52,6 +53,31 @@ def test_table_and_page_show_it(computed):
     (section,) = sections(results)
     assert "chanel" in section.whole
     assert len(section.data["fold-paths"]) == 3
+
+
+def test_strips_of_several_lengths_and_desks_are_told_apart(tmp_path, monkeypatch):
+    """What was asked of one fabric at three lengths is no median of three fabrics."""
+
+    def follow(self, places, theta, friction):
+        state = FoldState(np.insert(places, 2, 0.0, axis=1), np.zeros((len(places), 9, 2)), 0 * places[:, 0],
+                          1 + 0 * places[:, 0], ("ok",) * len(places))  # fmt: skip
+        return FoldPath(state.pull, state, state.pull, 0.05 + state.pull)
+
+    monkeypatch.setattr("clothbench_models.folding.FoldingStrip.follow", follow)
+    asked = [(1.0, 0.1), (0.5, 0.1), (0.5, 0.3)]
+    for length, friction in asked:
+        assert run_cell(cell("triangular", length=length, friction=friction), tmp_path) == "ok"
+    store = Store(tmp_path)
+    results = Results(store, store.rows(), tuple(r["key"] for r in store.rows()))
+    names = {f"length={length}, friction={friction}" for length, friction in asked}
+    assert {x["settings"] for x in lines(results, "paths")} == names
+    (shown,) = show(results)
+    assert set(next(c for c in shown.columns if c.header == "settings")._cells) == names
+    (section,) = sections(results)
+    assert section.whole.count("median of 1 of 1 fabric.") == 3
+    paths, frictions = section.data["fold-paths"][:2]
+    assert {line["name"] for line in paths["data"]} == {f"triangular, {name}" for name in names}
+    assert {line["name"] for line in frictions["data"]} == {f"chanel, triangular, {name}" for name in names}
 
 
 def test_a_strip_on_a_path_that_needs_more_than_the_desk_gives_lands_beside(tmp_path):

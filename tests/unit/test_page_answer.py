@@ -582,7 +582,8 @@ def test_folds_that_fail_or_are_stopped_count_and_are_not_within():
 def test_paths_that_fail_on_some_fabrics_come_behind():
     def line(fabric: str, model: str, error: float | None) -> dict[str, Any]:
         status = "diverged" if error is None else "ok"
-        return {"fabric": fabric, "way": "computed", "model": model, "landing_error": error, "status": status}
+        return {"fabric": fabric, "way": "computed", "model": model, "settings": "", "landing_error": error,
+                "status": status}  # fmt: skip
 
     found = [
         line("denim", "bad", 0.1),

@@ -79,7 +79,6 @@ class FoldPathCell:
     metric: ClassVar[str] = "landing_error"
     seed: ClassVar[None] = None
     budget: ClassVar[int] = 1
-    row_columns: ClassVar[Mapping[str, Any]] = {}
 
     @property
     def case(self) -> str:
@@ -88,6 +87,11 @@ class FoldPathCell:
     @property
     def cases(self) -> tuple[str, ...]:
         return (self.case,)
+
+    @property
+    def row_columns(self) -> Mapping[str, Any]:
+        """What is asked beside fabric, path and model: "length=1.0 friction=0.1 …", a word each."""
+        return {"settings": " ".join(f"{name}={value}" for name, value in asdict(self.path).items())}
 
     @property
     def eta_b(self) -> float:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from html import escape
 from itertools import pairwise
 from typing import Any
@@ -14,7 +14,7 @@ from clothbench.display.html import group, pill, table, text
 from clothbench.display.plotly import COLOURS, GREY, rounded
 from clothbench.display.section import Section, drawing
 from clothbench.engine.study import Results
-from clothbench.studies.fold_path.tables import lines, values
+from clothbench.studies.fold_path.tables import differing, lines, told_by, values
 
 Rows = Sequence[dict[str, Any]]
 INTRO = """<p class="soft">One edge is led over so that it comes to lie on the other. Landing error: how far beside it
@@ -31,7 +31,7 @@ def sections(results: Results) -> list[Section]:
         + f"<h2>{text(suite)}: paths</h2>{INTRO}{listed(found)}"
         for suite, found in told.items()
     )
-    shown = figures(results.table("fold_path"), results.table("fold_shapes"))
+    shown = figures(results.table("fold_path"), results.table("fold_shapes"), differing(results.rows))
     drawn = "".join(
         f'<figure><figcaption>{text(words)}</figcaption><div id="fold-path-{n}"></div></figure>'
         for n, (_, words) in enumerate(shown)
@@ -41,83 +41,102 @@ def sections(results: Results) -> list[Section]:
 
 def answer_of(suite: str, asked: Rows) -> str:
     """Which path lands best in the middle of all fabrics, and what it takes; asked: one record for each cell, those
-    that failed among them. What failed somewhere comes behind what did not.
+    that failed among them. What failed somewhere comes behind what did not. Other settings are another path.
     """
     done = [x for x in asked if x["status"] == "ok"]
     if not done:
         return ""
-    counts = {way: len(mine) for way, mine in group(asked, lambda x: (x["way"], x["model"])).items()}
-    ways = group(done, lambda x: (x["way"], x["model"]))
+    counts = {way: len(mine) for way, mine in group(asked, _way).items()}
+    ways = group(done, _way)
     off = {way: float(np.median([abs(x["landing_error"]) for x in mine])) for way, mine in ways.items()}
     ranked = sorted(counts, key=lambda way: (counts[way] - len(ways.get(way, ())), off.get(way, np.inf)))
     sentences = [
-        f"<b>{text(way)}</b> path, {text(model)}: "
-        + (f"lands {off[way, model]:.3g} mm beside, median of " if (way, model) in ways else "lands in ")
-        + f"{len(ways.get((way, model), ()))} of {counts[way, model]} fabric{'s' * (counts[way, model] > 1)}."
-        for way, model in ranked
+        f"<b>{text(way[0])}</b> path, {text(_listed(way[1:]))}: "
+        + (f"lands {off[way]:.3g} mm beside, median of " if way in ways else "lands in ")
+        + f"{len(ways.get(way, ()))} of {counts[way]} fabric{'s' * (counts[way] > 1)}."
+        for way in ranked
     ]
     cards = []
-    for way, mine in group([x for x in done if x.get("friction") is not None], lambda x: x["way"]).items():
+    told = [x for x in done if x.get("friction") is not None]
+    for (way, settings), mine in group(told, lambda x: (x["way"], x["settings"])).items():
         slips = sum(x["friction"] > x["desk"] for x in mine)
         most = max(x["friction"] for x in mine)
-        cards.append(Card(f"Friction, {way} path", f"{most:.2f}", f"the most for a fabric; {slips} of {len(mine)} "
-                          f"slip on a desk of {mine[0]['desk']:g}", good=not slips))  # fmt: skip
+        below = f"the most for a fabric; {slips} of {len(mine)} slip on a desk of {mine[0]['desk']:g}"
+        cards.append(Card(_listed((f"Friction, {way} path", settings)), f"{most:.2f}", below, good=not slips))
     return answer(f"{suite}: the answer", " ".join(sentences), cards)
 
 
+def _way(line: dict[str, Any]) -> tuple[str, str, str]:
+    return line["way"], line["model"], line["settings"]
+
+
+def _listed(words: Sequence[str]) -> str:
+    return ", ".join(filter(None, words))
+
+
 def listed(found: Rows) -> str:
-    head = ["fabric", "path", "model", "landing error", "slip", "friction needed", "status"]
+    about = told_by(found)
+    head = [*about, "landing error", "slip", "friction needed", "status"]
     body = [
-        [*(text(x[n]) for n in ("fabric", "way", "model")), *(text(v) for v in values(x)),
+        [*(text(x[n]) for n in about.values()), *(text(v) for v in values(x)),
          pill(x) + (f"<br><small>{text(x['reason'])}</small>" if x["reason"] else "")]
         for x in found
     ]  # fmt: skip
-    return table(head, body, numeric={3, 4, 5})
+    return table(head, body, numeric=set(range(len(about), len(about) + 3)))
 
 
-def figures(steps: Rows, shapes: Rows) -> list[tuple[dict[str, Any], str]]:
-    """Paths and frictions of all cells, and the shapes of the first fabric on each path, with what they show."""
+def figures(steps: Rows, shapes: Rows, settings: Mapping[str, str]) -> list[tuple[dict[str, Any], str]]:
+    """Paths and frictions of all cells, and the shapes of the first fabric on each path, with what they show; settings:
+    by the cells' keys, where they differ.
+    """
     if not steps:
         return []
-    out = [(path_figure(steps), "Where the hand goes: paths of every fabric; dots are where phases 2 and 3 begin.")]
+    out = [
+        (
+            path_figure(steps, settings),
+            "Where the hand goes: paths of every fabric; dots are where phases 2 and 3 begin.",
+        )
+    ]
     if any(s["needed"] is not None for s in steps):
-        out.append((friction_figure(steps), "The friction that each step takes, along the way."))
+        out.append((friction_figure(steps, settings), "The friction that each step takes, along the way."))
     first = steps[0]["fabric"]
-    for (way, model), mine in group(
-        [s for s in shapes if s["fabric"] == first], lambda s: (s["way"], s["model"])
+    for (way, model, told), mine in group(
+        [s for s in shapes if s["fabric"] == first], lambda s: (s["way"], s["model"], settings[s["key"]])
     ).items():
-        out.append((shape_figure(mine), f"{first} on the {way} path, {model}: the middle line from flat to folded."))
+        about = _listed((f"{first} on the {way} path", model, told))
+        out.append((shape_figure(mine), f"{about}: the middle line from flat to folded."))
     return out
 
 
-def path_figure(steps: Rows) -> dict[str, Any]:
+def path_figure(steps: Rows, settings: Mapping[str, str]) -> dict[str, Any]:
     data = []
-    strips = group(steps, lambda s: (s["fabric"], s["way"]))
-    geometric = {way for _, way in strips if way != "computed"}
-    for n, ((fabric, way), mine) in enumerate(strips.items()):
-        if way in geometric:
+    strips = group(steps, lambda s: (s["fabric"], s["way"], settings[s["key"]]))
+    geometric = {(way, told) for _, way, told in strips if way != "computed"}
+    for n, ((fabric, way, told), mine) in enumerate(strips.items()):
+        if way != "computed":
             continue
         one = [s for s in mine if s["key"] == mine[0]["key"]]
-        data.append(_line([s["x"] for s in one], [s["z"] for s in one], n, fabric))
+        data.append(_line([s["x"] for s in one], [s["z"] for s in one], n, _listed((fabric, told))))
         starts = [b for a, b in pairwise(one) if b["phase"] != a["phase"]]
         data.append({"type": "scatter", "mode": "markers", "x": rounded(np.array([s["x"] for s in starts])),
                      "y": rounded(np.array([s["z"] for s in starts])), "showlegend": False, "hoverinfo": "skip",
                      "marker": {"color": COLOURS[n % len(COLOURS)], "size": 7}})  # fmt: skip
-    for way in sorted(geometric):
-        mine = next(m for (_, w), m in strips.items() if w == way)
+    for way, told in sorted(geometric):
+        mine = next(m for (_, *of), m in strips.items() if of == [way, told])
         one = [s for s in mine if s["key"] == mine[0]["key"]]
-        data.append({"type": "scatter", "mode": "lines", "name": way, "x": rounded(np.array([s["x"] for s in one])),
-                     "y": rounded(np.array([s["z"] for s in one])), "line": {"color": GREY, "width": 2,
-                     "dash": "dash" if way == "triangular" else "dot"}})  # fmt: skip
+        dash = "dash" if way == "triangular" else "dot"
+        line = _line([s["x"] for s in one], [s["z"] for s in one], 0, _listed((way, told)))
+        data.append(line | {"line": {"color": GREY, "width": 2, "dash": dash}})
     return _figure(data, 460, "x [m]", {"title": {"text": "z [m]"}, "scaleanchor": "x", "zeroline": False})
 
 
-def friction_figure(steps: Rows) -> dict[str, Any]:
+def friction_figure(steps: Rows, settings: Mapping[str, str]) -> dict[str, Any]:
     data = []
     told = group([s for s in steps if s["needed"] is not None], lambda s: s["key"])
-    for n, mine in enumerate(told.values()):
+    for n, (key, mine) in enumerate(told.items()):
+        name = _listed((mine[0]["fabric"], mine[0]["way"], settings[key]))
         share = np.arange(1, len(mine) + 1) / len(mine)
-        data.append(_line(share, [max(s["needed"], 1e-4) for s in mine], n, f"{mine[0]['fabric']}, {mine[0]['way']}"))
+        data.append(_line(share, [max(s["needed"], 1e-4) for s in mine], n, name))
     return _figure(
         data, 380, "share of the way", {"title": {"text": "friction needed"}, "type": "log", "zeroline": False}
     )

@@ -21,11 +21,13 @@ def show(results: Results) -> list[Any]:
 def lines(results: Results, suite: str) -> list[dict[str, Any]]:
     """One record for each cell of a suite: what it was about, its values by metric, its status."""
     out: dict[str, dict[str, Any]] = {}
-    for row in (r for r in results.rows if r["suite"] == suite):
+    mine = [r for r in results.rows if r["suite"] == suite]
+    settings = differing(mine)
+    for row in mine:
         fabric, _, way = row["case"].rpartition(", ")
         line = out.setdefault(row["key"], {
             "key": row["key"], "fabric": fabric, "way": way, "model": row["model"], "status": row["status"],
-            "reason": row["reason"], "desk": None,
+            "reason": row["reason"], "desk": None, "settings": settings[row["key"]],
         })  # fmt: skip
         line[row["metric"]] = row["value"]
         if row["metric"] == "friction":
@@ -33,17 +35,31 @@ def lines(results: Results, suite: str) -> list[dict[str, Any]]:
     return list(out.values())
 
 
+def differing(rows: Rows) -> dict[str, str]:
+    """Of each cell, by its key, the settings in which not all of these agree: "length=0.5, friction=0.1"."""
+    words = {r["key"]: (r.get("settings") or "").split() for r in rows}
+    shared = set.intersection(*map(set, words.values())) if words else set()
+    return {key: ", ".join(w for w in mine if w not in shared) for key, mine in words.items()}
+
+
 def path_table(suite: str, found: Rows) -> Table:
     table = Table(title=f"{escape(suite)}: where the edge lands", title_justify="left", title_style="bold")
-    for name in ("fabric", "path", "model"):
+    about = told_by(found)
+    for name in about:
         table.add_column(name, overflow="fold")
     for name in ("landing error", "slip", "friction needed"):
         table.add_column(name, justify="right", no_wrap=True)
     table.add_column("", overflow="fold")
     for line in found:
-        cells = (line["fabric"], line["way"], line["model"], *values(line), line["reason"] or "")
+        cells = (*(line[n] for n in about.values()), *values(line), line["reason"] or "")
         table.add_row(*map(escape, cells))
     return table
+
+
+def told_by(found: Rows) -> dict[str, str]:
+    """Columns that say what a record is about, and by which name it has that: settings where they differ."""
+    about = {"fabric": "fabric", "path": "way", "model": "model"}
+    return about | ({"settings": "settings"} if any(x["settings"] for x in found) else {})
 
 
 def values(line: dict[str, Any]) -> list[str]:
