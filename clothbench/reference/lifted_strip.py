@@ -133,8 +133,11 @@ def _solved(length: float, stiffness: Stiffness, pose, start: Lifted, tolerance:
     unknown = [start.off, start.rise] + ([] if free else [start.pull])
     guess = np.stack([start.slope, start.moment, start.x, start.z])
     found = solve_bvp(balance, ends, start.s / start.off, guess, p=unknown, tol=tolerance, max_nodes=20_000)
-    if found.status != 0 or not 0 < found.p[0] < length:
-        raise ArithmeticError(f"a strip lifted to {pose}: {found.message}")
+    told = f"a strip of {length:g} m with its end at {pose[1]:g} m"
+    if found.status != 0:
+        raise ArithmeticError(f"{told}: {found.message}")
+    if not 0 < found.p[0] < length:
+        raise ArithmeticError(f"{told} would leave the desk altogether")
     pull = 0.0 if free else float(found.p[2])
     slope, moment, x, z = found.y
     return Lifted(length, found.p[0] * found.x, slope, moment, x, z, pull, float(found.p[1]))

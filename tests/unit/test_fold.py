@@ -236,6 +236,14 @@ def test_a_strip_that_a_guess_far_off_has_bent_is_lifted_on():
     assert strip.state.pose[2] < np.pi / 2
 
 
+def test_a_strip_that_would_leave_the_desk_altogether_is_told_in_a_line(tmp_path):
+    short = cell(case="chanel", fold=FoldSettings(length=0.06, steps=1, rise=0.02, first=300.0, fit=FIT))
+    assert run_cell(short, tmp_path) == "error"
+    (row,) = Store(tmp_path).rows()
+    assert "a strip of 0.06 m with its end at" in row["reason"]
+    assert "would leave the desk altogether: take a longer strip (suite.fold.length), or lift it less" in row["reason"]
+
+
 def test_first_guesses_far_apart_end_alike(tmp_path):
     """From 10² and from 10⁵ m⁻⁴ s², stiffer and limper than any fabric of the table, to the same estimate."""
     ends = []

@@ -146,7 +146,7 @@ def run(cell: FoldingCell, context: Context) -> Result:
         began = time.perf_counter()
         near = hand.lift(number * cell.fold.rise, theta)
         planned = time.perf_counter() - began
-        truth = sheet.move(near.pose[0])
+        truth = _moved(sheet, near.pose[0])
         seen, error = _measure(hand, sheet, number)
         began = time.perf_counter()
         theta, least, evaluations = _estimate(hand, optimizer, near, seen)
@@ -195,6 +195,15 @@ def _next(hand: Hand, plugins: Catalogue, optimizer: Optimizer, theta: np.ndarra
         return cast("Optimizer", optimizer)
     found = tuple(dataclasses.replace(p, default=float(v)) for p, v in zip(hand.space, theta, strict=True))
     return _optimizer(hand, plugins, ParameterSpace(found))
+
+
+def _moved(sheet: TestStrip, pose: np.ndarray) -> Lifted:
+    try:
+        return sheet.move(pose)
+    except ArithmeticError as fault:
+        raise ClothbenchError(
+            f"{fault}: take a longer strip (suite.fold.length), or lift it less (suite.fold.steps, suite.fold.rise)"
+        ) from fault
 
 
 def _measure(hand: Hand, sheet: TestStrip, number: int) -> tuple[Observation, float]:
