@@ -203,6 +203,14 @@ def test_parameters_that_no_model_or_effect_has_are_refused(changes, found):
         planned({**base, **changes}, catalogue())
 
 
+@pytest.mark.parametrize("name", ["grip_slip", "grip_rotation", "grip_compliance"])
+def test_effects_that_leave_a_single_grip_at_rest_where_it_is_are_refused(name):
+    """Their parameters had been estimated as what they do nothing at, in an interval up to the bound."""
+    with pytest.raises(ClothbenchError, match=f"effect '{name}' moves no single grip at rest"):
+        hand_of(cell(effects=(name,)), catalogue())
+    assert hand_of(cell(), catalogue()).effects
+
+
 def test_a_cell_is_keyed_by_what_it_depends_on():
     assert cell().key == cell().key
     assert cell().key != cell(steps=4).key

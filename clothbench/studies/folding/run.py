@@ -35,6 +35,7 @@ from clothbench.studies.folding.strip import TestStrip
 PROBE = 1e-3  # of the scaled range, step of the differences for the intervals
 PIECES = 20  # of a profile, which count as independent of each other
 FINE = 20_001  # points of the true profile
+NOTHING = 1e-9  # m, by which rounding may move what an effect leaves where it is
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,10 +175,23 @@ def hand_of(cell: FoldingCell, plugins: Catalogue) -> Hand:
     for effect in effects:
         if effect.place != "boundary":
             raise ClothbenchError(f"effect {effect.name!r} does not act on the gripper; only those take part in a fold")
+        if not _moves_the_end(effect):
+            raise ClothbenchError(
+                f"effect {effect.name!r} moves no single grip at rest, whatever its parameters: a fold cannot tell "
+                "them; leave it out of effects and suite.fold.fit"
+            )
     strip: Any = model.strip(cell.fold.length)
     metric = plugins.make("metrics", cell.metric, **cell.option(cell.metric))
     tracker = plugins.make("trackers", cell.tracker, **cell.option(cell.tracker))
     return Hand(cell, strip, model.parameters, effects, metric, tracker)
+
+
+def _moves_the_end(effect: Effect) -> bool:
+    """Whether any of several values of its parameters has the end of a strip elsewhere, in the plane of the fold."""
+    held = np.array([[[1.0, 0.0, 0.2]]])
+    values = effect.parameters.from_unit(np.repeat(np.linspace(0.0, 1.0, 5)[:, None], len(effect.parameters), axis=1))
+    moved = [effect.grips(np.zeros(1), held, phi) - held for phi in values]  # type: ignore[attr-defined]
+    return bool(np.abs(np.array(moved)[..., [0, 2]]).max() > NOTHING)
 
 
 def _optimizer(hand: Hand, plugins: Catalogue, space: ParameterSpace) -> Optimizer:
