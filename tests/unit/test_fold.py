@@ -190,13 +190,22 @@ def test_settings_are_checked():
             "'suite.fold.fit': no parameter 'grip",
         ),
         ({"bounds": {"eta_x": [1.0, 2.0]}}, "'bounds': no parameter 'eta_x'; there are: eta_b"),
+        (
+            {"suite": {"fold": {"fit": ["nu", "eta_b"]}}, "bounds": {}},
+            "'suite.fold.fit' begins with 'nu', expected 'eta_b'",
+        ),
+        ({"suite": {"fold": {"fit": ["eta_b", "eta_b"]}}}, "'suite.fold.fit': 'eta_b' is there twice"),
+        ({"suite": {"fold": {"first": 1e9}}, "bounds": {}}, "'suite.fold.first' is 1e"),
+        ({"suite": {"fold": {"first": 300.0}}, "bounds": {"eta_b": [500, 1000]}}, "expected 500 to 1000, as eta_b"),
+        ({"bounds": {"nu": [0.1, 0.2]}}, "'bounds.nu': it is not estimated; name it in suite.fold.fit"),
     ],
 )
-def test_parameters_that_no_model_or_effect_has_are_refused(changes, found):
+def test_parameters_that_cannot_be_estimated_or_are_not_are_refused(changes, found):
     base = {
         "study": "folding", "model": "kirchhoff_love", "effects": ["grip_offset"], "optimizer": "ga",
         "metric": "profile", "tracker": "laser_profile", "budget": 10, "seed": 0, "jobs": 1, "out": "runs",
         "rerun": False, "bounds": {"grip_offset.dx": [-0.005, 0.005]},
+        "suite": {"fold": {"fit": ["eta_b", "grip_offset.dx"]}},
     }  # fmt: skip
     assert planned(base, catalogue())
     with pytest.raises(ClothbenchError, match=found):

@@ -10,9 +10,11 @@ from functools import cached_property
 from typing import Any, ClassVar
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.parameters import ParameterSpace
 from clothbench.core.progress import FileProgress
 from clothbench.engine.cells import digest, options_in_use, plugin_versions, seed_of
 from clothbench.engine.settings import (
+    OF_SUITE,
     known_words,
     mapping,
     number,
@@ -29,6 +31,7 @@ from clothbench.reference.fabrics import Fabric, chosen_fabrics, fabric_named
 SUITE_WORDS = frozenset({"fold", "select"})
 NOT_RECORDED = ("recording", "recordings", "report", "analysis", "prior")
 VERSION = 2  # of the testbed: raised when its numbers change
+KNOWN = "eta_b"  # the parameter that fabrics are known by, and estimates are held against
 
 
 @dataclass(frozen=True)
@@ -115,7 +118,7 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
     refuse(settings, NOT_RECORDED, made, "this suite has a strip on a desk")
     require_plugins(settings, ("model", "optimizer", "metric"))
     suite, cells = settings["suite"], []
-    spaces: list[tuple[str, ...]] = []
+    spaces: list[ParameterSpace] = []
     lifted, fabrics = fold_settings(mapping("suite.fold", suite.get("fold"))), chosen_fabrics(selected(suite))
     product = itertools.product(fabrics, *(settings[key] for key in ("model", "optimizer", "metric")))
     for fabric, model, optimizer, metric in product:
@@ -129,19 +132,49 @@ def plan(settings: dict[str, Any], plugins: Catalogue, progress: FileProgress | 
                 plugins.make(kind, name, **cell.option(name))
         spaces += parameters_of(cell, plugins)
         cells.append(dataclasses.replace(cell, versions=plugin_versions(cell.uses, plugins)))
-    for names in spaces:
-        if strays := [name for name in lifted.fit if name not in names]:
+    for space in spaces:
+        if strays := [name for name in lifted.fit if name not in space.names]:
             raise ClothbenchError(
-                f"setting 'suite.fold.fit': no parameter {strays[0]!r}; there are: {', '.join(names)}"
+                f"setting 'suite.fold.fit': no parameter {strays[0]!r}; there are: {', '.join(space.names)}"
             )
     if spaces:
-        refuse_strays(settings, {name for names in spaces for name in names}, plugins)
+        refuse_strays(settings, {name for space in spaces for name in space.names}, plugins)
+        refuse_not_estimated(settings, lifted.fit)
+    for space in spaces:
+        estimated(space, lifted, settings["bounds"])
     return cells
 
 
-def parameters_of(cell: FoldingCell, plugins: Catalogue) -> list[tuple[str, ...]]:
-    """Names of the parameters of a cell's model and effects, as one of a list; none where they are not known, or where
-    the model folds no strips and the cell says so.
+def refuse_not_estimated(settings: Mapping[str, Any], fit: tuple[str, ...]) -> None:
+    """Refuse a first parameter that no fabric is known by, and bounds of what is not estimated; a suite's own may stand
+    where the command line estimates less.
+    """
+    if fit[0] != KNOWN:
+        raise ClothbenchError(
+            f"setting 'suite.fold.fit' begins with {fit[0]!r}, expected {KNOWN!r}: that is what fabrics are known by, "
+            "and what suite.fold.first is the first guess of"
+        )
+    own = settings.get(OF_SUITE, ())
+    if idle := [name for name in settings["bounds"] if name not in fit and name not in own]:
+        raise ClothbenchError(
+            f"setting 'bounds.{idle[0]}': it is not estimated; name it in suite.fold.fit ({', '.join(fit)}), or leave "
+            "its bounds out"
+        )
+
+
+def estimated(whole: ParameterSpace, fold: FoldSettings, bounds: Mapping[str, tuple[float, float]]) -> ParameterSpace:
+    """What is estimated of all parameters, in the order of `fit`; the first begins at the first guess."""
+    fit, first = fold.fit, fold.first
+    found = ParameterSpace(tuple(whole[name] for name in fit)).bounded({k: v for k, v in bounds.items() if k in fit})
+    low, high = found.parameters[0].bounds
+    if not low <= first <= high:
+        raise ClothbenchError(f"setting 'suite.fold.first' is {first:g}, expected {low:g} to {high:g}, as {fit[0]}")
+    return ParameterSpace((dataclasses.replace(found.parameters[0], default=first), *found.parameters[1:]))
+
+
+def parameters_of(cell: FoldingCell, plugins: Catalogue) -> list[ParameterSpace]:
+    """The parameters of a cell's model and effects, as one of a list; none where they are not known, or where the model
+    folds no strips and the cell says so.
     """
     try:
         model = plugins.make("models", cell.model, **cell.option(cell.model))
@@ -149,7 +182,7 @@ def parameters_of(cell: FoldingCell, plugins: Catalogue) -> list[tuple[str, ...]
     except PluginBroken:
         return []
     folds = "fold" in model.capabilities
-    return [JoinedParameters(model.parameters, effects).parameters.names] if folds else []
+    return [JoinedParameters(model.parameters, effects).parameters] if folds else []
 
 
 def fold_settings(given: Mapping[str, Any]) -> FoldSettings:
@@ -168,6 +201,8 @@ def fold_settings(given: Mapping[str, Any]) -> FoldSettings:
     fit = tuple(words("suite.fold.fit", given.get("fit", list(known["fit"]))))
     if not fit:
         raise ClothbenchError("setting 'suite.fold.fit' is empty; name the parameters to estimate, the fabric's first")
+    if twice := next((name for name in fit if fit.count(name) > 1), None):
+        raise ClothbenchError(f"setting 'suite.fold.fit': {twice!r} is there twice; name each parameter once")
     return FoldSettings(steps=steps, fit=fit, **numbers)
 
 

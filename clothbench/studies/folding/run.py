@@ -28,7 +28,7 @@ from clothbench.estimation.search import drive
 from clothbench.modelling.joined import JoinedParameters
 from clothbench.plugins.discovery import Catalogue
 from clothbench.reference.lifted_strip import Lifted
-from clothbench.studies.folding.cell import FoldingCell
+from clothbench.studies.folding.cell import FoldingCell, estimated
 from clothbench.studies.folding.laser_camera import rendered
 from clothbench.studies.folding.strip import TestStrip
 
@@ -62,15 +62,7 @@ class Hand:
 
     @cached_property
     def space(self) -> ParameterSpace:
-        """What is estimated, in the order of `fit`; the first begins at the first guess."""
-        fit, first = self.cell.fold.fit, self.cell.fold.first
-        found = ParameterSpace(tuple(self.whole[name] for name in fit)).bounded(
-            {k: v for k, v in self.cell.bounds.items() if k in fit}
-        )
-        low, high = found.parameters[0].bounds
-        if not low <= first <= high:
-            raise ClothbenchError(f"setting 'suite.fold.first' is {first:g}, expected {low:g} to {high:g}, as {fit[0]}")
-        return ParameterSpace((dataclasses.replace(found.parameters[0], default=first), *found.parameters[1:]))
+        return estimated(self.whole, self.cell.fold, self.cell.bounds)
 
     def all_parameters(self, theta: np.ndarray) -> np.ndarray:
         """(B, P) of the model and its effects from (B, F) of what is estimated."""
