@@ -185,7 +185,8 @@ def experiments(
     contact: whether the model keeps out of obstacles.
     """
     known = list(dict.fromkeys(grips for grips, _ in chosen))
-    if stray := next((name for name in wanted.grips or () if name not in known), None):
+    stray = next((name for name in wanted.grips or () if name not in known), None)
+    if stray is not None:
         raise ClothbenchError(f"setting 'grips' names {stray!r}, expected some of {', '.join(known)}")
     if int(wanted.durations[0] * rate + 1e-6) < 1:
         raise ClothbenchError(

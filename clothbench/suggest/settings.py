@@ -92,6 +92,10 @@ def wanted_of(words: Mapping[str, str]) -> Wanted:
         if name in words:
             parts = words[name].removeprefix("[").removesuffix("]").split(",")
             read[name] = tuple(part.strip() for part in parts)
+    if "" in read.get("grips", ()):  # type: ignore[operator]
+        raise ClothbenchError(
+            f"setting 'grips' is {words['grips']!r}, expected names with a comma between each two; leave it out for all"
+        )
     if "rank" in words:
         read["rank"] = words["rank"]
     if "cameras" in words:

@@ -139,6 +139,8 @@ def test_what_cannot_be_done_is_not_offered():
         next(experiments(cut, 30.0, Wanted(grips=("two corners",)), contact=True))
     with pytest.raises(ClothbenchError, match=r"setting 'durations' begins with 0.03 s, expected two frames at least"):
         next(experiments(scene(), 30.0, Wanted(durations=(0.03,)), contact=True))
+    with pytest.raises(ClothbenchError, match="setting 'grips' names '', expected some of as recorded, two corners"):
+        next(experiments(scene(), 30.0, Wanted(grips=("",)), contact=True))
 
 
 def test_grips_as_the_sheet_was_recorded_in_are_known_by_their_name():
@@ -159,6 +161,8 @@ def test_grips_as_the_sheet_was_recorded_in_are_known_by_their_name():
         ({"durations": "1,-2"}, "setting 'durations' is '-2', expected a number above 0"),
         ({"durations": "0.001"}, "setting 'durations' is '0.001', expected seconds from 0.02 to 600"),
         ({"draws": "99999999999"}, "setting 'draws' is '99999999999', expected 1000 at most"),
+        ({"grips": ""}, "setting 'grips' is '', expected names with a comma between each two"),
+        ({"grips": "two corners,"}, "setting 'grips' is 'two corners,', expected names"),
         ({"draws": "1.5"}, "setting 'draws' is '1.5', expected a whole number, 0 or above"),
     ],
 )
