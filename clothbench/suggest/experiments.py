@@ -123,13 +123,14 @@ def pull(time: np.ndarray, grips: np.ndarray, height: float) -> np.ndarray:
 
 OUT, ACROSS, UP = (0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0)
 HOLD, PULL, LOWER = "hold still", "pull longer by 2 %", "lower onto a table"
+LET_OUT, STOP = "swing across the sheet, 1 Hz, let it swing out", 1.0  # and when its grips begin to come to rest, s
 MOTIONS: dict[str, Motion] = {
     HOLD: hold,
     PULL: pull,
     "swing across the sheet, 0.5 Hz": swing(OUT, 0.5),
     "swing across the sheet, 1 Hz": swing(OUT, 1.0),
     "swing across the sheet, 2 Hz": swing(OUT, 2.0),
-    "swing across the sheet, 1 Hz, let it swing out": swing(OUT, 1.0, stop=1.0),
+    LET_OUT: swing(OUT, 1.0, stop=STOP),
     "swing along the warp, 1 Hz": swing(ACROSS, 1.0),
     "up and down, 2 Hz": swing(UP, 2.0),
     "lift and drop": lift_and_drop,
@@ -211,8 +212,8 @@ def experiments(
 
 
 def experiment(like: Scene, rate: float, wanted: Wanted, grips: str, motion: str) -> Experiment | None:
-    """One of them; None where the robot can only do it so small that it is none, or the sheet was recorded in these
-    very grips, so that they are "as recorded".
+    """One of them; None where the robot can only do it so small that it is none, it is what it is called in none of the
+    durations, or the sheet was recorded in these very grips, so that they are "as recorded".
     """
     across, out, up, middle = directions(like)
     turn = np.stack([across, out, up])  # rows: from a sheet's own directions into the world's
@@ -223,6 +224,10 @@ def experiment(like: Scene, rate: float, wanted: Wanted, grips: str, motion: str
         held = GRIPS[grips](like.width, like.height)
         material, place, start = held.material, held.place, middle + held.bend(like.points) @ turn
     durations = wanted.durations if motion != HOLD else wanted.durations[:1]
+    if motion == LET_OUT:  # until its grips come to rest it is the swing that goes on
+        durations = tuple(d for d in durations if d > STOP)
+        if not durations:
+            return None
     clock = np.arange(round((durations[-1] + RISE) * RATE) + 1) / RATE
     path = MOTIONS[motion](clock, place, like.height)
     paths = [ended(path, clock, duration) for duration in durations]
@@ -233,6 +238,10 @@ def experiment(like: Scene, rate: float, wanted: Wanted, grips: str, motion: str
         return None
     obstacles = like.obstacles
     if motion == LOWER:
+        lowered = [np.abs(path[clock <= d]).max() for d in durations]
+        durations = tuple(d for d, by in zip(durations, lowered, strict=True) if by >= TABLE_GAP + LEAST_REACH)
+        if not durations:  # the cloth would never lie on the table
+            return None
         below = middle - (like.height + TABLE_GAP) * up
         obstacles = (*obstacles, Obstacle("plane", triple(below), triple(up)))
     speed, acceleration = np.max([fastest(size * one) for one in paths], axis=0)

@@ -15,6 +15,7 @@ from clothbench.suggest.experiments import (
     EXPERIMENTS,
     GRIPS,
     HOLD,
+    LET_OUT,
     LOWER,
     MOTIONS,
     RATE,
@@ -141,6 +142,19 @@ def test_what_cannot_be_done_is_not_offered():
         next(experiments(scene(), 30.0, Wanted(durations=(0.03,)), contact=True))
     with pytest.raises(ClothbenchError, match="setting 'grips' names '', expected some of as recorded, two corners"):
         next(experiments(scene(), 30.0, Wanted(grips=("",)), contact=True))
+
+
+@pytest.mark.parametrize("slow", [{"reach": 0.015}, {"max_speed": 0.02}, {"max_acceleration": 0.3}])
+def test_cloth_that_would_not_meet_the_table_is_not_lowered_onto_it(slow):
+    assert experiment(scene(), 30.0, Wanted(**slow), AS_RECORDED, LOWER) is None
+    lowered = experiment(scene(), 30.0, Wanted(durations=(0.1, 2.0)), AS_RECORDED, LOWER)
+    assert lowered.durations == (2.0,)  # after a tenth of a second it has not come down
+    assert lowered.scene.times[-1] == pytest.approx(2.0)
+
+
+def test_a_swing_that_is_let_out_lasts_longer_than_its_grips_move():
+    assert experiment(scene(), 30.0, Wanted(durations=(0.5, 1.0)), AS_RECORDED, LET_OUT) is None
+    assert experiment(scene(), 30.0, Wanted(durations=(1.0, 2.0)), AS_RECORDED, LET_OUT).durations == (2.0,)
 
 
 def test_grips_as_the_sheet_was_recorded_in_are_known_by_their_name():
