@@ -58,8 +58,21 @@ def test_a_unit_that_forgets_the_density_shows_as_a_factor_of_it():
     assert heavy == pytest.approx(1 / 0.3, rel=0.06)
 
 
+def test_mass_shows_in_stiffness_and_no_row_claims_it_by_itself():
+    class Heavy(BaraffWitkin):
+        """Its nodes weigh twice what is stated."""
+
+        def prepare(self, scene, effects=()):
+            return super().prepare(dataclasses.replace(scene, areal_density=2 * scene.areal_density), effects)
+
+    ((stretch, _),), ((fall, _),) = (factors(Heavy, probe, (9,), (0.1,)) for probe in (units.stretch, units.fall))
+    assert stretch == pytest.approx(0.5, rel=0.02)
+    assert fall == pytest.approx(1.0, rel=5e-3)
+    assert "whatever the mass" in units._measured(Heavy(), units.fall(9, 0.1), 9, 0.1).formula
+
+
 def test_what_a_model_cannot_be_told_is_a_reason_and_no_number():
-    one = units._measured(KirchhoffLove(), units.inertia(9, 0.1), 9, 0.1)
+    one = units._measured(KirchhoffLove(), units.fall(9, 0.1), 9, 0.1)
     assert (one.found, one.reason) == (None, "finds rest only, and nothing holds this sheet")
     one = units._measured(Inextensible(), units.stretch_damping(9, 0.1), 9, 0.1)
     assert (one.found, one.reason) == (None, "the model has no parameter for it")
@@ -67,9 +80,9 @@ def test_what_a_model_cannot_be_told_is_a_reason_and_no_number():
 
 def test_a_row_says_where_it_is_documented(clothbench):
     pytest.importorskip("mujoco")
-    rows = [units._measured(Mujoco(), probe(9, 0.1), 9, 0.1) for probe in (units.stretch, units.inertia)]
+    rows = [units._measured(Mujoco(), probe(9, 0.1), 9, 0.1) for probe in (units.stretch, units.fall)]
     assert "https://mujoco.readthedocs.io" in rows[0].source
-    assert rows[1].source == ""  # of mass nothing need be documented
+    assert rows[1].source == ""  # of a fall nothing need be documented
     done = clothbench("units")
     assert done.returncode == 2
     assert "the following arguments are required: MODEL" in done.stderr
@@ -78,7 +91,7 @@ def test_a_row_says_where_it_is_documented(clothbench):
 @pytest.mark.slow
 def test_mujocos_units_hold_but_for_bending_at_the_margins():
     pytest.importorskip("mujoco")
-    for probe in (units.stretch, units.shear, units.inertia):
+    for probe in (units.stretch, units.shear, units.fall):
         np.testing.assert_allclose(factors(Mujoco, probe), 1.0, rtol=5e-3)
     bending = np.array(factors(Mujoco, units.bending))
     assert (np.abs(bending - 0.88) < 0.03).all()  # of a strip four cells wide; the same at both densities
@@ -122,7 +135,7 @@ def test_a_target_that_does_not_run_here_is_shown_as_documented(clothbench):
 @pytest.mark.slow
 def test_newtons_hinges_are_no_rigidity_and_its_area_stiffness_no_lame_constant():
     pytest.importorskip("newton")
-    for probe in (units.shear, units.inertia):
+    for probe in (units.shear, units.fall):
         np.testing.assert_allclose(factors(Newton, probe), 1.0, rtol=5e-3)
     documented, asked = np.array(factors(Newton, units.stretch)).T
     np.testing.assert_allclose(documented, 0.75, rtol=5e-3)

@@ -1,8 +1,9 @@
 """What a model's parameters are worth, measured by mechanics: bending by a cantilever, stretch by a hanging strip,
-shear by a strip that hangs in its own plane between two held sides, inertia by a free fall, viscosities by how a free
-strip stops to swing; on two meshes, at two densities.
+shear by a strip that hangs in its own plane between two held sides, weight over mass by a free fall, viscosities by how
+a free strip stops to swing; on two meshes, at two densities.
 
-A unit that its documentation states wrongly shows as a factor, and as one that changes with mesh or density.
+A unit that its documentation states wrongly shows as a factor, and as one that changes with mesh or density. How cloth
+moves and rests tells stiffness over mass only: twice the mass that is stated shows as half of all three stiffnesses.
 """
 
 from __future__ import annotations
@@ -60,11 +61,11 @@ class Probe:
     @property
     def moves(self) -> bool:
         """Whether it is seen in how the sheet moves, and not in how it rests."""
-        return len(self.scene.times) > 2 or self.quantity == "inertia"
+        return len(self.scene.times) > 2 or self.quantity == "fall"
 
     @property
     def asked(self) -> float:
-        return 1.0 if self.quantity == "inertia" else float(getattr(self.material, self.quantity))
+        return 1.0 if self.quantity == "fall" else float(getattr(self.material, self.quantity))
 
 
 def bending(along: int, density: float) -> Probe:
@@ -115,11 +116,11 @@ def shear(along: int, density: float) -> Probe:
     return Probe("shear", "N/m", scene, Material(LIMP, 2 * modulus, modulus), found)
 
 
-def inertia(along: int, density: float) -> Probe:
+def fall(along: int, density: float) -> Probe:
     """What falls freely falls by gt²/2 whatever its mass: the ratio of the two, with viscosity on."""
     scene = dataclasses.replace(scenes.level(0.2, along, np.array([0.0, FALLING])), areal_density=density)
     cloth = Material(1e-5, 300.0, 150.0, 1e-7, 0.03)
-    return Probe("inertia", "1", scene, cloth, lambda x: measures.drop(scene, x) / references.fall(FALLING))
+    return Probe("fall", "1", scene, cloth, lambda x: measures.drop(scene, x) / references.fall(FALLING))
 
 
 def stretch_damping(along: int, density: float) -> Probe:
@@ -144,7 +145,7 @@ def bending_damping(along: int, density: float) -> Probe:
     return Probe("bending_damping", "N·m·s", scene, cloth, lambda x: rigidity * _lag(scene, mode, x))
 
 
-PROBES = (bending, stretch, shear, inertia, stretch_damping, bending_damping)
+PROBES = (bending, stretch, shear, fall, stretch_damping, bending_damping)
 
 
 def _let_go(along: int, density: float, mode: np.ndarray, omega: float) -> Scene:
@@ -253,8 +254,8 @@ def _dry(probe: Probe, cloth: Material) -> Material:
 
 def _stated(model: Any, probe: Probe, theta: np.ndarray) -> Stated:
     """What documentation says of a quantity; where there is none, what the model itself says."""
-    if probe.quantity == "inertia":
-        return Stated("inertia", "mass: areal density × area of each node", lambda theta: 1.0, "")
+    if probe.quantity == "fall":
+        return Stated("fall", "g t²/2, whatever the mass", lambda theta: 1.0, "")
     for stated in model.documented if isinstance(model, DocumentsUnits) else ():
         if stated.quantity == probe.quantity:
             return stated
