@@ -299,7 +299,7 @@ def test_speeds_are_kept_and_shown_as_a_study(tmp_path, monkeypatch):
     measured = {**blank, "model": "mass_spring", "nodes": 81, "threads": 1, "batch": 1, "node_steps_per_s": 5e7,
                 "realtime_factor": 9.0, "version": 2}  # fmt: skip
     rows = [measured | {"peer": p, "ratio": r} for p, r in (("one", 2.0), ("other", 4.0))]
-    monkeypatch.setattr("clothbench.studies.speed.run.run_bench", lambda sides, chosen: rows)
+    monkeypatch.setattr("clothbench.studies.speed.run.run_bench", lambda sides, progress, chosen: rows)
     from clothbench.studies.speed.cell import NOT_TIMED
 
     settings = {**dict.fromkeys(NOT_TIMED, ()), "scene": {}, "suite": {"sides": [9]}, "model": ["mass_spring"]}
@@ -350,6 +350,27 @@ def test_speeds_measured_by_another_version_of_the_study_are_another_question():
     assert SpeedCell("speed", (), (9,), testbed=0).key != SpeedCell("speed", (), (9,)).key
 
 
+def test_a_study_measures_all_sheets_in_one_run_and_counts_what_is_done(tmp_path, monkeypatch):
+    """A run for each number of nodes had measured cores, and threads against processes, as often."""
+    from clothbench.engine.study import Context
+    from clothbench.studies.speed.cell import SpeedCell
+    from clothbench.studies.speed.run import run
+
+    asked, steps = [], []
+
+    def run_bench(sides, progress, chosen):
+        asked.append((sides, chosen))
+        for side in sides:
+            progress(f"toy: {side} × {side} nodes")
+        return []
+
+    monkeypatch.setattr("clothbench.studies.speed.run.run_bench", run_bench)
+    told = Context(Catalogue(()), tmp_path, lambda done, value: steps.append((done, value)))
+    assert run(SpeedCell("speed", ("toy",), (9, 21, 41)), told).status == "skipped"
+    assert asked == [((9, 21, 41), ("toy",))]
+    assert steps == [(0, 0.0), (1, 1.0), (2, 2.0)]
+
+
 def test_measurements_of_several_runs_are_kept_apart(tmp_path, monkeypatch):
     from clothbench.cli.results import print_results
     from clothbench.engine.run import run_cell
@@ -378,7 +399,7 @@ def test_a_model_with_other_options_is_another_case(tmp_path, monkeypatch):
     measured = {**dict.fromkeys(bench.KEYS), "model": "baraff_witkin", "nodes": 81, "threads": 1, "batch": 1,
                 "node_steps_per_s": 5e7, "realtime_factor": 9.0, "precision": "double", "note": "own step"}  # fmt: skip
     rows = [measured, {**measured, "options": "integrator=implicit_euler", "node_steps_per_s": 4e7}]
-    monkeypatch.setattr("clothbench.studies.speed.run.run_bench", lambda sides, chosen: rows)
+    monkeypatch.setattr("clothbench.studies.speed.run.run_bench", lambda sides, progress, chosen: rows)
     run_cell(SpeedCell("speed", ("baraff_witkin",), (9,)), tmp_path)
     case = "81 nodes, 1 at once, 1 threads, double"
     found = {r["case"]: round(r["value"], 3) for r in Store(tmp_path).rows()}

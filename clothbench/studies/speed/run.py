@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from typing import Any
 
@@ -12,10 +13,13 @@ from clothbench.studies.speed.cell import SpeedCell
 
 
 def run(cell: SpeedCell, context: Context) -> Result:
-    began, rows = time.perf_counter(), []
-    for number, side in enumerate(cell.sides, 1):
-        rows += run_bench([side], chosen=cell.models)
-        context.progress(number, float(number))
+    began, begun = time.perf_counter(), itertools.count()
+
+    def told(_: str) -> None:
+        done = next(begun)
+        context.progress(done, float(done))
+
+    rows = run_bench(cell.sides, told, cell.models)
     about = {**about_cell(cell), **no_value(), "wall_s": time.perf_counter() - began}
     measured = {_case(row): row for row in rows if row["peer"] not in ASIDE}
     if not measured:
