@@ -24,7 +24,8 @@ class Score:
     """How far a batch of B rollouts is from one observation.
 
     value: (B,) in `unit`, NaN for a member that could not be scored; per_frame: (B, T) and per_node: (B, N), the
-    same quantity's trace and map, NaN where nothing was seen (None where the metric has none);
+    same quantity's trace and map in that unit, NaN where nothing was seen (None where the metric has none); the value
+    is the mean of the trace or the like, as its interval comes from how the trace scatters;
     residual: (B, R), signed differences whose squares sum to what least squares should lower, or None.
     objectives: (B, M), of a metric with several (`HasObjectives`), each in its own unit, lower is better, or None;
     spread: (M,), how far apart recordings of the very same cloth lie in each of them: 1 on a common scale.

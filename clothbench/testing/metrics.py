@@ -16,6 +16,10 @@ from clothbench.testing.rules import NotApplicable, Outcome, choose, made, requi
 NOTHING = 1e-9  # of what an error of 4 mm gives
 DRAWS = 60  # noisy observations of which the mean is taken
 HONEST = 0.10  # relative, between a floor as stated and as drawn
+MOVED = {"per_frame": (3, 15), "per_node": (7, 22)}  # frames, nodes, each wrong on its own; backwards they are others
+BESIDE = {"per_frame": 2.5, "per_node": 0.13}  # frames, m: so far reach differences between neighbours, and smoothing
+LARGER = (4.0, 8.0, 16.0, 32.0)  # mm: until a metric that counts, or that has a threshold, sees it
+SAME_UNIT = 2.0  # a middle value, of whatever kind, is not farther beyond what it is of
 
 
 def check_metric(make: Callable[..., Metric], *, only: Iterable[str] | None = None) -> tuple[Outcome, ...]:
@@ -61,6 +65,54 @@ def gives_whole_scores(case: MetricCase) -> None:
         array, unseen = getattr(score, name), ~case.observation.visible.any(axis=axis)
         if array is not None:
             require(np.isnan(array[:, unseen]).all(), f"a number in {name} where nothing was seen", "NaN")
+
+
+def traces_what_it_scores(case: MetricCase) -> str | None:
+    """Trace and map are in the unit of the value, and where one frame or one node alone is wrong they say so there.
+
+    Intervals of errors come from the trace. It may reach further than the frame itself, as that of speeds does.
+    """
+    _require_points(case)
+    perfect, wrong = case.score(case.truth), case.score(case.truth + LARGER[0] * case.error)
+    given = [name for name in MOVED if getattr(wrong, name) is not None]
+    for name in given:
+        right, trace = getattr(perfect, name)[0], getattr(wrong, name)[0]
+        _require_same_unit(case, name, trace, float(wrong.value[0]))
+        same = np.array_equal(right, trace, equal_nan=True)
+        require(not same, f"the {name} of a perfect rollout for one that is 4 mm off", "another one")
+        for at in MOVED[name]:
+            _require_trace_of(case, name, at, right)
+    return None if given else "has neither trace nor map"
+
+
+def _require_same_unit(case: MetricCase, name: str, trace: np.ndarray, value: float) -> None:
+    """The value lies among the numbers of the trace or map; their signs may differ, and a map's may be added up."""
+    known = trace[np.isfinite(trace)]
+    require(len(known) > 0, f"{name} without a number, beside a value of {value:.3g} {case.metric.unit}", "some")
+    low = 0.0 if known.min() < 0 < known.max() else float(np.abs(known).min())
+    high = float(np.abs(known).sum() if name == "per_node" else np.abs(known).max())
+    found = f"{name} from {known.min():.3g} to {known.max():.3g}, beside a value of {value:.3g} {case.metric.unit}"
+    expected = "numbers in the value's unit, of which it is the mean or the like"
+    require(low / SAME_UNIT <= value <= SAME_UNIT * high, found, expected)
+
+
+def _require_trace_of(case: MetricCase, name: str, at: int, perfect: np.ndarray) -> None:
+    """With one frame or node wrong, nothing changes more than it and its neighbours."""
+    material, frames = case.observation.material, np.arange(len(case.observation.time))
+    away = np.abs(frames - at) if name == "per_frame" else np.linalg.norm(material - material[at], axis=1)
+    here = (at,) if name == "per_frame" else (slice(None), at)
+    if not np.isfinite(perfect[at]):  # it looks at some only
+        return
+    for size in LARGER:
+        position = case.truth.copy()
+        position[here] += size * case.error[here]
+        change = np.nan_to_num(np.abs(getattr(case.score(position), name)[0] - perfect))
+        if change.any():  # of a metric that takes it for a slip, it never does
+            break
+    near, far = (change[some].max(initial=0.0) for some in (away < BESIDE[name], away >= BESIDE[name]))
+    what = name.removeprefix("per_")
+    found = f"{name} that changes by {near:.3g} in the one {what} that is wrong and by {far:.3g} elsewhere"
+    require(near >= (1 - 1e-6) * far, found, f"most in that {what}")
 
 
 def is_zero_for_a_perfect_rollout(case: MetricCase) -> None:
@@ -207,6 +259,7 @@ def _close(one: np.ndarray, other: np.ndarray) -> bool:
 RULES = (
     has_all_members,
     gives_whole_scores,
+    traces_what_it_scores,
     is_zero_for_a_perfect_rollout,
     grows_with_the_error,
     says_its_objectives,

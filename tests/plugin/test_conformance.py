@@ -96,6 +96,9 @@ def test_every_rule_can_be_broken():
     ("check", "make"),
     [
         (check_metric, wrong_plugins.HonestMetric),
+        (check_metric, wrong_plugins.Tracing),
+        (check_metric, wrong_plugins.Smoothed),
+        (check_metric, wrong_plugins.Speeds),
         (check_optimizer, wrong_plugins.HonestOptimizer),
         (check_tracker, wrong_plugins.HonestTracker),
         (check_effect, wrong_plugins.HonestEffect),

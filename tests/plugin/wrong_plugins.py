@@ -240,6 +240,86 @@ class Flat(HonestMetric):
         return dataclasses.replace(score, per_frame=score.value)
 
 
+class Tracing(HonestMetric):
+    """With the trace and the map of what it scores; sound."""
+
+    def __call__(self, observation, rollout):
+        square = np.square(rollout.position - observation.position).sum(axis=-1)
+        square[:, ~observation.visible] = np.nan
+        return dataclasses.replace(
+            super().__call__(observation, rollout),
+            per_frame=self.trace(np.sqrt(mean_of_seen(square, 2))), per_node=self.map(np.sqrt(mean_of_seen(square, 1))),
+        )  # fmt: skip
+
+    def trace(self, per_frame):
+        return per_frame
+
+    def map(self, per_node):
+        return per_node
+
+
+def mean_of_seen(values, axis):
+    """The mean over an axis of what is a number, not a number where nothing is."""
+    count = np.isfinite(values).sum(axis=axis)
+    return np.where(count, np.nansum(values, axis=axis) / np.maximum(count, 1), np.nan)
+
+
+class Millimetric(Tracing):
+    def trace(self, per_frame):
+        return 1e3 * per_frame
+
+
+class Kilometric(Tracing):
+    def map(self, per_node):
+        return 1e-3 * per_node
+
+
+class Unmoved(Tracing):
+    """Its trace is the same, whatever the rollout."""
+
+    def trace(self, per_frame):
+        return np.where(np.isnan(per_frame), np.nan, 5e-3)
+
+
+class Backwards(Tracing):
+    def trace(self, per_frame):
+        return per_frame[:, ::-1]
+
+
+class Mirrored(Tracing):
+    def map(self, per_node):
+        return per_node[:, ::-1]
+
+
+class Smoothed(Tracing):
+    """Shows running means over seven frames, and errors with a sign and a map that sum up; sound."""
+
+    def trace(self, per_frame):
+        windows = np.lib.stride_tricks.sliding_window_view(np.pad(per_frame, ((0, 0), (3, 3)), mode="edge"), 7, axis=1)
+        return np.where(np.isnan(per_frame), np.nan, -mean_of_seen(windows, 2))
+
+    def map(self, per_node):
+        return per_node / np.isfinite(per_node).sum(axis=1, keepdims=True)
+
+
+class Speeds(HonestMetric):
+    """How wrong velocities are, as central differences have them, from the frames beside each [m/s]; sound."""
+
+    unit = "m/s"
+
+    def __call__(self, observation, rollout):
+        time, away = observation.time, rollout.position - observation.position
+        speed = np.full(away.shape[:3], np.nan)
+        speed[:, 1:-1] = np.linalg.norm(away[:, 2:] - away[:, :-2], axis=-1) / (time[2:] - time[:-2])[:, None]
+        speed[:, ~observation.visible] = np.nan
+        some = np.isfinite(speed).any() and np.isfinite(rollout.position).all(axis=(1, 2, 3))
+        value = np.where(some, mean_of_seen(speed.reshape(len(speed), -1), 1), np.nan)
+        return Score(value, self.unit, mean_of_seen(speed, 2), mean_of_seen(speed, 1))
+
+    def floor(self, observation):
+        return math.nan
+
+
 class Offset(HonestMetric):
     def spoil(self, observation, score):
         return dataclasses.replace(score, value=score.value + 1e-3)
@@ -307,6 +387,11 @@ class Aimless(HonestMetric):
 METRICS = [
     (Unitless, "has all members", "unit ''"),
     (Flat, "gives whole scores", "per_frame of shape (2,)"),
+    (Millimetric, "traces what it scores", "per_frame from"),
+    (Kilometric, "traces what it scores", "per_node from"),
+    (Unmoved, "traces what it scores", "the per_frame of a perfect rollout"),
+    (Backwards, "traces what it scores", "per_frame that changes by 0 in the one frame"),
+    (Mirrored, "traces what it scores", "per_node that changes by 0 in the one node"),
     (Offset, "is zero for a perfect rollout", "for a perfect rollout"),
     (Saturated, "grows with the error", "for an error doubled thrice"),
     (Aimless, "says its objectives", "objectives of shape (2, 1)"),
