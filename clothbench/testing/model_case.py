@@ -39,7 +39,7 @@ class ModelCase:
         wanted = dict(scenes.standard() if self.wanted is None else self.wanted)
         if not self.is_dynamic:
             wanted = {name: scenes.still(scene) for name, scene in wanted.items() if len(scene.grip_material)}
-        found = {name: scene for name, scene in wanted.items() if self._can(scene)}
+        found = {name: scene for name, scene in wanted.items() if self.can(scene)}
         require(found, f"none of the scenes {', '.join(wanted)} can be prepared", "at least one")
         return found
 
@@ -81,7 +81,8 @@ class ModelCase:
         columns = [theta, *(np.tile(values, (len(theta), 1)) for _, values in pairs)]
         return self.run(scene, np.hstack(columns), [effect for effect, _ in pairs])
 
-    def _can(self, scene: Scene) -> bool:
+    def can(self, scene: Scene) -> bool:
+        """Whether the model takes the scene."""
         try:
             self.model.prepare(scene)
         except ClothbenchError:

@@ -1,4 +1,5 @@
-"""What every model must keep: the contract of `clothbench.Model`. What its sheet must do is in `motion`."""
+"""What every model must keep: the contract of `clothbench.Model`. What its sheet must do is in `motion`,
+`weight` and `contact`."""
 
 from __future__ import annotations
 
@@ -32,7 +33,7 @@ from clothbench.core.protocols import Effect, Material, Model
 from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
 from clothbench.modelling.curves import answers_curves, answers_sheets
-from clothbench.testing import curves, motion, probe
+from clothbench.testing import contact, curves, motion, probe, weight
 from clothbench.testing.model_case import ModelCase, finished, same_bits
 from clothbench.testing.rollouts import require_independent, require_whole
 from clothbench.testing.rules import (
@@ -301,4 +302,6 @@ RULES = (
     reports_divergence,
     answers_curves_if_it_says_so,
     *motion.RULES,
+    *weight.RULES,
+    *contact.RULES,
 )

@@ -59,6 +59,18 @@ def overhanging() -> Scene:
     )  # fmt: skip
 
 
+def curtain() -> Scene:
+    """Held along its upper edge without any slack, 13 × 11 nodes, square cells; seen at all of them."""
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0.0, WIDTH, 13), np.linspace(0.0, HEIGHT, 11)))
+    points, edge = np.stack([u, v], axis=1), v == 0
+    start, times = np.stack([u, 0 * u, 1.0 - v], axis=1), np.linspace(0.0, 0.1, 3)
+    return Scene(
+        width=WIDTH, height=HEIGHT, areal_density=AREAL_DENSITY,
+        grip_time=times[[0, -1]], grip_material=points[edge], grip_position=np.stack([start[edge]] * 2),
+        times=times, points=points, resolution=(13, 11), start=start, camera=CAMERA,
+    )  # fmt: skip
+
+
 def cut_and_short() -> tuple[Scene, Scene]:
     """`overhanging` with two fifths along one side cut off, and the same as a narrower sheet with the nodes left."""
     whole = overhanging()
@@ -98,6 +110,46 @@ def carried() -> Scene:
         width=WIDTH, height=HEIGHT, areal_density=AREAL_DENSITY, grip_time=stamps, grip_material=points[-1:],
         grip_position=path, times=np.linspace(0.0, 0.25, 6), points=points, resolution=RESOLUTION, start=flat,
         obstacles=(Obstacle("plane", friction=3.0, carried=True),),
+    )  # fmt: skip
+
+
+def over_a_table() -> Scene:
+    """`overhanging` with a table 4 cm below it, which the sheet reaches on its way down."""
+    scene = overhanging()
+    start = np.column_stack([scene.points, np.ones(len(scene.points))])  # level, above the table
+    bend = 0.01 * np.clip((scene.points[:, 0] - 0.05) / 0.25, 0.0, 1.0) ** 2
+    return dataclasses.replace(
+        scene, start=start - bend[:, None] * [0.0, 0.0, 1.0], times=np.linspace(0.0, 0.5, 6),
+        grip_time=np.array([0.0, 0.5]), obstacles=(Obstacle("plane", (0.0, 0.0, 0.96)),),
+    )  # fmt: skip
+
+
+def on_a_slope() -> Scene:
+    """Two upper corners held still, without slack; the sheet leans on a plane that rises behind it from 3 cm below."""
+    held = np.array([[0.0, 0.0], [WIDTH, 0.0]])
+    scene = _held(held, _flat(held), np.linspace(0.0, 0.5, 6), depth=0.0)
+    normal = np.array([0.0, np.cos(0.5), np.sin(0.5)])
+    below = np.maximum(scene.points[:, 1] - 0.03, 0.0)
+    lean = below[:, None] * [0.0, np.sin(0.5), 1 - np.cos(0.5)]  # turned into the plane
+    return dataclasses.replace(
+        scene,
+        start=_flat(scene.points) + lean + 1e-4 * normal,
+        obstacles=(Obstacle("plane", (0.0, 0.0, 0.97), tuple(normal)),),
+    )
+
+
+def folded_over() -> Scene:
+    """A strip of 24 cm × 6 cm laid back over itself around a loop 2.5 cm high, its lower part held, let go at rest."""
+    width, loop = 0.24, 0.04 / np.pi
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0.0, width, 25), np.linspace(0.0, 0.06, 7)))
+    angle = np.clip((u - 0.10) / loop, 0, np.pi)
+    x = np.minimum(u, 0.10) + loop * np.sin(angle) - np.maximum(u - 0.14, 0)
+    points, start = np.stack([u, v], axis=1), np.stack([x, v, loop * (1 - np.cos(angle))], axis=1)
+    held, times = u <= 0.1001, np.linspace(0.0, 0.3, 4)
+    return Scene(
+        width=width, height=0.06, areal_density=AREAL_DENSITY, grip_time=times[[0, -1]], grip_material=points[held],
+        grip_position=np.stack([start[held]] * 2), times=times, points=points, resolution=(25, 7), start=start,
+        velocity=np.zeros_like(start), thickness=5e-3, camera=CAMERA,
     )  # fmt: skip
 
 

@@ -28,6 +28,7 @@ from clothbench.testing import (
     check_tracker,
     rule_names,
     scenes,
+    weight,
 )
 
 BUILT_IN = [
@@ -129,6 +130,16 @@ def test_a_sound_model_keeps_its_rules_in_scenes_with_a_table_and_with_a_start_i
     velocity = np.broadcast_to([0.6, -0.4, 1.2], fall.start.shape)
     of_its_own = {"thrown": dataclasses.replace(fall, velocity=velocity), "carried": scenes.carried()}
     check_model(wrong_models.Faulty, scenes=of_its_own, only=[rule])
+
+
+@pytest.mark.parametrize(
+    ("unit", "holds"),
+    [("N·m·s", (1, -1)), ("kg/(m²·s)", (1, -1)), ("m^-4 s^2", (0, 2)), ("s²/m²", (0, 2)), ("N s / m", (1, -1)),
+     ("m/N", (-1, 2)), ("1/(N·s)", (-1, 1)), ("mN/mm", (1, -2)), ("g/m**2", (1, 0)), ("1", (0, 0)), ("%", (0, 0)),
+     ("1/s", (0, -1)), ("GPa", (1, -2)), ("solver units", None), ("px", None), ("10^-6 N", None)],
+)  # fmt: skip
+def test_what_a_unit_holds_of_kilogram_and_second(unit, holds):
+    assert weight.holds(unit) == holds
 
 
 def test_a_rule_that_does_not_apply_says_why():

@@ -259,6 +259,47 @@ class Sleepwalking(Faulty):
         return shifted(rollout, -0.05 * scene.times[:, None, None] * [0.0, 0.0, 1.0])
 
 
+class Light(Faulty):
+    """Knows only one areal density."""
+
+    def scene(self, scene):
+        return dataclasses.replace(scene, areal_density=0.12)
+
+
+class Earthly(Faulty):
+    """Takes all gravity to be as strong as the earth's."""
+
+    def scene(self, scene):
+        gravity = np.array(scene.gravity)
+        return dataclasses.replace(scene, gravity=tuple(9.81 * gravity / np.linalg.norm(gravity)))
+
+
+class EarthlyAtRest(Earthly, Static):
+    """The same, of which only rests are seen."""
+
+
+class Heavy(Faulty):
+    """Weighs twice what the scene says, which only a material tells."""
+
+    def scene(self, scene):
+        return dataclasses.replace(scene, areal_density=2 * scene.areal_density)
+
+    def of_material(self, material, scene):
+        return self.inner.of_material(material, scene)
+
+
+class Ghostly(Faulty):
+    """Goes through whatever stands in its way, and says that it does not."""
+
+    def scene(self, scene):
+        return dataclasses.replace(scene, obstacles=())
+
+
+class Permeable(Faulty):
+    def scene(self, scene):
+        return dataclasses.replace(scene, thickness=0.0)
+
+
 class Nothing(Faulty):
     """Has no parameters, and no scene that it can do."""
 
@@ -366,6 +407,12 @@ CASES = [
     (Uncut, "cuts along the outline", "a sheet cut to 60 %"),
     (Unclamped, "cuts along the outline", "clamped cloth 17"),
     (Rooted, "is carried along", "from where the table carries it"),
+    (Light, "heeds density and gravity", "a change of 0 mm by 1.5 times the areal density"),
+    (Earthly, "heeds density and gravity", "under 0.4 of the gravity of"),
+    (EarthlyAtRest, "heeds density and gravity", "a change of 0 mm by 1.5 times the gravity"),
+    (Heavy, "hangs as its material says", "a curtain that its weight lengthens by 3."),
+    (Ghostly, "keeps out of a plane", "deep in a plane"),
+    (Permeable, "keeps its layers apart", "an upper layer -31"),
     (Sleepwalking, "rests when held still", "a sheet that moves by"),
 ]
 IDS = [f"{make.__name__}-{rule}" for make, rule, _ in CASES]

@@ -25,7 +25,15 @@ from clothbench.plugins import hookspecs
 from clothbench.plugins.discovery import Catalogue, Plugin, catalogue
 from clothbench.studies.calibration.cell import set_up
 from clothbench.studies.improve.prepare import prepare
-from clothbench.testing import check_effect, check_metric, check_model, check_optimizer, check_tracker, scenes
+from clothbench.testing import (
+    ConformanceError,
+    check_effect,
+    check_metric,
+    check_model,
+    check_optimizer,
+    check_tracker,
+    scenes,
+)
 from clothbench.twins.of_preset import twin_of_preset
 
 PAGE = (ROOT / "docs" / "plugins.md").read_text()
@@ -70,6 +78,14 @@ CHECKS = {
 def test_a_first_plugin_keeps_every_rule(module_of, kind):
     heading, name, check = CHECKS[kind]
     check(getattr(module_of(heading), name))
+
+
+def test_the_first_model_may_not_claim_to_keep_out_of_obstacles(module_of):
+    class Boasting(module_of("A model").Plumb):
+        capabilities = frozenset({"static", "contact"})
+
+    with pytest.raises(ConformanceError, match="deep in a plane"):
+        check_model(Boasting, only=["keeps out of a plane"])
 
 
 def test_the_first_tracker_serves_run_and_improve(module_of, tmp_path):
