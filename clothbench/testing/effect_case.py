@@ -48,16 +48,26 @@ def first_that_takes_effects() -> list[Callable[..., Model]]:
     return []
 
 
-def waving_sheet() -> tuple[Sheet, np.ndarray, np.ndarray]:
-    """A sheet of 5 × 5 nodes, y = 0.02 sin(20 u + 10 v); positions m and velocities m/s (3, 25)."""
-    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0.0, 0.2, 5), np.linspace(0.0, 0.2, 5)))
+def waving_sheet(nodes: int = 5) -> tuple[Sheet, np.ndarray, np.ndarray]:
+    """A sheet of n × n nodes, y = 0.02 sin(20 u + 10 v); positions m and velocities m/s (3, n²), without order in
+    them.
+    """
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0.0, 0.2, nodes), np.linspace(0.0, 0.2, nodes)))
     position = np.stack([u, 0.02 * np.sin(20 * u + 10 * v), 1.0 - v])
-    velocity = 0.3 * np.random.default_rng(5).standard_normal((3, 25))
+    velocity = 0.3 * np.random.default_rng(5).standard_normal((3, nodes**2))
     slope = 0.02 * np.cos(20 * u + 10 * v)
-    normal = np.stack([-20 * slope, np.ones(25), 10 * slope])
-    area = np.full(25, 0.04 / 25)
+    normal = np.stack([-20 * slope, np.ones(nodes**2), 10 * slope])
+    share = np.ones(nodes)
+    share[[0, -1]] = 0.5
+    area = 0.04 / (nodes - 1) ** 2 * np.outer(share, share).ravel()
     sheet = sheet_of(
-        np.stack([u, v], axis=1), 0.12 * area, area, grid_triangles((5, 5)), (0.0, 0.0, -9.81), air_density=1.2
+        np.stack([u, v], axis=1), 0.12 * area, area, grid_triangles((nodes, nodes)), (0.0, 0.0, -9.81), air_density=1.2
     )
     sheet.normal[:] = normal / np.linalg.norm(normal, axis=0)
     return sheet, position, velocity
+
+
+def smooth_velocity(position: np.ndarray) -> np.ndarray:
+    """A velocity [m/s] (3, n) that differs from place to place, the same at every place (3, n) m whatever the mesh."""
+    x, _, z = position
+    return np.stack([0.1 + 0.5 * x, 0.4 + x + 0.5 * z, -0.2 + 0.3 * z])

@@ -27,10 +27,13 @@ from clothbench.modelling.bound_effects import PLACES
 from clothbench.modelling.curves import CURVE_HOOKS, SHEET_HOOKS, acts_on_curves, acts_on_sheets
 from clothbench.modelling.kernels import ready
 from clothbench.testing import curves, probe
-from clothbench.testing.effect_case import EffectCase, first_that_takes_effects, waving_sheet
+from clothbench.testing.effect_case import EffectCase, first_that_takes_effects, smooth_velocity, waving_sheet
 from clothbench.testing.model_case import ModelCase, finished, same_bits
 from clothbench.testing.rules import Outcome, choose, made, require, require_members, run_rules
 from clothbench.testing.scenes import CAMERA
+
+MESHES = (9, 17)  # nodes along either side; a force for every node, or every node of a border, doubles at least
+MESH_TELLS = 0.4  # of the larger sum; integrals over the cloth differ by a fiftieth
 
 
 def check_effect(
@@ -220,6 +223,38 @@ def keeps_to_its_own_memory(case: EffectCase) -> str | None:
     return None
 
 
+def means_the_same_on_every_mesh(case: EffectCase) -> str | None:
+    """All that a kernel adds, summed over a sheet, is what it adds on a finer mesh: its parameters are the cloth's.
+
+    What acts between parts of the cloth sums up to nothing, and says nothing here.
+    """
+    if case.effect.place != "dynamics" or not acts_on_sheets(case.effect):
+        return "has no kernel"
+    told = False
+    for stage in SHEET_HOOKS["dynamics"]:
+        for values in probe.acting_values(case.effect) if getattr(case.effect, stage, None) is not None else ():
+            (coarse, some), (fine, most) = (_summed(case.effect, stage, values, nodes) for nodes in MESHES)
+            size = max(np.linalg.norm(coarse), np.linalg.norm(fine))
+            if size <= 0.05 * max(some, most):
+                continue
+            told, away = True, float(np.linalg.norm(coarse - fine) / size)
+            found = f"{stage!r} that adds {np.linalg.norm(coarse):.3g} on {MESHES[0]} × {MESHES[0]} nodes and "
+            found += f"{np.linalg.norm(fine):.3g} on {MESHES[1]} × {MESHES[1]} at {values.tolist()}"
+            require(away <= MESH_TELLS, found, "the same, as of an area, a length or a mass of the cloth")
+    return None if told else "adds nothing, summed over a sheet that nothing holds"
+
+
+def _summed(effect: Any, stage: str, values: np.ndarray, nodes: int) -> tuple[np.ndarray, float]:
+    """The sum over all nodes after three steps (3,) N or (6,) kg, and that of the sizes of all its terms."""
+    sheet, x, _ = waving_sheet(nodes)
+    added, v = np.zeros((3 if stage == "force" else 6, x.shape[1])), smooth_velocity(x)
+    state = np.zeros(effect.state_size(sheet) + 7 if isinstance(effect, Remembers) else 7)
+    for step in range(3):
+        added[:] = 0.0
+        getattr(effect, stage)(0.3 + 1e-3 * step, 1e-3, x, v, added, sheet, values, state)
+    return added.sum(axis=1), float(np.abs(added).sum())
+
+
 def leaves_positions_it_is_given_alone(case: EffectCase) -> str | None:
     effect, phi = case.effect, next(probe.acting_values(case.effect))
     if acts_on_curves(effect):
@@ -256,5 +291,6 @@ RULES = (
     lets_hang_what_hangs,
     goes_along_with_another_effect,
     keeps_to_its_own_memory,
+    means_the_same_on_every_mesh,
     leaves_positions_it_is_given_alone,
 )
