@@ -1,7 +1,7 @@
 """What a plugin may offer beyond what it must (`clothbench.core.protocols`): each optional part is a small protocol.
 
 A part is there or it is not; what that means where it is not is said here too, in a function, so that nobody who asks
-needs a default of his own. The conformance kit (`clothbench.testing`) checks every part that a plugin offers.
+needs a default of his own. The conformance kit (`clothbench.testing`) looks at the parts that a plugin offers.
 
 Options are no parts: they reach a plugin through its constructor. Those that the frame knows of, and sets where a
 factory takes them (`takes_option`), are:

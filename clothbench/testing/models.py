@@ -3,18 +3,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.folding import FoldState
 from clothbench.core.optional import (
     EFFECT_FAMILIES,
     MODEL_KINDS,
+    DocumentsUnits,
     FoldsStrips,
     KnowsMaterials,
     KnowsTextiles,
     Refinable,
+    SaysMaterials,
     absent,
     bench_options_of,
     equal_error_options_of,
@@ -29,7 +34,7 @@ from clothbench.core.optional import (
     work_of,
 )
 from clothbench.core.parameters import ParameterSpace
-from clothbench.core.protocols import Effect, Material, Model
+from clothbench.core.protocols import Effect, Material, Model, Stated
 from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
 from clothbench.modelling.curves import answers_curves, answers_sheets
@@ -55,6 +60,7 @@ CAPABILITIES = frozenset(
 )
 WORK = {"operations", "roots", "numbers"}
 CLOTH = Material(bending=1e-6, stretch=100.0, shear=50.0)
+SAME_MATERIAL = 0.1  # of a quantity of `CLOTH`, there and back
 STEPS_TO_TRY = 1e-3 * 2.0 ** np.arange(9)  # s, from fine to hopeless
 
 
@@ -136,6 +142,9 @@ def keeps_what_it_offers(case: ModelCase) -> None:
         require(sound, f"textile {textile!r} with {dict(told)}", "bounds (low, high) or finite values")
     if "fold" in model.capabilities:
         require(isinstance(model, FoldsStrips), "capability 'fold' and no strip(length)", "one")
+        _require_strip(model)
+    if isinstance(model, DocumentsUnits):
+        _require_documented(model)
 
 
 def _can_be_made(make: Callable[..., Model], options: Mapping[str, object]) -> bool:
@@ -146,16 +155,66 @@ def _can_be_made(make: Callable[..., Model], options: Mapping[str, object]) -> b
     return True
 
 
-def _require_material(model: Model, name: str, scene: Scene) -> None:
-    if not isinstance(model, KnowsMaterials):
+def _require_material(model: Any, name: str, scene: Scene) -> None:
+    if isinstance(model, SaysMaterials):
+        defaults = model.parameters.defaults  # type: ignore[attr-defined]
+        _material_of(model, defaults, scene, f"the defaults in scene {name}")
+    for bending in (CLOTH.bending, 0.0) if isinstance(model, KnowsMaterials) else ():
+        cloth = dataclasses.replace(CLOTH, bending=bending)
+        try:
+            theta = np.asarray(model.of_material(cloth, scene), dtype=float)
+        except ClothbenchError:  # it says what it has no parameter for
+            continue
+        fine = theta.shape == (len(model.parameters),) and bool(np.isfinite(theta).all())
+        found = f"of_material in scene {name} → {theta.tolist()}"
+        require(fine, found, f"{len(model.parameters)} finite numbers")
+        if isinstance(model, SaysMaterials):
+            back = _material_of(model, theta, scene, f"of_material in scene {name}")
+            same = np.isclose(back.bending, bending, rtol=SAME_MATERIAL)
+            same &= np.isclose(back.stretch, cloth.stretch, rtol=SAME_MATERIAL) or np.isinf(back.stretch)
+            require(
+                same, f"{back} of the parameters of {cloth}", "its bending and stretch, or one that does not stretch"
+            )
         return
-    try:
-        theta = np.asarray(model.of_material(CLOTH, scene), dtype=float)
-    except ClothbenchError:  # it says what it has no parameter for
-        return
-    fine = theta.shape == (len(model.parameters),) and bool(np.isfinite(theta).all())
-    found = f"of_material in scene {name} → {theta.tolist()}"
-    require(fine, found, f"{len(model.parameters)} finite numbers")
+
+
+def _material_of(model: SaysMaterials, theta: np.ndarray, scene: Scene, what: str) -> Material:
+    """A material whose numbers are numbers; its stiffnesses may be infinite."""
+    material = model.material_of(theta, scene)
+    fine = isinstance(material, Material) and all(value >= 0 for value in dataclasses.astuple(material))
+    require(fine, f"material_of({what}) → {material!r}", "a clothbench Material, nothing in it below 0 or NaN")
+    return material
+
+
+def _require_documented(model: Any) -> None:
+    stated = model.documented
+    whole = isinstance(stated, Sequence) and all(isinstance(one, Stated) for one in stated)
+    require(whole, f"documented {stated!r}", "a sequence of clothbench Stated")
+    quantities = {field.name for field in dataclasses.fields(Material)}
+    for one in stated:
+        require(one.quantity in quantities, f"documented quantity {one.quantity!r}", f"one of {sorted(quantities)}")
+        worth = one.worth(model.parameters.defaults)
+        require(not np.isnan(float(worth)), f"documented {one.quantity} worth {worth!r}", "a number")
+
+
+def _require_strip(model: Any) -> None:
+    """It can be lifted, and held near where it was then; how it may end is for the study to say."""
+    theta, height = model.parameters.defaults[None], 0.05
+    strip = model.strip(0.6)
+    lifted = strip.lift(height, theta)
+    _require_held(lifted, "lift")
+    if lifted.status == ("ok",):
+        require(abs(lifted.pose[0, 1] - height) < 1e-6, f"lift to {lifted.pose[0, 1]:.6g} m", f"{height} m")
+        pose = lifted.pose + np.array([0.0, 1e-3, 0.0])
+        held = strip.hold(pose, theta, lifted)
+        _require_held(held, "hold")
+        away = np.abs(held.pose - pose).max() if held.status == ("ok",) else 0.0
+        require(away < 1e-6, f"hold at {held.pose[0].tolist()}", f"the pose {pose[0].tolist()} that it was told")
+
+
+def _require_held(state: object, what: str) -> None:
+    whole = isinstance(state, FoldState) and state.pose.shape == (1, 3) and state.profile.shape[::2] == (1, 2)
+    require(whole and len(state.status) == 1, f"{what} → {type(state).__name__}", "a FoldState of one member")  # type: ignore[attr-defined]
 
 
 def gives_whole_rollouts(case: ModelCase) -> None:

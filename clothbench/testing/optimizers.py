@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from clothbench.core.optional import HasStart, Renewable, takes_option
+from clothbench.core.optional import HasStart, HasTemperature, Renewable, takes_option
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Optimizer
 from clothbench.testing.rules import Outcome, choose, require, require_members, run_rules
@@ -104,6 +104,10 @@ def keeps_what_it_offers(case: OptimizerCase) -> None:
     space = problem.space
     optimizer = case.make(space, seed=0, budget=BUDGET)
     played(optimizer, problem, BUDGET)
+    if isinstance(optimizer, HasTemperature):
+        hot = optimizer.temperature_now
+        fine = isinstance(hot, int | float | np.number) and not isinstance(hot, bool) and not hot < 0
+        require(fine, f"temperature_now {hot!r}", "a number, 0 or above, or NaN before it cools")
     if isinstance(optimizer, HasStart) and optimizer.start is not None:
         require_in_bounds(np.atleast_2d(optimizer.start), space)
     if takes_option(case.make, "start"):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from types import MappingProxyType
+from types import MappingProxyType, SimpleNamespace
 from typing import ClassVar
 
 import numpy as np
@@ -349,6 +349,36 @@ class Vague(Faulty):
         return np.array([material.bending])
 
 
+class Woolly(Faulty):
+    def material_of(self, theta, scene):
+        return "cotton"
+
+
+class Forgetting(Faulty):
+    """Says of the parameters of a material that they are another one's."""
+
+    def of_material(self, material, scene):
+        return self.inner.of_material(material, scene)
+
+    def material_of(self, theta, scene):
+        return dataclasses.replace(self.inner.material_of(theta, scene), stretch=7.0)
+
+
+class Undocumented(Faulty):
+    documented = 17
+
+
+class Limp(Faulty):
+    """Its strip can be lifted, but what comes of that is no state."""
+
+    def __init__(self, step_scale=1.0, dt=None):
+        super().__init__(step_scale, dt)
+        self.capabilities = self.capabilities | {"fold"}
+
+    def strip(self, length):
+        return SimpleNamespace(lift=lambda height, theta: None, hold=None)
+
+
 class Loose(Faulty):
     threads = "many"
 
@@ -378,6 +408,10 @@ CASES = [
     (Idle, "keeps what it offers", "work_per_node_step"),
     (Moody, "keeps what it offers", "→ True"),
     (Vague, "keeps what it offers", "of_material in scene"),
+    (Woolly, "keeps what it offers", "→ 'cotton'"),
+    (Forgetting, "keeps what it offers", "stretch=7.0"),
+    (Undocumented, "keeps what it offers", "documented 17"),
+    (Limp, "keeps what it offers", "lift → NoneType"),
     (Loose, "keeps what it offers", "threads 'many'"),
     (Renamed, "keeps what it offers", "other parameters of refined(2)"),
     (Foldless, "keeps what it offers", "no strip(length)"),

@@ -509,6 +509,10 @@ class Lost(HonestOptimizer):
         return self.space.high + 1.0
 
 
+class Feverish(HonestOptimizer):
+    temperature_now = "hot"
+
+
 class Headstrong(HonestOptimizer):
     def __init__(self, space, *, seed, budget, start=None):
         super().__init__(space, seed=seed, budget=budget)
@@ -521,6 +525,7 @@ class Finished(HonestOptimizer):
 
 OPTIMIZERS = [
     (Lost, "keeps what it offers", "within its bounds"),
+    (Feverish, "keeps what it offers", "temperature_now 'hot'"),
     (Headstrong, "keeps what it offers", "the defaults first"),
     (Finished, "keeps what it offers", "done = True after renew()"),
     (Dependent, "keeps what it offers", "TypeError"),
