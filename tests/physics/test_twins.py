@@ -17,7 +17,7 @@ from clothbench_models.baraff_witkin import BaraffWitkin
 from conftest import ROOT
 from twins_at_work import apart, in_mujoco, in_newton, off
 
-from clothbench import Material, Obstacle, Recording, Scene, Twin, read_recording, scene_of
+from clothbench import ClothbenchError, Material, Obstacle, Recording, Scene, Twin, read_recording, scene_of
 from clothbench.estimation.prior import hanging
 from clothbench.twins.of_cell import FittedCell, twin_of_cell
 
@@ -252,6 +252,14 @@ def test_a_cut_sheet_leaves_whole_with_what_clamps_it(tmp_path):
     x = data.flexvert_xpos
     assert np.abs(x[np.linalg.norm(x[:, :2], axis=1) < 0.05, 2]).max() < 2e-3
     assert x[:, 2].min() < -0.01
+
+
+def test_the_script_of_newton_refuses_a_cut_sheet_and_says_who_takes_it(held):
+    pytest.importorskip("newton")
+    scene = held[0].scene
+    outline = np.array([[0.0, 0.0], [scene.width, 0.0], [scene.width, 0.2], [0.0, 0.2]])  # of 0.3 m; with both grips
+    with pytest.raises(ClothbenchError, match=r"^newton: .* cut along an outline; export it --to mujoco or usd"):
+        newton_script.export(dataclasses.replace(held[0], scene=dataclasses.replace(scene, outline=outline)))
 
 
 def test_what_is_around_the_cloth_is_written_or_a_line(held):

@@ -12,8 +12,9 @@ import json
 
 import numpy as np
 
-from clothbench import Export, Twin, catalogue
-from clothbench_exporters.mesh import grip_nodes, margin, sheet_of_twin
+from clothbench import ClothbenchError, Export, Twin, catalogue
+from clothbench.modelling import grid_shape
+from clothbench_exporters.mesh import NODES, grip_nodes, sheet_of_twin
 
 suffix = ".py"
 SETTLE = 2.0  # s
@@ -127,17 +128,24 @@ def skip_reason() -> str | None:
 
 
 def export(twin: Twin) -> Export:
-    """The script, and what an isotropic membrane has no parameter for."""
+    """The script, and what an isotropic membrane has no parameter for; a sheet that is cut along an outline is a
+    ClothbenchError, for the model `newton` knows the longest stable step of whole ones only.
+    """
+    if twin.scene.outline is not None:
+        raise ClothbenchError(
+            "newton: the script is made for whole rectangles, and this cloth is cut along an outline; export it --to "
+            "mujoco or usd, which hold the cut"
+        )
     material, lines = twin.isotropic("Newton")
     if material.stretch_damping > 0:
         lines.append(
             f"stretch damping: Newton's tri_kd brakes turns as well; {material.stretch_damping:.3g} N·s/m is left out"
         )
         material = dataclasses.replace(material, stretch_damping=0.0)
-    lines += twin.unheld("Newton", ("outline",)) + margin(twin)
+    lines += twin.unheld("Newton")
     twin = dataclasses.replace(twin, scene=dataclasses.replace(twin.scene, obstacles=(), thickness=0.0))
     sheet, start = sheet_of_twin(twin)
-    model = catalogue().make("models", "newton", resolution=_shape(sheet))
+    model = catalogue().make("models", "newton", resolution=grid_shape(twin.scene, NODES))
     theta = model.of_material(material, twin.scene)
     step = model.prepare(twin.scene).engine(theta).dt
     flat = np.hstack([sheet.uv, np.zeros((len(sheet.uv), 1))])
@@ -149,9 +157,3 @@ def export(twin: Twin) -> Export:
     }  # fmt: skip
     head = "\n".join(line.replace("\\", "/").replace('"""', "'''") for line in (*twin.about(), *lines))
     return Export(TEMPLATE.replace("@HEAD@", head).replace("@DATA@", json.dumps(data)), tuple(lines), material)
-
-
-def _shape(sheet) -> tuple[int, int]:
-    """Nodes along (u, v)."""
-    u, v = (len(np.unique(np.round(sheet.uv[:, k], 9))) for k in range(2))
-    return u, v
