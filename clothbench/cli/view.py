@@ -7,6 +7,7 @@ import os
 import shlex
 import signal
 import socket
+import string
 import subprocess
 import sys
 import tempfile
@@ -15,6 +16,7 @@ from typing import Any
 
 from clothbench.cli.arguments import DEFAULT_OUT
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import entries
 
 HERE = "127.0.0.1"
 
@@ -138,7 +140,7 @@ def find_cell(out: Path, name: str) -> Path:
     """
     if not name.strip():
         raise ClothbenchError("found an empty name of a cell, expected a case, a recording or the beginning of a key")
-    cells = sorted(p for p in (out / "cells").glob("[0-9a-f]*") if p.is_dir())
+    cells = [p for p in entries(out / "cells") if p.name[0] in string.hexdigits.lower() and p.is_dir()]
     if not cells:
         there = "" if str(out) == DEFAULT_OUT else f" out={out}"
         raise ClothbenchError(f"{out}: found no cells; make some with: clothbench run +suite=static_dynamic{there}")

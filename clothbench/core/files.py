@@ -69,6 +69,41 @@ def in_order(paths: Iterable[Path]) -> list[Path]:
     return sorted(files, key=keys.__getitem__)
 
 
+def entries(folder: Path) -> list[Path]:
+    """What lies in a folder, by name, without what is hidden; nothing where there is no folder.
+
+    One that may not be looked into is an OSError, where Path.glob finds nothing.
+    """
+    try:
+        return [folder / name for name in sorted(os.listdir(folder)) if not name.startswith(".")]
+    except FileNotFoundError:
+        return []
+
+
+def files_below(folder: Path, hidden: bool = False) -> list[Path]:
+    """The files in a folder and in those below it, sorted; each folder once, also where links lead to it, and under the
+    name at which it lies where it lies in `folder`. hidden: also what begins with a point.
+
+    A folder that may not be looked into is an OSError, where Path.rglob passes over it; one that went meanwhile is not.
+    """
+
+    def told(fault: OSError) -> None:
+        if not isinstance(fault, FileNotFoundError):
+            raise fault
+
+    out, known, left = [], set(), [str(folder)]
+    while left:
+        for place, folders, files in os.walk(left.pop(0), onerror=told):  # which goes along no link
+            if (real := os.path.realpath(place)) in known:
+                folders.clear()
+                continue
+            known.add(real)
+            folders[:] = sorted(name for name in folders if hidden or not name.startswith("."))
+            left += [path for path in (os.path.join(place, name) for name in folders) if os.path.islink(path)]
+            out += [Path(place, name) for name in files if hidden or not name.startswith(".")]
+    return sorted(out)
+
+
 def sha256(path: Path) -> str:
     """SHA-256 of a file's bytes, in hexadecimal."""
     with path.open("rb") as stream:

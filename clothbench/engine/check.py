@@ -10,7 +10,7 @@ from pathlib import Path
 import pyarrow as pa
 
 from clothbench.core.errors import ClothbenchError, one_line
-from clothbench.core.files import half_written, read_arrays, read_json
+from clothbench.core.files import entries, files_below, half_written, read_arrays, read_json
 from clothbench.engine.index import INDEX
 from clothbench.engine.leases import LEASES, live
 from clothbench.engine.run import TRACKED
@@ -38,15 +38,20 @@ def fault(path: Path, found: str, expected: str, advice: str) -> Finding:
 
 def check(store: Store, plugins: Catalogue, told: Callable[[int, int, str], None] = lambda *_: None) -> list[Finding]:
     """Read every file of a store. `told(done, planned, name)` after each cell."""
-    entries = sorted((store.folder / "cells").glob("[!.]*"))
+    cells = entries(store.folder / "cells")
     known, out = studies(plugins), []
-    for done, entry in enumerate(entries):
-        out += check_cell(entry, known)
-        told(done + 1, len(entries), entry.name)
-    out += [found for path in sorted((store.folder / TRACKED).glob("*.nc")) if (found := unreadable(path))]
+    for done, folder in enumerate(cells):
+        out += check_cell(folder, known)
+        told(done + 1, len(cells), folder.name)
+    out += [found for path in tracked_in(store) if (found := unreadable(path))]
     out += disagreeing(store)
     out += [Finding(path, f"{path}: {what}", harmless=True) for path, what in remains(store)]
     return out
+
+
+def tracked_in(store: Store) -> list[Path]:
+    """What trackers made of images."""
+    return [path for path in entries(store.folder / TRACKED) if path.suffix == ".nc"]
 
 
 def check_cell(folder: Path, known: Mapping[str, Study]) -> list[Finding]:
@@ -54,7 +59,12 @@ def check_cell(folder: Path, known: Mapping[str, Study]) -> list[Finding]:
     if not folder.is_dir() or not KEY.fullmatch(folder.name):
         return [fault(folder, "a stray", "folders of cells named by their keys alone", "move it away")]
     rows, tables, out = folder / "rows.parquet", {}, []
-    for path in sorted(path for path in folder.rglob("*") if path.is_file()):
+    try:
+        files = [path for path in files_below(folder, hidden=True) if path.is_file()]
+    except OSError as why:
+        closed = f"a folder that cannot be looked into ({why.strerror})"
+        return [fault(Path(why.filename or folder), closed, "one that can", "let its owner give you the right to")]
+    for path in files:
         if path.suffix != ".parquet":
             out += [found] if (found := unreadable(path)) else []
             continue

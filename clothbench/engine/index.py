@@ -13,7 +13,6 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
-import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -24,6 +23,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from clothbench.core.files import whole_file
+from clothbench.engine.tables import looked_up
 
 INDEX = "index"  # folder of a store
 VERSION = 1
@@ -36,9 +36,7 @@ Stamp = tuple[int, int, int]  # when written [ns], bytes, number on its disk
 
 def stamp(path: str) -> Stamp | None:
     """What changes whenever a file is another one; None where there is none."""
-    try:
-        found = os.stat(path)
-    except (FileNotFoundError, NotADirectoryError):
+    if (found := looked_up(path)) is None:
         return None
     return found.st_mtime_ns, found.st_size, found.st_ino
 

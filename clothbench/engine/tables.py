@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import os
 import re
+import stat
 from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -72,12 +73,29 @@ def read_table(path: Path, columns: Columns | None = None, needed: Collection[st
 
 def read_if_there(path: str, columns: Columns | None = None, needed: Collection[str] = ()) -> pa.Table | None:
     """One Parquet file; None if there is none, or none any more."""
-    if not os.path.isfile(path):
+    if not _is_file(path):
         return None
     try:
         return read_table(Path(path), columns, needed)
     except ClothbenchError:  # another process may just have put a new attempt in place of this error
-        return read_table(Path(path), columns, needed) if os.path.isfile(path) else None
+        return read_table(Path(path), columns, needed) if _is_file(path) else None
+
+
+def _is_file(path: str) -> bool:
+    return (found := looked_up(path)) is not None and stat.S_ISREG(found.st_mode)
+
+
+def looked_up(path: str) -> os.stat_result | None:
+    """What the system says of a file; None where there is none. A folder on the way that may not be looked into is a
+    ClothbenchError: what is in it may be a cell that somebody has finished.
+    """
+    try:
+        return os.stat(path)
+    except (FileNotFoundError, NotADirectoryError):
+        return None
+    except OSError as fault:
+        said = f"cannot be looked up ({fault.strerror}); give a folder whose cells you may read"
+        raise ClothbenchError(f"{path}: {said}") from fault
 
 
 def as_declared(table: pa.Table, columns: Columns, needed: Collection[str], where: str) -> pa.Table:

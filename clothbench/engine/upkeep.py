@@ -11,10 +11,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from clothbench.core.errors import ClothbenchError
-from clothbench.core.files import placing, remove_folder, whole_file
+from clothbench.core.files import entries, placing, remove_folder, whole_file
 from clothbench.core.packed import files_in
 from clothbench.engine.cells import VERSION, installed_version
-from clothbench.engine.check import Finding, check_cell, fault, remains, unreadable
+from clothbench.engine.check import Finding, check_cell, fault, remains, tracked_in, unreadable
 from clothbench.engine.leases import LEASES, live
 from clothbench.engine.run import TRACKED
 from clothbench.engine.store import JOURNAL, KEY, ROWS, SEEDLESS, Store, finished, outcome, recorded
@@ -46,12 +46,12 @@ def merge(source: Store, into: Store, plugins: Catalogue) -> Merged:
     """
     into.require_create_only()
     known, out = studies(plugins), Merged()
-    for folder in sorted(p for p in (source.folder / "cells").glob("[!.]*")):
+    for folder in entries(source.folder / "cells"):
         if found := check_cell(folder, known):
             out.findings += found
         else:
             _merge_cell(folder, into, out)
-    for path in sorted((source.folder / TRACKED).glob("*.nc")):
+    for path in tracked_in(source):
         out.findings += _merge_tracked(path, into.folder / TRACKED / path.name)
     for path in source.disagreements([*out.taken, *out.same]):
         try:

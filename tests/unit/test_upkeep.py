@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
 
+from clothbench import ClothbenchError
 from clothbench.cli import main
 from clothbench.core.files import half_written
 from clothbench.engine import upkeep
@@ -214,6 +217,57 @@ def test_prune_knows_cells_of_other_versions(filled, capsys):
     assert main(["store", "prune", str(filled), "--other-versions"]) == 0
     assert capsys.readouterr().out.startswith(f"removed: {filled / 'cells' / '0b'}: metrics/node_error x 1, 0; inst")
     assert sorted(p.name for p in (filled / "cells").iterdir()) == [*KEYS, "0a"]
+
+
+@pytest.fixture
+def locked(filled, monkeypatch):
+    """A cell whose folder may not be looked into; the tests may run as root, who may look into all."""
+    folder = filled / "cells" / KEYS[1]
+
+    def refuse(where):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(where))
+
+    def closed(real, itself):
+        def call(path=".", *how, **more):
+            at = Path(os.fspath(path)) if isinstance(path, str | os.PathLike) else Path()
+            return refuse(path) if folder in at.parents or (itself and at == folder) else real(path, *how, **more)
+
+        return call
+
+    monkeypatch.setattr(os, "stat", closed(os.stat, itself=False))
+    monkeypatch.setattr(os, "scandir", closed(os.scandir, itself=True))
+    return folder
+
+
+def test_a_cell_that_may_not_be_looked_into_is_not_taken_for_none(locked, filled, tmp_path, capsys):
+    assert main(["leaderboard", "--json", "--out", str(filled)]) == 2
+    said = capsys.readouterr()
+    assert not said.out
+    told = f"{locked}/rows.parquet: cannot be looked up (Permission denied)"
+    assert said.err == f"clothbench: {told}; give a folder whose cells you may read\n"
+    with pytest.raises(ClothbenchError, match="cannot be looked up"):
+        Store(filled).has(KEYS[1])
+
+
+def test_check_and_merge_tell_a_cell_that_may_not_be_looked_into(locked, filled, tmp_path, capsys):
+    assert [line.split("; ")[0] for line in faults(filled)] == [
+        f"{locked}: found a folder that cannot be looked into (Permission denied), expected one that can"
+    ]
+    assert main(["store", "merge", str(filled), str(tmp_path / "b")]) == 1
+    assert "3 cells taken, 0 there already, 0 errors left out, 1 faults" in capsys.readouterr().out
+
+
+def test_cells_that_may_not_be_listed_are_not_taken_for_none(filled, tmp_path, monkeypatch, capsys):
+    def listed(path, real=os.listdir):
+        if Path(path) == filled / "cells":
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return real(path)
+
+    monkeypatch.setattr(os, "listdir", listed)
+    for words in (["store", "check"], ["store", "merge"], ["view", KEYS[0], "--out"]):
+        more = [str(tmp_path / "b")] if words[-1] == "merge" else []
+        assert main([*words, str(filled), *more]) == 2
+        assert capsys.readouterr().err == f"clothbench: {filled}/cells: Permission denied\n"
 
 
 @pytest.mark.parametrize(
