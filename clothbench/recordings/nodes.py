@@ -33,6 +33,7 @@ import numpy as np
 
 from clothbench.core.camera import Camera, Video
 from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import files_below
 from clothbench.core.observation import confidence_fault
 from clothbench.core.scene import Obstacle
 from clothbench.recordings.codec import freeze, hash_of, read, write
@@ -205,10 +206,8 @@ def find_recordings(paths: Iterable[str | os.PathLike[str]]) -> list[Path]:
     found: list[Path] = []
     for path in map(Path, paths):
         if os.path.isdir(path):  # which does not stumble over a name that is too long
-            # Hidden folders are what a killed import left behind.
-            inside = sorted(
-                p for p in path.rglob("*.nc") if not any(x.startswith(".") for x in p.relative_to(path).parts)
-            )
+            # Hidden folders, which are left out, are what a killed import left behind.
+            inside = [file for file in files_below(path) if file.suffix.lower() == ".nc"]
             if not inside:
                 raise ClothbenchError(f"{path}: found no recordings, expected files ending in .nc in this folder")
             found += inside

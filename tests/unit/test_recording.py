@@ -14,6 +14,7 @@ from conftest import swinging_recording
 
 from clothbench import Camera, ClothbenchError, Obstacle, Video, read_recording, scene_of, write_recording
 from clothbench.cli.commands import main
+from clothbench.recordings.nodes import find_recordings
 from clothbench.recordings.tracked import seen_in
 
 
@@ -215,6 +216,33 @@ def test_a_file_that_may_not_be_read_is_a_fault_of_its_own_only(recording, tmp_p
     said = capsys.readouterr().out.splitlines()
     assert [line.endswith(": ok") for line in said] == [True, False, True]
     assert said[1].endswith("locked.nc: cannot be read (Permission denied); give a file of yours")
+
+
+def test_recordings_are_found_whatever_their_endings_case_and_where_links_lead(recording, tmp_path):
+    kept, folder = tmp_path / "kept", tmp_path / "all"
+    for path in (kept / "away.nc", folder / "b" / "b.NC", folder / "a.nc", folder / ".half" / "hidden.nc"):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_recording(recording, path)
+    (folder / "again").symlink_to(folder / "b")  # what lies in the folder itself is found there, and once
+    (folder / "b" / "loop").symlink_to(folder)
+    (folder / "linked").symlink_to(kept)
+    found = find_recordings([folder])
+    assert [path.relative_to(folder).as_posix() for path in found] == ["a.nc", "b/b.NC", "linked/away.nc"]
+    assert main(["validate", str(folder)]) == 0
+
+
+def test_a_folder_of_recordings_that_may_not_be_looked_into_is_told(recording, tmp_path, monkeypatch, capsys):
+    write_recording(recording, tmp_path / "a.nc")
+    (tmp_path / "locked").mkdir()
+
+    def scan(path, real=os.scandir):
+        if Path(path) == tmp_path / "locked":
+            raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+        return real(path)
+
+    monkeypatch.setattr(os, "scandir", scan)
+    assert main(["validate", str(tmp_path)]) == 2
+    assert capsys.readouterr().err == f"clothbench: {tmp_path / 'locked'}: Permission denied\n"
 
 
 @pytest.mark.data
