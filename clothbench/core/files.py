@@ -16,7 +16,7 @@ import zipfile
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from decimal import Decimal
-from itertools import chain, count
+from itertools import chain, count, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO
 
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 # Names of what is not in its place yet, or has left it; the eight letters are tempfile's.
 _HALF_FILE = re.compile(r"\..+\.[a-z0-9_]{8}\.part")
 _HALF_FOLDER = re.compile(r"\.(new|old|[0-9a-f]+)\.[a-z0-9_]{8}")
+CLEARLY = 3  # times as even as in the other reading, numbers in names are meant so
 FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 _ODD = re.compile(r"\\u[dD]|[eE]\+?\d{3}")  # in JSON: what may be half a letter, or a number beyond all numbers
 
@@ -56,17 +57,50 @@ def in_order(paths: Iterable[Path]) -> list[Path]:
     """Files by their names, numbers in them as numbers: frame 2 before frame 10, 0.175 s before 0.2 s.
 
     What follows a point is a fraction, unless two names would then mean the same number (frames 1 and 10 of take 1, as
-    1.1 and 1.10).
+    1.1 and 1.10), or all share what is before it and it counts (98 to 103 of take 2, as 2.98 to 2.103). Names that may
+    mean both, in different orders, are a ClothbenchError that names two of them.
     """
     files = sorted(paths)
-    for number in (r"(\d+(?:\.\d+)?)", r"(\d+)"):
-        keys = {
-            path: [Decimal(part) if k % 2 else part for k, part in enumerate(re.split(number, path.name))]
-            for path in files
-        }
-        if len({tuple(key) for key in keys.values()}) == len(files):
-            break
-    return sorted(files, key=keys.__getitem__)
+    fractions, numbers = (
+        {p: tuple(Decimal(part) if k % 2 else part for k, part in enumerate(re.split(number, p.name))) for p in files}
+        for number in (r"(\d+(?:\.\d+)?)", r"(\d+)")
+    )
+    counted, timed = sorted(files, key=numbers.__getitem__), sorted(files, key=fractions.__getitem__)
+    if counted == timed or len(set(fractions.values())) < len(files):
+        return counted
+    found = [list(re.finditer(r"(?<=\d\.)\d+", path.name)) for path in files]
+    if not all(found) or len({p.name[: each[-1].start()] for p, each in zip(files, found, strict=True)}) > 1:
+        return timed
+    counts = _counts([each[-1][0] for each in found])
+    if counts is None:
+        one, other = next(pair for pair in zip(timed, counted, strict=True) if pair[0] != pair[1])
+        raise ClothbenchError(
+            f"{one}: found it beside {other.name}, and what follows the point may be a fraction or count the files; "
+            "expected names that say which comes first; write the same number of digits after the point in all of them"
+        )
+    return counted if counts else timed
+
+
+def _counts(digits: Sequence[str]) -> bool | None:
+    """Whether digits that follow one number and a point count the files; None where they may be fractions as well.
+
+    Counting leaves no gap, or writes zeros at the end that no fraction needs. Fractions begin with zeros, or follow
+    each other at even steps, as counted they do not.
+    """
+    numbers, fractions = (sorted(Decimal(f"{lead}{each}") for each in digits) for lead in ("", "0."))
+    if len(set(numbers)) < len(numbers):  # 1 and 01
+        return False
+    if numbers[-1] - numbers[0] == len(numbers) - 1:
+        return True
+    counted = any(len(each) > 1 and each[-1] == "0" for each in digits)
+    timed = any(len(each) > 1 and each[0] == "0" for each in digits) or _uneven(numbers) > CLEARLY * _uneven(fractions)
+    return None if counted == timed else counted
+
+
+def _uneven(ascending: Sequence[Decimal]) -> float:
+    """The longest step over the shortest."""
+    steps = [float(after - before) for before, after in pairwise(ascending)]
+    return max(steps) / min(steps)
 
 
 def entries(folder: Path) -> list[Path]:

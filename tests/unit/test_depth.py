@@ -5,11 +5,13 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from clothbench import Camera, ClothbenchError, DepthImages, read_depth, write_depth
+from clothbench.core.files import in_order
 from clothbench.core.observation import GripPath
 from clothbench.datasets.depth_folder import read_folder
 from clothbench.recordings.depth import Colour
@@ -267,7 +269,14 @@ STAMPS = ["1305031102.15", "1305031102.175304", "1305031102.2", "1305031102.26",
 TAKE = ["take1.1", "take1.2", "take1.9", "take1.10", "take1.11", "take1.20"]
 
 
-@pytest.mark.parametrize("names", [STAMPS, TAKE])
+COUNTED = [f"swing2.{number}" for number in range(98, 104)]
+EVERY_FIFTH = [f"swing2.{number}" for number in range(90, 120, 5)]
+SECONDS = ["0.1", "0.15", "0.2", "0.25", "0.3", "0.35"]
+EARLY = ["0.0", "0.05", "0.1", "0.2", "0.35", "0.4"]
+ONE_SECOND = ["1305031102.15", "1305031102.175304", "1305031102.2", "1305031102.23", "1305031102.26", "1305031102.3"]
+
+
+@pytest.mark.parametrize("names", [STAMPS, TAKE, COUNTED, EVERY_FIFTH, SECONDS, EARLY, ONE_SECOND])
 def test_or_of_their_times(tmp_path, names):
     """What a program writes of a time has as many digits as it takes."""
     folder = folder_of(tmp_path)
@@ -275,6 +284,17 @@ def test_or_of_their_times(tmp_path, names):
         for k, name in enumerate(names):
             (folder / part / f"{k:03d}.png").rename(folder / part / f"{name}.png")
     assert np.array_equal(read_folder(folder).depth, images().depth)
+
+
+def test_names_that_may_count_or_tell_times_are_refused():
+    names = [Path(f"take/swing2.{number}.png") for number in (8, 9, 12, 13, 16)]
+    with pytest.raises(ClothbenchError, match=r"^take/swing2\.12\.png: found it beside swing2\.8\.png, .* same number"):
+        in_order(names)
+
+
+def test_a_zero_after_the_point_is_one_of_a_fraction():
+    names = [Path(f"take/0.{digits}.png") for digits in ("01", "1", "3")]
+    assert in_order(reversed(names)) == names
 
 
 def test_frames_that_stand_there_twice_are_refused(tmp_path):
