@@ -19,6 +19,7 @@ SIDES = 0.005, 20.0  # m: between a swatch and a sail
 SLOWEST, STAMPS = 2.0, 5  # s between frames, of so many and more: what moves so slowly is at rest
 STRONGEST = 50.0  # m/s², of gravity: five times the earth's
 APART, SHRUNK = 50.0, 0.01  # of its own size, as which a cloth may at most and must at least be seen in space
+STRAYED = 10.0  # of its size, as which a node may be from the middle of the others; in recordings it is up to 0.5
 TREMBLING = 0.25  # of the cloth's longer side, up to which positions may be wrong
 FARTHEST = 1e6  # m from the origin that cloth and grips may be; sums and squares of what is farther may overflow
 
@@ -106,7 +107,9 @@ def check_pace(time: np.ndarray, where: str) -> None:
 
 
 def check_scale(arrays: Arrays, size: np.ndarray, where: str) -> None:
-    """Nodes and grips are about as far apart in space as on the cloth of `size` (2,) m, in the middle of all frames."""
+    """Nodes and grips are about as far apart in space as on the cloth of `size` (2,) m, in the middle of all frames,
+    and no single node is where none of the cloth can be.
+    """
     grips, across = arrays["grip_position"], float(np.hypot(*size))
     seen = [
         (places[there], arrays["material"][there])
@@ -119,11 +122,12 @@ def check_scale(arrays: Arrays, size: np.ndarray, where: str) -> None:
         raise ClothbenchError(
             f"{where}: variable 'position': found nodes {middle:g} m apart in the middle of all frames, {most}"
         )
-    if 0 < spread.max() <= SHRUNK * flat.max():
+    if flat.max() > 0 and spread.max() <= SHRUNK * flat.max():
         raise ClothbenchError(
             f"{where}: variable 'position': found nodes {spread.max():g} m apart in space at most and {flat.max():.2g} "
             "m on the cloth, expected metres; is it scaled twice?"
         )
+    check_strays(arrays["position"], across, where)
     if grips.shape[1]:
         centre = np.median([places.mean(axis=0) for places, _ in seen], axis=0)
         away = float(np.linalg.norm(np.median(grips, axis=(0, 1)) - centre))
@@ -132,6 +136,25 @@ def check_scale(arrays: Arrays, size: np.ndarray, where: str) -> None:
             raise ClothbenchError(
                 f"{where}: variable 'grip_position': found grips {apart:g} m apart, and {away:g} m from the nodes, in "
                 f"the middle of all frames, {most}"
+            )
+
+
+def check_strays(position: np.ndarray, across: float, where: str) -> None:
+    """No node is far out of a frame's others (T, N, 3) m, seen of a cloth `across` m from corner to corner: a number
+    like -999 that stands for "not seen" is one.
+    """
+    for t, places in enumerate(position):
+        there = np.flatnonzero(np.isfinite(places).all(axis=1))
+        if not there.size:
+            continue
+        away = np.linalg.norm(places[there] - np.median(places[there], axis=0), axis=1)
+        if away.max() > STRAYED * across:
+            node = int(there[np.argmax(away)])
+            at = ", ".join(f"{x:g}" for x in places[node])
+            raise ClothbenchError(
+                f"{where}: variable 'position': found node {node} at frame {t} at ({at}) m, {away.max():.3g} m from "
+                f"the middle of those seen with it, expected {STRAYED * across:.2g} m at most of a cloth "
+                f"{across:.2g} m across, and NaN where it was not seen"
             )
 
 

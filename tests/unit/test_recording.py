@@ -218,6 +218,26 @@ def test_a_file_that_may_not_be_read_is_a_fault_of_its_own_only(recording, tmp_p
     assert said[1].endswith("locked.nc: cannot be read (Permission denied); give a file of yours")
 
 
+def test_a_node_that_is_nowhere_near_the_cloth_is_refused(recording):
+    position = np.array(recording.position)
+    position[5, 4] = -999.0  # as some write what was not seen
+    with pytest.raises(ClothbenchError, match=r"found node 4 at frame 5 at \(-999, -999, -999\) m, .*NaN where it was"):
+        dataclasses.replace(recording, position=position)
+    position[5, 4] = np.nanmedian(position[5], axis=0) + np.array(
+        [2.0, 0.0, 0.0]
+    )  # wild, but cloth has been tracked so
+    assert dataclasses.replace(recording, position=position).position.shape == position.shape
+
+
+def test_positions_that_are_all_one_are_refused(recording):
+    for place in (0.0, 1.5):
+        with pytest.raises(ClothbenchError, match=r"found nodes 0 m apart in space at most and .* is it scaled twice"):
+            dataclasses.replace(recording, position=np.full_like(recording.position, place))
+    one = np.full_like(recording.position, np.nan)
+    one[:, 0] = recording.position[:, 0]  # of which nothing is known about the size
+    assert dataclasses.replace(recording, position=one).visible.sum() == len(one)
+
+
 def test_recordings_are_found_whatever_their_endings_case_and_where_links_lead(recording, tmp_path):
     kept, folder = tmp_path / "kept", tmp_path / "all"
     for path in (kept / "away.nc", folder / "b" / "b.NC", folder / "a.nc", folder / ".half" / "hidden.nc"):
