@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.cli.arguments import DEFAULT_OUT, parser
-from clothbench.core.errors import ClothbenchError, one_line
+from clothbench.core.errors import ClothbenchError, one_line, seen
 from clothbench.core.output import kept_on
 
 KEEP = {"run", "improve", "suggest"}  # commands that go on where they were stopped
@@ -202,10 +202,13 @@ def import_data(options: argparse.Namespace) -> int:
         return 0
     settings = key_values(options.settings, ("data_dir", "out"))
     if not known and given.is_dir():
-        from clothbench.datasets.depth_folder import depth_recording
+        from clothbench.datasets.depth_folder import depth_recording, notes_in
 
         with counting("frames") as told:
             path = depth_recording(given, Path(settings.get("out", "recordings")), told)
+        if notes := notes_in(given):
+            says = f"kept as notes, which neither trackers nor models heed: {', '.join(map(seen, notes))}"
+            print(f"clothbench: {given / 'recording.json'}: {says}", file=sys.stderr)
         named = shlex.quote(str(path))
         print(f"{path}: one recording of kind 'depth'; next: clothbench run recording={named} {FIT_OF_DEPTH}")
         return 0

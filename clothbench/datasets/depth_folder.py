@@ -38,7 +38,9 @@ MILLIMETRE = 1e-3
 FARTHEST = 65535  # steps that a depth frame of 16 bit can tell; what is farther counts as not measured
 SUGGESTED = {"name", "kind", "field_of_view_deg", "position_m", "target_m", "up"}  # what `suggest` writes beside them
 OF_CAMERAS = {"size", "matrix", "fx", "fy", "cx", "cy", "distortion", "rotation", "translation"} | SUGGESTED
+OF_GRIPS = ("time", "material", "position")
 OWN = {"camera", "time", "rate", "colour_time", "grips", "gravity", "depth_step"}
+TAKEN = OWN | {f.name for f in fields(DepthImages)}
 
 
 def depth_recording(folder: Path, out: Path, progress: FileProgress | None = None) -> Path:
@@ -83,7 +85,7 @@ def read_folder(folder: Path, progress: FileProgress | None = None) -> DepthImag
         if progress is not None:
             progress(number + 1, len(files), file.name)
     return DepthImages(
-        name=seen(str(_needed(about, "name", where))), time=time, depth=np.stack(frames), depth_step=step,
+        name=_name(about, where), time=time, depth=np.stack(frames), depth_step=step,
         camera=camera, colour=_colour(folder, about, time, camera), grips=_grips(about, where), path=str(folder),
         **_header(about, where),
     )  # fmt: skip
@@ -228,6 +230,13 @@ def _needed(about: Mapping[str, Any], name: str, where: Path) -> Any:
     return about[name]
 
 
+def _name(about: Mapping[str, Any], where: Path) -> str:
+    """The recording's name, which becomes that of its file."""
+    if not isinstance(name := _needed(about, "name", where), str) or not name.strip():
+        raise ClothbenchError(f"{where}: 'name': found {name!r}, expected text")
+    return seen(name)
+
+
 def _files(folder: Path, endings: Sequence[str]) -> list[Path]:
     return in_order(p for p in folder.glob("*") if p.suffix.lower() in endings) if folder.is_dir() else []
 
@@ -237,6 +246,8 @@ def _stamps(about: Mapping[str, Any], count: int, where: Path) -> np.ndarray:
         time = _numbers(about, "time", where)
         if time.shape != (count,):
             raise ClothbenchError(f"{where}: 'time': found {time.size} stamps, expected {count}, one for each frame")
+        if "rate" in about:
+            raise ClothbenchError(f"{where}: 'rate': found it beside 'time', expected one of them; take the other out")
         return time
     _needed(about, "rate", where)
     rate = _number(about, "rate", where)
@@ -274,6 +285,10 @@ def camera_of(told: Any, where: Path) -> Camera:
             lacks = "translation" if "rotation" in told else "rotation"
             raise ClothbenchError(
                 f"{where}: 'camera': found no {lacks!r}, expected both or neither; they say where it is"
+            )
+        if "matrix" in told and (twice := [name for name in ("fx", "fy", "cx", "cy") if name in told]):
+            raise ClothbenchError(
+                f"{where}: 'camera': found {twice[0]!r} beside 'matrix', which has it; take one of them out"
             )
     try:
         if any(isinstance(n, bool) or n != int(n) for n in told["size"]):
@@ -322,8 +337,12 @@ def _colour(folder: Path, about: Mapping[str, Any], time: np.ndarray, camera: Ca
 def _grips(about: Mapping[str, Any], where: Path) -> GripPath | None:
     if "grips" not in about:
         return None
+    if isinstance(about["grips"], dict) and (unknown := [name for name in about["grips"] if name not in OF_GRIPS]):
+        raise ClothbenchError(
+            f"{where}: 'grips': found {unknown[0]!r}, expected {', '.join(OF_GRIPS)} (s, m, m); take it out"
+        )
     try:
-        return GripPath(*(np.array(about["grips"][name], dtype=float) for name in ("time", "material", "position")))
+        return GripPath(*(np.array(about["grips"][name], dtype=float) for name in OF_GRIPS))
     except (KeyError, TypeError, ValueError, OverflowError) as fault:
         raise ClothbenchError(
             f"{where}: 'grips': found {type(fault).__name__} {fault}, expected time, material and position"
@@ -334,7 +353,6 @@ def _header(about: Mapping[str, Any], where: Path) -> dict[str, Any]:
     """The other fields of the recording, and notes of what it has no field for."""
     for name in ("cloth_width", "cloth_height"):
         _needed(about, name, where)
-    known = {f.name for f in fields(DepthImages)}
     out: dict[str, Any] = {k: v for k, v in about.items() if k in LAYOUT.texts and k != "name"}
     if wrong := [name for name, value in out.items() if not isinstance(value, str)]:
         raise ClothbenchError(f"{where}: {wrong[0]!r}: found {out[wrong[0]]!r}, expected text")
@@ -345,10 +363,15 @@ def _header(about: Mapping[str, Any], where: Path) -> dict[str, Any]:
         if gravity.shape != (3,):
             raise ClothbenchError(f"{where}: 'gravity': found {about['gravity']!r}, expected three numbers [m/s²]")
         out["gravity"] = tuple(gravity.tolist())
-    strays = {k: seen(str(v)) for k, v in about.items() if k not in known | OWN}
+    strays = {k: seen(str(v)) for k, v in about.items() if k not in TAKEN}
     if wrong := [name for name in strays if not re.fullmatch(r"\w[\w .-]*", name)]:
         raise ClothbenchError(f"{where}: {wrong[0]!r}: found a name that is none, expected letters, digits and _")
     absent = LAYOUT.known.union(OWN) - set(about)
     if found := misspelled(strays.keys() - LAYOUT.known, absent):
         raise ClothbenchError(f"{where}: found {found[0]!r}, expected {found[1]!r}; a note needs a name less like it")
     return out | {"notes": {k: v for k, v in strays.items() if k not in LAYOUT.known}}
+
+
+def notes_in(folder: Path) -> list[str]:
+    """The words of a folder's recording.json that are kept as notes: neither a tracker nor a model heeds them."""
+    return [name for name in _about(folder) if name not in LAYOUT.known and name not in TAKEN]

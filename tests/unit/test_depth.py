@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -147,6 +148,8 @@ def test_a_folder_of_frames_becomes_a_recording(clothbench, tmp_path):
     assert np.allclose(made.time, TIME)
     assert made.colour.frame[0, 0, 0].tolist() == [30, 10, 200]
     assert (made.split, made.notes) == ("fit", {"weather": "fair"})
+    said = "clothbench: session/recording.json: kept as notes, which neither trackers nor models heed: weather\n"
+    assert ran.stderr.endswith(said)
     assert clothbench("validate", "made").returncode == 0
     ran = clothbench("import", "session", "out=made here")
     assert "next: clothbench run recording='made here/bench_run_1.nc' tracker=depth_mesh" in ran.stdout
@@ -226,6 +229,25 @@ def test_a_bad_folder_is_refused_in_one_line(clothbench, tmp_path, change, found
     assert found in ran.stderr
     assert len(ran.stderr.strip().splitlines()) == 1
     assert not (tmp_path / "made").exists()
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [
+        ({"time": TIME.tolist()}, "'rate': found it beside 'time', expected one of them"),
+        ({"camera": {**ABOUT["camera"], "matrix": np.eye(3).tolist()}}, "'camera': found 'fx' beside 'matrix'"),
+        (
+            {"grips": {"time": [0, 1], "material": [[0, 0]], "position": [[[0, 0, 1]]] * 2, "unit": "mm"}},
+            "'grips': found 'unit', expected time, material, position (s, m, m)",
+        ),
+        ({"name": None}, "'name': found None, expected text"),
+        ({"name": 5}, "'name': found 5, expected text"),
+        ({"name": " "}, "'name': found ' ', expected text"),
+    ],
+)
+def test_what_a_folder_states_twice_or_in_words_that_mean_nothing_is_refused(tmp_path, change, found):
+    with pytest.raises(ClothbenchError, match=re.escape(f"recording.json: {found}")):
+        read_folder(folder_of(tmp_path, {**ABOUT, **change}))
 
 
 def test_clouds_go_through_the_lens_and_back(tmp_path):
