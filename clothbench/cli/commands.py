@@ -15,7 +15,7 @@ from typing import Any
 
 from clothbench.cli.arguments import DEFAULT_OUT, parser
 from clothbench.core.errors import ClothbenchError, one_line, seen
-from clothbench.core.output import kept_on
+from clothbench.core.output import kept_on, takes_all_letters
 
 KEEP = {"run", "improve", "suggest"}  # commands that go on where they were stopped
 FIT_OF_VIDEO = "tracker=sift_graph model=mass_spring optimizer=ga metric=node_error options.node_error.unit=cm"
@@ -114,12 +114,15 @@ def _folder_of(place: str) -> Path:
 
 
 def print_json(document: Any) -> None:
-    print(json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False))
+    from clothbench.core.files import json_text
+
+    print(json_text(document, plain=not takes_all_letters()))
 
 
 def print_json_rows(rows: Sequence[dict[str, Any]]) -> None:
     """The same as `print_json` of rows that hold neither lists nor rows; of very many, several times as fast."""
-    texts = (json.dumps(row, ensure_ascii=False, allow_nan=False, separators=(",\n  ", ": ")) for row in rows)
+    plain = not takes_all_letters()
+    texts = (json.dumps(row, ensure_ascii=plain, allow_nan=False, separators=(",\n  ", ": ")) for row in rows)
     body = ",\n ".join(f"{{\n  {text[1:-1]}\n }}" for text in texts)
     print(f"[\n {body}\n]" if body else "[]")
 

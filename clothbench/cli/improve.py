@@ -20,6 +20,7 @@ from clothbench.cli.run import composed
 from clothbench.core.create_only import require_create_only
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import json_text
+from clothbench.core.output import takes_all_letters
 from clothbench.engine.bucket import is_address
 from clothbench.engine.executors.drive import elsewhere, opened
 from clothbench.engine.executors.settings import LOCAL, executor_settings
@@ -80,7 +81,7 @@ def command(words: Sequence[str], as_json: bool = False) -> int:
     finished = [cell for cell in cells if store.has(cell.key)]
     if finished:
         document = published([store.cell(cell.key) for cell in finished], out, several=len(cells) > 1)
-        print(json_text(document)) if as_json else say(document, out)
+        print(json_text(document, plain=not takes_all_letters())) if as_json else say(document, out)
     missing = [cell for cell in cells if cell not in finished]
     return max((failed(store, cell.key) for cell in missing), default=0)
 

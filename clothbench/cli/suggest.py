@@ -13,6 +13,7 @@ from clothbench.cli.improve import StageBar, settings_of
 from clothbench.cli.view import find_cell
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import json_text
+from clothbench.core.output import takes_all_letters
 from clothbench.core.parallel import set_thread_count
 from clothbench.display.terminal import console
 from clothbench.plugins.discovery import Catalogue, catalogue
@@ -58,7 +59,7 @@ def command(name: str, words: Sequence[str], runs: Path, as_json: bool = False) 
     found = ranked(subject, found, wanted.rank)
     document = suggestion(subject, found, left, wanted)
     write_all(out, subject, found, document, wanted.camera)
-    print(json_text(document)) if as_json else say(document, out)
+    print(json_text(document, plain=not takes_all_letters())) if as_json else say(document, out)
     return 0
 
 

@@ -171,9 +171,12 @@ def parsed_json(text: str, where: object, expected: str) -> Any:
     return found
 
 
-def json_text(document: Any) -> str:
-    """A document as people and programs read it; NaN and infinity, which are no JSON, are a ValueError."""
-    return json.dumps(document, indent=1, ensure_ascii=False, allow_nan=False)
+def json_text(document: Any, plain: bool = False) -> str:
+    """A document as people and programs read it; NaN and infinity, which are no JSON, are a ValueError.
+
+    plain: letters beyond ASCII escaped, which means the same.
+    """
+    return json.dumps(document, indent=1, ensure_ascii=plain, allow_nan=False)
 
 
 def _no_json(where: object, fault: Exception, expected: str) -> ClothbenchError:

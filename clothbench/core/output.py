@@ -4,11 +4,18 @@ the work goes on.
 
 from __future__ import annotations
 
+import codecs
 import contextlib
 import os
 import sys
 from collections.abc import Iterator
 from typing import Any
+
+
+def takes_all_letters() -> bool:
+    """Whether standard output can write every letter; where it is not in UTF-8, another one would take its place."""
+    stated = getattr(sys.stdout, "encoding", None) or "utf-8"  # a text in memory has none
+    return codecs.lookup(stated).name == "utf-8"
 
 
 class Lasting:

@@ -16,7 +16,7 @@ from conftest import swinging_recording
 from rich.console import Console
 
 from clothbench import ClothbenchError, write_recording
-from clothbench.cli.commands import COMMANDS, main, parsed
+from clothbench.cli.commands import COMMANDS, main, parsed, print_json_rows
 from clothbench.cli.idle import say_alone, say_idle
 from clothbench.cli.own_suites import require_harmless
 from clothbench.cli.run import composed, either_way, jobs_of, require_known, run, say_all_skipped, swept
@@ -430,6 +430,20 @@ def test_a_terminal_that_cannot_write_every_letter_shows_another(clothbench):
     assert "?" in out.stdout
     assert out.stdout.isascii()
     assert out.stderr == ""
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1", "utf-8"])
+def test_json_names_things_as_they_are_wherever_it_goes(tmp_path, monkeypatch, encoding):
+    """Latin-1 has ü, but what reads JSON takes it for UTF-8."""
+    write_recording(swinging_recording(), path := tmp_path / "ü – 1.nc")
+    with (tmp_path / "out").open("w+", encoding=encoding) as out:
+        monkeypatch.setattr(sys, "stdout", out)
+        assert main(["validate", "--json", str(path)]) == 0
+        print_json_rows([{"recording": "ü – 1"}])
+    first, end = json.JSONDecoder().raw_decode(text := (tmp_path / "out").read_text(encoding="utf-8"))
+    assert first[0]["file"] == str(path)
+    assert json.loads(text[end:]) == [{"recording": "ü – 1"}]
+    assert text.isascii() == (encoding != "utf-8")
 
 
 def test_a_gate_says_it_one_way_only(capsys):
