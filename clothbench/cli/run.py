@@ -35,7 +35,7 @@ from clothbench.cli.idle import refuse_idle, say_alone, say_idle
 from clothbench.cli.own_suites import require_harmless, settings_among
 from clothbench.cli.results import print_results
 from clothbench.cli.settings_help import settings_help
-from clothbench.cli.spelling import as_setting
+from clothbench.cli.spelling import as_setting, given_twice
 from clothbench.core.errors import ClothbenchError, known_names
 from clothbench.engine.bucket import is_address
 from clothbench.engine.executors.settings import executor_settings
@@ -86,6 +86,7 @@ class PluginSearchPath(SearchPathPlugin):
 def run(arguments: Sequence[str]) -> int:
     """Run `clothbench run ARGUMENTS` and return the exit code."""
     require_settings(arguments)
+    say_twice(arguments)
     if {"--help", "-h"} & set(arguments):
         print(settings_help())
     sweep = bool({"-m", "--multirun"} & set(arguments))
@@ -130,6 +131,14 @@ def require_settings(arguments: Sequence[str]) -> None:
             f"is written {as_setting(word, arguments)} here" if known else "is no option; see clothbench run --help"
         )
         raise ClothbenchError(f"run: {word.partition('=')[0]} {remedy}")
+
+
+def say_twice(arguments: Sequence[str]) -> None:
+    """A line on a key with two values: as everywhere in Hydra the last one counts, which few may mean. Words with signs
+    of Hydra's own before them are meant so.
+    """
+    if twice := given_twice([word for word in settings_among(arguments) if not word.startswith(("+", "~"))]):
+        print(f"clothbench: run: {twice}; the last counts", file=sys.stderr)
 
 
 def _of_a_job(fault: Exception) -> bool:

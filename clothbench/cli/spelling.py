@@ -18,6 +18,16 @@ def as_setting(word: str, given: Sequence[str]) -> str:
     return f"{name.replace('-', '_')}={value}"
 
 
+def given_twice(settings: Sequence[str]) -> str:
+    """Which key KEY=VALUE words give two values, in words; "" where there is none."""
+    known: dict[str, str] = {}
+    for word in settings:
+        key, sign, value = word.partition("=")
+        if sign and known.setdefault(key, value) != value:
+            return f"{key} is given twice: {known[key]} and {value}"
+    return ""
+
+
 class Reader(argparse.ArgumentParser):
     """Says in one line what is wrong with a command's words, and how one is written that is spelled as another command
     has it.
@@ -35,9 +45,13 @@ class Reader(argparse.ArgumentParser):
         raise ClothbenchError(f"{command}: {message}; {remedy}" if command else f"{message}; {remedy}")
 
     def require_spelled(self, settings: Sequence[str]) -> None:
-        """Refuse a KEY=VALUE of these that is an option of the command: whatever else is said of it would mislead."""
+        """Refuse a KEY=VALUE of these that is an option of the command, where whatever else is said of it would
+        mislead, and a key with two values.
+        """
         if remedy := self.respelled([word for word in settings if not word.startswith("-")]):
             raise ClothbenchError(f"{self.prog.partition(' ')[2]}: {remedy}")
+        if twice := given_twice(settings):
+            raise ClothbenchError(f"{self.prog.partition(' ')[2]}: {twice}; leave one of them out")
 
     def respelled(self, words: Sequence[str]) -> str:
         """How the first of these words is written that another command writes so; "" if there is none."""

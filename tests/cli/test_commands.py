@@ -19,7 +19,16 @@ from clothbench import ClothbenchError, write_recording
 from clothbench.cli.commands import COMMANDS, main, parsed, print_json_rows
 from clothbench.cli.idle import say_alone, say_idle
 from clothbench.cli.own_suites import require_harmless
-from clothbench.cli.run import composed, either_way, jobs_of, require_known, run, say_all_skipped, swept
+from clothbench.cli.run import (
+    composed,
+    either_way,
+    jobs_of,
+    require_known,
+    run,
+    say_all_skipped,
+    say_twice,
+    swept,
+)
 from clothbench.cli.settings_help import settings_help, settings_meanings
 from clothbench.engine.settings import KNOWN
 from clothbench.engine.store import ROW
@@ -444,6 +453,23 @@ def test_json_names_things_as_they_are_wherever_it_goes(tmp_path, monkeypatch, e
     assert first[0]["file"] == str(path)
     assert json.loads(text[end:]) == [{"recording": "ü – 1"}]
     assert text.isascii() == (encoding != "utf-8")
+
+
+@pytest.mark.parametrize("words", [
+    ["import", "film.mp4", "rate=30", "template=a.png", "rate=60"], ["suggest", "here", "rate=30", "rate=60"],
+    ["report", "rate=30", "rate=60"], ["improve", "rate=30", "--json", "rate=60"],
+])  # fmt: skip
+def test_a_setting_that_is_given_two_values_is_refused(capsys, words):
+    assert main(words) == 2
+    told = f"clothbench: {words[0]}: rate is given twice: 30 and 60; leave one of them out"
+    assert only_line(capsys.readouterr().err) == told
+
+
+def test_a_run_says_which_of_two_values_counts(capsys):
+    say_twice(["budget=6", "++budget=7", "+a.b=1", "+a.b=2", "~c=1", "~c=2", "jobs=1", "jobs=1"])
+    assert capsys.readouterr().err == ""
+    say_twice(["budget=6", "-m", "model=m", "budget=7"])
+    assert capsys.readouterr().err == "clothbench: run: budget is given twice: 6 and 7; the last counts\n"
 
 
 def test_a_gate_says_it_one_way_only(capsys):
