@@ -24,6 +24,7 @@ from hydra._internal.utils import get_args_parser
 from hydra.core.config_search_path import ConfigSearchPath
 from hydra.core.hydra_config import HydraConfig
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.core.override_parser.types import ChoiceSweep
 from hydra.core.plugins import Plugins
 from hydra.errors import HydraException, OverrideParseException
 from hydra.plugins.search_path_plugin import SearchPathPlugin
@@ -64,6 +65,7 @@ TOGETHER = (
     "sweep's jobs, leave -m out and give each setting one value"
 )
 PATHS = re.compile(r"\+{0,2}(recording|recordings|out|data_dir)=")
+NOT_READ = object()
 # What commas part: each in quotes, or with commas of its own in brackets.
 PARTS = re.compile(r"""\s*'(?:[^'\\]|\\.)*'\s*(?=,|$)|\s*"(?:[^"\\]|\\.)*"\s*(?=,|$)|(?:\[[^\]]*\]|[^,\[]|\[)+""")
 
@@ -157,9 +159,11 @@ def either_way(words: Sequence[str]) -> list[str]:
 
 
 def _quoted(word: str) -> str:
-    """KEY=PATH as Hydra reads it: what is no word of its grammar in quotes, also in a list or a sweep of several."""
+    """KEY=PATH as Hydra reads it: what is no word of its grammar, or a number or truth to it, in quotes, also in a list
+    or a sweep of several.
+    """
     key, sign, value = word.partition("=")
-    if not PATHS.match(word) or _is_read(word):
+    if not PATHS.match(word) or all(map(_is_text, _read(word))):
         return word
     return key + sign + ",".join(_quoted_list(part.strip()) for part in PARTS.findall(value))
 
@@ -171,17 +175,25 @@ def _quoted_list(text: str) -> str:
 
 
 def _quoted_path(path: str) -> str:
-    if _is_read(f"out={path}"):
+    if all(map(_is_text, _read(f"out={path}"))):
         return path
     return f'"{path}"' if "'" in path and '"' not in path else "'" + path.replace("'", "\\'") + "'"
 
 
-def _is_read(word: str) -> bool:
-    """Whether Hydra can make something of KEY=VALUE."""
+def _read(word: str) -> Sequence[Any]:
+    """The values that Hydra makes of KEY=VALUE, those in a list or a sweep one by one; NOT_READ where it makes none."""
     with suppress(HydraException, ValueError, RecursionError):
-        OverridesParser.create().parse_overrides([word])
-        return True
-    return False
+        (given,) = OverridesParser.create().parse_overrides([word])
+        value = given.value()
+        if isinstance(value, ChoiceSweep) and value.simple_form:
+            value = [one for each in value.list for one in (each if isinstance(each, list) else [each])]
+        return value if isinstance(value, list) else [value]
+    return [NOT_READ]
+
+
+def _is_text(value: Any) -> bool:
+    """Whether a value stands as it is: a text, nothing, or what only Hydra has a use for, as a range."""
+    return value is not NOT_READ and not isinstance(value, bool | int | float)
 
 
 def leaves(words: Sequence[str]) -> list[str]:
