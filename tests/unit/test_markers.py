@@ -189,6 +189,17 @@ def test_csv_without_a_clock_counts_frames_in_which_nothing_was_seen(tmp_path):
     np.testing.assert_allclose(seen.time, time)
 
 
+def test_csv_without_a_clock_has_no_empty_line_between_its_frames(tmp_path):
+    """Without it all that follows would come one frame too early."""
+    lines = [line.partition(",")[2] for line in csv_lines(*run())[1:]]
+    path = write(tmp_path / "run.csv", ["", *lines[:1], "", *lines[1:4], " ", *lines[4:]])
+    with pytest.raises(ClothbenchError, match=r"run.csv: line 7: found nothing at all, expected frames without a gap"):
+        Markers(material=MATERIAL, unit="mm", rate=RATE).track(path)
+    with_clock = csv_lines(*run())
+    path = write(path, [*with_clock[:4], "", *with_clock[4:]])
+    assert Markers(material=MATERIAL).track(path).time.size == len(with_clock) - 2
+
+
 def test_csv_files_one_after_the_other_have_one_unit(tmp_path):
     lines = csv_lines(*run())
     assert Markers(material=MATERIAL).track(write(tmp_path / "run.csv", [*lines, "# unit: mm", "# unit: mm"])).time.size

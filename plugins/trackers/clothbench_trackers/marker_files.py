@@ -115,7 +115,11 @@ def _read_csv(path: Path) -> _Raw:
     lead = [CLOCKS[name.lower()] for name in names[:2] if name.lower() in CLOCKS]
     labels = _csv_labels(names[len(lead) :], path)
     # Without a clock frames are counted, also those in which no marker was seen.
-    frames = [(n, cells) for n, cells in lines[1:] if not lead or any(cell.strip() for cell in cells)]
+    frames = [(n, cells) for n, cells in lines[1:] if (any(cell.strip() for cell in cells) if lead else cells)]
+    between = [n for n, cells in lines[1:] if not cells and frames and frames[0][0] < n < frames[-1][0]]
+    if between and not lead:
+        expected = "frames without a gap: where there is neither frame nor time, rows are counted"
+        raise refusal(path, f"line {between[0]}", "nothing at all", expected, "write its commas, or take it out")
     table = _table(frames, len(names), path)
     clock = dict(zip(lead, table.T, strict=False))
     rate = _number(stated["rate"], "line '# rate:'", path) if "rate" in stated else None
@@ -124,7 +128,9 @@ def _read_csv(path: Path) -> _Raw:
 
 
 def _csv_lines(path: Path) -> tuple[dict[str, str], list[tuple[int, list[str]]]]:
-    """The `# key: value` lines, and the others from the header on as (line number, cells)."""
+    """The `# key: value` lines, and the others from the header on as (line number, cells), without any cell where
+    nothing stands there.
+    """
     stated: dict[str, str] = {}
     lines: list[tuple[int, list[str]]] = []
     for number, text in enumerate(_text(path), 1):
@@ -136,8 +142,8 @@ def _csv_lines(path: Path) -> tuple[dict[str, str], list[tuple[int, list[str]]]]
                     path, f"line '# {key}:'", f"{stated[key]!r} and {value!r}", "one of them", "drop the other"
                 )
             stated[key] = value
-        elif text.strip(", " if not lines else None):
-            lines.append((number, next(csv.reader([text]))))
+        elif lines or text.strip(", "):
+            lines.append((number, next(csv.reader([text])) if text.strip() else []))
     return stated, lines
 
 
