@@ -18,6 +18,7 @@ LONGEST = 0.5  # s, for which a grip that a camera lost may be taken to go strai
 SIDES = 0.005, 20.0  # m: between a swatch and a sail
 SLOWEST, STAMPS = 2.0, 5  # s between frames, of so many and more: what moves so slowly is at rest
 STRONGEST = 50.0  # m/s², of gravity: five times the earth's
+UPWARDS = 0.9  # of gravity, as which its part along z is no lean
 APART, SHRUNK = 50.0, 0.01  # of its own size, as which a cloth may at most and must at least be seen in space
 STRAYED = 10.0  # of its size, as which a node may be from the middle of the others; in recordings it is up to 0.5
 TREMBLING = 0.25  # of the cloth's longer side, up to which positions may be wrong
@@ -193,12 +194,20 @@ def check_density(areal_density: float, where: str) -> None:
 
 
 def check_gravity(gravity: Sequence[float], where: str) -> None:
-    """Gravity is three finite numbers [m/s²]."""
+    """Gravity is three finite numbers [m/s²], and does not pull up: it may lean as the table does, or go along another
+    axis, but the format has z up.
+    """
     if len(gravity) != 3 or not all(map(math.isfinite, gravity)):
         raise ClothbenchError(f"{where}: attribute 'gravity': found {gravity}, expected three finite numbers [m/s²]")
     if math.hypot(*gravity) > STRONGEST:
         raise ClothbenchError(
             f"{where}: attribute 'gravity': found {gravity}, expected m/s², {STRONGEST:g} at most; 9.81 on earth"
+        )
+    if gravity[2] > UPWARDS * math.hypot(*gravity):
+        found = " ".join(f"{each:g}" for each in gravity)
+        raise ClothbenchError(
+            f"{where}: attribute 'gravity': found {found} m/s², which pulls up, expected z up, as in 0 0 -9.81; is the "
+            "sign wrong?"
         )
 
 

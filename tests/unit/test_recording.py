@@ -146,6 +146,7 @@ def test_gravity_may_be_three_numbers_as_other_programs_write_it(tmp_path):
         (lambda f: f["material"].__setitem__(4, [5.0, 0.0]), "expected inside the 0.2 m × 0.2 m cloth"),
         (lambda f: setattr(f, "cloth_width", 200.0), "'cloth_width': found 200 m, expected 0.005 to 20 m; is it in"),
         (lambda f: setattr(f, "gravity", "0 0 -9810"), "expected m/s², 50 at most"),
+        (lambda f: setattr(f, "gravity", "0 0 9.81"), "found 0 0 9.81 m/s², which pulls up, .* is the sign wrong"),
         (lambda f: setattr(f, "noise_sigma", 1.0), r"'noise_sigma': found 1 m on a cloth .*; are these millimetres"),
         (lambda f: _times(f, "position", 1000), r"'position': found nodes 286.* m apart .*; are these millimetres\?"),
         (
@@ -236,6 +237,11 @@ def test_positions_that_are_all_one_are_refused(recording):
     one = np.full_like(recording.position, np.nan)
     one[:, 0] = recording.position[:, 0]  # of which nothing is known about the size
     assert dataclasses.replace(recording, position=one).visible.sum() == len(one)
+
+
+@pytest.mark.parametrize("gravity", [(0.0, 9.81, 0.0), (0.0, -9.0, 3.0), (0.0, 0.0, 0.0), (0.5, 0.0, -9.8)])
+def test_gravity_may_go_along_another_axis_or_be_none(gravity):
+    assert swinging_recording(gravity=gravity).gravity == gravity
 
 
 def test_recordings_are_found_whatever_their_endings_case_and_where_links_lead(recording, tmp_path):
