@@ -190,7 +190,7 @@ def read_arrays(path: Path) -> dict[str, np.ndarray]:
     """
 
     try:
-        if path.suffix == ".npy":
+        if path.suffix.lower() == ".npy":
             with path.open("rb") as file:
                 return {"array": _array(file, path.stat().st_size)}
         with zipfile.ZipFile(path) as archive:

@@ -127,7 +127,7 @@ def read_png(file: Path, camera: Camera) -> np.ndarray:
 def read_cloud(file: Path) -> np.ndarray:
     """Points (n, 3) m of a NumPy file, or of the vertices of a PLY file (ASCII or binary)."""
     try:
-        points = read_arrays(file)["array"] if file.suffix == ".npy" else _ply(file)
+        points = read_arrays(file)["array"] if file.suffix.lower() == ".npy" else _ply(file)
     except (OSError, ValueError, IndexError) as fault:
         raise ClothbenchError(f"{file}: found no points that can be read ({fault}), expected points (n, 3)") from fault
     if points.ndim != 2 or points.shape[1] < 3 or points.dtype.kind not in "iuf":

@@ -155,7 +155,7 @@ def test_a_folder_of_frames_becomes_a_recording(clothbench, tmp_path):
     assert "next: clothbench run recording='made here/bench_run_1.nc' tracker=depth_mesh" in ran.stdout
 
 
-@pytest.mark.parametrize("form", ["npy", "ascii", "binary", "carriage returns"])
+@pytest.mark.parametrize("form", ["npy", "NPY", "ascii", "binary", "carriage returns"])
 def test_clouds_become_depth(tmp_path, form):
     from clothbench.datasets.depth_folder import read_folder
 
@@ -165,10 +165,11 @@ def test_clouds_become_depth(tmp_path, form):
     x, y = np.meshgrid(np.linspace(-0.2, 0.2, 60), np.linspace(-0.15, 0.15, 60))
     points = np.stack([x.ravel(), y.ravel(), 1.0 + 0.1 * x.ravel()], axis=1)
     for k in range(3):
-        file = folder / "clouds" / f"{k}.{'npy' if form == 'npy' else 'ply'}"
+        file = folder / "clouds" / f"{k}.{form if form.lower() == 'npy' else 'ply'}"
         head = "ply\nformat {} 1.0\nelement vertex 3600\n" + 3 * "property float {}\n" + "end_header\n"
-        if form == "npy":
-            np.save(file, points)
+        if form.lower() == "npy":
+            with file.open("wb") as stream:  # by its name NumPy would put one ending more
+                np.save(stream, points)
         elif form in ("ascii", "carriage returns"):
             body = "\n".join(" ".join(f"{v:.6f}" for v in p) for p in points)
             whole = head.format("ascii", *"xyz") + body + "\n"
