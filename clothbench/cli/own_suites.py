@@ -107,6 +107,8 @@ def require_global(file: Path) -> None:
     where they belong.
     """
     text = file.read_text(encoding="utf-8")
+    if text.startswith("\ufeff"):  # before which Hydra knows no line that says where settings belong
+        raise ClothbenchError(f"{file}: found a byte order mark, expected none; save it as UTF-8 without")
     # Hydra looks for it no further than to the first line that is another one, comments included.
     head = itertools.takewhile(lambda line: not line or re.match(r"#\s*@", line), map(str.strip, text.splitlines()))
     if any(re.match(r"#+\s*@package\b", line) for line in head):

@@ -572,6 +572,13 @@ def test_only_the_suite_that_is_asked_for_is_read(tmp_path):
         require_harmless([*flag, "+suite=mine"])
 
 
+def test_a_suite_with_a_byte_order_mark_is_told_so(tmp_path):
+    (tmp_path / "suite").mkdir()
+    (tmp_path / "suite" / "mine.yaml").write_text("# @package _global_\nbudget: 5\n", encoding="utf-8-sig")
+    with pytest.raises(ClothbenchError, match=r"mine\.yaml: found a byte order mark, expected none; save it as UTF-8"):
+        require_harmless(["--config-dir", str(tmp_path), "+suite=mine"])
+
+
 def test_a_stopped_bench_keeps_nothing_and_says_so(monkeypatch, capsys):
     def stopped(sides, progress):
         progress("mass_spring: 9 nodes a side")
