@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any
 
@@ -12,25 +13,29 @@ Rows = Sequence[dict[str, Any]]
 
 
 def parameters(rows: Rows, fitted: Rows) -> str:
-    """One table per model: a line per cell, a column for every parameter that one of its cells has; then what the
-    symbols mean.
+    """One table per model: a line per cell, a column for every parameter that one of its cells has, headed by its name
+    where another one has the same symbol; then what the symbols mean.
     """
     keys = {r["key"] for r in rows}
     cells = group([p for p in fitted if p["key"] in keys], lambda p: p["key"])
     about = {r["key"]: r for r in rows if r["key"] in cells}
     if not cells:
         return '<p class="soft">Nothing was fitted.</p>'
-    out, meanings = [], {}
+    out: list[str] = []
+    meanings: dict[tuple[str, str, str, str], None] = {}  # each once, in order
     for model, mine in sorted(group(list(about.values()), model_name).items()):
         lines = sorted(mine, key=lambda r: (r["case"], r["optimizer"], r["seed"], r["key"]))
         columns = {p["name"]: p for r in lines for p in cells[r["key"]]}
         body = [_line(r, {p["name"]: p for p in cells[r["key"]]}, list(columns)) for r in lines]
-        head = ["case", "optimizer", "seed", *(f"{p['symbol']} [{unit(p)}]" for p in columns.values()), "cell"]
+        symbols = Counter(p["symbol"] for p in columns.values())
+        heads = (p["symbol"] if symbols[p["symbol"]] == 1 else p["name"] for p in columns.values())
+        named = (f"{head} [{unit(p)}]" for head, p in zip(heads, columns.values(), strict=True))
+        head = ["case", "optimizer", "seed", *named, "cell"]
         out.append(f"<h3>{text(model)}</h3>" + table(head, body, numeric=set(range(2, len(head) - 1))))
-        meanings.update({p["symbol"]: p for p in columns.values()})
+        meanings.update({(p["symbol"], p["name"], unit(p), p["meaning"]): None for p in columns.values()})
     terms = (
-        f"<dt>{text(s)}</dt><dd>{text(p['name'])} [{text(unit(p))}]: {text(p['meaning'])}</dd>"
-        for s, p in meanings.items()
+        f"<dt>{text(symbol)}</dt><dd>{text(name)} [{text(measured)}]: {text(meaning)}</dd>"
+        for symbol, name, measured, meaning in meanings
     )
     return "".join(out) + f"<dl>{''.join(terms)}</dl>"
 

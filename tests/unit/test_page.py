@@ -167,6 +167,16 @@ def test_every_parameter_stands_below_its_own_heading():
     assert [line[3:5] for line in lines] == [["2", "–"], ["3", "7"]]
 
 
+def test_parameters_of_one_symbol_are_told_apart():
+    row = {"key": "ab", "case": "a", "effects": "", "model": "m", "optimizer": "ga", "seed": 0}
+    p = {"key": "ab", "symbol": "τ", "unit": "s", "value": 1.0, "low": None, "high": None, "at_bound": False}
+    about = {"memory.lag": "how long it lasts", "clock.shift": "how late it is"}
+    shown = parameters([row], [{**p, "name": name, "meaning": meaning} for name, meaning in about.items()])
+    assert re.findall(r"<th [^>]*>(.*?)</th>", shown)[3:5] == ["memory.lag [s]", "clock.shift [s]"]
+    for name, meaning in about.items():
+        assert f"<dt>τ</dt><dd>{name} [s]: {meaning}</dd>" in shown
+
+
 def test_a_line_that_does_not_fit_its_heading_is_no_table():
     assert "<td>1</td>" in table(["a", "b"], [["1", "2"], ["a heading across all"]], set())
     with pytest.raises(ValueError, match="3 cells below a heading of 2"):
