@@ -114,6 +114,9 @@ def test_the_stage_is_whole_and_in_si(held, tmp_path):
     assert (UsdGeom.GetStageMetersPerUnit(stage), UsdGeom.GetStageUpAxis(stage)) == (1.0, "Z")
     mesh = stage.GetPrimAtPath("/World/Cloth")
     assert stage.GetDefaultPrim() == mesh.GetParent()
+    assert UsdGeom.Mesh(mesh).GetDoubleSidedAttr().Get() is True
+    points = np.array(UsdGeom.Mesh(mesh).GetPointsAttr().Get())
+    np.testing.assert_allclose(UsdGeom.Mesh(mesh).GetExtentAttr().Get(), [points.min(axis=0), points.max(axis=0)])
     bound, _ = UsdShade.MaterialBindingAPI(mesh).ComputeBoundMaterial("physics")
     (thickness,) = mesh.GetAttribute("physics:thicknesses").Get()
     density = bound.GetPrim().GetAttribute("physics:density").Get()

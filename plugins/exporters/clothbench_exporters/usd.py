@@ -110,6 +110,8 @@ def _mesh(stage: Any, sheet: Sheet, start: np.ndarray, thickness: float) -> Any:
     mesh.CreateFaceVertexCountsAttr([3] * len(sheet.triangles))
     mesh.CreateFaceVertexIndicesAttr(sheet.triangles.ravel().tolist())
     mesh.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+    mesh.CreateDoubleSidedAttr(True)  # or viewers leave out the side of the cloth that faces away
+    mesh.CreateExtentAttr(UsdGeom.PointBased.ComputeExtent(mesh.GetPointsAttr().Get()))
     prim = mesh.GetPrim()
     for schema in ("PhysicsDeformableBodyAPI", "PhysicsSurfaceDeformableSimAPI", "PhysicsCollisionAPI"):
         prim.AddAppliedSchema(schema)
