@@ -66,9 +66,12 @@ def twin_of_cell(fit: FittedCell) -> Twin:
     best = _theta(model, values)
     material = model.material_of(best, scene)
     used = {name for name in model.parameters.names if _matters(model, best, name, scene)}
-    units = {row["name"]: row["unit"] for row in fit.fitted}
+    effects = [catalogue().make("effects", name) for name in fit.cell.effects]
+    spaces = (model.parameters, *(effect.parameters.prefixed(effect.name) for effect in effects))
+    # What was held has no row of its own.
+    units = {p.name: p.unit for space in spaces for p in space} | {row["name"]: row["unit"] for row in fit.fitted}
     others = {
-        name: (float(value), units.get(name, "(held)"))
+        name: (float(value), units.get(name, "unit not known"))
         for name, value in values.items()
         if name not in used and (name in model.parameters.names or name.partition(".")[0] in fit.cell.effects)
     }
@@ -230,6 +233,7 @@ def _origin(fit: FittedCell) -> dict[str, Any]:
         "optimizer": cell.optimizer,
         "seed": cell.seed,
         "budget": cell.budget,
+        **({"held": sorted(cell.fixed)} if cell.fixed else {}),
         "errors": {f"{r['recording'] or 'mean'} ({r['split']})": f"{r['value']:.4g} {r['unit']}" for r in rows},
         "clothbench": every[0]["clothbench"],
     }

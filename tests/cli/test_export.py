@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
+from types import SimpleNamespace
 
 import pyarrow.parquet as parquet
 import pytest
@@ -26,6 +27,19 @@ def fitted(clothbench, tmp_path):
     done = clothbench("run", *CELL, ORTHOTROPIC, "effects=[added_mass]", "recording=swing.nc", "rerun=false")
     assert done.returncode == 0, done.stderr
     return tmp_path
+
+
+def test_what_was_held_keeps_its_unit_and_is_called_so(fitted, monkeypatch):
+    monkeypatch.chdir(fitted)
+    fit = FittedCell.of(fitted / "runs", find_cell(fitted / "runs", "paper").name)
+    name = "added_mass.areal_density"
+    store = SimpleNamespace(rows=lambda keys: fit.store.rows([fit.cell.key]))  # whose key holds what is fixed
+    cell, rows = dataclasses.replace(fit.cell, fixed={name: 0.1}), [r for r in fit.fitted if r["name"] != name]
+    held = dataclasses.replace(fit, store=store, cell=cell, fitted=rows)
+    twin = twin_of_cell(held)
+    assert twin.others[name] == (0.1, "kg/m²")
+    assert twin.provenance["held"] == [name]
+    assert "held" not in twin_of_cell(fit).provenance
 
 
 @pytest.mark.slow
