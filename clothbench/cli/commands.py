@@ -182,6 +182,13 @@ def datasets(options: argparse.Namespace) -> int:
 
 
 def import_data(options: argparse.Namespace) -> int:
+    from clothbench.cli.view import ended_in_order
+
+    with ended_in_order():
+        return _import(options)
+
+
+def _import(options: argparse.Namespace) -> int:
     from clothbench.cli.listings import print_import
     from clothbench.datasets.convert import converted
     from clothbench.datasets.registry import DATASETS

@@ -4,6 +4,7 @@ import io
 import json
 import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -30,6 +31,7 @@ from clothbench.cli.run import (
     swept,
 )
 from clothbench.cli.settings_help import settings_help, settings_meanings
+from clothbench.core.files import whole_folder
 from clothbench.engine.settings import KNOWN
 from clothbench.engine.store import ROW
 from clothbench.engine.suite import plan
@@ -577,6 +579,21 @@ def test_a_suite_with_a_byte_order_mark_is_told_so(tmp_path):
     (tmp_path / "suite" / "mine.yaml").write_text("# @package _global_\nbudget: 5\n", encoding="utf-8-sig")
     with pytest.raises(ClothbenchError, match=r"mine\.yaml: found a byte order mark, expected none; save it as UTF-8"):
         require_harmless(["--config-dir", str(tmp_path), "+suite=mine"])
+
+
+def test_an_import_that_is_told_to_end_leaves_nothing_half_written(tmp_path, monkeypatch, capsys):
+    def converted(*told, **settings):
+        with whole_folder(tmp_path / "imp") as part:
+            (part / "half.nc").touch()
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(5.0)  # Python hears of it between two instructions
+
+    monkeypatch.setattr("clothbench.datasets.convert.converted", converted)
+    before = signal.getsignal(signal.SIGTERM)
+    assert main(["import", "knit_uniaxial_gatech"]) == 130
+    assert "clothbench: stopped" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+    assert signal.getsignal(signal.SIGTERM) is before
 
 
 def test_a_stopped_bench_keeps_nothing_and_says_so(monkeypatch, capsys):
