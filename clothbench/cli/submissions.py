@@ -87,7 +87,7 @@ def suite_of(recordings: Sequence[str]) -> str:
     for name in recordings:
         inside = name.startswith(("builtin:", "dataset:", "pkg:"))
         path = Path(name.partition(":")[2]) if inside else Path(name).resolve()
-        places.append(path.parent.name if path.suffix == ".nc" else path.name)
+        places.append(path.parent.name if path.suffix.lower() == ".nc" else path.name)
     return ", ".join(filter(None, dict.fromkeys(places))) or "recordings"
 
 

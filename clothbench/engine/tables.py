@@ -27,6 +27,7 @@ SMALL = 100_000  # values that one thread reads at once
 FEW = 100  # rows
 # `UNSEEN` of clothbench/core/errors.py in UTF-8: whole columns are looked through at once.
 _UNSEEN = re.compile(rb"[\x00-\x08\x0b-\x1f\x7f]|\xc2[\x80-\x9f]|\xe2\x80[\xaa-\xae]|\xe2\x81[\xa6-\xa9]")
+READABLE = "give a folder whose cells you may read"
 AGAIN = "delete its folder and run again"
 
 
@@ -59,6 +60,8 @@ def read_table(path: Path, columns: Columns | None = None, needed: Collection[st
             # Dividing a cell's few rows among threads takes longer than reading them.
             table = file.read(use_threads=values > SMALL)
         table.validate(full=True)
+    except PermissionError as fault:
+        raise ClothbenchError(f"{path}: cannot be read ({fault.strerror}); {READABLE}") from fault
     except (pa.ArrowException, OSError, ValueError, MemoryError) as fault:
         said = (str(fault).splitlines() or [type(fault).__name__])[0]
         raise ClothbenchError(f"{path}: found a damaged table ({said}); {AGAIN}") from fault
@@ -94,8 +97,7 @@ def looked_up(path: str) -> os.stat_result | None:
     except (FileNotFoundError, NotADirectoryError):
         return None
     except OSError as fault:
-        said = f"cannot be looked up ({fault.strerror}); give a folder whose cells you may read"
-        raise ClothbenchError(f"{path}: {said}") from fault
+        raise ClothbenchError(f"{path}: cannot be looked up ({fault.strerror}); {READABLE}") from fault
 
 
 def as_declared(table: pa.Table, columns: Columns, needed: Collection[str], where: str) -> pa.Table:

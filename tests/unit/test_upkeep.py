@@ -18,6 +18,7 @@ from clothbench.engine import upkeep
 from clothbench.engine.check import check
 from clothbench.engine.leases import Leases
 from clothbench.engine.store import ROW, SEEDLESS, Store, recorded
+from clothbench.engine.tables import read_table
 from clothbench.engine.upkeep import merge, prunable
 from clothbench.plugins.discovery import catalogue
 
@@ -247,6 +248,17 @@ def test_a_cell_that_may_not_be_looked_into_is_not_taken_for_none(locked, filled
     assert said.err == f"clothbench: {told}; give a folder whose cells you may read\n"
     with pytest.raises(ClothbenchError, match="cannot be looked up"):
         Store(filled).has(KEYS[1])
+
+
+def test_a_table_that_may_not_be_read_is_not_called_damaged(filled, monkeypatch):
+    """Whoever is told that deletes what somebody else has finished."""
+
+    def closed(path, **_):
+        raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+
+    monkeypatch.setattr("clothbench.engine.tables.pq.ParquetFile", closed)
+    with pytest.raises(ClothbenchError, match=r"rows\.parquet: cannot be read \(Permission denied\); give a folder"):
+        read_table(filled / "cells" / KEYS[1] / "rows.parquet")
 
 
 def test_check_and_merge_tell_a_cell_that_may_not_be_looked_into(locked, filled, tmp_path, capsys):
