@@ -240,7 +240,7 @@ def _check(r: Recording, where: str) -> None:
         check_points(arrays[name], name, size, where)
     check_noise(r.noise_sigma, size, where)
     if r.sight is None:  # else along the line of sight nothing is known
-        check_scale(arrays, size, where)
+        check_scale(arrays, size, where, read=bool(r.path))
     check_overlap(r.time, r.grip_time, where)
     carry = any(o.carried for o in r.obstacles or ())  # then grips need not hold any cloth
     check_supports(r.outline, r.thickness, r.grip_material[:0] if carry else r.grip_material, size, where)

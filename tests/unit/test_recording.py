@@ -230,10 +230,12 @@ def test_a_node_that_is_nowhere_near_the_cloth_is_refused(recording):
     assert dataclasses.replace(recording, position=position).position.shape == position.shape
 
 
-def test_positions_that_are_all_one_are_refused(recording):
+def test_positions_that_are_all_one_are_refused_of_a_file(recording, tmp_path):
     for place in (0.0, 1.5):
+        made = dataclasses.replace(recording, position=np.full_like(recording.position, place), path="")
+        write_recording(made, tmp_path / "one.nc")  # a program may yet fill it in
         with pytest.raises(ClothbenchError, match=r"found nodes 0 m apart in space at most and .* is it scaled twice"):
-            dataclasses.replace(recording, position=np.full_like(recording.position, place))
+            read_recording(tmp_path / "one.nc")
     one = np.full_like(recording.position, np.nan)
     one[:, 0] = recording.position[:, 0]  # of which nothing is known about the size
     assert dataclasses.replace(recording, position=one).visible.sum() == len(one)
