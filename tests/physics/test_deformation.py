@@ -12,7 +12,7 @@ from clothbench.plugins.discovery import catalogue
 
 EFFECTS = {
     "bending_hysteresis": (1e-3, 5.0),
-    "crease": (1e-4, 20.0),
+    "plastic_bending": (1e-4, 20.0),
     "viscoelasticity": (1e-4, 50.0, 0.01),
     "rest_curvature": (3e-4, -2e-4),
     "bending_anisotropy": (2e-4, 5e-5),

@@ -118,7 +118,7 @@ INTERNAL = [
     ("bending_anisotropy", (2e-4, 5e-5)),
     ("rest_curvature", (3e-4, -2e-4)),
     ("bending_hysteresis", (1e-4, 10.0)),
-    ("crease", (1e-4, 10.0)),
+    ("plastic_bending", (1e-4, 10.0)),
     ("viscoelasticity", (1e-4, 50.0, 0.1)),
 ]
 
@@ -136,7 +136,7 @@ def test_forces_inside_the_cloth_push_and_turn_nothing(crumpled, name, values):
     np.testing.assert_allclose(np.cross(x.T, found.T).sum(axis=0), 0, atol=1e-12)
 
 
-@pytest.mark.parametrize("name", ["bending_hysteresis", "crease", "viscoelasticity"])
+@pytest.mark.parametrize("name", ["bending_hysteresis", "plastic_bending", "viscoelasticity"])
 def test_what_a_turned_sheet_remembers_turns_along(crumpled, name):
     """A rigid rotation neither rubs nor relaxes anything: the forces after it are the turned forces."""
     sheet, x, v = crumpled

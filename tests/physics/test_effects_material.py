@@ -60,7 +60,7 @@ class Press:
 
 @pytest.mark.parametrize(
     ("name", "values"),
-    [("bending_hysteresis", (1e-3, 5.0)), ("crease", (1e-5, 5.0)), ("viscoelasticity", (1e-5, 0.0, 0.1)),
+    [("bending_hysteresis", (1e-3, 5.0)), ("plastic_bending", (1e-5, 5.0)), ("viscoelasticity", (1e-5, 0.0, 0.1)),
      ("bending_anisotropy", (2e-5, 0.0))],
 )  # fmt: skip
 def test_at_its_limit_an_effect_is_stiffness_and_no_more(strip, name, values):
@@ -111,7 +111,7 @@ def test_below_yield_bending_is_given_back_and_above_it_costs_the_area_of_the_lo
     axis = "uv".index(direction)
     counted = strip.face_area[(np.abs(strip.curvature[:, axis]) > 1e-9).any(axis=1)].sum()
     for top, expected in ((5.0, 0.0), (10.0, 4 * rigidity * limit * (10.0 - limit))):
-        press = Press(strip, "crease", (rigidity, limit))
+        press = Press(strip, "plastic_bending", (rigidity, limit))
         for k, phase in enumerate(2 * np.pi / 400 * np.arange(1101)):
             press.to(bent(strip, top * np.sin(phase), direction))
             if k == 700:
@@ -123,7 +123,7 @@ def test_below_yield_bending_is_given_back_and_above_it_costs_the_area_of_the_lo
 def test_a_strip_bent_beyond_yield_rests_at_the_curvature_that_stays(strip):
     """Where the model's own D and what yielded balance: R (κ_m − κ_y)/(R + D)."""
     rigidity, own, limit, top = 4e-5, 1e-5, 3.0, 10.0
-    press = Press(strip, "crease", (rigidity, limit))
+    press = Press(strip, "plastic_bending", (rigidity, limit))
     for kappa in (0.0, 5.0, top):
         press.to(bent(strip, kappa))
     stays = bent(strip, rigidity * (top - limit) / (rigidity + own))

@@ -19,7 +19,7 @@ EFFECTS = (
     ("poisson_coupling", "PoissonCoupling", "cross contraction between warp and weft"),
     ("bending_anisotropy", "BendingAnisotropy", "bending rigidity of warp and weft beyond the model's own"),
     ("bending_hysteresis", "BendingHysteresis", "internal friction in bending"),
-    ("crease", "Crease", "bending that yields, so that folds stay"),
+    ("plastic_bending", "PlasticBending", "bending that yields, so that folds stay"),
     ("viscoelasticity", "Viscoelasticity", "stress relaxation in bending and stretch"),
     ("rest_curvature", "RestCurvature", "cloth that curls by itself"),
     ("heavy_hem", "HeavyHem", "a hem along the lower edge, with its weight"),

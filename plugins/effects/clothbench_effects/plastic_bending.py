@@ -1,4 +1,4 @@
-"""`crease`: cloth that was bent sharply stays bent, as at a fold that was pressed.
+"""`plastic_bending`: cloth that was bent sharply stays bent, as at a fold that was pressed.
 
 An elastic element that yields, beside the model's own bending, which does not: below the yield curvature it is one more
 rigidity and loses nothing; above, its moment stays what it was at yield, and what is bent beyond that is not undone.
@@ -48,8 +48,8 @@ def keep(t, dt, x, v, f, sheet, p, state):
 SOURCE = "Prandtl 1928, an elastic element that slips (elastic, ideally plastic), in bending"
 
 
-class Crease:
-    name = "crease"
+class PlasticBending:
+    name = "plastic_bending"
     version = 1
     place = "dynamics"
     normals = False
