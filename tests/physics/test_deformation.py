@@ -15,6 +15,7 @@ EFFECTS = {
     "plastic_bending": (1e-4, 20.0),
     "viscoelasticity": (1e-4, 50.0, 0.01),
     "rest_curvature": (3e-4, -2e-4),
+    "crease": (1e-5, 0.6, 0.5),
     "bending_anisotropy": (2e-4, 5e-5),
     "poisson_coupling": (30.0,),
     "stretch_stiffening": (2000.0,),

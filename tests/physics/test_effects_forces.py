@@ -92,11 +92,29 @@ def curl_energy(sheet, x, p):
     return -(sheet.face_area * (p[0] * kappa[:, 0] + p[1] * kappa[:, 1])).sum()
 
 
+def crease_energy(sheet, x, p):
+    """The mean of the hat over a triangle by the formula of Hermite and Genocchi: twice a divided difference of f,
+    f″ = hat, at the three corners.
+    """
+    w = fibres(sheet, x)[0]
+    normal = np.cross(w[:, 0], w[:, 1])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    uu, vv, uv = np.einsum("fcx,fx->cf", curvature_vectors(sheet, x), normal)
+    a, b = -np.sin(p[2]), np.cos(p[2])
+    across = sheet.uv @ [a, b]
+    s = (across - across.min() - p[1] * np.ptp(across))[sheet.triangles]
+    h = 2 * np.ptp(s, axis=1).max()
+    f = (np.abs(s + h) ** 3 - 2 * np.abs(s) ** 3 + np.abs(s - h) ** 3) / (12 * h * h)
+    hat = 2 * (f / ((s - np.roll(s, 1, axis=1)) * (s - np.roll(s, 2, axis=1)))).sum(axis=1)
+    return -(sheet.face_area * p[0] * hat * (a * a * uu + 2 * a * b * uv + b * b * vv)).sum()
+
+
 ENERGIES = [
     ("stretch_stiffening", (2000.0,), stiffening_energy),
     ("poisson_coupling", (30.0,), coupling_energy),
     ("bending_anisotropy", (2e-4, 5e-5), bending_energy),
     ("rest_curvature", (3e-4, -2e-4), curl_energy),
+    ("crease", (1e-5, 0.6, 0.5), crease_energy),
 ]
 
 
@@ -117,6 +135,7 @@ INTERNAL = [
     ("poisson_coupling", (30.0,)),
     ("bending_anisotropy", (2e-4, 5e-5)),
     ("rest_curvature", (3e-4, -2e-4)),
+    ("crease", (1e-4, 0.6, 0.5)),
     ("bending_hysteresis", (1e-4, 10.0)),
     ("plastic_bending", (1e-4, 10.0)),
     ("viscoelasticity", (1e-4, 50.0, 0.1)),

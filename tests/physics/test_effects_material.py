@@ -16,10 +16,11 @@ from effect_scenes import (
 )
 from scipy.optimize import curve_fit
 
-from clothbench import Scene
+from clothbench import Material, Scene
 from clothbench.core.optional import Remembers
 from clothbench.modelling.mesh import grid_triangles
 from clothbench.modelling.sheet import sheet_of
+from clothbench.plugins.discovery import catalogue
 
 # --- kernels alone, on a strip bent to a cylinder ---------------------------------------------------------------------
 
@@ -236,6 +237,48 @@ def test_a_strip_curls_to_the_radius_of_couple_over_rigidity(name):
     radius = np.prod(sides) / (2 * np.linalg.norm(np.cross(b - a, c - a)))
     assert radius == pytest.approx(5e-4 / 1e-3, rel=0.03)
     assert c[2] > b[2] > 0
+
+
+def turned(x, points, direction):
+    """Angle [rad] between planes through the points of a strip (N, 3) m beyond 3 cm from the line through its middle,
+    above 0 where it is folded towards u × v; and how far these points lie off their planes at most [m].
+    """
+    across = points @ [-np.sin(direction), np.cos(direction)]
+    across -= (across.min() + across.max()) / 2
+    normals, off = [], 0.0
+    for side in (across < -0.03, across > 0.03):
+        flat = np.column_stack([points[side], np.ones(side.sum())])
+        plane = np.linalg.lstsq(flat, x[side], rcond=None)[0]
+        off = max(off, np.linalg.norm(flat @ plane - x[side], axis=1).max())
+        normals.append(np.cross(plane[0], plane[1]) / np.linalg.norm(np.cross(plane[0], plane[1])))
+    line = (np.cos(direction), np.sin(direction), 0.0)
+    return np.arctan2(np.cross(*normals) @ line, normals[0] @ normals[1]), off
+
+
+@pytest.mark.parametrize("shape", [(19, 7), (25, 9)])
+@pytest.mark.parametrize("direction", [np.pi / 2, 1.1], ids=["straight", "oblique"])
+def test_a_pressed_strip_rests_flat_on_both_sides_of_the_line_and_turned_by_couple_over_rigidity(shape, direction):
+    """α = P/D of an isotropic sheet, on either mesh."""
+    grid = np.stack([a.ravel() for a in np.meshgrid(np.linspace(0, 0.16, 17), np.linspace(0, 0.05, 6))], axis=1)
+    scene = clamped(0.16, 0.05, shape, grid)
+    rigidity, angle = 1e-4, 0.6
+    theta = catalogue().make("models", "baraff_witkin").of_material(Material(rigidity, STIFF, STIFF / 2), scene)
+    x = run("baraff_witkin", scene, theta, ("crease", [angle * rigidity, 0.5, direction]))[-1]
+    found, off = turned(x[: len(grid)], grid, direction)
+    assert found == pytest.approx(angle, rel=0.02)
+    assert off < 2e-5
+
+
+@on_every_model
+def test_a_pressed_strip_rests_turned_by_couple_over_rigidity_in_every_model(name):
+    """D from `bending_anisotropy`, beside which the model's own rigidity does not count; the other way round."""
+    grid = np.stack([a.ravel() for a in np.meshgrid(np.linspace(0, 0.16, 17), np.linspace(0, 0.05, 6))], axis=1)
+    scene = clamped(0.16, 0.05, (17, 6), grid)
+    theta, *_ = cloth(name, scene, STIFF)
+    rigid = ("bending_anisotropy", [4e-4, 4e-4])
+    x = run(name, scene, theta, rigid, ("crease", [-0.5 * 4e-4, 0.5, np.pi / 2]))[-1]
+    found, _ = turned(x[: len(grid)], grid, np.pi / 2)
+    assert found == pytest.approx(-0.5, rel=0.02)
 
 
 @on_every_model

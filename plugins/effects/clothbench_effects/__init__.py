@@ -22,6 +22,7 @@ EFFECTS = (
     ("plastic_bending", "PlasticBending", "bending that yields, so that folds stay"),
     ("viscoelasticity", "Viscoelasticity", "stress relaxation in bending and stretch"),
     ("rest_curvature", "RestCurvature", "cloth that curls by itself"),
+    ("crease", "Crease", "a line along which the cloth was folded, and rests bent"),
     ("heavy_hem", "HeavyHem", "a hem along the lower edge, with its weight"),
     ("point_mass", "PointMass", "a small mass on the cloth, such as a marker"),
     ("total_mass", "TotalMass", "cloth heavier or lighter than stated"),
