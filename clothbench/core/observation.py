@@ -49,6 +49,10 @@ class Observation:
     was seen: then frames are captures, each a drape of its own, `time` counts them, and no point is visible; size:
     (width, height) m of the cloth, which may reach beyond its outermost points, or None.
 
+    cloud: whether the points have no identity. Then their order in a frame means nothing, `material` (M, 2) m are the
+    points of the sheet that are simulated to be compared with them, of whatever number, and only metrics that take
+    nothing from which point is which can compare them.
+
     sight: the one camera that saw the points, where nothing else tells how far away they were. A position then is any
     place on the line of sight, and what it says is across that line only: two coordinates, not three.
     """
@@ -65,6 +69,7 @@ class Observation:
     grips: GripPath | None = None
     outlines: Outlines | None = None
     size: tuple[float, float] | None = None
+    cloud: bool = False
 
     def __post_init__(self) -> None:
         for name in ("time", "position", "visible", "material", "confidence"):
@@ -76,7 +81,7 @@ class Observation:
         if (
             self.position.shape != (frames, nodes, 3)
             or self.time.shape != (frames,)
-            or self.material.shape != (nodes, 2)
+            or self.material.shape != (len(self.material) if self.cloud else nodes, 2)
         ):
             raise ClothbenchError(
                 f"observation: found position {self.position.shape}, time {self.time.shape}, "
@@ -111,6 +116,11 @@ class Observation:
         In a picture: to the right and down, at the distance at which the seen position lies, so that a pixel is as many
         metres for every point beside it.
         """
+        if self.cloud:
+            raise ClothbenchError(
+                "observation: found points without identity, of which none has a place of its own in a rollout; take a "
+                "metric of kind 'points', as chamfer"
+            )
         if self.sight is None:
             return position - np.nan_to_num(self.position)
         seen, there = self.sight.in_view(np.nan_to_num(self.position)), self.sight.in_view(position)

@@ -27,7 +27,8 @@ from clothbench.core.protocols import Material, Model, Objective, Stated
 from clothbench.core.rollout import Rollout
 from clothbench.core.scene import Scene
 
-TRACKED_KINDS = frozenset({"nodes", "depth", "video", "silhouette"})  # of recordings that a sheet can be tracked in
+# Of recordings that a sheet can be tracked in.
+TRACKED_KINDS = frozenset({"nodes", "points", "depth", "video", "silhouette"})
 MODEL_KINDS = ("explicit", "implicit", "static", "")
 FORCE_LAWS = ("normal velocity squared", "normal acceleration", "past normal velocity", "mass along the lower edge")
 EFFECT_FAMILIES = (
@@ -461,8 +462,8 @@ class ShowsSteps(Protocol):
 
 @runtime_checkable
 class ReadsKinds(Protocol):
-    """kinds: of recordings that a tracker reads, or that a metric compares with, where they are not sheets of points:
-    "nodes", "depth", "video", "silhouette". Without it: "nodes".
+    """kinds: of recordings that a tracker reads, or that a metric compares with, where they are not sheets of points
+    that are known again: "nodes", "points", "depth", "video", "silhouette". Without it: "nodes".
     """
 
     kinds: frozenset[str]

@@ -44,7 +44,8 @@ class Film:
     (N, 2) m; seen: (F, N, 3) m, NaN where a point was not seen; metric, unit: of errors; floor: of noise, or None;
     picture: all frames in one WebP picture, row by row, empty where there were none; size: (width, height) px of a
     frame; camera, projector: what sees the points in them; flat: whether that is all that
-    tells where points are, so that nothing is known along its line of sight; takes: by what they are called.
+    tells where points are, so that nothing is known along its line of sight; cloud: whether nobody knows which of the
+    seen points is which, seen then being (F, P, 3) m of any number; takes: by what they are called.
     """
 
     identity: str
@@ -61,6 +62,7 @@ class Film:
     camera: Camera | None = None
     projector: Projector | None = None
     flat: bool = False
+    cloud: bool = False
     takes: Mapping[str, Take] = field(default_factory=dict)
 
 
@@ -100,7 +102,8 @@ def write_film(path: Path, film: Film) -> None:
     """One NPZ file; places in whole steps."""
     origin, step = grid_of(film)
     about = {
-        name: getattr(film, name) for name in ("identity", "name", "split", "metric", "unit", "floor", "size", "flat")
+        name: getattr(film, name)
+        for name in ("identity", "name", "split", "metric", "unit", "floor", "size", "flat", "cloud")
     } | {"takes": list(film.takes), "optics": optics(film)}  # fmt: skip
     arrays = {f"position_{n}": in_steps(t.position, origin, step) for n, t in enumerate(film.takes.values())}
     arrays |= {f"error_{n}": np.asarray(t.error, np.float32) for n, t in enumerate(film.takes.values())}
@@ -186,7 +189,7 @@ def recording_data(film: Film) -> dict[str, Any]:
     return {
         "time": [round(float(t), 4) for t in film.time], "seen": places(film.seen),
         "surface": surface_data(film.material), "picture": picture, "across": min(ACROSS, len(film.time)),
-        "size": list(film.size), "flat": film.flat,
+        "size": list(film.size), "flat": film.flat, "cloud": film.cloud,
         "optics": optics(film),
     }  # fmt: skip
 

@@ -83,6 +83,20 @@ def log_away(
     stream.send_columns(path, at_times(seen.time), columns.partition(both.sum(axis=1)))
 
 
+def nearest(points: np.ndarray, among: np.ndarray) -> np.ndarray:
+    """How far points (F, P, 3) m are in each frame from the nearest of others (F, Q, 3) m, (F, P) m; not a number where
+    either is not known.
+    """
+    from scipy.spatial import cKDTree
+
+    out = np.full(points.shape[:2], np.nan)
+    for away, here, there in zip(out, points, among, strict=True):
+        known, others = np.isfinite(here).all(axis=1), there[np.isfinite(there).all(axis=1)]
+        if known.any() and len(others):
+            away[known] = cKDTree(others).query(here[known])[0]
+    return out
+
+
 def log_curve(
     stream: Any, path: str, time: np.ndarray, value: np.ndarray, name: str, colour: tuple[int, ...] | None = None
 ) -> None:

@@ -36,7 +36,7 @@ def simulated(trial: Trial, theta: np.ndarray) -> Rollout:
         return rollout
     if not isinstance(rollout, Rollout):
         raise ClothbenchError(f"the model's simulation gave {type(rollout).__name__}, expected a clothbench.Rollout")
-    frames, nodes = trial.observation.visible.shape
+    frames, nodes = len(trial.observation.time), len(trial.observation.material)
     found, expected = np.shape(rollout.position), (len(theta), frames, nodes, 3)
     if trial.observation.outlines is not None:  # its frames are captures, of which a simulation knows nothing
         expected = (len(theta), *found[1:3], 3)

@@ -17,47 +17,64 @@ from clothbench.engine.cells import digest, plugin_versions
 from clothbench.plugins.discovery import OWN, Catalogue
 from clothbench.recordings.kinds import AnyRecording
 from clothbench.recordings.nodes import Recording, read_recording, write_recording
+from clothbench.recordings.points import PointCloud
 from clothbench.recordings.silhouette import Silhouettes
 from clothbench.recordings.tracked import Images, nodes_of, seen_in
 
 FORM = 2  # of what is kept of tracked images: what `nodes_of` makes of an observation
 
 
-def require_readable(recording: Recording | Images | Silhouettes, tracker: str, plugins: Catalogue) -> None:
+def require_readable(
+    recording: Recording | PointCloud | Images | Silhouettes, tracker: str, plugins: Catalogue
+) -> None:
     """Refuse recordings that a tracker does not read, and name those that do."""
     if recording.kind in kinds_read(plugins.load("trackers", tracker)):
         return
-    able = [p.name for p in plugins.plugins if p.kind == "trackers" and p.distribution == OWN]
-    able = [name for name in able if recording.kind in kinds_read(plugins.load("trackers", name))]
     where = recording.path or recording.name
     raise ClothbenchError(
         f"{where}: found kind {recording.kind!r}, which the tracker {tracker!r} does not read; "
-        f"take tracker={' or '.join(able)}"
+        f"take tracker={' or '.join(_able('trackers', recording.kind, plugins))}"
     )
 
 
 def require_comparable(recording: AnyRecording, metric: str, plugins: Catalogue) -> None:
-    """Refuse a metric of drapes on sheets of points, or one of points on drapes."""
-    drapes, wanted = isinstance(recording, Silhouettes), "silhouette" in kinds_read(plugins.load("metrics", metric))
-    if drapes != wanted:
-        shows = "drapes, of which no point is seen" if drapes else "points of a sheet"
-        raise ClothbenchError(
-            f"{recording.path or recording.name}: found {shows}, which the metric {metric!r} does not compare; take "
-            + ("metric=drape" if drapes else "recordings of kind 'silhouette'")
-        )
+    """Refuse a metric on recordings that show something else than it compares: drapes, points without identity, or
+    points that are known again, which is also what images are tracked to.
+    """
+    kind, shows = "nodes", "points of a sheet"
+    if isinstance(recording, Silhouettes):
+        kind, shows = "silhouette", "drapes, of which no point is seen"
+    elif isinstance(recording, PointCloud):
+        kind, shows = "points", "points without identity"
+    kinds = kinds_read(plugins.load("metrics", metric))
+    if kind in kinds or (kind == "nodes" and "silhouette" not in kinds):
+        return
+    able = " or ".join(_able("metrics", kind, plugins))
+    raise ClothbenchError(
+        f"{recording.path or recording.name}: found {shows}, which the metric {metric!r} does not compare; take "
+        + (f"metric={able}" if kind != "nodes" else "recordings of kind 'silhouette'")
+    )
+
+
+def _able(plugin: str, kind: str, plugins: Catalogue) -> list[str]:
+    """Names of the built-in trackers, or metrics, that say themselves that they read recordings of a kind."""
+    own = [p.name for p in plugins.plugins if p.kind == plugin and p.distribution == OWN]
+    return [name for name in own if kind in kinds_read(plugins.load(plugin, name))]
 
 
 def watched(
     recording: Any, tracker: Tracker, options: Mapping[str, Any], plugins: Catalogue, kept: Path | None
-) -> tuple[Recording, Observation]:
-    """A recording as nodes, and what the tracker saw of it.
+) -> tuple[Recording | PointCloud, Observation]:
+    """A recording as nodes, or as the cloud that it is, and what the tracker saw of it.
 
-    Nodes are tracked each time; images once, and what came of them is kept in the folder `kept` as a recording of its
-    own, under a key of the images, the tracker, its options and its version.
+    Nodes and clouds are tracked each time; images once, and what came of them is kept in the folder `kept` as a
+    recording of its own, under a key of the images, the tracker, its options and its version.
     """
     require_readable(recording, tracker.name, plugins)
     if isinstance(recording, Recording):
         return as_seen(recording, seen := tracker.track(recording), tracker.name), seen
+    if isinstance(recording, PointCloud):
+        return recording, cloud_seen(recording, tracker.track(recording), tracker.name)
     if kept is None:
         nodes = nodes_of(recording, tracker.track(recording))
         return nodes, seen_in(nodes)
@@ -67,6 +84,19 @@ def watched(
         write_recording(nodes_of(recording, tracker.track(recording)), path)
     nodes = dataclasses.replace(read_recording(path), path=recording.path)  # the same in the first cell as in others
     return nodes, seen_in(nodes)
+
+
+def cloud_seen(recording: PointCloud, seen: Observation, tracker: str) -> Observation:
+    """The observation that a tracker gave of a cloud, refused unless it is one at the stamps and material points that
+    are simulated.
+    """
+    same = np.array_equal(seen.time, recording.time) and np.array_equal(seen.material, recording.lattice)
+    if not (seen.cloud and same):
+        raise ClothbenchError(
+            f"tracker {tracker!r}: found another observation of {recording.path or recording.name} than of a cloud, "
+            "expected cloud=True, the recording's stamps, and its lattice as material"
+        )
+    return seen
 
 
 def as_seen(recording: Recording, seen: Observation, tracker: str) -> Recording:

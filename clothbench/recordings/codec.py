@@ -19,7 +19,7 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError, misspelled
 from clothbench.core.files import whole_file
-from clothbench.recordings.layout import Layout, Stated, Variable
+from clothbench.recordings.layout import KINDS, Layout, Stated, Variable
 from clothbench.recordings.netcdf import NetCDF, opened
 
 FORMAT, VERSION = "clothbench-recording", 1
@@ -136,8 +136,10 @@ def check_header(stated: Stated, path: Path, layout: Layout) -> None:
             f"{path}: attribute 'format_version': found {found}, expected the number {VERSION}; {remedy}"
         )
     if stated.get("kind") != layout.kind:
-        hint = "; curves go to `clothbench improve`, in a folder of their own" if stated.get("kind") == "curve" else ""
-        raise ClothbenchError(f"{path}: attribute 'kind': found {stated.get('kind')!r}, expected {layout.kind!r}{hint}")
+        kind = stated.get("kind")
+        hint = "; curves go to `clothbench improve`, in a folder of their own" if kind == "curve" else ""
+        expected = repr(layout.kind) if kind in KINDS else f"one of {', '.join(map(repr, KINDS))}"
+        raise ClothbenchError(f"{path}: attribute 'kind': found {kind!r}, expected {expected}{hint}")
     require_no_misspelling("attribute", stated, layout.attributes, path, layout.known)
     for name in layout.needed:
         if name not in stated:

@@ -1,4 +1,5 @@
-"""Recordings of any kind: which reader stands for the kind that a file states. A new kind is a file and a line here."""
+"""Recordings of any kind: which reader stands for the kind that a file states. A new kind is a file, a line here
+and its name in `layout.KINDS`."""
 
 from __future__ import annotations
 
@@ -13,6 +14,7 @@ from clothbench.recordings.codec import kind_of
 # kind: (module in clothbench.recordings, its reader)
 READERS = {
     "nodes": ("nodes", "read_recording"),
+    "points": ("points", "read_points"),
     "curve": ("curve", "read_curve"),
     "laser": ("laser", "read_laser"),
     "depth": ("depth", "read_depth"),
@@ -20,7 +22,7 @@ READERS = {
     "silhouette": ("silhouette", "read_silhouettes"),
 }
 
-SHEETS = ("nodes", "depth", "video", "silhouette")  # kinds that show a sheet of cloth, which models simulate
+SHEETS = ("nodes", "points", "depth", "video", "silhouette")  # kinds that show a sheet of cloth, which models simulate
 
 
 class AnyRecording(Protocol):
@@ -41,8 +43,8 @@ def reader_of(kind: str) -> Callable[[str | os.PathLike[str]], Any]:
 
 
 def read_sheet(path: str | os.PathLike[str]) -> Any:
-    """Read and check one recording that shows a sheet, tracked (`Recording`) or not yet (`DepthImages`,
-    `ColourVideo`, `Silhouettes`).
+    """Read and check one recording that shows a sheet, tracked (`Recording`) or not yet (`PointCloud`,
+    `DepthImages`, `ColourVideo`, `Silhouettes`).
     """
     kind = kind_of(Path(path))
     return reader_of(kind if kind in SHEETS else "nodes")(path)

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+# Kinds of recordings that there are; `clothbench.recordings.kinds` has their readers.
+KINDS = ("nodes", "points", "curve", "laser", "depth", "video", "silhouette")
 SPLITS = ("fit", "held_out", "")  # what the attribute `split` may state, in every kind that has it
 
 Arrays = Mapping[str, np.ndarray]

@@ -28,6 +28,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from numbers import Real
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -192,8 +193,8 @@ def write_recording(recording: Recording, path: str | os.PathLike[str]) -> Path:
     return write(recording, path, LAYOUT)
 
 
-def grips_at(recording: Recording, time: np.ndarray) -> np.ndarray:
-    """Grip positions (T, G, 3) m at the frames' times (T,) s."""
+def grips_at(recording: Any, time: np.ndarray) -> np.ndarray:
+    """Grip positions (T, G, 3) m of a recording of nodes, or of a cloud, at the frames' times (T,) s."""
     grips = recording.grip_position.reshape(len(recording.grip_time), -1)
     at = [np.interp(time, recording.grip_time, column) for column in grips.T]
     return np.stack(at, axis=1).reshape(len(time), -1, 3)

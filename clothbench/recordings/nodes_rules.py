@@ -141,9 +141,9 @@ def check_scale(arrays: Arrays, size: np.ndarray, where: str, read: bool) -> Non
             )
 
 
-def check_strays(position: np.ndarray, across: float, where: str) -> None:
-    """No node is far out of a frame's others (T, N, 3) m, seen of a cloth `across` m from corner to corner: a number
-    like -999 that stands for "not seen" is one.
+def check_strays(position: np.ndarray, across: float, where: str, what: str = "node") -> None:
+    """No node, or what else they are called, is far out of a frame's others (T, N, 3) m, seen of a cloth `across` m
+    from corner to corner: a number like -999 that stands for "not seen" is one.
     """
     for t, places in enumerate(position):
         there = np.flatnonzero(np.isfinite(places).all(axis=1))
@@ -154,7 +154,7 @@ def check_strays(position: np.ndarray, across: float, where: str) -> None:
             node = int(there[np.argmax(away)])
             at = ", ".join(f"{x:g}" for x in places[node])
             raise ClothbenchError(
-                f"{where}: variable 'position': found node {node} at frame {t} at ({at}) m, {away.max():.3g} m from "
+                f"{where}: variable 'position': found {what} {node} at frame {t} at ({at}) m, {away.max():.3g} m from "
                 f"the middle of those seen with it, expected {STRAYED * across:.2g} m at most of a cloth "
                 f"{across:.2g} m across, and NaN where it was not seen"
             )

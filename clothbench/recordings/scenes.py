@@ -14,6 +14,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.outline import disc_outline
 from clothbench.core.scene import AIR_DENSITY, Obstacle, Scene, obstacles_of
 from clothbench.recordings.nodes import Recording
+from clothbench.recordings.points import PointCloud
 from clothbench.recordings.silhouette import Silhouettes
 
 BOW = 0.01  # of the width, by which a sheet in a picture is bowed
@@ -22,7 +23,7 @@ WAVES = range(2, 15)  # around the rim, of which a first shape is a mixture
 FIRST_FRAMES, FIRST_SECONDS = 5, 0.2  # at least, of the motion that a sheet starts from
 
 
-def scenes_of(recording: Recording | Silhouettes, **settings: Any) -> list[Scene]:
+def scenes_of(recording: Recording | PointCloud | Silhouettes, **settings: Any) -> list[Scene]:
     """What is simulated for one recording: one scene, or of silhouettes one for each of several first shapes.
 
     settings: of `scene_of` or `drapes_of`; one that the other has only is refused in one line.
@@ -38,7 +39,7 @@ def scenes_of(recording: Recording | Silhouettes, **settings: Any) -> list[Scene
 
 
 def scene_of(
-    recording: Recording,
+    recording: Recording | PointCloud,
     *,
     areal_density: float | None = None,
     resolution: tuple[int, int] | None = None,
@@ -56,21 +57,18 @@ def scene_of(
     spacing [m]: of the mesh's nodes, at most, whatever the cloth's size; it takes the place of `resolution`.
     start: "rest", the sheet settles in its grips' first pose, or "measured", it goes on from where it was first seen,
     as it moved then.
+
+    Of a cloud the points are its `lattice`, and nobody saw where these were: the sheet settles as its grips hold it.
     """
     density = areal_density_of(recording, areal_density)
-    if start == "measured" and recording.sight is not None:
-        raise ClothbenchError(
-            f"{recording.path or recording.name}: found points in a picture, which says nothing of their depth; "
-            "scene.start=measured needs places in space: use scene.start=rest"
-        )
+    if isinstance(recording, PointCloud):
+        _require_of_cloud(recording, start, outline)
+        points, place, velocity, sight = recording.lattice, None, None, None
+    else:
+        points, sight = recording.material, recording.sight
+        place, velocity = _beginning(recording, start)
     if spacing is not None:
         resolution = _spaced(recording.cloth_width, recording.cloth_height, spacing)
-    seen = np.flatnonzero(recording.visible.any(axis=1))[:3]
-    with np.errstate(invalid="ignore"):
-        early = np.where(recording.visible[seen, :, None], recording.position[seen], np.nan)
-    place, velocity = first_motion(recording) if start == "measured" else (_first_seen(early), None)
-    if recording.sight is not None:
-        place = _bowed(recording, place)
     return Scene(
         width=recording.cloth_width,
         height=recording.cloth_height,
@@ -79,13 +77,13 @@ def scene_of(
         grip_material=recording.grip_material,
         grip_position=recording.grip_position,
         times=recording.time,
-        points=recording.material,
+        points=points,
         gravity=recording.gravity,
         air_density=air_density,
         resolution=resolution,
         start=place,
         velocity=velocity,
-        camera=recording.sight,
+        camera=sight,
         outline=recording.outline if outline is None else np.array(outline),
         obstacles=obstacles_of((recording.obstacles or ()) if obstacles is None else obstacles),
         thickness=(recording.thickness or 0.0) if thickness is None else thickness,
@@ -168,6 +166,36 @@ def _spaced(width: float, height: float, spacing: float) -> tuple[int, int]:
     """Nodes along (u, v) that are at most `spacing` m apart."""
     across, down = (max(3, 1 + math.ceil(length / spacing - 1e-6)) for length in (width, height))
     return across, down
+
+
+def _beginning(recording: Recording, start: str) -> tuple[np.ndarray, np.ndarray | None]:
+    """Where the points were first seen (N, 3) m, and how fast they moved then (N, 3) m/s, where the sheet goes on."""
+    if start == "measured" and recording.sight is not None:
+        raise ClothbenchError(
+            f"{recording.path or recording.name}: found points in a picture, which says nothing of their depth; "
+            "scene.start=measured needs places in space: use scene.start=rest"
+        )
+    if start == "measured":
+        return first_motion(recording)
+    seen = np.flatnonzero(recording.visible.any(axis=1))[:3]
+    with np.errstate(invalid="ignore"):
+        early = np.where(recording.visible[seen, :, None], recording.position[seen], np.nan)
+    place = _first_seen(early)
+    return place if recording.sight is None else _bowed(recording, place), None
+
+
+def _require_of_cloud(recording: PointCloud, start: str, outline: Any) -> None:
+    """Refuse settings of a scene that a cloud cannot follow."""
+    if start == "measured":
+        raise ClothbenchError(
+            f"{recording.path or recording.name}: found points without identity, which do not say how the cloth's own "
+            "points moved; use scene.start=rest"
+        )
+    if outline is not None:  # the lattice is the recording's own, and its points have to lie on the sheet
+        raise ClothbenchError(
+            f"{recording.path or recording.name}: found scene.outline, expected an outline in the recording, which a "
+            "cloud is compared on; state it there"
+        )
 
 
 def first_motion(recording: Recording) -> tuple[np.ndarray, np.ndarray]:

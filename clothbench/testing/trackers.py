@@ -12,9 +12,10 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import Observation
 from clothbench.core.optional import TRACKED_KINDS, ShowsSteps, kinds_read
 from clothbench.core.protocols import Tracker
-from clothbench.estimation.watched import as_seen
+from clothbench.estimation.watched import as_seen, cloud_seen
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
+from clothbench.recordings.points import PointCloud
 from clothbench.recordings.scenes import scene_of
 from clothbench.testing import scenes
 from clothbench.testing.rules import NotApplicable, Outcome, choose, made, require, require_members, run_rules
@@ -26,7 +27,7 @@ SIGMA = 5e-4  # m
 @dataclass(frozen=True, eq=False)
 class TrackerCase:
     tracker: Tracker
-    source: Recording | Path
+    source: Recording | PointCloud | Path
     is_own: bool  # the source is the kit's recording, not what the author gave
 
     def track(self) -> Observation:
@@ -43,16 +44,18 @@ class TrackerCase:
 def check_tracker(
     make: Callable[..., Tracker],
     *,
-    source: Recording | Path | None = None,
+    source: Recording | PointCloud | Path | None = None,
     only: Iterable[str] | None = None,
 ) -> tuple[Outcome, ...]:
-    """Check the tracker that `make()` gives on `source`: raw data, or a recording (the kit has its own).
+    """Check the tracker that `make()` gives on `source`: raw data, or a recording (the kit has its own of nodes, and
+    of points without identity for trackers that read nothing else).
 
     A tracker of raw data only, which refuses the kit's recording, needs a source; one with options is given as a
     function that makes it with them.
     """
     tracker = made(make, "tracker")
-    case = TrackerCase(tracker, source or swung_sheet(), is_own=source is None)
+    own = swung_cloud if kinds_read(tracker) == {"points"} else swung_sheet
+    case = TrackerCase(tracker, source or own(), is_own=source is None)
     return run_rules(f"tracker {getattr(tracker, 'name', make)!r}", choose(RULES, only), case)
 
 
@@ -92,7 +95,12 @@ def gives_a_whole_observation(case: TrackerCase) -> None:
 
 
 def sees_what_was_recorded(case: TrackerCase) -> str | None:
-    """Where tracker and recording share a stamp and a material point, they see it in the same place."""
+    """Where tracker and recording share a stamp and a material point, they see it in the same place; of a cloud, what
+    it sees are points of the same frame.
+    """
+    if isinstance(case.source, PointCloud):
+        _sees_the_cloud(case.track(), case.source)
+        return None
     if not isinstance(case.source, Recording):
         return "tracks raw data, of which the kit does not know what they show"
     o, r = case.track(), case.source
@@ -114,8 +122,22 @@ def sees_what_was_recorded(case: TrackerCase) -> str | None:
     return None
 
 
+def _sees_the_cloud(o: Observation, r: PointCloud) -> None:
+    require(np.isin(o.time, r.time).all(), "stamps that the recording has not", "its own")
+    for frame, seen, there in zip(r.position[np.searchsorted(r.time, o.time)], o.position, o.visible, strict=True):
+        away = np.linalg.norm(seen[there][:, None] - frame[np.isfinite(frame).all(axis=1)], axis=-1)
+        nearest = away.min(axis=1, initial=np.inf).max(initial=0.0)
+        require(nearest <= NEAR, f"a point {1e3 * nearest:.3g} mm from all that were recorded with it", "at most 5 mm")
+
+
 def serves_a_cell(case: TrackerCase) -> str | None:
     """What it gives can be simulated and compared: the scene has its stamps and points, whichever it left out."""
+    if isinstance(case.source, PointCloud):
+        try:
+            cloud_seen(case.source, case.track(), case.tracker.name)
+        except ClothbenchError as refusal:
+            require(False, f"an observation that no scene can be made of ({refusal})", "one of the whole cloud")
+        return None
     if not isinstance(case.source, Recording):
         return "tracks raw data, which states no scene before it is tracked"
     seen = case.track()
@@ -137,7 +159,7 @@ def gives_the_same_bits_twice(case: TrackerCase) -> None:
 
 
 def leaves_the_recording_alone(case: TrackerCase) -> str | None:
-    if not isinstance(case.source, Recording):
+    if not isinstance(case.source, Recording | PointCloud):
         return "tracks raw data on disk"
     before = case.source.hash
     case.track()
@@ -162,6 +184,19 @@ def swung_sheet() -> Recording:
         grip_time=scene.grip_time, grip_material=scene.grip_material, grip_position=scene.grip_position,
         cloth_width=scene.width, cloth_height=scene.height, areal_density=scene.areal_density,
         noise_sigma=SIGMA,
+    )  # fmt: skip
+
+
+def swung_cloud() -> PointCloud:
+    """`swung_sheet` as a cloud: its points in another order in every frame, one of which is blank."""
+    r, random = swung_sheet(), np.random.default_rng(18)
+    position = np.stack([random.permutation(frame) for frame in r.position])
+    position[30] = np.nan
+    position[~np.isfinite(position).all(axis=-1)] = np.nan
+    return PointCloud(
+        name="swung cloud", time=r.time, position=position, grip_time=r.grip_time, grip_material=r.grip_material,
+        grip_position=r.grip_position, cloth_width=r.cloth_width, cloth_height=r.cloth_height,
+        areal_density=r.areal_density, noise_sigma=SIGMA,
     )  # fmt: skip
 
 

@@ -11,12 +11,13 @@ import time
 from importlib.resources import files
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 import yaml
 from conftest import swinging_recording
 from rich.console import Console
 
-from clothbench import ClothbenchError, write_recording
+from clothbench import ClothbenchError, PointCloud, write_points, write_recording
 from clothbench.cli.commands import COMMANDS, main, parsed, print_json_rows
 from clothbench.cli.idle import say_alone, say_idle
 from clothbench.cli.own_suites import require_harmless
@@ -32,6 +33,7 @@ from clothbench.cli.run import (
 )
 from clothbench.cli.settings_help import settings_help, settings_meanings
 from clothbench.core.files import whole_folder
+from clothbench.display.film import read_film
 from clothbench.engine.settings import KNOWN
 from clothbench.engine.store import ROW
 from clothbench.engine.suite import plan
@@ -250,6 +252,33 @@ def test_one_cell_end_to_end(clothbench, recordings_folder, tmp_path):
     }  # fmt: skip
     assert (tmp_path / "results" / "report.html").is_file()
     assert sorted(p.name for p in tmp_path.iterdir()) == ["recordings", "results"]  # no Hydra litter
+
+
+def test_clouds_without_identity_end_to_end(clothbench, tmp_path):
+    """Drawn, filmed and kept as any recording, whatever the number of points that were seen."""
+    nodes, random = swinging_recording(), np.random.default_rng(1)
+    taken = {n: getattr(nodes, n) for n in ("time", "grip_time", "grip_material", "grip_position")}
+    sizes = {n: getattr(nodes, n) for n in ("cloth_width", "cloth_height", "areal_density", "noise_sigma")}
+    for name, split in (("a", "fit"), ("b", "held_out")):
+        seen = np.stack([random.permutation(frame)[: 2 * len(frame) // 3] for frame in nodes.position])
+        seen[3] = np.nan
+        cloud = PointCloud(name=name, position=seen, split=split, fabric="x", **taken, **sizes)
+        write_points(cloud, tmp_path / f"{name}.nc")
+    asked = ("recordings=.", "model=mass_spring", "+options.mass_spring.resolution=5", "optimizer=ga", "budget=25")
+    refused = clothbench("run", *asked, "metric=node_error", "tracker=cloud")
+    assert refused.returncode == 2
+    assert "take metric=chamfer or hausdorff" in only_line(refused.stderr)
+    out = clothbench("run", *asked, "metric=chamfer", "report=[hausdorff]", "tracker=cloud")
+    assert out.returncode == 0, out.stderr
+    rows = json.loads(clothbench("leaderboard", "--json").stdout)
+    assert {(r["metric"], r["status"], r["floor"]) for r in rows} == {(m, "ok", None) for m in ("chamfer", "hausdorff")}
+    folder = tmp_path / "runs" / "cells" / rows[0]["key"]
+    assert {"fit.rrd", "films"} <= {p.name for p in folder.iterdir()}
+    film = read_film(folder / "films" / "0.npz")
+    assert film.cloud
+    assert film.seen.shape[1] != len(film.material) == next(iter(film.takes.values())).position.shape[1]
+    assert len(list((tmp_path / "runs" / "rerun").glob("*.rrd"))) == 1
+    assert (tmp_path / "runs" / "report.html").is_file()
 
 
 def test_a_finished_cell_is_not_run_again_and_the_same_cell_gives_the_same_bits(

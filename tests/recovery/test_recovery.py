@@ -1,9 +1,11 @@
 """Plant parameters, find them: truth from a finer mesh or from the reference simulation, with noise."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 
-from clothbench import Scene
+from clothbench import PointCloud, Scene, scene_of
 from clothbench.core.observation import Observation
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.core.protocols import Evaluation
@@ -144,3 +146,31 @@ def test_a_planted_drag_comes_back_from_clouds_whose_points_have_no_identity():
     assert found == pytest.approx(TRUTH["quadratic_drag.normal"], rel=0.1)
     best, start = (evaluate([trial], at[None])[0].value[0] for at in (fit.best, space.defaults))
     assert best < 1.6 * trial.metric.floor(seen) < start
+
+
+def test_a_drag_coefficient_is_found_in_a_recording_of_clouds():
+    """150 places a frame that are no nodes of the model, others in each frame, of which a tenth is not seen: simulated
+    is a lattice, and no error comes down to the noise: the points of both lie between each other's.
+    """
+    plugins, random = catalogue(), np.random.default_rng(5)
+    scene = swing(0.06, 0.8)
+    places = random.uniform(0.0, 0.3, (600, 2))
+    truth = plugins.make("models", "mass_spring", resolution=17, step_scale=0.5)
+    drag = [plugins.make("effects", "quadratic_drag")]
+    simulation = truth.prepare(dataclasses.replace(scene, points=places), drag)
+    position = simulation.run([[TRUTH[n] for n in simulation.parameters.names]]).position[0]
+    picked = np.stack([frame[random.permutation(600)[:150]] for frame in position])
+    picked += random.normal(0, NOISE, picked.shape)
+    picked[random.random(picked.shape[:2]) < 0.1] = np.nan
+    picked[7] = np.nan
+    recording = PointCloud(
+        name="clouds", time=scene.times, position=picked, grip_time=scene.grip_time, grip_material=scene.grip_material,
+        grip_position=scene.grip_position, cloth_width=0.3, cloth_height=0.3, areal_density=0.2, noise_sigma=NOISE,
+    )  # fmt: skip
+    seen = plugins.make("trackers", "cloud").track(recording)
+    simulation = plugins.make("models", "mass_spring", resolution=9).prepare(scene_of(recording), drag)
+    trial, space = Trial("clouds", seen, simulation, plugins.make("metrics", "chamfer")), simulation.parameters
+    fit = calibrate([trial], plugins.make("optimizers", "least_squares", space, seed=3, budget=150), space)
+    found = dict(zip(space.names, fit.best, strict=True))
+    assert found["quadratic_drag.normal"] == pytest.approx(TRUTH["quadratic_drag.normal"], rel=0.1)
+    assert found["k1"] == pytest.approx(TRUTH["k1"], rel=0.35)

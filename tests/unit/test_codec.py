@@ -9,7 +9,7 @@ import pytest
 from clothbench import ClothbenchError
 from clothbench.recordings.codec import freeze, hash_of, read, write
 from clothbench.recordings.kinds import READERS, read_any, reader_of
-from clothbench.recordings.layout import Layout, Part, Variable
+from clothbench.recordings.layout import KINDS, Layout, Part, Variable
 
 
 def _wind(arrays, stated, path) -> float | None:
@@ -119,5 +119,7 @@ def test_what_is_refused_is_what_is_wrong(tmp_path, spoil, found):
 def test_every_kind_in_the_table_has_its_reader(tmp_path):
     for kind in READERS:
         assert callable(reader_of(kind))
-    with pytest.raises(ClothbenchError, match="attribute 'kind': found 'counts', expected 'nodes'"):
+    assert set(READERS) == set(KINDS)
+    known = ", ".join(map(repr, KINDS))
+    with pytest.raises(ClothbenchError, match=f"attribute 'kind': found 'counts', expected one of {known}$"):
         read_any(write(counts(), tmp_path / "a.nc", LAYOUT))

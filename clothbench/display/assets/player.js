@@ -44,9 +44,22 @@
     const shot = state.shot, word = state[side];
     return word === FILMED ? shot.seen[frame] : shot.takes.get(word).position[frame];
   };
+  // Distance [mm] of points (N * 3) from the nearest of others: of a cloud nobody knows which point is which.
+  function nearest(points, others) {
+    return Float64Array.from({ length: points.length / 3 }, (_, n) => {
+      let least = NaN;
+      for (let m = 0; m < others.length; m += 3) {
+        const x = points[3 * n] - others[m], y = points[3 * n + 1] - others[m + 1], z = points[3 * n + 2] - others[m + 2];
+        const square = x * x + y * y + z * z;
+        if (square < least || Number.isNaN(least)) least = square;
+      }
+      return 1000 * Math.sqrt(least);
+    });
+  }
   // Distance [mm] of the right side's points from the left side's; across the line of sight where that is all one saw.
   function away(frame) {
     const a = places("right", frame), b = places("left", frame), out = new Float64Array(a.length / 3);
+    if (state.shot.cloud && state.left === FILMED) return nearest(a, b);
     const along = state.shot.flat ? state.shot.optics.camera.rotation[2] : null;
     for (let n = 0; n < out.length; n++) {
       const d = [0, 1, 2].map((k) => a[3 * n + k] - b[3 * n + k]), out_of = along ? d.reduce((s, x, k) => s + x * along[k], 0) : 0;

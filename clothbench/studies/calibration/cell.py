@@ -29,6 +29,7 @@ from clothbench.modelling.joined import JoinedParameters
 from clothbench.plugins.discovery import OWN, Catalogue, PluginBroken
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
+from clothbench.recordings.points import PointCloud
 from clothbench.recordings.scenes import areal_density_of, scenes_of
 from clothbench.recordings.silhouette import Silhouettes
 from clothbench.studies.calibration.schema import PARAMETER, QUESTION
@@ -212,7 +213,7 @@ class Bench:
 
     cell: CalibrationCell
     space: ParameterSpace
-    recordings: tuple[Recording | Silhouettes, ...]
+    recordings: tuple[Recording | PointCloud | Silhouettes, ...]
     trials: tuple[Trial, ...]
     others: tuple[Metric, ...]
     remake: Callable[[Any, float | None], Trial]  # (recording, kg/m²) as another trial of this bench
@@ -243,12 +244,13 @@ def rehearse(cell: CalibrationCell, plugins: Catalogue, recordings: Mapping[str,
             require_readable(recording, cell.tracker, plugins)
             if not isinstance(recording, Recording):
                 areal_density_of(recording, cell.scene.get("areal_density"))
-        simulated = [r for r in mine if isinstance(r, Recording | Silhouettes)]  # other images have to be tracked first
+        # Other images have to be tracked first.
+        simulated = [r for r in mine if isinstance(r, Recording | PointCloud | Silhouettes)]
         scenes = [scene for recording in simulated for scene in scenes_of(recording, **cell.scene)]
         strangers = {pair for pair in uses(cell) if plugins.find(*pair).distribution != OWN}
         if ("trackers", cell.tracker) not in strangers:
             tracker = plugins.make("trackers", cell.tracker, **options_for(cell, plugins, "trackers", cell.tracker))
-            if isinstance(mine[0], Recording):  # images are tracked when the cell is run
+            if isinstance(mine[0], Recording | PointCloud):  # images are tracked when the cell is run
                 tracker.track(mine[0])
         for name in (cell.metric, *cell.report):
             if ("metrics", name) not in strangers:
@@ -346,7 +348,7 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
     tracker = plugins.make("trackers", cell.tracker, **options_for(cell, plugins, "trackers", cell.tracker))
     names = {source.hash: source.name for source in cell.recordings}
 
-    def make(recording: Recording | Silhouettes, areal_density: float | None = None) -> Trial:
+    def make(recording: Recording | PointCloud | Silhouettes, areal_density: float | None = None) -> Trial:
         if recording.hash not in seen:  # of another case, which the fit is held against
             recording = looked_at(recording)
         scenes = scenes_of(recording, **cell.judged)
@@ -358,7 +360,7 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
         simulation = joined([holding(model.prepare(scene, effects), cell.fixed) for scene in scenes])
         return Trial(names.get(recording.hash, recording.name), seen[recording.hash], simulation, metric)
 
-    def looked_at(raw: Any) -> Recording | Silhouettes:
+    def looked_at(raw: Any) -> Recording | PointCloud | Silhouettes:
         if isinstance(raw, Silhouettes):
             require_readable(raw, cell.tracker, plugins)
             seen[raw.hash] = tracker.track(raw)
@@ -367,7 +369,7 @@ def set_up(cell: CalibrationCell, plugins: Catalogue, kept: Path | None = None) 
         seen[recording.hash] = observation
         return recording
 
-    recordings: list[Recording | Silhouettes] = []
+    recordings: list[Recording | PointCloud | Silhouettes] = []
     pictures: list[bool] = []
     seen: dict[str, Observation] = {}
     trials = []

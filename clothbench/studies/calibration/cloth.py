@@ -67,7 +67,7 @@ def film_of(bench: Bench, number: int, rollout: Rollout, others: Mapping[str, np
     return Film(
         recording.hash, source.name, source.split, seen.time[frames], seen.material,
         np.where(seen.visible[..., None], seen.position, np.nan)[frames], trial.metric.name, trial.metric.unit,
-        finite(trial.metric.floor(seen)), picture, size, camera, projector, seen.sight is not None, takes,
+        finite(trial.metric.floor(seen)), picture, size, camera, projector, seen.sight is not None, seen.cloud, takes,
     )  # fmt: skip
 
 

@@ -14,7 +14,7 @@ from clothbench.core.files import file_name, whole_file
 from clothbench.display.film import ACROSS, Film, Take, read_film
 from clothbench.display.names import cell_name
 from clothbench.display.plotly import COLOURS, GREY, VIRIDIS
-from clothbench.display.rerun import log_curve, log_seen, log_sheet, typical_distance
+from clothbench.display.rerun import log_curve, log_seen, log_sheet, nearest, typical_distance
 from clothbench.engine.store import Store
 from clothbench.studies.calibration.cloth import FITTED, START, TRUTH
 from clothbench.studies.calibration.ranking import fitted_totals
@@ -160,7 +160,11 @@ def log_off(stream: Any, path: str, film: Film) -> None:
 
 
 def off(film: Film) -> np.ndarray:
-    """(F, N) m from where points were seen to where the first parameter set has them; NaN where one was not seen."""
+    """(F, N) m from where points were seen to where the first parameter set has them, or in a cloud to the nearest that
+    was seen; NaN where nothing tells.
+    """
+    if film.cloud:
+        return nearest(first_take(film).position, film.seen)
     return np.asarray(np.linalg.norm(first_take(film).position - film.seen, axis=-1))
 
 

@@ -23,6 +23,7 @@ from clothbench.estimation.prior import Prior, density_of, hanging, prior_of
 from clothbench.plugins.discovery import Catalogue, PluginBroken
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.nodes import Recording
+from clothbench.recordings.points import PointCloud
 from clothbench.recordings.scenes import refuse_stated_weight, scenes_of
 from clothbench.reference.presets import Preset, preset
 from clothbench.studies.calibration.cell import CalibrationCell, Names, rehearse, uses
@@ -126,7 +127,7 @@ def known_before(prior: Preset, model: str, settings: dict[str, Any], recording:
         return Prior()
     width, height = (getattr(recording, name, 0.3) for name in ("cloth_width", "cloth_height"))
     scene = hanging(width, height, density_of(recording, prior))
-    if isinstance(recording, Recording):
+    if isinstance(recording, Recording | PointCloud):
         scene = scenes_of(recording, **settings["scene"])[0]
     return prior_of(prior, made, scene)
 

@@ -19,10 +19,12 @@ from clothbench.display.rerun import (
     log_points,
     log_seen,
     log_sheet,
+    nearest,
     typical_distance,
 )
 from clothbench.estimation.trials import Trial
 from clothbench.recordings.nodes import Recording, grips_at
+from clothbench.recordings.points import PointCloud
 from clothbench.recordings.silhouette import Silhouettes
 from clothbench.studies.calibration.cell import Bench
 
@@ -83,7 +85,7 @@ def _log_drapes(stream: Any, root: str, trial: Trial, rollout: Rollout) -> None:
     stream.log(f"{root}/seen", rr.LineStrips3D(strips, colors=HELD), static=True)
 
 
-def _log_run(stream: Any, root: str, trial: Trial, recording: Recording, simulated: np.ndarray) -> None:
+def _log_run(stream: Any, root: str, trial: Trial, recording: Recording | PointCloud, simulated: np.ndarray) -> None:
     """All entities of one recording; `simulated` (T, N, 3) m, NaN where the rollout had stopped."""
     seen = trial.observation
     edge = typical_distance(seen.material)
@@ -91,20 +93,26 @@ def _log_run(stream: Any, root: str, trial: Trial, recording: Recording, simulat
     stream.log(root, rr.ViewCoordinates.RIGHT_HAND_Z_UP, static=True)
     log_seen(stream, f"{root}/seen", seen.time, seen.position, seen.visible, 0.12 * edge)
     log_sheet(stream, f"{root}/simulated", seen.time[there], simulated[there], seen.material)
-    log_away(stream, f"{root}/away", seen, simulated, there, 0.04 * edge)
+    if not seen.cloud:  # of which no point is another's
+        log_away(stream, f"{root}/away", seen, simulated, there, 0.04 * edge)
     if recording.grip_material.size:
         log_points(stream, f"{root}/grips", seen.time, grips_at(recording, seen.time), HELD, 0.25 * edge)
     _log_error(stream, f"{root}/error", trial, simulated, there)
 
 
 def _log_error(stream: Any, path: str, trial: Trial, simulated: np.ndarray, there: np.ndarray) -> None:
-    """Mean distance of the seen nodes in each frame [mm], and what the noise alone would give."""
+    """Mean distance of the seen nodes in each frame [mm], of a cloud to the nearest that is simulated; and what the
+    noise alone would give, where that is known.
+    """
     seen = trial.observation
     frames = there & seen.visible.any(axis=1)
     count = seen.visible[frames].sum(axis=1)
-    distance = np.linalg.norm(seen.differences(simulated)[frames], axis=-1)
+    if seen.cloud:
+        distance = np.nan_to_num(nearest(seen.position[frames], simulated[frames]))
+    else:
+        distance = np.linalg.norm(seen.differences(simulated)[frames], axis=-1)
     error = (distance * seen.visible[frames]).sum(axis=1) / count * MM
     log_curve(stream, f"{path}/simulated", seen.time[frames], error, f"{trial.name} [mm]")
-    if np.isfinite(seen.sigma):
+    if np.isfinite(seen.sigma) and not seen.cloud:
         floor = np.full(2, MEAN_LENGTH[seen.coordinates] * seen.sigma * MM)
         log_curve(stream, f"{path}/noise_floor", seen.time[[0, -1]], floor, "noise floor [mm]", NOISE)

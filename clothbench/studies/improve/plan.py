@@ -210,6 +210,12 @@ def scene_of_settings(settings: Mapping[str, Any], model: Any, kind: str, prior:
 def read_kind(path: Path, kind: str) -> Any:
     """A recording of the kind that all of them have to be of."""
     stated = kind_of(path)
+    if stated == "points":
+        raise ClothbenchError(
+            f"{path}: found kind 'points', whose points nobody knows again, so that nothing says where on the cloth a "
+            "model is wrong; expected kind 'nodes', or calibrate it with `clothbench run … tracker=cloud "
+            "metric=chamfer`"
+        )
     if stated != kind and {stated, kind} & {CURVES.kind, DRAPES.kind}:
         raise ClothbenchError(f"{path}: found kind {stated!r} among others, expected one kind in a folder")
     return read_curve(path) if kind == CURVES.kind else read_sheet(path)

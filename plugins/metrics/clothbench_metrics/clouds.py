@@ -22,13 +22,15 @@ class Chamfer:
 
     Nothing is taken from which node a point is: a sheet that slides along itself by whole cells scores 0. Where the
     rollout has as many points as were tracked, those that were not seen in a frame count in neither cloud: what was
-    hidden says nothing. Where it has another number, all of them count. Searches by residuals lower the sum of the
-    squared distances, both ways. The map has each seen point's distance to the nearest simulated one.
+    hidden says nothing. Where it has another number, and of recordings of kind "points", all of them count. Searches by
+    residuals lower the sum of the squared distances, both ways. The map has each seen point's distance to the nearest
+    simulated one.
     unit: "mm", "cm" or "m".
     """
 
     name = "chamfer"
     version = 1
+    kinds = frozenset({"nodes", "points"})
 
     def __init__(self, unit: str = "mm"):
         check_choice(self.name, "unit", unit, UNITS)
@@ -41,7 +43,8 @@ class Chamfer:
         return Score(score.value, score.unit, score.per_frame, score.per_node, residual)
 
     def floor(self, observation: Observation) -> float:
-        """Drawn, see `drawn_floor`; σ √(8/π) as of `node_error` where σ is small beside the points' spacing."""
+        """Drawn, see `drawn_floor`; σ √(8/π) as of `node_error` where σ is small beside the points' spacing. Of a
+        cloud not known."""
         return drawn_floor(self, observation)
 
 
@@ -57,6 +60,7 @@ class Hausdorff:
 
     name = "hausdorff"
     version = 1
+    kinds = frozenset({"nodes", "points"})
 
     def __init__(self, share: float = 1.0, unit: str = "mm"):
         check_choice(self.name, "unit", unit, UNITS)
@@ -96,7 +100,7 @@ def scored(
     scale, watched = UNITS[metric.unit], np.flatnonzero(seen.any(axis=1))
     per_frame, total, away = np.full((members, len(seen)), np.nan), np.zeros((members, seen.shape[1])), []
     for t in watched:
-        alike = rollout.position.shape[2] == seen.shape[1]
+        alike = not observation.cloud and rollout.position.shape[2] == seen.shape[1]
         simulated = rollout.position[:, t, seen[t]] if alike else rollout.position[:, t]
         away.append(nearest_both_ways(observation.position[t, seen[t]], simulated))
         there, back = (scale * np.linalg.norm(part, axis=-1) for part in away[-1])
@@ -140,10 +144,11 @@ def drawn_floor(metric: Metric, observation: Observation) -> float:
     that was seen against the same with noise of σ per coordinate. There is no closed form where σ is not small beside
     the points' spacing, and there what was seen, being noisy itself, is a little wider than the cloth was.
 
-    NaN if σ is not known or nothing was seen.
+    NaN if σ is not known or nothing was seen; and of a cloud, which was seen elsewhere on the cloth than it is
+    simulated: a perfect model's points are as far from it as both lie between each other's, and how far nobody knows.
     """
     frames = int(observation.visible.any(axis=1).sum())
-    if not frames or not math.isfinite(observation.sigma):
+    if observation.cloud or not frames or not math.isfinite(observation.sigma):
         return math.nan
     draws = -(-DRAWN // frames)
     noise = np.random.default_rng(0).normal(0.0, observation.sigma, (draws, *observation.position.shape))

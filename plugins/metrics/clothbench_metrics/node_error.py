@@ -74,7 +74,9 @@ def in_pixels(observation: Observation, rollout: Rollout) -> np.ndarray:
 
 
 def check_shape(observation: Observation, rollout: Rollout) -> None:
-    """Refuse a rollout of other frames or points than were observed."""
+    """Refuse a rollout of other frames or points than were observed, and points without identity."""
+    if observation.cloud:
+        raise ClothbenchError("metric: found points without identity; take one that reads clouds, as chamfer")
     if rollout.position.shape[1:] != observation.position.shape:
         raise ClothbenchError(
             f"metric: found a rollout of {rollout.position.shape[1:]}, "

@@ -7,6 +7,11 @@ from clothbench import Registration, hookimpl
 def clothbench_trackers():
     return [
         Registration(
+            "cloud",
+            "clothbench_trackers.cloud:Cloud",
+            "point clouds as they are, of which nobody knows which point is which",
+        ),
+        Registration(
             "cloud_template",
             "clothbench_trackers.cloud_template:CloudTemplate",
             "frames of a depth camera → a template of the sheet, bent frame by frame onto the cloud",
