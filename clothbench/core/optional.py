@@ -365,8 +365,8 @@ class VariesByRecording(Protocol):
 
 @runtime_checkable
 class HasFamily(Protocol):
-    """family: one of `EFFECT_FAMILIES`, which says what the effect is about: pages draw a small picture by it. Without
-    it: "", and there is no picture.
+    """family: one of `EFFECT_FAMILIES`, which says what the effect is about: pages draw a small picture by it, and
+    `improve` takes a force about "grip" for one of the boundary. Without it: "", and there is no picture.
     """
 
     family: str

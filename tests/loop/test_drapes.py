@@ -241,7 +241,7 @@ def test_only_forces_are_candidates():
     plugins = catalogue()
     names = candidates_of(None, "silhouette", (), plugins)
     assert {"rest_curvature", "bending_anisotropy"} <= set(names)
-    assert not {"clock_offset", "grip_slip", "load_offset"} & set(names)
+    assert not {"clock_offset", "grip_slip", "grip_patch", "load_offset"} & set(names)
 
 
 # --- amounts together ------------------------------------------------------------------------------------------------

@@ -11,8 +11,10 @@ import pytest
 from clothbench.core.observation import Observation
 from clothbench.core.parameters import Parameter, ParameterSpace
 from clothbench.plugins.discovery import catalogue
+from clothbench.studies.improve.candidates import candidates_of
 from clothbench.studies.improve.experiment import Experiment
 from clothbench.studies.improve.fitted import Fitted
+from clothbench.studies.improve.loop import notes
 from clothbench.studies.improve.selection import Candidate
 from clothbench.studies.improve.sheets import SheetCase, SheetEvidence
 from clothbench.studies.improve.state import Round, State
@@ -104,6 +106,21 @@ def test_hint_says_who_comes_nearest_and_where_and_when_most_is_left(state):
         "in second, and there around 2.5 s",
     ):
         assert said in found.hint
+
+
+def test_grips_that_hold_by_forces_are_tried_and_told_as_boundary(state):
+    """The engine has them among forces (`dynamics`); what they say is how the cloth was held."""
+    tried = (Candidate("grip_patch", 0.5, 0.005), Candidate("quadratic_drag", 0.4, 0.005))
+    alike = replace(state.rounds[0], candidates=tried)
+    told = notes(state.problem, [alike])
+    assert {name: note.place for name, note in told.items()} == {
+        "grip_patch": "boundary", "quadratic_drag": "dynamics"
+    }  # fmt: skip
+    hint = concluded(replace(state, rounds=(alike,)), []).hint
+    assert "grip_patch (50% of the mean square to first order) comes nearest" in hint
+    assert "quadratic_drag (40% of the mean square to first order) among forces" in hint
+    order = candidates_of("quadratic_drag,grip_patch,clock_offset", "nodes", (), catalogue())
+    assert order == ("clock_offset", "grip_patch", "quadratic_drag")
 
 
 def test_hint_says_which_bound_keeps_a_name_away(state):

@@ -31,14 +31,21 @@ def candidates_of(
     if given is not None and (owned := next((name for name in effects if name in base), None)):
         raise ClothbenchError(f"effect {owned!r} is in the base already; take it out of candidates, or state base=")
     rest = {name: effect for name, effect in acting.items() if name not in base}
-    return tuple(sorted(rest, key=lambda name: ORDER.get(rest[name].place, len(ORDER))))
+    return tuple(sorted(rest, key=lambda name: ORDER.get(place_of(rest[name]), len(ORDER))))
+
+
+def place_of(effect: Effect) -> str:
+    """The place at which an effect is tried and told: its own, but "boundary" of one about the grips that acts through
+    forces, since it says how the cloth was held.
+    """
+    return "boundary" if effect.place == "dynamics" and family_of(effect) == "grip" else effect.place
 
 
 def acts_on_drapes(effect: Effect) -> bool:
     """Whether it is a force of the cloth itself: a drape has no grips, no clock or marker saw it, it is at rest, and
     what has a direction in the room would have to keep it while the sheet is turned over.
     """
-    return acts_on_sheets(effect) and effect.place == "dynamics" and family_of(effect) not in OF_THE_ROOM
+    return acts_on_sheets(effect) and place_of(effect) == "dynamics" and family_of(effect) not in OF_THE_ROOM
 
 
 ACTS = {"curve": acts_on_curves, DRAPES.kind: acts_on_drapes}

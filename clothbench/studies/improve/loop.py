@@ -22,6 +22,7 @@ from clothbench.studies.improve.by_recording import (
     with_own,
     with_own_amounts,
 )
+from clothbench.studies.improve.candidates import place_of
 from clothbench.studies.improve.description import description_of
 from clothbench.studies.improve.finding import Finding, Note
 from clothbench.studies.improve.fitted import Fitted
@@ -317,4 +318,4 @@ def where_amounts_differ(state: State, before: Sequence[float], account: Account
 def notes(problem: Problem, rounds: Sequence[Round]) -> dict[str, Note]:
     """What there is to say of every candidate."""
     effects = {c.name: problem.make("effects", c.name) for found in rounds for c in found.candidates}
-    return {name: Note(effect.place, effect.summary, family_of(effect)) for name, effect in effects.items()}
+    return {name: Note(place_of(effect), effect.summary, family_of(effect)) for name, effect in effects.items()}

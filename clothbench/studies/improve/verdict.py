@@ -11,6 +11,7 @@ import numpy as np
 from clothbench.core.optional import family_of, lacks_of
 from clothbench.core.statistics import t_interval
 from clothbench.studies.improve.by_recording import with_own
+from clothbench.studies.improve.candidates import place_of
 from clothbench.studies.improve.experiment import parting_experiment
 from clothbench.studies.improve.fitted import Fitted
 from clothbench.studies.improve.law import told_by
@@ -229,7 +230,7 @@ def below_mesh(state: State) -> str:
 def nearest(state: State, near: dict[Candidate, float], beside: str) -> str:
     """Which candidate explains most, though too little, and which among forces."""
     best = max(near, key=lambda c: near[c])
-    forces = [c for c in near if state.problem.make("effects", c.name).place == "dynamics"]
+    forces = [c for c in near if place_of(state.problem.make("effects", c.name)) == "dynamics"]
     force = max(forces, key=lambda c: near[c], default=best)
     among = f", {with_amounts(force, near[force])} among forces" if force is not best else ""
     stopped = "".join(f"; {stopped_by_bound(c)}" for c in dict.fromkeys((best, force)) if held_by_bound(c))
