@@ -224,6 +224,30 @@ def test_the_map_of_relative_error_is_of_its_own_quantity():
     np.testing.assert_allclose(equal.per_node[0], equal.value[0])
 
 
+@pytest.mark.parametrize(
+    ("name", "told"), [("relative_error", {"quantity": "squares"}), ("relative_error_squares", {})]
+)
+def test_squares_are_what_the_paper_minimises(name, told):
+    """L = Σ ‖φ − ϕ‖² over its frames (equation 2), whatever the origin; what was not seen has no part."""
+    random, truth = np.random.default_rng(4), draped(0.02)
+    visible = random.random(truth.shape[:2]) < 0.8
+    visible[3], visible[:, 7] = False, False
+    seen = Observation(TIME, np.where(visible[..., None], truth, np.nan), visible, 1e-3, LATTICE)
+    metric, wrong = catalogue().make("metrics", name, **told), truth + random.normal(0.0, 3e-3, truth.shape)
+    score = metric(seen, rollout(truth, wrong))
+    assert (metric.unit, score.unit) == ("m^2", "m^2")
+    assert score.value[0] == 0.0
+    total = np.square(wrong - truth)[visible].sum()
+    assert np.nansum(score.per_frame[1]) == pytest.approx(total)
+    assert score.value[1] == pytest.approx(total / visible.any(axis=1).sum())
+    assert (score.residual[1] ** 2).sum() == pytest.approx(total)
+    assert np.isnan(score.per_frame[1]).tolist() == (np.arange(len(TIME)) == 3).tolist()
+    assert np.isnan(score.per_node[1]).tolist() == (np.arange(81) == 7).tolist()
+    assert metric.floor(seen) == pytest.approx(3 * 1e-6 * visible.sum() / visible.any(axis=1).sum())
+    blind = dataclasses.replace(seen, visible=np.zeros_like(visible))
+    assert np.isnan([*metric(blind, rollout(wrong)).value, metric.floor(blind)]).all()
+
+
 def test_nodes_without_a_video_are_drawn_as_a_camera_would_see_them():
     o = catalogue().make("trackers", "markers").track(recording())
     score = catalogue().make("metrics", "fold")(o, rollout(*(draped(d) for d in (0.0, 0.02, 0.04))))

@@ -155,6 +155,7 @@ def test_a_weight_that_nobody_knows_is_asked_for_before_anything_is_tracked(tmp_
         ),
         ({"metric": "node_error"}, {"unit": ["cm"]}, r"unit is \['cm'\], expected one of mm, cm, m, px"),
         ({"metric": "relative_error"}, {"origin": ["a", "b", "c"]}, r"origin is \['a', 'b', 'c'\], expected centre"),
+        ({"metric": "relative_error"}, {"quantity": "sum"}, "quantity is 'sum', expected one of percent, squares"),
         ({"metric": "profile"}, {"join": float("inf")}, "join is inf, expected metres"),
         (
             {"model": "mass_spring"},

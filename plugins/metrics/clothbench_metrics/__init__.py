@@ -19,6 +19,11 @@ def clothbench_metrics():
             "distance over how far the camera is away, in percent",
         ),
         Registration(
+            "relative_error_squares",
+            "clothbench_metrics.relative_error:RelativeErrorSquares",
+            "squared distances of the nodes, in m²",
+        ),
+        Registration(
             "fold", "clothbench_metrics.fold:Fold", "orientation of projected stripes along folds, and the silhouette"
         ),
         Registration(
