@@ -2,12 +2,14 @@
 
 import dataclasses
 import json
+from functools import partial
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from clothbench_metrics.drape import Drape as DrapeMetric
+from clothbench_metrics.drape import curve_distances, transported
 from clothbench_trackers.drape import Drape as DrapeTracker
 
 from clothbench import ClothbenchError, Outlines, Rollout, Silhouettes, outline_in, outlines_of_points, read_silhouettes
@@ -20,6 +22,7 @@ from clothbench.estimation.placements import joined
 from clothbench.recordings.kinds import read_sheet
 from clothbench.recordings.scenes import scene_of, scenes_of
 from clothbench.studies.calibration.settings import suite_settings
+from clothbench.testing import check_metric, rule_names
 from clothbench.vision.drape import centroid, darkness, drape_quantities, folds_of, smoothed
 
 PIXEL, PLATE, DISC = 1.4e-3, 0.09, 0.15
@@ -227,10 +230,11 @@ def drawn_captures(random, specimens, each):
     return Outlines(radius, PLATE, DISC, np.repeat(np.arange(specimens), each), 1e-4, PIXEL)
 
 
-def test_the_floor_is_what_the_fabrics_own_drapes_score():
-    random, metric = np.random.default_rng(0), DrapeMetric(["drape_coefficient"])
+@pytest.mark.parametrize(("quantity", "times"), [("drape_coefficient", 40), ("curve_distance", 12)])
+def test_the_floor_is_what_the_fabrics_own_drapes_score(quantity, times):
+    random, metric = np.random.default_rng(0), DrapeMetric([quantity])
     scored, floors = [], []
-    for _ in range(40):
+    for _ in range(times):
         seen, own = drawn_captures(random, 5, 3), drawn_captures(random, 4, 1)
         of = DrapeTracker().track(captures_of([petals(7)]))
         there = dataclasses.replace(
@@ -240,6 +244,45 @@ def test_the_floor_is_what_the_fabrics_own_drapes_score():
         scored.append(metric(there, rollout(own.radius)).value[0])
         floors.append(metric.floor(there))
     assert np.mean(floors) == pytest.approx(np.mean(scored), rel=0.2)
+
+
+def test_outlines_are_compared_after_the_best_rotation():
+    """Beside every rotation tried in turn; an outline that is not known is far from none and near to none."""
+    some, others = (
+        np.stack([petals(n, depth=d, phase=p) for n, d, p in which])
+        for which in ([(6, 0.01, 0.3), (7, 0.012, 2.0)], [(7, 0.01, 1.0), (6, 0.01, 1.7), (5, 0.004, 0.0)])
+    )
+    tried = [np.sqrt(np.mean((np.roll(some, k, axis=1)[:, None] - others) ** 2, axis=-1)) for k in range(360)]
+    found = curve_distances(some, others)
+    np.testing.assert_allclose(found, np.min(tried, axis=0), rtol=1e-9)
+    assert found[0, 1] < 4e-4 < found[0, 0]  # the same petals, turned by half an angle more than can be
+    np.testing.assert_allclose(curve_distances(some, others[:, ::2]), found, atol=1e-4)
+    assert np.isnan(curve_distances(np.full((1, 360), np.nan), others)).all()
+    assert transported(np.array([[0.0, 4.0, 1.0], [4.0, 0.0, 2.0]])) == pytest.approx((1.0 + 2.0) / 6)
+
+
+def test_the_metric_compares_whole_outlines_if_asked():
+    """Of as many folds, as deep, over as much of the ring: what is left is where they lie, from one to the next."""
+    seen = DrapeTracker().track(captures_of([petals(7, phase=p) for p in (0.0, 1.0, 2.0, 3.0)]))
+    metric = DrapeMetric(quantities=["curve_distance"])
+    assert [(o.name, o.unit) for o in metric.objectives] == [("curve_distance", "mm")]
+    score = metric(seen, rollout([petals(7, phase=0.6)] * 2, [petals(7, mean=0.12, phase=0.6)] * 2, [petals(5)] * 2))
+    assert score.objectives[0, 0] < 0.3
+    assert score.objectives[1, 0] == pytest.approx(5.0, abs=0.3)  # mm, by which it is smaller all around
+    assert score.objectives[2, 0] > 1.0
+    assert score.value == pytest.approx(score.objectives[:, 0] / score.spread[0])
+    assert (score.residual[:, 0] == score.value).all()
+    assert score.per_frame is None
+    both = DrapeMetric(quantities=["curve_distance", "folds"])(seen, rollout([petals(5)] * 2))
+    assert both.objectives[0] == pytest.approx([2.0, score.objectives[2, 0]])
+    low, high = metric.interval(seen, rollout([petals(7), petals(5)]), 0)
+    assert 0 <= low < high
+    lost = rollout([petals(7)] * 2, [petals(7), np.full(360, np.nan)])
+    assert np.isfinite(metric(seen, lost).value).tolist() == [True, False]
+
+
+def test_the_metric_of_whole_outlines_keeps_the_rules_of_the_kit():
+    assert {o.rule for o in check_metric(partial(DrapeMetric, ["curve_distance"]))} == set(rule_names("metrics"))
 
 
 def test_the_metric_takes_some_quantities_only():
