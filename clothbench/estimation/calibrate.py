@@ -29,7 +29,7 @@ class Fit:
     (stopped by the clock, best so far); wall_s: s, with that of stopped runs, without compiling; start: (P,), where the
     search set out from after its first look around, if it says so; looked: evaluations that this look took; objectives:
     (E, M), in units of their spread, of a metric with several, or None; temperature: (E,), in the score's unit, of a
-    search that cools, or None.
+    search that cools, or None; seed: of the search, None where the caller did not say.
     """
 
     space: ParameterSpace
@@ -47,6 +47,7 @@ class Fit:
     looked: int = 0
     objectives: np.ndarray | None = None
     temperature: np.ndarray | None = None
+    seed: int | None = None
 
     @property
     def evaluations(self) -> int:
@@ -94,6 +95,7 @@ def calibrate(
     bounded: bool = True,
     choice: str = "nearest",
     budget: int | None = None,
+    seed: int | None = None,
 ) -> Fit:
     """Run the search to its end (or to `timeout` seconds) on the fit recordings together.
 
@@ -101,7 +103,7 @@ def calibrate(
     as NaN and spoils no other. choice: which of the front is best, where the metric has several objectives. What
     `checkpoint` holds of a run that was stopped is not simulated again. Without `bounded` the parameters get no
     intervals, which cost 2 P + 1 evaluations, and one more of drapes. budget: of evaluations, at which a search is
-    stopped that would go on.
+    stopped that would go on. seed: what the optimizer was made with, which it need not tell; the fit holds it.
     """
     checkpoint = checkpoint or Checkpoint()
     thetas: list[np.ndarray] = []
@@ -151,6 +153,7 @@ def calibrate(
         looked=looked,
         objectives=objectives,
         temperature=np.concatenate(warmth) if warmth else None,
+        seed=seed,
     )
 
 

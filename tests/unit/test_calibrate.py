@@ -55,8 +55,9 @@ def test_the_truth_is_found_although_part_of_the_space_diverges(name):
     trials = [trial(np.random.default_rng(0))]
     optimizer = catalogue().make("optimizers", name, SPACE, seed=1, budget=300)
     told = []
-    fit = calibrate(trials, optimizer, SPACE, progress=lambda n, best: told.append((n, best)))
+    fit = calibrate(trials, optimizer, SPACE, progress=lambda n, best: told.append((n, best)), seed=1)
     assert fit.status == "ok"
+    assert fit.seed == 1
     np.testing.assert_allclose(fit.best, TRUTH, atol=0.08)
     assert fit.evaluations == told[-1][0] <= 300
     assert [b for _, b in told] == sorted((b for _, b in told), reverse=True)

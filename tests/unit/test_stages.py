@@ -161,11 +161,12 @@ def test_another_search_of_the_cell_has_time_of_its_own(recordings_folder):
     cell = cell_of(recordings_folder, optimizer="nelder_mead", finer={}, timeout=50.0)
     bench, late = set_up(cell, catalogue()), Checkpoint()
     late.before = 100.0
-    found = {
-        since: searched([bench], catalogue(), late, bench.space, 12, 0, bounded=False, since=since)[0].status
+    found = [
+        searched([bench], catalogue(), late, bench.space, 12, 4, bounded=False, since=since)[0]
         for since in (0.0, late.seconds)
-    }
-    assert list(found.values()) == ["timeout", "ok"]
+    ]
+    assert [fit.status for fit in found] == ["timeout", "ok"]
+    assert [fit.seed for fit in found] == [4, 4]
 
 
 @pytest.mark.parametrize(("searched_by", "status"), [(True, "error"), (False, "skipped")])

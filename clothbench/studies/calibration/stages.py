@@ -56,7 +56,7 @@ def searched(
         fits.append(calibrate(
             bench.of_split("fit"), optimizer, space, timeout=timeout, progress=_after(before, progress),
             checkpoint=checkpoint if last else checkpoint.part("coarse"), choice=cell.choice,
-            bounded=bounded and last, budget=evaluations,
+            bounded=bounded and last, budget=evaluations, seed=seed,
         ))  # fmt: skip
         if fits[-1].status != "ok":
             break
