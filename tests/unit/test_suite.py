@@ -204,6 +204,19 @@ def test_the_built_in_suites_are_where_the_code_looks():
     assert {p.stem for p in (suites_folder() / "suite").glob("*.yaml")} >= {"static_dynamic", "iri_swing"}
 
 
+def test_the_hybrid_evolution_runs_beside_a_plain_one_on_the_drapes():
+    """As the paper compares them; on two of the fabrics of the suite `drape`, each with the same genes."""
+    drape, searches = (
+        yaml.safe_load((suites_folder() / "suite" / f"{name}.yaml").read_text(encoding="utf-8"))
+        for name in ("drape", "drape_searches")
+    )
+    assert {*drape["optimizer"], "simple_ea"} <= {*searches["optimizer"]}
+    assert searches["suite"]["textile"].items() <= drape["suite"]["textile"].items()
+    assert {*searches["suite"]["select"]} == {f"{fabric}/*" for fabric in searches["suite"]["textile"]}
+    same = ("study", "model", "metric", "tracker", "budget")
+    assert [searches[key] for key in same] == [drape[key] for key in same]
+
+
 def test_what_steers_no_search_is_held_against_the_defaults_of_every_run():
     """Two places state them: the settings of a run, and what studies without a search take as left out."""
     defaults = yaml.safe_load(files("clothbench.conf").joinpath("run.yaml").read_text(encoding="utf-8"))
