@@ -16,6 +16,7 @@ from clothbench import ClothbenchError, Obstacle, Scene
 from clothbench.reference import lifted_strip
 from clothbench.reference import mechanics as references
 from clothbench.studies.mechanics import scenes as strips
+from clothbench.studies.speed.timing import hanging_sheet
 from clothbench.testing import scenes
 
 RANDOM = np.random.default_rng(11)
@@ -263,6 +264,21 @@ def test_the_sheet_agrees_with_the_strip():
     shell_kernels.assemble(control, *shell.mesh, pull, strip.eta_m, 2000.0, 0.0, np.ones(2), still, force, band)
     free = np.unique(shell.numbers(i[2:], j[2:]))
     assert np.abs(force.reshape(-1, 3)[free]).max() < 1e-6 * G * strip.length * width
+
+
+def test_all_iterations_are_counted_those_on_the_way_through_stiffer_cloth_included(monkeypatch):
+    """Of several stages the last one's had counted alone."""
+    counted, solve = [], shell_kernels.equilibrium
+
+    def counting(*given):
+        counted.append(solve(*given))
+        return counted[-1]
+
+    monkeypatch.setattr(shell_kernels, "equilibrium", counting)
+    simulation = KirchhoffLove(resolution=5).prepare(hanging_sheet(5, 0.1))
+    steps = simulation.run(simulation.parameters.defaults[None]).steps
+    assert len(counted) > 2
+    assert steps == [sum(iterations for _, iterations in counted)]
 
 
 def test_bad_options_and_scenes_are_one_line():

@@ -57,6 +57,14 @@ TOYS = """
 
     class Still(Toy):
         capabilities = frozenset({"static"})
+        bench_options = ({},)
+
+        def prepare(self, scene, effects=()):
+            assert (scene.grip_position == scene.grip_position[0]).all()
+            return super().prepare(scene, effects)
+
+    class Curved(Toy):
+        capabilities = frozenset({"curve"})
 
     class Stiff(Toy):
         bench_options = ({},)
@@ -200,8 +208,34 @@ def test_a_peer_that_blows_up_has_no_row(install, one_core, capsys):
     assert "toys: skipped: its sheet of 51 × 51 nodes blew up" in capsys.readouterr().err
 
 
-def test_a_static_model_is_not_measured(install, one_core, capsys):
-    install("Still")
+def test_a_static_model_settles_one_sheet_of_each_size(install, monkeypatch, capsys):
+    monkeypatch.setenv("CLOTHBENCH_THREADS", "2")
+    monkeypatch.setattr(bench, "two_cores", lambda name, side: pytest.fail("there is no motion to be divided"))
+    install("Still", peers=("toys",))
+    rows = [r for r in bench.run_bench(sides=(5, 21)) if r["model"] == "still"]
+    about = [(r["kind"], r["nodes"], r["threads"], r["batch"], r["realtime_factor"], r["peer"]) for r in rows]
+    assert about == [("static", n, 1, 1, None, None) for n in (25, 441)]
+    assert all(0 < r["node_steps_per_s"] <= r["nodes"] * 1000 / 1e-4 for r in rows)
+    json.dumps(rows, allow_nan=False)
+    assert capsys.readouterr().err == ""
+
+
+def test_what_finds_rest_is_shown_as_such_and_never_the_quickest(install, one_core, capsys):
+    install("Still", "Toy")
+    rows = bench.run_bench(sides=(5,))
+    rows = [r | {"node_steps_per_s": 8520.0} if r["model"] == "still" else r for r in rows]
+    console().print(speed_tables(rows)[0])
+    line = next(line for line in capsys.readouterr().out.splitlines() if "still" in line)
+    assert "0.0085" in line
+    said = answer_of([r | {"node_steps_per_s": 1e12} if r["model"] == "still" else r for r in rows])
+    assert "The quickest steps are <b>toy</b>" in said
+    assert "million node-iterations/s" in said
+    (page,) = sections(SimpleNamespace(table=lambda name: rows))
+    assert page.html.count(bench.SETTLING) == 1
+
+
+def test_a_model_without_sheets_is_not_measured(install, one_core, capsys):
+    install("Curved")
     assert bench.run_bench(sides=(5,)) == []
     assert capsys.readouterr().err == ""
 

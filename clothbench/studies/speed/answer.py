@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 from clothbench.display.answer import Card, answer
 from clothbench.display.html import group, text
-from clothbench.studies.speed.bench import ASIDE, NO_PEERS, Row, of_peer
+from clothbench.studies.speed.bench import ASIDE, NO_PEERS, Row, of_peer, of_rest
 from clothbench.studies.speed.timing import TOLERABLE
 
 
@@ -16,7 +16,10 @@ def answer_of(rows: Sequence[Row]) -> str:
     plain, equal = ([r for r in mine if (r["error_m"] is not None) == at_equal] for at_equal in (False, True))
     if not plain:
         return ""
-    fastest = max(largest(plain), key=lambda r: r["node_steps_per_s"])
+    moving = [
+        r for r in plain if not of_rest(r)
+    ] or plain  # iterations until rest and steps of time are not worth the same
+    fastest = max(largest(moving), key=lambda r: r["node_steps_per_s"])
     lead = f"The quickest steps are <b>{text(fastest['model'])}</b>'s: {pace(fastest)} on {fastest['nodes']} nodes."
     if equal:
         best = max(largest(equal), key=lambda r: r["realtime_factor"])
@@ -34,7 +37,13 @@ def largest(rows: Sequence[Row]) -> list[Row]:
 
 
 def pace(row: Row) -> str:
-    return f"{row['node_steps_per_s'] / 1e6:.1f} million node-steps/s"
+    return f"{millions(row)} million node-{'iterations' if of_rest(row) else 'steps'}/s"
+
+
+def millions(row: Row) -> str:
+    """Node-steps/s in millions; what settles a sheet does thousands."""
+    rate = row["node_steps_per_s"] / 1e6
+    return f"{rate:.1f}" if rate >= 0.1 else f"{rate:.2g}"
 
 
 def kinds(rows: Sequence[Row]) -> list[Row]:

@@ -1,8 +1,8 @@
-"""`clothbench bench`: the speed of every dynamic model beside the installed peers, measured in one run.
+"""`clothbench bench`: the speed of every model of sheets beside the installed peers, measured in one run.
 
 A speed means little away from the machine it was measured on; a ratio to a peer in the same run means more. Steps are
 not worth the same either: models that know textbook materials are also timed at equal error, each with the longest
-step that keeps it close to its own converged motion.
+step that keeps it close to its own converged motion. Of a model that finds rest only, iterations are its steps.
 """
 
 from __future__ import annotations
@@ -36,6 +36,7 @@ from clothbench.studies.speed.timing import (
     swung,
     time_model,
     time_peer,
+    time_settling,
 )
 
 KEYS = (
@@ -47,6 +48,7 @@ EQUAL_SIDES = (21, 41)  # at equal error, where a peer's converged simulation of
 CONVERGED = {"explicit": 0.5}  # of a model's default step, whose motion stands for the exact one; else a quarter
 BATCH = 64
 PEER_STEP, OWN_STEP = f"step {1e3 * STEP:g} ms", "own step"  # notes of models
+SETTLING = "iterations until rest"  # note of a model that finds rest only
 PROCESSES = "separate processes"
 ROOFLINE = "roofline of one core"
 ASIDE = (PROCESSES, ROOFLINE)  # what rows that are no speeds of their own are held against
@@ -57,21 +59,25 @@ Say = Callable[[str], None]
 
 
 def run_bench(sides: Sequence[int] = SIDES, progress: Say | None = None, chosen: Sequence[str] = ()) -> list[Row]:
-    """Measure all dynamic models, or those chosen, beside all installed peers; rows have the keys `KEYS`, null if
+    """Measure all models of sheets, or those chosen, beside all installed peers; rows have the keys `KEYS`, null if
     unknown.
 
     A model's row stands once for each peer measured at its number of nodes, with `ratio` = its speed per
     thread over the peer's, or once with no peer. A peer has rows of its own; one row a model compares threads
-    with separate processes. What cannot be measured is left out, with a line on standard error. `progress` is
-    told in one line what is measured next. Rows with an `error_m` are those of `equal_error`.
+    with separate processes. A model that finds rest only has one row for each number of nodes, beside no peer: one
+    sheet on one thread, `node_steps_per_s` counts its iterations, `realtime_factor` is None. What cannot be measured
+    is left out, with a line on standard error. `progress` is told in one line what is measured next. Rows with an
+    `error_m` are those of `equal_error`.
     """
     say = progress or (lambda _: None)
     models, peers, rows = [m for m in _models() if not chosen or m.name in chosen], _peers(), []
-    variants = [v for plugin in models for v in _guarded_variants(plugin)]
+    everyone = [v for plugin in models for v in _guarded_variants(plugin)]
+    variants, resting = ([v for v in everyone if v.moves == moves] for moves in (True, False))
     for side in sides:
         beside = [row for peer in peers for row in _peer_rows(peer, side, say)]
         rows += beside
         rows += [row for variant in variants for row in _model_rows(variant, side, beside, say)]
+        rows += [row for variant in resting for row in _resting_rows(variant, side, say)]
     for variant in variants:
         with _or_skipped(f"roofline of {variant.name}"):
             rows += _roofline_rows(variant, rows, say)
@@ -89,7 +95,12 @@ def of_peer(row: Row) -> bool:
     """Whether a row is of a peer by itself: its note is what the peer is, a model's is its step. Names tell nothing: a
     model may be called as the peer that it is built on.
     """
-    return row["peer"] is None and row["error_m"] is None and row.get("note") not in (PEER_STEP, OWN_STEP)
+    return row["peer"] is None and row["error_m"] is None and row.get("note") not in (PEER_STEP, OWN_STEP, SETTLING)
+
+
+def of_rest(row: Row) -> bool:
+    """Whether a row is of a model that finds rest only: its iterations are no steps of time."""
+    return row.get("note") == SETTLING
 
 
 def two_cores(name: str, side: int = 21) -> list[Row]:
@@ -100,7 +111,7 @@ def two_cores(name: str, side: int = 21) -> list[Row]:
     cores = thread_count()
     if cores < 2:
         return []
-    variant = _variants_of(catalogue().find("models", name))[0]
+    variant = next(v for v in _variants_of(catalogue().find("models", name)) if v.moves)
     speed, share = share_of_processes(variant.plugin.target, variant.options, side, BATCH, cores)
     count = {2: "two", 3: "three", 4: "four"}.get(cores, cores)
     row = variant.row(variant.make(), speed, cores, BATCH, f"share of {count} {PROCESSES}")
@@ -129,11 +140,12 @@ def equal_error(models: Sequence[Plugin], side: int, progress: Say | None = None
 
 @dataclass(frozen=True)
 class _Variant:
-    """A model with one set of the options that it wants to be measured with."""
+    """A model with one set of the options that it wants to be measured with; one that does not move finds rest only."""
 
     plugin: Plugin
     options: dict[str, Any]
     takes_step: bool
+    moves: bool
 
     @property
     def name(self) -> str:
@@ -185,11 +197,13 @@ def _guarded_variants(plugin: Plugin) -> list[_Variant]:
 
 
 def _variants_of(plugin: Plugin, sets_of: Callable[[Any], list[dict[str, Any]]] = bench_options_of) -> list[_Variant]:
-    """A dynamic model with every set of options that it names."""
-    factory = catalogue().load("models", plugin.name)
-    takes_step = takes_option(factory, "dt")
-    variants = [_Variant(plugin, options, takes_step) for options in sets_of(factory)]
-    return [v for v in variants if "dynamic" in v.make().capabilities]
+    """A model with every set of options that it names; none of one that neither moves a sheet nor finds its rest."""
+    factory, found = catalogue().load("models", plugin.name), []
+    for options in sets_of(factory):
+        able = catalogue().make("models", plugin.name, **options).capabilities
+        if able & {"dynamic", "static"}:
+            found.append(_Variant(plugin, options, takes_option(factory, "dt"), "dynamic" in able))
+    return found
 
 
 def _model_rows(variant: _Variant, side: int, beside: list[Row], say: Say) -> list[Row]:
@@ -201,6 +215,16 @@ def _model_rows(variant: _Variant, side: int, beside: list[Row], say: Say) -> li
         with _or_skipped(variant.name):
             rows += _with_ratios(_measure(variant, side, threads, batch), beside)
     return rows
+
+
+def _resting_rows(variant: _Variant, side: int, say: Say) -> list[Row]:
+    """One sheet on one thread, settled; beside no peer, since peers move."""
+    say(f"{variant.name}: {side} × {side} nodes, settled")
+    with _or_skipped(variant.name):
+        model = variant.make()
+        row = variant.row(model, time_settling(model, side), 1, 1, SETTLING)
+        return [row | {"kind": "static", "realtime_factor": None}]
+    return []
 
 
 def _measure(variant: _Variant, side: int, threads: int, batch: int) -> Row:
@@ -236,7 +260,7 @@ def _roofline_rows(variant: _Variant, rows: Sequence[Row], say: Say) -> list[Row
 
 def _equal_rows(plugin: Plugin, side: int, say: Say) -> list[Row]:
     """A row for each set of options with which the model is accurate enough at some step."""
-    variants = [v for v in _variants_of(plugin, equal_error_options_of) if v.takes_step]
+    variants = [v for v in _variants_of(plugin, equal_error_options_of) if v.takes_step and v.moves]
     if not variants or not isinstance(catalogue().load("models", plugin.name), KnowsMaterials):
         return []
     rows, scale = [], CONVERGED.get(kind_of_model(variants[0].make()), 0.25)

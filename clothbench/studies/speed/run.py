@@ -43,7 +43,7 @@ def _case(row: Row) -> str:
 def _row(about: dict[str, Any], case: str, row: Row | None) -> dict[str, Any]:
     """A row of the leaderboard, where lower is better: the time that a million node-steps take."""
     if row is None:
-        return {**about, "unit": None, "status": "skipped", "reason": "no model that moves is installed",
+        return {**about, "unit": None, "status": "skipped", "reason": "no model of sheets is installed",
                 "evaluations": 0}  # fmt: skip
     return {
         **about, "case": case.partition(", ")[2], "model": row["model"], "unit": "s", "status": "ok", "reason": "",

@@ -12,7 +12,7 @@ from clothbench.display.html import group, text
 from clothbench.display.html import table as html_table
 from clothbench.display.section import Section
 from clothbench.engine.study import Results
-from clothbench.studies.speed.answer import answer_of
+from clothbench.studies.speed.answer import answer_of, millions
 from clothbench.studies.speed.bench import ASIDE, NO_PEERS, PEER_STEP, PROCESSES, ROOFLINE, Row, of_peer
 from clothbench.studies.speed.timing import TOLERABLE
 
@@ -56,9 +56,14 @@ def _page_line(row: Row) -> list[str]:
     step = row["note"] if row["step_s"] is None else f"{1e3 * row['step_s']:.3g} ms"
     about = [*(row[k] for k in ("model", "kind", "precision", "options")), step]
     about += [row[k] for k in ("nodes", "threads", "batch")]
-    pace = [f"{row['node_steps_per_s'] / 1e6:.1f}", f"{row['realtime_factor']:.3g}"]
+    pace = [millions(row), times_real(row)]
     ratio = "" if row["ratio"] is None else f"{row['ratio']:.2f}"
     return [*(str(a or "") for a in about), *pace, row["peer"] or "", ratio, error]
+
+
+def times_real(row: Row) -> str:
+    """How many times as fast as real time; "" of what finds rest, in which no time passes."""
+    return "" if row["realtime_factor"] is None else f"{row['realtime_factor']:.3g}"
 
 
 def _rooflines(rows: Sequence[Row]) -> list[str]:
@@ -108,5 +113,5 @@ def _lines(rows: Sequence[Row], peers: Sequence[str]) -> Iterator[list[str]]:
         step = PEER_STEP if of_peer(row) else row["note"]
         how = ", ".join(filter(None, (row["kind"], row["precision"], row["options"], step)))
         counts = (row["nodes"], row["threads"], row["batch"])
-        speed = (f"{row['node_steps_per_s'] / 1e6:.1f}", f"{row['realtime_factor']:.3g}")
+        speed = (millions(row), times_real(row))
         yield [row["model"], how, *(str(c or "") for c in counts), *speed, *(together[key].get(p, "") for p in peers)]

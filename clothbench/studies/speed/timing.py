@@ -31,6 +31,7 @@ FIRST_SPAN, LONGEST_SPAN = 0.1, 300.0  # s of simulated time; lengthened until a
 MIN_SECONDS = 0.3  # wall time of a run beside which its set-up is negligible
 REPEATS = 3
 PATIENCE = 15.0  # s of wall time after which a measurement is not repeated: so long a run is a mean in itself
+COARSE = 9  # nodes a side of the sheet that compiles what settles one: on the others a first run takes minutes
 ROUNDS = 3  # of threads and separate processes in turn
 CLOTH = Material(bending=1e-5, stretch=300.0, shear=150.0)  # a light shirting
 ASIDE, RAMP, SWING = 0.1, 0.5, 1.5  # m, s and s: how far and fast a swung sheet's edge moves, and how long it is seen
@@ -73,6 +74,27 @@ def time_model(model: Any, side: int, batch: int = 1, threads: int = 1) -> Speed
         return best_of(ready.run)
 
 
+def time_settling(model: Any, side: int) -> Speed:
+    """A model that finds rest only: one sheet of side × side nodes, its grips still, settled on one thread.
+
+    A step is an iteration of its search for rest, all of them counted; no time passes in it.
+    """
+    runs: list[Speed] = []
+    begun = time.perf_counter()
+    with on_threads(1):
+        _settled(model, min(side, COARSE))
+        while not runs or (len(runs) < REPEATS and time.perf_counter() - begun < PATIENCE):
+            runs.append(_settled(model, side))
+    return max(runs, key=lambda s: s.node_steps_per_s)
+
+
+def _settled(model: Any, side: int) -> Speed:
+    simulation = model.prepare(hanging_sheet(side, FIRST_SPAN, sway=0.0))
+    begun = time.perf_counter()
+    rollout = simulation.run(simulation.parameters.defaults[None])
+    return _speed(rollout, side, 0.0, time.perf_counter() - begun)
+
+
 def time_peer(peer: Any, side: int) -> tuple[Speed, str]:
     """A peer's module (see the hook `clothbench_peers`): one sheet on one thread; and the peer's version."""
     version = ""
@@ -104,16 +126,16 @@ def best_of(run: Callable[[float], Speed]) -> Speed:
     return best
 
 
-def hanging_sheet(side: int, span: float) -> Scene:
-    """The sheet of side × side nodes; its corners sway 2 cm to and fro, once in two seconds, for `span` s."""
+def hanging_sheet(side: int, span: float, sway: float = 0.01) -> Scene:
+    """The sheet of side × side nodes; its corners go 2 · sway m to and fro, once in two seconds, for `span` s."""
     held = np.array([[0.0, 0.0], [SIZE, 0.0]])
     stamps = np.linspace(0.0, span, max(3, round(span / 0.02) + 1))
-    sway = 0.01 * (1 - np.cos(np.pi * stamps))[:, None] * np.array([[0.0, 1.0, 0.0]])
+    aside = sway * (1 - np.cos(np.pi * stamps))[:, None] * np.array([[0.0, 1.0, 0.0]])
     inner = np.linspace(0.1, 0.9, 5) * SIZE
     points = np.stack(np.meshgrid(inner, inner), axis=-1).reshape(-1, 2)
     return Scene(
         width=SIZE, height=SIZE, areal_density=AREAL_DENSITY, resolution=(side, side),
-        grip_time=stamps, grip_material=held, grip_position=np.insert(held, 1, 0.0, axis=1) + sway[:, None],
+        grip_time=stamps, grip_material=held, grip_position=np.insert(held, 1, 0.0, axis=1) + aside[:, None],
         times=np.linspace(0.0, span, max(2, round(span * 30) + 1)), points=points,
     )  # fmt: skip
 

@@ -136,14 +136,13 @@ class RestingSheet:
     def _follow(self, theta: np.ndarray, position: np.ndarray) -> tuple[int, str]:
         """Fill position (T, N, 3); Newton iterations in all, and why it ended before the last frame."""
         bend_ratio, stretch_ratio = theta[3:5] if len(theta) > 3 else (1.0, 1.0)
-        shell, steps = Shell(self.scene, self.elements, theta[1], theta[2], bend_ratio, stretch_ratio), 0
+        shell = Shell(self.scene, self.elements, theta[1], theta[2], bend_ratio, stretch_ratio)
         state: ShellState | None = None
         before = np.empty(0)
         for t, grips in enumerate(self.scene.grips_at(self.scene.times)):
             if state is None or not np.array_equal(grips, before):
                 state = shell.equilibrium(theta[0], grips, state)
                 if state is None:
-                    return steps, f"no equilibrium found at {self.scene.times[t]:g} s"
-                steps += state.iterations
+                    return shell.iterations, f"no equilibrium found at {self.scene.times[t]:g} s"
             position[t], before = shell.positions(state, self.scene.points), grips
-        return steps, ""
+        return shell.iterations, ""

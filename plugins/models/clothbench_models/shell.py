@@ -30,7 +30,6 @@ class ShellState:
     control: np.ndarray
     stress: np.ndarray
     holding: np.ndarray
-    iterations: int = 0
 
 
 def turned_over(scene: Scene) -> bool:
@@ -56,6 +55,7 @@ class Shell:
         self.roots = np.sqrt([stretch_ratio, bend_ratio])
         self.u, self.v = (Spline.even(side, n) for side, n in zip((scene.width, scene.height), elements, strict=True))
         self.flipped = self.v.count > self.u.count
+        self.iterations = 0  # of Newton's method, those included that led nowhere
 
     @property
     def count(self) -> int:
@@ -160,7 +160,7 @@ class Shell:
         pattern = np.sin(1 + 2.3 * u / self.scene.width) * np.cos(0.7 + 3.1 * v / self.scene.height)
         control = state.control.copy()
         control[self.numbers(i, j)] += DENT * self.size * pattern[:, None] * normal
-        return ShellState(control, state.stress, state.holding, state.iterations)
+        return ShellState(control, state.stress, state.holding)
 
     def solved(self, start: ShellState, eta_b: float, grips: np.ndarray, sink: float = 0.0) -> ShellState | None:
         """Newton's method from one state to another; `sink` in bending lengths, 0 for rigid ground."""
@@ -178,6 +178,7 @@ class Shell:
             np.full(self.count, self.floor), springs, nodes, shape, weight, area[:, None] * gravity, self.eta_m,
             float(eta_b), float(self.poisson), self.roots, REACH * self.size, TOLERANCE * self.size, MOST, self.wide,
         )  # fmt: skip
+        self.iterations += iterations
         if status != kernels.CONVERGED:
             return None
-        return ShellState(control, stress, holding, iterations)
+        return ShellState(control, stress, holding)
