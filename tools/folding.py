@@ -65,7 +65,7 @@ def print_folds() -> None:
 
 
 def print_refinement() -> None:
-    """Errors of the cantilever's tip, the fold's height and a lifted strip over the number of elements."""
+    """Errors of the cantilever's tip, the fold's height and length and a lifted strip over the number of elements."""
     meshes = (64, 128, 256)
     print("| test | reference | " + " | ".join(f"{n} elements" for n in meshes) + " |")
     print("|---|---|" + "---|" * len(meshes))
@@ -75,6 +75,9 @@ def print_refinement() -> None:
         height = references.fold_coefficients()[0] * Strip().size(eta)
         _line(f"free fold, η_b = {eta:g}: height", "0.9066 (D/ρg)^⅓", meshes, lambda n, e=eta, h=height: abs(
             strip_trials.fold_height(strip_trials.free_fold(Strip(elements=n), e)) / h - 1))  # fmt: skip
+        length = references.fold_coefficients()[1] * Strip().size(eta)
+        _line(f"free fold, η_b = {eta:g}: length of the loop", "4.683 (D/ρg)^⅓", meshes, lambda n, e=eta, s=length: abs(
+            strip_trials.fold_length(strip_trials.free_fold(Strip(elements=n), e)) / s - 1))  # fmt: skip
         for raised in (0.04, 0.4):
             name = f"lifted by {raised:g} m, η_b = {eta:g}: any point"
             _line(name, "heavy elastica", meshes, functools.partial(_away, eta, raised))

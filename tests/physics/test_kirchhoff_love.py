@@ -190,6 +190,13 @@ def test_a_free_fold_stands_as_high_as_the_heavy_elastica(eta):
     )
 
 
+@pytest.mark.parametrize("eta", [2.6e3, 3.5e4])
+def test_a_free_fold_s_loop_is_as_long_as_the_heavy_elastica_s(eta):
+    strip = Strip()
+    length = strip_trials.fold_length(strip_trials.free_fold(strip, eta))
+    assert length == pytest.approx(references.fold_coefficients()[1] * strip.size(eta), rel=5e-3)
+
+
 def test_where_a_fold_ends_does_not_matter():
     heights = [strip_trials.fold_height(strip_trials.free_fold(Strip(), 1e4, tip)) for tip in (0.0, 0.2)]
     assert heights[0] == pytest.approx(heights[1], rel=2e-3)

@@ -11,6 +11,8 @@ from clothbench import ClothbenchError, Scene
 from clothbench.reference.mechanics import G, swing_period
 from clothbench.studies.mechanics.scenes import LENGTH, first_mode, middle
 
+TOUCHING = 1e-3  # of a fold's height: a gap to the ground below which cloth counts as lying on it
+
 
 class NoMeasure(ClothbenchError):
     """The motion does not show what is to be measured in it."""
@@ -49,6 +51,30 @@ def fold_height(scene: Scene, x: np.ndarray) -> float:
     turns = spline.derivative().roots(extrapolate=False)
     top = max([*spline(turns), *x[-1, middle(scene), 2]])
     return float(top - x[-1, middle(scene)[0], 2])
+
+
+def fold_length(scene: Scene, x: np.ndarray) -> float:
+    """Arc length [m] of a fold's loop: of the cloth from where it leaves the ground to where it comes down again.
+
+    On a mesh that falls between two nodes. What lies flat carries no moment, so that the gap to the ground grows with
+    the cube of the way from there: its cube root, drawn straight through the two nodes next to the ground whose gaps
+    exceed a thousandth of the height (`TOUCHING`), meets zero at the end of the loop. The error of that is below a
+    hundredth of a loop with 20 nodes and falls with their distance.
+    """
+    line = middle(scene)
+    s, gap = scene.points[line, 0], x[-1, line, 2] - x[-1, line[0], 2]
+    top = int(gap.argmax())
+    low = np.flatnonzero(gap <= TOUCHING * gap[top])
+    before, after = low[low < top], low[low > top]
+    if not len(before) or not len(after) or min(top - before[-1], after[0] - top) < 2:
+        raise NoMeasure("the fold has no loop that comes down to the ground on both sides over two nodes or more")
+    ends = []
+    for near, far in ((before[-1] + 1, before[-1] + 2), (after[0] - 1, after[0] - 2)):
+        a, b = np.cbrt(gap[[near, far]])
+        if not b > a:
+            raise NoMeasure("the fold does not rise from where it leaves the ground")
+        ends.append(s[near] - a * (s[far] - s[near]) / (b - a))
+    return float(ends[1] - ends[0])
 
 
 def middle_sag(scene: Scene, x: np.ndarray) -> float:

@@ -83,6 +83,13 @@ def free_fold(along: int) -> list[Trial]:
     return [fold(CLOTH.bending, 2 * along - 1)]
 
 
+def free_fold_length(along: int) -> list[Trial]:
+    """The same fold, its loop measured along the cloth: height alone is blind to where it leaves the ground."""
+    (folded,) = free_fold(along)
+    reference = references.fold_coefficients()[1] * references.bending_length(CLOTH.bending, DENSITY)
+    return [dataclasses.replace(folded, measure=measures.fold_length, reference=reference)]
+
+
 def fold_table(along: int) -> list[Trial]:
     return [fold(DENSITY / eta, 2 * along - 1) for eta in FOLDS]
 

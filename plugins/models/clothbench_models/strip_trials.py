@@ -40,6 +40,22 @@ def fold_height(state: State) -> float:
     return float(state.at(np.linspace(0.0, state.spline.breaks[-1], 20_001))[:, 1].max())
 
 
+def fold_length(state: State) -> float:
+    """Arc length of a fold's loop [m], from where the strip leaves the desk to where it comes down again.
+
+    What lies flat carries no moment, and the gap grows with the cube of the way from there: the end of the loop is as
+    far from the place where the gap is a thousandth of the height as that from where it is eight.
+    """
+    u = np.linspace(0.0, state.spline.breaks[-1], 20_001)
+    gap = state.at(u)[:, 1]
+    top = int(gap.argmax())
+    rising, falling = (np.maximum.accumulate(part) / gap[top] for part in (gap[: top + 1], gap[top:][::-1]))
+    ends = [
+        2 * np.interp(1e-3, g, s) - np.interp(8e-3, g, s) for g, s in ((rising, u[: top + 1]), (falling, u[top:][::-1]))
+    ]
+    return float(ends[1] - ends[0])
+
+
 def hanging_loop(strip: Strip, eta_b: float, kind: str) -> State:
     """Both ends clamped together at the origin: "pear" (leaving straight down), "ring" (level) or "heart" (up).
 
