@@ -175,6 +175,17 @@ def test_a_time_limit_keeps_the_finest_mesh_that_was_reached(catalogue, tmp_path
     assert "time limit after 1 simulations" in rows[0]["reason"]
 
 
+def test_a_load_that_a_mesh_cannot_show_is_skipped_and_the_others_go_on(catalogue, tmp_path):
+    store, rows, said = ran(catalogue, tmp_path, "strip", ["cantilever"], (9, 17))
+    assert said == ["ok"]
+    assert rows[0]["reference"] == references.drop_over_reach(100.0)
+    levels = store.table("validation")
+    assert [v["load"] for v in levels] == [0.01, 1.0, 10.0, 100.0, 1000.0, 1e4] * 2
+    assert [v["status"] for v in levels] == ["ok", "ok", "ok", "ok", "skipped", "skipped"] * 2
+    assert "a mesh of 9 nodes is too coarse for it; it takes 18" in levels[4]["reason"]
+    assert levels[6]["value"] == pytest.approx(levels[6]["reference"], rel=0.01)
+
+
 def test_the_key_is_the_question_and_a_finished_cell_is_kept(catalogue, tmp_path):
     first = plan(settings("strip", ["free_fall"]), catalogue)[0]
     assert plan(settings("strip", ["free_fall"]), catalogue)[0].key == first.key

@@ -60,7 +60,7 @@ def _cantilever(levels: Levels, look: dict[str, str]) -> dict[str, Any] | None:
     mine = _finest([v for v in levels if v["case"] == "cantilever"])
     if not mine:
         return None
-    load = np.geomspace(0.5, 2000.0, 40)
+    load = np.geomspace(5e-3, 2e4, 60)
     curve = _line(load, [drop_over_reach(g) for g in load], "", GREY, "heavy elastica: %{y} at Γ = %{x}", mode="lines")
     data = [curve]
     for name in dict.fromkeys(v["model"] for v in mine):
@@ -109,11 +109,11 @@ def _over_mesh(levels: Levels, look: dict[str, str], case: str, title: str, capt
 
 
 def _finest(levels: Levels) -> list[dict[str, Any]]:
-    """The levels of each cell on the finest mesh that gave a number."""
-    top: dict[str, int] = {}
+    """The levels of each cell, load by load, on the finest mesh that gave a number."""
+    top: dict[tuple[str, float | None], int] = {}
     for v in levels:
-        top[v["key"]] = max(v["along"], top.get(v["key"], 0))
-    return [v for v in levels if v["along"] == top[v["key"]]]
+        top[v["key"], v["load"]] = max(v["along"], top.get((v["key"], v["load"]), 0))
+    return [v for v in levels if v["along"] == top[v["key"], v["load"]]]
 
 
 def _entry(title: str, caption: str, figure: dict[str, Any]) -> dict[str, Any]:

@@ -54,6 +54,8 @@ class Subject:
         size = max(trial.scene.width, trial.scene.height) / (along - 1)
         began = time.perf_counter()
         found = Level(along, size, scale, trial.load, trial.reference, None)
+        if trial.unresolved:
+            return dataclasses.replace(found, status="skipped", reason=trial.unresolved, unresolved=True)
         try:
             found = dataclasses.replace(found, **self._measured(check, trial, scale))
         except CannotDo as fault:
