@@ -70,6 +70,7 @@ def evidence_of_sheets(
 
     def case(source: Source, raw: Any) -> SheetCase:
         recording, seen = watched(raw, tracker, cell.option(tracker.name), plugins, kept)
+        assert isinstance(recording, Recording)  # clouds are refused where cells are planned
         scene = scene_of(
             recording, areal_density=density, air_density=air, resolution=shape_of(recording, nodes), start=start
         )
