@@ -222,9 +222,24 @@ def _import(options: argparse.Namespace) -> int:
         named = shlex.quote(str(path))
         print(f"{path}: one recording of kind 'depth'; next: clothbench run recording={named} {FIT_OF_DEPTH}")
         return 0
+    if known and not DATASETS[options.name].importer:
+        return _fetch_originals(options.name, key_values(options.settings, ("data_dir",)))
     with counting("files") as told:
         folder = converted(options.name, **settings, again=True, progress=told)
     print_import(folder)
+    return 0
+
+
+def _fetch_originals(name: str, settings: dict[str, str]) -> int:
+    """Of a data set without recordings: its files, checked, and what they are for."""
+    from clothbench.datasets.registry import checked_copy, dataset
+    from clothbench.engine.progress import counting
+
+    known = dataset(name)
+    with counting("files") as told:
+        folder = checked_copy(name, settings.get("data_dir"), told)
+    count = f"{len(known.files)} file{'s' * (len(known.files) > 1)}"
+    print(f"{folder}: {count} of {name}, with the registry's SHA-256; no recordings to be made of them: {known.use}")
     return 0
 
 

@@ -97,6 +97,7 @@ def dataset_rows() -> list[dict[str, Any]]:
             {
                 "name": name,
                 "title": d.title,
+                "use": d.use or "recordings",
                 "licence": d.licence,
                 "citation": d.citation,
                 "files": len(d.files),
@@ -110,12 +111,15 @@ def dataset_rows() -> list[dict[str, Any]]:
 def print_datasets(rows: list[dict[str, Any]]) -> None:
     table = Table(title="public data sets", title_justify="left", title_style="bold")
     table.add_column("name", no_wrap=True)  # `import` is given it
-    for name in ("what it is", "licence", "files", "where", "at hand"):
+    for name in ("what it is", "what for", "licence", "files", "where", "at hand"):
         table.add_column(name, overflow="fold")
     for r in rows:
         at_hand = r["local_copy"] or "no: give data_dir=, set CLOTHBENCH_DATA, or let it be fetched"
         table.add_row(
-            *(escape(str(t)) for t in (r["name"], r["title"], r["licence"], r["files"], r["address"], at_hand))
+            *(
+                escape(str(t))
+                for t in (r["name"], r["title"], r["use"], r["licence"], r["files"], r["address"], at_hand)
+            )
         )
     console().print(table)
 

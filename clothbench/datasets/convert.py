@@ -29,11 +29,16 @@ def converted(
 
     What is there already is used, unless `again` or it was made by another version of the importer, or of other
     originals; it is refused where it is of another data set, and where `data_dir` is another copy than it was made of.
-    Files that no import made are never replaced. Originals come from `data_dir`,
-    else from the folder in CLOTHBENCH_DATA, else they are fetched. `progress(done, planned, file)` is called while
-    files are fetched and read.
+    Files that no import made are never replaced. A data set without recordings is refused. Originals come from
+    `data_dir`, else from the folder in CLOTHBENCH_DATA, else they are fetched. `progress(done, planned, file)` is
+    called while files are fetched and read.
     """
     known = dataset(name)
+    if not known.importer:
+        raise ClothbenchError(
+            f"data set {name!r} holds no recordings ({known.title}), and nothing can be run on it; clothbench import "
+            f"{name} fetches its originals"
+        )
     folder = Path(out) if out is not None else Path("recordings") / name
     if (folder / REPORT).is_file():
         report = _report(folder)

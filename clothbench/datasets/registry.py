@@ -24,7 +24,7 @@ RAW = "https://raw.githubusercontent.com"
 @dataclass(frozen=True)
 class Dataset:
     """A public data set. files: path in a local copy → (path in the repository, SHA-256); importer:
-    "module:attribute".
+    "module:attribute", "" of one that holds no recordings; use: what of it is used here, "" of recordings.
 
     folder: what a local copy's own folder is called; pattern: which files in it belong to the data set; version: of the
     importer, raised when it makes other recordings of them.
@@ -42,6 +42,7 @@ class Dataset:
     pattern: str
     files: Mapping[str, tuple[str, str]] = field(repr=False)
     version: int = 1
+    use: str = ""
 
     @property
     def address(self) -> str:
@@ -68,7 +69,19 @@ def _load(name: str) -> Dataset:
 
 
 DATASETS: Mapping[str, Dataset] = MappingProxyType(
-    {name: _load(name) for name in ("cusick_drape_bdp", "iri_wam_cloth_swing", "knit_uniaxial_gatech", "phi_sft_r1")}
+    {
+        name: _load(name)
+        for name in (
+            "cusick_drape_bdp",
+            "iri_wam_cloth_swing",
+            "knit_uniaxial_gatech",
+            "phi_sft_r1",
+            "cantilever_618_fabrics",
+            "cantilever_master_curve",
+            "wang2011_arcsim_materials",
+            "bias_extension_cao2008",
+        )
+    }
 )
 
 
@@ -114,6 +127,23 @@ def verify(name: str, folder: Path) -> Check:
     present |= {local: folder / local for local in known.files if (folder / local).is_file()}
     wrong = {local for local, path in present.items() if local in known.files and sha256(path) != known.files[local][1]}
     return Check(frozenset(set(present) - set(known.files)), frozenset(wrong))
+
+
+def checked_copy(
+    name: str, data_dir: str | os.PathLike[str] | None = None, progress: FileProgress | None = None
+) -> Path:
+    """The folder with the originals of a data set, a local copy or fetched, every file of it there with the registry's
+    bytes.
+    """
+    known, local = dataset(name), local_copy(name, data_dir)
+    if local is None:
+        return fetch(name, progress)
+    for file in known.files:
+        if not (local / file).is_file():
+            raise ClothbenchError(f"{local / file}: no such file, expected that of {known.address}; fetch it again")
+    if wrong := sorted(verify(name, local).wrong):
+        raise ClothbenchError(f"{local / wrong[0]}: SHA-256 differs from the registry's; fetch it again")
+    return local
 
 
 def cache_folder() -> Path:

@@ -188,3 +188,53 @@ def test_fetch_fails_in_one_line(tmp_path, small, monkeypatch, served, expected)
         registry.fetch(NAME)
     assert "\n" not in str(caught.value)
     assert not list(tmp_path.rglob("*.csv"))
+
+
+@pytest.fixture
+def curve(monkeypatch):
+    """The real entry of the master curve, with known bytes."""
+    digest = hashlib.sha256(b"curve").hexdigest()
+    files = {"master_curve_data.mat": ("bending_validation/master_curve_data.mat", digest)}
+    entry = replace(registry.DATASETS["cantilever_master_curve"], files=files)
+    monkeypatch.setattr(registry, "DATASETS", {entry.name: entry})
+    monkeypatch.delenv(registry.ENVIRONMENT, raising=False)
+    return entry
+
+
+def test_what_rests_on_a_data_set_without_recordings_is_told():
+    without = [d for d in registry.DATASETS.values() if not d.importer]
+    assert [d.name for d in without] == [
+        "cantilever_618_fabrics", "cantilever_master_curve", "wang2011_arcsim_materials", "bias_extension_cao2008",
+    ]  # fmt: skip
+    assert all(d.use and d.licence and d.citation and len(d.commit) == 40 for d in without)
+    told = {r["name"]: r["use"] for r in dataset_rows()}
+    assert "physical_validation" in told["cantilever_master_curve"]
+    assert told[NAME] == "recordings"
+
+
+def test_originals_without_recordings_are_fetched_and_checked(tmp_path, curve, monkeypatch, capsys):
+    from clothbench.cli.commands import main
+
+    monkeypatch.setenv("CLOTHBENCH_CACHE", str(tmp_path / "cache"))
+    stand_in_for_the_net(monkeypatch, {curve.url("master_curve_data.mat"): b"curve"})
+    assert main(["import", curve.name]) == 0
+    assert "1 file of cantilever_master_curve, with the registry's SHA-256; no recordings" in capsys.readouterr().out
+    with pytest.raises(ClothbenchError, match="holds no recordings"):
+        converted(curve.name, out=tmp_path / "out")
+    copy = tmp_path / "cantilever-master-curve"
+    copy.mkdir()
+    with pytest.raises(ClothbenchError, match=r"master_curve_data\.mat: no such file"):
+        registry.checked_copy(curve.name, copy)
+    (copy / "master_curve_data.mat").write_bytes(b"forged")
+    with pytest.raises(ClothbenchError, match=r"master_curve_data\.mat: SHA-256 differs"):
+        registry.checked_copy(curve.name, tmp_path)
+    (copy / "master_curve_data.mat").write_bytes(b"curve")
+    assert registry.checked_copy(curve.name, tmp_path) == copy
+
+
+@pytest.mark.data
+@pytest.mark.parametrize("name", [name for name, d in registry.DATASETS.items() if not d.importer])
+def test_the_originals_at_hand_are_the_registry_s(name, data_dir):
+    if not (data_dir / registry.DATASETS[name].folder).is_dir():
+        pytest.skip(f"{name} is not among the measured data")
+    assert registry.checked_copy(name, data_dir).is_dir()
