@@ -88,7 +88,7 @@ class PluginSearchPath(SearchPathPlugin):
 def run(arguments: Sequence[str]) -> int:
     """Run `clothbench run ARGUMENTS` and return the exit code."""
     require_settings(arguments)
-    say_twice(arguments)
+    given = list(arguments)
     if {"--help", "-h"} & set(arguments):
         print(settings_help())
     sweep = bool({"-m", "--multirun"} & set(arguments))
@@ -118,7 +118,9 @@ def run(arguments: Sequence[str]) -> int:
             raise ClothbenchError(TOGETHER) from fault
         raise ClothbenchError(f"found a setting without a place ({fault}), expected KEY=VALUE of a run") from fault
     else:
-        return _conclude(notes, sweep)
+        if not (code := _conclude(notes, sweep)):  # a refusal is one line, and the first thing to mend
+            say_twice(given)
+        return code
     finally:
         shutil.rmtree(notes, ignore_errors=True)
 
