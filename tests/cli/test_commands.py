@@ -741,7 +741,7 @@ def test_a_narrow_terminal_shows_what_a_row_is_about():
     narrow.print(error_table("s", [about | {"recording": "waving-1"}]))
     said = narrow.export_text()
     assert "waving-1" in said
-    assert "10.23 mm" in said
+    assert "10.2 mm" in said
 
 
 def test_keys_are_said_to_be_where_they_are(capsys):
