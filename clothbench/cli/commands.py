@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from clothbench.cli.arguments import DEFAULT_OUT, parser
+from clothbench.cli.spelling import require_once
 from clothbench.core.errors import ClothbenchError, one_line, seen
 from clothbench.core.output import kept_on, takes_all_letters
 
@@ -91,6 +92,7 @@ def key_values(settings: Sequence[str], allowed: Sequence[str]) -> dict[str, str
         if not sign or key not in allowed:
             raise ClothbenchError(f"found {word!r}, expected {' or '.join(f'{a}=VALUE' for a in allowed)}")
         out[key] = value
+    require_once(settings)
     return out
 
 
@@ -197,8 +199,9 @@ def _import(options: argparse.Namespace) -> int:
 
     given, known = Path(options.name), options.name in DATASETS
     if not (known or os.path.exists(given)):
+        names = sorted(DATASETS, key=lambda name: (not DATASETS[name].importer, name))  # recordings come first
         raise ClothbenchError(
-            f"{given}: no such file or folder, and no data set {options.name!r}; known: {', '.join(sorted(DATASETS))}"
+            f"{given}: no such file or folder, and no data set {options.name!r}; known: {', '.join(names)}"
         )
     if not known and is_video(given):
         settings = key_values(options.settings, SETTINGS)

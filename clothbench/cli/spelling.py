@@ -28,6 +28,12 @@ def given_twice(settings: Sequence[str]) -> str:
     return ""
 
 
+def require_once(settings: Sequence[str]) -> None:
+    """Refuse a key with two values."""
+    if twice := given_twice(settings):
+        raise ClothbenchError(f"{twice}; leave one of them out")
+
+
 class Reader(argparse.ArgumentParser):
     """Says in one line what is wrong with a command's words, and how one is written that is spelled as another command
     has it.
@@ -46,12 +52,10 @@ class Reader(argparse.ArgumentParser):
 
     def require_spelled(self, settings: Sequence[str]) -> None:
         """Refuse a KEY=VALUE of these that is an option of the command, where whatever else is said of it would
-        mislead, and a key with two values.
+        mislead.
         """
         if remedy := self.respelled([word for word in settings if not word.startswith("-")]):
             raise ClothbenchError(f"{self.prog.partition(' ')[2]}: {remedy}")
-        if twice := given_twice(settings):
-            raise ClothbenchError(f"{self.prog.partition(' ')[2]}: {twice}; leave one of them out")
 
     def respelled(self, words: Sequence[str]) -> str:
         """How the first of these words is written that another command writes so; "" if there is none."""

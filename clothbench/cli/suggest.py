@@ -10,6 +10,7 @@ from rich.table import Table
 
 from clothbench.cli.improve import WORDS as RECORDING_WORDS
 from clothbench.cli.improve import StageBar, settings_of
+from clothbench.cli.spelling import require_once
 from clothbench.cli.view import find_cell
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import json_text
@@ -87,6 +88,7 @@ def told(words: Sequence[str]) -> dict[str, str]:
             known = sorted({*OWN, *OF_RECORDINGS} - set(REFUSED))
             raise ClothbenchError(f"found {word!r}, expected {' or '.join(f'{a}=VALUE' for a in known)}")
         out[key] = value
+    require_once(words)
     return out
 
 

@@ -202,12 +202,12 @@ def _require_strip(model: Any) -> None:
     theta, height = model.parameters.defaults[None], 0.05
     strip = model.strip(0.6)
     lifted = strip.lift(height, theta)
-    _require_held(lifted, "lift")
+    _require_held(lifted, "lift()")
     if lifted.status == ("ok",):
         require(abs(lifted.pose[0, 1] - height) < 1e-6, f"lift to {lifted.pose[0, 1]:.6g} m", f"{height} m")
         pose = lifted.pose + np.array([0.0, 1e-3, 0.0])
         held = strip.hold(pose, theta, lifted)
-        _require_held(held, "hold")
+        _require_held(held, "hold()")
         away = np.abs(held.pose - pose).max() if held.status == ("ok",) else 0.0
         require(away < 1e-6, f"hold at {held.pose[0].tolist()}", f"the pose {pose[0].tolist()} that it was told")
 
