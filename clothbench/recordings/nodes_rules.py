@@ -119,26 +119,46 @@ def check_scale(arrays: Arrays, size: np.ndarray, where: str, read: bool) -> Non
         if (there := np.isfinite(places).all(axis=1)).any()
     ]
     spread, flat = np.array([[np.linalg.norm(np.ptp(each, axis=0)) for each in both] for both in seen]).T
-    most = f"expected {APART * across:.2g} m at most of a cloth {across:.2g} m across; are these millimetres?"
-    if (middle := float(np.median(spread))) > APART * across:
-        raise ClothbenchError(
-            f"{where}: variable 'position': found nodes {middle:g} m apart in the middle of all frames, {most}"
-        )
+    check_spread(spread, across, where)
     if flat.max() > 0 and spread.max() <= SHRUNK * flat.max() and (read or spread.max() > 0):
         raise ClothbenchError(
             f"{where}: variable 'position': found nodes {spread.max():g} m apart in space at most and {flat.max():.2g} "
             "m on the cloth, expected metres; is it scaled twice?"
         )
     check_strays(arrays["position"], across, where)
-    if grips.shape[1]:
-        centre = np.median([places.mean(axis=0) for places, _ in seen], axis=0)
-        away = float(np.linalg.norm(np.median(grips, axis=(0, 1)) - centre))
-        apart = float(np.median(np.linalg.norm(np.ptp(grips, axis=1), axis=-1)))
-        if max(away, apart) > APART * across:
-            raise ClothbenchError(
-                f"{where}: variable 'grip_position': found grips {apart:g} m apart, and {away:g} m from the nodes, in "
-                f"the middle of all frames, {most}"
-            )
+    check_grips(grips, [places for places, _ in seen], across, where)
+
+
+def check_spread(spread: np.ndarray, across: float, where: str, what: str = "nodes") -> None:
+    """What was seen of a cloth `across` m from corner to corner is not far larger, by how far it goes in each frame,
+    (T,) m, in the middle of all frames. what: that was seen.
+    """
+    if (middle := float(np.median(spread))) > APART * across:
+        raise ClothbenchError(
+            f"{where}: variable 'position': found {what} {middle:g} m apart in the middle of all frames, "
+            f"{at_most(across)}"
+        )
+
+
+def check_grips(grips: np.ndarray, seen: Sequence[np.ndarray], across: float, where: str, what: str = "nodes") -> None:
+    """Grips (K, G, 3) m are near each other and what was seen, (N, 3) m of each frame, of a cloth `across` m from
+    corner to corner, in the middle of all frames. what: that was seen.
+    """
+    if not grips.shape[1]:
+        return
+    centre = np.median([places.mean(axis=0) for places in seen], axis=0)
+    away = float(np.linalg.norm(np.median(grips, axis=(0, 1)) - centre))
+    apart = float(np.median(np.linalg.norm(np.ptp(grips, axis=1), axis=-1)))
+    if max(away, apart) > APART * across:
+        raise ClothbenchError(
+            f"{where}: variable 'grip_position': found grips {apart:g} m apart, and {away:g} m from the {what}, in the "
+            f"middle of all frames, {at_most(across)}"
+        )
+
+
+def at_most(across: float) -> str:
+    """What is expected of distances, of a cloth `across` m from corner to corner."""
+    return f"expected {APART * across:.2g} m at most of a cloth {across:.2g} m across; are these millimetres?"
 
 
 def check_strays(position: np.ndarray, across: float, where: str, what: str = "node") -> None:

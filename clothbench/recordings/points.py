@@ -31,11 +31,11 @@ from clothbench.recordings.codec import freeze, hash_of, read, write
 from clothbench.recordings.layout import Layout, Variable
 from clothbench.recordings.nodes import grips_at
 from clothbench.recordings.nodes_rules import (
-    APART,
     SHRUNK,
     check_clock,
     check_finite,
     check_gravity,
+    check_grips,
     check_near,
     check_noise,
     check_overlap,
@@ -43,6 +43,7 @@ from clothbench.recordings.nodes_rules import (
     check_points,
     check_shapes,
     check_sides,
+    check_spread,
     check_strays,
     while_held,
 )
@@ -217,26 +218,14 @@ def _check_scale(r: PointCloud, across: float, where: str) -> None:
     """
     frames = [places[np.isfinite(places).all(axis=1)] for places in r.position]
     spread = np.array([np.linalg.norm(np.ptp(cloud, axis=0)) for cloud in frames if len(cloud)])
-    most = f"expected {APART * across:.2g} m at most of a cloth {across:.2g} m across; are these millimetres?"
-    if (middle := float(np.median(spread))) > APART * across:
-        raise ClothbenchError(
-            f"{where}: variable 'position': found points {middle:g} m apart in the middle of all frames, {most}"
-        )
+    check_spread(spread, across, where, "points")
     if max(map(len, frames)) > 1 and spread.max() <= SHRUNK * across:
         raise ClothbenchError(
             f"{where}: variable 'position': found points {spread.max():g} m apart at most of a cloth {across:.2g} m "
             "across, expected metres; is it scaled twice?"
         )
     check_strays(r.position, across, where, "point")
-    if r.grip_material.size:
-        centre = np.median([cloud.mean(axis=0) for cloud in frames if len(cloud)], axis=0)
-        away = float(np.linalg.norm(np.median(r.grip_position, axis=(0, 1)) - centre))
-        apart = float(np.median(np.linalg.norm(np.ptp(r.grip_position, axis=1), axis=-1)))
-        if max(away, apart) > APART * across:
-            raise ClothbenchError(
-                f"{where}: variable 'grip_position': found grips {apart:g} m apart, and {away:g} m from the points, in "
-                f"the middle of all frames, {most}"
-            )
+    check_grips(r.grip_position, [cloud for cloud in frames if len(cloud)], across, where, "points")
 
 
 def _check_reach(r: PointCloud, across: float, where: str) -> None:
