@@ -26,7 +26,6 @@ import math
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from numbers import Real
 from pathlib import Path
 from typing import Any
 
@@ -51,9 +50,9 @@ from clothbench.recordings.nodes_rules import (
     check_shapes,
     check_sides,
     check_values,
-    while_held,
+    frames_held,
 )
-from clothbench.recordings.rig import TEXTS, camera_attributes, pack_camera, unpack_camera
+from clothbench.recordings.rig import GRIPS, TEXTS, camera_attributes, check_numbers, pack_camera, unpack_camera
 from clothbench.recordings.supports import SUPPORTS, check_supports
 from clothbench.recordings.video import VIDEO, numbers_of
 
@@ -84,9 +83,7 @@ LAYOUT = Layout(
         "time": Variable(("time",), "s"),
         "material": Variable(("node", "uv"), "m"),
         "position": Variable(("time", "node", "space"), "m", level=4),
-        "grip_time": Variable(("grip_time",), "s"),
-        "grip_material": Variable(("grip", "uv"), "m"),
-        "grip_position": Variable(("grip_time", "grip", "space"), "m", level=4),
+        **GRIPS.variables,
     },
     texts=TEXTS,
     numbers=("cloth_width", "cloth_height", "areal_density", "noise_sigma"),
@@ -164,8 +161,7 @@ class Recording:
         """Which nodes in which frames may count, (T, N) bool: those that were seen while it is known where the grips
         were, if there are grips. A simulation holds them still before and after, as nobody did.
         """
-        held = while_held(self.time, self.grip_time) if self.grip_material.size else np.ones(len(self.time), bool)
-        return self.visible & held[:, None]
+        return self.visible & frames_held(self.time, self.grip_time, self.grip_material)[:, None]
 
     @property
     def eye(self) -> np.ndarray | None:
@@ -260,11 +256,7 @@ def _check_video(r: Recording, where: str) -> None:
 
 
 def _check_stated(r: Recording, where: str) -> None:
-    for name in LAYOUT.numbers:
-        if not isinstance(value := getattr(r, name), Real):
-            raise ClothbenchError(
-                f"{where}: attribute '{name}': found {value!r}, expected a number (NaN where it is not known)"
-            )
+    check_numbers(r, LAYOUT.numbers, where)
     if not r.name:
         raise ClothbenchError(f"{where}: attribute 'name': found nothing, expected the recording's name")
     _eye_stated(r)

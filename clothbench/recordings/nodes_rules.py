@@ -292,6 +292,11 @@ def while_held(time: np.ndarray, grip_time: np.ndarray) -> np.ndarray:
     return (time >= grip_time[0] - 1e-9) & (time <= grip_time[-1] + 1e-9)
 
 
+def frames_held(time: np.ndarray, grip_time: np.ndarray, grip_material: np.ndarray) -> np.ndarray:
+    """Which frames (T,) s may count, (T,) bool: those in which it is known where the grips were, if there are grips."""
+    return while_held(time, grip_time) if grip_material.size else np.ones(len(time), bool)
+
+
 def check_overlap(time: np.ndarray, grip_time: np.ndarray, where: str) -> None:
     """The grips were tracked while nine tenths of the frames were taken."""
     covered = np.mean(while_held(time, grip_time))

@@ -19,7 +19,6 @@ import math
 import os
 from dataclasses import dataclass, field
 from functools import cached_property
-from numbers import Real
 from pathlib import Path
 
 import numpy as np
@@ -45,9 +44,9 @@ from clothbench.recordings.nodes_rules import (
     check_sides,
     check_spread,
     check_strays,
-    while_held,
+    frames_held,
 )
-from clothbench.recordings.rig import GRIPS, TEXTS, check_stated
+from clothbench.recordings.rig import GRIPS, TEXTS, check_numbers, check_stated
 from clothbench.recordings.supports import SUPPORTS, check_supports
 
 LINES = 5, 40  # of the lattice along a side, at least and at most: a finer one costs time, and says no more
@@ -117,8 +116,7 @@ class PointCloud:
     @property
     def counts(self) -> np.ndarray:
         """Which of them may count, (T, P) bool: those of frames in which it is known where the grips were."""
-        held = while_held(self.time, self.grip_time) if self.grip_material.size else np.ones(len(self.time), bool)
-        return self.visible & held[:, None]
+        return self.visible & frames_held(self.time, self.grip_time, self.grip_material)[:, None]
 
     @cached_property
     def lattice(self) -> np.ndarray:
@@ -202,11 +200,7 @@ def _check_values(r: PointCloud, where: str) -> None:
 
 
 def _check_header(r: PointCloud, where: str) -> None:
-    for name in LAYOUT.numbers:
-        if not isinstance(value := getattr(r, name), Real):
-            raise ClothbenchError(
-                f"{where}: attribute '{name}': found {value!r}, expected a number (NaN where it is not known)"
-            )
+    check_numbers(r, LAYOUT.numbers, where)
     check_stated(r, where)
     check_gravity(r.gravity, where)
     check_sides(r.cloth_width, r.cloth_height, where)

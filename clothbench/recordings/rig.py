@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections.abc import Iterable
 from dataclasses import dataclass, field
+from numbers import Real
 from pathlib import Path
 from typing import ClassVar, Protocol
 
@@ -174,6 +176,15 @@ def check_grips(r: RawRecording, where: str) -> None:
     check_near(grips.position, "grip_position", where)
     check_points(grips.material, "grip_material", np.array([r.cloth_width, r.cloth_height]), where)
     check_overlap(r.time, grips.time, where)
+
+
+def check_numbers(r: object, names: Iterable[str], where: str) -> None:
+    """These attributes are numbers: what a program makes may have anything in their place."""
+    for name in names:
+        if not isinstance(value := getattr(r, name), Real):
+            raise ClothbenchError(
+                f"{where}: attribute '{name}': found {value!r}, expected a number (NaN where it is not known)"
+            )
 
 
 def check_stated(r: Stating, where: str, lengths: tuple[str, ...] = ()) -> None:
