@@ -411,7 +411,7 @@ CASES = [
     (Woolly, "keeps what it offers", "→ 'cotton'"),
     (Forgetting, "keeps what it offers", "stretch=7.0"),
     (Undocumented, "keeps what it offers", "documented 17"),
-    (Limp, "keeps what it offers", "lift → NoneType"),
+    (Limp, "keeps what it offers", "lift() → NoneType"),
     (Loose, "keeps what it offers", "threads 'many'"),
     (Renamed, "keeps what it offers", "other parameters of refined(2)"),
     (Foldless, "keeps what it offers", "no strip(length)"),
