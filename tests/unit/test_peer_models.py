@@ -193,6 +193,16 @@ def test_a_limp_material_is_refused_where_no_parameter_makes_it():
             make().of_material(limp, scenes.hanging())
 
 
+@pytest.mark.parametrize("solver", ["semi_implicit", "vbd"])
+def test_what_a_mesh_makes_of_limp_and_of_stiff_hinges_is_told_alike(solver):
+    newton, scene = Newton(solver=solver), scenes.hanging()
+    limp = Material(0.0, 100.0, 50.0)
+    assert newton.material_of(newton.of_material(limp, scene), scene).bending == 0.0
+    braked = Material(1e-6, 100.0, 50.0, bending_damping=2e-8)
+    said = newton.material_of(newton.of_material(braked, scene), scene)
+    assert (said.bending, said.bending_damping) == pytest.approx((1e-6, 2e-8))
+
+
 def test_the_shell_has_the_rigidities_that_it_was_asked_for():
     young, poisson, thickness, _ = Mujoco().of_material(Material(1e-5, 100.0, 50.0), scenes.hanging())
     assert poisson == 0.0

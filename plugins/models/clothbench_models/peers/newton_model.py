@@ -152,10 +152,10 @@ class Newton:
         semi = self.solver == "semi_implicit"
         lam = area - mu if semi else area
         sheet = GridSimulation(scene, grid_shape(scene, self.resolution), BoundEffects(self.parameters, ())).sheet
-        bending = hinge * unit_bending(sheet, self.solver)
-        damping = edge_kd * self._brake(sheet) / hinge * bending
+        rigidity = unit_bending(sheet, self.solver)
         stretch = 4 * mu * (lam + mu) / (lam + 2 * mu)
-        return Material(bending, stretch, mu, damping, VISCOSITY[self.solver] * tri_kd)
+        damping = edge_kd * self._brake(sheet) * rigidity
+        return Material(hinge * rigidity, stretch, mu, damping, VISCOSITY[self.solver] * tri_kd)
 
     def _brake(self, sheet: Sheet) -> float:
         """What makes of edge_kd over edge_ke the time by which a hinge's damping lags its stiffness: 2 A for
