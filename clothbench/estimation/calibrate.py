@@ -68,15 +68,23 @@ class Fit:
 
 def remembered(trials: Sequence[Trial], theta: np.ndarray, checkpoint: Checkpoint | None) -> Evaluation:
     """`evaluate`, unless the checkpoint knows what came of this batch (B, P)."""
-    checkpoint = checkpoint or Checkpoint()
+    return _remembered(trials, theta, checkpoint or Checkpoint())[0]
+
+
+def _remembered(trials: Sequence[Trial], theta: np.ndarray, checkpoint: Checkpoint) -> tuple[Evaluation, float]:
+    """The same, and when [s] on the checkpoint's clock the answer was there; 0 where it was kept without."""
     key = batch_key(theta)
     known = checkpoint.recall(key)
     if known is not None and "value" in known:
-        return Evaluation(known["value"], known.get("residual"), known.get("objectives"))
+        return Evaluation(known["value"], known.get("residual"), known.get("objectives")), float(
+            known.get("seconds", 0)
+        )
     evaluation, _ = evaluate(trials, theta)
+    seconds = checkpoint.seconds
     more = {"residual": evaluation.residual, "objectives": evaluation.objectives}
-    checkpoint.keep(key, value=evaluation.value, **{name: array for name, array in more.items() if array is not None})
-    return evaluation
+    arrays = {name: array for name, array in more.items() if array is not None}
+    checkpoint.keep(key, value=evaluation.value, seconds=np.array(seconds), **arrays)
+    return evaluation, seconds
 
 
 def batch_key(theta: np.ndarray) -> str:
@@ -101,9 +109,10 @@ def calibrate(
 
     `progress(evaluations, best value)` is called after every batch. A member that diverges is told to the optimizer
     as NaN and spoils no other. choice: which of the front is best, where the metric has several objectives. What
-    `checkpoint` holds of a run that was stopped is not simulated again. Without `bounded` the parameters get no
-    intervals, which cost 2 P + 1 evaluations, and one more of drapes. budget: of evaluations, at which a search is
-    stopped that would go on. seed: what the optimizer was made with, which it need not tell; the fit holds it.
+    `checkpoint` holds of a run that was stopped is not simulated again, and took as long as it took then. Without
+    `bounded` the parameters get no intervals, which cost 2 P + 1 evaluations, and one more of drapes. budget: of
+    evaluations, at which a search is stopped that would go on. seed: what the optimizer was made with, which it need
+    not tell; the fit holds it.
     """
     checkpoint = checkpoint or Checkpoint()
     thetas: list[np.ndarray] = []
@@ -111,11 +120,17 @@ def calibrate(
     several: list[np.ndarray] = []
     warmth: list[np.ndarray] = []
     stopped, looked, given = "", 0, start_of(optimizer) is not None  # one that begins at the defaults looks at nothing
+    clock = 0.0
 
     def answer(theta: np.ndarray) -> Evaluation:
         if (temperature := temperature_of(optimizer)) is not None:
             warmth.append(np.full(len(theta), temperature))
-        return remembered(trials, theta, checkpoint)
+        # A recalled batch tells the time of the run that simulated it: what was done in that run later, as analyses,
+        # is no time of the search, which else would be stopped at another batch than it was.
+        nonlocal clock
+        evaluation, seconds = _remembered(trials, theta, checkpoint)
+        clock = max(clock, seconds)
+        return evaluation
 
     for theta, evaluation in drive(optimizer, space, answer, budget):
         thetas.append(theta)
@@ -126,7 +141,7 @@ def calibrate(
             looked = sum(map(len, values))
         if progress is not None:
             progress(sum(map(len, values)), _lowest(np.concatenate(values)))
-        if timeout is not None and not optimizer.done and checkpoint.seconds > timeout:
+        if timeout is not None and not optimizer.done and clock > timeout:
             stopped = f"stopped after {timeout:g} s, as asked"
             break
     theta, value = np.concatenate(thetas), np.concatenate(values)
@@ -136,6 +151,7 @@ def calibrate(
     objectives = np.concatenate(several) if several else None
     first = chosen(value[:, None] if objectives is None else objectives, value, choice)
     best = theta[first] if simulated else nothing
+    since = checkpoint.seconds
     low, high, condition = intervals(trials, space, best) if simulated and bounded else (nothing, nothing, np.nan)
     return Fit(
         space=space,
@@ -148,7 +164,7 @@ def calibrate(
         condition=condition,
         status="diverged" if not simulated else "timeout" if stopped else "ok",
         stopped=stopped or beyond or optimizer.stopped,
-        wall_s=checkpoint.seconds,
+        wall_s=clock + checkpoint.seconds - since,
         start=start_of(optimizer),
         looked=looked,
         objectives=objectives,

@@ -8,12 +8,14 @@ import pytest
 from test_calibrate import SPACE, TIME, Toy
 
 from clothbench import ClothbenchError, Observation, Parameter, ParameterSpace, Score
+from clothbench.engine import checkpoint as checkpoints
 from clothbench.engine.checkpoint import Checkpoint
 from clothbench.engine.settings import last_word, named_budget
-from clothbench.estimation.calibrate import calibrate, remembered
+from clothbench.estimation.calibrate import batch_key, calibrate, remembered
 from clothbench.estimation.fixed import Fixed, holding
 from clothbench.estimation.trials import Trial
 from clothbench.plugins.discovery import catalogue
+from clothbench.studies.calibration import analysis
 from clothbench.studies.calibration.analysis import ANALYSES, truth_of
 from clothbench.studies.calibration.analysis_page import analysis_section
 from clothbench.studies.calibration.analysis_tables import missing, spread
@@ -316,6 +318,65 @@ def test_a_stopped_search_goes_on_where_it_stood(tmp_path):
     np.testing.assert_array_equal(again.value, done.value)
     Checkpoint(tmp_path / "j").forget()
     assert not (tmp_path / "j").exists()
+
+
+class Timed(Counted):
+    """Takes a second of `clock` for every batch."""
+
+    clock = 0.0
+
+    def run(self, theta):
+        Timed.clock += 1.0
+        return super().run(theta)
+
+
+def test_a_search_that_the_clock_stopped_is_the_same_after_the_run_was_killed_in_its_analyses(tmp_path, monkeypatch):
+    monkeypatch.setattr(checkpoints, "uncompiled", lambda: Timed.clock)
+
+    def fit():
+        trial = dataclasses.replace(bowl_trial(), simulation=Timed(Plain()))
+        optimizer = catalogue().make("optimizers", "annealing", SPACE, seed=2, budget=60)
+        checkpoint = Checkpoint(tmp_path)
+        return trial, checkpoint, calibrate([trial], optimizer, SPACE, timeout=9.5, checkpoint=checkpoint)
+
+    trial, checkpoint, first = fit()
+    assert first.status == "timeout"
+    for share in np.linspace(0.9, 1.1, 20):
+        remembered([trial], share * BEST[None], checkpoint)
+    _, _, again = fit()
+    assert again.status == "timeout"
+    assert again.wall_s == pytest.approx(first.wall_s)
+    np.testing.assert_array_equal(again.theta, first.theta)
+    np.testing.assert_array_equal(again.value, first.value)
+
+
+def test_what_an_earlier_version_kept_without_its_time_is_not_simulated_again(tmp_path):
+    trial = dataclasses.replace(bowl_trial(), simulation=Counted(Plain()))
+    Checkpoint(tmp_path).keep(batch_key(BEST[None]), value=np.array([7.0]))
+    assert remembered([trial], BEST[None], Checkpoint(tmp_path)).value == 7.0
+    assert trial.simulation.members == 0
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_repeats_of_a_stopped_run_have_their_time_from_when_they_began(tmp_path, monkeypatch, whole):
+    """As long as the fit's own, although the run that goes on has come further on its clock. whole: all is kept."""
+    told = []
+
+    def searched(*_, since, **__):
+        told.append(since)
+        return [first]
+
+    monkeypatch.setattr(analysis, "searched", searched)
+    monkeypatch.setattr(analysis, "stages_of", lambda *_: [])
+    trial = bowl_trial()
+    first = calibrate([trial], catalogue().make("optimizers", "nelder_mead", SPACE, seed=1, budget=20), SPACE)
+    cell = SimpleNamespace(optimizer="nelder_mead", budget=20, stream=lambda _: 3)
+    bench = SimpleNamespace(cell=cell, of_split=lambda _: [trial], space=SPACE)
+    for before in (100.0, 500.0):
+        checkpoint = Checkpoint(tmp_path if whole else None)
+        checkpoint.before = before
+        ANALYSES["repeats"](bench, first, {"count": 1}, catalogue(), checkpoint)
+    assert told == pytest.approx([100.0, 100.0 if whole else 500.0], abs=50.0)
 
 
 def test_a_damaged_checkpoint_is_simulated_anew(tmp_path):

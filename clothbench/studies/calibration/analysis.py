@@ -84,7 +84,9 @@ def _repeats(bench: Bench, fit: Fit, options: Options, plugins: Catalogue, check
     budget = max(1, cell.budget - fit.looked)  # as long a walk as the fit's own, which looked around first
 
     def search(space: ParameterSpace, seed: int) -> Fit:
-        since = checkpoint.seconds  # as long a search as the fit's own, also where that was stopped by the clock
+        # As long a search as the fit's own, also where that was stopped by the clock; and of the same time again where
+        # the run was stopped and goes on.
+        since = float(checkpoint.once(f"since-{seed}", lambda: {"seconds": np.array(checkpoint.seconds)})["seconds"])
         return searched(stages, plugins, checkpoint, space, budget, seed, begin=True, bounded=False, since=since)[-1]
 
     seed = cell.stream("repeats") % 2**32
