@@ -155,14 +155,15 @@ def _dash(one: Series, series: Sequence[Series]) -> int:
 def _line(entries: Sequence[Entry], one: Series, colour: str, dash: str) -> list[dict[str, Any]]:
     """The points with their intervals, and a mark at each change."""
     halves = [p.half or 0.0 for p in one.points]
-    hover = [
-        f"{entries[p.entry].short} {one.label}<br>{value(p.value, one.unit) or p.reason}"
-        + (f" ± {p.half:.2g}" if p.half else "")
+    hover = [  # the parts are escaped and not the whole: the break between them is HTML
+        text(f"{entries[p.entry].short} {one.label}")
+        + "<br>"
+        + text((value(p.value, one.unit) or p.reason) + (f" ± {p.half:.2g}" if p.half else ""))
         for p in one.points
     ]
     line = {
         "x": [p.entry for p in one.points], "y": [p.value for p in one.points], "mode": "lines+markers",
-        "line": {"color": colour, "dash": dash}, "marker": {"color": colour}, "text": [text(h) for h in hover],
+        "line": {"color": colour, "dash": dash}, "marker": {"color": colour}, "text": hover,
         "error_y": {"array": rounded(halves), "color": colour, "thickness": 1}, "hoverinfo": "text",
         "name": one.label,
     }  # fmt: skip

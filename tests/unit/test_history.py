@@ -1,6 +1,7 @@
 """The history over commits: entries, series, what counts as a step and what is only noise, and the page."""
 
 import json
+import re
 import subprocess
 
 import numpy as np
@@ -13,7 +14,7 @@ from clothbench.engine.store import ROW, SYSTEM, Store
 from clothbench.history import speed
 from clothbench.history.commits import Commit, commit_at, commits_of
 from clothbench.history.entries import Entry, add, entries_in, entries_of_git
-from clothbench.history.page import write_page
+from clothbench.history.page import page_html, write_page
 from clothbench.history.series import all_series
 from clothbench.history.show import document, print_history
 from clothbench.history.steps import ALPHA, freedom_of, noise_of, steps_of
@@ -386,6 +387,20 @@ def test_the_terminal_and_json_say_the_same(capsys):
     assert count == 3
     assert "3 changes for the worse, 0 for the better" in said
     json.dumps(told, allow_nan=False)
+
+
+def figures_of(page, kind):
+    return json.loads(re.search(rf'id="{kind}-figures">(.*?)</script>', page, re.DOTALL)[1])
+
+
+def test_what_a_point_says_is_escaped_and_its_break_is_not():
+    entries = several()
+    page = page_html(entries, all_series(entries))
+    said = [words for figure in figures_of(page, "error") for line in figure["data"] for words in line.get("text", ())]
+    assert said
+    assert all(words.count("<br>") == 1 and "&lt;br" not in words for words in said)
+    assert any("one&lt;i&gt;" in words for words in said)
+    assert any("fell &lt;b&gt;over" in words for words in said)
 
 
 @pytest.fixture(scope="module")
