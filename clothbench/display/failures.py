@@ -10,14 +10,17 @@ from rich.markup import escape
 from clothbench.display.names import model_name
 
 Rows = Sequence[dict[str, Any]]
+BADNESS = {"skipped": 0, "timeout": 1, "diverged": 2}  # an error, or a word that is not known, is worse than all
 
 
 def failures(rows: Rows) -> list[dict[str, Any]]:
-    """One row for each cell that did not end well."""
+    """One row for each cell that did not end well: the first of its worst status, which no lesser one may hide."""
     seen: dict[str, dict[str, Any]] = {}
     for row in rows:
         if row["status"] != "ok":
-            seen.setdefault(row["key"], row)
+            known = seen.setdefault(row["key"], row)
+            if BADNESS.get(row["status"], 3) > BADNESS.get(known["status"], 3):
+                seen[row["key"]] = row
     return list(seen.values())
 
 

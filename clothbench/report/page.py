@@ -71,8 +71,8 @@ def heading(found: Sequence[tuple[Study, Results]]) -> str:
 def what_was_run(rows: Rows) -> str:
     """How much was run, and how much of it failed, in a line."""
     cells = {r["key"] for r in rows}
-    skipped = {r["key"] for r in failures(rows) if r["status"] == "skipped"}
-    bad = {r["key"] for r in failures(rows)} - skipped
+    skipped = cells - {r["key"] for r in rows if r["status"] != "skipped"}  # a cell that has any number is none
+    bad = {r["key"] for r in failures(rows) if r["status"] != "skipped"}
     counts = [
         (len(cells), "cells"), (len(cells - bad - skipped), "finished well"), (len(bad), "failed"),
         (len(skipped), "skipped"), (len({(r["suite"], r["case"]) for r in rows}), "cases"),

@@ -15,12 +15,13 @@ import pytest
 from rich.console import Console
 from test_rerun_file import small_cell
 
+from clothbench.display.failures import failures
 from clothbench.display.html import table
 from clothbench.display.parameters import parameters
 from clothbench.display.plotly import thinned
 from clothbench.engine.run import run_cell
 from clothbench.engine.store import Store
-from clothbench.report.page import write_page
+from clothbench.report.page import failure_list, what_was_run, write_page
 from clothbench.studies.calibration.figure_data import best_so_far
 from clothbench.studies.calibration.leaderboard import leaderboard
 from clothbench.studies.calibration.tables import error_table
@@ -111,6 +112,28 @@ def test_failed_cells_are_visible_with_their_reason(results):
     text, _ = checked(write_page(results))
     assert "1 cell has no complete result" in text
     assert text.count("dt is -1.0, expected a number above 0") >= 2
+
+
+def of_one_cell(*statuses):
+    about = {"suite": "s", "case": "c", "recording": "r", "model": "m", "effects": "", "optimizer": "o", "key": "k"}
+    return [{**about, "metric": f"m{k}", "status": s, "reason": f"why {k}"} for k, s in enumerate(statuses)]
+
+
+@pytest.mark.parametrize(
+    ("statuses", "told", "counted"),
+    [
+        (("skipped", "error"), "why 1", "1 failed"),
+        (("skipped", "timeout", "diverged", "error", "error"), "why 3", "1 failed"),
+        (("ok", "skipped"), "why 1", "1 finished well"),
+        (("skipped", "skipped"), "why 0", "1 skipped"),
+        (("ok", "diverged"), "why 1", "1 failed"),
+    ],
+)
+def test_the_worst_of_a_cell_is_told_and_it_is_skipped_only_if_all_of_it_is(statuses, told, counted):
+    rows = of_one_cell(*statuses)
+    assert [row["reason"] for row in failures(rows)] == [told]
+    assert told in failure_list(rows)
+    assert what_was_run(rows).split("<p>")[1].startswith(f"1 cell, {counted}, 1 case,")
 
 
 def test_text_is_escaped_everywhere(results):
