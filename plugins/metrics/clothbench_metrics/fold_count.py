@@ -13,7 +13,7 @@ from clothbench_metrics.sight import Sights, compared
 
 class FoldCount:
     """By how many folds the mean over all frames differs from what was filmed: a statistical metric as Bhat et al. 2003
-    propose for garments whose start is not known (section 7), blind to where and when a fold appears.
+    propose for garments whose start is not known (section 9), blind to where and when a fold appears.
 
     Hills and valleys count alike: each is a connected part of the picture, of at least `least` of the silhouette, in
     which the stripes turn (Bhat et al., eq. 4) one way from left to right, as fast as the view's threshold says, with

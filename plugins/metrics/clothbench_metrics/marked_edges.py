@@ -17,7 +17,7 @@ HOLE = 1.5  # of the usual spacing, from which on something is missing between t
 class MarkedEdges:
     """The mean over the frames of how far the lines between neighbouring nodes lie apart in the picture, from each
     pixel of either set of lines to the nearest of the other (chamfer distance, Barrow et al. 1977): information from
-    internal edges marked on the fabric, which Bhat et al. 2003 tried before the folds (section 7).
+    internal edges marked on the fabric, which Bhat et al. 2003 tried before the folds (section 9).
 
     Where the lines were is known from the tracked nodes; they are drawn through the camera of the observation's view,
     or, without one, on an image `pixels` wide. A line is drawn where both of its ends were tracked, on the far side of
