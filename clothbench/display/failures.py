@@ -18,9 +18,8 @@ def failures(rows: Rows) -> list[dict[str, Any]]:
     seen: dict[str, dict[str, Any]] = {}
     for row in rows:
         if row["status"] != "ok":
-            known = seen.setdefault(row["key"], row)
-            if BADNESS.get(row["status"], 3) > BADNESS.get(known["status"], 3):
-                seen[row["key"]] = row
+            known = seen.get(row["key"], row)
+            seen[row["key"]] = max(known, row, key=lambda r: BADNESS.get(r["status"], 3))
     return list(seen.values())
 
 

@@ -76,9 +76,8 @@ def _remembered(trials: Sequence[Trial], theta: np.ndarray, checkpoint: Checkpoi
     key = batch_key(theta)
     known = checkpoint.recall(key)
     if known is not None and "value" in known:
-        return Evaluation(known["value"], known.get("residual"), known.get("objectives")), float(
-            known.get("seconds", 0)
-        )
+        found = Evaluation(known["value"], known.get("residual"), known.get("objectives"))
+        return found, float(known.get("seconds", 0.0))
     evaluation, _ = evaluate(trials, theta)
     seconds = checkpoint.seconds
     more = {"residual": evaluation.residual, "objectives": evaluation.objectives}
@@ -123,11 +122,11 @@ def calibrate(
     clock = 0.0
 
     def answer(theta: np.ndarray) -> Evaluation:
+        nonlocal clock
         if (temperature := temperature_of(optimizer)) is not None:
             warmth.append(np.full(len(theta), temperature))
         # A recalled batch tells the time of the run that simulated it: what was done in that run later, as analyses,
         # is no time of the search, which else would be stopped at another batch than it was.
-        nonlocal clock
         evaluation, seconds = _remembered(trials, theta, checkpoint)
         clock = max(clock, seconds)
         return evaluation

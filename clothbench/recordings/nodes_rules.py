@@ -126,7 +126,7 @@ def check_scale(arrays: Arrays, size: np.ndarray, where: str, read: bool) -> Non
             "m on the cloth, expected metres; is it scaled twice?"
         )
     check_strays(arrays["position"], across, where)
-    check_grips(grips, [places for places, _ in seen], across, where)
+    check_grips_near(grips, [places for places, _ in seen], across, where)
 
 
 def check_spread(spread: np.ndarray, across: float, where: str, what: str = "nodes") -> None:
@@ -140,7 +140,9 @@ def check_spread(spread: np.ndarray, across: float, where: str, what: str = "nod
         )
 
 
-def check_grips(grips: np.ndarray, seen: Sequence[np.ndarray], across: float, where: str, what: str = "nodes") -> None:
+def check_grips_near(
+    grips: np.ndarray, seen: Sequence[np.ndarray], across: float, where: str, what: str = "nodes"
+) -> None:
     """Grips (K, G, 3) m are near each other and what was seen, (N, 3) m of each frame, of a cloth `across` m from
     corner to corner, in the middle of all frames. what: that was seen.
     """

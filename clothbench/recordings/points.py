@@ -34,7 +34,7 @@ from clothbench.recordings.nodes_rules import (
     check_clock,
     check_finite,
     check_gravity,
-    check_grips,
+    check_grips_near,
     check_near,
     check_noise,
     check_overlap,
@@ -219,7 +219,7 @@ def _check_scale(r: PointCloud, across: float, where: str) -> None:
             "across, expected metres; is it scaled twice?"
         )
     check_strays(r.position, across, where, "point")
-    check_grips(r.grip_position, [cloud for cloud in frames if len(cloud)], across, where, "points")
+    check_grips_near(r.grip_position, [cloud for cloud in frames if len(cloud)], across, where, "points")
 
 
 def _check_reach(r: PointCloud, across: float, where: str) -> None:
