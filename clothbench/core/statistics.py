@@ -62,3 +62,8 @@ def sobol(dimensions: int, random: np.random.Generator, count: int) -> np.ndarra
     from scipy.stats import qmc
 
     return qmc.Sobol(dimensions, rng=random).random(2 ** int(np.ceil(np.log2(max(count, 1)))))[:count]
+
+
+def uncut_half(value: float, low: float, high: float) -> float:
+    """Half the width of the interval of an error, which may have been cut at 0: the longer of its sides."""
+    return max(high - value, value - low)

@@ -7,6 +7,8 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, TypeVar
 
+from clothbench.core.statistics import uncut_half
+
 Row = Mapping[str, Any]
 AnyRow = TypeVar("AnyRow", bound=Row)
 Key = tuple[Any, ...]
@@ -127,10 +129,10 @@ def error(row: Row) -> float:
 
 
 def half(row: Row) -> float:
-    """Half the width of a row's interval; 0 where it has none."""
+    """Half the width of a row's interval, of the side that is not cut at 0; 0 where it has none."""
     if row.get("low") is None or row.get("high") is None:
         return 0.0
-    return (row["high"] - row["low"]) / 2
+    return uncut_half(row["value"], row["low"], row["high"])
 
 
 def slack(row: Row) -> float:

@@ -12,7 +12,7 @@ from clothbench.core.observation import Observation
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.protocols import Score
 from clothbench.core.rollout import Rollout
-from clothbench.core.statistics import jackknife_half_width, student
+from clothbench.core.statistics import jackknife_half_width, student, uncut_half
 from clothbench.estimation.trials import Trial, evaluate
 
 BLOCK = 1.0  # s; a swing's errors hang together over about a period, so blocks this long count as one piece of evidence
@@ -202,7 +202,7 @@ def mean_of_split(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | None]:
 def half_width(row: Mapping[str, Any]) -> float:
     """Half the width of a row's interval, of the side that is not cut at 0; NaN where it has none."""
     known = row["low"] is not None and row["high"] is not None
-    return max(row["high"] - row["value"], row["value"] - row["low"]) if known else float("nan")
+    return uncut_half(row["value"], row["low"], row["high"]) if known else float("nan")
 
 
 def mean_interval(values: Sequence[float], halves: Sequence[float]) -> tuple[float, float]:

@@ -6,7 +6,7 @@ the sheet as compiled code sees it: Sheet, SHEET (its numba type), sheet_of, own
     wants_normals, bear_inertia, invert_inertia, bear_inverted
 meshes: grid_triangles, gradient_weights, curvature_weights, triangle_slots
 a grid over a scene, cut to its outline, and a batch of parameter sets on it: Cover, spaces, grid_shape, grid_lines,
-    even_count, tributary, GridSimulation, GridBatch, check_resolution, check_number
+    even_count, to_hems, tributary, GridSimulation, GridBatch, check_resolution, check_number
 parameters of a model and its effects in one space: JoinedParameters
 effects in a time loop: BoundEffects, EFFECT (their numba type), Terms, SLOTS, FORCE, INERTIA, no_effect, ready,
     add_effects, apply_effects, show_grips
@@ -47,7 +47,15 @@ from clothbench.modelling.curves import (
     answers_sheets,
     curve_of,
 )
-from clothbench.modelling.grid import check_number, check_resolution, even_count, grid_lines, grid_shape, tributary
+from clothbench.modelling.grid import (
+    check_number,
+    check_resolution,
+    even_count,
+    grid_lines,
+    grid_shape,
+    to_hems,
+    tributary,
+)
 from clothbench.modelling.joined import JoinedParameters
 from clothbench.modelling.kernels import EFFECT, SIGNATURE, effect_kernel, no_effect, ready
 from clothbench.modelling.mesh import curvature_weights, gradient_weights, grid_triangles, triangle_slots
@@ -192,6 +200,7 @@ __all__ = [
     "sheet_of",
     "show_grips",
     "spaces",
+    "to_hems",
     "triangle_slots",
     "tributary",
     "vector_of",

@@ -15,6 +15,7 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.outline import covered
+from clothbench.modelling.grid import to_hems
 
 LEAST = 0.05  # share of its cell that a node must carry to be a node of the cloth
 
@@ -23,14 +24,14 @@ LEAST = 0.05  # share of its cell that a node must carry to be a node of the clo
 class Cover:
     """An outline over grid lines u (nu,) and v (nv,) m.
 
-    quarter: (2 nv − 2, 2 nu − 2) m², cloth in each quarter of the cells: what any box of the grid holds is a sum of
-    them; carried: the same with what lies between the outermost lines and the hems, which their nodes carry.
+    quarter: (2 nv − 2, 2 nu − 2) m², cloth in each quarter of the cells, the outermost up to the hems: what any box of
+    the grid holds is a sum of them; hems: the lines with the outermost at the hems, `to_hems`.
     """
 
     u: np.ndarray
     v: np.ndarray
     quarter: np.ndarray
-    carried: np.ndarray
+    hems: tuple[np.ndarray, np.ndarray]
 
     @classmethod
     def of(
@@ -40,13 +41,11 @@ class Cover:
         None: as far as the lines go.
         """
         size = size or (float(lines[0][-1]), float(lines[1][-1]))
-        halves = [_halved(of_one) for of_one in lines]
-        to_hems = [_halved(np.clip(of_one, 0.0, length)) for of_one, length in zip(lines, size, strict=True)]
-        for half, length in zip(to_hems, size, strict=True):
+        hems = (to_hems(lines[0], size[0]), to_hems(lines[1], size[1]))
+        halves = [_halved(np.clip(of_one, 0.0, length)) for of_one, length in zip(lines, size, strict=True)]
+        for half, length in zip(halves, size, strict=True):
             half[[0, -1]] = 0.0, length
-        quarter = covered(outline, *halves)
-        same = all(map(np.array_equal, halves, to_hems))  # as nearly always; it is dear
-        return cls(*lines, quarter, quarter if same else covered(outline, *to_hems))
+        return cls(*lines, covered(outline, *halves), hems)
 
     @cached_property
     def share(self) -> np.ndarray:
@@ -82,12 +81,12 @@ class Cover:
 
     @cached_property
     def cells(self) -> np.ndarray:
-        """Which share of each cell is cloth (nv − 1, nu − 1), 0 where a corner is off it."""
+        """How much cloth each cell stands for, of what fits into it (nv − 1, nu − 1); 0 where a corner is off it."""
         return np.where(_whole_cells(self.nodes), self.boxes(1, 1), 0.0)
 
     def triangles(self, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Those of a grid's triangles (F, 3), `grid_triangles`, whose corners are all of the cloth, and which share of
-        each is cloth: that of its cell.
+        """Those of a grid's triangles (F, 3), `grid_triangles`, whose corners are all of the cloth, and how much cloth
+        each stands for, of what fits into it: the share of its cell.
         """
         keep = self.nodes.ravel()[triangles].all(axis=1)
         share = np.repeat(self.boxes(1, 1).ravel(), 2)
@@ -127,20 +126,19 @@ class Cover:
 
     def boxes(self, di: int, dj: int) -> np.ndarray:
         """Which share of its box is cloth, for all that spans di ≥ 0 cells to the right and dj ≥ 0 down: between lines
-        where it spans any, else half-way to the lines beside it, (nv − dj, nu − di).
+        where it spans any, else half-way to the lines beside it, (nv − dj, nu − di). What lies beside the outermost
+        lines counts to what is along them and to the cells, above 1 then; what ends there does not pull at it.
         """
-        return self._held(self.quarter, di, dj)
-
-    def _held(self, quarter: np.ndarray, di: int, dj: int) -> np.ndarray:
-        rows, high = _spans(self.v, dj)
-        columns, wide = _spans(self.u, di)
-        total = np.pad(quarter.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
+        ends = self.hems if (di == 0) != (dj == 0) else (self.u, self.v)
+        rows, high = _spans(self.v, ends[1], dj)
+        columns, wide = _spans(self.u, ends[0], di)
+        total = np.pad(self.quarter.cumsum(axis=0).cumsum(axis=1), ((1, 0), (1, 0)))
         held = np.diff(np.diff(total[rows][:, :, columns], axis=1)[:, 0], axis=-1)[..., 0]
         return held / np.outer(high, wide)
 
     @cached_property
     def _node_area(self) -> np.ndarray:
-        return self._held(self.carried, 0, 0) * np.outer(spaces(self.v), spaces(self.u))
+        return self.boxes(0, 0) * np.outer(spaces(self.v), spaces(self.u))
 
 
 def _whole_cells(nodes: np.ndarray) -> np.ndarray:
@@ -159,9 +157,10 @@ def spaces(lines: np.ndarray) -> np.ndarray:
     return (np.concatenate([gaps[:1], gaps]) + np.concatenate([gaps, gaps[-1:]])) / 2
 
 
-def _spans(lines: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """For all that spans `count` cells: first and last of the halved lines (K, 2) around it, and how long it is [m]."""
+def _spans(lines: np.ndarray, ends: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """For all that spans `count` cells: first and last of the halved lines (K, 2) around it, and how long it is [m],
+    between `ends`."""
     first = np.arange(len(lines) - count)
     if count:
-        return np.stack([2 * first, 2 * (first + count)], axis=1), lines[count:] - lines[:-count]
+        return np.stack([2 * first, 2 * (first + count)], axis=1), ends[count:] - ends[:-count]
     return np.clip(np.stack([2 * first - 1, 2 * first + 1], axis=1), 0, 2 * (len(lines) - 1)), spaces(lines)

@@ -78,6 +78,15 @@ def grid_lines(length: float, count: int, held: np.ndarray) -> np.ndarray:
     return np.interp(np.arange(count), at, [anchors[i] for i in at])
 
 
+def to_hems(lines: np.ndarray, length: float) -> np.ndarray:
+    """The grid lines with the outermost at the hems, 0 and `length` m: between which the cloth of each cell lies, with
+    what hangs over the edge of the grid where a grip beside a hem has moved its line.
+    """
+    out = np.clip(lines, 0.0, length)
+    out[[0, -1]] = 0.0, length
+    return out
+
+
 def tributary(lines: np.ndarray, length: float) -> np.ndarray:
     """The length of cloth that each grid line stands for [m]; one over the hem, where a grip is, stands for what is
     nearest to it.

@@ -24,15 +24,16 @@ def triangle_slots(
 ) -> tuple[int, np.ndarray, np.ndarray]:
     """How compiled loops go over all triangles at once: `columns`, `spacing` and `slots` of a sheet.
 
-    columns: nodes in a row if the mesh is `grid_triangles` between straight lines, all of which is cloth (`whole`),
-    else 0. Such a grid has a slot per
-    kind of triangle for each node e = j·nu + i up to the last cell, first all (e, e+1, e+nu+1), then all (e, e+nu+1,
-    e+nu): nodes and neighbours of all triangles of a kind lie at constant distances, and no loop needs their numbers.
+    columns: nodes in a row if the mesh is `grid_triangles` between straight lines, none of which is cut (`whole`), else
+    0. Such a grid has a slot per kind of triangle for each node e = j·nu + i up to the last cell, first all (e, e+1,
+    e+nu+1), then all (e, e+nu+1, e+nu): nodes and neighbours of all triangles of a kind lie at constant distances, and
+    no loop needs their numbers.
     Any other mesh has a slot per triangle.
     spacing: (2, 3n) 1/m of a grid, 1/h_u and 1/h_v from each node to the next, 0 where there is none, three times over
     for loops that run through x, y and z; else (2, 0).
-    slots: (4, S), area m², 0 where a row ends; and weights. Of a grid they are what makes ∂²/∂u², ∂²/∂v² and ∂²/∂u∂v
-    as `curvature_weights` sees them of differences of first derivatives, 1/m, 0 where nothing holds the slope; else 1.
+    slots: (4, S), area of cloth m², 0 where a row ends; and weights. Of a grid they are what makes ∂²/∂u², ∂²/∂v² and
+    ∂²/∂u∂v as `curvature_weights` sees them of differences of first derivatives, 1/m, 0 where nothing holds the slope;
+    else 1.
     """
     columns = _grid_columns(uv, triangles) if whole else 0
     if columns == 0:
@@ -40,7 +41,7 @@ def triangle_slots(
     u, v = uv[:columns, 0], uv[::columns, 1]
     spacing, cells = np.zeros((2, len(v), columns)), np.zeros((4, 2, len(v) - 1, columns))
     spacing[0, :, :-1], spacing[1, :-1] = 1 / np.diff(u), 1 / np.diff(v)[:, None]
-    cells[0, :, :, :-1] = 0.5 * np.outer(np.diff(v), np.diff(u))
+    cells[0, :, :, :-1] = np.moveaxis(face_area.reshape(len(v) - 1, columns - 1, 2), 2, 0)
     cells[1, 0, :, :-2], cells[1, 1, :, 1:] = spacing[0, 1:, :-2], spacing[0, 1:, 1:]
     cells[2, 0, 1:], cells[2, 1, :-1] = spacing[1, 1:-1], spacing[1, :-2]
     cells[3] = spacing[1, :-1]

@@ -25,8 +25,8 @@ curvature: (F, 3, 6) 1/m², ∂²/∂u², ∂²/∂v² and ∂²/∂u∂v as wei
 gravity: (3,) m/s²; air_density: kg/m³; held: (G + S,), the node on each grip, then those that never move, off the cloth
 or clamped; gripped: G; grip: (3, G + S) m, where they are;
 columns, spacing, slots: for loops over all triangles at once, see `triangle_slots`;
-outline: (M, 2) m, corners of the cloth, counter-clockwise, where it is cut from a grid (nodes j·nu + i on straight
-lines); (0, 2) of any other.
+outline: (M, 2) m, corners of the cloth, counter-clockwise, where it is not what lies between the outermost lines of a
+grid (nodes j·nu + i on straight lines): it is cut, or its hems lie beside them; (0, 2) of any other.
 """
 
 WHOLE = 1e-9  # share of a triangle that may be missing from one that is all cloth: rounding
@@ -60,20 +60,21 @@ SHEET = bundle_type(
 
 def sheet_of(
     uv: np.ndarray, mass: np.ndarray, area: np.ndarray, triangles: np.ndarray, gravity, air_density: float, held=(),
-    still=(), share: np.ndarray | None = None, outline: np.ndarray | None = None,
+    still=(), share: np.ndarray | None = None, outline: np.ndarray | None = None, whole: bool | None = None,
 ) -> Sheet:  # fmt: skip
     """The `Sheet` of a mesh of triangles, for compiled loops; normals are zero until a loop fills them.
 
     uv: (n, 2) m; mass: (n,) kg; area: (n,) m²; triangles: (F, 3); held: (G,) nodes on the grips; still: (S,) nodes that
-    never move; share: (F,), of each triangle that is cloth, None for all; outline: (M, 2) m, along which the grid was
-    cut, None if it was not. A loop on another thread needs a copy with arrays of its own where it writes:
-    `own_sheet(sheet)`.
+    never move; share: (F,), how much cloth each triangle stands for, of what fits into it, None for all; outline:
+    (M, 2) m, along which the grid was cut or has its hems, None if these are its outermost lines; whole: whether no
+    cell is cut, None for whether no share is below 1. A loop on another thread needs a copy with arrays of its own
+    where it writes: `own_sheet(sheet)`.
     """
     gradient, face_area = gradient_weights(uv, triangles)
     patch, curvature = curvature_weights(uv, triangles, gradient, face_area)
     cloth = face_area if share is None else face_area * share
-    # Loops over a grid take all of its cells for whole.
-    whole = share is None or bool((share > 1 - WHOLE).all())
+    if whole is None:  # loops over a grid take normals as if none of its cells were cut
+        whole = share is None or bool((share > 1 - WHOLE).all())
     columns, spacing, slots = triangle_slots(uv, triangles, cloth, whole)
     never = np.concatenate([np.array(held, dtype=np.int64), np.array(still, dtype=np.int64)])
     return Sheet(

@@ -30,6 +30,7 @@ import clothbench
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import sha256, whole_file
 from clothbench.core.rollout import Rollout
+from clothbench.core.statistics import uncut_half
 from clothbench.estimation.intervals import error_interval
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording, find_recordings, grips_at, read_recording
@@ -189,7 +190,7 @@ def compared(
         score = metric(seen, rollout)
         scores[name], floors[name], units[name] = float(score.value[0]), float(metric.floor(seen)), score.unit
         low, high = error_interval(score, seen)
-        halves[name] = (high - low) / 2
+        halves[name] = uncut_half(scores[name], low, high)
         if not np.isfinite(scores[name]):
             raise ClothbenchError(f"{path}: the metric {name!r} gives no number for it; leave that metric out")
     require_not_copied(path, simulated, measured)

@@ -1,5 +1,7 @@
 """Bending against plate theory: energies of cylinder, twist and saddle, beside those of the formulas not taken here."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from clothbench_models.bending import bending_matrix
@@ -117,6 +119,23 @@ def test_a_small_cantilever_s_sag_converges_with_second_order(name):
     assert abs(errors[2]) < 7e-4
     assert errors[0] / errors[1] == pytest.approx(4, abs=0.4)
     assert errors[1] / errors[2] == pytest.approx(4, abs=0.4)
+
+
+@pytest.mark.parametrize("inset", [0.2, 0.45])
+@pytest.mark.parametrize("name", ["baraff_witkin", "inextensible"])
+def test_cloth_beside_clamps_that_lie_within_the_hems_bends_too(name, inset):
+    """Clamped by points a part of a cell within the side hems: the outer rows of the mesh lie there, too."""
+    (trial,) = trials.cantilever_small(17)
+    cell = trial.scene.height / (trial.scene.resolution[1] - 1)
+    within, at = trial.scene.grip_material.copy(), trial.scene.grip_position.copy()
+    within[:, 1] = np.clip(within[:, 1], inset * cell, trial.scene.height - inset * cell)
+    assert np.ptp(at[0, :, 1]) == pytest.approx(trial.scene.height)
+    at[:, :, 1] += np.sign((at[0, -1] - at[0, 0])[1]) * (within - trial.scene.grip_material)[:, 1]
+    scene = dataclasses.replace(trial.scene, grip_material=within, grip_position=at)
+    model = catalogue().make("models", name)
+    theta = model.of_material(trial.material, scene)[None]
+    position = model.prepare(scene).run(theta).position[0]
+    assert trial.measure(scene, position) == pytest.approx(trial.reference, rel=0.03)
 
 
 # --- what is not taken here -------------------------------------------------------------------------------------------

@@ -4,6 +4,8 @@ import dataclasses
 
 import numpy as np
 import pytest
+from clothbench_effects.heavy_hem import find_hem
+from clothbench_effects.point_mass import find_place
 from clothbench_models.baraff_witkin import BaraffWitkin, triangle_edges
 from clothbench_models.inextensible import Inextensible
 from clothbench_models.mass_spring import MassSpring
@@ -225,3 +227,48 @@ def test_a_model_without_contact_is_skipped_with_the_reason(lacks, change, says)
     scene = dataclasses.replace(cut(disc_outline(0.15), 13, points=ring(0.15)), **change)
     assert why_skipped(MassSpring(), scene) is None
     assert says in why_skipped(Bare(), scene)
+
+
+@pytest.mark.parametrize("outline", [disc_outline(0.15), np.array([[0, 0], [0.3, 0], [0.3, 0.3], [0, 0.3]])], ids=len)
+def test_cloth_that_does_not_stretch_is_not_thrown_off_a_rough_disc(outline):
+    """Wherever exactly it begins: friction of one step had thrown it in the next, in every second of these runs."""
+    points = np.vstack([ring(r) for r in (0.001, 0.09, 0.149)])
+    support = Obstacle("disc", radius=0.05, friction=0.5)
+    for shift in range(8):
+        start = np.stack([points[:, 0] - 0.15 + 1e-6 * shift, 0.15 - points[:, 1], np.full(len(points), 0.005)], axis=1)
+        scene = cut(outline, 13, points=points, times=np.linspace(0, 0.3, 61), start=start, obstacles=(support,))
+        rollout = Inextensible().prepare(scene).run(parameters(Inextensible()))
+        assert rollout.status == ("ok",)
+        assert np.abs(np.diff(rollout.position[0], axis=0)).max() < 0.05  # m in 5 ms
+
+
+# --- hems beside the grid ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("inset", "cut_out"), [(0.005, False), (0.012, False), (-0.005, False), (0.005, True), (0.012, True)]
+)
+def test_cloth_beside_a_grip_off_the_hem_counts(inset, cut_out):
+    """Mass, faces and what the membrane costs in even shear are those of the whole sheet where lines were moved."""
+    material = np.array([[inset, inset], [0.3 - inset, inset]])
+    held = np.repeat(np.stack([material[:, 0], 0 * material[:, 0], 1 - material[:, 1]], axis=1)[None], 2, axis=0)
+    outline = np.array([[0, 0], [0.3, 0], [0.3, 0.3], [0, 0.3]]) if cut_out else None
+    still = np.array([0, 0.1])
+    scene = Scene(0.3, 0.3, DENSITY, still, material, held, still, material, outline=outline)
+    simulation = BaraffWitkin(resolution=13).prepare(scene)
+    sheet, (_, _, stiffness) = simulation.sheet, simulation.edges
+    assert sheet.columns == 13  # loops over whole grids stay the fast ones
+    assert [sheet.area.sum(), sheet.face_area.sum(), sheet.slots[0].sum(), 2 * stiffness[2].sum()] == pytest.approx(
+        [0.09] * 4, rel=1e-9
+    )
+    springs = SpringGrid.of(simulation.lines, (0.3, 0.3), DENSITY, cover=simulation.cover)
+    for family in (2, 3):
+        assert (springs.share[family] * springs.rest[family] ** 2).sum() == pytest.approx(0.18, rel=1e-9)
+
+    state = np.zeros(1 + len(sheet.uv))
+    find_hem(sheet, 0.5, 0.03, state)
+    assert state[1:].sum() == pytest.approx(0.5 * 0.03 * 0.3, rel=1e-9)
+    assert state[1:] @ sheet.uv[:, 1] / state[1:].sum() == pytest.approx(0.285, rel=1e-9)
+    place = np.zeros(7)
+    find_place(sheet, 0.5, 0.5, place)
+    assert place[4:] @ sheet.uv[place[1:4].astype(int)] == pytest.approx([0.15, 0.15], rel=1e-9)

@@ -109,6 +109,19 @@ def test_the_same_seed_again_and_other_budgets_are_no_further_seeds(tmp_path):
     assert contests(Results(found.store, [row | {"budget": 12} for row in rows])) == []
 
 
+def test_searches_that_failed_or_ended_by_the_clock_are_not_beside_the_others(tmp_path):
+    results = results_of(tmp_path, {name: [[2.0, 1.0]] * 3 for name in ("quick", "slow", "late", "lost")})
+    late, lost = (
+        next(r for r in results.rows if r["optimizer"] == name and r["seed"] == 2) for name in ("late", "lost")
+    )
+    late["status"] = "timeout"
+    lost |= {"split": None, "unit": None, "status": "error", "value": None}
+    (found,) = contests(results)
+    assert [s.optimizer for s in found.searches] == ["quick", "slow"]
+    assert found.left_out == ("late", "lost")
+    assert "without late, lost, of which a run failed or ended by the clock" in searches_section(results).html
+
+
 def test_one_search_is_no_contest(tmp_path):
     results = results_of(tmp_path, {"quick": [[1.0]] * 5})
     assert contests(results) == []

@@ -66,7 +66,7 @@ class CalibrationCell:
     fixed: Mapping[str, float] = field(default_factory=dict)
     analysis: Mapping[str, Mapping[str, Any]] = field(default_factory=dict)
     rivals: tuple[Source, ...] = ()
-    published: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
+    published: Mapping[str, Mapping[str, float | str]] = field(default_factory=dict)
     choice: str = "nearest"
     start: Mapping[str, float] = field(default_factory=dict)
     finer: Mapping[str, float] = field(default_factory=dict)

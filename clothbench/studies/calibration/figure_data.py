@@ -45,7 +45,7 @@ def series_names(rows: Rows, metrics: dict[str, str]) -> dict[str, str]:
 
 def cell_tables(folder: Path, points: int) -> dict[str, Any]:
     """One cell's curves: {"metric", "unit", "best": (x, y), "traces": {(metric, recording): (t, y)},
-    "published": {metric: {name: value}}}.
+    "published": {metric: {name: (value, unit)}}}.
     """
     first = read_table(folder / "rows.parquet", ROWS).slice(0, 1).to_pylist()[0]  # of the metric it was fitted by
     out: dict[str, Any] = {
@@ -57,7 +57,7 @@ def cell_tables(folder: Path, points: int) -> dict[str, Any]:
     }
     if (path := folder / "published.parquet").is_file():
         for line in read_table(path, PUBLISHED).to_pylist():
-            out["published"].setdefault(line["metric"], {})[line["name"]] = line["value"]
+            out["published"].setdefault(line["metric"], {})[line["name"]] = (line["value"], line["unit"])
     if (path := folder / "history.parquet").is_file():
         out["best"] = best_so_far(read_table(path, HISTORY)["value"].to_numpy().astype(float))
     if (path := folder / "trace.parquet").is_file():

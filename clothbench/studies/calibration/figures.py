@@ -163,8 +163,9 @@ def trace_figures(metric: str, rows: Rows, styles: dict[str, dict[str, str]], ta
             ends, floor = [data[0]["x"][0], data[0]["x"][-1]], rounded([row["floor"]] * 2)
             look = {"meta": "", "name": "noise floor", "colour": GREY, "dash": "solid"}
             data.append(_line(ends, floor, look, row["unit"], "%{x} s"))
+        figures = {i for k in styles for i in tables[k]["published"].get(metric, {}).items()}
         for at, (said, value) in enumerate(
-            sorted({i for k in styles for i in tables[k]["published"].get(metric, {}).items()})
+            sorted((name, value) for name, (value, unit) in figures if unit == row["unit"])
         ):
             ends, dash = [data[0]["x"][0], data[0]["x"][-1]], DASHES[1 + at % 3]
             look = {"meta": "", "name": escape(said), "colour": GREY, "dash": dash}

@@ -29,10 +29,10 @@ def published_section(results: Results) -> Section | None:
                 numbers = [f"{np.mean(values):.2f}", f"{np.max(values):.2f}"] if values else ["", ""]
                 cell = f"{model_name(row)} · {row['optimizer']}"
                 body.append([text(row["case"]), text(cell), text(f"{name} ({split})"), *numbers, ""])
-        for label, value in sorted({(p["name"], p["value"]) for p in said}):
-            body.append([text(label), "", "", "", "", f"{value:g}"])
-        unit = said[0]["unit"]
-        head = ["case", "cell", "recording", f"mean [{unit}]", f"largest [{unit}]", f"paper [{unit}]"]
+        for label, value, unit in sorted({(p["name"], p["value"], p["unit"]) for p in said}):
+            body.append([text(label), "", "", "", "", text(f"{value:g} {unit}")])
+        unit = next((t["unit"] for own in traces.values() for t in own if t["metric"] == metric), said[0]["unit"])
+        head = ["case", "cell", "recording", f"mean [{unit}]", f"largest [{unit}]", "paper"]
         parts.append(f"<h3>{text(metric)}</h3>" + table(head, body, numeric={3, 4, 5}))
     if not parts:
         return None

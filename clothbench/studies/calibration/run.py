@@ -237,14 +237,15 @@ def _parameters_of(bench: Bench, fit: Fit) -> list[dict[str, Any]]:
 
 
 def _published_of(bench: Bench) -> list[dict[str, Any]]:
-    """The paper's figures of those metrics that were asked for."""
+    """The paper's figures of those metrics that were asked for, each in the unit that the suite states."""
     metrics = {m.name: m for m in (bench.trials[0].metric, *bench.others)}
-    return [
-        {"metric": metric, "name": name, "value": value, "unit": metrics[metric].unit, "key": bench.cell.key}
-        for metric, figures in bench.cell.published.items()
-        if metric in metrics
-        for name, value in figures.items()
-    ]
+    rows = []
+    for metric in bench.cell.published.keys() & metrics.keys():
+        for name, told in bench.cell.published[metric].items():
+            value, _, unit = str(told).partition(" ")
+            figure = {"value": float(value), "unit": unit or metrics[metric].unit}
+            rows.append({"metric": metric, "name": name, **figure, "key": bench.cell.key})
+    return rows
 
 
 def _history_of(bench: Bench, fit: Fit):

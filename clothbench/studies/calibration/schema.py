@@ -24,7 +24,7 @@ FRAMES = "frames"  # folder of a cell with frames of a video, tracked and fitted
 DRAPES = "drapes"  # folder of a cell with outlines of drapes, captured and simulated
 PICTURES = "tracker"  # folder of a cell with what its tracker made of one frame
 LEAST_BLOCKS = 4  # samples of an analysis `sobol` below which nothing is said of the variance
-# What a paper says of a metric, in its `unit`.
+# What a paper says of a metric; `unit`: of that figure, which need not be the run's.
 PUBLISHED = {"metric": _text, "name": _text, "value": _number, "unit": _text, "key": _text}
 # Error of each fitted recording where the search set out from, and at its result.
 START = {

@@ -58,7 +58,9 @@ class Contest:
     """Searches that answered one question with one budget of evaluations.
 
     goal: the error that three quarters of all their runs came to, in `unit`; budget: "" where it is not known; finer:
-    whether searches began on a coarser mesh, whose errors are not compared and whose evaluations count.
+    whether searches began on a coarser mesh, whose errors are not compared and whose evaluations count; left_out:
+    searches of which a run failed or ended by the clock, so that they are not beside the others: of the seeds that
+    happened to come to an end nothing follows for all, and fewer evaluations are another budget.
     """
 
     case: str
@@ -69,6 +71,7 @@ class Contest:
     searches: tuple[Search, ...]
     budget: str = ""
     finer: bool = False
+    left_out: tuple[str, ...] = ()
 
 
 def contests(results: Results) -> list[Contest]:
@@ -76,14 +79,21 @@ def contests(results: Results) -> list[Contest]:
     optimizers, or one that was run with several settings. Of one seed one cell counts.
     """
     questions: dict[tuple[str, ...], list[dict[str, Any]]] = {}
+    failed: dict[tuple[str, ...], list[dict[str, Any]]] = {}  # which have no unit, and did not keep their question
     for row in results.rows:
-        if row["split"] == "fit" and row["recording"] is None and row["metric"] == row["objective"]:
+        if row["recording"] is None and row["metric"] == row["objective"]:
             about = tuple(str(row.get(name) or "") for name in QUESTION)
-            questions.setdefault((*about, _meant(results, row)), []).append(row)
+            if row["split"] == "fit":
+                questions.setdefault((*about, _meant(results, row)), []).append(row)
+            elif row["split"] is None:
+                failed.setdefault(about, []).append(row)
     out = []
-    for (_, case, model, effects, metric, unit, budget, _), asked in sorted(questions.items()):
-        by_optimizer = _by_search(asked)
-        kept = {name: keys for name, keys in by_optimizer.items() if len(keys) >= LEAST_SEEDS}
+    for (suite, case, model, effects, metric, unit, budget, _), asked in sorted(questions.items()):
+        lost = failed.get((suite, case, model, effects, metric, "", budget), [])
+        unfinished = {row["key"] for row in lost} | {row["key"] for row in asked if row.get("status", "ok") != "ok"}
+        by_optimizer = _by_search([*asked, *lost])
+        enough = {name: keys for name, keys in by_optimizer.items() if len(keys) >= LEAST_SEEDS}
+        kept = {name: keys for name, keys in enough.items() if not unfinished & set(keys.values())}
         if len(kept) < 2:
             continue
         runs = {name: [_history(results, key) for key in sorted(keys.values())] for name, keys in sorted(kept.items())}
@@ -91,7 +101,8 @@ def contests(results: Results) -> list[Contest]:
         goal = float(np.quantile(least, GOAL, method="inverted_cdf"))  # one that a run did come to, none in between
         found = tuple(_search(name, some, goal) for name, some in runs.items())
         out.append(Contest(case, " + ".join(filter(None, (model, effects))), metric, unit, goal, found, budget,
-                           any(r.coarse for some in runs.values() for r in some)))  # fmt: skip
+                           any(r.coarse for some in runs.values() for r in some),
+                           tuple(sorted(enough.keys() - kept.keys()))))  # fmt: skip
     return out
 
 

@@ -67,7 +67,10 @@ def title_of(contest: Contest) -> str:
 def caption(contest: Contest) -> str:
     goal = f"{contest.goal:.3g} {contest.unit}"
     mesh = ", on the finer mesh, with evaluations on both" if contest.finer else ""
-    return f"least error in {contest.unit}{mesh}; reached: {goal}, which three quarters of all runs came to"
+    told = f"least error in {contest.unit}{mesh}; reached: {goal}, which three quarters of all runs came to"
+    if contest.left_out:
+        told += f"; without {', '.join(contest.left_out)}, of which a run failed or ended by the clock"
+    return told
 
 
 def cells(search: Search) -> Sequence[str]:

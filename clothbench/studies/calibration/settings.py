@@ -34,7 +34,7 @@ def suite_settings(suite: Mapping[str, Any]) -> dict[str, Any]:
     out["fixed"] = _fixed(out["fixed"])
     out["published"] = {
         metric: {
-            str(n): number(f"suite.published.{metric}.{n}", v) for n, v in mapping("suite.published", values).items()
+            str(n): _figure(f"suite.published.{metric}.{n}", v) for n, v in mapping("suite.published", values).items()
         }
         for metric, values in mapping("suite.published", out.get("published")).items()
     }
@@ -49,6 +49,19 @@ def suite_settings(suite: Mapping[str, Any]) -> dict[str, Any]:
             "settings 'suite.each' and 'suite.together' both say what is fitted; empty one of them, as in suite.each=[]"
         )
     return out
+
+
+def _figure(name: str, told: Any) -> float | str:
+    """A paper's figure: a number in the unit that the metric has in the run, or a text with its own: "2.5 cm"."""
+    value, _, unit = told.strip().partition(" ") if isinstance(told, str) else ("", "", "")
+    if not unit.strip():
+        return number(name, told)
+    try:
+        return f"{number(name, float(value)):g} {unit.strip()}"
+    except ValueError:
+        raise ClothbenchError(
+            f"setting '{name}' is {told!r}, expected a number, or one with its unit: \"2.5 cm\""
+        ) from None
 
 
 def _fixed(stated: Mapping[str, Any]) -> dict[str, dict[str, float]]:

@@ -12,11 +12,11 @@ def find_hem(sheet, density, width, state):
     """What each node carries of the strip [kg], into state[1:]; state[0] says that it is known.
 
     The strip is all cloth that lies lower than its own width above the lowest point of the cloth, on a sheet that is
-    cut along an outline as on a whole one: of a disc a segment. Its total is right on every mesh, its first moment
-    wherever the strip lies between nodes of the cloth.
+    cut along an outline, or whose hems lie beside its grid, as on any other: of a disc a segment. Its total is right on
+    every mesh, its first moment wherever the strip lies between nodes of the cloth.
     """
     state[0] = 1.0
-    if sheet.columns == 0 and sheet.outline.shape[0] > 0:
+    if sheet.outline.shape[0] > 0:
         add_strip(sheet, sheet.outline[:, 1].max() - width, state[1:])
     else:
         add_lowest(sheet, width, state[1:])
@@ -72,7 +72,7 @@ SOURCE = "how the sheet was sewn: each further layer adds the cloth's own areal 
 
 class HeavyHem:
     name = "heavy_hem"
-    version = 3
+    version = 4
     place = "dynamics"
     family = "mass"
     law = "mass along the lower edge"

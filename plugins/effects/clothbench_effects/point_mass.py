@@ -6,11 +6,15 @@ from clothbench_effects.sheet_kernels import helper
 
 @helper(allocates=True)
 def find_place(sheet, u, v, state):
-    """The triangle that holds the point and its barycentric weights there; of a point off a sheet that has been cut, of
-    the place in the nearest triangle with no weight below 0. state: 0 or 1 if known, nodes, weights.
+    """The triangle that holds the point and its barycentric weights there; of a point off a sheet that has been cut, or
+    beside the grid, of the place in the nearest triangle with no weight below 0. state: 0 or 1 if known, nodes,
+    weights.
     """
     state[0] = 1.0
-    u, v = u * sheet.uv[:, 0].max(), v * sheet.uv[:, 1].max()
+    if sheet.columns > 0 and sheet.outline.shape[0] > 0:  # hems beside the grid
+        u, v = u * sheet.outline[:, 0].max(), v * sheet.outline[:, 1].max()
+    else:
+        u, v = u * sheet.uv[:, 0].max(), v * sheet.uv[:, 1].max()
     deepest, place = -1e300, 0
     for face in range(sheet.triangles.shape[0]):
         # Rounding must not let a point on an edge fall between two triangles: take the one that it is deepest in.
@@ -63,7 +67,7 @@ SOURCE = "weigh it, and see where it is"
 
 class PointMass:
     name = "point_mass"
-    version = 2
+    version = 3
     place = "dynamics"
     family = "mass"
     normals = False

@@ -32,6 +32,7 @@ from clothbench.modelling import (
     grid_shape,
     layers_of,
     obstacle_table,
+    to_hems,
     tributary,
 )
 from clothbench_models import baraff_witkin_kernels as kernels
@@ -96,7 +97,7 @@ class BaraffWitkin:
     """
 
     name = "baraff_witkin"
-    version = 5
+    version = 6
     kind = "implicit"
     parameters = PARAMETERS
     textiles = TEXTILES
@@ -233,14 +234,17 @@ def triangle_edges(
 def edge_widths(
     lines: tuple[np.ndarray, np.ndarray], size: tuple[float, float], cover: Cover | None
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The width of cloth that each node's u-edge and v-edge stand for (nv, nu) m; which share of its cell is cloth.
+    """The width of cloth that each node's u-edge and v-edge stand for (nv, nu) m; how much cloth its cell stands for,
+    of what fits into it.
 
-    The outermost lines stand for all that is beyond them: a grip beside the hem has moved its line inwards.
+    The outermost lines and cells stand for all that is beyond them: a grip beside the hem has moved its line inwards.
     """
     u, v = lines
     ones = np.ones((len(v), len(u)))
     if cover is None:
-        return tributary(v, size[1])[:, None] * ones, tributary(u, size[0]) * ones, ones
+        wide, high = (np.diff(to_hems(one, length)) / np.diff(one) for one, length in zip(lines, size, strict=True))
+        cells = np.outer(np.append(high, 0.0), np.append(wide, 0.0))
+        return tributary(v, size[1])[:, None] * ones, tributary(u, size[0]) * ones, cells
     return cover.widths(1, 0), cover.widths(0, 1), np.pad(cover.cells, ((0, 1), (0, 1)))
 
 

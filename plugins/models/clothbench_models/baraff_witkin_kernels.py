@@ -51,7 +51,7 @@ from clothbench_models.implicit_step import (
     slip,
     step_before,
 )
-from clothbench_models.resting_contact import STICKS, judge, part_layers, stop_reversed, touching
+from clothbench_models.resting_contact import STICKS, drop_rub, judge, part_layers, stop_reversed, touching
 from clothbench_models.sheet_forces import (
     CELLS,
     add_diagonals,
@@ -240,6 +240,7 @@ def _march_implicit(
             for e in range(n):
                 r[c, e] = gamma * f[c, e] - r[c, e]
         if solid:
+            drop_rub(touch, normal, rub)
             for c in range(3):
                 for e in range(n):
                     r[c, e] += gamma * rub[c, e]

@@ -64,7 +64,7 @@ class Inextensible:
     """
 
     name = "inextensible"
-    version = 6
+    version = 7
     lacks: Mapping[str, str] = {"stretch": "its threads do not stretch"}
     kind = "implicit"
     parameters = PARAMETERS

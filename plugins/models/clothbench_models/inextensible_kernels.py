@@ -41,7 +41,7 @@ from clothbench_models.implicit_step import (
     step_before,
 )
 from clothbench_models.inextensible_constraints import CONSTRAINTS, pull, sines, tighten, violations
-from clothbench_models.resting_contact import STICKS, judge, stop_reversed, touching
+from clothbench_models.resting_contact import STICKS, drop_rub, judge, overcome, stop_reversed, touching
 from clothbench_models.sheet_forces import TRIANGLES, add_diagonals, add_fluxes, edge_differences
 
 __all__ = ["BDF2", "EULER", "march"]
@@ -74,6 +74,7 @@ def _march(
     matrix, swept = empty_matrix(nu, n, TRIANGLES), np.empty((3, n + 2 * margin_of(nu)))
     extra, inertia, normal, free = np.zeros((6, n)), np.zeros((8, n)), np.zeros((3, n)), 1.0 / mass
     x, v, guess, x_bar, v_bar = begins.x, begins.v, np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
+    wanted, outer, slack = np.empty((3, n)), np.empty((3, n)), np.empty((3, padded))
     x_old, v_old, x_before, v_before = np.empty((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     touch, friction, rub, on = np.zeros(n, np.int64), np.zeros(n), np.zeros((3, n)), np.full(n, -1)
     stiff_mass, lightness = np.empty(n), np.zeros(padded)
@@ -124,6 +125,7 @@ def _march(
             for e in range(n):
                 f[c, e] -= alpha * area[e] * guess[c, e]
         if solid:
+            drop_rub(touch, normal, rub)
             f += rub
         edge_differences(q, nu, work[0:3], work[3:6])
         pull(nu, work[0:3], work[3:6], share, tension, work[6:9], work[9:12])
@@ -145,38 +147,61 @@ def _march(
             stiff_mass[e] = mass[e] + gamma * alpha * area[e]
         bend_scale = gamma * gamma * (bend + stiffer[1]) + gamma * beta
         assemble(nu, stiff_mass, extra, heavier, edges, shear, offsets, bending, bend_scale, matrix, work[14:20])
-        rounds += solve(
-            delta, r, nu, matrix, offsets, bending, bend_scale, touch, normal, 1e-4, 2000, inverse, z, swept, q
-        )  # fmt: skip
-        for c in range(3):
-            for e in range(n):
-                x_before[c, e], v_before[c, e] = x[c, e], v[c, e]
-                x[c, e] = x_bar[c, e] + gamma * (guess[c, e] + delta[c, e])
-        hold_grips(x, pins, grips, t, segment)
-        used = tighten(
-            x, gamma, tension, nu, lengths, share, give, mass, inertia, heavier, touch, normal, lightness, tolerance,
-            rows, work, r, waves_u, waves_v, damped, plane,
-        )  # fmt: skip
-        if used < 0:
-            result[0], result[1], result[2] = DIVERGED, count, rounds
-            return
-        rounds += used
-        for c in range(3):
-            for e in range(n):
-                v[c, e] = (x[c, e] - x_bar[c, e]) / gamma
-        if solid:  # what the obstacles did: the momentum that nothing else accounts for
+        put(x_before, x)
+        put(v_before, v)
+        if solid:
+            put(wanted, r)
+            put(outer, f)
+            for k in range(3):
+                for e in range(padded):
+                    slack[k, e] = tension[k, e]
+        for again in range(AGAIN, -1, -1):
+            rounds += solve(
+                delta, r, nu, matrix, offsets, bending, bend_scale, touch, normal, 1e-4, 2000, inverse, z, swept, q
+            )  # fmt: skip
+            for c in range(3):
+                for e in range(n):
+                    x[c, e] = x_bar[c, e] + gamma * (guess[c, e] + delta[c, e])
+            hold_grips(x, pins, grips, t, segment)
+            used = tighten(
+                x, gamma, tension, nu, lengths, share, give, mass, inertia, heavier, touch, normal, lightness,
+                tolerance, rows, work, r, waves_u, waves_v, damped, plane,
+            )  # fmt: skip
+            if used < 0:
+                result[0], result[1], result[2] = DIVERGED, count, rounds
+                return
+            rounds += used
+            for c in range(3):
+                for e in range(n):
+                    v[c, e] = (x[c, e] - x_bar[c, e]) / gamma
+            if not solid:
+                break
+            # What the obstacles did: the momentum that nothing else accounts for.
             for c in range(3):
                 for e in range(n):
                     z[c, e] = v[c, e] - v_bar[c, e]
             mass_times(mass, extra, heavier, z, q)
             edge_differences(x, nu, work[0:3], work[3:6])
             pull(nu, work[0:3], work[3:6], share, tension, work[6:9], work[9:12])
+            put(f, outer)
             add_fluxes(work[6:9], work[9:12], nu, f, 1.0)
             for c in range(3):
                 for e in range(n):
                     q[c, e] = q[c, e] / gamma - f[c, e]
                     z[c, e] = gamma * (v[c, e] - guess[c, e])
             add_diagonals(offsets, bending, z, bend, q)
+            slip(scheme, v, obstacles, on, p)
+            if again == 0 or not overcome(q, p, mass, sheet.gravity, free, touch, normal, friction, rub, z):
+                break
+            for c in range(3):
+                for e in range(n):
+                    outer[c, e] += z[c, e]
+                    wanted[c, e] += gamma * z[c, e]
+            put(r, wanted)
+            for k in range(3):
+                for e in range(padded):
+                    tension[k, e] = slack[k, e]
+        if solid:
             slip(scheme, v, obstacles, on, z)
             stop_reversed(z, touch, rub)
             judge(q, z, free, touch, normal, friction, rub)
@@ -190,6 +215,7 @@ def _march(
 
 
 NO_AIR = np.zeros(3)
+AGAIN = 8  # times a step is made again, at most, where friction did too much (`overcome`)
 _SIGNATURE = types.void(
     types.int64, START, types.int64, SHEET, CONSTRAINTS, PLATE, types.float64,
     *(EFFECT,) * SLOTS, TERMS, GRIPS, types.float64[:, ::1], LAYERS, CLOCK, SAMPLING, types.int64[::1],

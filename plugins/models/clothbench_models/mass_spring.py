@@ -64,7 +64,7 @@ class MassSpring:
     """
 
     name = "mass_spring"
-    version = 5
+    version = 6
     lacks = LACKS
     kind = "explicit"
     parameters = PARAMETERS

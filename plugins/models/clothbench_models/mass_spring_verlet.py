@@ -84,7 +84,7 @@ class MassSpringVerlet:
     """
 
     name = "mass_spring_verlet"
-    version = 3
+    version = 4
     lacks = LACKS
     kind = "explicit"
     parameters = _parameters()

@@ -16,6 +16,7 @@ from clothbench.modelling import DISC, OBSTACLE, SPHERE, inside, keep_apart, lea
 
 FREE, SLIDES, STICKS = 0, 1, 2  # what a node may do where it touches an obstacle; held nodes stick
 LEAVES = 3  # it was let go and lies on the surface still: it is free for one step, in which it leaves or falls back
+FAR = 2.0  # times what a node weighs, or friction and that: what is not left to the next step
 SKIN = 2e-9  # m; as near as this is touching
 STILL = 1e-9  # m/s; as slow as this friction has stopped what has just touched
 
@@ -106,6 +107,55 @@ def judge(reaction, moved, free, touch, normal, friction, rub):
                 touch[i] = STICKS
                 continue
         rub[0, i], rub[1, i], rub[2, i] = most * tx / size, most * ty / size, most * tz / size
+
+
+@lean_kernel
+def drop_rub(touch, normal, rub):
+    """Friction acts along the surface, and where a node slides on it: what it was in the step before may be neither
+    where a node has left since, or come around an edge.
+    """
+    for i in range(rub.shape[1]):
+        along = rub[0, i] * normal[0, i] + rub[1, i] * normal[1, i] + rub[2, i] * normal[2, i]
+        for c in range(3):
+            rub[c, i] = rub[c, i] - along * normal[c, i] if touch[i] == SLIDES else 0.0
+
+
+@lean_kernel
+def overcome(reaction, slid, mass, gravity, free, touch, normal, friction, rub, more):
+    """Whether friction did in a step what it cannot have done, so that the step has to be made again: nodes stuck that
+    only a reaction (3, n) N far beyond Coulomb's cone can have held, which slide instead; or slid (3, n) m/s to where
+    friction of the step before has thrown them, which then is half as large. more (3, n) N: what `rub` changes by.
+
+    Near the cone a step late is soon enough (`judge`, `stop_reversed`). But cloth that does not stretch pulls as hard
+    as it takes where nodes beside each other stick; that pull is friction in the next step, and the sheet is thrown
+    off what it lies on, harder from step to step.
+    """
+    found = False
+    weight = np.sqrt(gravity[0] ** 2 + gravity[1] ** 2 + gravity[2] ** 2)
+    for i in range(reaction.shape[1]):
+        more[0, i] = more[1, i] = more[2, i] = 0.0
+        if touch[i] == FREE or free[i] == 0.0:
+            continue
+        little = weight * mass[i]
+        if touch[i] == SLIDES:
+            turned = rub[0, i] * slid[0, i] + rub[1, i] * slid[1, i] + rub[2, i] * slid[2, i]
+            size = np.sqrt(rub[0, i] ** 2 + rub[1, i] ** 2 + rub[2, i] ** 2)
+            if turned > 0.0 and size > FAR * little:
+                found = True
+                for c in range(3):
+                    more[c, i] = -0.5 * rub[c, i]
+        else:
+            nx, ny, nz = normal[0, i], normal[1, i], normal[2, i]
+            push = reaction[0, i] * nx + reaction[1, i] * ny + reaction[2, i] * nz
+            tx, ty, tz = reaction[0, i] - push * nx, reaction[1, i] - push * ny, reaction[2, i] - push * nz
+            size, most = np.sqrt(tx * tx + ty * ty + tz * tz), friction[i] * max(push, 0.0)
+            if size > FAR * (most + little):
+                found = True
+                touch[i] = SLIDES
+                more[0, i], more[1, i], more[2, i] = most * tx / size, most * ty / size, most * tz / size
+        for c in range(3):
+            rub[c, i] += more[c, i]
+    return found
 
 
 @lean_kernel

@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 from scipy.sparse import coo_matrix, csr_matrix, vstack
 
-from clothbench.modelling import Cover, spaces, tributary
+from clothbench.modelling import Cover, spaces, to_hems, tributary
 
 Families = tuple[tuple[int, int, int], ...]  # (Δi, Δj, which of the model's stiffnesses) of each family of springs
 # Provot's: structural, shear, flexion
@@ -59,7 +59,8 @@ class SpringGrid:
             wide, high, area = spaces(u), spaces(v), cover.area.ravel()
         stiffnesses = 1 + max(which for _, _, which in families)
         families = tuple(f for f in families if abs(f[0]) < len(u) and f[1] < len(v))
-        springs = [_family(u, v, wide, high, di, dj, cover) for di, dj, _ in families]
+        hems = to_hems(u, size[0]), to_hems(v, size[1])
+        springs = [_family(u, v, wide, high, hems, di, dj, cover) for di, dj, _ in families]
         return cls(
             families=families,
             stiffnesses=stiffnesses,
@@ -131,13 +132,14 @@ class SpringGrid:
             np.add.at(row, first + stride, more)
 
 
-def _family(u, v, wide, high, di: int, dj: int, cover: Cover | None) -> tuple[np.ndarray, np.ndarray]:
+def _family(u, v, wide, high, hems, di: int, dj: int, cover: Cover | None) -> tuple[np.ndarray, np.ndarray]:
     """Rest length (n,) m and stiffness share (n,) of one family, at each spring's first node.
 
     On square cells the share is 1 inside and ½ along a border. Elsewhere it is what keeps the sheet's stiffness per
     width: (width stood for) / (length per cell) for straight springs, 2ab/(a² + b²) for diagonals that span a × b. Of
     the diagonals of cells that are not square that holds for C11 + 2 C12 + C22 only, 4 as on squares for a stiffness of
-    1: they have C11 = 4a⁴/(a² + b²)², C22 = 4b⁴/(a² + b²)² and C12 = C66 = 4a²b²/(a² + b²)².
+    1: they have C11 = 4a⁴/(a² + b²)², C22 = 4b⁴/(a² + b²)² and C12 = C66 = 4a²b²/(a² + b²)². Along a hem, which lies
+    beside its line where a grip has moved that, all stand for the cloth up to it.
     Where the cloth is cut to an outline, it is the share of that which is cloth.
     """
     nu, nv = len(u), len(v)
@@ -151,4 +153,7 @@ def _family(u, v, wide, high, di: int, dj: int, cover: Cover | None) -> tuple[np
         share = 2 * a * b / (a**2 + b**2) if di and dj else straight
     if cover is not None:
         share = np.where(inside, share, 0.0) * cover.springs(di, dj).ravel()
+    elif di and dj:
+        with np.errstate(invalid="ignore", divide="ignore"):
+            share = share * np.abs(hems[0][i2] - hems[0][i]) / a * np.abs(hems[1][j2] - hems[1][j]) / b
     return np.where(inside, rest, 1.0), np.where(inside, share, 0.0)

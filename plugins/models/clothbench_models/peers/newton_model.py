@@ -24,7 +24,14 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from clothbench import ClothbenchError, Effect, Material, Parameter, ParameterSpace, Scene, Sheet, Stated, check_choice
-from clothbench.modelling import BoundEffects, GridSimulation, check_number, check_resolution, grid_shape
+from clothbench.modelling import (
+    BoundEffects,
+    GridSimulation,
+    check_number,
+    check_resolution,
+    gradient_weights,
+    grid_shape,
+)
 from clothbench_models.orthotropy import refuse_ratios
 from clothbench_models.peers import missing
 from clothbench_models.peers.external import ExternalSimulation, reason_to_skip, refuse_mass
@@ -161,7 +168,8 @@ class Newton:
         """What makes of edge_kd over edge_ke the time by which a hinge's damping lags its stiffness: 2 A for
         "semi_implicit", whose hinges have 4 A² l edge_kd and 2 A l edge_ke, of the mean triangle here.
         """
-        return 2 * float(sheet.face_area.mean()) if self.solver == "semi_implicit" else 1.0
+        _, area = gradient_weights(sheet.uv, sheet.triangles)
+        return 2 * float(area.mean()) if self.solver == "semi_implicit" else 1.0
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> NewtonSimulation:
         if reason := self.skip(scene):
@@ -209,7 +217,8 @@ def unit_bending(sheet: Sheet, solver: str) -> float:
     """Bending rigidity D [N·m] of the mesh with edge_ke = 1: the mean over cylinders about u and about v.
 
     A hinge bends by the jump of the slope across it, θ = |∇w₁ − ∇w₂|, of the surface w = κ u²/2; the energy of all
-    hinges, ½ Σ k θ², is ½ D κ² times the sheet's area.
+    hinges, ½ Σ k θ², is ½ D κ² times the sheet's area. Newton knows the triangles as they lie on the flat sheet, and
+    not that those along a hem may stand for cloth beside them.
     """
     seen: dict[tuple[int, int], int] = {}
     pairs, lengths = [], []
@@ -223,7 +232,8 @@ def unit_bending(sheet: Sheet, solver: str) -> float:
     one, two = np.array(pairs).T
     stiffness = np.array(lengths)
     if solver == "semi_implicit":
-        stiffness = stiffness * (sheet.face_area[one] + sheet.face_area[two])
+        _, area = gradient_weights(sheet.uv, sheet.triangles)
+        stiffness = stiffness * (area[one] + area[two])
     total = 0.0
     for axis in range(2):
         slope = np.einsum("fdm,fm->fd", sheet.gradient, (sheet.uv[:, axis] ** 2 / 2)[sheet.triangles])
