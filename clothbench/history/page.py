@@ -137,7 +137,8 @@ def _figure(entries: Sequence[Entry], series: Sequence[Series], unit: str) -> di
         lines += _line(entries, one, COLOURS[place % len(COLOURS)], DASHES[_dash(one, series) % len(DASHES)])
     ticks = [f"{entry.short[:7]}<br>{entry.date[5:10]}" for entry in entries]
     layout: dict[str, Any] = {
-        "height": 300, "margin": {"l": 70, "r": 20, "t": 10, "b": 60},
+        "height": 300 + 20 * len(series), "margin": {"l": 70, "r": 20, "t": 10, "b": 60},
+        "showlegend": len(series) > 1, "legend": {"orientation": "h", "yanchor": "bottom", "y": 1},
         "xaxis": {"tickvals": list(range(len(entries))), "ticktext": ticks, "range": [-0.5, len(entries) - 0.5]},
         "yaxis": {"title": {"text": unit}, "rangemode": "tozero"},
     }  # fmt: skip
@@ -165,7 +166,7 @@ def _line(entries: Sequence[Entry], one: Series, colour: str, dash: str) -> list
         "x": [p.entry for p in one.points], "y": [p.value for p in one.points], "mode": "lines+markers",
         "line": {"color": colour, "dash": dash}, "marker": {"color": colour}, "text": hover,
         "error_y": {"array": rounded(halves), "color": colour, "thickness": 1}, "hoverinfo": "text",
-        "name": one.label,
+        "name": text(one.label),
     }  # fmt: skip
     marked = [c for c in one.changes if c.after is not None]
     if not marked:
@@ -173,6 +174,7 @@ def _line(entries: Sequence[Entry], one: Series, colour: str, dash: str) -> list
     at = {p.entry: p.value for p in one.points}
     mark = {
         "x": [c.entry for c in marked], "y": [at[c.entry] for c in marked], "mode": "markers", "hoverinfo": "skip",
+        "showlegend": False,
         "marker": {"symbol": "circle-open", "size": 15, "color": GREY, "line": {"width": 2}},
     }  # fmt: skip
     return [line, mark]

@@ -12,7 +12,7 @@ from clothbench_models.shell import Shell
 from clothbench_models.splines import Spline
 from clothbench_models.strip import Ends, Strip
 
-from clothbench import ClothbenchError, Obstacle, Scene
+from clothbench import ClothbenchError, Material, Obstacle, Scene
 from clothbench.reference import lifted_strip
 from clothbench.reference import mechanics as references
 from clothbench.studies.mechanics import scenes as strips
@@ -157,6 +157,21 @@ def test_plate_energies_of_bowl_saddle_and_twist(shape, eigen):
     bend, area = 1e-3, scenes.WIDTH * scenes.HEIGHT
     found = shell_kernels.energy(control, *shell.mesh, 0 * control, 1e9, bend, 0.3, np.ones(2))
     assert found == pytest.approx(eigen * k**2 * area / bend, rel=1e-4)
+
+
+def test_cloth_that_stretches_further_than_it_knows_is_refused():
+    scene = scenes.hanging()
+    soft, stiff = (Material(1e-5, stretch, stretch / 2) for stretch in (5.0, 1e9))
+    with pytest.raises(ClothbenchError, match=r"stretch of 5 N/m is η_m = .* expected at most 0.01"):
+        KirchhoffLove().of_material(soft, scene)
+    assert KirchhoffLove().of_material(stiff, scene)[1] == KirchhoffLove.parameters["eta_m"].bounds[0]
+
+
+def test_a_sheet_on_one_grip_is_skipped():
+    scene = scenes.hanging()
+    one = dataclasses.replace(scene, grip_material=scene.grip_material[:1], grip_position=scene.grip_position[:, :1])
+    assert "turns freely" in KirchhoffLove().skip(one)
+    assert KirchhoffLove().skip(scene) is None
 
 
 @pytest.mark.parametrize("gamma", [0.05, 1.0, 100.0, 1e4])

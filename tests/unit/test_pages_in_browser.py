@@ -306,6 +306,13 @@ def test_a_watched_page_loads_itself_anew_and_at_last_without_that(page, tmp_pat
     shown.wait('!document.querySelector("[data-watched]")')
 
 
+def test_a_copy_of_a_watched_page_is_left_alone(page, tmp_path):
+    """Nothing lies beside it that could tell of another state: it had loaded itself anew every second."""
+    shown = page(write_page(tmp_path, [watching("first")]))
+    shown.wait('!document.querySelector("[data-watched]")')
+    assert shown.run("return document.querySelector('h1') !== null")
+
+
 def test_candidates_can_be_read_on_a_phone(page, improved):
     """Nothing of a candidate lies beyond the window's edge, and its numbers say what they are."""
     shown = page(improved, width=390)

@@ -8,7 +8,7 @@ function themed(layout) {
   }
   const clear = "rgba(0,0,0,0)", family = getComputedStyle(document.body).fontFamily;
   return Object.assign(out, { paper_bgcolor: clear, plot_bgcolor: clear, hovermode: "closest",
-    showlegend: false, font: { color: ink("--text"), size: 13, family },
+    showlegend: layout.showlegend ?? false, font: { color: ink("--text"), size: 13, family },
     modebar: { bgcolor: clear, color: ink("--line"), activecolor: ink("--accent") },
     hoverlabel: { bgcolor: ink("--card"), bordercolor: ink("--line"), font: { color: ink("--text") } } });
 }

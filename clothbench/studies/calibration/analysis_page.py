@@ -178,7 +178,7 @@ def map_figures(rows: Rows, about: dict[str, str]) -> list[dict[str, Any]]:
 
 def _layout(across: str, up: str, height: int) -> dict[str, Any]:
     axes = {
-        "xaxis": {"title": {"text": across}, "zeroline": False},
+        "xaxis": {"title": {"text": across}, "zeroline": False, "automargin": True},
         "yaxis": {"title": {"text": up}, "zeroline": False},
     }
     return {**axes, "height": height, "margin": {"l": 72, "r": 16, "t": 28, "b": 56}}

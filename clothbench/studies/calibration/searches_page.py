@@ -99,4 +99,5 @@ def figure(contest: Contest) -> dict[str, Any]:
         data.append({"type": "scatter", "mode": "lines", "x": x, "y": middle, "name": search.optimizer,
                      "line": {"color": colour, "width": 2}})  # fmt: skip
     axes = {"xaxis": {"title": {"text": "evaluations"}}, "yaxis": {"title": {"text": f"least error [{contest.unit}]"}}}
-    return {"data": data, "layout": axes | {"height": 300, "margin": {"l": 56, "r": 16, "t": 16, "b": 44}}}
+    legend = {"showlegend": True, "legend": {"orientation": "h", "yanchor": "bottom", "y": 1}}
+    return {"data": data, "layout": axes | legend | {"height": 320, "margin": {"l": 56, "r": 16, "t": 16, "b": 44}}}

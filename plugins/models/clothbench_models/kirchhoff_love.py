@@ -62,6 +62,8 @@ class KirchhoffLove:
         """Why it cannot simulate a scene: what does not rest in it, or is not known to it."""
         if not len(scene.grip_material):
             return "finds rest only, and nothing holds this sheet"
+        if len(np.unique(scene.grip_material, axis=0)) == 1:
+            return "finds rest only, and a sheet held at one point turns freely about it"
         if scene.outline is not None:
             return "its sheet is a whole rectangle, and this scene's is cut"
         if len(scene.obstacles) > 1 or any(o.shape != "plane" for o in scene.obstacles):
@@ -91,7 +93,13 @@ class KirchhoffLove:
         if material.bending <= 0:
             raise ClothbenchError("kirchhoff_love: bending is 0, and cloth without bending stiffness has no η_b = ρ/D")
         low, high = PARAMETERS["eta_m"].bounds
-        eta_m = float(np.clip(scene.areal_density / material.stretch, low, high))
+        eta_m = scene.areal_density / material.stretch
+        if eta_m > high:
+            raise ClothbenchError(
+                f"kirchhoff_love: a stretch of {material.stretch:g} N/m is η_m = {eta_m:g} m^-2 s^2, expected at most "
+                f"{high:g}, as from {scene.areal_density / high:g} N/m on; softer cloth is for another model"
+            )
+        eta_m = max(eta_m, low)  # what stretches less hangs in the same shape
         if not self.orthotropic:
             refuse_ratios(self.name, material, OPTION)
         ratios = [material.bending_ratio, material.stretch_ratio] if self.orthotropic else []
