@@ -18,6 +18,15 @@ from clothbench.datasets.convert import REPORT
 from clothbench.display.terminal import console
 from clothbench.plugins.discovery import Plugin, catalogue, reason_of, singular
 
+# What every class of a kind has (`core.protocols`), and not only its objects.
+MEMBERS = {
+    "models": ("name", "version", "capabilities", "prepare"),
+    "effects": ("name", "version", "place", "summary"),
+    "metrics": ("name", "version", "floor", "__call__"),
+    "optimizers": ("name", "version", "ask", "tell"),
+    "trackers": ("name", "version", "track"),
+}
+
 
 def plugin_rows() -> list[dict[str, Any]]:
     """Every plugin, loaded and asked for its parameters; what fails on the way is its `reason`."""
@@ -44,9 +53,18 @@ def _plugin_row(plugin: Plugin) -> dict[str, Any]:
             row["version"] = _plain(getattr(loaded, "version", None))
             row["parameters"] = [_parameter(p) for p in getattr(loaded, "parameters", ())]
             row["options"] = {name: _plain(value) for name, value in defaults_of(loaded).items()}
+            if without := _missing_members(plugin.kind, loaded):
+                row["broken"] = f"it has no {', no '.join(without)}, which every {singular(plugin.kind)} has"
         except Exception as fault:  # a stranger's class may do anything when it is looked at
             row["broken"] = reason_of(fault.__cause__ or fault)  # that of what was raised for it, which names it again
     return row
+
+
+def _missing_members(kind: str, loaded: Any) -> list[str]:
+    """What a plugin's class lacks; of a function that makes plugins nothing is known before it is called."""
+    if not isinstance(loaded, type):
+        return []
+    return [name for name in MEMBERS.get(kind, ()) if not any(name in vars(one) for one in loaded.__mro__)]
 
 
 def _parameter(p: Any) -> dict[str, Any]:
@@ -77,10 +95,13 @@ def print_plugins(rows: list[dict[str, Any]]) -> None:
     out = console()
     out.print(table)
     for row in (r for r in rows if r["missing"] is not None):
-        out.print(f"[yellow]not installed[/]: {escape(row['kind'])} {escape(row['name'])}: {escape(row['missing'])}")
+        out.print(
+            f"[yellow]not installed[/]: {escape(row['kind'])} {escape(row['name'])}: {escape(row['missing'])}",
+            soft_wrap=True,
+        )
     for row in (r for r in rows if r["broken"] is not None):
         what, reason = f"{row['kind']} {row['name']} ({row['distribution']})", row["broken"]
-        out.print(f"[red]broken[/]: {escape(what)}: {escape(reason)}")
+        out.print(f"[red]broken[/]: {escape(what)}: {escape(reason)}", soft_wrap=True)  # a line each, also in files
 
 
 def dataset_rows() -> list[dict[str, Any]]:

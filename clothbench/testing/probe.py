@@ -67,5 +67,12 @@ def acting_values(effect: Effect) -> Iterator[np.ndarray]:
 
 
 def installed_effects() -> tuple[Effect, ...]:
-    """Every effect on sheets in the catalogue that can be made; one that cannot is its own author's concern."""
-    return tuple(effect for effect in catalogue().made("effects")[0].values() if acts_on_sheets(effect))
+    """Every effect on sheets in the catalogue that can be made, and whose terms are compiled; one that cannot, or whose
+    are not, is its own author's concern.
+    """
+    return tuple(
+        effect
+        for effect in catalogue().made("effects")[0].values()
+        if acts_on_sheets(effect)
+        and all(hasattr(term, "py_func") for stage in ("force", "inertia") if (term := getattr(effect, stage, None)))
+    )

@@ -44,6 +44,11 @@ BROKEN = {
         "the name is taken by clothbench (clothbench_models.mass_spring:MassSpring); rename one of the two",
     ),
     "unnameable": (HOOK.format(kind="models", name="my model", target="unnameable:A"), "model", "is not an identifier"),
+    "memberless": (
+        HOOK.format(kind="metrics", name="memberless", target="memberless:Half")
+        + "\n    class Half:\n        name, version, unit = 'memberless', 1, 'mm'\n",
+        "metric", "it has no floor, no __call__, which every metric has",
+    ),
 }  # fmt: skip
 FINE = HOOK.format(kind="metrics", name="fine", target="clothbench_metrics.node_error:NodeError")
 
@@ -222,7 +227,7 @@ def test_a_name_twice_in_one_distribution_is_taken_and_odd_types_are_listed(clot
         from clothbench import Parameter, ParameterSpace
 
         class Odd:
-            version = np.int64(3)
+            name, version, floor, __call__ = "odd", np.int64(3), None, None
             parameters = ParameterSpace((
                 Parameter("a", "a", "m", tuple(np.array([1, 9])), "linear", np.int64(2), "none", "none"),))
 
