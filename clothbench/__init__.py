@@ -100,6 +100,7 @@ _HOME = {
     "for_each": "core.parallel",
     "check_grip_gap": "recordings.nodes_rules",
     "longest_gap": "recordings.nodes_rules",
+    "stamp_rounding": "recordings.nodes_rules",
     "on_front": "estimation.front",
     "jackknife_half_width": "core.statistics",
     "Surface": "vision.surface",

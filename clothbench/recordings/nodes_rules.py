@@ -12,6 +12,7 @@ from clothbench.core.scene import HEAVIEST
 from clothbench.core.scene_rules import off_sheet
 from clothbench.recordings.layout import Arrays, Layout, Part
 
+FEW, MILLI = 9, 100  # stamps, and times the frames' step and span, from which on grips are stamped in milliseconds
 COVERED = 0.9  # of the frames, while which somebody has to know where the grips are
 SIZES = {"uv": 2, "space": 3}
 LONGEST = 0.5  # s, for which a grip that a camera lost may be taken to go straight on: a hand swings at 1 Hz
@@ -284,14 +285,22 @@ def check_grip_gap(time: np.ndarray, seen: np.ndarray, what: str, where: str) ->
     gap, begin = longest_gap(time, seen)
     if gap > LONGEST:
         raise ClothbenchError(
-            f"{where}: found {what} in no frame for {gap:.3g} s after {begin:.3g} s, expected gaps of {LONGEST:g} s at "
-            "most; cut the recording there, or state the grips"
+            f"{where}: found {what} in no frame for {gap:.3g} s after {begin:.10g} s, expected gaps of {LONGEST:g} s "
+            "at most; cut the recording there, or state the grips"
         )
 
 
+def stamp_rounding(time: np.ndarray) -> float:
+    """By how much stamps (T,) s that are equal may differ [s]: sums of decimal stamps are not exact, and those that are
+    counted from 1970 on are known to a quarter of a microsecond.
+    """
+    return max(1e-9, 4 * float(np.spacing(np.abs(time).max(initial=0.0))))
+
+
 def while_held(time: np.ndarray, grip_time: np.ndarray) -> np.ndarray:
-    """Which frames (T,) s lie within the grips' stamps (K,) s, (T,) bool; sums of decimal stamps are not exact."""
-    return (time >= grip_time[0] - 1e-9) & (time <= grip_time[-1] + 1e-9)
+    """Which frames (T,) s lie within the grips' stamps (K,) s, (T,) bool."""
+    rounding = stamp_rounding(grip_time)
+    return (time >= grip_time[0] - rounding) & (time <= grip_time[-1] + rounding)
 
 
 def frames_held(time: np.ndarray, grip_time: np.ndarray, grip_material: np.ndarray) -> np.ndarray:
@@ -300,12 +309,18 @@ def frames_held(time: np.ndarray, grip_time: np.ndarray, grip_material: np.ndarr
 
 
 def check_overlap(time: np.ndarray, grip_time: np.ndarray, where: str) -> None:
-    """The grips were tracked while nine tenths of the frames were taken."""
+    """The grips were tracked while nine tenths of the frames were taken, and by the same clock."""
+    frames, grips = (float(np.median(np.diff(stamps))) if len(stamps) > FEW else 0.0 for stamps in (time, grip_time))
+    if frames > 0 and grips > MILLI * frames and np.ptp(grip_time) > MILLI * np.ptp(time):
+        raise ClothbenchError(
+            f"{where}: variable 'grip_time': found {grip_time[0]:.10g}..{grip_time[-1]:.10g} s beside frames from "
+            f"{time[0]:.10g} to {time[-1]:.10g} s, expected both in seconds; are the grips' milliseconds?"
+        )
     covered = np.mean(while_held(time, grip_time))
     if covered < COVERED:
         raise ClothbenchError(
-            f"{where}: variable 'grip_time': found {grip_time[0]:g}..{grip_time[-1]:g} s, "
+            f"{where}: variable 'grip_time': found {grip_time[0]:.10g}..{grip_time[-1]:.10g} s, "
             f"which covers {covered:.0%} of the "
-            f"frames, expected to cover 'time' {time[0]:g}..{time[-1]:g} s; "
+            f"frames, expected to cover 'time' {time[0]:.10g}..{time[-1]:.10g} s; "
             "put both on one clock or cut the recording"
         )

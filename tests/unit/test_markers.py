@@ -388,6 +388,9 @@ def test_filling_goes_by_time_not_by_frames():
     time = np.array([0.0, 0.3, 0.4])
     position = np.array([0.0, math.nan, 4.0])[:, None, None] * np.ones(3)
     np.testing.assert_allclose(fill_gaps(time, position, 0.4)[1, 0], 3.0)
+    since_1970 = 1.7e9 + np.arange(300) / 100
+    position = np.where(np.arange(300) % 2, math.nan, 1.0)[:, None, None] * np.ones(3)
+    assert np.isfinite(fill_gaps(since_1970, position, 0.02)[:-1]).all()
 
 
 def test_y_up_becomes_z_up_without_a_mirror():

@@ -15,6 +15,7 @@ from conftest import swinging_recording
 from clothbench import Camera, ClothbenchError, Obstacle, Video, read_recording, scene_of, write_recording
 from clothbench.cli.commands import main
 from clothbench.recordings.nodes import find_recordings
+from clothbench.recordings.nodes_rules import stamp_rounding, while_held
 from clothbench.recordings.tracked import seen_in
 
 
@@ -92,6 +93,20 @@ def test_so_is_a_variable(tmp_path, word, meant):
     with pytest.raises(ClothbenchError, match=rf"bad.nc: variable '{word}': expected '{meant}', which the file lacks"):
         read_recording(path)
     read_recording(_with(tmp_path, lambda f: f.createVariable("warmth", float, f.variables["time"].dimensions)))
+
+
+def test_grips_in_milliseconds_beside_frames_in_seconds_are_refused(recording, tmp_path):
+    """All frames lie within their stamps, and in none would they seem to move."""
+    assert len(recording.grip_time) > 9
+    with pytest.raises(ClothbenchError, match=r"'grip_time': found .* expected both in seconds; are the grips' milli"):
+        read_recording(_with(tmp_path, lambda f: f.variables["grip_time"].__setitem__(..., 1000 * recording.grip_time)))
+
+
+def test_equal_stamps_since_1970_are_equal():
+    time = 1.7e9 + np.arange(60) / 30
+    assert while_held(time, time + 2e-7).all()
+    assert not while_held(time, time + 1e-3).all()
+    assert stamp_rounding(time - time[0]) == 1e-9
 
 
 def test_a_failed_write_leaves_the_old_file(recording, tmp_path, monkeypatch):

@@ -11,7 +11,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from clothbench import ClothbenchError, Observation, Recording, longest_gap, read_recording
+from clothbench import ClothbenchError, Observation, Recording, longest_gap, read_recording, stamp_rounding
 from clothbench_trackers.marker_files import UNITS, MarkerFile, read_markers, read_material, refusal
 from clothbench_trackers.options import is_number
 
@@ -24,7 +24,6 @@ UP = {
 OF_RECORDINGS = {"fill_gaps_up_to", "sigma"}
 RIGID = 1e-4  # a transform typed to four decimals still passes: 0.1 mm in a metre
 FLAT = 0.01  # width over length below which references lie on a line and leave a rotation open
-ROUNDING = 1e-9  # s; differences of decimal stamps are not exact
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,7 +147,7 @@ def fill_gaps(time: np.ndarray, position: np.ndarray, up_to: float) -> np.ndarra
     filled = position.copy()
     for n in range(position.shape[1]):
         seen = np.flatnonzero(np.isfinite(position[:, n]).all(axis=1))
-        wide = (np.diff(seen) > 1) & (np.diff(time[seen]) <= up_to + ROUNDING)
+        wide = (np.diff(seen) > 1) & (np.diff(time[seen]) <= up_to + stamp_rounding(time))
         for a, b in zip(seen[:-1][wide], seen[1:][wide], strict=True):
             share = ((time[a + 1 : b] - time[a]) / (time[b] - time[a]))[:, None]
             filled[a + 1 : b, n] = (1 - share) * position[a, n] + share * position[b, n]
@@ -285,8 +284,8 @@ def _check_grip_gaps(time: np.ndarray, seen: np.ndarray, up_to: float, path: Pat
     if seen.size < 2:
         raise refusal(path, "setting 'grips'", f"{seen.size} frames with all of them seen", "at least 2")
     gap, begin = longest_gap(time, seen)
-    if gap > up_to + ROUNDING:
-        found = f"none for {gap:g} s after {begin:g} s"
+    if gap > up_to + stamp_rounding(time):
+        found = f"none for {gap:g} s after {begin:.10g} s"
         expected = f"all seen, or gaps of at most {up_to:g} s"
         raise refusal(path, "setting 'grips'", found, expected, "set 'fill_gaps_up_to' [s] if that is harmless")
 
