@@ -463,13 +463,23 @@ def line(row: dict) -> str:
     )
 
 
+def sets_with(row: dict, name: str) -> list[list[str]]:
+    """The sets of tied names in which an effect was named; one may be in two of them, and is named once."""
+    return [group for group in row["named"] if name in group]
+
+
+def tied(row: dict, name: str) -> bool:
+    """Whether an effect was named, and never alone."""
+    return bool(groups := sets_with(row, name)) and all(len(group) > 1 for group in groups)
+
+
 def summary(rows: Sequence[dict]) -> str:
-    """Hit rate, false alarms and tied sets over the cases that were run."""
+    """Hit rate, false alarms and ties over the cases that were run."""
     known = [r for r in rows if r["of"]]
     others = [r for r in rows if not r["of"]]
     return (
         f"{sum(r['hits'] for r in known)} of {sum(r['of'] for r in known)} planted effects named, "
-        f"{sum(len(g) > 1 for r in rows for g in r['named'])} in tied sets; false names: "
+        f"{sum(tied(r, name) for r in known for name in r['planted'])} in tied sets; false names: "
         f"{sum(r['false_names'] for r in known)} where something was planted, "
         f"{sum(r['false_names'] for r in others)} of {len(others)} without anything the library knows; amounts inside "
         f"their intervals: {sum(r['amounts_inside'] for r in rows)} of {sum(r['amounts'] for r in rows)}"
@@ -484,11 +494,11 @@ def by_kind(rows: Sequence[dict]) -> list[str]:
     ]
     for name in dict.fromkeys(name for row in rows for name in row["planted"] or ["nothing"]):
         mine = [row for row in rows if name in (row["planted"] or ["nothing"])]
-        groups = [group for row in mine for group in row["named"] if name in group]
         before, after = np.median([[e or np.nan for e in row["held_out_mm"]] for row in mine], axis=0)
         still_open = sum(mark(row) == "open" for row in mine)
         right = str(sum(row["right"] for row in mine)) + (f", {still_open} open" if still_open else "")
-        named = [str(len(groups)), str(sum(len(g) > 1 for g in groups))] if mine[0]["of"] else ["", ""]
+        found = [str(sum(map(bool, (sets_with(row, name) for row in mine)))), str(sum(tied(row, name) for row in mine))]
+        named = found if mine[0]["of"] else ["", ""]
         cells = [
             name, str(len(mine)), *named, right, f"{mm(before)} mm", f"{mm(after)} mm",
             f"{np.median([row['wall_s'] for row in mine]):.0f} s",
