@@ -1,9 +1,11 @@
 """The papers' protocol: its trials become cells, its tables and pages are of the fits that they say."""
 
 import dataclasses
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from clothbench_metrics.node_error import NodeError
 from conftest import ROOT, swinging_recording
 
 from clothbench import ClothbenchError, write_recording
@@ -11,6 +13,7 @@ from clothbench.engine.suite import plan
 from clothbench.plugins.discovery import catalogue
 from clothbench.studies.calibration.analysis_tables import percent, spread
 from clothbench.studies.calibration.cell import set_up
+from clothbench.studies.calibration.run import _published_of
 from clothbench.studies.calibration.transfer import confusions, transfers
 
 
@@ -76,11 +79,24 @@ def test_a_parameter_with_a_number_is_held_in_all_cases(tmp_path):
         ({"fixed": {"*": {"zeta": -0.2}}}, "'zeta' is fixed at -0.2 1, expected 0 or above"),
         ({"effects": {"mass_sprng": ["added_mass"]}}, "'suite.effects': no model named .* did you mean 'mass_spring'"),
         ({"published": {"node_eror": {"paper": 1.0}}}, "'suite.published': no metric named .* 'node_error'"),
+        (
+            {"published": {"node_error": {"paper": "much cm"}}},
+            "published.node_error.paper' is 'much cm', expected a num",
+        ),
     ],
 )
 def test_what_a_suite_says_of_nothing_is_refused(tmp_path, suite, found):
     with pytest.raises(ClothbenchError, match=found):
         plan(config(stand_ins(tmp_path), suite=suite), catalogue())
+
+
+def test_a_paper_s_figures_keep_the_unit_that_the_suite_states(tmp_path):
+    """2.5 cm are no 2.5 mm because the run's error is in mm."""
+    figures = {"node_error": {"soft": "2.5 cm", "stiff": 3}, "fold": {"not asked": 1.0}}
+    (cell, *_) = plan(config(stand_ins(tmp_path), suite={"published": figures}), catalogue())
+    bench = SimpleNamespace(cell=cell, trials=[SimpleNamespace(metric=NodeError("mm"))], others=())
+    found = [(row["name"], row["value"], row["unit"]) for row in _published_of(bench)]
+    assert found == [("soft", 2.5, "cm"), ("stiff", 3.0, "mm")]
 
 
 def test_a_map_over_a_parameter_that_nothing_has_is_refused_before_the_run(tmp_path):

@@ -240,8 +240,8 @@ def _published_of(bench: Bench) -> list[dict[str, Any]]:
     """The paper's figures of those metrics that were asked for, each in the unit that the suite states."""
     metrics = {m.name: m for m in (bench.trials[0].metric, *bench.others)}
     rows = []
-    for metric in bench.cell.published.keys() & metrics.keys():
-        for name, told in bench.cell.published[metric].items():
+    for metric, figures in bench.cell.published.items():
+        for name, told in figures.items() if metric in metrics else ():
             value, _, unit = str(told).partition(" ")
             figure = {"value": float(value), "unit": unit or metrics[metric].unit}
             rows.append({"metric": metric, "name": name, **figure, "key": bench.cell.key})
