@@ -9,6 +9,7 @@ import numpy as np
 # Mid tones: at least 3:1 against a white and a near-black ground, and apart for the colour-blind.
 COLOURS = ("#0077bb", "#d55e00", "#009e73", "#b8559a", "#a67c00", "#6a6fd0", "#3a93a5", "#b5523b")
 GREY = "#8a8f98"
+LEGEND = {"showlegend": True, "legend": {"orientation": "h", "yanchor": "bottom", "y": 1}}  # above a figure
 VIRIDIS = ("#440154", "#3b528b", "#21918c", "#5ec962", "#fde725")  # five points of the scale, from low to high
 
 

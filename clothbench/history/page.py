@@ -11,7 +11,7 @@ from clothbench.display.answer import Card, answer
 from clothbench.display.html import table, text
 from clothbench.display.names import model_name
 from clothbench.display.page import whole_page
-from clothbench.display.plotly import COLOURS, GREY, rounded
+from clothbench.display.plotly import COLOURS, GREY, LEGEND, rounded
 from clothbench.display.section import Section, drawing, later
 from clothbench.history.entries import Entry
 from clothbench.history.series import Series
@@ -138,7 +138,7 @@ def _figure(entries: Sequence[Entry], series: Sequence[Series], unit: str) -> di
     ticks = [f"{entry.short[:7]}<br>{entry.date[5:10]}" for entry in entries]
     layout: dict[str, Any] = {
         "height": 300 + 20 * len(series), "margin": {"l": 70, "r": 20, "t": 10, "b": 60},
-        "showlegend": len(series) > 1, "legend": {"orientation": "h", "yanchor": "bottom", "y": 1},
+        **(LEGEND if len(series) > 1 else {}),
         "xaxis": {"tickvals": list(range(len(entries))), "ticktext": ticks, "range": [-0.5, len(entries) - 0.5]},
         "yaxis": {"title": {"text": unit}, "rangemode": "tozero"},
     }  # fmt: skip

@@ -6,7 +6,7 @@ the sheet as compiled code sees it: Sheet, SHEET (its numba type), sheet_of, own
     wants_normals, bear_inertia, invert_inertia, bear_inverted
 meshes: grid_triangles, gradient_weights, curvature_weights, triangle_slots
 a grid over a scene, cut to its outline, and a batch of parameter sets on it: Cover, spaces, grid_shape, grid_lines,
-    even_count, to_hems, tributary, GridSimulation, GridBatch, check_resolution, check_number
+    even_count, to_hems, cloth_of_cells, tributary, GridSimulation, GridBatch, check_resolution, check_number
 parameters of a model and its effects in one space: JoinedParameters
 effects in a time loop: BoundEffects, EFFECT (their numba type), Terms, SLOTS, FORCE, INERTIA, no_effect, ready,
     add_effects, apply_effects, show_grips
@@ -50,6 +50,7 @@ from clothbench.modelling.curves import (
 from clothbench.modelling.grid import (
     check_number,
     check_resolution,
+    cloth_of_cells,
     even_count,
     grid_lines,
     grid_shape,
@@ -166,6 +167,7 @@ __all__ = [
     "carry",
     "check_number",
     "check_resolution",
+    "cloth_of_cells",
     "curvature_weights",
     "curve_of",
     "effect_kernel",

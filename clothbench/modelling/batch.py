@@ -19,7 +19,7 @@ from clothbench.core.rollout import Interpolator, Rollout
 from clothbench.core.scene import Obstacle, Scene, initial_shape, initial_velocity
 from clothbench.modelling.bound_effects import BoundEffects
 from clothbench.modelling.cover import Cover
-from clothbench.modelling.grid import grid_lines, to_hems, tributary, unstretched
+from clothbench.modelling.grid import cloth_of_cells, grid_lines, tributary, unstretched
 from clothbench.modelling.kernels import no_effect
 from clothbench.modelling.mesh import grid_triangles
 from clothbench.modelling.sheet import Sheet, own_sheet, sheet_of
@@ -84,13 +84,12 @@ class GridSimulation:
     def sheet(self) -> Sheet:
         """Nodes with the mass and area that they stand for, and the triangles between them."""
         scene, (u, v), triangles, outline = self.scene, self.lines, grid_triangles(self.shape), self.scene.outline
-        share: np.ndarray | None
         if self.cover is not None:
             area, (triangles, share) = self.cover.area.ravel(), self.cover.triangles(triangles)
         else:
             area = np.outer(tributary(v, scene.height), tributary(u, scene.width)).ravel()
-            share = self._share_of_cells
-            if share is not None:
+            share = np.repeat(cloth_of_cells(self.lines, (scene.width, scene.height)).ravel(), 2)
+            if (np.abs(share - 1) > 1e-6).any():  # and not because lines lie on grips to a nanometre
                 outline = np.array([[0.0, 0.0], [scene.width, 0.0], [scene.width, scene.height], [0.0, scene.height]])
         held = _nearest(self.uv, scene.grip_material)
         if (area[held] == 0).any() and not scene.grips_carry:
@@ -104,18 +103,6 @@ class GridSimulation:
             self.uv, scene.areal_density * area, area, triangles, scene.gravity, scene.air_density, held, still, share,
             outline, whole=True if self.cover is None else None,
         )  # fmt: skip
-
-    @property
-    def _share_of_cells(self) -> np.ndarray | None:
-        """Of a sheet that is not cut how much cloth each triangle (F,) stands for, of what fits into it: more or less
-        than all of it along a hem where a grip beside it has moved its line. None where all lines end at the hems.
-        """
-        size = (self.scene.width, self.scene.height)
-        hems = [to_hems(lines, length) for lines, length in zip(self.lines, size, strict=True)]
-        if all(map(np.array_equal, hems, self.lines)):
-            return None
-        wide, high = (np.diff(own) / np.diff(lines) for own, lines in zip(hems, self.lines, strict=True))
-        return np.repeat(np.outer(high, wide).ravel(), 2)
 
     @cached_property
     def clamped(self) -> np.ndarray:

@@ -42,9 +42,9 @@ class Cover:
         """
         size = size or (float(lines[0][-1]), float(lines[1][-1]))
         hems = (to_hems(lines[0], size[0]), to_hems(lines[1], size[1]))
-        halves = [_halved(np.clip(of_one, 0.0, length)) for of_one, length in zip(lines, size, strict=True)]
-        for half, length in zip(halves, size, strict=True):
-            half[[0, -1]] = 0.0, length
+        halves = [
+            to_hems(_halved(np.clip(of_one, 0.0, length)), length) for of_one, length in zip(lines, size, strict=True)
+        ]
         return cls(*lines, covered(outline, *halves), hems)
 
     @cached_property

@@ -87,6 +87,14 @@ def to_hems(lines: np.ndarray, length: float) -> np.ndarray:
     return out
 
 
+def cloth_of_cells(lines: tuple[np.ndarray, np.ndarray], size: tuple[float, float]) -> np.ndarray:
+    """How much cloth each cell between lines u (nu,) and v (nv,) m stands for, of what fits into it, (nv − 1, nu − 1):
+    along a hem of a sheet of that size [m] more or less than 1 where a grip beside it has moved its line.
+    """
+    wide, high = (np.diff(to_hems(one, length)) / np.diff(one) for one, length in zip(lines, size, strict=True))
+    return np.outer(high, wide)
+
+
 def tributary(lines: np.ndarray, length: float) -> np.ndarray:
     """The length of cloth that each grid line stands for [m]; one over the hem, where a grip is, stands for what is
     nearest to it.

@@ -9,7 +9,8 @@
   const cells = (row) => [...row.cells].map(words);
   const lines = (table) => [...table.tBodies[0].rows].filter((row) => !row.hidden);
   const single = (row) => row.classList.contains("group");
-  // "3.7 mm", "+2", "1e-5", "> 100 %" and what begins with a mark in words are ordered as numbers, all else as words, "linen/static-2" and "2026-01-31" too.
+  // "3.7 mm", "+2", "1e-5", "> 100 %" and "▲ at its bound 4 N/m" are ordered as numbers, all else as words,
+  // "linen/static-2" and "2026-01-31" too.
   const NUMBER = /^(?:▲ at its bound)?[<>≤≥≈±\s]*([-−+]?\d[\d,]*(?:\.\d+)?(?:e[-+−]?\d+)?)(?![\w.-])/i;
   const number = (text) => { const found = text.match(NUMBER); return found ? +found[1].replace(/,/g, "").replace(/−/g, "-") : NaN; };
   const value = (row, column) => (row.cells[column] ? words(row.cells[column]) : "");

@@ -10,7 +10,7 @@ from rich.markup import escape
 from rich.table import Table
 
 from clothbench.display.html import table, text
-from clothbench.display.plotly import COLOURS, rounded
+from clothbench.display.plotly import COLOURS, LEGEND, rounded
 from clothbench.display.section import Section
 from clothbench.engine.study import Results
 from clothbench.studies.calibration.searches import WORST, Contest, Interval, Search, contests
@@ -99,5 +99,4 @@ def figure(contest: Contest) -> dict[str, Any]:
         data.append({"type": "scatter", "mode": "lines", "x": x, "y": middle, "name": search.optimizer,
                      "line": {"color": colour, "width": 2}})  # fmt: skip
     axes = {"xaxis": {"title": {"text": "evaluations"}}, "yaxis": {"title": {"text": f"least error [{contest.unit}]"}}}
-    legend = {"showlegend": True, "legend": {"orientation": "h", "yanchor": "bottom", "y": 1}}
-    return {"data": data, "layout": axes | legend | {"height": 320, "margin": {"l": 56, "r": 16, "t": 16, "b": 44}}}
+    return {"data": data, "layout": axes | LEGEND | {"height": 320, "margin": {"l": 56, "r": 16, "t": 16, "b": 44}}}

@@ -29,10 +29,10 @@ from clothbench.modelling import (
     GridSimulation,
     check_number,
     check_resolution,
+    cloth_of_cells,
     grid_shape,
     layers_of,
     obstacle_table,
-    to_hems,
     tributary,
 )
 from clothbench_models import baraff_witkin_kernels as kernels
@@ -242,8 +242,7 @@ def edge_widths(
     u, v = lines
     ones = np.ones((len(v), len(u)))
     if cover is None:
-        wide, high = (np.diff(to_hems(one, length)) / np.diff(one) for one, length in zip(lines, size, strict=True))
-        cells = np.outer(np.append(high, 0.0), np.append(wide, 0.0))
+        cells = np.pad(cloth_of_cells(lines, size), ((0, 1), (0, 1)))
         return tributary(v, size[1])[:, None] * ones, tributary(u, size[0]) * ones, cells
     return cover.widths(1, 0), cover.widths(0, 1), np.pad(cover.cells, ((0, 1), (0, 1)))
 

@@ -202,9 +202,8 @@ def _march(
                 for e in range(padded):
                     tension[k, e] = slack[k, e]
         if solid:
-            slip(scheme, v, obstacles, on, z)
-            stop_reversed(z, touch, rub)
-            judge(q, z, free, touch, normal, friction, rub)
+            stop_reversed(p, touch, rub)
+            judge(q, p, free, touch, normal, friction, rub)
         end_step(x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, layers, x_bar, v_bar, z, q)
         count += 1
         if is_lost(x, 0, 1, limit):

@@ -168,8 +168,10 @@ class Newton:
         """What makes of edge_kd over edge_ke the time by which a hinge's damping lags its stiffness: 2 A for
         "semi_implicit", whose hinges have 4 A² l edge_kd and 2 A l edge_ke, of the mean triangle here.
         """
+        if self.solver != "semi_implicit":
+            return 1.0
         _, area = gradient_weights(sheet.uv, sheet.triangles)
-        return 2 * float(area.mean()) if self.solver == "semi_implicit" else 1.0
+        return 2 * float(area.mean())
 
     def prepare(self, scene: Scene, effects: Sequence[Effect] = ()) -> NewtonSimulation:
         if reason := self.skip(scene):
