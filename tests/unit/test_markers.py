@@ -166,6 +166,36 @@ def test_csv_in_any_unit_is_read_in_metres(tmp_path, unit):
     assert math.isnan(seen.sigma)
 
 
+def test_csv_with_semicolons_and_decimal_commas_is_read_as_any_other(tmp_path):
+    lines = csv_lines(*run())
+    european = [line.replace(",", ";").replace(".", ",") for line in lines]
+    dots = [line.replace(",", ";") for line in lines]
+    whole = Markers(material=MATERIAL).track(write(tmp_path / "run.csv", lines))
+    for other in (european, dots, ["# unit: mm;;;", *european[1:]]):
+        seen = Markers(material=MATERIAL).track(write(tmp_path / "other.csv", other))
+        assert np.array_equal(seen.position, whole.position)
+        assert np.array_equal(seen.time, whole.time)
+
+
+def test_a_marker_of_a_csv_may_rest_at_the_origin_or_pass_it(tmp_path):
+    time, position = run(40)
+    position[:, 0] = 0.0
+    position[:, 1] = np.linspace(-1, 1, 41)[:-1, None]  # at 0 in frame 20
+    seen = Markers(material=MATERIAL).track(write(tmp_path / "run.csv", csv_lines(time, position)))
+    assert seen.visible.all()
+    assert (seen.position[20, :2] == 0).all()
+
+
+@pytest.mark.parametrize("unseen", [slice(0, 3), slice(5, 6), slice(9, 12)])
+def test_a_marker_of_a_csv_that_jumps_to_the_origin_was_not_seen(tmp_path, unseen):
+    time, position = run()
+    position[:, 1] = np.linspace(0.2, 0.3, 12)[:, None]
+    position[unseen, 1] = 0.0
+    message = refused("jumps", write(tmp_path / "run.csv", csv_lines(time, position)), material=MATERIAL)
+    assert f"marker 'middle', frame {unseen.start + 1} of the file: found 0 0 0" in message
+    assert "leave its cells empty" in message
+
+
 def test_csv_may_state_unit_and_rate_as_settings(tmp_path):
     time, position = run()
     lines = [line.partition(",")[2] for line in csv_lines(time, position)[1:]]
@@ -291,7 +321,8 @@ def replaced(lines: list[str], number: int, old: str, new: str) -> list[str]:
         (lambda c: ["# rate: fast", *c], "found 'fast', expected a number"),
         (lambda c: replaced(c, 1, "grip_y", "grip_z"), "header: found grip_x, grip_z, grip_z"),
         (lambda c: [line.replace("middle", "grip") for line in c], "'grip' twice"),
-        (lambda c: [line.replace(",", ";") for line in c], "header: found"),
+        (lambda c: [*c[:2], *(line.replace(",", ";") for line in c[2:])], "line 3: found 1 columns, expected 19"),
+        (lambda c: ["Format Version,1.23,Take Name,Swing", *c], "header: found Motive's own layout.* export C3D"),
     ],
 )
 def test_a_bad_csv_file_is_refused(tmp_path, break_it, match):

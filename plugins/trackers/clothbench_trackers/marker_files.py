@@ -2,8 +2,9 @@
 
 CSV: lines `# unit: mm` and `# rate: 100` (or the settings of these names), then the header
 `frame,time,LABEL_x,LABEL_y,LABEL_z,…` and one line per frame. `frame` and `time` [s] may be left out where
-a rate is known. Not seen: an empty cell or NaN; in TRC and C3D, whose writers put zeros there, also exactly
-0 0 0; in C3D also a negative residual.
+a rate is known; semicolons may part the cells, and then commas be decimal. Not seen: an empty cell or NaN; in TRC and
+C3D, whose writers put zeros there, also exactly 0 0 0; in C3D also a negative residual. A marker of a CSV file that
+jumps to 0 0 0 is refused.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from clothbench import ClothbenchError
 
 UNITS = {"mm": 1e-3, "cm": 1e-2, "m": 1.0}
 CLOCKS = {"frame": "frame", "time": "time", "time [s]": "time"}
+OF_PROGRAMS = {"Format Version": "Motive", "Trajectories": "Vicon Nexus", "Model Outputs": "Vicon Nexus"}  # first cells
+JUMP = 3.0  # times the longest step of a marker beyond which it has not moved to 0 0 0
 C3D_MARK = b"\x50"  # the second byte of every C3D file
 
 
@@ -112,6 +115,10 @@ def shortened(labels: Sequence[str], most: int = 8) -> str:
 def _read_csv(path: Path) -> _Raw:
     stated, lines = _csv_lines(path)
     names = [cell.strip() for cell in lines[0][1]] if lines else []
+    if names and names[0] in OF_PROGRAMS:
+        program = OF_PROGRAMS[names[0]]
+        expected = "LABEL_x, LABEL_y, LABEL_z after frame and time"
+        raise refusal(path, "header", f"{program}'s own layout", expected, f"export C3D from {program}, or rewrite it")
     lead = [CLOCKS[name.lower()] for name in names[:2] if name.lower() in CLOCKS]
     labels = _csv_labels(names[len(lead) :], path)
     # Without a clock frames are counted, also those in which no marker was seen.
@@ -121,28 +128,33 @@ def _read_csv(path: Path) -> _Raw:
         expected = "frames without a gap: where there is neither frame nor time, rows are counted"
         raise refusal(path, f"line {between[0]}", "nothing at all", expected, "write its commas, or take it out")
     table = _table(frames, len(names), path)
+    position = _triples(table[:, len(lead) :])
+    _check_zeros(position, labels, path)
     clock = dict(zip(lead, table.T, strict=False))
     rate = _number(stated["rate"], "line '# rate:'", path) if "rate" in stated else None
     unit = stated.get("unit", "")
-    return _Raw(labels, _triples(table[:, len(lead) :]), unit, rate, clock.get("frame"), clock.get("time"))
+    return _Raw(labels, position, unit, rate, clock.get("frame"), clock.get("time"))
 
 
 def _csv_lines(path: Path) -> tuple[dict[str, str], list[tuple[int, list[str]]]]:
     """The `# key: value` lines, and the others from the header on as (line number, cells), without any cell where
-    nothing stands there.
+    nothing stands there. Where the header has semicolons and no comma, they part the cells and commas are decimal.
     """
     stated: dict[str, str] = {}
     lines: list[tuple[int, list[str]]] = []
+    semicolons = False
     for number, text in enumerate(_text(path), 1):
         if text.startswith("#"):
-            key, _, value = text[1:].rstrip(", ").partition(":")
+            key, _, value = text[1:].rstrip(",; ").partition(":")
             key, value = key.strip().lower(), value.strip()
             if key in ("unit", "rate") and stated.get(key, value) != value:
                 raise refusal(
                     path, f"line '# {key}:'", f"{stated[key]!r} and {value!r}", "one of them", "drop the other"
                 )
             stated[key] = value
-        elif lines or text.strip(", "):
+        elif lines or text.strip(",; "):
+            semicolons = semicolons or (not lines and ";" in text and "," not in text)
+            text = text.replace(",", ".").replace(";", ",") if semicolons else text
             lines.append((number, next(csv.reader([text])) if text.strip() else []))
     return stated, lines
 
@@ -258,6 +270,22 @@ def _triples(table: np.ndarray) -> np.ndarray:
 def _without_zeros(position: np.ndarray) -> np.ndarray:
     """Positions with NaN for exactly 0 0 0: how a writer without a blank says "not seen"."""
     return np.where((position == 0).all(axis=-1, keepdims=True), np.nan, position)
+
+
+def _check_zeros(position: np.ndarray, labels: Sequence[str], path: Path) -> None:
+    """Refuse a marker that is at 0 0 0 in some frames and comes there, or leaves, by a jump: so some writers say that
+    it was not seen, and it would count as seen. position: (T, N, 3) in any unit.
+    """
+    step = np.linalg.norm(np.diff(position, axis=0), axis=-1)
+    at_zero = (position == 0).all(axis=-1)
+    one = at_zero[1:] != at_zero[:-1]
+    most = np.nanmax(np.where(one, 0.0, step), axis=0, initial=0.0)
+    for n in np.flatnonzero((one & (step > JUMP * most)).any(axis=0) & at_zero.any(axis=0)):
+        t = int(np.flatnonzero(at_zero[:, n])[0])
+        found, expected = "0 0 0, into or out of which it jumps", "nothing where it was not seen"
+        raise refusal(
+            path, f"marker {labels[n]!r}, frame {t + 1} of the file", found, expected, "leave its cells empty"
+        )
 
 
 def _check_labels(labels: Sequence[str], path: Path) -> None:
