@@ -90,6 +90,8 @@ def _counts(digits: Sequence[str]) -> bool | None:
     numbers, fractions = (sorted(Decimal(f"{lead}{each}") for each in digits) for lead in ("", "0."))
     if len(set(numbers)) < len(numbers):  # 1 and 01
         return False
+    if len(set(fractions)) < len(fractions):  # 1 and 10
+        return True
     if numbers[-1] - numbers[0] == len(numbers) - 1:
         return True
     counted = any(len(each) > 1 and each[-1] == "0" for each in digits)

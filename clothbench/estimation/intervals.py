@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from clothbench.core.observation import Observation
+from clothbench.core.optional import HasInterval
 from clothbench.core.parameters import ParameterSpace
-from clothbench.core.protocols import Score
+from clothbench.core.protocols import Metric, Score
 from clothbench.core.rollout import Rollout
 from clothbench.core.statistics import jackknife_half_width, student, uncut_half
 from clothbench.estimation.trials import Trial, evaluate
@@ -158,6 +159,15 @@ def clusters(trials: Sequence[Trial], scores: Sequence[Score]) -> list[np.ndarra
         out += [block for block in np.array_split(rows, max(2, round(duration / BLOCK))) if len(block)]
         start += score.residual.shape[1]
     return out
+
+
+def interval_of(
+    metric: Metric, score: Score, observation: Observation, rollout: Rollout, seed: int
+) -> tuple[float, float]:
+    """95 % interval of one recording's error, as the metric knows it (`HasInterval`), or from blocks of its frames."""
+    if isinstance(metric, HasInterval):
+        return metric.interval(observation, rollout, seed)
+    return error_interval(score, observation)
 
 
 def error_interval(score: Score, observation: Observation) -> tuple[float, float]:

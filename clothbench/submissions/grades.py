@@ -13,7 +13,7 @@ import numpy as np
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import sha256
 from clothbench.engine.cells import seed_of
-from clothbench.engine.judgement import judge
+from clothbench.engine.judgement import half, judge
 from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.calibration.cell import CalibrationCell, asked
 from clothbench.submissions.again import untold
@@ -84,18 +84,12 @@ def _again(
         path, recording = simulated[one.measured.name]
         now = compared(path, recording, one.measured, one.scores, plugins, key)
         for metric in one.scores:
-            if judge(_row(one, metric), _row(now, metric)) is not None:
+            if judge(one.row(metric), now.row(metric)) is not None:
                 faults.append(
                     f"cell {key}: {one.measured.name}: {metric} is {now.scores[metric]:.6g} {now.units[metric]} when "
-                    f"run again, handed in were {one.scores[metric]:.6g} ± {one.halves[metric]:.2g}"
+                    f"run again, handed in were {one.scores[metric]:.6g} ± {half(one.row(metric)):.2g}"
                 )
     return faults
-
-
-def _row(one: Compared, metric: str) -> dict[str, float | None]:
-    value, half = one.scores[metric], one.halves[metric]
-    known = bool(np.isfinite(half))
-    return {"value": value, "low": value - half if known else None, "high": value + half if known else None}
 
 
 def held_out(

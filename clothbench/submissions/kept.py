@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 from collections.abc import Collection, Sequence
 from dataclasses import asdict
 from typing import Any
@@ -11,7 +10,7 @@ from typing import Any
 from clothbench.core.files import remove_folder
 from clothbench.display.html import group
 from clothbench.engine.cells import digest, listed, plugin_versions
-from clothbench.engine.store import Store, finite, now, system_info
+from clothbench.engine.store import Store, now, system_info
 from clothbench.estimation.intervals import mean_of_split
 from clothbench.plugins.discovery import Catalogue
 from clothbench.studies.calibration.cell import asked_again
@@ -104,7 +103,7 @@ def rows_of(compared: Sequence[Compared]) -> list[dict[str, Any]]:
             if not (mine := [one for one in compared if one.split == split and metric in one.scores]):
                 continue  # this metric is not handed in for the recordings of this split
             about = {"metric": metric, "objective": metric, "split": split, "unit": mine[0].units[metric]}
-            single = [{**about, "recording": one.measured.name, **_one(one, metric)} for one in mine]
+            single = [{**about, "recording": one.measured.name, **one.row(metric)} for one in mine]
             out += [{**about, "recording": None, **mean_of_split(_each_once(single))}, *single]
     return out
 
@@ -122,12 +121,3 @@ def _each_once(rows: Sequence[dict[str, Any]]) -> list[dict[str, float | None]]:
 def _mean(values: Sequence[float | None]) -> float | None:
     known = [value for value in values if value is not None]
     return sum(known) / len(known) if len(known) == len(values) else None
-
-
-def _one(one: Compared, metric: str) -> dict[str, Any]:
-    value, half = one.scores[metric], one.halves[metric]
-    known = math.isfinite(half)
-    return {
-        "value": value, "floor": finite(one.floors[metric]),
-        "low": value - half if known else None, "high": value + half if known else None,
-    }  # fmt: skip

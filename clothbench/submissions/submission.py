@@ -30,8 +30,9 @@ import clothbench
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.files import sha256, whole_file
 from clothbench.core.rollout import Rollout
-from clothbench.core.statistics import uncut_half
-from clothbench.estimation.intervals import error_interval
+from clothbench.engine.cells import seed_of
+from clothbench.engine.store import finite
+from clothbench.estimation.intervals import interval_of
 from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import Recording, find_recordings, grips_at, read_recording
 
@@ -93,15 +94,15 @@ class Submission:
 
 @dataclass(frozen=True, eq=False)
 class Compared:
-    """One simulated recording beside what was measured. scores, floors and halves, half-widths of their 95 % intervals
-    (NaN where there are none): by metric, in its unit; cell: key of the fit, "" where that is not known; fitted:
-    whether the fit used the recording, as its question says, None where that is not known.
+    """One simulated recording beside what was measured. scores, floors and intervals, the 95 % ones of the scores (NaN
+    where there are none): by metric, in its unit; cell: key of the fit, "" where that is not known; fitted: whether the
+    fit used the recording, as its question says, None where that is not known.
     """
 
     measured: Recording
     path: Path
     scores: Mapping[str, float]
-    halves: Mapping[str, float]
+    intervals: Mapping[str, tuple[float, float]]
     floors: Mapping[str, float]
     units: Mapping[str, str]
     cell: str = ""
@@ -113,6 +114,16 @@ class Compared:
         if self.fitted is None:
             return self.measured.split
         return "fit" if self.fitted else "held_out"
+
+    def row(self, metric: str) -> dict[str, float | None]:
+        """The score by a metric as rows have it: value, low, high and floor, None where one is not known."""
+        low, high = self.intervals[metric]
+        return {
+            "value": self.scores[metric],
+            "low": finite(low),
+            "high": finite(high),
+            "floor": finite(self.floors[metric]),
+        }
 
     @property
     def against_file(self) -> bool:
@@ -184,17 +195,16 @@ def compared(
     require_of(path, simulated, measured)
     seen = plugins.make("trackers", "markers").track(measured)
     rollout = Rollout(measured.time, simulated.position[None], ("ok",), np.zeros(1, int), len(measured.material))
-    scores, halves, floors, units = {}, {}, {}, {}
+    scores, intervals, floors, units = {}, {}, {}, {}
     for name in metrics:
         metric = plugins.make("metrics", name)
         score = metric(seen, rollout)
         scores[name], floors[name], units[name] = float(score.value[0]), float(metric.floor(seen)), score.unit
-        low, high = error_interval(score, seen)
-        halves[name] = uncut_half(scores[name], low, high)
+        intervals[name] = interval_of(metric, score, seen, rollout, seed_of(name, measured.hash))
         if not np.isfinite(scores[name]):
             raise ClothbenchError(f"{path}: the metric {name!r} gives no number for it; leave that metric out")
     require_not_copied(path, simulated, measured)
-    return Compared(measured, path, scores, halves, floors, units, cell)
+    return Compared(measured, path, scores, intervals, floors, units, cell)
 
 
 def require_of(path: Path, simulated: Recording, measured: Recording) -> None:

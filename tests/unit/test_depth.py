@@ -315,6 +315,10 @@ def test_names_that_may_count_or_tell_times_are_refused():
         in_order(names)
 
 
+def test_fractions_that_are_the_same_number_count_whatever_follows_them():
+    assert in_order([Path("2.10a.csv"), Path("2.1b.csv")]) == [Path("2.1b.csv"), Path("2.10a.csv")]
+
+
 def test_a_zero_after_the_point_is_one_of_a_fraction():
     names = [Path(f"take/0.{digits}.png") for digits in ("01", "1", "3")]
     assert in_order(reversed(names)) == names

@@ -53,6 +53,16 @@ def test_the_value_is_the_distance_of_the_poles(truth):
     np.testing.assert_allclose(score.per_frame[2], trace, rtol=0.01, atol=0.01)
 
 
+@pytest.mark.parametrize("more", [-1, 0, 1])
+def test_there_may_be_as_many_frames_as_coordinates_of_all_nodes(more):
+    time, truth, other = np.arange(3 * len(GRID) + more) / 30.0, (1.3, 0.4), (1.43, 0.4)
+    noise = np.random.default_rng(1).normal(0.0, 1e-3, (len(time), len(GRID), 3))
+    metric, seen = made(since=0.0), observed(hanging(*truth, time=time) + noise, time=time)
+    score = metric(seen, rollout(hanging(*other, time=time), time=time))
+    assert score.value[0] == pytest.approx(apart(*other, truth), rel=0.1)
+    assert 0 < metric.floor(seen) < 1
+
+
 def test_amplitude_phase_and_place_count_nothing():
     seen = observed(hanging(1.3, 0.4))
     same = hanging(1.3, 0.4, amplitude=0.01, phase=2.0, aside=0.05)

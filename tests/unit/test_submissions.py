@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import math
 import shlex
 import shutil
 from itertools import product
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from clothbench_metrics.node_error import NodeError
 from conftest import swinging_recording
 
 from clothbench import ClothbenchError, read_recording, write_recording
@@ -99,12 +101,27 @@ def test_scores_are_computed_again_and_stand_on_the_leaderboard(folder, tmp_path
     assert len([row for row in rows if not row["recording"]]) == 2  # a mean for each split
 
 
+def test_intervals_are_those_of_a_run(folder, tmp_path, monkeypatch):
+    """Not below 0; and where a metric knows how sure it is, or that nobody does, that counts."""
+
+    def rows(of):
+        found = verify(folder, MEASURED, catalogue())
+        return Store(tmp_path / of).rows(keep(found.submission, found.found, Store(tmp_path / of), catalogue()))
+
+    packed(folder)
+    assert all(0 <= row["low"] < row["value"] < row["high"] for row in rows("blocks"))
+    monkeypatch.setattr(NodeError, "interval", lambda self, *of: (1.0, 9.0), raising=False)
+    assert {(row["low"], row["high"]) for row in rows("own") if row["recording"]} == {(1.0, 9.0)}
+    monkeypatch.setattr(NodeError, "interval", lambda self, *of: (math.nan, math.nan))
+    assert {(row["low"], row["high"]) for row in rows("nobody")} == {(None, None)}
+
+
 def test_metrics_that_not_every_split_has(folder, tmp_path):
     packed(folder)
     found = verify(folder, MEASURED, catalogue())
     fitted, held_out = found.found
-    other = {name: {"drape": 1.0} for name in ("scores", "halves", "floors")}
-    both = [fitted, dataclasses.replace(held_out, **other, units={"drape": "%"})]
+    other = {name: {"drape": 1.0} for name in ("scores", "floors")}
+    both = [fitted, dataclasses.replace(held_out, **other, intervals={"drape": (0.0, 3.0)}, units={"drape": "%"})]
     store = Store(tmp_path / "runs")
     keys = keep(found.submission, both, store, catalogue())
     assert {(row["metric"], row["split"]) for row in store.rows(keys)} == {("node_error", "fit"), ("drape", "held_out")}

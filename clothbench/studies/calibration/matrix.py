@@ -143,7 +143,7 @@ def _judged(
     if not values or len(values) < len(rows):
         return Square("") if not bad else Square(bad["status"], bad["reason"] or "", link=to)
     mean, span = sum(values) / len(values), max(math.log(ends[1] / ends[0]), NARROW)
-    heat = HOTTEST * math.log(mean / ends[0]) / span if span > 0 and mean > 0 else 0.0
+    heat = HOTTEST * max(math.log(mean / ends[0]) / span, 0.0) if span > 0 and mean > 0 else 0.0
     floors, framed = [r["floor"] for r in rows], framed and any(r["split"] == "fit" for r in rows)
     below = f"floor {size(sum(floors) / len(floors))}" if floors and all(floors) else ""
     about = f"mean of {len(values)}, {size(min(values))} … {size(max(values))}" if len(values) > 1 else ""

@@ -11,14 +11,14 @@ import numpy as np
 
 from clothbench.core.errors import one_line
 from clothbench.core.observation import Observation
-from clothbench.core.optional import HasInterval, ShowsSteps, objectives_of
+from clothbench.core.optional import ShowsSteps, objectives_of
 from clothbench.core.protocols import Metric, Score
 from clothbench.core.rollout import Rollout
 from clothbench.engine.rows import about_cell, failure, no_value
 from clothbench.engine.store import finite
 from clothbench.engine.study import Context, Result
 from clothbench.estimation.calibrate import Fit, best_rollout
-from clothbench.estimation.intervals import error_interval, mean_of_split
+from clothbench.estimation.intervals import interval_of, mean_of_split
 from clothbench.estimation.trials import evaluate, score_of
 from clothbench.recordings.colour_video import ColourVideo
 from clothbench.recordings.kinds import read_sheet
@@ -148,7 +148,7 @@ def _rows_of(
     about |= {"evaluations": spent, "wall_s": fit.wall_s}
     rows = []
     for source, trial, score, rollout in zip(cell.recordings, bench.trials, scores, rollouts, strict=True):
-        low, high = _interval(metric, score, trial.observation, rollout, cell.stream(source.hash))
+        low, high = interval_of(metric, score, trial.observation, rollout, cell.stream(source.hash))
         status, reason = _status(fit, score, rollout, metric is bench.trials[0].metric)
         rows.append(
             {
@@ -168,13 +168,6 @@ def _rows_of(
         for split in ("fit", "held_out")
         if bench.of_split(split)
     ]
-
-
-def _interval(metric: Metric, score: Score, seen: Observation, rollout: Rollout, seed: int) -> tuple[float, float]:
-    """95 % interval of one recording's error, as the metric knows it, or from blocks of its frames."""
-    if isinstance(metric, HasInterval):
-        return metric.interval(seen, rollout, seed)
-    return error_interval(score, seen)
 
 
 def _status(fit: Fit, score: Score, rollout: Rollout, searched: bool) -> tuple[str, str]:

@@ -93,7 +93,7 @@ def cases_of(recordings: Sequence[Any], settings: Mapping[str, Any]) -> dict[str
     if (by := suite.get("case")) not in (None, "fabric"):
         raise ClothbenchError(f"setting 'suite.case' is {by!r}, expected fabric, or null for all in one")
     if by is None:  # called by their folder
-        return {Path(chosen[0].path).parent.name: sources_of(chosen, seed)}
+        return {Path(chosen[0].path).absolute().parent.name: sources_of(chosen, seed)}
     return {
         case: sources_of([r for r in chosen if r.fabric == case], seed) for case in sorted({r.fabric for r in chosen})
     }

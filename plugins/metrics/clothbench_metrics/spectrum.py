@@ -57,7 +57,7 @@ class Spectrum:
     """
 
     name = "spectrum"
-    version = 1
+    version = 2
     unit = "%"
 
     def __init__(self, since: float | None = None):
@@ -147,15 +147,9 @@ def pattern(position: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, float]
     """The direction (N, C), of length 1, in which positions (T, N, C) m leave their means most, where known (T, N), and
     the singular value of it, m.
     """
-    from scipy.linalg import eigh
-
     moved = about_mean(position[None], known)[0].reshape(len(position), -1)
-    small = moved.T @ moved if moved.shape[0] > moved.shape[1] else moved @ moved.T
-    square, vector = eigh(small, subset_by_index=[len(small) - 1, len(small) - 1])
-    direction = vector[:, 0] if small.shape[0] == moved.shape[1] else moved.T @ vector[:, 0]
-    length = np.linalg.norm(direction)
-    direction = direction / length if length > 0 else direction
-    return direction.reshape(position.shape[1:]), math.sqrt(max(float(square[0]), 0.0))
+    _, strength, directions = np.linalg.svd(moved, full_matrices=False)
+    return directions[0].reshape(position.shape[1:]), float(strength[0])
 
 
 def component(position: np.ndarray, known: np.ndarray, direction: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
