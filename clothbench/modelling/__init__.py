@@ -3,7 +3,7 @@
 compiled code, cached by the content of its sources: kernel, lean_kernel, fast_kernel, apart_kernel,
     effect_kernel, bundle_type
 the sheet as compiled code sees it: Sheet, SHEET (its numba type), sheet_of, own_sheet, grid_normals, sheet_normals,
-    wants_normals, bear_inertia, invert_inertia, bear_inverted
+    wants_normals, bear_inertia, invert_inertia, bear_inverted, mobilities
 meshes: grid_triangles, gradient_weights, curvature_weights, triangle_slots
 a grid over a scene, cut to its outline, and a batch of parameter sets on it: Cover, spaces, grid_shape, grid_lines,
     even_count, to_hems, cloth_of_cells, tributary, GridSimulation, GridBatch, check_resolution, check_number
@@ -68,6 +68,7 @@ from clothbench.modelling.sheet import (
     bear_inverted,
     grid_normals,
     invert_inertia,
+    mobilities,
     own_sheet,
     sheet_normals,
     sheet_of,
@@ -192,6 +193,7 @@ __all__ = [
     "kernel",
     "layers_of",
     "lean_kernel",
+    "mobilities",
     "no_effect",
     "obstacle_table",
     "own_sheet",

@@ -194,10 +194,11 @@ class GridSimulation:
         def run(self, theta: np.ndarray) -> Rollout: ...
 
     def settled(self, ended: int) -> int:
-        """How settling ended, OK or RESTLESS, as far as it counts: where no effect has a say in rest, what still moves
-        is a limp sheet that goes to and fro between two wrinkles, and either is as good to begin with.
+        """How settling ended, OK or RESTLESS, as far as it counts: where effects do no more to a sheet at rest than
+        weigh, what still moves is a limp one that goes to and fro between two wrinkles, and either is as good to begin
+        with.
         """
-        return OK if ended == RESTLESS and not self.effects.at_rest else ended
+        return OK if ended == RESTLESS and self.effects.only_weighs else ended
 
     def calmed(self, theta: np.ndarray) -> np.ndarray:
         """The parameters (B, P) with which the sheet settles in its grips: where it comes to rest must be the same."""

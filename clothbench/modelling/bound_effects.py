@@ -17,6 +17,7 @@ from clothbench.core.optional import (
     ShiftsTimes,
     Stiffens,
     acts_at_rest,
+    family_of,
     reads_normals,
 )
 from clothbench.core.protocols import Effect
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
 
 PLACES = ("dynamics", "boundary", "sensor")
 FORCE, INERTIA = 0, 1
+DEAD_LOADS = ("mass", "gravity")  # families of effects
 LEAST_MASS = 1e-3  # share of a node's stated mass, so that a step remains where effects take more than there is
 
 
@@ -118,6 +120,13 @@ class BoundEffects(JoinedParameters):
     def normals(self) -> bool:
         """Whether any kernel may read `sheet.normal`."""
         return any(reads_normals(e) for e in self.at("dynamics"))
+
+    @property
+    def only_weighs(self) -> bool:
+        """Whether whatever dynamics effect has a say in where a sheet comes to rest is a dead load, which keeps nothing
+        moving: more mass, or gravity that leans.
+        """
+        return all(family_of(e) in DEAD_LOADS for e in self.at("dynamics") if acts_at_rest(e))
 
     @property
     def at_rest(self) -> bool:

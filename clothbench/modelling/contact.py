@@ -93,12 +93,13 @@ def _mean_grip(knots, curve, grips, t, c):
 
 
 @lean_kernel
-def keep_out(x, v, obstacles, free, lane, lanes):
+def keep_out(x, v, obstacles, free, lane, lanes, extra=None):
     """Put the nodes of one lane that are inside an obstacle on its surface; see the module for the scheme.
 
     x (3, n·lanes) m and v m/s are changed in place, after a step; node i of a lane is entry i·lanes + lane.
     obstacles: `obstacle_table`, where they are after the step (`carry`); free (n·lanes,): inverse mass, 0 for a node
-    that is held and stays where it is.
+    that is held and stays where it is; extra (6, n) kg: what effects added to the masses, as of `bear_inertia`, of one
+    lane. Air that is pressed on with a node presses, and is not dragged along.
     """
     for k in range(obstacles.shape[0]):
         kind, friction = obstacles[k, OBSTACLE.kind], obstacles[k, OBSTACLE.friction]
@@ -108,7 +109,10 @@ def keep_out(x, v, obstacles, free, lane, lanes):
                 continue
             depth, nx, ny, nz = inside(kind, obstacles, k, x[0, e], x[1, e], x[2, e])
             if depth > 0.0:
-                _put_on(x, v, e, depth, nx, ny, nz, friction, drift)
+                grip = friction
+                if extra is not None:
+                    grip *= _pressed_over_dragged(v, e, nx, ny, nz, drift, free[e], extra)
+                _put_on(x, v, e, depth, nx, ny, nz, grip, drift)
 
 
 @lean_kernel
@@ -135,6 +139,28 @@ def inside(kind, obstacles, k, px, py, pz):
     if -height <= radius - away or away == 0.0:
         return -height, nx, ny, nz
     return radius - away, dx / away, dy / away, dz / away
+
+
+@lean_kernel
+def _pressed_over_dragged(v, e, nx, ny, nz, drift, free, extra):
+    """nᵀMn / tᵀMt of a node's mass M = 1/free + ΔM, t the way it slides: by how much more velocity friction takes than
+    of a node that is as heavy in all directions.
+    """
+    vx, vy, vz = v[0, e] - drift[0], v[1, e] - drift[1], v[2, e] - drift[2]
+    speed = vx * nx + vy * ny + vz * nz
+    tx, ty, tz = vx - speed * nx, vy - speed * ny, vz - speed * nz
+    square = tx * tx + ty * ty + tz * tz
+    if square == 0.0:
+        return 1.0
+    pressed, dragged = _quadratic(extra, e, nx, ny, nz), _quadratic(extra, e, tx, ty, tz) / square
+    return (1.0 + free * pressed) / (1.0 + free * dragged)
+
+
+@lean_kernel
+def _quadratic(extra, e, x, y, z):
+    """(x, y, z) ΔM (x, y, z)ᵀ of node e."""
+    own = extra[0, e] * x * x + extra[1, e] * y * y + extra[2, e] * z * z
+    return own + 2.0 * (extra[3, e] * y * z + extra[4, e] * x * z + extra[5, e] * x * y)
 
 
 @lean_kernel

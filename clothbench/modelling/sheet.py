@@ -212,6 +212,15 @@ def invert_inertia(mass, extra, inverse):
 
 
 @lean_kernel
+def mobilities(free, extra, out):
+    """Inverse masses (n,) 1/kg with what effects added, into out: 1/(m + tr ΔM/3), that of masses, and of air carried
+    along the mean over all directions. free (n,): 1/m, 0 of a node that is held; extra: as of `bear_inertia`.
+    """
+    for i in range(free.shape[0]):
+        out[i] = free[i] / (1.0 + free[i] * (extra[0, i] + extra[1, i] + extra[2, i]) / 3.0)
+
+
+@lean_kernel
 def bear_inverted(f, inverse):
     """`bear_inertia` with what `invert_inertia` made, to the bit."""
     x, y, z, some, scale = f[0], f[1], f[2], inverse[0], inverse[1]

@@ -4,10 +4,12 @@ import dataclasses
 
 import numpy as np
 import pytest
+from clothbench_effects.gravity_tilt import GravityTilt
 from clothbench_effects.grip_offset import GripOffset
 from clothbench_effects.quadratic_drag import QuadraticDrag
 from clothbench_effects.rest_curvature import RestCurvature
 from clothbench_effects.steady_wind import SteadyWind
+from clothbench_effects.total_mass import TotalMass
 from clothbench_effects.viscoelasticity import Viscoelasticity
 from clothbench_models.baraff_witkin import BaraffWitkin
 from clothbench_models.inextensible import Inextensible
@@ -205,6 +207,18 @@ def test_a_strip_clamped_at_its_side_comes_to_rest_as_one_clamped_at_its_top(mak
         simulation = make().prepare(strip)
         tips.append(finished(simulation, simulation.parameters.defaults)[0, 0, 0])
     assert np.linalg.norm(tips[0] - tips[1]) < 2e-3
+
+
+def test_gravity_that_leans_keeps_nothing_moving():
+    """A limp sheet may go to and fro between two wrinkles, which is no rest; with a dead load as without."""
+    swinging, tilts = scenes.swinging(), np.random.default_rng(3).uniform(-0.2, 0.2, (12, 2))
+    simulation = Inextensible().prepare(swinging, [GravityTilt()])
+    theta = np.array([[*Inextensible.parameters.defaults, *tilt] for tilt in tilts])
+    rollout = simulation.run(theta)
+    assert rollout.status == ("ok",) * 12
+    heavier = Inextensible().prepare(swinging, [GravityTilt(), TotalMass()])
+    assert heavier.effects.only_weighs
+    assert not Inextensible().prepare(swinging, [GravityTilt(), SteadyWind()]).effects.only_weighs
 
 
 def test_a_sheet_that_a_wind_keeps_moving_is_lost_and_says_so():

@@ -63,14 +63,14 @@ def test_friction_takes_at_most_its_share_of_the_impact():
 # --- a sheet among obstacles ----------------------------------------------------------------------------------------
 
 
-def slide(angle, friction, model=MassSpring, theta=SOFT, batch=1):
+def slide(angle, friction, model=MassSpring, theta=SOFT, batch=1, effects=()):
     """Mean path [m] down a slope of a sheet that lies on it, at 0, 0.1, … 0.5 s."""
     shape, times = (7, 7), np.linspace(0.0, 0.5, 6)
     uv = lattice(shape, 0.12, 0.12)
     gravity = (G * np.sin(angle), 0.0, -G * np.cos(angle))
     scene = loose(np.column_stack([uv, np.zeros(49)]), uv, times, obstacles=(Obstacle("plane", friction=friction),),
                   gravity=gravity, shape=shape)  # fmt: skip
-    x = model().prepare(scene).run(np.repeat(theta, batch, axis=0)).position
+    x = model().prepare(scene, effects).run(np.repeat(theta, batch, axis=0)).position
     assert (x[..., 2] > -1e-9).all()
     return times, (x - x[:, :1])[..., 0].mean(axis=2)
 
@@ -88,6 +88,24 @@ def test_a_sheet_on_a_slope_slides_as_coulomb_says(model, theta, batch):
     times, path = slide(angle, 0.5, model, theta, batch)
     expected = 0.5 * G * (np.sin(angle) - 0.5 * np.cos(angle)) * times**2
     np.testing.assert_allclose(path[:, 1:], np.broadcast_to(expected, path.shape)[:, 1:], rtol=0.01)
+
+
+RUNGE_KUTTA = partial(BaraffWitkin, integrator="rk45")
+HEAVIER = {"added_mass": [0.3], "total_mass": [1.4], "point_mass": [0.01, 0.5, 0.5]}
+
+
+@pytest.mark.parametrize("effect", HEAVIER)
+@pytest.mark.parametrize(("model", "theta"), [(MassSpring, SOFT), (MassSpringVerlet, VERLET), (RUNGE_KUTTA, TRIANGLES)])
+def test_what_effects_add_to_its_mass_changes_nothing_about_how_a_sheet_slides(model, theta, effect):
+    """What weighs slides as the sheet does; and air, which is pressed on by it, weighs nothing (added mass)."""
+    heavier = [catalogue().make("effects", effect)]
+    with_amount = [[*theta[0], *HEAVIER[effect]]]
+    times, path = slide(np.arctan(0.5) - 0.03, 0.5, model, with_amount, effects=heavier)
+    assert np.abs(path).max() < 1e-5
+    angle = np.arctan(0.5) + 0.1
+    times, path = slide(angle, 0.5, model, with_amount, effects=heavier)
+    expected = 0.5 * G * (np.sin(angle) - 0.5 * np.cos(angle)) * times**2
+    np.testing.assert_allclose(path[0, 1:], expected[1:], rtol=0.01)
 
 
 def test_a_dropped_sheet_comes_to_rest_on_the_plane():

@@ -4,8 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from effect_scenes import STIFF, G, cloth, fall, hanging, on_every_model, run, swing_frequency, terminal_speed
+from effect_scenes import (
+    STIFF,
+    G,
+    cloth,
+    effect_named,
+    fall,
+    falling,
+    hanging,
+    on_every_model,
+    run,
+    swing_frequency,
+    terminal_speed,
+)
 from scipy.linalg import expm
+
+from clothbench.plugins.discovery import catalogue
 
 WEIGHT = 0.1 * G  # N/m² of the falling sheet
 AIR = 1.2  # kg/m³
@@ -67,6 +81,22 @@ def test_air_that_follows_late_lets_a_sheet_fall_as_its_equations_say(name, stea
     rates[2] = rates[1] - np.array([0.0, 0.0, 1 / late, 0.0])
     expected = np.array([(expm(rates * t) @ [0.0, 0.0, 0.0, 1.0])[0] for t in times])
     np.testing.assert_allclose(found[1:], expected[1:], rtol=0.01)
+
+
+@pytest.mark.parametrize("name", ["baraff_witkin", "inextensible"])
+@pytest.mark.parametrize(("effect", "values"), [("air_memory", [0.8, 0.4, 0.15]), ("added_mass", [0.1])])
+def test_implicit_steps_are_of_second_order_from_the_moment_a_sheet_is_let_go(name, effect, values):
+    """The step before the first is on the parabola of what pulls now, and memories see the first change of speed."""
+    times = np.array([0.0, 0.4, 0.8])
+    scene = falling(times, 0.0)
+    theta, own = cloth(name, scene, STIFF)[0], [effect_named(effect)]
+    heights = []
+    for dt in (4e-3, 2e-3, 1e-3):
+        rollout = catalogue().make("models", name, dt=dt).prepare(scene, own).run(np.append(theta, values)[None])
+        heights.append(rollout.position[0, -1, :, 2].mean())
+    first, second = np.abs(np.diff(heights))
+    assert second < 0.3 * first + 1e-9
+    assert first < 1e-3
 
 
 @on_every_model

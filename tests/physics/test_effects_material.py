@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from clothbench_models.mass_spring import MassSpring
 from effect_scenes import (
     STIFF,
     STRETCH,
@@ -18,6 +19,7 @@ from scipy.optimize import curve_fit
 
 from clothbench import Material, Scene
 from clothbench.core.optional import Remembers
+from clothbench.modelling import own_sheet
 from clothbench.modelling.mesh import grid_triangles
 from clothbench.modelling.sheet import sheet_of
 from clothbench.plugins.discovery import catalogue
@@ -267,6 +269,24 @@ def test_a_pressed_strip_rests_flat_on_both_sides_of_the_line_and_turned_by_coup
     found, off = turned(x[: len(grid)], grid, direction)
     assert found == pytest.approx(angle, rel=0.02)
     assert off < 2e-5
+
+
+@pytest.mark.parametrize(("place", "expected"), [(0.5, 0.125), (0.4, 0.1)])
+@pytest.mark.parametrize("held", [[], [(0.02, 0.02), (0.28, 0.02)], [(0.067, 0.011), (0.241, 0.011)]])
+def test_a_crease_lies_at_its_share_of_the_cloth_wherever_the_grips_are(held, place, expected):
+    """Nodes begin at grips that lie inside the hems; the cloth does not."""
+    grips = np.array(held).reshape(-1, 2)
+    path = np.stack([np.pad(grips, ((0, 0), (0, 1)))] * 2)
+    scene = Scene(0.3, 0.25, 0.12, np.array([0.0, 1.0]), grips, path, np.array([0.0, 1.0]), np.array([[0.1, 0.1]]),
+                  resolution=(13, 11))  # fmt: skip
+    mesh, crease = own_sheet(MassSpring().prepare(scene).sheet), catalogue().make("effects", "crease")
+    x = np.ascontiguousarray(np.stack([mesh.uv[:, 0], 0 * mesh.uv[:, 0], -mesh.uv[:, 1]]))
+    state, force = np.zeros(crease.state_size(mesh)), np.zeros_like(x)
+    crease.force(0.0, 1e-3, x, 0 * x, force, mesh, np.array([1e-5, place, 0.0]), state)
+    # The force of a couple along the line is its second derivative: moments of order 2 and 3 tell where the line is.
+    normal = force[1]
+    where = (normal * mesh.uv[:, 1] ** 3).sum() / (3 * (normal * mesh.uv[:, 1] ** 2).sum())
+    assert where == pytest.approx(expected, abs=2e-3)
 
 
 @on_every_model

@@ -1,11 +1,14 @@
 """`mass_spring` against mechanics: its forces are the gradient of an energy, and it meets analytic references."""
 
+import dataclasses
+
 import numpy as np
 import pytest
 from clothbench_effects.added_mass import AddedMass
 from clothbench_effects.clock_offset import ClockOffset
 from clothbench_effects.gravity_tilt import GravityTilt
 from clothbench_effects.linear_drag import LinearDrag
+from clothbench_effects.point_mass import PointMass
 from clothbench_effects.quadratic_drag import QuadraticDrag
 from clothbench_models.mass_spring import MassSpring
 from clothbench_models.mass_spring_kernels import (
@@ -427,6 +430,23 @@ def test_the_strain_limit_holds():
     assert free > 0.3
     assert 0.095 < held < 0.105
     np.testing.assert_allclose(x[0], 0.15 - x[0].reshape(13, 7)[:, ::-1].ravel(), atol=2e-3)  # as good as symmetric
+
+
+def test_the_strain_limit_keeps_the_momentum_of_a_mass_on_the_sheet():
+    """A loose sheet that spins, 10 g on its edge: ends of springs that were too long move by their inverse masses."""
+    shape, spin, weight, times = (7, 7), 20.0, 0.01, np.linspace(0.0, 0.5, 6)
+    u, v = (a.ravel() for a in np.meshgrid(np.linspace(0, 0.3, 7), np.linspace(0, 0.3, 7)))
+    scene = sheet(0.3, 0.3, times, points=np.column_stack([u, v]), shape=shape, gravity=(0, 0, 0))
+    x, y = u - 0.15, 0.15 - v
+    velocity = spin * np.column_stack([-y, x, 0 * x])
+    scene = dataclasses.replace(scene, start=np.column_stack([x, y, 0 * x]), velocity=velocity)
+    simulation = MassSpring(strain_limit=0.05).prepare(scene, [PointMass()])
+    moved = simulation.run([[20.0, 0.1, 0.05, weight, 1.0, 0.5]]).position[0]
+    mass = simulation.sheet.mass.copy()
+    mass[3 * 7 + 6] += weight
+    centre = np.einsum("n,tnc->tc", mass, moved) / mass.sum()
+    began = mass @ velocity / mass.sum()
+    np.testing.assert_allclose(np.diff(centre, axis=0) / 0.1, np.tile(began, (5, 1)), atol=1e-6)
 
 
 def test_a_strain_limit_that_is_not_reached_changes_nothing():

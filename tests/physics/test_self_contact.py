@@ -1,15 +1,21 @@
 """Self-contact against geometry: a sheet's own layers do not cross, and pass on all momentum when they meet."""
 
+import dataclasses
+from functools import partial
+
 import numpy as np
 import pytest
+from clothbench_models.baraff_witkin import BaraffWitkin
+from clothbench_models.inextensible import Inextensible
 from clothbench_models.mass_spring import MassSpring
-from contact_scenes import IMPLICIT, SOFT, SPHERE, drape, lattice, loose
+from contact_scenes import IMPLICIT, QUADS, SOFT, SPHERE, TRIANGLES, drape, lattice, loose
 
 from clothbench import Scene
 from clothbench.core.scene import Obstacle
 from clothbench.modelling import keep_apart, layers_of
 from clothbench.modelling.mesh import grid_triangles
 from clothbench.modelling.sheet import sheet_of
+from clothbench.plugins.discovery import catalogue
 
 
 def crossings(x, triangles):
@@ -33,6 +39,14 @@ def test_the_counter_counts():
     assert crossings(x, np.array([[0, 1, 2], [3, 4, 5]])) == 2  # one edge of each
     x[3:, :2] += 1.0
     assert crossings(x, np.array([[0, 1, 2], [3, 4, 5]])) == 0
+
+
+UNDAMPED = {
+    "mass_spring": (MassSpring, SOFT),
+    "baraff_witkin bdf2": (BaraffWitkin, TRIANGLES),
+    "baraff_witkin rk45": (partial(BaraffWitkin, integrator="rk45"), TRIANGLES),
+    "inextensible bdf2": (Inextensible, QUADS),
+}
 
 
 def pile(thickness, times, nodes=17, model=MassSpring, theta=SOFT):
@@ -129,6 +143,32 @@ def test_a_layer_that_falls_on_another_does_not_bounce(model, theta):
     assert rollout.status == ("ok",)
     upper = rollout.position[0].reshape(22, 7, 25, 3)[1:, :, 18:, 2]
     assert upper.max() < 1.5 * thickness  # where impacts bounced, 11 to 19 mm
+
+
+@pytest.mark.parametrize(("model", "theta"), UNDAMPED.values(), ids=UNDAMPED)
+def test_layers_that_meet_keep_the_momentum_of_what_is_on_them(model, theta):
+    """A loose strip folded over, whose layers go for each other; 5 g lie on the upper one."""
+    shape, uv, thickness, loop, speed = (25, 7), lattice((25, 7), 0.24, 0.06), 5e-3, 0.04 / np.pi, 0.3
+    angle = np.clip((uv[:, 0] - 0.10) / loop, 0, np.pi)
+    x = np.minimum(uv[:, 0], 0.10) + loop * np.sin(angle) - np.maximum(uv[:, 0] - 0.14, 0)
+    start = np.column_stack([x, uv[:, 1], loop * (1 - np.cos(angle))])
+    velocity = np.zeros((175, 3))
+    velocity[:, 2] = np.where(uv[:, 0] > 0.14, -speed, np.where(uv[:, 0] < 0.10, speed, 0.0))
+    times = np.linspace(0.0, 0.3, 7)
+    scene = loose(start, uv, times, thickness=thickness, gravity=(0.0, 0.0, 0.0), shape=shape)
+    scene = dataclasses.replace(scene, velocity=velocity)
+    simulation = model().prepare(scene, [catalogue().make("effects", "point_mass")])
+    # On a node; its own share of the sheet's mass is in `mass`.
+    node, weight = 3 * 25 + 20, 5e-3
+    rollout = simulation.run([[*theta[0], weight, *(uv[node] / uv.max(axis=0))]])
+    assert rollout.status == ("ok",)
+    mass = simulation.sheet.mass.copy()
+    mass[node] += weight
+    centre = np.einsum("n,tnc->tc", mass, rollout.position[0]) / mass.sum()
+    began = mass @ simulation.start[1] / mass.sum()  # speeds that were measured are smoothed
+    np.testing.assert_allclose(np.diff(centre, axis=0) / 0.05, np.tile(began, (6, 1)), atol=2e-3 * speed)
+    gap = rollout.position[0, -1, uv[:, 0] > 0.16, 2].mean() - rollout.position[0, -1, uv[:, 0] < 0.08, 2].mean()
+    assert gap > 0.9 * thickness  # they have met, and not passed each other
 
 
 def two_layers(gap, closing, thickness, dt):

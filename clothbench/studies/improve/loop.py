@@ -37,7 +37,7 @@ from clothbench.studies.improve.rounds import one_round, withdrawn, witnessed_ro
 from clothbench.studies.improve.selection import faulty, least_fall
 from clothbench.studies.improve.settings import LOOP
 from clothbench.studies.improve.state import Round, State
-from clothbench.studies.improve.verdict import concluded, fails_to_hold
+from clothbench.studies.improve.verdict import concluded, fails_to_hold, too_much_left
 
 
 def improve(
@@ -132,10 +132,12 @@ def each_alone(problem: Problem, base: Fitted, account: Account) -> dict[str, Fi
 
 def next_round(state: State, candidates: Sequence[str], account: Account) -> tuple[State, bool]:
     """One round more, and whether it named an effect that stands, so that another may follow. A further name is asked
-    again from a better valley of the error, if what was named before leaves less there.
+    again from a better valley of the error, if what was named before leaves less there; so is the round that names none
+    where so much is left that what was named before would fall with it.
     """
     after, goes_on = one_more(state, candidates, account)
-    if goes_on and state.rounds and (better := recalibrated(state, account)) is not state:
+    asked_again = goes_on or too_much_left(after)
+    if asked_again and state.rounds and (better := recalibrated(state, account)) is not state:
         return next_round(better, candidates, account)
     return after, goes_on
 
@@ -233,6 +235,8 @@ def with_errors_allowed_for(state: State, found: Round, fitted: Fitted, account:
         size = f"{unit.scale * mesh:.2g} {unit.reported}"
         why = f"what it explains may be the mesh's doing, which with it may be wrong by {size}"
         return with_round(doubtful, withdrawn(found, doubtful.floor, why)), False
+    after, count = off_bounds(problem, after)
+    account.count(count)
     if not (why := faulty(name, current, after, problem.evidence)):
         account.stage(f"round {len(state.rounds) + 1}: intervals", 0, 1)
         narrow, after, count = profile_intervals(problem, after)

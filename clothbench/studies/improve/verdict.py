@@ -116,11 +116,14 @@ def word_of(state: State) -> str:
     named = [r for r in state.rounds if r.named]
     if not named:
         return "complete" if at_floor(state) and state.fine_enough else "unexplained"
-    if state.problem.evidence.search.steps:
-        return "tied" if any(len(r.named) > 1 for r in named) else "attributed"
-    if much_left(state) and not witnessed(state):
+    if too_much_left(state):
         return "unexplained"
     return "tied" if any(len(r.named) > 1 for r in named) else "attributed"
+
+
+def too_much_left(state: State) -> bool:
+    """Whether what is left after all that was named says that the names are wrong."""
+    return not state.problem.evidence.search.steps and much_left(state) and not witnessed(state)
 
 
 def much_left(state: State) -> bool:

@@ -26,9 +26,11 @@ def find_line(sheet, place, direction, share):
     """
     across = np.array([-np.sin(direction), np.cos(direction)])
     low, high, reach, corner = np.inf, -np.inf, 0.0, np.empty((3, 2))
-    for i in range(sheet.uv.shape[0]):
-        if sheet.area[i] > 0.0:
-            s = across[0] * sheet.uv[i, 0] + across[1] * sheet.uv[i, 1]
+    hems = sheet.outline.shape[0] > 0  # beside the nodes: of a sheet that is cut, or whose grips lie inside it
+    edge = sheet.outline if hems else sheet.uv
+    for i in range(edge.shape[0]):
+        if hems or sheet.area[i] > 0.0:
+            s = across[0] * edge[i, 0] + across[1] * edge[i, 1]
             low, high = min(low, s), max(high, s)
     middle = low + place * (high - low)
     for slot in range(share.shape[0]):
@@ -99,7 +101,7 @@ WHERE = "how the sheet was folded"
 
 class Crease:
     name = "crease"
-    version = 2
+    version = 3
     place = "dynamics"
     family = "bending"
     normals = False

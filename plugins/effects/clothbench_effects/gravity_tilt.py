@@ -9,7 +9,8 @@ from clothbench import Parameter, ParameterSpace, effect_kernel
 def tilt(t, dt, x, v, f, sheet, p, state):
     """f += m (R g − g), R = R_y(β) R_x(α): gravity turned about x, then about y.
 
-    It turns the weight that the model gives the sheet, not what other effects add to it.
+    It turns the weight that the model gives the sheet, not what other effects add to it: beside a mass that is found as
+    well, the angle is that of all the weight times the share that is the sheet's own.
     """
     if p[0] == 0.0 and p[1] == 0.0:
         return

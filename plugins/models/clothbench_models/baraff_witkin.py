@@ -97,7 +97,7 @@ class BaraffWitkin:
     """
 
     name = "baraff_witkin"
-    version = 6
+    version = 7
     kind = "implicit"
     parameters = PARAMETERS
     textiles = TEXTILES

@@ -34,6 +34,7 @@ from clothbench.modelling import (
     keep_out,
     kernel,
     lean_kernel,
+    mobilities,
     sheet_normals,
     show_grips,
     wants_normals,
@@ -201,7 +202,7 @@ def _march_implicit(
     x_old, v_old, x_before, v_before = np.empty((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     touch, friction, rub, on = np.zeros(n, np.int64), np.zeros(n), np.zeros((3, n)), np.full(n, -1)
     solid = obstacles.shape[0] > 0
-    wanted = np.empty((3, n if solid else 0))
+    wanted, mobility = np.empty((3, n if solid else 0)), np.empty(n)
     for g in range(pins.shape[0]):
         touch[pins[g]] = STICKS
         free[pins[g]] = 0.0
@@ -212,7 +213,10 @@ def _march_implicit(
             put(x_old, x)
         else:
             touching(x, v, 0.0, obstacles, free, touch, normal, friction, on)
-            step_before(x, v, dt, sheet.gravity, sheet.mass, pins, touch, x_old, v_old)
+            f[:] = 0.0
+            if add_outer(start, dt, x, v, f, nu, air, sheet, effects, terms, terms.state, extra, grips, segment):
+                bear_inertia(f, mass, extra)
+            step_before(x, v, dt, f, mass, pins, touch, x_old, v_old)
         done = write_frames(x, v, x, v, start, start, done, sampling, grips)
     while settling or done < frames:
         if settling:
@@ -304,7 +308,10 @@ def _march_implicit(
                 v[c, e] = w
                 x[c, e] = x_bar[c, e] + gamma * w
         hold_grips(x, pins, grips, t, segment)
-        end_step(x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, layers, x_bar, v_bar, z, q)
+        end_step(
+            x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, extra, heavier, layers, x_bar, v_bar, z, q,
+            mobility,
+        )  # fmt: skip
         count += 1
         if is_lost(x, 0, 1, limit):
             result[0], result[1], result[2] = DIVERGED, count, rounds
@@ -351,7 +358,7 @@ def _march_adaptive(
     f, extra, free = np.empty((3, n)), np.zeros((6, n)), 1.0 / mass
     x, v, xs, vs = begins.x, begins.v, np.empty((3, n)), np.empty((3, n))
     memory, remembered = terms.state.copy(), terms.state.copy()
-    before, speed_before = np.empty((3, n)), np.empty((3, n))
+    before, speed_before, mobility = np.empty((3, n)), np.empty((3, n)), np.empty(n)
     for g in range(pins.shape[0]):
         free[pins[g]] = 0.0
     t, h, count, tries, segment, fresh = start, min(dt, 1e-5), 0, 0, 0, True
@@ -404,10 +411,15 @@ def _march_adaptive(
             put(push[0], push[6])
             if obstacles.shape[0] > 0:
                 carry(obstacles, grips.knots, grips.curve, start, t + h, h)
-                keep_out(x, v, obstacles, free, 0, 1)
+                if heavier:
+                    keep_out(x, v, obstacles, free, 0, 1, extra)
+                else:
+                    keep_out(x, v, obstacles, free, 0, 1)
                 fresh = True
             if layers.size[0] > 0.0:
-                part_layers(x, v, before, h, free, layers, f, vs)
+                if heavier:
+                    mobilities(free, extra, mobility)
+                part_layers(x, v, before, h, mobility if heavier else free, layers, f, vs)
                 fresh = True
             if terms.count > 0:
                 f[:] = 0.0

@@ -6,7 +6,7 @@ v' = v̄ + γ M⁻¹ f(x̄ + γ v', v'), with γ = dt, x̄ = x, v̄ = v for Eule
 
 from __future__ import annotations
 
-from clothbench.modelling import OBSTACLE, grip_point, keep_out, kernel, lean_kernel
+from clothbench.modelling import OBSTACLE, grip_point, keep_out, kernel, lean_kernel, mobilities
 from clothbench_models.implicit_grid import hold_back, put
 from clothbench_models.resting_contact import FREE, part_layers, touching
 
@@ -87,9 +87,10 @@ def moved_on(x_bar, gamma, guess, q):
 
 
 @lean_kernel
-def step_before(x, v, dt, gravity, mass, pins, touch, x_old, v_old):
+def step_before(x, v, dt, f, mass, pins, touch, x_old, v_old):
     """The step before the first of a sheet that does not begin at rest in its grips: held, it moved as it does now; let
-    go, on the parabola of its free fall, but for nodes that lie on an obstacle, which do not fall.
+    go, on the parabola of its fall, but for nodes that lie on an obstacle, which do not fall. f (3, n): N, weight, air
+    and effects, as the bare masses feel them.
     """
     loose = 1.0
     for g in range(pins.shape[0]):
@@ -98,14 +99,17 @@ def step_before(x, v, dt, gravity, mass, pins, touch, x_old, v_old):
     for c in range(3):
         for e in range(x.shape[1]):
             falls = loose if touch[e] == FREE else 0.0
-            v_old[c, e] = v[c, e] - falls * dt * gravity[c]
-            x_old[c, e] = x[c, e] - dt * v[c, e] + 0.5 * dt * dt * falls * gravity[c]
+            a = falls * f[c, e] / mass[e]
+            v_old[c, e] = v[c, e] - dt * a
+            x_old[c, e] = x[c, e] - dt * v[c, e] + 0.5 * dt * dt * a
 
 
 @kernel
-def end_step(x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, layers, x_came, v_came, z, q):
-    """What was now is before; then nodes are put out of obstacles, and layers apart. Overwritten: x_came and v_came, by
-    where the step itself came to, z and q.
+def end_step(
+    x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, extra, heavier, layers, x_came, v_came, z, q, mobility,
+):  # fmt: skip
+    """What was now is before; then nodes are put out of obstacles, and layers apart. extra (6, n) kg: what effects
+    added to the masses, if they did. Overwritten: x_came and v_came, by where the step came to, z, q and mobility.
 
     What an impact changed counts as if it had always been so: BDF2 would take the difference to the step before for an
     acceleration, and carry it on until an impulse had become one and a half, so that what hit the floor bounced.
@@ -117,9 +121,14 @@ def end_step(x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, layers
     put(x_came, x)
     put(v_came, v)
     if obstacles.shape[0] > 0:
-        keep_out(x, v, obstacles, free, 0, 1)
+        if heavier:
+            keep_out(x, v, obstacles, free, 0, 1, extra)
+        else:
+            keep_out(x, v, obstacles, free, 0, 1)
     if layers.size[0] > 0.0:
-        part_layers(x, v, x_before, dt, free, layers, z, q)
+        if heavier:
+            mobilities(free, extra, mobility)
+        part_layers(x, v, x_before, dt, mobility if heavier else free, layers, z, q)
     for c in range(3):
         for e in range(x.shape[1]):
             impulse = v[c, e] - v_came[c, e]

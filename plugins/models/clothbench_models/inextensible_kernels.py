@@ -20,6 +20,7 @@ from clothbench.modelling import (
     START,
     TERMS,
     advance_segment,
+    bear_inertia,
     carry,
     hold_grips,
     invert_inertia,
@@ -77,7 +78,7 @@ def _march(
     wanted, outer, slack = np.empty((3, n)), np.empty((3, n)), np.empty((3, padded))
     x_old, v_old, x_before, v_before = np.empty((3, n)), np.zeros((3, n)), np.empty((3, n)), np.zeros((3, n))
     touch, friction, rub, on = np.zeros(n, np.int64), np.zeros(n), np.zeros((3, n)), np.full(n, -1)
-    stiff_mass, lightness = np.empty(n), np.zeros(padded)
+    stiff_mass, lightness, mobility = np.empty(n), np.zeros(padded), np.empty(n)
     solid = obstacles.shape[0] > 0
     for e in range(n):
         lightness[pad + e] = 1.0 / mass[e]
@@ -105,7 +106,10 @@ def _march(
         rounds += used
         tension[:] = 0.0
         touching(x, v, 0.0, obstacles, free, touch, normal, friction, on)
-        step_before(x, v, dt, sheet.gravity, sheet.mass, pins, touch, x_old, v_old)
+        f[:] = 0.0
+        if add_outer(start, dt, x, v, f, nu, NO_AIR, sheet, effects, terms, terms.state, extra, grips, segment):
+            bear_inertia(f, mass, extra)
+        step_before(x, v, dt, f, mass, pins, touch, x_old, v_old)
     done = write_frames(x, v, x, v, start, start, done, sampling, grips)
     while done < frames:
         t = start + (count + 1) * dt
@@ -204,7 +208,10 @@ def _march(
         if solid:
             stop_reversed(p, touch, rub)
             judge(q, p, free, touch, normal, friction, rub)
-        end_step(x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, layers, x_bar, v_bar, z, q)
+        end_step(
+            x, v, x_before, v_before, x_old, v_old, dt, obstacles, free, extra, heavier, layers, x_bar, v_bar, z, q,
+            mobility,
+        )  # fmt: skip
         count += 1
         if is_lost(x, 0, 1, limit):
             result[0], result[1], result[2] = DIVERGED, count, rounds

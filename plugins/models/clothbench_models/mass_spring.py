@@ -64,7 +64,7 @@ class MassSpring:
     """
 
     name = "mass_spring"
-    version = 6
+    version = 7
     lacks = LACKS
     kind = "explicit"
     parameters = PARAMETERS

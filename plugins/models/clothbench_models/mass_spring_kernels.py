@@ -42,6 +42,7 @@ from clothbench.modelling import (
     keep_out,
     kernel,
     lean_kernel,
+    mobilities,
     put_back,
     put_grips,
     sheet_normals,
@@ -371,7 +372,8 @@ artificial damping; at_rest: m/s, the speed that ends it; dt: (lanes,) s.
 
 Room = namedtuple(
     "Room",
-    "f xd vd fd springs weights inverse_mass step kick keep dt dashpots extra inertia axes roots stages half counts",
+    "f xd vd fd springs weights inverse_mass step kick keep dt dashpots extra inertia mobility axes roots stages half "
+    "counts",
 )
 Room.__doc__ = """What a loop writes to beside its results, of entries, S families and `longest`, the longest stride.
 
@@ -379,7 +381,7 @@ f: (3, n·lanes) N; xd, vd, fd: x, v and f themselves, or room for them in doubl
 springs: (S, 3, longest + n·lanes) N, of each at its first node; weights: (3, n·lanes) N;
 inverse_mass 1/kg, step s, kick s and keep: (n·lanes,), see `kick_and_drift`; dt: (lanes,) s, at this time;
 dashpots: (S, n·lanes) N·s/m, at this time; extra: (6, n) kg, see `apply_effects`; inertia: (8, n), from
-`invert_inertia`;
+`invert_inertia`; mobility: (n,) 1/kg, from `mobilities`;
 axes, stages, half and roots: for `relax` and what stands around it, empty where damping takes one stage only;
 counts: (3, lanes), the step at which the run proper began, −1 while a lane settles in its grips; the piece of the
 grips' curves; how many frames are written.
@@ -422,7 +424,7 @@ def _run_block(
         np.empty(entries, x.dtype), np.empty(entries, x.dtype), np.empty(entries, x.dtype), np.empty(entries, x.dtype),
         settle_dt.copy() if settles else dt.copy(),
         springs.settle_damping.copy() if settles else damping,
-        np.zeros((6, effected)), np.zeros((8, effected)),
+        np.zeros((6, effected)), np.zeros((8, effected)), np.empty(effected, x.dtype),
         np.zeros((strides.shape[0], 3, chained), x.dtype), np.sqrt(damping),
         np.zeros((2, 3, padded), x.dtype), np.empty((3, staged), x.dtype),
         np.zeros((3, lanes), np.int64),
@@ -448,7 +450,7 @@ def march(
         room.springs, room.weights, room.inverse_mass, room.step, room.kick, room.keep
     )  # fmt: skip
     dt_now, dashpots, axes, roots = room.dt, room.dashpots, room.axes, room.roots
-    extra, inertia = room.extra, room.inertia
+    extra, inertia, mobility = room.extra, room.inertia, room.mobility
     began, segment, done = room.counts[0], room.counts[1], room.counts[2]
     entries, frames, held = x.shape[1], sampling.times.shape[1], pins.shape[0] > 0
     stages = springs.damping_stages
@@ -513,7 +515,9 @@ def march(
             if heavier:
                 invert_inertia(mass, extra, inertia)
                 bear_inverted(fd, inertia)
+                mobilities(inverse_mass, extra, mobility)
             put_back(f, fd)
+        free = mobility if heavier else inverse_mass
         if stages > 1:
             half_kick(v, f, inverse_mass, kick, room.half)
             relax(
@@ -532,14 +536,17 @@ def march(
                 hold(x, v, pins, lane, lanes, knots, curve, now, segment[lane], dt_now[lane])
             if springs.strain_limit < np.inf:
                 limit_strain(
-                    x, v, springs.limited, strides, rest, stiffness, inverse_mass, lane, lanes, springs.strain_limit,
+                    x, v, springs.limited, strides, rest, stiffness, free, lane, lanes, springs.strain_limit,
                     dt_now[lane],
                 )  # fmt: skip
             if layers.triangles.shape[0] > 0:
-                keep_apart(x, v, dt_now[lane], inverse_mass, layers)
+                keep_apart(x, v, dt_now[lane], free, layers)
             if obstacles.shape[0] > 0:
                 carry(obstacles, knots, curve, start, now, dt_now[lane])
-                keep_out(x, v, obstacles, inverse_mass, lane, lanes)
+                if heavier:
+                    keep_out(x, v, obstacles, inverse_mass, lane, lanes, extra)
+                else:
+                    keep_out(x, v, obstacles, inverse_mass, lane, lanes)
             if steps[lane] > 0:
                 continue
             if count % CHECK_EVERY == 0 and is_lost(x, lane, lanes, limit):

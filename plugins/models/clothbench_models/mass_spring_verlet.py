@@ -84,7 +84,7 @@ class MassSpringVerlet:
     """
 
     name = "mass_spring_verlet"
-    version = 4
+    version = 5
     lacks = LACKS
     kind = "explicit"
     parameters = _parameters()
