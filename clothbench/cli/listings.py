@@ -16,16 +16,7 @@ from clothbench.core.errors import ClothbenchError
 from clothbench.core.optional import absent, defaults_of
 from clothbench.datasets.convert import REPORT
 from clothbench.display.terminal import console
-from clothbench.plugins.discovery import Plugin, catalogue, reason_of, singular
-
-# What every class of a kind has (`core.protocols`), and not only its objects.
-MEMBERS = {
-    "models": ("name", "version", "capabilities", "prepare"),
-    "effects": ("name", "version", "place", "summary"),
-    "metrics": ("name", "version", "floor", "__call__"),
-    "optimizers": ("name", "version", "ask", "tell"),
-    "trackers": ("name", "version", "track"),
-}
+from clothbench.plugins.discovery import Plugin, catalogue, faulty_class, reason_of, singular
 
 
 def plugin_rows() -> list[dict[str, Any]]:
@@ -53,18 +44,10 @@ def _plugin_row(plugin: Plugin) -> dict[str, Any]:
             row["version"] = _plain(getattr(loaded, "version", None))
             row["parameters"] = [_parameter(p) for p in getattr(loaded, "parameters", ())]
             row["options"] = {name: _plain(value) for name, value in defaults_of(loaded).items()}
-            if without := _missing_members(plugin.kind, loaded):
-                row["broken"] = f"it has no {', no '.join(without)}, which every {singular(plugin.kind)} has"
+            row["broken"] = faulty_class(plugin.kind, loaded) or None
         except Exception as fault:  # a stranger's class may do anything when it is looked at
             row["broken"] = reason_of(fault.__cause__ or fault)  # that of what was raised for it, which names it again
     return row
-
-
-def _missing_members(kind: str, loaded: Any) -> list[str]:
-    """What a plugin's class lacks; of a function that makes plugins nothing is known before it is called."""
-    if not isinstance(loaded, type):
-        return []
-    return [name for name in MEMBERS.get(kind, ()) if not any(name in vars(one) for one in loaded.__mro__)]
 
 
 def _parameter(p: Any) -> dict[str, Any]:

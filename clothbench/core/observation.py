@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -35,6 +36,14 @@ def confidence_fault(confidence: np.ndarray, visible: np.ndarray) -> str | None:
         return None
     t, n = bad[0]
     return f"found {confidence[t, n]:g} at frame {t}, node {n}, expected 0 to 1 (NaN only where nothing was seen)"
+
+
+def _truths(visible: Any) -> np.ndarray:
+    """What was measured as bool: numbers would be taken for those of frames."""
+    array = np.array(visible)
+    if not np.isin(array, (0, 1)).all():
+        raise ClothbenchError(f"observation: found visible of {array.dtype} beside 0 and 1, expected true or false")
+    return array.astype(bool)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +83,7 @@ class Observation:
     def __post_init__(self) -> None:
         for name in ("time", "position", "visible", "material", "confidence"):
             if (value := getattr(self, name)) is not None:
-                array = np.array(value)
+                array = _truths(value) if name == "visible" else np.array(value, dtype=float)
                 array.flags.writeable = False
                 object.__setattr__(self, name, array)
         frames, nodes = self.visible.shape

@@ -21,6 +21,7 @@ from typing import Any, Protocol, runtime_checkable
 import numpy as np
 
 from clothbench.core.camera import Camera
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.folding import Folding
 from clothbench.core.observation import Observation
 from clothbench.core.protocols import Material, Model, Objective, Stated
@@ -65,7 +66,12 @@ def absent(plugin: Any) -> str | None:
 
 def libraries(plugin: Any) -> tuple[str, ...]:
     """The distributions that a plugin is built on, () if it names none."""
-    return tuple(plugin.built_on) if isinstance(plugin, BuiltOn) else ()
+    if not isinstance(plugin, BuiltOn):
+        return ()
+    names = plugin.built_on
+    if isinstance(names, str) or not isinstance(names, Sequence) or not all(isinstance(name, str) for name in names):
+        raise ClothbenchError(f"built_on: found {names!r}, expected a tuple of distributions' names")
+    return tuple(names)
 
 
 def options_of(factory: Any) -> frozenset[str]:
@@ -398,7 +404,7 @@ class ShiftsTimes(Protocol):
     """A sensor effect that shifts when the simulation is looked at. One without it and `positions` does nothing."""
 
     def times(self, time: np.ndarray, phi: np.ndarray) -> np.ndarray:
-        """When the simulation is looked at (T,) s for each stamp (T,) s; if it has `sights`, of pictures only."""
+        """When the simulation is looked at (T,) s for each stamp (T,) s; in their order; with `sights`, of pictures."""
         ...
 
 

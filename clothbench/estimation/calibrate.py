@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from clothbench.core.errors import ClothbenchError
 from clothbench.core.optional import start_of, temperature_of
 from clothbench.core.parameters import ParameterSpace
 from clothbench.core.progress import Progress
@@ -143,6 +144,8 @@ def calibrate(
         if timeout is not None and not optimizer.done and clock > timeout:
             stopped = f"stopped after {timeout:g} s, as asked"
             break
+    if not thetas:
+        raise ClothbenchError(f"optimizer {optimizer.name!r}: found it done before it asked anything, expected a batch")
     theta, value = np.concatenate(thetas), np.concatenate(values)
     beyond = "" if optimizer.done else f"stopped at its budget of {budget} evaluations; it would have gone on"
     simulated = bool(np.isfinite(value).any())

@@ -42,9 +42,10 @@ def simulated(trial: Trial, theta: np.ndarray) -> Rollout:
         expected = (len(theta), *found[1:3], 3)
     if found != expected:
         raise ClothbenchError(f"the model's rollout: found positions {found}, expected (B, T, N, 3) = {expected}")
-    if not isinstance(rollout.status, tuple) or len(rollout.status) != len(theta):
+    status = rollout.status
+    if not (isinstance(status, tuple) and len(status) == len(theta) and set(status) <= set(STATUSES)):
         raise ClothbenchError(
-            f"the model's rollout: found status {rollout.status!r}, expected {len(theta)} of {', '.join(STATUSES)}"
+            f"the model's rollout: found status {status!r}, expected {len(theta)} of {', '.join(STATUSES)}, a tuple"
         )
     return rollout
 
@@ -84,8 +85,7 @@ def score_of(trial: Trial, metric: Metric, rollout: Rollout) -> Score:
     """The metric on this trial; a member that did not run to its end has no value, residual or objectives, whatever
     positions it left: a search by any of them would else take it for a good one.
     """
-    score = metric(trial.observation, rollout)
-    _require_rows(score, metric, len(rollout.status))
+    score = _checked(metric(trial.observation, rollout), metric, len(rollout.status))
     ok = np.array([status == "ok" for status in rollout.status])
     if ok.all():
         return score
@@ -97,18 +97,26 @@ def score_of(trial: Trial, metric: Metric, rollout: Rollout) -> Score:
     return dataclasses.replace(score, value=value, residual=residual, objectives=objectives)
 
 
-def _require_rows(score: Score, metric: Metric, members: int) -> None:
-    """Refuse a score that has not one value, and one row of everything else, for each member; or another unit."""
+def _checked(score: Score, metric: Metric, members: int) -> Score:
+    """The score in double precision, refused unless it has one value, and one row of everything else, for each member,
+    all real numbers, in the metric's own unit.
+    """
     if not isinstance(score, Score):
         raise ClothbenchError(f"metric {metric.name!r} gave {type(score).__name__}, expected a clothbench.Score")
     if score.unit != metric.unit:
         raise ClothbenchError(
             f"metric {metric.name!r}: found a score in {score.unit!r}, expected its own {metric.unit!r}"
         )
+    double: dict[str, Any] = {}
     for name, dims in (("value", 1), ("per_frame", 2), ("per_node", 2), ("residual", 2), ("objectives", 2)):
         found = getattr(score, name)
-        if (found is not None or name == "value") and (np.ndim(found) != dims or len(found) != members):
+        if found is None and name != "value":
+            continue
+        array = np.asarray(found)
+        if array.ndim != dims or len(array) != members:
             expected = f"({members},)" if dims == 1 else f"({members}, …)"
-            raise ClothbenchError(
-                f"metric {metric.name!r}: found {name} of shape {np.shape(found)}, expected {expected}"
-            )
+            raise ClothbenchError(f"metric {metric.name!r}: found {name} of shape {array.shape}, expected {expected}")
+        if array.dtype.kind not in "fiub":
+            raise ClothbenchError(f"metric {metric.name!r}: found {name} of {array.dtype}, expected real numbers")
+        double[name] = array.astype(float, copy=False)
+    return dataclasses.replace(score, **double)

@@ -72,18 +72,28 @@ def watched(
     """
     require_readable(recording, tracker.name, plugins)
     if isinstance(recording, Recording):
-        return as_seen(recording, seen := tracker.track(recording), tracker.name), seen
+        return as_seen(recording, seen := tracked(tracker, recording), tracker.name), seen
     if isinstance(recording, PointCloud):
-        return recording, cloud_seen(recording, tracker.track(recording), tracker.name)
+        return recording, cloud_seen(recording, tracked(tracker, recording), tracker.name)
     if kept is None:
-        nodes = nodes_of(recording, tracker.track(recording))
+        nodes = nodes_of(recording, tracked(tracker, recording))
         return nodes, seen_in(nodes)
     key = digest([recording.hash, dict(options), plugin_versions([("trackers", tracker.name)], plugins), FORM])
     path = kept / f"{key}.nc"
     if not path.is_file():
-        write_recording(nodes_of(recording, tracker.track(recording)), path)
+        write_recording(nodes_of(recording, tracked(tracker, recording)), path)
     nodes = dataclasses.replace(read_recording(path), path=recording.path)  # the same in the first cell as in others
     return nodes, seen_in(nodes)
+
+
+def tracked(tracker: Tracker, recording: Any) -> Observation:
+    """What the tracker makes of a recording, refused unless it is an observation of something."""
+    seen = tracker.track(recording)
+    if not isinstance(seen, Observation):
+        raise ClothbenchError(f"tracker {tracker.name!r} gave {type(seen).__name__}, expected a clothbench.Observation")
+    if seen.outlines is None and not seen.visible.any():
+        raise ClothbenchError(f"tracker {tracker.name!r}: found no point visible in any frame, expected some")
+    return seen
 
 
 def cloud_seen(recording: PointCloud, seen: Observation, tracker: str) -> Observation:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -177,6 +177,12 @@ class BoundEffects(JoinedParameters):
             if isinstance(effect, ShiftsTimes) and not (in_pictures and scene.camera is None):
                 for b, phi in enumerate(self.of_effect(effect, theta)):
                     out[b] = _finite(effect.times(out[b], phi), scene.times.shape, effect, "times")
+                    if (np.diff(out[b]) < 0).any():  # loops take frames in turn
+                        t = int(np.argmax(np.diff(out[b]) < 0))
+                        raise ClothbenchError(
+                            f"effect {effect.name!r}: 'times' gave {out[b, t]:g} s and then {out[b, t + 1]:g} s, "
+                            "expected times in the order of the stamps"
+                        )
         return out
 
     def distinct(self, theta: np.ndarray, times: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -197,15 +203,25 @@ class BoundEffects(JoinedParameters):
             for effect in self.at("sensor"):
                 if isinstance(effect, ShiftsPositions):
                     phis, points = self.of_effect(effect, theta), scene.points
-                    position = np.stack(
-                        [effect.positions(scene.times, p, points, phi) for p, phi in zip(position, phis, strict=True)]
-                    )
+                    shown = [
+                        effect.positions(scene.times, p, points, phi) for p, phi in zip(position, phis, strict=True)
+                    ]
+                    position = _shown(shown, position, effect, "positions")
                 if isinstance(effect, ShiftsSight) and (camera := scene.camera) is not None:
-                    phis = self.of_effect(effect, theta)
-                    position = np.stack(
-                        [effect.sights(scene.times, p, camera, phi) for p, phi in zip(position, phis, strict=True)]
-                    )
+                    of_each = zip(position, self.of_effect(effect, theta), strict=True)
+                    shown = [effect.sights(scene.times, p, camera, phi) for p, phi in of_each]
+                    position = _shown(shown, position, effect, "sights")
         return position
+
+
+def _shown(found: Sequence[Any], position: np.ndarray, effect: Effect, what: str) -> np.ndarray:
+    """What a sensor made of positions (B, T, N, 3) m, made sure: what it lost would pass for a sheet that diverged."""
+    out = np.empty(position.shape)
+    for b, (one, before) in enumerate(zip(found, position, strict=True)):
+        known = np.isfinite(before).all()
+        array = _finite(one, before.shape, effect, what) if known else np.asarray(one, dtype=float)
+        out[b] = array if array.shape == before.shape else np.nan
+    return out
 
 
 def _finite(found: Any, shape: tuple[int, ...], effect: Effect, what: str) -> np.ndarray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Callable
 
@@ -31,7 +32,8 @@ def ready(kernel: Callable, name: str) -> Callable:
     try:
         kernel.compile(SIGNATURE)  # type: ignore[attr-defined]
     except NumbaError as error:
-        reason = textwrap.shorten(str(error).partition("\n")[2] or str(error), 300)
+        told = re.sub(r"\x1b\[[0-9;]*m", "", str(error))  # colours, where numba finds a library for them
+        reason = textwrap.shorten(told.partition("\n")[2] or told, 300)
         if not getattr(kernel, "targetoptions", {}).get("_nrt", True):
             reason += " (it says allocates=False: that is for kernels that make no arrays, nor have numba make any)"
         raise ClothbenchError(f"{name} cannot be compiled by numba: {reason}") from error

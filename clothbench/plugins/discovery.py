@@ -28,6 +28,15 @@ from clothbench.plugins.hookspecs import Registration
 KINDS = ("models", "effects", "metrics", "optimizers", "trackers")
 ALL_KINDS = (*KINDS, "peers", "exporters", "studies")
 OWN = "clothbench"
+# What every class of a kind has (`core.protocols`), and not only its objects; and what these have.
+MEMBERS = {
+    "models": ("name", "version", "capabilities", "prepare"),
+    "effects": ("name", "version", "place", "summary"),
+    "metrics": ("name", "version", "floor", "__call__"),
+    "optimizers": ("name", "version", "ask", "tell"),
+    "trackers": ("name", "version", "track"),
+}
+OF_OBJECTS = {"models": ("parameters",), "effects": ("parameters",)}
 PATIENCE = "CLOTHBENCH_IMPORT_SECONDS"  # of a stranger's plugin, compiling included; the environment may say
 IMPORT_SECONDS = 120.0
 
@@ -92,13 +101,17 @@ class Catalogue:
         """
         factory = self.load(kind, name)
         try:
-            return factory(*args, **options)
+            made = factory(*args, **options)
         except (ClothbenchError, *ENDS):
             raise
         except BaseException as fault:
             if not (isinstance(fault, TypeError) and "argument" in str(fault)):
                 raise self._broken(self.find(kind, name), fault) from fault
             raise ClothbenchError(f"{singular(kind)} {name!r}: {_wrong(factory, options, fault)}") from fault
+        members = (*MEMBERS.get(kind, ()), *OF_OBJECTS.get(kind, ()))
+        if without := [member for member in members if not hasattr(made, member)]:
+            raise self._broken(self.find(kind, name), ClothbenchError(_without(kind, without)))
+        return made
 
     @staticmethod
     def _broken(plugin: Plugin, fault: BaseException) -> PluginBroken:
@@ -133,6 +146,24 @@ def discover(points: Iterable[EntryPoint]) -> Catalogue:
             found.append(_unless_taken(plugin, found))
         configs += more
     return Catalogue(tuple(found), tuple(configs))
+
+
+def faulty_class(kind: str, loaded: Any) -> str:
+    """What a plugin's class lacks or misstates, in a line, or ""; of a function that makes plugins nothing is known."""
+    from clothbench.core.optional import libraries  # loads numpy, which listing plugins does without
+
+    if not isinstance(loaded, type):
+        return ""
+    try:
+        libraries(loaded)
+    except ClothbenchError as fault:
+        return str(fault)
+    without = [name for name in MEMBERS.get(kind, ()) if not any(name in vars(one) for one in loaded.__mro__)]
+    return _without(kind, without) if without else ""
+
+
+def _without(kind: str, members: Iterable[str]) -> str:
+    return f"it has no {', no '.join(members)}, which every {singular(kind)} has"
 
 
 def singular(kind: str) -> str:

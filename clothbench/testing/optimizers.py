@@ -77,7 +77,8 @@ def check_optimizer(make: Callable[..., Optimizer], *, only: Iterable[str] | Non
 
 def require_in_bounds(theta: np.ndarray, space: ParameterSpace) -> None:
     whole = isinstance(theta, np.ndarray) and theta.ndim == 2 and theta.shape[1] == len(space) and len(theta) > 0
-    require(whole, f"a batch of shape {np.shape(theta)}", f"(B, {len(space)}) with B at least 1")
+    kind = "" if isinstance(theta, np.ndarray) else f"{type(theta).__name__}, "
+    require(whole, f"a batch, {kind}of shape {np.shape(theta)}", f"(B, {len(space)}) with B at least 1")
     require(np.isfinite(theta).all(), "parameter sets that are not finite", "finite ones")
     outside = (theta < space.low) | (theta > space.high)
     if outside.any():

@@ -10,7 +10,7 @@ import numpy as np
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.core.observation import Observation
-from clothbench.core.optional import TRACKED_KINDS, ShowsSteps, kinds_read
+from clothbench.core.optional import TRACKED_KINDS, ReadsKinds, ShowsSteps, kinds_read
 from clothbench.core.protocols import Tracker
 from clothbench.estimation.watched import as_seen, cloud_seen
 from clothbench.recordings.kinds import read_sheet
@@ -34,7 +34,8 @@ class TrackerCase:
         try:
             observation = self.tracker.track(self.source)
         except ClothbenchError as refusal:
-            if not self.is_own:
+            says_so = isinstance(self.tracker, ReadsKinds) and kinds_read(self.tracker) & {"nodes", "points"}
+            if not self.is_own or says_so:
                 raise
             raise NotApplicable(f"it refuses a recording, give it a source: {refusal}") from None
         require(isinstance(observation, Observation), f"{type(observation).__name__}", "a clothbench.Observation")

@@ -88,6 +88,17 @@ def test_halved_cells_tell_the_error_of_the_mesh_where_it_falls_with_their_squar
     np.testing.assert_allclose(steps, np.linalg.norm(PATTERN) * np.array([1.0, 0.25]))
 
 
+def test_what_cannot_be_simulated_on_the_coarse_mesh_is_corrected_by_nothing(monkeypatch):
+    """The parameters beside a fit may be such; a correction that is no number would spoil all that follows."""
+    lost, problem = Meshed(np.nan), Meshed(0.1)
+    fitted, finer = fit_of(problem), problem.refined()
+    monkeypatch.setattr(Meshed, "refined", lambda self: finer if self.cell == 1.0 else None)
+    found = list(refinements(lost, fitted, "fit"))
+    assert len(found) == 1
+    np.testing.assert_array_equal(found[0][0], np.zeros_like(PATTERN))
+    assert not np.isfinite(found[0][1]).any()  # of how much of that is doubt nothing is known
+
+
 def test_cells_are_halved_until_what_is_open_lies_below_the_noise(judged):
     once = np.sqrt(np.mean(PATTERN**2)) / 3  # a third of the first step
     for noise, halvings, mesh in ((1.1 * once, 1, once), (0.9 * once, 2, once / 4), (0.1 * once, 2, once / 4)):

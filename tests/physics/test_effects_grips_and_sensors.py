@@ -39,6 +39,14 @@ def clamp():
         ("clock_offset", "times", lambda out: out + np.nan, r"'times' gave ndarray of shape \(\d+,\), expected finite"),
         ("clock_offset", "times", lambda out: out[:-1], r"'times' gave ndarray of shape .* numbers of shape \(\d+,\)"),
         ("clock_offset", "times", lambda out: None, "'times' gave NoneType"),
+        (
+            "clock_offset",
+            "times",
+            lambda out: out[::-1].copy(),
+            "'times' gave .* s and then .* s, expected times in the",
+        ),
+        ("frame_scale", "positions", lambda out: out + np.nan, "'positions' gave ndarray of shape .*, expected finite"),
+        ("frame_scale", "positions", lambda out: out[..., 0], r"'positions' gave .* numbers of shape \(\d+, \d+, 3\)"),
         ("grip_offset", "grips", lambda out: out[:, :1], r"'grips' gave ndarray of shape \(\d+, 1, 3\), expected"),
     ],
 )

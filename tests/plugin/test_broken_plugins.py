@@ -49,6 +49,17 @@ BROKEN = {
         + "\n    class Half:\n        name, version, unit = 'memberless', 1, 'mm'\n",
         "metric", "it has no floor, no __call__, which every metric has",
     ),
+    "placeless": (
+        HOOK.format(kind="effects", name="placeless", target="placeless:Half")
+        + "\n    class Half:\n        name, version, parameters = 'placeless', 1, ()\n",
+        "effect", "it has no place, no summary, which every effect has",
+    ),
+    "alphabetic": (
+        HOOK.format(kind="metrics", name="alphabetic", target="alphabetic:Half")
+        + "\n    from clothbench_metrics.node_error import NodeError\n    class Half(NodeError):\n"
+        + "        name, built_on = 'alphabetic', 'numpy'\n",
+        "metric", "built_on: found 'numpy', expected a tuple of distributions' names",
+    ),
 }  # fmt: skip
 FINE = HOOK.format(kind="metrics", name="fine", target="clothbench_metrics.node_error:NodeError")
 
@@ -320,7 +331,13 @@ def test_candidates_are_all_effects_but_the_broken_and_why_is_told(monkeypatch):
 
     monkeypatch.setattr("wrong_plugins.Idle.__init__", lost)
     strange = Plugin("effects", "lost", "wrong_plugins:Idle", "for a test", "strange", "1.0")
-    plugins = Catalogue((*catalogue().plugins, strange))
+    half = Plugin("effects", "half", "wrong_plugins:Placeless", "for a test", "strange", "1.0")
+    monkeypatch.delattr("wrong_plugins.HonestEffect.place")
+    monkeypatch.delattr("wrong_plugins.Placeless.place", raising=False)
+    plugins = Catalogue((*catalogue().plugins, strange, half))
     usual = candidates_of(None, "nodes", (), catalogue())
     assert candidates_of(None, "nodes", (), plugins) == usual
-    assert unusable(plugins) == ["effect 'lost' (strange) is broken: RuntimeError: out of wool"]
+    assert unusable(plugins) == [
+        "effect 'lost' (strange) is broken: RuntimeError: out of wool",
+        "effect 'half' (strange) is broken: it has no place, which every effect has",
+    ]

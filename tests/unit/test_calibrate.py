@@ -304,6 +304,8 @@ def test_what_is_no_batch_within_the_bounds_is_told_as_the_optimizer_s_fault(ask
         (lambda r: dataclasses.replace(r, position=r.position[:, :, None]), r"positions \(2, 120, 1, 1, 3\)"),
         (lambda r: dataclasses.replace(r, status="ok"), "found status 'ok', expected 2 of ok, diverged, timeout"),
         (lambda r: dataclasses.replace(r, status=("ok",)), r"found status \('ok',\), expected 2"),
+        (lambda r: dataclasses.replace(r, status=["ok"] * 2), r"found status \['ok', 'ok'\], expected 2 of .* a tuple"),
+        (lambda r: dataclasses.replace(r, status=("ok", "fine")), "found status .*'fine'.*, expected 2 of ok"),
     ],
 )
 def test_a_rollout_of_another_shape_is_told_as_the_model_s_fault(change, said):
@@ -327,6 +329,8 @@ def test_a_rollout_of_another_shape_is_told_as_the_model_s_fault(change, said):
             lambda s: dataclasses.replace(s, per_frame=np.zeros((3, 4))),
             r"per_frame of shape \(3, 4\), expected \(2, …\)",
         ),
+        (lambda s: dataclasses.replace(s, value=s.value + 0j), "value of complex128, expected real numbers"),
+        (lambda s: dataclasses.replace(s, per_node=np.array([["a"]] * 2)), "per_node of <U1, expected real numbers"),
     ],
 )
 def test_a_score_of_another_shape_is_told_as_the_metric_s_fault(change, said):
@@ -338,6 +342,39 @@ def test_a_score_of_another_shape_is_told_as_the_metric_s_fault(change, said):
 
     with pytest.raises(ClothbenchError, match="metric 'node_error'.*" + said):
         evaluate([dataclasses.replace(one, metric=Wrong(unit="m"))], np.tile(TRUTH, (2, 1)))
+
+
+def test_a_score_in_single_precision_or_lists_is_one_in_double_precision():
+    """Tables hold doubles: a column of another type would make them unreadable."""
+    one = trial(np.random.default_rng(0))
+
+    class Single(type(one.metric)):
+        def __call__(self, observation, rollout):
+            score = super().__call__(observation, rollout)
+            return dataclasses.replace(score, value=score.value.tolist(), residual=score.residual.astype(np.float32))
+
+    found, (score,) = evaluate([dataclasses.replace(one, metric=Single(unit="m"))], np.tile(TRUTH, (2, 1)))
+    usual, _ = evaluate([one], np.tile(TRUTH, (2, 1)))
+    assert (found.value.dtype, found.residual.dtype, score.residual.dtype) == (np.float64,) * 3
+    np.testing.assert_allclose(found.value, usual.value)
+
+
+def test_what_was_seen_is_told_by_truths_not_by_numbers():
+    """An array of 0 and 1 would pick frames 0 and 1."""
+    position, material = np.zeros((3, 2, 3)), np.zeros((2, 2))
+    seen = Observation(np.arange(3.0), position, np.array([[1, 0], [1, 1], [0, 1]]), 1e-3, material)
+    assert seen.visible.dtype == bool
+    assert seen.visible.sum() == 4
+    with pytest.raises(ClothbenchError, match="found visible of int64 beside 0 and 1, expected true or false"):
+        Observation(np.arange(3.0), position, np.full((3, 2), 2), 1e-3, material)
+
+
+def test_an_optimizer_that_asks_nothing_is_told():
+    class Done:
+        name, version, needs_residual, done, stopped = "lazy", 1, False, True, "done"
+
+    with pytest.raises(ClothbenchError, match="optimizer 'lazy': found it done before it asked anything"):
+        calibrate([trial(np.random.default_rng(0))], Done(), SPACE)
 
 
 def test_every_recording_has_the_same_say():

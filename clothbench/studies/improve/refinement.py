@@ -77,7 +77,7 @@ def refinements(
     simulated on the finer mesh is not corrected by it, and what the halving changes of it is not finite.
     """
     known = residuals_of_fit(problem, fitted, split)
-    so_far = [0 * r for r in known]
+    so_far = [np.zeros_like(r) for r in known]  # also of what cannot be simulated
     for _ in range(halvings):
         if (finer := problem.refined()) is None:
             return

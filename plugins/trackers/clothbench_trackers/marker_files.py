@@ -276,11 +276,12 @@ def _check_zeros(position: np.ndarray, labels: Sequence[str], path: Path) -> Non
     """Refuse a marker that is at 0 0 0 in some frames and comes there, or leaves, by a jump: so some writers say that
     it was not seen, and it would count as seen. position: (T, N, 3) in any unit.
     """
-    step = np.linalg.norm(np.diff(position, axis=0), axis=-1)
+    known = np.where(np.isinf(position), np.nan, position)  # what is infinite is refused in words of its own
+    step = np.linalg.norm(np.diff(known, axis=0), axis=-1)
     at_zero = (position == 0).all(axis=-1)
     one = at_zero[1:] != at_zero[:-1]
-    most = np.nanmax(np.where(one, 0.0, step), axis=0, initial=0.0)
-    for n in np.flatnonzero((one & (step > JUMP * most)).any(axis=0) & at_zero.any(axis=0)):
+    most = np.nan_to_num(np.where(one, 0.0, step)).max(axis=0, initial=0.0)
+    for n in map(int, np.flatnonzero((one & (step > JUMP * most)).any(axis=0))):
         t = int(np.flatnonzero(at_zero[:, n])[0])
         found, expected = "0 0 0, into or out of which it jumps", "nothing where it was not seen"
         raise refusal(
