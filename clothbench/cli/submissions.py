@@ -174,7 +174,7 @@ def _run(
     """Run the plugin of a submission as was asked for: what came of it, and what it made of unpublished recordings."""
     of, unpublished = found.submission, list[Compared]()
     require_posix()
-    require_new(folder, of, fabrics, plugins)
+    require_new(folder, of, fabrics)
     what, limit = WHEELS, TIME_LIMIT if options.time_limit is None else options.time_limit
     try:
         with sandbox([folder / wheel.file for wheel in of.wheels], limit) as place:

@@ -49,13 +49,13 @@ def print_history(entries: Sequence[Entry], series: Sequence[Series]) -> None:
         out.print(table)
         if len(changes) > MOST:
             print(f"and {len(changes) - MOST} more: --json, or the page (--page FILE)")
-    out.print(_standing(entries, series))
+    out.print(_standing(series))
     if len(series) > MOST:
         print(f"and {len(series) - MOST} more: --json, or the page (--page FILE)")
     print(conclusion(entries, series))
 
 
-def _standing(entries: Sequence[Entry], series: Sequence[Series]) -> Table:
+def _standing(series: Sequence[Series]) -> Table:
     table = Table(title="where every series stands", title_justify="left")
     for name in ("", "series", "commits", "first", "last", "95 % interval", "changes"):
         table.add_column(name, overflow="fold", justify="left" if name in ("", "series") else "right")

@@ -43,7 +43,7 @@ def choose(folder: Path, submission: Submission, count: int, seed: int | None) -
     return Chosen(seed, tuple(keys[k] for k in sorted(drawn)))
 
 
-def cells_of(folder: Path, submission: Submission, plugins: Catalogue) -> dict[str, CalibrationCell]:
+def cells_of(folder: Path, submission: Submission) -> dict[str, CalibrationCell]:
     """The fits that are handed in, by key. They come from a stranger: what is no cell is one line."""
     if not submission.cells:
         raise ClothbenchError(
@@ -62,7 +62,7 @@ def reproduce(
     """Run the chosen cells again and hold what comes of them against what was handed in: by the keys of those that do
     not pass, a fault for each score that differs by more than the noise. found: what was handed in, scored here.
     """
-    cells, faults = cells_of(folder, submission, plugins), {}
+    cells, faults = cells_of(folder, submission), {}
     for key in chosen.keys:
         stated = {one.measured.hash: one for one in found if one.cell == key}
         try:
@@ -103,15 +103,15 @@ def held_out(
     of them, whose positions it is never told.
     """
     found = []
-    for key, cell in _setups(cells_of(folder, submission, plugins)).items():
+    for key, cell in _setups(cells_of(folder, submission)).items():
         for name, fabric in fabrics.items():
             found += _scored(key, cell, name, fabric, place, plugins)
     return found
 
 
-def require_new(folder: Path, submission: Submission, fabrics: Mapping[str, Fabric], plugins: Catalogue) -> None:
+def require_new(folder: Path, submission: Submission, fabrics: Mapping[str, Fabric]) -> None:
     """Refuse recordings that the submission knows, and fits that could not be scored on others."""
-    cells = cells_of(folder, submission, plugins)
+    cells = cells_of(folder, submission)
     known = {source.hash for cell in cells.values() for source in (*cell.recordings, *cell.rivals)}
     for fabric in fabrics.values():
         for recording in (*fabric.shown.values(), *fabric.wanted):

@@ -694,7 +694,9 @@ def test_bad_input_to_run_writes_nothing(clothbench, recordings_folder, tmp_path
 
 @pytest.mark.data
 def test_every_broken_recording_is_refused_by_run(clothbench, data_dir, tmp_path):
-    for path in sorted((data_dir / "bad-recordings").glob("*.nc"))[::4]:
+    broken = sorted((data_dir / "bad-recordings").glob("*.nc"))[::4]
+    assert broken
+    for path in broken:
         out = clothbench("run", f"recording={path}", *CELL)
         assert out.returncode == 2
         assert path.name in only_line(out.stderr)

@@ -251,7 +251,7 @@ def test_verified_on_recordings_that_nobody_else_has(stranger, mine):
     assert found.measured.name == "secret-1"
     assert 1.5 < found.scores["node_error"] < 3.0
     with pytest.raises(ClothbenchError, match="the submission was fitted to it"):
-        require_new(mine, submission, by_fabric(known()), catalogue())
+        require_new(mine, submission, by_fabric(known()))
 
 
 def test_a_stand_ins_truth_is_not_told(stranger, mine, tmp_path):
@@ -393,7 +393,7 @@ def test_a_fit_has_a_key_and_no_name_that_a_verdict_uses_otherwise(mine, name):
     (fault,) = verify(mine, known(), catalogue()).faults
     assert f"submission.json: cells: key is {name!r}, expected 16 hexadecimal digits" in fault
     with pytest.raises(ClothbenchError, match="expected 16 hexadecimal digits"):
-        cells_of(mine, read_submission(mine), catalogue())
+        cells_of(mine, read_submission(mine))
 
 
 @pytest.mark.slow

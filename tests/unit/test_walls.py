@@ -88,7 +88,9 @@ def test_a_study_knows_no_other_study():
 @pytest.mark.parametrize("floor", ["engine", "report", "estimation", "display"])
 def test_nobody_below_knows_a_study_by_name(floor):
     names = {p.name for p in (FRAME / "studies").iterdir() if p.is_dir() and p.name != "__pycache__"}
-    for path in (FRAME / floor).rglob("*.py"):
+    rooms = list((FRAME / floor).rglob("*.py"))
+    assert rooms
+    for path in rooms:
         texts = {n.value for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.Constant)}
         found = {t for t in texts if isinstance(t, str)} & names
         assert not found, f"{path.relative_to(ROOT)} names {found}"
