@@ -5,6 +5,8 @@ A search is the same for the same seed and answers, so it asks the same question
 
 from __future__ import annotations
 
+import errno
+import os
 import shutil
 import time
 import zipfile
@@ -13,9 +15,24 @@ from pathlib import Path
 
 import numpy as np
 
-from clothbench.core.files import read_arrays, whole_file
+from clothbench.core.errors import ClothbenchError
+from clothbench.core.files import FULL, read_arrays, whole_file
 
 Arrays = dict[str, np.ndarray]
+CLOSED = (*FULL, errno.EROFS, errno.EACCES, errno.EPERM)  # what the system says where nothing more can be kept
+
+
+class Unwritable(ClothbenchError):
+    """The folder of results takes no more; ends the command."""
+
+
+def cannot_be_written(path: Path, fault: OSError) -> str:
+    """What is said of it, and what to do."""
+    found = os.strerror(fault.errno) if fault.errno else str(fault)
+    return (
+        f"{path}: found that it cannot be written ({found}), expected room and the right to; "
+        "nothing half-written is left: make room and run the same command again"
+    )
 
 
 def uncompiled() -> float:
@@ -35,6 +52,7 @@ class Checkpoint:
     def __init__(self, folder: Path | None = None, whole: Checkpoint | None = None, prefix: str = ""):
         self.folder, self.whole, self.prefix = folder, whole or self, prefix
         self.began = uncompiled()
+        self.fault: Unwritable | None = None  # of the whole: what could not be kept for want of room
         known = self.recall("seconds")
         self.before = 0.0 if known is None else float(known["seconds"])
 
@@ -53,12 +71,25 @@ class Checkpoint:
             return None
 
     def keep(self, key: str, **arrays: np.ndarray) -> None:
-        """Each written whole or not at all; and with it the time that it has taken to come here."""
+        """Each written whole or not at all; and with it the time that it has taken to come here. A folder that takes no
+        more is `Unwritable`.
+        """
         if self.folder is None:
             return
-        self.folder.mkdir(parents=True, exist_ok=True)
-        self._write(f"{self.prefix}{key}", arrays)
-        self.whole._write("seconds", {"seconds": np.array(self.seconds)})
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            self._write(f"{self.prefix}{key}", arrays)
+            self.whole._write("seconds", {"seconds": np.array(self.seconds)})
+        except OSError as fault:
+            if fault.errno not in CLOSED:
+                raise
+            self.whole.fault = Unwritable(cannot_be_written(self.folder, fault))
+            raise self.whole.fault from fault
+
+    def require_kept(self) -> None:
+        """Raise what could not be kept, also where a study took that for a fault of one of its parts."""
+        if self.whole.fault is not None:
+            raise self.whole.fault
 
     def once(self, key: str, computed: Callable[[], Arrays]) -> Arrays:
         """What was kept under this key, or what is computed, and kept, now."""

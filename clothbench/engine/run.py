@@ -12,6 +12,7 @@ from clothbench.core.errors import ENDS, ClothbenchError
 from clothbench.core.parallel import set_thread_count
 from clothbench.core.progress import StageProgress
 from clothbench.engine.cells import Skipped
+from clothbench.engine.checkpoint import Unwritable, cannot_be_written
 from clothbench.engine.rows import failure
 from clothbench.engine.store import JOURNAL, Store
 from clothbench.engine.study import Cell, Context, Elsewhere, Result, Study
@@ -38,6 +39,7 @@ def run_cell(
     try:
         study: Study = plugins.load("studies", cell.study)
         result = _in_this_process(study, cell, context)
+        context.checkpoint.require_kept()
         keep(store, cell, result, study)
         context.checkpoint.forget()
     except Skipped as reason:
@@ -83,10 +85,6 @@ def keep(store: Store, cell: Cell, result: Result, study: Study | None = None) -
         store.put(cell.key, result.tables, result.attach, study.tables if study else {})
 
 
-class Unwritable(ClothbenchError):
-    """The folder of results takes no more; ends the command."""
-
-
 # What an `attach` raises that looks for a file of its own where there is none: its cell's fault alone.
 OF_A_FILE = (FileNotFoundError, FileExistsError, IsADirectoryError, NotADirectoryError)
 
@@ -97,9 +95,5 @@ def writing(store: Store, cell: Cell) -> Iterator[None]:
     try:
         yield
     except OSError as fault:
-        found = os.strerror(fault.errno) if fault.errno else str(fault)
         kind = ClothbenchError if isinstance(fault, OF_A_FILE) else Unwritable
-        raise kind(
-            f"{store.cell(cell.key)}: found that it cannot be written ({found}), expected room and the right to; "
-            "nothing half-written is left: make room and run the same command again"
-        ) from fault
+        raise kind(cannot_be_written(store.cell(cell.key), fault)) from fault

@@ -69,19 +69,27 @@ def test_kill_9_in_mid_sweep_loses_only_the_running_cells(clothbench, recordings
     assert len({r["key"] for r in rows}) == 8
 
 
-def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(clothbench, recordings_folder, tmp_path):
-    """Files are limited to less than a table takes; then they are not, and the run goes on where it stood."""
+MECHANICS = ["+suite=physical_validation", "model=mass_spring", "suite.tests=[cantilever]", "suite.meshes=[5,9]"]
+
+
+@pytest.mark.parametrize("folder", ["cells", "journal"])
+def test_a_full_disk_is_one_line_and_leaves_nothing_half_written(clothbench, recordings_folder, tmp_path, folder):
+    """Files are limited to less than a table takes, or a batch; then they are not, and the run goes on where it stood.
+    Mechanics keeps no journal.
+    """
     resource = pytest.importorskip("resource", reason="only POSIX limits files")
-    command = ["run", f"recordings={recordings_folder}", *CELL, "budget=12"]
+    asked = MECHANICS if folder == "cells" else [f"recordings={recordings_folder}", *CELL, "budget=12"]
+    command = ["run", *asked, "jobs=1"]
     full = subprocess.run(
         [sys.executable, "-m", "clothbench", *command], cwd=tmp_path, capture_output=True, text=True, check=False,
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (6000, 6000)),
     )  # fmt: skip
     assert full.returncode == 2
-    assert full.stderr.startswith("clothbench: runs/cells/")
+    assert full.stderr.startswith(f"clothbench: runs/{folder}/")
     assert "cannot be written (File too large)" in full.stderr
     assert full.stderr.count("\n") == 1
-    assert list((tmp_path / "runs" / "cells").iterdir()) == []
+    assert [path for path in (tmp_path / "runs").rglob("*") if not path.is_dir()] == []
+    assert finished(tmp_path) == set()
     assert clothbench(*command).returncode == 0
     assert len(finished(tmp_path)) == 1
 

@@ -1,11 +1,14 @@
 """What is remembered between a run that was stopped and the one that goes on."""
 
+import errno
+import re
 import time
 
 import numpy as np
+import pytest
 
 from clothbench.core import kernels
-from clothbench.engine.checkpoint import Checkpoint
+from clothbench.engine.checkpoint import Checkpoint, Unwritable
 
 
 def test_arrays_come_back_to_the_bit(tmp_path):
@@ -64,3 +67,31 @@ def test_forgotten_leaves_nothing(tmp_path):
     checkpoint.keep("d" * 16, values=np.zeros(3))
     checkpoint.forget()
     assert not (tmp_path / "unfinished").exists()
+
+
+def test_a_file_beyond_what_the_system_grants_is_one_line_and_leaves_nothing(tmp_path):
+    resource = pytest.importorskip("resource", reason="limits of POSIX")
+    soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, hard))
+    try:
+        with pytest.raises(Unwritable, match=rf"^{re.escape(str(tmp_path))}: found that it cannot be written \(File"):
+            Checkpoint(tmp_path).keep("a" * 16, values=np.random.default_rng(0).normal(size=10_000))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    assert not list(tmp_path.iterdir())
+
+
+def test_what_a_part_could_not_keep_its_whole_knows_and_other_faults_are_told_as_they_are(tmp_path, monkeypatch):
+    def savez(*_, **__):
+        raise OSError(code, "as it is")
+
+    monkeypatch.setattr(np, "savez", savez)
+    whole, code = Checkpoint(tmp_path), errno.EIO
+    with pytest.raises(OSError, match="as it is"):
+        whole.keep("a" * 16, values=np.zeros(3))
+    whole.require_kept()
+    code = errno.EROFS
+    with pytest.raises(Unwritable):
+        whole.part("coarse").keep("a" * 16, values=np.zeros(3))
+    with pytest.raises(Unwritable, match=r"Read-only file system.*; nothing half-written is left: make room"):
+        whole.require_kept()

@@ -19,6 +19,7 @@ import types
 from concurrent.futures import Future
 from pathlib import Path
 
+import numpy as np
 import psutil
 import pytest
 
@@ -428,6 +429,25 @@ def test_a_result_for_which_there_is_no_room_ends_the_run_and_is_no_row(
         assert Store(tmp_path).rows() == []
     else:
         assert run_cell(cell, tmp_path) == "error"
+
+
+@pytest.mark.parametrize("swallows", [False, True], ids=["told", "taken for a fault of a part"])
+def test_a_journal_for_which_there_is_no_room_ends_the_run_and_is_no_row(
+    recordings_folder, tmp_path, monkeypatch, swallows
+):
+    def full(*_, **__):
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    def run(cell, context):
+        with contextlib.suppress(Exception) if swallows else contextlib.nullcontext():
+            context.checkpoint.keep("a", values=np.zeros(1))
+        return failure(cell, "skipped", "as if it had run")
+
+    monkeypatch.setattr(np, "savez", full)
+    monkeypatch.setattr("clothbench.studies.calibration.study.run", run)
+    with pytest.raises(ClothbenchError, match=r"journal.*cannot be written \(No space left on device\)"):
+        run_cell(cell_of(recordings_folder), tmp_path)
+    assert Store(tmp_path).rows() == []
 
 
 def test_recordings_are_found_by_what_is_in_them(tmp_path):
