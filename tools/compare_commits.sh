@@ -9,8 +9,10 @@
 # of which those of an earlier use are removed;
 # HISTORY: folder of `clothbench history` that gets an entry for the checked-out commit, and a page (index.html).
 # Exits with 1 if something got worse, which stands in comment.md; but with 0 in a job of GitHub Actions, where it stands
-# in the summary and in the output `passed` for a later step. Exits with another code if one of the two could not be run.
-set -euo pipefail
+# in the summary and in the output `passed` for a later step. Exits with another code if one of the two could not be run
+# or compared: with that of clothbench, or with 3.
+set -eEuo pipefail
+trap 'exit 3' ERR # git, venv and pip say 1 as well
 
 results=$(realpath -m "${RESULTS:-$(mktemp -d)}")
 mkdir -p "$results"
@@ -39,6 +41,7 @@ for name in $(compgen -e); do
     esac
 done
 alone() { env -i "${seen[@]}" "$@"; }
+only_1() { if [[ $1 != 1 ]]; then exit "$1"; fi; } # clothbench has done what it was told, and found something
 
 run() { # NAME FOLDER: results of the commit that is checked out in FOLDER, in $results/NAME
     alone python3 -m venv "$results/env-$1"
@@ -49,14 +52,14 @@ run() { # NAME FOLDER: results of the commit that is checked out in FOLDER, in $
     # From an empty folder, so that what is installed is what runs. Cells that fail are rows of the comparison.
     mkdir -p "$results/$1"
     (cd "$results/$1" &&
-        alone "$results/env-$1/bin/clothbench" run "${words[@]}" rerun=false out="$results/$1/runs") || test $? = 1
+        alone "$results/env-$1/bin/clothbench" run "${words[@]}" rerun=false out="$results/$1/runs") || only_1 $?
 }
 run base "$results/base-tree"
 run head .
 
 passed=true
 alone "$results/env-head/bin/clothbench" compare --markdown "$results/base/runs" "$results/head/runs" \
-    > "$results/comment.md" || { test $? = 1; passed=false; }
+    > "$results/comment.md" || { only_1 $?; passed=false; }
 cat "$results/comment.md"
 if [[ -n ${GITHUB_OUTPUT:-} ]]; then
     echo "passed=$passed" >> "$GITHUB_OUTPUT"
@@ -67,4 +70,4 @@ if [[ -n ${HISTORY:-} ]]; then
     alone "$results/env-head/bin/clothbench" history "$HISTORY" --add "$results/head/runs" --page "$HISTORY/index.html"
 fi
 echo "results: $results" >&2
-if [[ -z ${GITHUB_OUTPUT:-} ]]; then $passed; fi
+if [[ -z ${GITHUB_OUTPUT:-} && $passed = false ]]; then exit 1; fi

@@ -26,19 +26,23 @@ ACTION = yaml.safe_load((ROOT / "action.yml").read_text())
 pytestmark = pytest.mark.skipif(not (shutil.which("bash") and shutil.which("git")), reason="needs bash and git")
 
 # python3 -m venv FOLDER makes an environment whose pip and clothbench note their surroundings. `run` copies the
-# results that are ready for that side; all else is clothbench itself.
+# results that are ready for that side, or ends with the code that exits=CODE says; all else is clothbench itself. pip
+# finds no package `absent`.
 PYTHON = """#!/usr/bin/env bash
 mkdir -p "$3/bin"
 cat > "$3/bin/pip" <<'PIP'
 #!/usr/bin/env bash
 { echo "pip $*"; env; } >> STRANGER
+[[ $* != *absent* ]]
 PIP
 cat > "$3/bin/clothbench" <<'CLOTHBENCH'
 #!/usr/bin/env bash
 { echo "clothbench $*"; env; } >> STRANGER
 if [[ $1 = run ]]; then
     side=$(basename "$PWD")
-    for word in "$@"; do [[ $word = out=* ]] && folder=${word#out=}; done
+    for word in "$@"; do
+        case "$word" in out=*) folder=${word#out=} ;; exits=*) exit "${word#exits=}" ;; esac
+    done
     exec cp -r "BOARDS/$side" "$folder"
 fi
 exec REAL -m clothbench "$@"
@@ -244,9 +248,20 @@ def test_a_base_that_is_not_fetched_is_one_line(job):
     assert said.strip().splitlines()[-1].startswith(f"compare_commits.sh: BASE: found no commit {'a' * 40}")
 
 
-@pytest.mark.parametrize(("value", "code"), [(10.0, 0), (20.0, 1)])
-def test_outside_of_actions_the_script_itself_says_whether_something_got_worse(job, value, code):
-    found = job("push", (10.0, value))
+@pytest.mark.parametrize(
+    ("value", "inputs", "code"),
+    [
+        (10.0, {}, 0),
+        (20.0, {}, 1),
+        (10.0, {"install": "absent"}, 3),
+        (10.0, {"run": "+suite=mine exits=2"}, 2),
+        (10.0, {"run": "+suite=mine exits=137"}, 137),
+        (10.0, {"run": "+suite=mine exits=1"}, 2),
+    ],
+    ids=["same", "worse", "not installed", "wrong use", "killed", "no results to compare"],
+)
+def test_outside_of_actions_the_script_itself_says_whether_something_got_worse(job, value, inputs, code):
+    found = job("push", (10.0, value), **inputs)
     for name, about in ACTION["inputs"].items():
         found.inputs.setdefault(name, found.filled(about["default"]))
     script = next(step for step in ACTION["runs"]["steps"] if step.get("id") == "compare")
