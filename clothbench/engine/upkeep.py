@@ -24,6 +24,7 @@ from clothbench.plugins.discovery import Catalogue
 from clothbench.recordings.nodes import read_recording
 
 DAY = 86400.0  # s
+PLACING = 600.0  # s that a file or folder is given to come to its place, where no lease tells of who is at it
 
 
 # --- merge ----------------------------------------------------------------------------------------------------------
@@ -105,6 +106,7 @@ def prunable(
     """What may go: where, and why. Finished cells only if they are named by key, or asked for with `other_versions`.
 
     older: s since anything in it was last written; what runs left younger than that stays, since a run may be at it.
+    What is half-written stays for `PLACING` at least.
     other_versions: cells of plugins, or of a schema, in another version than the one installed; no run asks for them.
     """
     left = [(path, what) for path, what in remains(store) if not _at_work(store, path)]
@@ -122,8 +124,16 @@ def prunable(
 
 
 def _at_work(store: Store, path: Path) -> bool:
-    """Whether this is the journal of a cell that a live command is at, however long ago it last wrote there."""
-    return path.parent == store.folder / JOURNAL and live(store.folder / LEASES / path.name)
+    """Whether a live command is at this: by the lease of its cell, however long ago it last wrote there, or since it is
+    half-written and young.
+    """
+    if path.parent == store.folder / JOURNAL:
+        return live(store.folder / LEASES / path.name)
+    if not path.name.startswith("."):
+        return False
+    if path.parent == store.folder / "cells" and live(store.folder / LEASES / path.name.split(".")[1]):
+        return True
+    return time.time() - last_written(path) < PLACING
 
 
 def _of_other_versions(store: Store, plugins: Catalogue, named: set[Path]) -> Iterator[tuple[Path, str]]:

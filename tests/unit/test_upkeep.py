@@ -196,6 +196,27 @@ def test_prune_leaves_alone_what_a_live_command_is_at(filled):
     assert [path for path, _ in prunable(Store(filled), catalogue())] == [journal]
 
 
+def test_prune_leaves_alone_what_is_just_being_written(filled):
+    """A command with a lease, and a merge, a page or a tracker without."""
+    cell, merged = (filled / "cells" / f".{key}.abcd_123" for key in ("0a", "0b"))
+    others = [
+        filled / "cells" / ".old.abcd_123",
+        filled / ".report.html.abcd_123.part",
+        filled / "tracked" / ".x.nc.abcd_123.part",
+    ]
+    (filled / "tracked").mkdir()
+    for path in (cell, merged, *others):
+        path.touch() if path.suffix == ".part" else path.mkdir()
+    os.utime(cell, (0, 0))
+    with Leases(Store(filled)) as leases:
+        assert leases.take("0a")
+        assert prunable(Store(filled), catalogue(), older=0) == []
+    assert [path for path, _ in prunable(Store(filled), catalogue(), older=0)] == [cell]
+    for path in (merged, *others):
+        os.utime(path, (0, 0))
+    assert {path for path, _ in prunable(Store(filled), catalogue(), older=0)} == {cell, merged, *others}
+
+
 def test_what_goes_while_prune_looks_is_no_fault(filled, monkeypatch):
     gone = filled / "leases" / "0b"
     monkeypatch.setattr(upkeep, "remains", lambda store: iter([(gone, "the lease of a command that has gone")]))
