@@ -96,15 +96,12 @@ def key_values(settings: Sequence[str], allowed: Sequence[str]) -> dict[str, str
     return out
 
 
-def results_in(place: str | Path, default: str = DEFAULT_OUT, whole: bool = True) -> Any:
-    """The store in a folder or a bucket; one that was named and holds no results is the user's error.
-
-    whole: whether an object of a bucket that cannot be read is one, too.
-    """
+def results_in(place: str | Path, default: str = DEFAULT_OUT) -> Any:
+    """The store in a folder or a bucket; one that was named and holds no results is the user's error."""
     from clothbench.engine.mirror import results_folder
     from clothbench.engine.store import Store, require_results
 
-    folder = results_folder(place, whole)
+    folder = results_folder(place)
     return Store(folder if str(place) == default else require_results(folder, place))
 
 
@@ -389,9 +386,9 @@ def presets(options: argparse.Namespace) -> int:
 
 
 def store(options: argparse.Namespace) -> int:
-    from clothbench.cli.store import TASKS
+    from clothbench.cli.store import TASKS, store_in
 
-    done = TASKS[options.task](results_in(options.folder, default="", whole=options.task != "check"), options)
+    done = TASKS[options.task](store_in(options.folder, whole=options.task != "check"), options)
     if options.json:
         print_json(done.document)
     else:

@@ -8,9 +8,11 @@ from typing import Any
 
 from clothbench.core.errors import ClothbenchError
 from clothbench.engine.check import Finding, check
+from clothbench.engine.leases import LEASES
 from clothbench.engine.mirror import pull, results_folder
 from clothbench.engine.progress import counting
-from clothbench.engine.store import Store
+from clothbench.engine.run import TRACKED
+from clothbench.engine.store import JOURNAL, Store, require_results
 from clothbench.engine.upkeep import DAY, merge, prunable, remove
 from clothbench.plugins.discovery import catalogue
 
@@ -22,6 +24,16 @@ class Done:
     document: Any
     lines: list[str]
     code: int
+
+
+def store_in(place: str, whole: bool = True) -> Store:
+    """The store in a folder or a bucket, also one in which a run has begun and no cell is finished.
+
+    whole: whether an object of a bucket that cannot be read is the user's error.
+    """
+    folder = results_folder(place, whole)
+    begun = any((folder / name).is_dir() for name in (JOURNAL, LEASES, TRACKED))
+    return Store(folder if begun else require_results(folder, place))
 
 
 def checked(store: Store, options: argparse.Namespace) -> Done:

@@ -217,6 +217,18 @@ def test_prune_leaves_alone_what_is_just_being_written(filled):
     assert {path for path, _ in prunable(Store(filled), catalogue(), older=0)} == {cell, merged, *others}
 
 
+@pytest.mark.parametrize("left", ["journal", "leases", "tracked"])
+def test_what_a_run_left_that_finished_no_cell_is_checked_and_pruned(tmp_path, capsys, left):
+    remains = tmp_path / left / (".x.nc.abcd_123.part" if left == "tracked" else "0a")
+    remains.parent.mkdir()
+    remains.mkdir() if left == "journal" else remains.write_text("{}")
+    os.utime(remains, (0, 0))
+    assert main(["store", "check", str(tmp_path)]) == 0
+    assert f"left over: {remains}: " in capsys.readouterr().out
+    assert main(["store", "prune", str(tmp_path)]) == 0
+    assert not remains.exists()
+
+
 def test_what_goes_while_prune_looks_is_no_fault(filled, monkeypatch):
     gone = filled / "leases" / "0b"
     monkeypatch.setattr(upkeep, "remains", lambda store: iter([(gone, "the lease of a command that has gone")]))
