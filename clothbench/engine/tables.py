@@ -50,7 +50,8 @@ def read_table(path: Path, columns: Columns | None = None, needed: Collection[st
     written it, but for those that are `needed`, in which there is no null either. Others stay as they are.
     """
     try:
-        with pq.ParquetFile(path, page_checksum_verification=True) as file:
+        # Opened here: Arrow takes no name that is not UTF-8.
+        with path.open("rb") as content, pq.ParquetFile(content, page_checksum_verification=True) as file:
             values = file.metadata.num_rows * file.metadata.num_columns
             if values > max(DENSEST, 100 * path.stat().st_size):
                 raise ClothbenchError(

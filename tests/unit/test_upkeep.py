@@ -50,6 +50,20 @@ def test_a_whole_store_has_no_fault(filled, capsys):
     assert capsys.readouterr().out == f"{filled}: ok\n"
 
 
+@pytest.mark.skipif(os.name != "posix", reason="names are bytes on POSIX")
+def test_results_in_a_folder_whose_name_is_not_utf_8_are_read(filled, capsys):
+    folder = filled.with_name(os.fsdecode(b"caf\xe9"))
+    try:
+        filled.rename(folder)
+    except OSError:
+        pytest.skip("this file system takes UTF-8 only")
+    assert main(["store", "check", str(folder)]) == 0
+    assert main(["compare", str(folder), str(folder)]) == 0
+    capsys.readouterr()
+    assert main(["leaderboard", "--json", "--out", str(folder)]) == 0
+    assert [row["key"] for row in json.loads(capsys.readouterr().out)] == KEYS
+
+
 def test_every_kind_of_fault_is_one_line(filled, capsys):
     def flip(path, at):
         content = bytearray(path.read_bytes())
