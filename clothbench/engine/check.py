@@ -14,7 +14,17 @@ from clothbench.core.files import entries, files_below, half_written, read_array
 from clothbench.engine.index import INDEX
 from clothbench.engine.leases import LEASES, live
 from clothbench.engine.run import TRACKED
-from clothbench.engine.store import FINISHED, JOURNAL, KEY, ROW, ROWS, SEEDLESS, Store, recorded
+from clothbench.engine.store import (
+    FINISHED,
+    JOURNAL,
+    KEY,
+    ROW,
+    ROWS,
+    Store,
+    recorded,
+    recorded_machine,
+    why_apart,
+)
 from clothbench.engine.study import Study, studies
 from clothbench.engine.tables import as_declared, read_table
 from clothbench.plugins.discovery import Catalogue
@@ -143,12 +153,12 @@ def disagreeing(store: Store) -> Iterator[Finding]:
         if not store.cell(path.parent.name).is_dir():
             continue
         try:
-            first, second = recorded(path)
+            (first, second), other = recorded(path), recorded_machine(path)
         except ClothbenchError as said:
             yield Finding(path, str(said))
             continue
         found = f"that this cell was computed twice, first {first}, which stays, then {second}"
-        yield fault(path, found, "the same of the same cell", SEEDLESS)
+        yield fault(path, found, "the same of the same cell", why_apart(other))
 
 
 def remains(store: Store) -> Iterator[tuple[Path, str]]:

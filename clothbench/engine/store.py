@@ -24,7 +24,7 @@ import shutil
 import socket
 import string
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -84,6 +84,9 @@ DISAGREEMENTS = "disagreements"  # folder of the records of cells that were comp
 RECORD = "the record of a disagreement, as a run writes it"
 JOURNAL = "journal"  # folder of what unfinished cells have simulated
 SEEDLESS = "something in this cell does not go by its seed: a model, a tracker, or a library's threads"
+# What the last bits of a result depend on beside its cell, as its rows have it, and how it is called.
+MACHINE = {"cpu": "processor", "numpy": "numpy", "numba": "numba"}
+ROUNDING = 1e-9  # of a value: what another machine may make of the last bits
 
 
 def finished(rows: Sequence[Mapping[str, Any]]) -> bool:
@@ -94,6 +97,34 @@ def finished(rows: Sequence[Mapping[str, Any]]) -> bool:
 def outcome(rows: Sequence[Mapping[str, Any]]) -> list[float | str]:
     """What came of a cell, the same whenever and wherever it is computed: of each row its value, or why it has none."""
     return [row["status"] if (value := finite(row["value"])) is None else value for row in rows]
+
+
+def other_machine(rows: Sequence[Mapping[str, Any]], others: Sequence[Mapping[str, Any]]) -> list[str]:
+    """What of `MACHINE` two results of one cell were computed with another one of, as far as both say."""
+
+    def said(name: str, of: Sequence[Mapping[str, Any]]) -> set[str]:
+        return {str(value) for row in of if (value := row.get(name)) is not None}
+
+    return [n for n in MACHINE if said(n, rows) and said(n, others) and said(n, rows) != said(n, others)]
+
+
+def agree(first: Sequence[float | str], second: Sequence[float | str], other: Collection[str]) -> bool:
+    """Whether two outcomes of one cell are the same: to the bit, on an `other` machine to within rounding."""
+
+    def alike(one: float | str, again: float | str) -> bool:
+        if isinstance(one, str) or isinstance(again, str) or not other:
+            return one == again
+        return math.isclose(one, again, rel_tol=ROUNDING)
+
+    return len(first) == len(second) and all(map(alike, first, second))
+
+
+def why_apart(other: Collection[str]) -> str:
+    """Why a cell may not have come to the same twice."""
+    if not other:
+        return SEEDLESS
+    machine = " and ".join(word for name, word in MACHINE.items() if name in other)
+    return f"the two were computed with another {machine}, which may be why: bits depend on it (docs/cluster.md)"
 
 
 def finite(value: float | None) -> float | None:
@@ -204,10 +235,15 @@ class Store:
                 self._publish(self.bucket, key, part)
         return self.cell(key)
 
-    def record(self, key: str, first: Sequence[float | str], second: Sequence[float | str]) -> None:
-        """Keep it that a cell did not come to the same twice: the outcome that stays, and the one that was dropped."""
+    def record(
+        self, key: str, first: Sequence[float | str], second: Sequence[float | str], other: Collection[str] = ()
+    ) -> None:
+        """Keep it that a cell did not come to the same twice: the outcome that stays, and the one that was dropped.
+        other: what it was computed with another one of, see `other_machine`.
+        """
         name = f"{DISAGREEMENTS}/{key}/{digest([first, second])}.json"
-        text = json.dumps({"key": key, "first": list(first), "second": list(second), "on": socket.gethostname()})
+        about = {"key": key, "first": list(first), "second": list(second), "on": socket.gethostname()}
+        text = json.dumps({**about, "other": list(other)})
         if self.bucket is not None:
             self.bucket.create(name, text.encode())
         with whole_file(self.folder / name) as part:
@@ -221,11 +257,11 @@ class Store:
         self, key: str, where: object, stays: Sequence[Mapping[str, Any]], again: Sequence[Mapping[str, Any]]
     ) -> None:
         """Tell and record it if a cell that was computed twice did not come to the same."""
-        first, second = outcome(stays), outcome(again)
-        if finished(again) and first != second:
-            self.record(key, first, second)
+        first, second, other = outcome(stays), outcome(again), other_machine(stays, again)
+        if finished(again) and not agree(first, second, other):
+            self.record(key, first, second, other)
             warnings.warn(
-                f"{where}: computed twice, first {first}, which stays, then {second}; {SEEDLESS}", stacklevel=2
+                f"{where}: computed twice, first {first}, which stays, then {second}; {why_apart(other)}", stacklevel=2
             )
 
     def _stands(self, key: str, part: Path) -> bool:
@@ -348,6 +384,13 @@ def recorded(path: Path) -> tuple[list[float | str], list[float | str]]:
     if not all(isinstance(one, list) and all(isinstance(value, str | int | float) for value in one) for one in both):
         raise ClothbenchError(f"{path}: found something else, expected {RECORD}")
     return both[0], both[1]  # type: ignore[return-value]
+
+
+def recorded_machine(path: Path) -> list[str]:
+    """Of such a record what the second was computed with another one of; nothing in records of earlier versions."""
+    found = read_json(path, RECORD)
+    other = found.get("other") if isinstance(found, dict) else None
+    return [name for name in MACHINE if isinstance(other, list) and name in other]
 
 
 def row_order(row: dict[str, Any]) -> tuple[str, ...]:

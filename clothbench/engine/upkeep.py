@@ -17,7 +17,20 @@ from clothbench.engine.cells import VERSION, installed_version
 from clothbench.engine.check import Finding, check_cell, fault, remains, tracked_in, unreadable
 from clothbench.engine.leases import LEASES, live
 from clothbench.engine.run import TRACKED
-from clothbench.engine.store import JOURNAL, KEY, ROWS, SEEDLESS, Store, finished, outcome, recorded
+from clothbench.engine.store import (
+    JOURNAL,
+    KEY,
+    ROWS,
+    SEEDLESS,
+    Store,
+    agree,
+    finished,
+    other_machine,
+    outcome,
+    recorded,
+    recorded_machine,
+    why_apart,
+)
 from clothbench.engine.study import studies
 from clothbench.engine.tables import read_table
 from clothbench.plugins.discovery import Catalogue
@@ -56,7 +69,7 @@ def merge(source: Store, into: Store, plugins: Catalogue) -> Merged:
         out.findings += _merge_tracked(path, into.folder / TRACKED / path.name)
     for path in source.disagreements([*out.taken, *out.same]):
         try:
-            into.record(path.parent.name, *recorded(path))
+            into.record(path.parent.name, *recorded(path), recorded_machine(path))
         except ClothbenchError as said:
             out.findings.append(Finding(path, str(said)))
     return out
@@ -73,14 +86,15 @@ def _merge_cell(folder: Path, into: Store, out: Merged) -> None:
     except ClothbenchError as said:
         out.findings.append(Finding(into.cell(key), str(said)))
         return
+    stays, again, other = outcome(there), outcome(rows), other_machine(there, rows)
     if not finished(rows) and (finished(there) or not wanted):
         out.errors.append(key)
-    elif outcome(rows) == outcome(there):
+    elif agree(stays, again, other):
         (out.taken if wanted else out.same).append(key)
     else:
-        into.record(key, outcome(there), outcome(rows))
-        found = f"{outcome(there)}, which stays, and {outcome(rows)} in {folder}"
-        out.findings.append(fault(into.cell(key), found, "the same of the same cell", SEEDLESS))
+        into.record(key, stays, again, other)
+        found = f"{stays}, which stays, and {again} in {folder}"
+        out.findings.append(fault(into.cell(key), found, "the same of the same cell", why_apart(other)))
 
 
 def _merge_tracked(path: Path, there: Path) -> list[Finding]:

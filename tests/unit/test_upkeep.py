@@ -136,6 +136,29 @@ def test_merge_tells_a_disagreement_and_overwrites_nothing(filled, tmp_path, cap
     assert {r["key"]: r["value"] for r in Store(there).rows()} == {KEYS[0]: 2.0, KEYS[2]: 1.0, KEYS[3]: 1.0}
 
 
+def test_what_another_machine_made_of_a_cell_is_no_fault_within_rounding_and_is_not_blamed_on_its_seed(
+    tmp_path, capsys
+):
+    here, there = {"cpu": "a", "numpy": "2.2", "numba": "1"}, {"cpu": "b", "numpy": "2.3", "numba": "1"}
+    for key, (value, machine) in zip(
+        KEYS, [(1.0 + 1e-12, there), (1.0 + 1e-12, here), (2.0, there), (None, there)], strict=True
+    ):
+        put(tmp_path / "a", key, value, **machine, **({} if value else {"status": "timeout"}))
+        put(tmp_path / "b", key, 1.0, **here)
+    assert main(["store", "merge", str(tmp_path / "a"), str(tmp_path / "b")]) == 1
+    *lines, last = capsys.readouterr().out.splitlines()
+    assert last.endswith("0 cells taken, 1 there already, 0 errors left out, 3 faults")
+    why = (
+        "the two were computed with another processor and numpy, which may be why: bits depend on it (docs/cluster.md)"
+    )
+    assert [line.split("; ")[1] for line in lines] == [SEEDLESS, why, why]
+    assert [line.split("; ")[1] for line in faults(tmp_path / "b")] == [SEEDLESS, why, why]
+    merge(Store(tmp_path / "b"), Store(tmp_path / "c"), catalogue())
+    assert [line.split("; ")[1] for line in faults(tmp_path / "c")] == [SEEDLESS, why, why]
+    with pytest.warns(UserWarning, match="another processor and numpy"):
+        put(tmp_path / "b", KEYS[2], 3.0, **there)
+
+
 def disagreeing(folder):
     """A cell that was computed twice."""
     with pytest.warns(UserWarning, match="computed twice"):
