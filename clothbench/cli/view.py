@@ -7,7 +7,6 @@ import os
 import shlex
 import signal
 import socket
-import string
 import subprocess
 import sys
 import tempfile
@@ -153,9 +152,11 @@ def find_cell(out: Path, name: str) -> Path:
     """The cell folder of `out` with that key, else the best cell of a case or recording of that name, else the one cell
     whose key begins so: a recording that is called 6 must not lose its name to a key that happens to begin with 6.
     """
+    from clothbench.engine.store import KEY
+
     if not name.strip():
         raise ClothbenchError("found an empty name of a cell, expected a case, a recording or the beginning of a key")
-    cells = [p for p in entries(out / "cells") if p.name[0] in string.hexdigits.lower() and p.is_dir()]
+    cells = [p for p in entries(out / "cells") if KEY.fullmatch(p.name) and p.is_dir()]
     if not cells:
         there = "" if str(out) == DEFAULT_OUT else f" out={out}"
         raise ClothbenchError(f"{out}: found no cells; make some with: clothbench run +suite=static_dynamic{there}")

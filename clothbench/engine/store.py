@@ -22,7 +22,6 @@ import platform
 import re
 import shutil
 import socket
-import string
 import warnings
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from datetime import UTC, datetime
@@ -319,9 +318,9 @@ class Store:
         return indexed(self.folder / INDEX / name, files, lambda path: read_if_there(path, declared, needed), declared)
 
     def _keys(self) -> list[str]:
-        """Of all cells, in order."""
+        """Of all cells, in order; what is not named as a key is none, as a copy of a cell's folder beside it."""
         try:
-            return sorted(name for name in os.listdir(self.folder / "cells") if name[0] in string.hexdigits.lower())
+            return sorted(name for name in os.listdir(self.folder / "cells") if KEY.fullmatch(name))
         except FileNotFoundError:
             return []
 

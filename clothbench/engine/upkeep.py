@@ -152,8 +152,8 @@ def _at_work(store: Store, path: Path) -> bool:
 
 def _of_other_versions(store: Store, plugins: Catalogue, named: set[Path]) -> Iterator[tuple[Path, str]]:
     installed: dict[tuple[str, str], str | None] = {}
-    for folder in sorted((store.folder / "cells").glob("[0-9a-f]*")):
-        if folder not in named and (why := _other_version(folder, plugins, installed)):
+    for folder in entries(store.folder / "cells"):
+        if KEY.fullmatch(folder.name) and folder not in named and (why := _other_version(folder, plugins, installed)):
             yield folder, why
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import shutil
 import time
 from pathlib import Path
 
@@ -13,6 +14,7 @@ import pytest
 
 from clothbench import ClothbenchError
 from clothbench.cli import main
+from clothbench.cli.view import find_cell
 from clothbench.core.files import half_written
 from clothbench.engine import upkeep
 from clothbench.engine.check import check
@@ -97,6 +99,22 @@ def test_every_kind_of_fault_is_one_line(filled, capsys):
         assert found[str(path)]["line"].startswith(f"{path}: found ")
         assert words in found[str(path)]["line"]
         assert "; " in found[str(path)]["line"]  # what to do
+
+
+def test_a_copy_of_a_cell_beside_it_is_no_second_cell(filled, capsys):
+    copies = [filled / "cells" / f"{KEYS[0]}{more}" for more in (" copy", "-1", ".bak")]
+    for copy in copies:
+        shutil.copytree(filled / "cells" / KEYS[0], copy)
+    assert main(["leaderboard", "--json", "--out", str(filled)]) == 0
+    assert [row["key"] for row in json.loads(capsys.readouterr().out)] == KEYS
+    assert [line.split(": ")[0] for line in faults(filled)] == list(map(str, copies))
+
+
+def test_a_copy_of_a_cell_is_not_viewed_in_its_place_and_not_pruned(tmp_path):
+    put(tmp_path, "0a", plugins="metrics/node_error (x 1, 0)")
+    shutil.copytree(tmp_path / "cells" / "0a", tmp_path / "cells" / "0a.bak")
+    assert find_cell(tmp_path, "0") == tmp_path / "cells" / "0a"
+    assert [path.name for path, _ in prunable(Store(tmp_path), catalogue(), other_versions=True)] == ["0a"]
 
 
 def test_what_stopped_runs_left_is_told_and_is_no_fault(filled, capsys):
