@@ -54,6 +54,7 @@ if TYPE_CHECKING:
 _text, _number, _whole = pa.string(), pa.float64(), pa.int64()
 
 LISTED = "rows as `clothbench leaderboard --json` prints them"
+ANEW = "write the file anew with clothbench leaderboard --json"
 # The rows of `leaderboard --json`, in this order; what does not apply is null.
 ROW = {
     "suite": _text, "case": _text, "recording": _text, "split": _text, "model": _text, "effects": _text,
@@ -443,4 +444,4 @@ def require_rows(rows: Any, where: object) -> list[dict[str, Any]]:
     except (pa.ArrowException, TypeError, ValueError, OverflowError) as fault:
         said = (str(fault).splitlines() or [type(fault).__name__])[0]
         raise ClothbenchError(f"{where}: found a value of another type ({said}), expected {LISTED}") from None
-    return as_declared(table, ROW, ("status",), str(where)).to_pylist()
+    return as_declared(table, ROW, ("status",), str(where), ANEW).to_pylist()

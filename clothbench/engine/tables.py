@@ -101,22 +101,27 @@ def looked_up(path: str) -> os.stat_result | None:
         raise ClothbenchError(f"{path}: cannot be looked up ({fault.strerror}); {READABLE}") from fault
 
 
-def as_declared(table: pa.Table, columns: Columns, needed: Collection[str], where: str) -> pa.Table:
-    """A table with its declared columns in their types, and texts without what cannot be seen."""
+def as_declared(
+    table: pa.Table, columns: Columns, needed: Collection[str], where: str, advice: str = AGAIN
+) -> pa.Table:
+    """A table with its declared columns in their types, and texts without what cannot be seen.
+
+    advice: what to do where it is none, as of one that lies in the folder of a cell.
+    """
     there = {name: k for k, name in enumerate(table.column_names)}
     if len(there) < table.num_columns:
-        raise ClothbenchError(f"{where}: found a column twice, expected each once; {AGAIN}")
+        raise ClothbenchError(f"{where}: found a column twice, expected each once; {advice}")
     for name, of in columns.items():
         if name not in there:
             if name in needed:
-                raise ClothbenchError(f"{where}: found no column {name!r}, expected one of {of}; {AGAIN}")
+                raise ClothbenchError(f"{where}: found no column {name!r}, expected one of {of}; {advice}")
             table = table.append_column(name, pa.nulls(table.num_rows, of))
             continue
         column = table.column(there[name])
         if name in needed and column.null_count:
-            raise ClothbenchError(f"{where}: column {name!r}: found nothing in a row, expected {of}; {AGAIN}")
+            raise ClothbenchError(f"{where}: column {name!r}: found nothing in a row, expected {of}; {advice}")
         if column.type != of and not pa.types.is_null(column.type):
-            raise ClothbenchError(f"{where}: column {name!r}: found {column.type}, expected {of}; {AGAIN}")
+            raise ClothbenchError(f"{where}: column {name!r}: found {column.type}, expected {of}; {advice}")
         shown = column if column.type == of else column.cast(of)
         if of == pa.string() and any(map(_has_unseen, shown.chunks)):
             shown = pa.chunked_array([pa.array([text and seen(text) for text in shown.to_pylist()], of)])

@@ -143,3 +143,14 @@ def test_a_file_that_is_no_leaderboard_is_refused(tmp_path, text):
     path.write_text(text)
     with pytest.raises(ClothbenchError, match=r"x\.json"):
         load_rows(path)
+
+
+def test_whoever_gives_a_file_with_a_bad_row_is_not_told_to_delete_its_folder(tmp_path):
+    path = tmp_path / "x.json"
+    path.write_text('[{"suite": "s", "status": null, "value": 1.0}]')
+    with pytest.raises(ClothbenchError) as said:
+        load_rows(path)
+    assert str(said.value) == (
+        f"{path}: column 'status': found nothing in a row, expected string; "
+        "write the file anew with clothbench leaderboard --json"
+    )
