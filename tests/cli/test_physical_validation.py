@@ -20,6 +20,9 @@ from clothbench.reference import mechanics as references
 from clothbench.report.gate import compare_rows
 from clothbench.report.page import write_page
 from clothbench.studies.mechanics.checks import CHECKS, NAMES, check_named
+from clothbench.studies.mechanics.figures import colours, error_figures
+from clothbench.studies.mechanics.page import told_apart
+from clothbench.studies.mechanics.tables import called, finest
 
 QUICK = ("+suite=physical_validation", "model=[mass_spring]", "suite.meshes=[5,9]", "jobs=1")
 
@@ -220,6 +223,58 @@ def test_page_and_table_show_every_model_and_test(catalogue, tmp_path, capsys):
     assert {entry[0] for entry in shown["legend"]} == {"strip", "faller"}
     assert len(shown["figures"]) == 1  # the cantilever over the elastica; nobody swung or folded
     assert set(shown["errors"]) == {"free_fall", "cantilever_small", "cantilever", "convergence_sag"}
+
+
+def told(store: Store) -> tuple[str, list[dict]]:
+    """The page's words, and the levels that its figures are drawn from."""
+    return write_page(store.folder).read_text(), told_apart(store.rows(), store.table("validation"))
+
+
+def test_of_one_model_on_several_meshes_the_finest_stands_for_it(catalogue, tmp_path, capsys):
+    tests = ["cantilever_small"]
+    for meshes in ((9, 17), (5, 9)):
+        store, rows, _ = ran(catalogue, tmp_path, "strip", tests, meshes)
+    assert {r["settings"] for r in rows} == {"meshes=9,17", "meshes=5,9"}
+    page, levels = told(store)
+    assert page.count('<th scope="col" class="n">strip</th>') == 1
+    (value,) = re.findall(r"<td>cantilever_small</td><td class=\"n\">([^<]*)</td></tr>", page)
+    assert value == f"{-100 / 15.5**2:+.3g} %"
+    assert "1 of 1 within 1 %" in page  # and not 1 of 2
+    (line, _) = error_figures(levels)["cantilever_small"]["data"]
+    assert line["x"] == [9, 17]
+    print_results(store)
+    table = capsys.readouterr().out
+    assert "meshes=9,17" in table
+    assert "meshes=5,9" in table
+
+
+def test_of_rows_that_do_not_say_their_meshes_the_levels_do(catalogue, tmp_path):
+    store, rows, _ = ran(catalogue, tmp_path, "strip", ["cantilever_small"], (9, 17))
+    key = rows[0]["key"]
+    rows += ran(catalogue, tmp_path, "strip", ["cantilever_small"], (5, 9))[1]
+    old = [{**r, "settings": None} for r in rows]
+    assert {r["key"] for r in finest(old, store.table("validation"))} == {key}
+
+
+def test_a_model_with_several_options_is_told_apart_everywhere(catalogue, tmp_path, capsys):
+    for scale in (1.0, 0.5):
+        options = {"faller": {"step_scale": scale}}
+        store, _, _ = ran(catalogue, tmp_path, "faller", ["free_fall"], (5, 9), options=options)
+    names = {"faller, step_scale=1.0", "faller, step_scale=0.5"}
+    page, levels = told(store)
+    assert colours(levels).keys() == names
+    assert {line["meta"] for line in error_figures(levels)["free_fall"]["data"]} == {*names, ""}
+    for name in names:
+        assert f'<th scope="col" class="n">{name}</th>' in page
+    print_results(store)
+    table = capsys.readouterr().out
+    assert "step_scale=1.0" in table
+    assert "meshes" not in table
+
+
+def test_what_else_stands_for_an_effect_is_told_apart():
+    rows = [{"model": "m", "case": "fall", "settings": None, "effects": e, "key": e} for e in ("drag", "lift")]
+    assert [*map(called(rows), rows)] == ["m, with drag", "m, with lift"]
 
 
 def test_the_gate_judges_the_distance_from_the_reference():

@@ -7,7 +7,7 @@ from typing import Any
 
 from clothbench.display.answer import Card, answer
 from clothbench.display.html import group, text
-from clothbench.studies.mechanics.tables import relative_error
+from clothbench.studies.mechanics.tables import called, finest, relative_error
 
 Rows = Sequence[dict[str, Any]]
 NEAR = 1.0  # %: so near to its reference a value meets it, on meshes that a page is made with
@@ -15,9 +15,10 @@ ORDER = 1.8  # an observed order of convergence from here on counts as the secon
 MEASURED = "eta_b"  # of fabrics that were measured by hand: known to some tens of a percent, and no reference to meet
 
 
-def answer_of(suite: str, rows: Rows) -> str:
-    """The answer over the rows of one suite, as HTML."""
-    cards = sorted((card_of(*pair) for pair in group(rows, lambda r: r["model"]).items()), key=rank)
+def answer_of(suite: str, rows: Rows, levels: Rows = ()) -> str:
+    """The answer over the rows of one suite, as HTML; of a test that was run on several meshes the finest counts."""
+    rows, name = finest(rows, levels), called(rows)
+    cards = sorted((card_of(*pair) for pair in group(rows, name).items()), key=rank)
     if not any(judged(rows)):
         return answer(f"{suite}: the answer", "There is no answer: no model came to a value.", cards)
     most, of = met_by(cards[0]), cards[0].said
@@ -30,7 +31,7 @@ def answer_of(suite: str, rows: Rows) -> str:
 
 
 def card_of(model: str, rows: Rows) -> Card:
-    """What one model meets, where it is farthest off, and what it was not asked."""
+    """What one model, set in one way, meets, where it is farthest off, and what it was not asked."""
     found = judged(rows)
     met = [r for r in found if meets(r)]
     values = [r for r in found if r["metric"] != "order"]

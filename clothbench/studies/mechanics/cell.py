@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from functools import cached_property
@@ -19,6 +20,7 @@ from clothbench.studies.mechanics import VERSION
 from clothbench.studies.mechanics.checks import NAMES, Check, check_named
 
 MESHES = (9, 17, 33)
+MESHES_WORD = "meshes="  # of a row's settings, before the numbers of nodes
 SUITE_WORDS = frozenset({"tests", "meshes", "effects"})
 NOT_FITTED = ("optimizer", "metric", "effects", "report", "recording", "recordings", "bounds", "analysis", "prior")
 
@@ -61,7 +63,9 @@ class MechanicsCell:
 
     @property
     def row_columns(self) -> Mapping[str, Any]:
-        return {}
+        """What is asked beside model and test: "meshes=9,17 integrator=bdf2 …", a word each."""
+        told = {name: f"{name}={_written(value)}" for name, value in self.options.items()}
+        return {"settings": " ".join([f"{MESHES_WORD}{_written(self.meshes)}", *map(told.get, sorted(told))])}
 
     @property
     def metric(self) -> str:
@@ -123,6 +127,13 @@ def require_parameters(cell: MechanicsCell, plugins: Catalogue) -> None:
                 f"setting 'suite.effects.{wanted}': effect {name!r} has no parameter {lacks[0]!r}, which the test "
                 f"{cell.case!r} sets; it has {', '.join(known)}; name another effect"
             )
+
+
+def _written(value: Any) -> str:
+    """A setting as a command line has it, without spaces: "bdf2", "true", "9,17"."""
+    if isinstance(value, list | tuple):
+        return ",".join(map(_written, value))
+    return value if isinstance(value, str) else json.dumps(value, separators=(",", ":"))
 
 
 def _standing_for(test: str, effects: Mapping[str, Any]) -> dict[str, str]:

@@ -11,7 +11,7 @@ from clothbench.engine.study import Results
 from clothbench.studies.mechanics.answer import answer_of
 from clothbench.studies.mechanics.checks import CHECKS
 from clothbench.studies.mechanics.figures import colours, error_figures, validation_figures
-from clothbench.studies.mechanics.tables import observed_orders, relative_error
+from clothbench.studies.mechanics.tables import called, finest, observed_orders, relative_error
 
 Rows = Sequence[dict[str, Any]]
 INTRO = """<p class="soft">Textbook cloth in scenes whose answer is known; nothing is fitted. Error of the value on
@@ -37,24 +37,35 @@ def sections(results: Results) -> list[Section]:
     """Everything about models against mechanics."""
     rows, levels = results.rows, results.table("validation")
     body = numbers(rows, levels)
-    shown = validation_figures(levels)
-    return [_drawn(body, shown, error_figures(levels), levels) if shown else Section(body)]
+    drawn = told_apart(rows, levels)
+    shown = validation_figures(drawn)
+    return [_drawn(body, shown, error_figures(drawn), drawn) if shown else Section(body)]
+
+
+def told_apart(rows: Rows, levels: Rows) -> list[dict[str, Any]]:
+    """The levels to draw: of the cells that the tables of errors show, each with what they call its model there."""
+    suites, names = group(rows, lambda r: r["suite"]), dict[str, str]()
+    for suite, mine in suites.items():
+        name = called(mine)
+        names |= {r["key"]: name(r) + (f", {suite}" if len(suites) > 1 else "") for r in finest(mine, levels)}
+    return [{**v, "model": names[v["key"]]} for v in levels if v["key"] in names]
 
 
 def numbers(rows: Rows, levels: Rows) -> str:
     """The answer of each suite, then its numbers."""
     suites = sorted(group(rows, lambda r: r["suite"]).items())
-    found = [answer_of(suite, mine) for suite, mine in suites]
+    found = [answer_of(suite, mine, levels) for suite, mine in suites]
     for suite, mine in suites:
-        found.append(f"<h2>{text(suite)}: models against references</h2>{INTRO}{errors(mine)}{tests(mine, levels)}")
+        shown = errors(mine, levels) + tests(mine, levels)
+        found.append(f"<h2>{text(suite)}: models against references</h2>{INTRO}{shown}")
     return "".join(found)
 
 
-def errors(rows: Rows) -> str:
-    """Model × test, the error in %; rows of one suite."""
-    cases = list(dict.fromkeys(r["case"] for r in sorted(rows, key=_rank)))
-    models = sorted({r["model"] for r in rows})
-    at = {(r["model"], r["case"]): r for r in rows}
+def errors(rows: Rows, levels: Rows = ()) -> str:
+    """Model × test, the error in %; rows of one suite. A model that is set in several ways has a column for each."""
+    cases, name = list(dict.fromkeys(r["case"] for r in sorted(rows, key=_rank))), called(rows)
+    models = sorted(set(map(name, rows)))
+    at = {(name(r), r["case"]): r for r in finest(rows, levels)}
     body = [[text(case), *(_error(at.get((model, case))) for model in models)] for case in cases]
     return table(["test", *models], body, numeric=set(range(1, len(models) + 1)))
 
@@ -79,16 +90,16 @@ def _error(row: dict[str, Any] | None) -> str:
 
 def tests(rows: Rows, levels: Rows) -> str:
     """Each row with what it is compared with; folded, for there are many."""
-    orders = observed_orders(levels)
+    orders, name = observed_orders(levels), called(rows, meshes=True)
     about = {check.name: check.summary for check in CHECKS}
     head = ["test", "model", "value", "reference", "unit", "order", "status", "what is compared"]
     body = []
-    for r in sorted(rows, key=lambda r: (*_rank(r), r["case"], r["model"])):
+    for r in sorted(rows, key=lambda r: (*_rank(r), r["case"], name(r))):
         numbers = ["" if r[n] is None else f"{r[n]:.6g}" for n in ("value", "reference")]
         order = orders.get(r["key"])
         note = text(about.get(r["case"].split(":")[0], ""))
         note += f"<br><small>{text(r['reason'])}</small>" if r["reason"] else ""
-        body.append([text(r["case"]), text(r["model"]), *numbers, text(r["unit"]),
+        body.append([text(r["case"]), text(name(r)), *numbers, text(r["unit"]),
                      "" if order is None else f"{order:.2f}", pill(r), note])  # fmt: skip
     shown = table(head, body, numeric={2, 3, 5})
     return f"<details><summary>{len(rows)} values beside their references</summary>{shown}</details>"

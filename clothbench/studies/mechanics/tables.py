@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from rich.markup import escape
 from rich.table import Table
 
+from clothbench.display.html import group
 from clothbench.engine.study import Results
+from clothbench.studies.mechanics.cell import MESHES_WORD
 from clothbench.studies.mechanics.checks import CHECKS
 
 Rows = Sequence[dict[str, Any]]
@@ -21,6 +23,44 @@ def show(results: Results) -> list[Any]:
         validation_table(suite, [r for r in results.rows if r["suite"] == suite], levels)
         for suite in sorted({r["suite"] for r in results.rows})
     ]
+
+
+def called(rows: Rows, meshes: bool = False) -> Callable[[dict[str, Any]], str]:
+    """What to call a row's model: with what cells of it differ in, "baraff_witkin, integrator=bdf2"; with their meshes
+    if asked for, as where each cell stands by itself.
+    """
+
+    def words(row: dict[str, Any]) -> list[str]:
+        return [word for word in _settings(row) if meshes or not word.startswith(MESHES_WORD)]
+
+    models, tested = group(rows, lambda r: r["model"]), group(rows, lambda r: (r["model"], r["case"]))
+    shared = {model: set.intersection(*(set(words(r)) for r in mine)) for model, mine in models.items()}
+    several = {about for about, mine in tested.items() if len({r["effects"] for r in mine}) > 1}
+
+    def name(row: dict[str, Any]) -> str:
+        told = [word for word in words(row) if word not in shared[row["model"]]]
+        effects = f"with {row['effects']}" if (row["model"], row["case"]) in several else ""
+        return ", ".join(filter(None, (row["model"], *told, effects)))
+
+    return name
+
+
+def finest(rows: Rows, levels: Rows = ()) -> list[dict[str, Any]]:
+    """Of rows that are about one model, set alike, in one test, that of the cell with the finest mesh; of several such
+    the last. levels: where rows of an earlier version do not say on which meshes they are.
+    """
+    name, seen = called(rows), group(levels, lambda v: v["key"])
+
+    def mesh(row: dict[str, Any]) -> tuple[list[int], str]:
+        told = [word.removeprefix(MESHES_WORD) for word in _settings(row) if word.startswith(MESHES_WORD)]
+        sizes = map(int, told[0].split(",")) if told else {v["along"] for v in seen.get(row["key"], ())}
+        return sorted(sizes, reverse=True), row.get("finished") or ""
+
+    return [max(mine, key=mesh) for mine in group(rows, lambda r: (name(r), r["case"])).values()]
+
+
+def _settings(row: dict[str, Any]) -> list[str]:
+    return (row.get("settings") or "").split(" ")
 
 
 def relative_error(row: dict[str, Any]) -> float | None:
@@ -43,7 +83,7 @@ def observed_orders(levels: Rows) -> dict[str, float]:
 
 
 def validation_table(suite: str, rows: Rows, levels: Rows) -> Table:
-    """One line per model and test: value beside reference, error, observed order of convergence over the meshes."""
+    """One line per cell and test: value beside reference, error, observed order of convergence over the meshes."""
     table = Table(
         title=f"{escape(suite)}: models against references, finest mesh", title_justify="left", title_style="bold"
     )
@@ -53,18 +93,18 @@ def validation_table(suite: str, rows: Rows, levels: Rows) -> Table:
         table.add_column(name, justify="left" if name == "unit" else "right", no_wrap=True)
     table.add_column("status", no_wrap=True)
     orders = observed_orders(levels)
-    for model in dict.fromkeys(r["model"] for r in rows):
-        for row in (r for r in rows if r["model"] == model):
-            table.add_row(*(escape(t) for t in _line(row, orders)))
+    for name, mine in group(rows, called(rows, meshes=True)).items():
+        for row in mine:
+            table.add_row(*(escape(t) for t in _line(name, row, orders)))
         table.add_section()
     return table
 
 
-def _line(row: dict[str, Any], orders: dict[str, float]) -> list[str]:
+def _line(name: str, row: dict[str, Any], orders: dict[str, float]) -> list[str]:
     order = orders.get(row["key"]) if row["metric"] != "order" else row["value"]
     error = relative_error(row)
     numbers = ["" if row[n] is None else f"{row[n]:.5g}" for n in ("value", "reference")]
     return [
-        row["model"], row["case"], *numbers, row["unit"] or "", "" if error is None else f"{error:+.3g}",
+        name, row["case"], *numbers, row["unit"] or "", "" if error is None else f"{error:+.3g}",
         "" if order is None else f"{order:.2f}", row["status"],
     ]  # fmt: skip
